@@ -1,4 +1,4 @@
-"""What decides: reference trajectories, the tracking problem, its solver, the estimator and the failure ladder.
+"""Controller: reference trajectories, tracking problem, solver, estimator and failure ladder.
 
 Everything is imported on first use: what shares this room with the controller does not load it.
 """

@@ -60,7 +60,7 @@ _FASTEST = 1e6
 
 @dataclass
 class _Predicted:
-    """What the controller predicts with."""
+    """Prediction model of the controller, with its constants."""
 
     model: VelocityModel | NonlinearModel
     sampled: DiscreteModel | NonlinearModel
@@ -68,7 +68,7 @@ class _Predicted:
 
     @classmethod
     def by(cls, model: VelocityModel | NonlinearModel, dt: float) -> _Predicted:
-        return cls(model, sampled_model(model, dt), FeedForward.of(model, dt))
+        return cls(model, sampled_model(model, dt), FeedForward.from_model(model, dt))
 
 
 @dataclass
@@ -154,7 +154,7 @@ class Controller:
 
     @property
     def operations_bound(self) -> int:
-        """What `step.solver.operations` of no tick exceeds; it follows from the horizon and the kinds of limit."""
+        """Return an upper bound of `step.solver.operations`, which follows from the horizon and the kinds of limit."""
         N = self._config.horizon
         return int(self._tick.lib.ddmpc_operations_bound(N, self._kinds, self._room))
 
@@ -171,7 +171,7 @@ class Controller:
         self._tick.parameters[:] = np.array(defaults, dtype=float)
 
     def __repr__(self) -> str:
-        """What it predicts with and what it tracks, in one line."""
+        """Describe the prediction model and the reference in one line."""
         config, model, reference = self._config, self.model, self._reference
         tracked = "nothing yet" if reference is None else repr(reference.name)
         return (
@@ -288,7 +288,7 @@ class Controller:
 
     @property
     def planned_delay(self) -> float:
-        """How late the reference is because it was decided so [s]: the robot stood, a speed limit, things in its way.
+        """Planned delay of the reference [s]: waiting for the robot, speed limits and obstacles.
 
         Part of `reference_delay` of a step. By how much the robot lags beside that is not counted.
         """
@@ -442,7 +442,7 @@ class Controller:
         self._pursuit.start(tracked, native=native.complete)
 
     def _laid(self, reference: Reference) -> tuple[NativeReference, Reference]:
-        """A reference for the core, and as it will be driven."""
+        """Return a reference for the core, and the same as the robot will drive it."""
         tracked = checked_reference(reference)
         for feature in self._features.values():
             tracked = feature.lay(tracked)
@@ -539,7 +539,7 @@ class Controller:
     def updated(
         self, weights: Mapping[str, float] | None = None, limits: Mapping[str, float] | None = None
     ) -> ControllerConfig:
-        """The configuration that `update` would bring into force; nothing changes.
+        """Return the configuration that `update` would apply; nothing changes.
 
         Raises
         ------
@@ -730,7 +730,7 @@ class Controller:
         )
         refused = report.status is SolverStatus.REFUSED
         status = SolverStatus.NOT_RUN if refused else report.status
-        answer = {
+        core_report = {
             "status": getattr(tick.lib, f"DDMPC_QP_{status.name}"),
             "path": tick.lib.DDMPC_BACKEND,
             "iterations": report.iterations,
@@ -738,11 +738,11 @@ class Controller:
             "primal_residual": report.primal_residual,
             "dual_residual": report.dual_residual,
         }
-        tick.lib.ddmpc_answer(self._c, plan, multipliers, ffi.new("ddmpc_report *", answer))
+        tick.lib.ddmpc_answer(self._c, plan, multipliers, ffi.new("ddmpc_report *", core_report))
         return refused
 
     def _build(self, hold: Hold | None, message: str, times: tuple[float, float], *, refused: bool) -> StepResult:
-        """The result in C as arrays and words."""
+        """Build the step result from the result in C, with arrays and words."""
         c, pursuit = self._c_result, self._pursuit
         layout = self._tick.layout
         block = layout.copy()
@@ -781,7 +781,7 @@ class Controller:
 
 
 def _limited(config: ControllerConfig, speed: float | None) -> ControllerConfig:
-    """`config` with no greater speed than that [m/s]."""
+    """Return `config` with a forward speed limit of at most `speed` [m/s]."""
     limits = config.limits
     if speed is None or speed >= max(limits.v.sides):
         return config
@@ -790,7 +790,7 @@ def _limited(config: ControllerConfig, speed: float | None) -> ControllerConfig:
 
 
 def _pairs(commands: ArrayLike) -> FloatArray:
-    """Commands (K, 2); raises ValueError where they are something else."""
+    """Return commands as (K, 2); raise ValueError for another shape."""
     pairs = np.asarray(commands, dtype=float)
     # Not the other way round: NaN must fail.
     if pairs.ndim != 2 or pairs.shape[1] != 2 or not (np.abs(pairs) <= _FASTEST).all():

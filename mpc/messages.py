@@ -1,4 +1,4 @@
-"""What the core says in numbers, in words: modes, states of the solver, and why something was done or rejected."""
+"""Texts for the core's codes: modes, solver states, and reasons for actions and rejections."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class MessageFormatter:
         self.configure(config)
 
     def configure(self, config: ControllerConfig) -> None:
-        """Speak of the limits of `config` from now on."""
+        """Use the limits of `config` in messages from now on."""
         self._config = config
         self._methods: dict[int, str] = {
             self._lib.DDMPC_NO_WAY: SolverMethod.NONE,
@@ -71,7 +71,7 @@ class MessageFormatter:
         return self._methods[number]
 
     def sentence(self, hold: Hold | None, status: SolverStatus, target: str) -> str:
-        """Why the tick went as it did; `target` says what is out of the ordinary of what is tracked."""
+        """Describe the tick in words; `target` describes anything unusual about the tracked target."""
         c, lib = self._result, self._lib
         reasons = c.reasons
         parts = [words(c) for bit, words in self._time_words(lib) if reasons & bit]
@@ -139,11 +139,11 @@ class MessageFormatter:
         ]
 
     def unused(self, reasons: int) -> tuple[str, ...]:
-        """Names of the sensors that the others contradict."""
+        """Return the names of the sensors that the others contradict."""
         return tuple(name for bit, name in self._accused.items() if reasons & bit)
 
     def _findings(self, c: Any) -> list[str]:  # noqa: ANN401
-        """What comparing the sensors has found: which are not used, and what is to be put right."""
+        """Describe the results of the sensor comparison: unused sensors, and faults to correct."""
         lib, words = self._lib, []
         for subject, (bit, name) in enumerate(self._accused.items()):
             if c.reasons & bit:

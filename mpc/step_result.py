@@ -1,4 +1,4 @@
-"""What one control step returns."""
+"""Result of one control step."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LATE = "LATE"
 
 
 class Mode(StrEnum):
-    """What the controller is doing. The names are those of `ddmpc_mode` in core.h."""
+    """Operating mode of the controller. The names are those of `ddmpc_mode` in core.h."""
 
     TRACKING = "TRACKING"
     """The problem was solved; the command is the first of a fresh plan."""
@@ -118,7 +118,7 @@ class StepResult:
         return layout.take(block, name)
 
     def __str__(self) -> str:
-        """A few lines for people."""
+        """Format a short summary."""
         v, omega = self.command.tolist()
         lines = [
             f"command   {v:+.3f} m/s {omega:+.3f} rad/s",

@@ -1,4 +1,4 @@
-"""What the groups of the configuration's schema are made of."""
+"""Base class of the groups of the configuration schema."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ USER = (
 
 
 def is_for_users(key: str) -> bool:
-    """Whether a dotted key stands in the first room."""
+    """Return True if a dotted key belongs to the first room."""
     return any(key == user_key or key.startswith((f"{user_key}.", f"{user_key}[]")) for user_key in USER)
 
 
@@ -77,7 +77,7 @@ def plain_key(key: str) -> str:
 
 
 def side_by_side(data: Mapping[str, Any], where: str = "") -> dict[str, Any]:
-    """Values as a file states them, in two rooms or as earlier files did, as `ControllerConfig` takes them.
+    """Merge the values of a file, in two rooms or in the former layout, into the layout of `ControllerConfig`.
 
     With a name of the file in `where`, one FormerNameWarning for each key says where its value belongs now.
 

@@ -119,7 +119,7 @@ class Limits(Group):
 
 
 class Wheels(Group):
-    """What turns a twist into wheel speeds, and back."""
+    """Wheel geometry, which relates a twist to wheel speeds."""
 
     track: Annotated[float, Field(gt=0, le=10)] = Field(
         0.4,
@@ -192,7 +192,7 @@ class SensorResponses(Group):
 
 
 class Compensation(Group):
-    """What the controller makes up for. All of it in practice; one at a time left out shows what it is worth."""
+    """Effects that the controller compensates. Use all of them in practice; disabling one shows its benefit."""
 
     dead_time: bool = Field(True, description="predict over the dead time of model file and extra_dead_time [-]")
     delay: bool = Field(True, description="estimate delays of the commands that the model lacks [-]")
@@ -332,7 +332,7 @@ class Monitor(Group):
 
 
 class Failure(Group):
-    """What happens when a solve or the measurements fail."""
+    """Behaviour after a failed solve or a loss of measurements."""
 
     max_reused_ticks: Annotated[int, Field(ge=0, le=100)] = Field(
         5, description="ticks for which the rest of the last good plan is used after a failed solve [-]"
@@ -386,7 +386,7 @@ class Fence(Group):
 
 
 class Reentry(Group):
-    """How a robot that is off its path rejoins it, and how far the reference's clock waits for it."""
+    """Return of a robot to its path, and waiting of the reference clock for a robot that is late."""
 
     # Constants that no robot has to change, with their meaning and unit in fixed_values.yaml.
     heading_wait: ClassVar[float] = fixed_values()["reentry.heading_wait"]

@@ -27,7 +27,7 @@ class Osqp(Group):
 
 
 class Solver(Group):
-    """How the problem is solved."""
+    """Solver of the quadratic program."""
 
     method: Literal["auto", "osqp", "daqp"] = Field(
         "auto",

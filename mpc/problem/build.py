@@ -25,7 +25,7 @@ from diffdrive_mpc.mpc.problem.terms import Term
 def chosen_model(
     config: ControllerConfig, stated: VelocityModel | NonlinearModel | str | Path | None
 ) -> VelocityModel | NonlinearModel:
-    """The prediction model; the configuration's own model includes the extra dead time.
+    """Load the prediction model; the configuration's own model includes the extra dead time.
 
     Raises
     ------
@@ -79,5 +79,5 @@ def build_problem(
     """Build the problem for `model`; raises like `sampled_model`, `with_increments` and `Problem`."""
     dt = config.sample_time
     sampled = sampled_model(model, dt)
-    increments, feed_forward = with_increments(config, sampled), FeedForward.of(model, dt)
+    increments, feed_forward = with_increments(config, sampled), FeedForward.from_model(model, dt)
     return Problem(increments, sampled, feed_forward, tuple(terms), is_from_file(model))

@@ -113,7 +113,7 @@ class Problem:
 
     @property
     def curved(self) -> bool:
-        """Whether the configuration sets or estimates curved slip, which makes the twist non-affine."""
+        """True if the configuration sets or estimates curved slip, which makes the twist non-affine."""
         s = self.config.estimator
         return any(s.start(name) or s.uncertainty(name) for name in CURVED_SLIPS)
 
@@ -148,7 +148,7 @@ class Problem:
         }
 
     def constants(self) -> Constants:
-        """Fields of `ddmpc_constants`."""
+        """Compute the fields of `ddmpc_constants`."""
         longest_pause = self.history * self.model.dt
         times: Constants = {"sample_time": self.model.dt, "longest_pause": longest_pause}
         parts = (times, self._velocity(), self._estimation(), self._prediction(), self._cost(), self._limits())
@@ -277,7 +277,7 @@ class Problem:
         }
 
     def _pose_weights(self) -> FloatArray:
-        """(N, 3) weights of the errors along, across and in heading at the samples 1 to N."""
+        """Return (N, 3) weights of the errors along, across and in heading at the samples 1 to N."""
         w = self.config.weights
         table = np.tile([w.along, w.across, w.heading], (self.config.horizon, 1))
         table[-1] *= w.terminal
@@ -358,25 +358,25 @@ class Problem:
 
 @cache
 def _core_numbers(name: str) -> dict[str, Any]:
-    """Numbers of the core that no robot has to change, of `mpc/config/<name>.yaml`, by their fields in C."""
+    """Read constants of the core that no robot has to change from `mpc/config/<name>.yaml`, by their fields in C."""
     data: dict[str, Any] = read_yaml(Path(__file__).parents[1] / "config" / f"{name}.yaml")
     return data
 
 
 def configured_slip(config: ControllerConfig) -> Slip:
-    """What the estimate begins with where nothing else was learned."""
+    """Return the initial slip of the estimate."""
     s = config.estimator
     flat = Slip(side_slip=s.side_slip, load_shift=s.load_shift) if config.compensation.side_slip else Slip()
     return replace(flat, **{name: s.start(name) for name in CURVED_SLIPS})
 
 
 def padded(count: int) -> int:
-    """The next multiple of `PADDING`."""
+    """Round up to a multiple of `PADDING`."""
     return -(-count // PADDING) * PADDING
 
 
 def _longest_row(matrix: FloatArray) -> FloatArray:
-    """The last row of a Toeplitz matrix, padded: any other row begins further along it."""
+    """Return the last row of a Toeplitz matrix, padded: any other row begins further along it."""
     row = matrix[-1]
     return np.concatenate([row, np.zeros(2 * padded(row.size) - row.size)])
 

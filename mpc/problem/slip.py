@@ -1,4 +1,4 @@
-"""What lies between the twist that the velocity model says and the one that the body has on its floor."""
+"""Slip: the difference between the twist that the velocity model predicts and the twist of the body on its surface."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class Slip:
 
     @classmethod
     def of_polynomial(cls, coefficients: ArrayLike) -> Slip:
-        """The slip of a floor with these nine coefficients (9,) of `models.slip_laws.polynomial_twist`."""
+        """Compute the slip of a surface with these nine coefficients (9,) of `models.slip_laws.polynomial_twist`."""
         (a11, a12, a13), (a21, a22, a23), (a31, a32, a33) = np.reshape(np.asarray(coefficients, dtype=float), (3, 3))
         forward, turning = 1 + a11, 1 + a32
         # a23 v_c w_c is written in the affine twist, v = forward v_c + a12 w_c and omega = turning w_c.
@@ -133,7 +133,7 @@ class Slip:
 SLIPS: tuple[str, ...] = tuple(field.name for field in fields(Slip))
 """Names of what slip consists of, in the order of the filter's state."""
 PRIORS: tuple[str, ...] = tuple(name.removesuffix("_x").removesuffix("_y") for name in SLIPS)
-"""Whose uncertainty and drift in the configuration they have: the slide has a direction, and its uncertainty none."""
+"""Prior of each slip in the configuration; both directions of the slide share one."""
 CURVED_SLIPS = SLIPS[10:]
 """Those that curve the twist: the filter has them only where the configuration speaks of one."""
 FLAT_SLIPS = SLIPS[:10]

@@ -40,12 +40,12 @@ class Stray(Protocol):
 
     @property
     def outside(self) -> bool:
-        """Whether it is outside the band around its path, or was moved along it."""
+        """True if the robot is outside the band around its path, or was moved along it."""
         ...
 
     @property
     def late(self) -> float:
-        """By how much it is late, in units of the lag from which the reference waits [-]."""
+        """Delay in units of the lag from which the reference waits [-]."""
         ...
 
 
@@ -109,7 +109,7 @@ class Pursuit:
         self.restart()
 
     def restart(self) -> None:
-        """Begin anew with the same reference, on time."""
+        """Restart with the same reference, on time."""
         self._clock.restart()
         self._blocked.restart()
         self._way_back: Rejoin | None = None
@@ -126,14 +126,14 @@ class Pursuit:
 
     @property
     def on_time(self) -> bool:
-        """Whether the robot may follow the reference as it stands, unless it has left its path since."""
+        """True if the robot may follow the reference unmodified, provided that it has not left its path since."""
         if not self._settings.enabled:
             return self._native
         free = self._top_speed <= _KEPT * self._speed_limit
         return self._native and self._driving and self._way_back is None and self._clock.on_time and free
 
     def passed(self, since_start: float, *, followed: bool) -> None:
-        """A tick at `since_start` [s] went by on time; `followed` says whether the robot was driving."""
+        """Record a tick at `since_start` [s] that was on time; `followed` is True if the robot was driving."""
         if self._settings.enabled:
             self._clock.pass_by(since_start)
             self._time, self._resumes = since_start, False
@@ -149,12 +149,12 @@ class Pursuit:
 
     @property
     def delay(self) -> float:
-        """How far the reference's clock is behind the controller's [s]."""
+        """Delay of the reference's clock behind the controller's [s]."""
         return self._clock.delay
 
     @property
     def reference(self) -> Reference | None:
-        """What is pursued: the reference, or the way back to it."""
+        """Pursued reference: the reference of the drive, or the path back to it."""
         return self._way_back or self._reference
 
     @property
@@ -163,7 +163,7 @@ class Pursuit:
         return self._time
 
     def stand(self) -> None:
-        """Somebody else has braked: the reference waits until it is followed again."""
+        """Stand after braking by another part; the reference waits until it is followed again."""
         self._driving = False
 
     def advance(self, since_start: float) -> float:
@@ -256,7 +256,7 @@ class Pursuit:
             self.is_late, self.limit = True, self._limited_by() or self.limit
 
     def _within_reach(self, reach: float, twist: FloatArray, yaw_gain: float) -> float:
-        """Progress rate at which the upcoming twists (n, 2) need no more than the rim speed `reach` [m/s].
+        """Limit the progress rate so that the upcoming twists (n, 2) need at most the rim speed `reach` [m/s].
 
         The body turns `yaw_gain` times as fast as its wheels, which counts in turns on the spot only. A limit learned
         in such a turn does not apply to the path after it, and the other way round.
@@ -269,15 +269,15 @@ class Pursuit:
         return _USABLE * reach / max(float(needed.max()), STANDING)
 
     def _within_limit(self, fastest: float) -> float:
-        """Progress rate for a reference that soon reaches `fastest` [m/s]; slows it by `v_acceleration` at most."""
+        """Limit the progress rate of a reference that reaches `fastest` [m/s] by at most `v_acceleration`."""
         fastest = max(fastest, STANDING)
         slowed = self._clock.rate - self._settings.v_acceleration / fastest * self._config.sample_time
         return max(_KEPT * self._speed_limit / fastest, slowed)
 
     def _chase(self, reference: Reference, time: float, estimate: Estimate) -> Target | TooFar:
-        """The reference on time, whatever the robot does."""
-        here = reference.sample([time]).pose[0]
-        distance = float(np.hypot(*(estimate.pose - here)[:2]))
+        """Track the reference on time, whatever the robot does."""
+        start = reference.sample([time]).pose[0]
+        distance = float(np.hypot(*(estimate.pose - start)[:2]))
         self._driving = distance <= self._config.failure.max_position_error
         return Target(reference, time) if self._driving else TooFar(distance)
 
@@ -287,7 +287,7 @@ class Pursuit:
         return self._stray_from(sample.pose[0], twist), float(twist[0])
 
     def _displaced(self, ahead: float) -> bool:
-        """Whether `ahead` [m] along the path, negative behind, is more than the reference's waiting explains."""
+        """Return True if `ahead` [m] along the path exceeds what the waiting of the reference explains."""
         return not -BEHIND * self._settings.wait <= ahead <= AHEAD * self._settings.wait
 
     def _return(
@@ -304,13 +304,13 @@ class Pursuit:
             return TooFar(away)
         window = PathWindow.around(reference, time, settings.window, _WINDOW_STEP * self._config.sample_time)
         waited = self._resumes and self._way_back is None
-        here = window.index(time) if waited else window.nearest(estimate.pose, time)
-        along, across = window.beside(estimate.pose, here)
+        nearest = window.index(time) if waited else window.nearest(estimate.pose, time)
+        along, across = window.beside(estimate.pose, nearest)
         distance = math.hypot(along, across)
         if distance > self._config.failure.max_position_error:
             return TooFar(distance)
-        turned = abs(float(wrap_angle(estimate.pose[2] - window.pose[here, 2])))
-        moved = float(window.arc_length[here] - np.interp(time, window.times, window.arc_length))
+        turned = abs(float(wrap_angle(estimate.pose[2] - window.pose[nearest, 2])))
+        moved = float(window.arc_length[nearest] - np.interp(time, window.times, window.arc_length))
         # As in mpc/core/tick.c.
         band = max(settings.band, _UNSURE * math.hypot(*estimate.pose_deviation[:2]))
         beside, aside = distance > band, turned > settings.heading_band
@@ -320,7 +320,7 @@ class Pursuit:
         path = rejoin(
             reference,
             window,
-            here,
+            nearest,
             Course(estimate.pose, float(estimate.twist[0]), float(estimate.twist[1])),
             since_start,
             (settings.min_look_ahead, settings.max_look_ahead),
@@ -338,7 +338,7 @@ class Pursuit:
         return path
 
     def _fastest_rate(self) -> float:
-        """Progress rate at which the reference stays inside the limits of the command."""
+        """Compute the progress rate up to which the reference stays inside the limits of the command."""
         limits = self._config.limits
         sides = np.transpose([limits.v.sides, limits.omega.sides])
         shares = sides / np.maximum(self._top, [STANDING, TURNING])
@@ -347,7 +347,7 @@ class Pursuit:
         return max(1.0, min(self._settings.max_progress, within))
 
     def _limits(self) -> TrajectoryLimits:
-        """Limits of the way back: not much faster than the reference itself."""
+        """Compute the limits of the path back: slightly faster than the reference itself."""
         settings, limits = self._settings, self._config.limits
         cruise = settings.max_progress * self._top_speed if self._top_speed > STANDING else max(limits.v.sides)
         return TrajectoryLimits(

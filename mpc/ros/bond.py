@@ -25,7 +25,7 @@ CONNECT_TIMEOUT, HEARTBEAT_TIMEOUT, DISCONNECT_TIMEOUT = 10.0, 4.0, 2.0
 
 
 class BondState(StrEnum):
-    """What one side of a bond does."""
+    """State of one side of a bond."""
 
     WAITING = "waiting for the lifecycle manager"
     ALIVE = "bound"
@@ -57,7 +57,7 @@ class BondProtocol:
         self._since = now()
 
     def beat(self) -> None:
-        """To be called each period: say what there is to say, and see what has taken too long."""
+        """Update the bond; call once per period."""
         passed = self._now() - self._since
         if self.state is BondState.WAITING and passed > CONNECT_TIMEOUT:
             # Nobody manages this node: it goes on alone.
@@ -72,7 +72,7 @@ class BondProtocol:
             self._send(False)
 
     def hear(self, *, lives: bool) -> None:
-        """The sister said whether it lives."""
+        """Handle a message of the sister, which states whether it lives."""
         if self.state is BondState.LEAVING:
             if not lives:
                 self.state = BondState.DEAD
@@ -153,7 +153,7 @@ class Bond:
 
 
 def _ignore(_: str) -> None:
-    """What is no message of a bond is nobody's heartbeat."""
+    """Ignore an invalid bond message: it is no heartbeat."""
 
 
 class BondPart(NodePart):
@@ -162,7 +162,7 @@ class BondPart(NodePart):
     bond: Bond | None = None
 
     def activate(self) -> None:
-        """Begin a bond."""
+        """Start a bond."""
         self._close()
         period = self.running()[1].settings.bond_heartbeat_period
         if not period:

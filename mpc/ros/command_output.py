@@ -1,4 +1,4 @@
-"""How commands leave the node: as a twist, or as wheel speeds for a base without an input for (v, omega)."""
+"""Output of commands as a twist, or as wheel speeds for a base without an input for (v, omega)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TWISTS, WHEELS = "cmd_vel", "wheel_commands"
 
 
 def command_topic(settings: NodeSettings) -> str:
-    """The topic that commands go out on, before remapping."""
+    """Return the topic of the commands, before remapping."""
     return WHEELS if settings.command_output == "wheels" else TWISTS
 
 
@@ -41,7 +41,7 @@ class CommandOutput(Protocol):
 def command_output(
     node: LifecycleNode, settings: NodeSettings, config: Callable[[], ControllerConfig]
 ) -> CommandOutput:
-    """The output that `settings` choose; `config` gives the configuration of the controller as it is now."""
+    """Create the output that `settings` choose; `config` returns the current configuration of the controller."""
     if settings.command_output == "wheels":
         return _WheelOutput(node, settings, config)
     return _TwistOutput(node, settings)

@@ -1,4 +1,4 @@
-"""What becomes of a goal of `follow_path`: laid beside the loop, driven, judged at each tick, ended. Needs no ROS.
+"""Life cycle of a `follow_path` goal: plan, drive, monitor, finish; independent of ROS.
 
 All of it happens in the thread of the control loop, but for what `Goal` says of itself.
 """
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 _STANDING = 0.02
 """A slower robot stands [m/s]."""
 _OUTDATED = 0.3
-"""Where a moving robot was so long ago is not where a reference should begin [s]."""
+"""Age of the robot's pose above which a moving robot gets no new reference [s]."""
 _MOST_OUTDATED = 3
 """A path that was outdated so often is prepared for a robot that stands."""
 _LONGEST_LAYING = 15.0
@@ -64,7 +64,7 @@ class Code(IntEnum):
 
 
 class GoalOutcome(StrEnum):
-    """How a goal ends."""
+    """Outcome of a goal."""
 
     SUCCEEDED = "succeeded"
     CANCELED = "canceled"
@@ -73,7 +73,7 @@ class GoalOutcome(StrEnum):
 
 @dataclass(frozen=True)
 class End:
-    """How a goal ended, its code, and why in words."""
+    """Outcome of a goal with its code and the reason in words."""
 
     outcome: GoalOutcome
     code: Code
@@ -177,18 +177,18 @@ def lay_for_robot(
 
 
 def _gap(pose: FloatArray, goal: FloatArray) -> tuple[float, float]:
-    """Distance [m] and angle [rad] between two poses (3,)."""
+    """Compute distance [m] and angle [rad] between two poses (3,)."""
     gap = pose - goal
     return float(np.hypot(gap[0], gap[1])), abs(math.remainder(float(gap[2]), math.tau))
 
 
 def _within(gap: tuple[float, float], settings: NodeSettings) -> bool:
-    """Whether a robot so far from its goal has arrived."""
+    """Return True if a robot at this distance and angle from its goal has arrived."""
     return gap[0] <= settings.follow_goal_position and gap[1] <= settings.follow_goal_heading
 
 
 def path_limits(config: ControllerConfig, gain: FloatArray, settings: NodeSettings) -> TrajectoryLimits:
-    """Speeds and accelerations of a path: shares of those of the commands, times the model's steady-state `gain`."""
+    """Compute speeds and accelerations of a path: shares of those of the commands, times the steady-state `gain`."""
     limits, (v, omega) = config.limits, np.minimum(1.0, np.abs(np.diag(gain))).tolist()
     share, slew = settings.follow_speed_share, settings.follow_acceleration_share
     blind = _blind_speed(config, settings.follow_blind_distance)
@@ -216,7 +216,7 @@ def _speed(tick: LoopTick) -> float:
 
 
 def _not_laid(why: str) -> Code:
-    """Code for a path that the process beside the loop gave back with `why`."""
+    """Return the code for a path that the side process rejected for the reason `why`."""
     ours = why.startswith(("path:", "trajectory limit"))
     return Code.INVALID_PATH if ours else Code.CONTROLLER_TIMED_OUT if "takes longer" in why else Code.UNKNOWN
 
@@ -255,7 +255,7 @@ class Following:
         self._driven: FollowGoal | None = None
 
     def take(self, goal: FollowGoal) -> None:
-        """Have a path laid, to be driven then. What cannot be used ends the drive that is under way, too."""
+        """Plan the path of a goal, then drive it. An unusable goal ends the current drive, too."""
         if self._coming is not None:
             self._close(self._coming, GoalOutcome.ABORTED, Code.NONE, "a newer goal took its place before it began")
         self._coming, goal.handed_on = goal, time.monotonic()
@@ -383,7 +383,7 @@ class Following:
         goal.end = End(outcome, code, words)
 
     def _verdict(self, goal: FollowGoal, tick: LoopTick) -> End | None:
-        """How the goal ends by what a tick did; None while it goes on."""
+        """Decide how a tick ends the goal; return None while it continues."""
         loop, settings, now = self._loop, self._settings, self._loop.inbox.now
         assert goal.laid is not None
         ours = loop.begun is not None and loop.begun.reference is goal.laid.reference
@@ -445,7 +445,7 @@ class Following:
         return End(GoalOutcome.ABORTED, Code.FAILED_TO_MAKE_PROGRESS, f"the path has ended {words}")
 
     def _code(self, tick: LoopTick) -> Code:
-        """What to call it that the robot does not drive."""
+        """Return the code for a robot that does not drive."""
         assert tick.result is not None
         inbox = self._loop.inbox
         if inbox.odometry.fault(inbox.now, self._settings.odom_timeout) or tick.result.estimate is None:
@@ -457,7 +457,7 @@ class Following:
         return Code.PATIENCE_EXCEEDED
 
     def _stands(self, goal: FollowGoal, tick: LoopTick) -> bool:
-        """Whether the robot has come to rest, as far as is known."""
+        """Return True if the robot is known to be at rest."""
         now = self._loop.inbox.now
         if tick.command.any():
             goal.since = now
@@ -473,8 +473,8 @@ class Following:
         reference = goal.laid.reference
         if result.estimate is None or begun is None or begun.reference is not reference:
             return goal.progress
-        at = self._loop.inbox.now - begun.t0 - result.reference_delay
-        done, whole = reference.sample([at, reference.duration]).arc_length.tolist()
+        time = self._loop.inbox.now - begun.t0 - result.reference_delay
+        done, whole = reference.sample([time, reference.duration]).arc_length.tolist()
         error = tracking_error(result)
         ahead = error[0] if error is not None else 0.0
         return max(0.0, whole - done - ahead), abs(float(result.estimate.twist[0]))

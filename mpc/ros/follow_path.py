@@ -37,13 +37,14 @@ _RESULTS_AT_ONCE = 4
 _LONG_WORK = 0.005
 """After work that took longer [s] the thread rests as long: the interpreter runs one thread, and the loop's is due."""
 _RESULT_KEPT = 60
-"""How long a result waits for its client [s]: one that sends hundreds of goals a second reads their answers late."""
+"""Time for which a result waits for its client [s]: a client that sends hundreds of goals a second reads results late.
+"""
 _MIN_CHECK_RATE = 10.0
 """Lowest rate of feedback while the clients are observed [Hz]."""
 _LOOK = 0.02
-"""How often ends are looked for [s]."""
+"""Period of the check for finished goals [s]."""
 _FAREWELL = 0.4
-"""How long the last results may take [s]."""
+"""Time limit for the last results [s]."""
 
 
 class _Server(ActionServer):
@@ -150,7 +151,7 @@ class FollowPathServer:
             left -= self._closing
 
     def _pass_on(self) -> None:
-        """In the thread of the loop: hand on what has arrived."""
+        """Forward queued goals in the thread of the loop."""
         while self._incoming:
             following, goal = self._incoming.popleft()
             if following is self._following:
@@ -192,7 +193,7 @@ class FollowPathServer:
         return result
 
     def _begin(self, handle: ServerGoalHandle, clients: frozenset[bytes]) -> Future | End:
-        """Hand a goal to the loop; returns what will hold its end, or the end."""
+        """Pass a goal to the loop; return the future of its end, or its end."""
         request, following, settings = handle.request, self._following, self._settings
         # A fault ends the drive that the goal was to replace, too: that is the loop's to do.
         poses, fault = np.zeros((0, 3)), None
@@ -246,7 +247,7 @@ class FollowPathServer:
 
 
 def path_poses(message: Path, most: int) -> FloatArray:
-    """Poses (n, 3) of a path; raises MessageError where they are no poses, too many, or not all of one frame."""
+    """Extract poses (n, 3) of a path; raise MessageError if they are invalid, too many, or in different frames."""
     frame, count = message.header.frame_id, len(message.poses)
     if count > most:
         raise MessageError(f"the path has {count} poses, the most is {most} (parameter follow_most_poses)")

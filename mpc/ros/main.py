@@ -86,7 +86,7 @@ def run(
 
 
 def main() -> None:
-    """Entry point of the colcon package: everything comes from ROS parameters."""
+    """Run the node as entry point of the colcon package, configured by ROS parameters only."""
     try:
         run(sys.argv)
     except (ValueError, OSError, DiffdriveMpcError) as error:

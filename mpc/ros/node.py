@@ -170,7 +170,7 @@ class TrackingNode(PartHost):
 
     @logged
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Begin to send commands, zero until driving begins, unless another node of this project does so already."""
+        """Start to send zero commands; fail if another node of this project sends commands already."""
         if self._changes.pending or self._controller is None:
             self._tear_down()
             self._build()

@@ -76,12 +76,12 @@ class ActivationRecording:
 
     @property
     def incomplete(self) -> bool:
-        """Whether something is missing in the file."""
+        """True if rows are missing in the file."""
         return bool(self._recorder.fault or self._recorder.lost)
 
     @property
     def words(self) -> str:
-        """How it goes."""
+        """State of the recording in words."""
         recorder = self._recorder
         lost = f", {recorder.lost} messages lost: the disk is too slow" if recorder.lost else ""
         return f"ended: {recorder.fault}" if recorder.fault else f"{recorder.path}{lost}"
@@ -146,14 +146,14 @@ class ActivationRecording:
 
 
 def _standing(tick: LoopTick) -> dict[str, Cell]:
-    """What of a row a tick fills at which the controller was not asked."""
+    """Fill the columns of a row for a tick without a controller step."""
     v, omega = tick.command.tolist()
     words: dict[str, Cell] = {"mode": tick.mode, "message": tick.message, "solver_status": "", "solver_path": "none"}
     return {"v_ref_m_s": v, "omega_ref_rad_s": omega, **words}
 
 
 def _told(settings: NodeSettings, config: ControllerConfig) -> Metadata:
-    """What the file says of the drive, by name of the record."""
+    """Collect the metadata of a drive by name of the record."""
     try:
         release = version("diffdrive-mpc")
     except PackageNotFoundError:
@@ -191,12 +191,12 @@ class TickRecords:
         self._told: tuple[Begun, ControllerConfig] | None = None
 
     def lines(self, begun: Begun, tick: LoopTick) -> list[tuple[str, str]]:
-        """What is to be said of a tick of the drive `begun`: a line and its topic, that of a new drive first."""
+        """Return the lines to publish for a tick of the drive `begun` with their topics, a new drive first."""
         records = ((DRIVE, self.drive(begun)), (TICK, self.tick(tick)))
         return [(topic, record.line()) for topic, record in records if record is not None]
 
     def drive(self, begun: Begun) -> DriveRecord | None:
-        """The drive under way where that is another one than at the last call, or its configuration has changed."""
+        """Return the current drive if it or its configuration is new since the last call, or else None."""
         config = self._controller.config
         if self._told is not None and self._told[0] is begun and self._told[1] is config:
             return None
@@ -208,7 +208,7 @@ class TickRecords:
         return DriveRecord(self._number, starts, begun.reset, begun.t0, reference, values, model, begun.goes_on)
 
     def tick(self, tick: LoopTick) -> TickRecord | None:
-        """The record of a tick at which the controller was asked; it belongs to the drive of the last `drive`."""
+        """Build the record of a tick with a controller step; it belongs to the drive of the last `drive`."""
         request, result = tick.request, tick.result
         if request is None or result is None:
             return None
@@ -222,7 +222,7 @@ class TickRecords:
 
 
 def _model_text(model: str) -> str:
-    """Of a file of the user's own."""
+    """Read the text of a model file of the user."""
     if is_shipped(model):
         return ""
     try:
@@ -239,7 +239,7 @@ class RecordingPart(NodePart):
     _recorded: Begun | None = None
 
     def activate(self) -> None:
-        """Begin a recording if the settings ask for it."""
+        """Start a recording if the settings ask for it."""
         tools = self.running()[1]
         self.records, self._recorded = TickRecords(tools.controller), None
         self.recording = self._begin(tools) if tools.settings.record else None

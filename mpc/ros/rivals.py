@@ -1,4 +1,4 @@
-"""Who else publishes on the topic of the commands, and who on the inputs, each of which has to have one voice."""
+"""Detection of other publishers on the command and input topics."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Rivals:
         self._claim: Publisher | None = None
 
     def claim(self, wait: float) -> Others:
-        """Claim the topic, and say who is there; a node younger than `wait` [s] waits until it has that age.
+        """Claim the topic and return the others on it; a node younger than `wait` [s] waits until it has that age.
 
         Until then the middleware may not have found the others. Two that claim at the same time see each other.
         """
@@ -83,7 +83,7 @@ class Rivals:
             self._claim = None
 
     def others(self) -> Others:
-        """Who publishes there beside the node itself, as far as the middleware knows by now."""
+        """Return the other publishers on the topic, as far as the middleware has discovered them."""
         project = self._beside_own(f"{self.topic}/{_CLAIM}", has_own=self._claim is not None)
         foreign = self._beside_own(self.topic, has_own=True)
         for name in project:
@@ -93,10 +93,10 @@ class Rivals:
 
     def _beside_own(self, topic: str, *, has_own: bool) -> list[str]:
         names = sorted(map(full_name, self._node.get_publishers_info_by_topic(topic)))
-        own = self._node.get_fully_qualified_name()
+        name = self._node.get_fully_qualified_name()
         # One of that name is this node; a second one is another. Without a publisher of its own, the first is another.
-        if has_own and own in names:
-            names.remove(own)
+        if has_own and name in names:
+            names.remove(name)
         return names
 
 
@@ -119,14 +119,14 @@ def speak_together(node: Node, watch: TopicWatch, topic: str) -> str:
 
 
 def drive_too(others: Others, topic: str) -> str:
-    """What is wrong with other nodes of this project that drive, and what to do; empty where there are none."""
+    """Describe the conflict with other driving nodes of this project; return an empty string without one."""
     if not others.project:
         return ""
     return f"{_names(others.project)} of this project drives by {topic} too; deactivate one of them"
 
 
 def publish_too(others: Others, topic: str) -> str:
-    """Who else publishes; empty where nobody does."""
+    """Describe the other publishers; return an empty string without any."""
     return f"{_names(others.foreign)} publishes on {topic} too" if others.foreign else ""
 
 

@@ -21,9 +21,9 @@ from typing import Any, NamedTuple
 _MODULE = "diffdrive_mpc.mpc.ros.side_process"
 _NICENESS = 10
 _FAREWELL = 2.0
-"""How long the process may take to end [s]."""
+"""Time limit for the end of the process [s]."""
 _LONGEST_BEGINNING = 60.0
-"""How long the process may take to begin and to load a module [s]: on a busy computer it comes after all else."""
+"""Time limit for the start of the process with its module [s]; on a busy computer it has the lowest priority."""
 Done = Callable[[Any], None]
 Failed = Callable[[str], None]
 
@@ -61,7 +61,7 @@ class SideProcess:
     def submit(
         self, key: str, function: Callable[..., Any], arguments: tuple[Any, ...], done: Done, failed: Failed
     ) -> None:
-        """Have `function(*arguments)` called, and `done` with what it returns, or `failed` with why it could not.
+        """Queue `function(*arguments)`; call `done` with its result, or `failed` with the reason of the failure.
 
         The function is one of a module. One that still waits under the same `key` is superseded, and fails.
         """
@@ -78,7 +78,7 @@ class SideProcess:
             self._wake()
 
     def prepare(self, function: Callable[[], Any]) -> None:
-        """Have the process begin and load the module of `function`, unless it has begun already."""
+        """Start the process and load the module of `function`, unless that has happened already."""
         if self._thread is None:
             self.submit("prepare", function, (), _ignore, _ignore)
 
@@ -158,11 +158,11 @@ class SideProcess:
 
 
 def _ignore(_: object) -> None:
-    """Nobody waits for it."""
+    """Ignore a result without a receiver."""
 
 
 def _main(descriptor: int) -> None:
-    """Answer until the socket closes."""
+    """Serve requests until the socket closes."""
     os.nice(_NICENESS)
     if hasattr(os, "sched_setscheduler"):
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
@@ -171,8 +171,8 @@ def _main(descriptor: int) -> None:
         try:
             function, arguments = link.recv()
             link.send("its module is loaded")
-            answer = _answer(function, arguments)
-            link.send(answer)
+            reply = _answer(function, arguments)
+            link.send(reply)
         except (EOFError, OSError):
             return
 

@@ -95,13 +95,13 @@ class Program:
         return values
 
     def rows(self, kind: int) -> FloatArray:
-        """(N, 2 N) rows of one kind of soft limit."""
+        """Return the (N, 2 N) rows of one kind of soft limit."""
         rows, tick = np.empty((self._steps, 2 * self._steps)), self._tick
         tick.lib.ddmpc_soft_rows(tick.c, kind, tick.ffi.cast("real *", rows.ctypes.data))
         return rows
 
     def broken(self, plan: FloatArray, margin: float) -> Kinds:
-        """Kinds that `plan` (2 N,) exceeds somewhere by more than `margin`."""
+        """Return the kinds that `plan` (2 N,) exceeds somewhere by more than `margin`."""
         tick = self._tick
         values = tick.ffi.from_buffer("real[]", np.ascontiguousarray(plan))
         tick.lib.ddmpc_broken(tick.c, values, margin, self._missed)
@@ -109,7 +109,16 @@ class Program:
 
 
 class Solved(NamedTuple):
-    """What a backend found.
+    """Result of a backend.
+
+    Attributes
+    ----------
+    plan
+    (2 N,) plan; valid only if the status is usable.
+    multipliers
+    (kinds, N) of the limits, zero where a limit is inactive.
+    status, iterations, primal_residual, dual_residual
+    Report of the solver.
 
     Attributes
     ----------
@@ -174,7 +183,7 @@ class SetUpTime:
 def ask(
     backend: Backend, program: Program, path: str, slack: float, deadline: float | None = None
 ) -> tuple[Solved, SolverReport]:
-    """The solution of the whole problem by a backend called `path`; `slack` is what counts as kept.
+    """Solve the whole problem with a backend named `path`; `slack` is the tolerated violation of a limit.
 
     It ends at `deadline`, by `time.monotonic` [s]; a solve that could not end by then is not begun.
     """

@@ -67,7 +67,7 @@ class DaqpBackend:
         multipliers: FloatArray,
         time_limit: float | None = None,
     ) -> Solved:
-        """See `mpc.solver.backend.Backend`; the plan that is guessed has no part in it."""
+        """Solve as `mpc.solver.backend.Backend` describes; the guessed plan is not used."""
         deadline = None if time_limit is None else time.monotonic() + time_limit
         rows = np.concatenate([self._hard[kind] if kind < HARD else program.rows(kind) for kind in kinds])
         chosen = list(kinds)

@@ -74,7 +74,7 @@ class OsqpBackend:
         multipliers: FloatArray,
         time_limit: float | None = None,
     ) -> Solved:
-        """See `mpc.solver.backend.Backend`."""
+        """Solve as `mpc.solver.backend.Backend` describes."""
         soft = tuple(kind for kind in kinds if kind >= HARD)
         deadline = None if time_limit is None else time.monotonic() + time_limit
         workspace = self._workspaces.get(soft)
@@ -212,7 +212,7 @@ class _Workspace:
         return np.concatenate([guess, over, under])
 
     def _dual(self, multipliers: FloatArray) -> FloatArray:
-        """Multipliers of all rows; a slack's bound presses with what its limit leaves of the price."""
+        """Fill the multipliers of all rows; a slack's bound gets the part of the price that its limit does not use."""
         pressing = multipliers[self._kinds].reshape(-1)
         if not self._soft:
             return pressing
@@ -232,14 +232,14 @@ class _Workspace:
 
 
 def _sorted_csc(matrix: FloatArray | sparse.spmatrix) -> sparse.csc_matrix:
-    """Compressed columns with ascending rows: the order in which new values are written."""
+    """Convert to compressed columns with ascending rows, the order in which new values are written."""
     result = sparse.csc_matrix(matrix)
     result.sort_indices()
     return result
 
 
 def _positions(matrix: sparse.csc_matrix, first_row: int, rows: int, columns: int) -> NDArray[np.intp]:
-    """(rows, columns) places in `matrix.data` of the dense block that starts at `first_row` in the first column."""
+    """Return (rows, columns) places in `matrix.data` of the dense block from `first_row` in the first column."""
     numbered = matrix.copy()
     numbered.data = np.arange(1, matrix.nnz + 1, dtype=float)
     return np.asarray(numbered[first_row : first_row + rows, :columns].toarray() - 1, dtype=np.intp)

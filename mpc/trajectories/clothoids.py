@@ -41,20 +41,20 @@ class Clothoid(NamedTuple):
 
 
 class Joint(NamedTuple):
-    """What stands in place of a jump of curvature."""
+    """Transition that replaces a jump of curvature."""
 
     before: float
     """Curvature of the arc that ends there [1/m]."""
     after: float
     """Curvature of the arc that begins there [1/m]."""
     reach: float
-    """By how much both arcs are shortened [m]."""
+    """Length by which both arcs are shortened [m]."""
     parts: tuple[Clothoid, ...]
     """In order; none where the curvature does not jump, or an arc is too short for them."""
 
 
-def along(parts: Sequence[Clothoid], at: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Poses and curvatures of a path of clothoids that is driven forwards from the origin.
+def along(parts: Sequence[Clothoid], arc_length: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Compute poses and curvatures of a path of clothoids that is driven forwards from the origin.
 
     Parameters
     ----------
@@ -78,16 +78,16 @@ def along(parts: Sequence[Clothoid], at: FloatArray) -> tuple[FloatArray, FloatA
         slope = ((last - first) / lengths)[piece]
         return turned[piece] + since * (first[piece] + slope * since / 2), first[piece] + slope * since
 
-    heading, curvature = bent(at)
-    step = np.diff(at)[:, None]
-    inside, _ = bent(at[:-1, None] + step * (_NODES + 1) / 2)
+    heading, curvature = bent(arc_length)
+    step = np.diff(arc_length)[:, None]
+    inside, _ = bent(arc_length[:-1, None] + step * (_NODES + 1) / 2)
     points = np.stack([np.cos(inside) @ _WEIGHTS, np.sin(inside) @ _WEIGHTS], axis=1) * step / 2
     return np.column_stack([np.concatenate([np.zeros((1, 2)), np.cumsum(points, axis=0)]), heading]), curvature
 
 
 @lru_cache(maxsize=1024)
 def joint(before: float, after: float, longest: float, distance: float) -> Joint:
-    """Clothoids between an arc of curvature `before` and one of curvature `after` [1/m].
+    """Design clothoids between an arc of curvature `before` and one of curvature `after` [1/m].
 
     They reach as far as they can: at most `longest` [m] to either side, and at most `distance` [m] from the arcs.
     """
@@ -110,7 +110,7 @@ def joint(before: float, after: float, longest: float, distance: float) -> Joint
 
 
 def _fit(before: float, after: float, reach: float) -> tuple[Clothoid, ...]:
-    """Clothoids from `reach` [m] before a joint of arcs to `reach` after it."""
+    """Build clothoids from `reach` [m] before a joint of arcs to `reach` after it."""
     target = integrate_pose(integrate_pose(np.zeros(3), 1.0, before, reach), 1.0, after, reach)
     overshoot = 0.1 * (after - before)
 
@@ -131,7 +131,7 @@ def _fit(before: float, after: float, reach: float) -> tuple[Clothoid, ...]:
 
 
 def distances(poses: FloatArray, to: Joint) -> FloatArray:
-    """Distances (n,) [m] from the arcs that a joint replaces, of poses (n, 3) seen from where it begins.
+    """Compute distances (n,) [m] from the arcs that a joint replaces, for poses (n, 3) in the frame of its start.
 
     Seen from where the arcs meet, along their common tangent, a pose behind has its foot on the first arc and a pose
     ahead has it on the second, as long as each turns by less than half a turn.

@@ -59,7 +59,7 @@ class TrajectoryLimits:
 
     @classmethod
     def of_robot(cls, robot: Robot | None = None) -> TrajectoryLimits:
-        """Speed limits and reference accelerations of `robot`; by default the robot of the papers."""
+        """Return speed limits and reference accelerations of `robot`; by default the robot of the papers."""
         robot = robot or load_robot()
         return cls(
             v=robot.limits.v,
@@ -71,7 +71,7 @@ class TrajectoryLimits:
 
     @classmethod
     def of_controller(cls, limits: Limits) -> TrajectoryLimits:
-        """Speed limits of a controller's configuration; accelerations as usual, but never beyond its slew limits.
+        """Return the speed limits of a controller's configuration, and accelerations within its slew limits.
 
         Of slew limits with two sides a share is left to tracking; one number is used in full, as ever.
         """
@@ -117,7 +117,7 @@ class TrajectorySettings(StrictModel):
     heading_tolerance: float = Field(gt=0, description="difference of heading that is feasible [rad]")
 
     def pieces_between(self, points: int, usual: int, least: int, where: str) -> int:
-        """Pieces from one of `points` to the next: the usual number, and fewer where there are very many points.
+        """Choose the number of pieces between two of `points`: the usual number, or fewer for very many points.
 
         Raises
         ------

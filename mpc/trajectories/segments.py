@@ -146,7 +146,7 @@ def runs(segments: Sequence[Segment]) -> list[list[Segment]]:
 
 
 def _joins(first: Segment, second: Segment) -> bool:
-    """Whether forward and yaw motion stay in the same proportion from `one` to `other`."""
+    """Return True if forward and yaw motion keep the same proportion from `first` to `second`."""
     # Only rounding of omega / v is forgiven: the yaw rate may then jump by no more than that.
     return all(
         math.isclose(a, b, rel_tol=1e-12, abs_tol=1e-12) for a, b in zip(first.direction, second.direction, strict=True)
@@ -181,7 +181,7 @@ def slowed(segments: Sequence[Segment], limits: TrajectoryLimits) -> list[Segmen
 
 
 def _acceleration(run: Sequence[Segment], limits: TrajectoryLimits) -> float:
-    """Largest change of the rate of progress that no segment of `run`, all moving, lacks room for."""
+    """Compute the maximum change of the progress rate for which each moving segment of `run` has room."""
     bounds = (limits.v_acceleration, limits.omega_acceleration)
     return min(
         bound / abs(share) for segment in run for share, bound in zip(segment.direction, bounds, strict=True) if share

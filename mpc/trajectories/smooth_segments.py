@@ -104,13 +104,13 @@ def _check_work(segments: Sequence[Segment], where: str) -> None:
 
 
 def _sense(segment: Segment) -> int:
-    """1 forwards, -1 backwards, 0 for a turn on the spot, or nearly so, and for a wait."""
+    """Return 1 forwards, -1 backwards, 0 for a wait and for a turn on the spot or nearly so."""
     turning = abs(segment.omega) * load_settings().min_turn_radius > abs(segment.v)
     return 0 if turning or not segment.cruise else int(math.copysign(1, segment.v))
 
 
 def turned(group: Sequence[Segment], pose: FloatArray, limits: TrajectoryLimits) -> Iterator[Nodes]:
-    """Nodes of turns on the spot and waits, as they are without smoothing."""
+    """Yield nodes of turns on the spot and waits, which are not smoothed."""
     for stretch in (stretch for run in runs(group) for stretch in timed_run(run, limits)):
         for phase in stretch.phases:
             turn = abs(stretch.turn) * phase.duration * (phase.rate + phase.acceleration * phase.duration / 2)
@@ -132,7 +132,7 @@ def _driven(
     distance: float,
     caps: SpeedCaps | None,
 ) -> Nodes:
-    """Nodes of segments that are driven in one direction, from rest to rest."""
+    """Compute nodes of segments that are driven in one direction, from rest to rest."""
     bends = [segment.omega / abs(segment.v) for segment in run]
     lengths = [abs(segment.v) * segment.duration for segment in run]
     # Half of a segment for the joint at each of its ends, all of it where it has only one.
@@ -149,7 +149,7 @@ def _driven(
             blocks.append((joints[i].parts, min(abs(segment.v), abs(run[i + 1].v)), joints[i]))
 
     spacing = load_settings().smooth_piece
-    at: list[FloatArray] = [np.zeros(1)]
+    distances_along: list[FloatArray] = [np.zeros(1)]
     cruises: list[FloatArray] = []
     drawn: list[FloatArray] = [np.zeros(1)]
     off: dict[Joint, FloatArray] = {}
@@ -158,7 +158,7 @@ def _driven(
         least = 2 if len(blocks) == len(parts) == 1 else 1
         counts = [max(least, math.ceil(part.length / spacing)) for part in parts]
         since = np.cumsum(np.repeat([part.length / n for part, n in zip(parts, counts, strict=True)], counts))
-        at.append(at[-1][-1] + since)
+        distances_along.append(distances_along[-1][-1] + since)
         cruises.append(np.full(since.size, cruise))
         if rounded is None:
             drawn.append(np.zeros(since.size))
@@ -166,7 +166,7 @@ def _driven(
             if rounded not in off:
                 off[rounded] = distances(along(parts, np.append(0.0, since))[0], rounded)[1:]
             drawn.append(off[rounded])
-    arc_lengths = np.concatenate(at)
+    arc_lengths = np.concatenate(distances_along)
     local, curvature = along([part for parts, *_ in blocks for part in parts], arc_lengths)
     cos, sin = sense * math.cos(pose[2]), sense * math.sin(pose[2])
     points = pose[:2] + local[:, :2] @ np.array([[cos, sin], [-sin, cos]])
@@ -174,6 +174,6 @@ def _driven(
     most, change = np.maximum(bent[:-1], bent[1:]), np.abs(np.diff(curvature)) / steps
     path = SmoothPath(points, pose[2] + local[:, 2], curvature, steps, most, change)
     wanted = np.concatenate(cruises)
-    fastest = wanted if caps is None else np.minimum(wanted, caps.at(most))
+    fastest = wanted if caps is None else np.minimum(wanted, caps.speeds_of(most))
     square = squared_speeds(steps, most, change, limits, fastest, lateral=True, sense=sense)
     return *timed(path, square, limits, sense), np.concatenate(drawn)

@@ -55,7 +55,7 @@ class CheckedReference:
 
 
 def checked_reference(reference: Reference) -> Reference:
-    """`reference` with checked samples; itself where the compiled core samples it."""
+    """Return `reference` with checked samples; return it unchanged if the compiled core samples it."""
     return reference if getattr(reference, "native", None) is not None else CheckedReference(reference)
 
 
@@ -152,7 +152,7 @@ def _check_spots(name: str, times: FloatArray, twist: FloatArray, limits: Limits
 
 
 def sharper_than_commands(reference: Reference, limits: Limits, dt: float, gain: FloatArray | None = None) -> str:
-    """One line on where the reference asks for tighter turns than commands may be; empty where it does not.
+    """Describe in one line where the reference turns more tightly than commands may; return an empty string otherwise.
 
     With the steady-state `gain` (2, 2) of the model the commands count that keep the reference's twist. Such a
     reference is not refused: its corners are cut.

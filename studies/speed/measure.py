@@ -170,7 +170,7 @@ def closed_loop_cost(
         )
     if not all(np.isfinite(values).all() for values in (pose, twist, command)):
         raise ValueError("pose, twist and command must be finite: a drive that failed has no cost")
-    ahead = FeedForward.of(model, config.sample_time)
+    ahead = FeedForward.from_model(model, config.sample_time)
     sample = reference.sample(config.sample_time * np.arange(n + int(ahead.whole.max()) + 1))
     w = with_increments(config, model.discretise(config.sample_time)).weights
     in_path = _in_path(pose, sample.pose[:n])

@@ -32,7 +32,7 @@ class Rehearse(Feature):
         super().__init__(config, model)
         self.learned: LapLearner | FloorRehearsal
         if rehearsal_of(config).by == "floor":
-            self.learned = FloorRehearsal(config, FeedForward.of(model, config.sample_time).inverse_gain)
+            self.learned = FloorRehearsal(config, FeedForward.from_model(model, config.sample_time).inverse_gain)
         else:
             self.learned = LapLearner(config)
 
