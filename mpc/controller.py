@@ -322,7 +322,7 @@ class Controller:
         RuntimeError
             If there is no estimate: no step was taken, or none since the last `start` had a pose.
         """
-        pose = self._tick.believed()
+        pose = self._tick.newest_belief()
         if pose is None:
             raise RuntimeError("nothing is believed yet: call step with a pose first")
         return Belief(*pose, self._tick.layout.slip.start)
@@ -479,7 +479,7 @@ class Controller:
             return
         native, tracked = self._laid(reference)
         self._t0 = self._host.t0 = self._t0 if t0 is None else t0
-        self._tick.lib.ddmpc_relay(self._c, native.struct, self._t0)
+        self._tick.lib.ddmpc_switch_reference(self._c, native.struct, self._t0)
         # C reads it from now on.
         self._tick.reference, self._reference = native, reference
         if t0 is None:

@@ -135,14 +135,14 @@ class Tick:
     def set_applied_commands(self, commands: FloatArray) -> None:
         """Take what was sent from `commands` (K, 2), finite, in place of the last K."""
         pairs = np.ascontiguousarray(commands, dtype=float)
-        self.lib.ddmpc_overrule(self.c, self._address("const real *", pairs), len(pairs))
+        self.lib.ddmpc_set_applied_commands(self.c, self._address("const real *", pairs), len(pairs))
 
-    def believed(self) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    def newest_belief(self) -> tuple[FloatArray, FloatArray, FloatArray] | None:
         """Return copies of the filter's newest mean (Z,), covariance (Z, Z) and the preceding commands (W, 2)."""
         size = self._sizes["states"] + self._sizes["slips"] + 6
         mean, covariance, sent = np.zeros(size), np.zeros((size, size)), np.zeros((self._sizes["window"], 2))
         arrays = (mean, covariance, sent)
-        is_known = self.lib.ddmpc_believed(self.c, *(self._address("real *", array) for array in arrays))
+        is_known = self.lib.ddmpc_newest_belief(self.c, *(self._address("real *", array) for array in arrays))
         return arrays if is_known else None
 
     def predict_belief(
@@ -153,7 +153,7 @@ class Tick:
         now, after = [np.array(mean), np.array(covariance)], [np.empty_like(mean), np.empty_like(covariance)]
         for first in range(len(commands) - window):
             arrays = (commands[first : first + window + 1], *now, *after)
-            self.lib.ddmpc_foresee(self.c, *(self._address("real *", array) for array in arrays))
+            self.lib.ddmpc_predict_belief(self.c, *(self._address("real *", array) for array in arrays))
             now, after = after, now
         return now[0], now[1]
 

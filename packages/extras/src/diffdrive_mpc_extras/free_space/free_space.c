@@ -472,7 +472,7 @@ int ddmpc_spread(const ddmpc_controller *c, const real *given, int count, real *
     real on_their_way[2 * DDMPC_MOST_WINDOW];
     ddmpc_belief beliefs[2] = {{means[0], covariances[0], {0}}, {means[1], covariances[1], {0}}};
     const int Z = BELIEF(c), at = STATES(c) + POSE(c);
-    if (Z > most || count < 1 || !ddmpc_believed(c, means[0], covariances[0], on_their_way))
+    if (Z > most || count < 1 || !ddmpc_newest_belief(c, means[0], covariances[0], on_their_way))
         return 0;
     window_of(c, given, commands);
     for (int i = 0; i <= count; i++) {

@@ -135,7 +135,7 @@ def gate_blocks(columns: FloatArray) -> Iterator[FloatArray]:
 
 
 BLOCK, KEPT = 32, 6
-"""DDMPC_BLOCK and DDMPC_KEPT of `mpc/core/network.h`."""
+"""DDMPC_BLOCK and DDMPC_STORED of `mpc/core/network.h`."""
 
 
 def _padded(count: int) -> int:
