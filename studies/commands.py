@@ -214,7 +214,7 @@ def fit(
     from studies.shipped_models.model_fitting import fit_models  # noqa: PLC0415
 
     with ProgressBar("experiments and identification (about a minute)") as bar:
-        table, warnings = fit_models(out or PARAMETERS, on_progress=bar.at)
+        table, warnings = fit_models(out or PARAMETERS, on_progress=bar.show)
     output_console().print(table.rich())
     for warning in warnings:
         typer.echo(f"warning: {warning}", err=True)
@@ -257,7 +257,7 @@ def train(
     folder = out or PARAMETERS
     folder.mkdir(parents=True, exist_ok=True)
     with ProgressBar("drives and training (about a minute)") as bar:
-        table = fit_network(folder, on_progress=bar.at)
+        table = fit_network(folder, on_progress=bar.show)
     output_console().print(table.rich())
 
 
@@ -309,5 +309,5 @@ def truths(
     from studies.shipped_models.known_truths import coverage_table, recover_all  # noqa: PLC0415
 
     with ProgressBar("known truths (a few seconds each)") as bar:
-        recoveries = recover_all(5 if quick else None, on_progress=bar.at)
+        recoveries = recover_all(5 if quick else None, on_progress=bar.show)
     output_console().print(coverage_table(recoveries).rich())

@@ -100,7 +100,7 @@ def _identify_into(
         verdict = _proven(_identified(logs, bar, force, options), bar, force)
         _write(verdict, folder, bar, force)
         if writers and (force or not verdict.identification.refusal):
-            bar.begin("parameters of other packages", 1)
+            bar.start_stage("parameters of other packages", 1)
             report = verdict.identification.report
             estimator = next(iter(writers.values()))
             estimate = estimator.estimate(report.data, report.fitted.identified.limits, report.fitted.base)
@@ -129,7 +129,7 @@ def _identified(logs: Sequence[Path], bar: ProgressBar, force: bool, options: Ma
             force=force,
             on_log=_print_log,
             on_findings=_print_findings,
-            on_progress=lambda text: bar.begin(text, 1),
+            on_progress=lambda text: bar.start_stage(text, 1),
             **options,
         )
     except OptionError as error:
@@ -140,14 +140,14 @@ def _proven(identification: Identification, bar: ProgressBar, force: bool) -> Tr
     """The configuration that drives, unless the logs alone speak against it."""
     if identification.refusal and not force:
         return TrialVerdict(identification, None, (), against=identification.refusal)
-    return judge_by_drives(identification, lambda text: bar.begin(text, DRIVES), bar.advance, force=force)
+    return judge_by_drives(identification, lambda text: bar.start_stage(text, DRIVES), bar.advance, force=force)
 
 
 def _write(verdict: TrialVerdict, folder: Path, bar: ProgressBar, force: bool) -> None:
     """Write files and figures; model, configuration and first circle only where they drive, or by force."""
     identification = verdict.identification
     report = identification.report
-    bar.begin("figures", len(figures_of(report)))
+    bar.start_stage("figures", len(figures_of(report)))
     figures = draw_identification(report, folder, bar.advance)
     drives = force or not verdict.against
     if drives:

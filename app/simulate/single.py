@@ -72,7 +72,7 @@ def simulate_one(
         kept = folder is not None or holds_plans(log)
         began = time.perf_counter()
         with ProgressBar("simulating") as bar:
-            run = simulate(controller, plant, reference, on_tick=bar.at, keep_plans=kept)
+            run = simulate(controller, plant, reference, on_tick=bar.show, keep_plans=kept)
         write_log(run, case)
         if folder is not None:
             draw(RunOutcome(case, run), folder, time.perf_counter() - began)

@@ -209,7 +209,7 @@ class PeersStudy(Study[list[str], list[TunedPeer]]):
 
     def run(self, plan: list[str], jobs: int, bar: ProgressBar) -> list[TunedPeer]:
         """Tune each peer; a peer is one task."""
-        bar.begin("tuning", len(plan))
+        bar.start_stage("tuning", len(plan))
         return run_tasks([partial(tune, self._settings, name) for name in plan], jobs, bar.advance)
 
     def report(self, results: list[TunedPeer], seconds: float) -> Report:

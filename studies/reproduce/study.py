@@ -103,7 +103,7 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
     def run(self, plan: list[Task], jobs: int, bar: ProgressBar) -> ReproduceResults:
         """Repetitions in several processes, then, on a quiet machine, what is timed."""
         timed = "cost" in self._only
-        bar.begin("running", len(plan) + 2 * self.settings.cost.runs * timed)
+        bar.start_stage("running", len(plan) + 2 * self.settings.cost.runs * timed)
         done = run_tasks(plan, jobs, bar.advance)
         driven = sorted(
             (one for one in done if isinstance(one, drive_models.DriveModelsResult)), key=lambda row: -row.repetition

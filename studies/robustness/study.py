@@ -129,7 +129,7 @@ class RobustnessStudy(Study[Plan, DataFrame]):
 
     def run(self, plan: Plan, jobs: int, bar: ProgressBar) -> DataFrame:
         """Run every case; each process keeps only what the study needs."""
-        bar.begin(f"running, {jobs} at a time", len(plan))
+        bar.start_stage(f"running, {jobs} at a time", len(plan))
         drives = [ExperimentRun(case, {"condition": name}) for name, case in plan]
         return drive_all(drives, jobs, bar.advance, partial(measured, self._settled))
 

@@ -381,7 +381,7 @@ def _gaps(subject: _Running, converged: Subject, every: int) -> FloatArray:
 def _measured(subject: _Running, gaps: FloatArray) -> SpeedRecord:
     drive, problem = subject.drive, subject.problem
     assert subject.times is not None
-    whole, inside = np.moveaxis(subject.times.kept, -1, 0)
+    whole, inside = np.moveaxis(subject.times.selected, -1, 0)
     iterations = [step.iterations for step in drive.steps]
     command = np.array(drive.command)
     cost = closed_loop_cost(

@@ -48,9 +48,9 @@ class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
         core = max(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None
         records: list[SpeedRecord] = []
         missing: list[Missing] = []
-        bar.begin("preparing the peers", 1)
+        bar.start_stage("preparing the peers", 1)
         environment = self._environment()
-        bar.begin("driving", len(plan) * self.settings.ticks)
+        bar.start_stage("driving", len(plan) * self.settings.ticks)
         with tempfile.TemporaryDirectory() as scratch:
             for problems in plan:
                 place = Path(scratch) / str(problems[0].horizon)

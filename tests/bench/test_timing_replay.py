@@ -178,7 +178,7 @@ def test_what_stays_disturbed_is_marked_and_left_out() -> None:
     ((times,),), _ = take_turns([[replay]], block=2)
     assert times.clean.tolist() == [[True, True, False, False]]
     assert times.share == 0.5
-    assert np.isnan(times.kept[0, :, 0]).tolist() == [True, False, True, True], "the first tick of a turn is cold"
+    assert np.isnan(times.selected[0, :, 0]).tolist() == [True, False, True, True], "the first tick of a turn is cold"
     assert replay.passes == AGAIN + 1
 
 

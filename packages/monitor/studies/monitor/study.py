@@ -100,7 +100,7 @@ class MonitorStudy(Study[list[Task], MonitorStudyResult]):
 
     def run(self, plan: list[Task], jobs: int, bar: ProgressBar) -> MonitorStudyResult:
         """Drive them all."""
-        bar.begin("driving", len(plan))
+        bar.start_stage("driving", len(plan))
         done = [trial for trials in run_tasks(plan, jobs, bar.advance) for trial in trials]
         faulty = {name: [trial for trial in done if trial.fault == name] for name in FAULTS}
         return MonitorStudyResult(faulty, [trial for trial in done if not trial.fault])

@@ -284,7 +284,7 @@ def drive_all(
     missing = [task for task in tasks if task.key not in kept or store.load(task.key) is None]
     check_definitions([task.definition for task in missing])
     jobs = place.jobs or available_cores()
-    bar.begin(f"{text}, {jobs} at a time", len(missing))
+    bar.start_stage(f"{text}, {jobs} at a time", len(missing))
     if missing:
         drive_here(missing, place.folder, jobs, bar.advance)
     driven = []

@@ -115,7 +115,7 @@ def _drive_again(file: Path, out: Path | None, log: Path | None, details: bool) 
         folder = None if out is None else stack.enter_context(staged(out, owner="repeat"))
         began = time.perf_counter()
         with ProgressBar("simulating") as bar:
-            run, row = drive_whole(definition, bar.at, keep_plans=folder is not None or holds_plans(log))
+            run, row = drive_whole(definition, bar.show, keep_plans=folder is not None or holds_plans(log))
         if run is not None:
             write_log(run, definition.case, ["repeat", str(file)])
         if run is not None and folder is not None:

@@ -76,7 +76,7 @@ class TorqueLogStudy(Study[None, LogOutcome]):
     def run(self, plan: None, jobs: int, bar: ProgressBar) -> LogOutcome:
         """Read and learn; raises ConfigError as `learn_log`."""
         del plan, jobs
-        bar.begin("learning", 1)
+        bar.start_stage("learning", 1)
         return learn_log(*self._asked)
 
     def report(self, results: LogOutcome, seconds: float) -> Report:

@@ -184,14 +184,14 @@ def excite_into(
     with ExitStack() as stack:
         write_log = stack.enter_context(run_log(log))
         with ProgressBar("looking for the drive") as bar:
-            excitation = excite_model(config, room, seed=seed, on_drive=bar.at, **options)
+            excitation = excite_model(config, room, seed=seed, on_drive=bar.show, **options)
             drive = excitation.on(plant, seed, out)
             if log is not None:
                 build_plant(drive)
             excitation.write(out)
             if log is not None:
-                bar.begin("driving", 1)
-                run = driven(drive, out, bar.at, keep_plans=holds_plans(log))
+                bar.start_stage("driving", 1)
+                run = driven(drive, out, bar.show, keep_plans=holds_plans(log))
                 check_drive(run, room)
                 write_log(run, drive)
     console.print(excitation.table().rich())

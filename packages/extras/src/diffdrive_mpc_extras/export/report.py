@@ -199,8 +199,8 @@ def _emulate(folder: Path, config: ControllerConfig, reference: Reference, bar: 
         image = Path(scratch) / "program.elf"
         if not link_stm32f4(folder, image):
             raise ConfigError("--emulate: the program does not fit into an STM32F4; export float, or a shorter horizon")
-        bar.begin("emulating", 1)
-        return emulate(image, config, reference, bar.at).as_json()
+        bar.start_stage("emulating", 1)
+        return emulate(image, config, reference, bar.show).as_json()
 
 
 def emulation_table(facts: Mapping[str, Any]) -> Table:

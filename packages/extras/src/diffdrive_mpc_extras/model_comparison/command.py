@@ -53,7 +53,7 @@ def compare(
 
         def show_progress(text: str, share: float) -> None:
             left = (time.monotonic() - begun) * (1.0 - share) / share if share else math.nan
-            bar.begin(f"{text}, {remaining(left)}", 100, round(100 * share))
+            bar.start_stage(f"{text}, {remaining(left)}", 100, round(100 * share))
 
         def show_score(comparison: ModelComparison) -> None:
             so_far.append(comparison)

@@ -102,7 +102,7 @@ class PlanStudy(Study[PlanRequest, Plans]):
 
     def run(self, plan: PlanRequest, jobs: int, bar: ProgressBar) -> Plans:  # noqa: ARG002 - one alone
         """Plan; raises PlanError where there is no way."""
-        bar.begin("planning", 1)
+        bar.start_stage("planning", 1)
         began = time.process_time()
         plans = plan_each(
             plan.costs,

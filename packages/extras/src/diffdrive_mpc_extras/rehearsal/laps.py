@@ -151,7 +151,7 @@ class LapsStudy(Study[Case, tuple[Laps, Laps]]):
                 drive_laps(
                     plan.with_override(_ENABLED, value=rehearses),
                     self._laps,
-                    on_tick=_after(part, 2, bar.at),
+                    on_tick=_after(part, 2, bar.show),
                     keep_plans=rehearses and holds_plans(self._log),
                 )
                 for part, rehearses in enumerate((True, False))

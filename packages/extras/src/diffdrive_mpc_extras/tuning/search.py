@@ -90,7 +90,7 @@ class ConfigurationSearch:
         for number in range(plan.points):
             best = f", best {1e3 * best_of(points).error:.3g} mm" if points else ""
             runs = plan.places * plan.tuning_seeds.count
-            bar.begin(f"point {number + 1} of {plan.points}{best}", runs)
+            bar.start_stage(f"point {number + 1} of {plan.points}{best}", runs)
             trial = study.ask(self._distributions)
             values = {key: self._rounded(key, value) for key, value in trial.params.items()}
             rows = self.drive(values, plan.tuning_seeds.seeds, jobs, bar)

@@ -181,7 +181,7 @@ class TwinStudy(Study[None, FittedTwin]):
     def run(self, plan: None, jobs: int, bar: ProgressBar) -> FittedTwin:
         """Fit; raises ConfigError, ValueError or OSError if an option or a log cannot be used."""
         del plan
-        bar.begin("reading", 1)
+        bar.start_stage("reading", 1)
         with Parallel(n_jobs=jobs) as pool:
 
             def together(tasks: Sequence[Task]) -> list[list[FreeMotion] | None]:
@@ -191,7 +191,7 @@ class TwinStudy(Study[None, FittedTwin]):
                 return twin_of(
                     self._logs,
                     together=one_by_one if jobs == 1 else together,
-                    on_stage=bar.begin,
+                    on_stage=bar.start_stage,
                     on_drive=bar.advance,
                     on_findings=_print_findings,
                     **self._options,
