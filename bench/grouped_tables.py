@@ -148,4 +148,4 @@ def grouped_table(
         entries += (listed := list(block))
         if mean and len(listed) > 1:
             entries.append(((*outer, "mean"), pd.concat(part for _, part in listed)))
-    return Table.of(title, tuple(names), columns, entries, note)
+    return Table.build(title, tuple(names), columns, entries, note)

@@ -59,7 +59,7 @@ def identification_page(verdict: TrialVerdict, folder: Path, seconds: float) -> 
     names, paths = (tuple(dict.fromkeys(getattr(trial, of) for trial in trials)) for of in ("plant", "path"))
     toggles = [Toggle("stand-in", names, names, styled=True), Toggle("path", paths, paths[:1])] if trials else []
     shown = Shown(
-        summary=[*report.found, *verdict.answers()],
+        summary=[*report.findings_summary, *verdict.answers()],
         key_figures=_key_figures(report, trials),
         toggles=toggles,
         views=[*simulation_charts(report), *_driven(trials), *other_charts(report), *_pictures(folder)],

@@ -155,7 +155,9 @@ def _write(verdict: TrialVerdict, folder: Path, bar: ProgressBar, force: bool) -
     if identification.advice:
         identification.advice.write(folder)
     parts = [
-        report.markdown(figures, ["```text", *verdict.lines(), "```", "", *(f"{line}\n" for line in report.found)])
+        report.markdown(
+            figures, ["```text", *verdict.lines(), "```", "", *(f"{line}\n" for line in report.findings_summary)]
+        )
     ]
     if verdict.drives:
         parts += [
@@ -208,7 +210,7 @@ def _print(identification: Identification, out: Path) -> None:
     chosen = report.fitted.orders
     if chosen:
         _print_line(f"order {chosen.order}: {chosen.reason}")
-    _print_line(report.found[0])
+    _print_line(report.findings_summary[0])
     for setting in identification.configuration.bounds:
         _print_line(f"limit {setting.line()}")
     if identification.configuration.room:

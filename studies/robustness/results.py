@@ -117,7 +117,7 @@ def _ratio_table(rows: DataFrame) -> Table:
     entries = [((name,), ratios(own)) for name, own in by(rows, "condition").items()]
     columns = {name: _ratio(name) for name in by(rows, "driver")}
     note = "Mean position RMSE over that of the best controller that completed every run there."
-    return Table.of("Error over the best one's", ("condition",), columns, entries, note)
+    return Table.build("Error over the best one's", ("condition",), columns, entries, note)
 
 
 def _ratio(name: str) -> Callable[[Mapping[str, float]], str]:
@@ -131,7 +131,7 @@ def _message_table(rows: DataFrame) -> Table:
     entries = [((row.condition, row.driver, row.ended or row.message), row) for row in messages.itertuples()]
     note = "The most frequent message of the run with most of them, and the share of ticks at which anything was said."
     columns = {"ticks [%]": lambda row: number(row.message_percent, 0)}
-    return Table.of("What the controllers said", ("condition", "controller", "message"), columns, entries, note)
+    return Table.build("What the controllers said", ("condition", "controller", "message"), columns, entries, note)
 
 
 def share_interval(count: int, of: int) -> tuple[float, float]:

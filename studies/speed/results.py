@@ -234,9 +234,9 @@ def _by_horizon(
     columns = {f"N = {n}{unit}": at(n) for n in results.horizons}
     if isinstance(models, str):
         alone = [((solver,), (solver, models)) for solver in results.solvers]
-        return Table.of(title, ("solver",), columns, alone, note)
+        return Table.build(title, ("solver",), columns, alone, note)
     entries = [((model.upper(), solver), (solver, model)) for model in models for solver in results.solvers]
-    return Table.of(title, ("model", "solver"), columns, entries, note)
+    return Table.build(title, ("model", "solver"), columns, entries, note)
 
 
 def _medians(results: SpeedResults, model: str) -> Table:
@@ -281,7 +281,7 @@ def _detailed(
     """A row for each solver at the horizon that is looked at closely."""
     n = detailed_horizon(results)
     entries = [((solver,), record) for solver in results.solvers if (record := results.find(solver, model, n))]
-    return Table.of(f"{title} {model.upper()}", ("solver",), columns, entries, f"N = {n}. {note}")
+    return Table.build(f"{title} {model.upper()}", ("solver",), columns, entries, f"N = {n}. {note}")
 
 
 def _tails_by_horizon(results: SpeedResults, model: str) -> Table:
@@ -338,7 +338,7 @@ def _growth(results: SpeedResults) -> Table:
         f"Exponent of the median step over the horizon, from N = {GROWTH_FROM} on. Memory: what its process took "
         "beyond its loaded modules, at most."
     )
-    return Table.of("Growth and memory", ("solver",), columns, entries, note)
+    return Table.build("Growth and memory", ("solver",), columns, entries, note)
 
 
 def _missing(results: SpeedResults) -> Table:

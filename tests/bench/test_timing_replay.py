@@ -125,7 +125,7 @@ def test_the_quiet_core_is_given_back() -> None:
         assert os.sched_getaffinity(0) == cores
 
 
-QUIET = Effort(elapsed=1e-3, own=1e-3, switches=0, pace=1e-5)
+QUIET = Effort(elapsed=1e-3, processor=1e-3, switches=0, pace=1e-5)
 PUT_ASIDE = QUIET._replace(switches=1)
 
 
@@ -183,7 +183,7 @@ def test_what_stays_disturbed_is_marked_and_left_out() -> None:
 
 
 def test_a_slow_controller_is_watched_in_stretches_and_only_the_disturbed_one_is_measured_again() -> None:
-    slow = QUIET._replace(elapsed=1.2 * turns.STRETCH, own=1.2 * turns.STRETCH)
+    slow = QUIET._replace(elapsed=1.2 * turns.STRETCH, processor=1.2 * turns.STRETCH)
     efforts = {0: [slow], 2: [slow, slow], 3: [PUT_ASIDE, slow]}
     replay = Scripted("a", 4, said := [], efforts)
     ((times,),), _ = take_turns([[replay]], block=2)

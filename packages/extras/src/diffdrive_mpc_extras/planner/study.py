@@ -194,7 +194,7 @@ def _key_figures(results: Plans, minimise: Objective) -> list[KeyFigure]:
 
 
 def _table(results: Plans, minimise: Objective) -> Table:
-    return Table.of(
+    return Table.build(
         "Plans",
         ("optimal in",),
         {
