@@ -36,8 +36,8 @@ class _Sensor(NamedTuple):
 
 
 _SENSORS = {
-    one.field: one
-    for one in (
+    described.field: described
+    for described in (
         _Sensor(
             "pose",
             tuple(f"pose_{part}" for part in _PARTS),
@@ -57,7 +57,10 @@ _SENSORS = {
 
 TOLD = tuple(
     dict.fromkeys(
-        name for one in _SENSORS.values() for name in (one.time, *one.covariance) if one.field != "wheel_speeds"
+        name
+        for described in _SENSORS.values()
+        for name in (described.time, *described.covariance)
+        if described.field != "wheel_speeds"
     )
 )
 TOLD = (*(name for name in TOLD if name != "pose_t_s"), *_SENT)
