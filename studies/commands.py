@@ -27,17 +27,17 @@ EXAMPLES = {
 
 
 def _parts_option(parts: str) -> Any:  # noqa: ANN401 - typer's own type
-    """The option that chooses some parts of a study."""
+    """Create the option that selects parts of a study."""
     return typer.Option("--only", metavar="PARTS", help=f"{parts}.", show_default="all of them")
 
 
-def _names(what: str, default: str | bool = True, name: str | None = None) -> Any:  # noqa: ANN401 - typer's own type
-    """The option that takes names, with commas between."""
-    return typer.Option(*([name] if name else []), metavar="NAMES", help=f"{what}.", show_default=default)
+def _names(content: str, default: str | bool = True, name: str | None = None) -> Any:  # noqa: ANN401 - typer's own type
+    """Create an option that takes names separated by commas."""
+    return typer.Option(*([name] if name else []), metavar="NAMES", help=f"{content}.", show_default=default)
 
 
 def _carry_out(study: Study[Any, Results], out: Path, jobs: int | None = None) -> Results:
-    """As `bench.study.carry_out`, which is imported when a study runs: --help does without it."""
+    """Carry out a study; `bench.study.carry_out` is imported late, since --help does not need it."""
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
 
     return carry_out(study, out, jobs)

@@ -117,7 +117,7 @@ def _identify_into(
 
 
 def _identified(logs: Sequence[Path], bar: ProgressBar, force: bool, options: Mapping[str, Any]) -> Identification:
-    """The identification, its options named as those of the command line where one cannot be used."""
+    """Identify from the logs; errors name options as on the command line."""
     robot = options.get("robot")
     if robot is not None:
         stated = load_stated_robot(robot)
@@ -137,7 +137,7 @@ def _identified(logs: Sequence[Path], bar: ProgressBar, force: bool, options: Ma
 
 
 def _proven(identification: Identification, bar: ProgressBar, force: bool) -> TrialVerdict:
-    """The configuration that drives, unless the logs alone speak against it."""
+    """Drive the configuration, unless the logs alone rule it out."""
     if identification.refusal and not force:
         return TrialVerdict(identification, None, (), against=identification.refusal)
     return judge_by_drives(identification, lambda text: bar.start_stage(text, DRIVES), bar.advance, force=force)
@@ -174,7 +174,7 @@ def _write(verdict: TrialVerdict, folder: Path, bar: ProgressBar, force: bool) -
 
 
 def _print_verdict(verdict: TrialVerdict, out: Path, force: bool) -> None:
-    """How the configuration drives and what to do next; raises ConfigError where none was written."""
+    """Print the result of the drives and the next steps; raise ConfigError if no configuration was written."""
     if verdict.drives:
         output_console().print(rich_table(trial_table(verdict.drives)))
     for doubt in trial_doubts(verdict.drives):
