@@ -168,13 +168,13 @@ def _cells(rows: DataFrame) -> Mapping[str, Cell]:
         return number(1e3 * float(np.mean(floors)), 2)
 
     return {
-        "worst_arc": lambda own: millis(worst_arc(own)),
+        "worst_arc": lambda runs: millis(worst_arc(runs)),
         "error_on_plant": on_plant,
-        "ours": lambda own: millis(ours_there(own)),
+        "ours": lambda runs: millis(ours_there(runs)),
         "floor_total": on_floor,
         "floor_estimate": partial(on_floor, error="estimate"),
         "floor_assumed": partial(on_floor, assumed=True),
-        "left": lambda own: millis(ours_there(own) - mean(own, "position_rmse_m")),
+        "left": lambda runs: millis(ours_there(runs) - mean(runs, "position_rmse_m")),
     }
 
 

@@ -214,8 +214,8 @@ def test_a_machine_that_was_slow_is_found_out_when_it_is_fast_again() -> None:
     [
         ({}, True),
         ({"switches": 1}, False),
-        ({"own": 0.9e-3}, False),  # somebody else had the core, or the host took it
-        ({"own": 0.985e-3}, True),  # reading clocks
+        ({"processor": 0.9e-3}, False),  # somebody else had the core, or the host took it
+        ({"processor": 0.985e-3}, True),  # reading clocks
         ({"pace": 1.2e-5}, False),  # a throttled core, or a neighbour on it
     ],
 )
