@@ -1,6 +1,6 @@
 """The controller: passes measurements to the compiled tick and returns its result as arrays and messages.
 
-`mpc/core/tick.c` implements the tick. This module does what Python is better at: configuration, sampling of models,
+`mpc/core/tick.c` implements the tick. This module does the parts that suit Python: configuration, sampling of models,
 re-entry, the solver backends that the tick may request, and message text.
 """
 
@@ -192,14 +192,15 @@ class Controller:
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Build it in another process, as it is after `start`."""
+        """Rebuild the controller in another process, in its state after `start`."""
         Controller.__init__(self, state["config"], *state["given"])
         self._tick.parameters[:] = state["parameters"]
         self.limit_speed(state["speed_limit"])
         for name, feature_state in state["features"].items():
             self._features[name].restore(feature_state)
         if state["reference"] is not None:
-            # It was accepted when it began; limits that were tightened while driving do not end it.
+            # The reference was accepted at the start; limits tightened during the drive do not end it. limits that were
+            # tightened while driving do not end it.
             self._begin(state["reference"], state["t0"])
 
     @property
@@ -290,7 +291,7 @@ class Controller:
     def planned_delay(self) -> float:
         """Planned delay of the reference [s]: waiting for the robot, speed limits and obstacles.
 
-        Part of `reference_delay` of a step. By how much the robot lags beside that is not counted.
+        Part of `reference_delay` of a step. The lag of the robot itself is not included.
         """
         return self._pursuit.planned_delay
 
@@ -315,7 +316,7 @@ class Controller:
 
     @property
     def belief(self) -> Belief:
-        """All that the filter believes at the tick of the last step, as a copy.
+        """Copy of the filter's belief at the last step.
 
         Raises
         ------
@@ -381,7 +382,7 @@ class Controller:
     def start(self, reference: Reference | str | Path, t0: float) -> None:
         """Track `reference` from now on; its time 0 is `t0` [s] on the clock of `step`.
 
-        The estimate and the clock restart. The robot may be moving: commands in the dead time are kept, and the next
+        The estimate and the clock restart. The robot may be moving: commands in the dead time stay, and the next
         command keeps the slew limit relative to the last one. A name or path selects a trajectory, loaded with the
         limits of the configuration.
 
@@ -488,7 +489,7 @@ class Controller:
             self._pursuit.start(tracked, native=native.complete)
 
     def reset(self) -> None:
-        """Reset estimate, plan and commands, for a robot at standstill. The reference is kept."""
+        """Reset estimate, plan and commands, for a robot at standstill. The reference stays."""
         self._tick.lib.ddmpc_reset(self._c)
         self._pursuit.restart()
         for feature in self._features.values():
@@ -570,7 +571,7 @@ class Controller:
 
     @property
     def speed_limit(self) -> float | None:
-        """Limit of the speed on top of the configuration's [m/s]; None where there is none."""
+        """Limit of the speed on top of the configuration's [m/s]; None without a reference."""
         return self._speed_limit
 
     def limit_speed(self, v: float | None) -> None:
@@ -623,10 +624,10 @@ class Controller:
 
         Never raises on bad data: a measurement that is not finite, jumps or is too old is rejected, and `message` says
         so. The robot then dead-reckons. It brakes when no pose was accepted for `failure.max_pose_age`, or for
-        `failure.dead_reckoning` where wheels and gyro are good.
-        With `hold` it brakes and stands instead of driving; the estimate continues.
-        A clock that leaps zeroes the command in one tick: where `t` is ahead by more than `estimator.history`, a base
-        without commands has stopped by itself. Every other change of the command keeps slew or the braking limits.
+        `failure.dead_reckoning` where wheels and gyro are good. With `hold` it brakes and stands instead of driving;
+        the estimate continues. A clock that leaps zeroes the command in one tick: where `t` is ahead by more than
+        `estimator.history`, a base without commands has stopped by itself. Every other change of the command keeps slew
+        or the braking limits.
 
         With `deadline`, by `time.monotonic` [s], the solve is stopped by the clock. The active set is, after one
         iteration at the earliest: ranges and slew of its plan are kept, the rest as far as it got, and `solver.status`
@@ -713,7 +714,8 @@ class Controller:
                 return tick.lib.ddmpc_too_far(self._c, target.distance), ""
             self._blocked_for = target.blocked_for
             sample = target.sample or target.reference.sample(target.time + self._ahead)
-            # A blocked base must not be commanded more and more: once released, it would lurch.
+            # A blocked base must not receive ever larger commands, or it would lurch once released. once released, it
+            # would lurch.
             share = self._config.reentry.blocked_share if target.blocked_for else 1.0
             return tick.track(sample.pose, sample.twist, share), target.message
         except (ArithmeticError, ValueError) as error:
@@ -792,7 +794,7 @@ def _limited(config: ControllerConfig, speed: float | None) -> ControllerConfig:
 def _pairs(commands: ArrayLike) -> FloatArray:
     """Return commands as (K, 2); raise ValueError for another shape."""
     pairs = np.asarray(commands, dtype=float)
-    # Not the other way round: NaN must fail.
+    # Negated so that NaN fails.
     if pairs.ndim != 2 or pairs.shape[1] != 2 or not (np.abs(pairs) <= _FASTEST).all():
         raise ValueError(
             f"commands of shape {pairs.shape}: give finite pairs (K, 2) of v_ref [m/s], omega_ref [rad/s], each at "

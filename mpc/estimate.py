@@ -105,7 +105,7 @@ class Estimate:
         return {sensor: value for sensor, value in pairs if not np.isnan(value)}
 
 
-# All that the filter believes at one tick, covariances between its parts included.
+# Full belief of the filter at one tick, including covariances between its parts.
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,7 +13,7 @@ from diffdrive_mpc.mpc.solver.report import SolverMethod, SolverStatus
 from diffdrive_mpc.mpc.step_result import Mode
 
 _HONEST = 0.1
-"""By which what a sound sensor reads differs from what poses say [-]."""
+"""Tolerated deviation of a sound sensor from poses [-]."""
 _ASIDE = 15.0
 """Angle between way and heading that no side-slip explains [deg]."""
 _BOTH = 0.35
@@ -53,7 +53,8 @@ class MessageFormatter:
             lib.DDMPC_TIME_FAULTY | lib.DDMPC_TIME_REPEATED | lib.DDMPC_TIME_LEAPT | lib.DDMPC_TIME_PAUSED
         )
         self.cause = ""
-        """Why the robot waits for a person, as the tick said that stopped it; empty while it does not wait."""
+        """Reason for which the robot waits for a person, from the tick that stopped it; empty while it does not wait.
+        """
         self.configure(config)
 
     def configure(self, config: ControllerConfig) -> None:

@@ -92,7 +92,7 @@ class StepResult:
 
     @property
     def state(self) -> str:
-        """The mode, or `LATE` in place of `TRACKING` for a robot that `is_late`."""
+        """The mode, or `LATE` instead of `TRACKING` for a robot that `is_late`."""
         return LATE if self.is_late and self.mode is Mode.TRACKING else str(self.mode)
 
     @property
@@ -107,7 +107,7 @@ class StepResult:
 
     @property
     def reference(self) -> FloatArray | None:
-        """(N + 1, 3) the poses that this plan tracks: the reference, or the way back to it."""
+        """(N + 1, 3) the poses that this plan tracks: the reference, or the path back to it."""
         aim = self._take("aim")
         return None if aim is None else aim[:, :3]
 

@@ -1,4 +1,4 @@
-"""C text of CasADi functions: plain C99 for double and single precision, without memory of its own.
+"""C text of CasADi functions: plain C99 for double and single precision, without allocated memory.
 
 CasADi writes the statements; its macros, its queries and its reference counts are left out, and each constant and
 function of math.h is wrapped, so that one text serves both precisions and no double sneaks into a controller in float.

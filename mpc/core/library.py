@@ -1,8 +1,8 @@
 """The compiled core and compiled functions of the user, loaded through cffi.
 
-The core is the package's own where a wheel brought one. Else it is compiled at first use for the processor at hand, and
-kept in the user's cache (`models/compiled/cache.py`). Its declarations are the text of its header, so names cross the
-border by name.
+The core is the package's own where a wheel brought one. Otherwise it is compiled on first use for this processor, and
+cached for the user (`models/compiled/cache.py`). Its declarations are the text of its header, so names cross the border
+by name.
 """
 
 from __future__ import annotations
@@ -116,7 +116,8 @@ def _load(stem: str, texts: Mapping[str, str], declared: str) -> Any:  # noqa: A
     return load_cached(stem, what_is_built(texts), build, lambda path: ffi.dlopen(str(path)))
 
 
-# The structs of core.h by the names of their fields: shapes of what they point to, and values that fit.
+# Structs of core.h by field names: shapes of their arrays, and values that fit. shapes of what they point to, and
+# values that fit.
 
 
 _POINTER = re.compile(r"^\s*(?:const )?(?:real|ddmpc_time|int) \*(\w+);\s*/\* ((?:\[[^\]]+\])+)", re.MULTILINE)

@@ -12,7 +12,7 @@ CORE = Path(__file__).parent
 
 _HEADER = "core.h"
 _PACKAGE = CORE.parents[1]
-# What the generated part comes from.
+# Sources of the generated part.
 _FORMULAS = (
     "models/pose.py",
     "models/slip_laws.py",
@@ -22,7 +22,7 @@ _FORMULAS = (
     "mpc/problem/terms.py",
     "mpc/core/generate.py",
 )
-# Python has the sizes at run time, and numbers in double precision: an export says otherwise here.
+# Python sets sizes at run time and uses double precision; an export overrides both here. an export says otherwise here.
 SIZES = "ddmpc_sizes.h"
 """The header that says so."""
 _SIZES = {SIZES: "/* double precision, and sizes at run time */\n"}

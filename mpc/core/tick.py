@@ -1,8 +1,8 @@
 """The compiled tick from Python: constants and results by the names of their fields in C.
 
-`core.h` is the only place that knows how memory is laid out. Its text declares the structs to cffi, and the shapes of
-what they point to stand in it beside each pointer; names that are missing, unknown or of another shape are refused.
-What a tick does stands in `tick.c`, and what Python does around it in `mpc/controller.py`.
+`core.h` alone defines the memory layout. Its text declares the structs to cffi, and states the shape of each array next
+to its pointer; names that are missing, unknown or of another shape are refused. The steps of a tick are in `tick.c`,
+and the work of Python around it is in `mpc/controller.py`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from diffdrive_mpc.mpc.problem.constants import Constants
 
 
 class Tick:
-    """One controller in C, in memory of its own.
+    """Controller in C with its own memory.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ class Tick:
         return self.view(self.lib.ddmpc_last_command(self.c), (2,)).copy()
 
     def set_applied_commands(self, commands: FloatArray) -> None:
-        """Take what was sent from `commands` (K, 2), finite, in place of the last K."""
+        """Replace the last K commands by `commands` (K, 2), which must be finite."""
         pairs = np.ascontiguousarray(commands, dtype=float)
         self.lib.ddmpc_set_applied_commands(self.c, self._address("const real *", pairs), len(pairs))
 
@@ -212,7 +212,7 @@ class ResultLayout:
 
 
 class MeasurementBuffer:
-    """Memory of one ddmpc_input. Whatever is not numbers becomes NaN, which C rejects and names."""
+    """Memory of one ddmpc_input. Values that are no numbers become NaN, which C rejects and names."""
 
     def __init__(self, ffi: Any) -> None:  # noqa: ANN401 - cffi has no types
         self.struct = ffi.new("ddmpc_input *")
@@ -233,7 +233,7 @@ class MeasurementBuffer:
         self._sent = numbers(ffi.offsetof("ddmpc_input", "sent"), 2)
 
     def fill(self, measurement: Measurement) -> None:
-        """Take over whatever arrived."""
+        """Copy the measurements that arrived."""
         self._pose.fill(measurement.pose)
         self._wheels.fill(measurement.wheel_twist)
         self._yaw_rate.fill(measurement.yaw_rate)
@@ -287,7 +287,7 @@ def _write(memory: Any, value: Any, count: int) -> None:  # noqa: ANN401 - whate
         memory[0] = value
         return
     try:
-        # Quick, and right for nothing but so many doubles in a row.
+        # This is fast, and valid only for that many doubles in a row.
         memory[:] = value
     except (TypeError, ValueError):
         values = numbers(value, count)

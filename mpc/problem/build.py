@@ -69,7 +69,7 @@ def sampled_model(model: VelocityModel | NonlinearModel, dt: float) -> DiscreteM
 
 
 def is_from_file(model: VelocityModel | NonlinearModel) -> bool:
-    """Return True for a model of a file, which states whose robot it is; one made in Python is of an unknown robot."""
+    """Return True for a model from a file, which describes its robot; one made in Python is of an unknown robot."""
     return model.provenance.get("origin", "python-control") != "python-control"
 
 

@@ -30,7 +30,7 @@ SHIPPED_SOFT = ("v", "omega", "right", "left", "across")
 PADDING = 8
 """Rows of commands are padded with zeros to a multiple of this many columns; PADDING of mpc/core/internal.h."""
 SLACK = 0.1
-"""By this share of the solver's tolerance a limit may be exceeded and still count as kept [-]."""
+"""Share of the solver's tolerance by which a limit may be exceeded and still count as satisfied [-]."""
 _POSSIBLE = 5.0  # bound on the estimate of curved slip, in its initial standard deviations [-]
 HARD_KINDS = 4
 """Kinds of hard limit: v_ref, omega_ref, and their increments."""
@@ -265,7 +265,7 @@ class Problem:
         weighted_heading = self._pose_weights()[:, 2:] * prediction.heading_from_plan[1:]
         return {
             "from_state": prediction.from_state.reshape(N + 1, 2, -1),
-            # Nothing comes from commands that are older than the model's memory.
+            # Commands older than the model's memory have no effect.
             "from_past": np.pad(
                 prediction.from_past.reshape(N + 1, 2, -1, 2), ((0, 0), (0, 0), (W - self.model.memory, 0), (0, 0))
             ),
@@ -301,7 +301,7 @@ class Problem:
     def _limits(self) -> Constants:
         limits, dt = self.config.limits, self.model.dt
         shipped = [limits.predicted_v, limits.predicted_omega, limits.wheel_speed, limits.wheel_speed, limits.corridor]
-        shipped += [0.0] * self._all_turns  # zeros that nobody reads: limits.c has these bounds from the radius
+        shipped += [0.0] * self._all_turns  # unused zeros: limits.c computes these bounds from the radius
         soft = [term for term in self.terms if term.soft]
         return {
             "largest_command": [*limits.v.sides, *limits.omega.sides],

@@ -14,7 +14,7 @@ from diffdrive_mpc.models.velocity_model import VelocityModel
 
 @dataclass(frozen=True)
 class FeedForward:
-    """A command shows its effect one lag later (dead time and dynamics), so it answers to the twist asked for then.
+    """A command takes effect one lag later (dead time and dynamics), so it must match the twist of that time.
 
     Attributes
     ----------

@@ -12,7 +12,7 @@ reference      4     x, y [m], theta [rad] where the robot should be, and the he
 dt             1     duration [s]
 =============  ====  ============================================================================================
 
-Source of the odometry: Guffanti et al., Sensors 2025, 25(11), 3553. The rest is derived where it stands.
+Source of the odometry: Guffanti et al., Sensors 2025, 25(11), 3553. Other formulas are derived in their place.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ ALONG = 0.5
 0.5 of four robots on the `mujoco` plant, 10 degrees of slope (0.05 to 0.06 m/rad along, 0.10 to 0.12 across)."""
 _LEAST_TURN = 0.05  # below it the rate of turning that a slide goes with is smooth [rad/s]
 SLOW = 0.1
-"""Slower than this a robot cannot make up for a lateral speed by its heading [m/s]."""
+"""Speed below which the heading cannot compensate a lateral speed [m/s]."""
 # Rounds in which curved slip is undone.
 _ROUNDS = 3
 
@@ -82,8 +82,8 @@ def _curved(flat: ca.SX, wheels: ca.SX, turn: ca.SX, s: SimpleNamespace) -> ca.S
 def body_twist(y: ca.SX, slip: ca.SX) -> ca.SX:
     """Compute the twist (2) of the body from the output of the model.
 
-    The wheels turn as the model says but for an offset and a gain; the body follows them by the gains of its floor, and
-    turns about a centre that may lie beside the origin of its frame.
+    The wheels follow the model apart from an offset and a gain; the body follows the wheels by the gains of its
+    surface, and turns about a centre that may differ from the origin of its frame.
     """
     return _twists(y, slip)[1]
 
@@ -99,7 +99,7 @@ def _twists(y: ca.SX, slip: ca.SX) -> tuple[ca.SX, ca.SX]:
 def wheel_twist(twist: ca.SX, slip: ca.SX) -> ca.SX:
     """Compute wheel speed and model yaw rate (2) for the body's `twist`: the inverse of `body_twist`.
 
-    In rounds where slip is curved: what one leaves of an error is the product of the couplings.
+    In rounds where slip is curved: each iteration multiplies the error by the product of the couplings.
     """
     s = _named(slip)
     gain = s.omega_gain * s.yaw_gain
@@ -140,8 +140,8 @@ def lateral_speed(flat: ca.SX, slip: ca.SX, ahead: ca.SX) -> ca.SX:
 def sliding(theta: ca.SX, omega: ca.SX, slide_x: ca.SX, slide_y: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Compute the sliding speed (along, across) [m/s] of a robot with the heading `theta` that turns at `omega`.
 
-    Skidding wheels hold a robot by what is left of their friction; a force down a slope moves it in proportion to how
-    fast they skid.
+    Skidding wheels resist a lateral force by their remaining friction only; a force down a slope moves it in proportion
+    to how fast they skid.
     """
     rate = ca.sqrt(omega**2 + _LEAST_TURN**2) - _LEAST_TURN
     along = ca.cos(theta) * slide_x + ca.sin(theta) * slide_y
@@ -276,7 +276,7 @@ def arc_move(theta: ca.SX, v: ca.SX, omega: ca.SX, slip: ca.SX, ahead: ca.SX, dt
 def formulas() -> tuple[ca.Function, ...]:
     """Build the controller's formulas as SX functions with their C names; those that vary include their gradient.
 
-    What depends on slip stands there twice: a controller whose slip is not curved does not pay for what is.
+    Formulas with slip exist in two versions: a controller without curved slip does not pay for the curved terms.
     """
     sampled = ("pose", "twist", "arc_length")
     return (

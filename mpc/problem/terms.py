@@ -1,6 +1,6 @@
 """Terms of the user: residuals that are squared and added to the cost, and values with soft limits.
 
-A term is one CasADi function of what the plan does at a sample. It is differentiated, generated as C and compiled like
+A term is one CasADi function of the plan's values at a sample. It is differentiated, generated as C and compiled like
 the shipped ones.
 """
 
@@ -51,7 +51,7 @@ class Term:
     kind
         "residual": half the value's square is added to the cost, so a weight w enters as its root; "soft": the value is
         kept between `lower` and `upper`. One unit beyond them costs `weights.soft`, and half its square
-        `weights.soft_quadratic`, so a value that is scaled up is kept more strictly.
+        `weights.soft_quadratic`, so scaling a value up makes its limit stricter.
     upper, lower
         (m,) limits of a soft term; None, for all of it or in a row: no limit.
     defaults

@@ -1,4 +1,4 @@
-"""A stretch of the reference around its present time, sampled, and where the robot is beside it."""
+"""Sampled stretch of the reference around its present time, and the robot's position relative to it."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class PathWindow:
 
 def in_path(dx: float, dy: float, theta: float) -> tuple[float, float]:
     """Split a displacement [m] into parts along and across the heading `theta` [rad], positive to its left."""
-    # Of numbers that are none nothing comes either, without a warning: the caller looks at what it gets.
+    # NaN in the input yields NaN without a warning: the caller checks the result. the caller looks at what it gets.
     c, s, dx, dy = math.cos(theta), math.sin(theta), float(dx), float(dy)
     return c * dx + s * dy, c * dy - s * dx
 
@@ -92,7 +92,7 @@ def _travel(v: FloatArray) -> FloatArray:
 
 # Closer than this, there is no direction from one point to another [m].
 SAME_PLACE = 0.01
-# A motion that is none at all takes this time [s]: a trajectory needs some.
+# Duration of an empty motion [s]: a trajectory needs a positive one. a trajectory needs some.
 _MOMENT = 1e-3
 
 
@@ -223,7 +223,7 @@ def path_speeds(
     square[1:-1] = np.minimum(cap[:, 1:], cap[:, :-1]).T[:, None]
     square[0] = np.minimum(enter**2, cap[:, 0])
     square[-1] = np.minimum(leave**2, cap[:, -1])
-    # Slower than where it begins and ends only as far as half the acceleration brings it.
+    # Slower than at the start and end only as far as half the acceleration permits.
     gone = np.concatenate([np.zeros((len(k), 1)), np.cumsum(lengths, axis=1)], axis=1)
     ramps = np.maximum(
         enter[:, None] ** 2 - limits.v_acceleration * gone,

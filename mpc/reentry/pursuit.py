@@ -1,4 +1,4 @@
-"""Chooses what to track at each tick: the reference on time, the waiting reference, or the way back to it."""
+"""Choice of the target at each tick: the reference on time, the waiting reference, or the path back to it."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Stray(Protocol):
 
 
 class Pursuit:
-    """Follows one reference; holds its clock and the way back, if there is one.
+    """Follows one reference; holds its clock and the path back, if there is one.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ class Pursuit:
         self._speed_limit = math.inf if v is None else v
 
     def start(self, reference: Reference, *, native: bool) -> None:
-        """Follow `reference` from now on; `native` says whether the core can sample it by itself."""
+        """Follow `reference` from now on; `native` is True if the core can sample it."""
         self._reference, self._native = reference, native
         samples = int(min(reference.duration / self._config.sample_time + 2.0, _MOST_SAMPLES))
         twist = reference.sample(np.linspace(0.0, reference.duration, samples)).twist
@@ -183,11 +183,11 @@ class Pursuit:
         return self._time
 
     def _count_delay(self, before: float, *, driving: bool) -> None:
-        """Count what was decided on of the delay since it was `before` [s]; a robot that lags is not counted."""
+        """Add the planned part of the delay since it was `before` [s]; a robot that lags is not counted."""
         delay = self._clock.delay
         if not driving or self._slows_down:
             self.planned_delay += max(0.0, delay - before)
-        # What it catches up is no delay any more.
+        # Caught-up time is no longer a delay.
         self.planned_delay = min(self.planned_delay, max(0.0, delay))
 
     def target(
@@ -208,7 +208,7 @@ class Pursuit:
         if not self._settings.enabled or since_start < 0.0:
             return self._chase(reference, time, estimate)
         if self._resumes:
-            # Until now it was not asked to move.
+            # The robot was not commanded to move until now.
             self._blocked.restart()
         if self._way_back is not None and time >= self._way_back.joins:
             self._way_back = None
@@ -259,7 +259,7 @@ class Pursuit:
         """Limit the progress rate so that the upcoming twists (n, 2) need at most the rim speed `reach` [m/s].
 
         The body turns `yaw_gain` times as fast as its wheels, which counts in turns on the spot only. A limit learned
-        in such a turn does not apply to the path after it, and the other way round.
+        in such a turn does not apply to the path after it, and vice versa.
         """
         if not math.isfinite(reach):
             return math.inf
@@ -293,13 +293,14 @@ class Pursuit:
     def _return(
         self, reference: Reference, time: float, since_start: float, estimate: Estimate, waiting: FloatArray
     ) -> Rejoin | TooFar | StandingReference | None:
-        """Plan a way back; return `StandingReference` if there is no room for one.
+        """Plan a path back; return `StandingReference` if there is no room for one.
 
         Returns None if the robot is on its path after all, only earlier or later than the reference.
         """
         settings = self._settings
         away = float(np.hypot(*(estimate.pose - waiting)[:2]))
-        # A displacement while nobody drives is no progress: it counts from `waiting`, where the reference waits.
+        # A displacement without driving is no progress: it counts from `waiting`, the place where the reference waits.
+        # it counts from `waiting`, where the reference waits.
         if self._resumes and away > self._config.failure.max_position_error:
             return TooFar(away)
         window = PathWindow.around(reference, time, settings.window, _WINDOW_STEP * self._config.sample_time)
@@ -342,7 +343,7 @@ class Pursuit:
         limits = self._config.limits
         sides = np.transpose([limits.v.sides, limits.omega.sides])
         shares = sides / np.maximum(self._top, [STANDING, TURNING])
-        # A limit far below the reference makes it wait where it is reached, not all along.
+        # A low limit should stop the reference where it is exceeded, not slow it everywhere.
         within = float(shares[shares > _KEPT].min(initial=math.inf))
         return max(1.0, min(self._settings.max_progress, within))
 

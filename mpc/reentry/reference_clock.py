@@ -1,7 +1,7 @@
 """The reference's clock: it may wait for the robot, and catches up with the controller's clock afterwards.
 
 The reference's time is the controller's time since the start, less a delay. The progress rate, reference time per
-controller time, is piecewise linear: what the plan sees of the future is exactly what the clock then does.
+controller time, is piecewise linear: the plan sees exactly the future that the clock will realise.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ def _held(rate: float) -> RateProfile:
 def settling_profile(rate: float, delay: float, slowest: float, fastest: float, ramp: float) -> RateProfile:
     """Plan the fastest return to zero delay at rate 1: a trapezoid in the excess of the rate over 1.
 
-    The excess e is to the delay what a speed is to a distance, so this is the time-optimal motion of a double
-    integrator over the distance `delay` with end speed zero, |de/dt| <= `ramp` and e cruising inside the bounds.
+    The excess e relates to the delay as a speed to a distance, so this is the time-optimal motion of a double
+    integrator over the distance `delay` with end speed zero, |de/dt| <= `ramp` and e inside the bounds.
 
     Parameters
     ----------

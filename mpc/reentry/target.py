@@ -59,12 +59,12 @@ class TooFar:
 # Whether the robot moves at all while the reference waits for it.
 
 
-# Less than this is no motion but noise of the pose: m, rad.
+# Displacements below this are noise of the pose: m, rad. m, rad.
 _STIR = (0.04, 0.1)
 
 
 class BlockedWatch:
-    """Says when the robot has stayed where it is for too long.
+    """Detector of a robot that has stayed in place for too long.
 
     Parameters
     ----------

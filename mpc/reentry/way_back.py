@@ -1,8 +1,8 @@
 """Path back to the reference: the choice of a point ahead and of a smooth motion to it.
 
-The idea of a look-ahead point and a smooth reconnection is that of Guffanti et al. 2026 (PMC12845739), of which only
-the abstract is known. Here many points on the reference ahead are tried, each with several motions that keep to the
-limits, and the cheapest is taken: in time, in delay of the reference's clock, and in distance from the path meanwhile.
+The idea of a look-ahead point and a smooth reconnection is that of Guffanti et al. 2026 (PMC12845739; only the abstract
+was available). Here many points on the reference ahead are tried, each with several motions that keep to the limits,
+and the cheapest is taken: in time, in delay of the reference's clock, and in distance from the path meanwhile.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ _ACROSS = 20.0
 # the spot [-].
 _TOO_TIGHT = 100.0
 _ON_THE_SPOT = 100.0
-# Every so many nodes of a path it is looked at whether there is room, and at so many headings of a turn on the spot.
+# Interval of path nodes, and number of headings of a turn on the spot, for checks of room.
 _LOOKED_AT, _HEADINGS = 4, 5
 
 Room = Callable[[FloatArray], NDArray[np.bool_]]
@@ -197,7 +197,7 @@ def _price_of_distance(
 ) -> FloatArray:
     """Compute the (S, C) price of the distance from the path along each motion, at S paces [s].
 
-    A node of a connection is taken to lie beside the point of the reference that is the same share of the way ahead.
+    A node of a connection is compared with the point of the reference at the same share of the distance ahead.
     """
     gone = np.concatenate([np.zeros((before.size, 1)), np.cumsum(paths.lengths, axis=1)], axis=1)
     first, last = window.arc_length[nearest], window.arc_length[options.sample]

@@ -1,7 +1,7 @@
-"""A bond with nav2_lifecycle_manager: both sides say that they live, and learn when the other does not.
+"""A bond with nav2_lifecycle_manager: both sides send heartbeats, and detect the end of the other.
 
 The protocol is that of bondcpp: heartbeats on one topic, of all bonds; `id` names the bond, `instance_id` the side. A
-side waits for its sister, lives while it hears of it, and at its end says so until the sister has, too.
+side waits for its sister, lives while it receives heartbeats, and at its end announces it until the sister ends, too.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class BondProtocol:
         """Update the bond; call once per period."""
         passed = self._now() - self._since
         if self.state is BondState.WAITING and passed > CONNECT_TIMEOUT:
-            # Nobody manages this node: it goes on alone.
+            # No manager is present, so the node continues alone. it goes on alone.
             self.state = BondState.DEAD
         elif self.state is BondState.ALIVE and passed > HEARTBEAT_TIMEOUT:
             self.state, self.lost = BondState.DEAD, f"it was silent for {HEARTBEAT_TIMEOUT:g} s"
@@ -122,11 +122,11 @@ class Bond:
         return f"{self.protocol.state}: {self.protocol.lost}" if self.protocol.lost else str(self.protocol.state)
 
     def leave(self) -> None:
-        """End it: said now, and then until the manager has heard it."""
+        """End the bond: announce it now, and repeat it until the manager confirms."""
         self.protocol.leave()
 
     def close(self) -> None:
-        """End it without waiting for an answer."""
+        """End the bond without waiting for a confirmation."""
         if self._gone:
             return
         self.protocol.leave()
@@ -174,7 +174,7 @@ class BondPart(NodePart):
         self.bond = Bond(self.node, period)
 
     def deactivate(self) -> None:
-        """End the bond; it tells the manager until the manager has answered."""
+        """End the bond; it announces the end until the manager has confirmed it."""
         if self.bond is not None:
             self.bond.leave()
 

@@ -1,4 +1,4 @@
-"""The control loop: what one tick of the node does, and how driving is begun, paused and reset. Needs no ROS itself."""
+"""The control loop: the steps of one tick of the node, and start, pause and reset of a drive. Needs no ROS itself."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ HELD = "held; call hold with false to let go"
 # A frame that moved by less counts as unmoved: displacement at the robot [m], with a radian counted as a metre.
 _STAYS = 1e-4
 
-# The reference is published anew where it is due this much later or earlier [s], or lies this much beside [m, rad].
+# Shift of the reference in time [s] or place [m, rad] from which it is published again.
 _TELL_DELAY, _TELL_MOTION = 0.2, 0.02
 
 
@@ -42,12 +42,13 @@ class LoopState(StrEnum):
     PAUSED = "PAUSED"
     """The controller brakes and stands; `start` drives on."""
     FAULT = "FAULT"
-    """Commands zero after an exception; `start` begins anew."""
+    """Commands zero after an exception; `start` starts again."""
 
 
 _SHARE_OF_TICK = 0.5
-"""After this share of the sample time a solve has to end, where `solver.time_limit` does not say: the rest of a tick
-needs time, too [-]."""
+"""Share of the sample time after which a solve has to end, unless `solver.time_limit` states it: the rest of a tick
+needs time, too [-].
+"""
 
 
 class RefusedError(DiffdriveMpcError, ValueError):
@@ -79,7 +80,7 @@ class Begun:
 
 @dataclass(frozen=True)
 class Due:
-    """The reference as it is driven, and its time 0 on the controller's clock [s], which waiting moves on."""
+    """Driven reference, and its time 0 on the controller's clock [s], which waiting shifts."""
 
     reference: Reference
     t0: float
@@ -124,12 +125,12 @@ class LoopTick:
 
     @property
     def mode(self) -> str:
-        """Mode of the controller, or what the loop does instead."""
+        """Mode of the controller, or state of the loop without a controller step."""
         return str(self.state if self.result is None else self.result.mode)
 
 
 class ControlLoop:
-    """Asks the controller for a command once per tick; adds no control of its own.
+    """Asks the controller for a command once per tick; it adds no control.
 
     Parameters
     ----------
@@ -239,7 +240,7 @@ class ControlLoop:
             self._begin_when_ready = True
 
     def follow(self, reference: Reference, t0: float | None = None) -> None:
-        """Drive along `reference` from the next tick with a pose, whatever the present state, until `release`.
+        """Drive along `reference` from the next tick with a pose on, in any state, until `release`.
 
         Parameters
         ----------
@@ -260,7 +261,7 @@ class ControlLoop:
         self._next, self.refusal = (reference, t0), ""
 
     def brake(self, reason: str) -> None:
-        """Brake and stand, whatever the loop is doing; a pending start is cancelled."""
+        """Brake and stand, in any state of the loop; a pending start is cancelled."""
         self._next, self._begin_when_ready = None, False
         if self.state in (LoopState.DRIVING, LoopState.PAUSED):
             self.state, self._reason = LoopState.PAUSED, reason
@@ -315,7 +316,7 @@ class ControlLoop:
         return "; ".join(filter(None, [begins, self.shortfall]))
 
     def resume(self) -> str:
-        """Drive on along the reference where it waits, after a pause or a failure; returns what it does.
+        """Resume the reference where it waits, after a pause or a failure; returns what it does.
 
         Raises
         ------
@@ -374,7 +375,7 @@ class ControlLoop:
         self.times.start_tick(self._steady())
         try:
             tick = self._decide(self.inbox.now)
-        except Exception as error:  # whatever happens, the robot has to stop
+        except Exception as error:  # the robot has to stop in any case
             self.state, self._reason = LoopState.FAULT, f"{type(error).__name__}: {error}; call start to begin anew"
             tick = self._standing()
         self.last = tick
@@ -385,7 +386,7 @@ class ControlLoop:
     def due(self) -> Due | None:
         """Return the reference and its start time to publish; return None if the last ones still hold.
 
-        It has to where a drive begins, where one goes on along a reference that waited, and where its frame moved.
+        This is needed at the start of a drive, after a wait of the reference, and after a shift of its frame.
         """
         begun, last = self.begun, self.last
         if begun is None or last is None:
@@ -524,7 +525,8 @@ class ControlLoop:
             reference = self._laid = MovedReference(reference, self._placement.motion())
         elif self._moves_to_robot and pose is not None:
             reference = starting_at(reference, pose.value)
-        # A planner sends a new path each second: what was learned of the floor outlasts that.
+        # A planner sends a new path each second, and learned slip outlasts it. what was learned of the floor outlasts
+        # that.
         goes_on = self.state is LoopState.DRIVING and self.last is not None and self.last.mode is Mode.TRACKING
         if goes_on:
             self._controller.switch_reference(reference, t0)

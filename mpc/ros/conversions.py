@@ -1,4 +1,4 @@
-"""ROS messages to the types of the controller and back. What cannot be used is refused with a reason."""
+"""ROS messages to the types of the controller and back. Unusable messages are rejected with a reason."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from diffdrive_mpc.mpc.ros.message_series import MessageSeries
 NANOSECONDS = 1_000_000_000
 # Rows of x, y and yaw in the 6 x 6 covariance of a pose message.
 _PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
-# Rounding to single precision on the way here does not bring a quaternion's norm further from 1.
+# Tolerance of a quaternion's norm, for rounding to single precision in transmission.
 _NORM_TOLERANCE = 1e-2
 # An axis that points up by a smaller share has no part in a yaw rate [-].
 _ALIGNED = 1e-3
@@ -36,7 +36,7 @@ class MessageError(DiffdriveMpcError, ValueError):
     """A message cannot be used; says why, in few words."""
 
     def __init__(self, reason: str) -> None:
-        super().__init__(plain_line(reason))  # frames in it are anybody's text, and logs go to terminals
+        super().__init__(plain_line(reason))  # its frame names are untrusted text, and logs go to terminals
 
 
 def nanoseconds(stamp: TimeMessage) -> int:
@@ -93,7 +93,7 @@ def odometry_twist(message: Odometry, epoch: int) -> Stamped:
 def imu_yaw_rate(message: Imu, epoch: int, up: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Stamped:
     """Extract the yaw rate [rad/s] about the axis `up` of the gyro's frame; raise MessageError if it is not finite."""
     rate = message.angular_velocity
-    # An IMU with one axis leaves the others at nought, or not finite.
+    # An IMU with one axis leaves the others zero or not finite.
     yaw_rate = sum(
         axis * value for axis, value in zip(up, (rate.x, rate.y, rate.z), strict=True) if abs(axis) > _ALIGNED
     )
@@ -136,7 +136,7 @@ def stamped_pose_message(pose: Sequence[float] | FloatArray, time: int, frame: s
 
 
 LONGEST_NAME = 255
-"""Characters of a frame's name at most: what is longer is none."""
+"""Characters of a frame's name at most: longer ones are rejected."""
 _HEADER = 4 + 8 + 4 + LONGEST_NAME + 1 + 8
 """Bytes of a serialised header at most: stamp, name with its length and end, room to align."""
 SENSOR_BYTES = 2048

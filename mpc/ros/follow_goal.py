@@ -1,6 +1,6 @@
 """Life cycle of a `follow_path` goal: plan, drive, monitor, finish; independent of ROS.
 
-All of it happens in the thread of the control loop, but for what `Goal` says of itself.
+Everything runs in the thread of the control loop, except for the parts marked in `Goal`.
 """
 
 from __future__ import annotations
@@ -30,23 +30,27 @@ if TYPE_CHECKING:
     from diffdrive_mpc.mpc.ros.node_part import PathCheck
 
 _STANDING = 0.02
-"""A slower robot stands [m/s]."""
+"""Speed below which the robot counts as standing [m/s]."""
 _OUTDATED = 0.3
 """Age of the robot's pose above which a moving robot gets no new reference [s]."""
 _MOST_OUTDATED = 3
-"""A path that was outdated so often is prepared for a robot that stands."""
+"""Number of outdated results after which a path is planned for a standing robot."""
 _LONGEST_LAYING = 15.0
-"""A path that is not laid after so long is given up, whatever the process beside the loop does [s of the computer]."""
+"""Time limit for planning a path, in seconds of the computer's clock."""
 _SILENT = "the client of the goal does not acknowledge feedback"
 _ABANDONED = "nobody waits for it any more: its client has ended"
 _SILENT_CHECKS, _SILENCE = 3, 0.3
-"""A client counts as silent after so many checks in so long [s]; on a loaded machine it acknowledges within 0.1 s."""
+"""Number of checks, and time [s], after which a client counts as silent; on a loaded machine it acknowledges within 0.1
+s.
+"""
 _LONGEST_SILENCE = 5.0
-"""A goal is abandoned after so long without its client [s]; to tell a dead client from another takes up to 3 s."""
+"""Time without its client after which a goal is abandoned [s]; distinguishing a dead client from another takes up to 3
+s.
+"""
 _REACTION = 0.4
 """Time from the death of a client to the first check, and from the verdict to the first braking command [s]."""
 _SETTLES = 1.0
-"""After a command of zero for so long the robot is taken to stand, whatever its wheels say [s]."""
+"""Duration of zero commands after which the robot counts as standing, whatever its wheels report [s]."""
 
 
 class Code(IntEnum):
@@ -82,7 +86,7 @@ class End:
 
 @dataclass(eq=False)
 class FollowGoal:
-    """One goal. The loop's thread writes `progress` and `end`, that of the action server what concerns the client.
+    """One goal. The loop's thread writes `progress` and `end`, and that of the action server the client's state.
 
     Attributes
     ----------
@@ -149,7 +153,7 @@ def lay_for_robot(
 ) -> Laid | None:
     """Lay a path in the side process, see `lay_poses`; None if the robot is at the goal and the rest is too short.
 
-    The path keeps to the conditions in `checks`. Raises ConfigError for any other path that cannot be laid.
+    The path satisfies the conditions in `checks`. Raises ConfigError for any other path that cannot be laid.
     """
 
     def laid(limits: TrajectoryLimits) -> Laid:
@@ -273,12 +277,12 @@ class Following:
         self._ask(goal)
 
     def after(self, tick: LoopTick) -> None:
-        """Judge the goal that is driven by what the last tick did."""
+        """Judge the current goal by the last tick."""
         coming, goal = self._coming, self._driven
         if coming is not None and coming.cancelled:
             self._coming = None
             self._close(coming, GoalOutcome.CANCELED, Code.NONE, "cancelled before it began")
-            # Whoever sent it did not mean the one that it was to replace either.
+            # A client that sent it did not want the goal that it replaced either.
             self._give_up("a newer goal was cancelled")
         elif coming is not None and self._is_abandoned(coming):
             self._refuse(coming, Code.UNKNOWN, _ABANDONED)
@@ -352,7 +356,7 @@ class Following:
         self._driven, self._coming = goal, None
 
     def _stay(self, goal: FollowGoal, moving: bool) -> None:
-        """End a goal of which nothing is left to drive: reached, if the robot stands there."""
+        """End a goal without a rest to drive: reached, if the robot stands there."""
         whereabouts = self._loop.whereabouts()
         if whereabouts is None:
             self._refuse(goal, Code.TF_ERROR, self._loop.missing() or "the robot's pose is not known")
@@ -374,7 +378,7 @@ class Following:
         self._give_up(f"a newer goal could not be driven: {why}")
 
     def _give_up(self, why: str) -> None:
-        """End what is driven."""
+        """End the current drive."""
         if self._driven is not None and self._driven.ending is None:
             self._driven.ending = End(GoalOutcome.ABORTED, Code.NONE, why)
             self._loop.brake(why)

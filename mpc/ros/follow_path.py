@@ -31,11 +31,15 @@ from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 ACTION = "follow_path"
 _REQUESTS = QoSProfile(depth=2000)
-"""So many requests may wait: of the services' default, 10, the middleware drops what arrives while others are read."""
+"""Depth of the request queue: with the services' default of 10, the middleware drops requests that arrive while others
+are read.
+"""
 _RESULTS_AT_ONCE = 4
 """Results sent in one look: a client has room for 10 that it has not read."""
 _LONG_WORK = 0.005
-"""After work that took longer [s] the thread rests as long: the interpreter runs one thread, and the loop's is due."""
+"""After work that took longer [s] the thread rests as long: the interpreter runs one thread at a time, and the loop's
+has priority.
+"""
 _RESULT_KEPT = 60
 """Time for which a result waits for its client [s]: a client that sends hundreds of goals a second reads results late.
 """
@@ -58,7 +62,7 @@ class _Server(ActionServer):
 
 
 class FollowPathServer:
-    """Accepts goals while there is a `Following` to take them, and tells clients what became of them.
+    """Accept goals while there is a `Following` to take them, and report their results to clients.
 
     Parameters
     ----------
@@ -141,7 +145,7 @@ class FollowPathServer:
                 self._executor.spin_once(timeout_sec=_LOOK)
             except ExternalShutdownException:
                 return
-            except Exception as error:  # one goal's fault must not leave all others without an answer
+            except Exception as error:  # a fault of one goal must not block the results of all others
                 words = f"{ACTION}: {type(error).__name__}: {plain_line(str(error))}"
                 self._node.get_logger().error(words, throttle_duration_sec=_FAREWELL)
                 time.sleep(_LOOK)
@@ -208,7 +212,8 @@ class FollowPathServer:
             return End(GoalOutcome.ABORTED, Code.UNKNOWN, "the node was deactivated")
         header = request.path.header
         goal = FollowGoal(poses, header.frame_id, nanoseconds(header.stamp), fault=fault, clients=clients)
-        # The handle keeps its request as long as its result: to collect so many objects stops the loop for a second.
+        # The handle keeps its request as long as its result, and collecting that many objects would stop the loop for a
+        # second. to collect so many objects stops the loop for a second.
         request.path = Path()
         future = Future(executor=self._executor)
         self._open.append((goal, handle, future))
@@ -217,7 +222,7 @@ class FollowPathServer:
         return future
 
     def _look(self) -> None:
-        """Pass on the ends of goals to whoever waits for them."""
+        """Pass on the ends of goals to the waiting clients."""
         ended = [entry for entry in self._open if entry[0].end is not None]
         for entry in ended if self._closing else ended[:_RESULTS_AT_ONCE]:
             self._open.remove(entry)

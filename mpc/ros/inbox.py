@@ -27,7 +27,7 @@ from diffdrive_mpc.mpc.ros.transforms.frames import Frames
 
 
 class Inbox:
-    """Checks messages and keeps the newest good one of each kind until the next tick takes it.
+    """Inbox that checks messages and keeps the newest good one of each kind for the next tick.
 
     Parameters
     ----------

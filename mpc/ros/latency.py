@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 _ENOUGH = 20
-"""Ticks from which on their pace is judged."""
+"""Number of ticks from which their pace is judged."""
 _OUT_OF_STEP = 0.1
 """Share of the period by which ticks may be off it [-]."""
 

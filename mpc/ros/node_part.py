@@ -113,7 +113,7 @@ class PartHost(LifecycleNode):
             part.deactivate()
 
     def tear_down_parts(self) -> None:
-        """Take the tools from the parts, and destroy what they built."""
+        """Remove the tools from the parts, and destroy their objects."""
         for part in self.parts.values():
             part.tools = None
             part.tear_down()
@@ -152,7 +152,7 @@ class NodePart:
         self._subscriptions: list[Subscription] = []
 
     def configure(self, tools: NodeTools) -> None:
-        """Build what needs the configured node; raise ValueError to refuse the transition."""
+        """Build the objects that need the configured node; raise ValueError to refuse the transition."""
 
     def check_activation(self) -> None:
         """Raise ValueError if the node must not become active."""
@@ -164,7 +164,7 @@ class NodePart:
         """End the activation; the robot has been sent its last command."""
 
     def tear_down(self) -> None:
-        """Destroy what `configure` built, or a part of it if that failed."""
+        """Destroy the objects of `configure`, or those that exist after a failure."""
 
     def change_limits(self) -> None:
         """Apply changed weights or limits of the active controller."""

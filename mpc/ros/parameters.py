@@ -451,11 +451,12 @@ def _groups(changes: Mapping[str, Any], config: ControllerConfig) -> list[dict[s
     ]
 
 
-# Transitions of the lifecycle say why they fail, and those that are not allowed are refused: rclpy does neither.
+# Transitions report the reason of a failure, and forbidden ones are rejected, which rclpy does not do. rclpy does
+# neither.
 
 
 class Managed(Protocol):
-    """A lifecycle node that keeps why its last failed transition failed."""
+    """Lifecycle node that stores the reason of its last failed transition."""
 
     failure: str
 
@@ -469,7 +470,7 @@ Transition = Callable[[NodeType, LifecycleState], TransitionCallbackReturn]
 
 
 def logged(transition: Transition[NodeType]) -> Transition[NodeType]:
-    """Log what a transition raises: bad input (ValueError, OSError) refuses it, anything else is an error."""
+    """Log exceptions of a transition: bad input (ValueError, OSError) refuses it, anything else is an error."""
 
     @wraps(transition)
     def run(self: NodeType, state: LifecycleState) -> TransitionCallbackReturn:

@@ -116,7 +116,7 @@ class Publishers:
         self._reference.publish(self._path(reference.sample(times).pose, stamps.tolist(), time))
 
     def visuals(self, result: StepResult, period: int, time: int) -> None:
-        """Send the predicted path, a pose each `period` [ns], and the marker, where anybody looks at them."""
+        """Publish the predicted path, a pose each `period` [ns], and the marker, if they have subscribers."""
         if result.plan is not None and self._predicted.get_subscription_count():
             stamps = (time + period * index for index in range(len(result.plan)))
             self._predicted.publish(self._path(result.plan, stamps, time))
@@ -141,7 +141,8 @@ class Publishers:
         return marker
 
 
-# Who is at the other end of the node's topics: the wrong type of message, or nobody at all, in words.
+# Peers of the node's topics, in words: wrong message types, or missing peers. the wrong type of message, or nobody at
+# all, in words.
 
 
 _PACKAGE = "geometry_msgs/msg/"
@@ -201,7 +202,7 @@ _POSE, _TWIST = (0, 1, 5), (0, 5)
 
 
 class EstimateOutput:
-    """Publishes the estimate, slip included, where anybody listens.
+    """Publisher of the estimate, slip included, for existing subscribers.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Records what the active node hears, decides and says into an MCAP file, as `simulate --log` does."""
+"""Recorder of the active node's inputs, decisions and messages in an MCAP file, as `simulate --log` writes it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ from diffdrive_mpc.mpc.trajectories.native import table_of
 # How long the node waits for the file to be there, before its first tick, and to be whole, after its last [s].
 _PATIENCE = 5.0
 Method = Callable[..., None]
-# What does not fit into one parcel to the process that writes would end the recording: such a reference is left out.
+# A reference larger than one parcel to the writing process is left out, since it would end the recording. such a
+# reference is left out.
 _LONGEST_LINE = 100_000
 _REFERENCE = ("reference_x_m", "reference_y_m", "reference_theta_rad")
 
@@ -51,7 +52,7 @@ def _harmless(method: Method) -> Method:
 
 
 class ActivationRecording:
-    """The recording of one activation. It can fail, which it says once, but neither raises nor waits in between.
+    """The recording of one activation. A failure is reported once, without an exception and without a wait.
 
     Parameters
     ----------
@@ -116,14 +117,14 @@ class ActivationRecording:
 
     @_harmless
     def record(self, lines: Sequence[tuple[str, str]], time: int) -> None:
-        """Record what is said of a tick, lines with their topics, so that it can be replayed: with the next `tick`."""
+        """Record lines about a tick with their topics, so that it can be replayed: with the next `tick`."""
         for topic, line in lines:
             if len(line) <= _LONGEST_LINE:
                 self._recorder.prepare("serialized", time, topic, serialize_message(String(data=line)))
 
     @_harmless
     def diagnostics(self, message: DiagnosticArray, time: int) -> None:
-        """Record what the node says of itself, and hear how the recording goes."""
+        """Record the node's diagnostics, and read the state of the recording."""
         self._recorder.hand("serialized", time, DIAGNOSTICS, serialize_message(message))
         self._recorder.poll()
         self._warn()
@@ -173,7 +174,8 @@ def _told(settings: NodeSettings, config: ControllerConfig) -> Metadata:
     }
 
 
-# What the node says of each tick for whoever records it: all that the controller was asked, and its answer.
+# Data of each tick for external recorders: all inputs of the controller, and its result. all that the controller was
+# asked, and its answer.
 
 
 class TickRecords:
@@ -214,7 +216,8 @@ class TickRecords:
             return None
         hold = None if request.hold is None else (request.hold.reason, request.hold.failure)
         solver = result.solver
-        # A backend that was cut off gave nothing: 0. A bound of 1 leaves the minimiser without limits as it is.
+        # A backend that was cut off gave no solution: 0. A bound of 1 leaves the minimiser without limits unchanged. 0.
+        # A bound of 1 leaves the minimiser without limits as it is.
         cut_off = solver.status is SolverStatus.TIME_LIMIT
         late = None if not solver.missed else 0 if cut_off else max(solver.iterations, 1)
         cells = (str(result.mode), result.message, str(solver.method), result.step_time, late)
@@ -290,7 +293,7 @@ class RecordingPart(NodePart):
             return None
 
     def _publish(self, begun: Begun, tick: LoopTick, time: int) -> None:
-        """Publish and record what a replay of the tick needs; a fault ends this for the activation."""
+        """Publish and record the data for a replay of the tick; a fault ends this for the activation."""
         if self.records is None or self.tools is None:
             return
         try:

@@ -1,6 +1,6 @@
 """References that arrive as messages: checked as strictly as those from files.
 
-They are read beside the loop, in a process of its own, in the frame that they state.
+They are read in a separate process, in the frame that they state.
 """
 
 from __future__ import annotations
@@ -31,12 +31,13 @@ from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 from diffdrive_mpc.mpc.trajectories.timed_poses import lay_timed_poses
 
-# To lay them takes 15 ms, beside the loop; to begin with them a part of a tick.
+# Limits for planning, which takes 15 ms outside the loop; starting it costs a part of a tick. to begin with them a part
+# of a tick.
 _MOST_POSES = 1000
 MOST_BYTES = path_bytes(_MOST_POSES)
 """Bytes of a message at most that can be accepted."""
 MOST_TRAJECTORY_BYTES = MOST_BYTES + _MOST_POSES * 3 * 6 * 8
-"""The same of a trajectory of a base, whose points have velocity, acceleration and effort, too."""
+"""Size of a base's trajectory, whose points also have velocity, acceleration and effort."""
 
 
 class StatedReference(NamedTuple):
@@ -167,7 +168,7 @@ def _lay(times: list[float], poses: list[tuple[float, float, float]], limits: Li
 
 
 SLOWEST = 1e-3
-"""A limit below is taken to be this [m/s]: to stand there is `~/hold`."""
+"""A limit below is taken to be this [m/s]: `~/hold` stops the robot."""
 
 
 @dataclass(frozen=True)
@@ -198,7 +199,7 @@ def read_speed_limit(message: Any) -> SpeedLimit:  # noqa: ANN401 - ROS messages
     return SpeedLimit(value, bool(message.percentage))
 
 
-# How far the robot is from what it tracks, as the estimate has it.
+# Distance of the robot from its target, by the estimate.
 
 
 def tracking_error(result: StepResult) -> tuple[float, float, float] | None:

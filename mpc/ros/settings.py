@@ -1,6 +1,6 @@
 """Typed schema of the node's settings, which complement the controller's configuration.
 
-Units stand in brackets at the end of each description. Nothing here needs ROS.
+Units are in brackets at the end of each description. Nothing here needs ROS.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class PartSettings(Group):
 
 
 class NodeSettings(StrictModel, strict=True):
-    """Topics, frames, timeouts and what the node does by itself."""
+    """Topics, frames, timeouts and automatic actions of the node."""
 
     config: str = Field(
         "ssm",

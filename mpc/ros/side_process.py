@@ -1,7 +1,7 @@
-"""A process beside the node, for what takes longer than a tick: a thread would take turns with the loop's.
+"""A separate process for tasks that take longer than a tick: a thread would take turns with the loop's.
 
-`python -m diffdrive_mpc.mpc.ros.side_process DESCRIPTOR` is that process: it does what comes through the socket, one
-after the other, until the other end closes, however it ends.
+`python -m diffdrive_mpc.mpc.ros.side_process DESCRIPTOR` is that process: it runs requests from the socket in order,
+until the other end closes for any reason.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class _Job(NamedTuple):
 
 
 class SideProcess:
-    """Has functions called in a process of its own, one after the other; nothing here waits for it but `close`.
+    """Caller of functions in a separate process, one after the other; nothing here waits for it but `close`.
 
     The process begins with the first of them, and takes a second for that.
 
@@ -90,7 +90,7 @@ class SideProcess:
             (job.done if well else job.failed)(content)
 
     def close(self) -> None:
-        """End the process; what it was to answer is forgotten."""
+        """End the process; its pending requests are dropped."""
         with self._changed:
             self._closed = True
             self._changed.notify()
@@ -101,7 +101,7 @@ class SideProcess:
     def _begin(self) -> Connection:
         ours, theirs = socket.socketpair()
         command = [sys.executable, "-m", _MODULE, str(theirs.fileno())]
-        # A session of its own: Ctrl-C is for the node.
+        # A separate session, so that Ctrl-C reaches the node only.
         self._process = subprocess.Popen(
             command, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, start_new_session=True
         )
@@ -112,7 +112,8 @@ class SideProcess:
     def _end(self) -> None:
         if self._process is not None:
             self._process.kill()
-            # It is gone as soon as the machine has time for it; who waits longer only waits.
+            # The process ends as soon as the machine has time for it, so waiting longer is harmless. who waits longer
+            # only waits.
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(_FAREWELL)
                 self._process = None

@@ -1,6 +1,6 @@
 """Watch of one incoming topic: age of its last good message, and reasons for rejected messages.
 
-What the node does about a fault stands in `ControlLoop` (`control_loop.py`), and in words in docs/safety.md.
+Reactions of the node to a fault are in `ControlLoop` (`control_loop.py`), and in words in docs/safety.md.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from diffdrive_mpc.mpc.ros.message_series import MessageSeries
 
 
 class TopicWatch:
-    """Keeps account of one topic.
+    """State of one topic.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
-"""Solvers of the condensed problem beside the core's own: one interface, and the loop that asks them.
+"""Backend solvers of the condensed problem, in addition to the core's own: one interface, and the loop that asks them.
 
 A backend is given only the kinds of limit that matter: those that pressed at the last tick or that the minimiser
-without limits breaks. If its solution keeps all others it solves the whole problem; if not, the kinds that it breaks
-are added and it is asked again.
+without limits breaks. If its solution keeps all others it solves the whole problem; if not, the broken kinds are added
+and it solves again.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SHORTEST = 1e-9
 
 
 class Program:
-    """The tick's quadratic program as it lies in the core's memory, which it shares.
+    """The tick's quadratic program in the core's memory, without a copy.
 
     Minimise U'HU/2 + g'U + penalty(soft rows) subject to lower <= values(U) <= upper, U the commands step by step.
 
@@ -153,7 +153,8 @@ class Backend(Protocol):
     ) -> Solved:
         """Solve with these kinds of limit, from a plan (2 N,) and multipliers (kinds, N) near the solution.
 
-        With `time_limit` it ends after so long [s], and does not begin if its factorisation is expected to last longer.
+        With `time_limit` it ends after that time [s], and does not start if its factorisation is expected to take
+        longer.
         """
         ...
 
@@ -161,8 +162,8 @@ class Backend(Protocol):
 class SetUpTime:
     """Processor time of work that a time limit does not interrupt, such as a factorisation.
 
-    The shortest measurement counts: a late one must not keep the solver from ever being asked again. Time of other
-    processes does not count.
+    The shortest measurement counts: a single late one must not disable the solver forever. Time of other processes does
+    not count.
     """
 
     def __init__(self) -> None:
@@ -209,7 +210,7 @@ def ask(
     )
 
 
-# The solvers that may be asked, by their names in the configuration (`solver.method`).
+# Available solvers, by their names in the configuration (`solver.method`).
 
 
 BACKENDS: Mapping[str, str] = {"daqp": "DaqpBackend", "osqp": "OsqpBackend"}

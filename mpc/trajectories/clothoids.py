@@ -1,9 +1,9 @@
 """Paths of continuous, piecewise linear curvature: clothoids in place of the jumps of curvature between arcs.
 
-Around a joint of two arcs three clothoids replace what lies within a reach on both sides; they meet both arcs with
-equal position, heading and curvature, so the path is changed nowhere else and returns to what was drawn. Three are
-what such a joint needs: Bertolazzi and Frego, "On the G2 Hermite interpolation problem with clothoids", J. Comput.
-Appl. Math. 341 (2018). The parts keep one proportion here, which leaves two curvatures and the length to be found.
+Around a joint of two arcs, three clothoids replace the part within a reach on both sides; they meet both arcs with
+equal position, heading and curvature, so the path is changed nowhere else and returns to what was drawn. Such a joint
+needs three: Bertolazzi and Frego, "On the G2 Hermite interpolation problem with clothoids", J. Comput. Appl. Math. 341
+(2018). The parts keep one proportion here, which leaves two curvatures and the length to be found.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from diffdrive_mpc.models.pose import integrate_pose
 _MIDDLE = 0.4
 _PARTS = np.array([(1 - _MIDDLE) / 2, _MIDDLE, (1 - _MIDDLE) / 2])
 _MOST_TURN = math.pi / 2
-# A joint of arcs that reaches no further [m] is none.
+# Reach below which a joint is omitted [m].
 _TINY = 1e-9
 _LOOKS = np.linspace(0.0, 1.0, 41)
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 
 class Clothoid(NamedTuple):
-    """A stretch of path whose curvature goes linearly over its arc length."""
+    """Stretch of path whose curvature is linear in arc length."""
 
     length: float
     """[m], positive."""
@@ -105,7 +105,8 @@ def joint(before: float, after: float, longest: float, distance: float) -> Joint
 
     if excess(most) <= 0:
         return made(most)
-    # The distance goes with the square of the reach. A hair less, so that it is kept and not only met.
+    # The distance is proportional to the square of the reach. It is reduced slightly to stay below the limit in spite
+    # of rounding. A hair less, so that it is kept and not only met.
     return made(most * brentq(lambda share: excess(share * most) + 0.001 * distance, 1e-6, 1.0, xtol=1e-6))
 
 

@@ -40,7 +40,7 @@ class TrajectoryLimits:
         Largest lateral acceleration |v omega|, which smooth timing keeps to [m/s^2]; by default that of the robot of
         the papers.
     min_turn_radius
-        Turns are no tighter [m]; 0 allows turning on the spot. Only the way back to a reference looks at it.
+        Turns are no tighter [m]; 0 allows turning on the spot. Only paths back to a reference use it.
     """
 
     v: float
@@ -73,7 +73,7 @@ class TrajectoryLimits:
     def of_controller(cls, limits: Limits) -> TrajectoryLimits:
         """Return the speed limits of a controller's configuration, and accelerations within its slew limits.
 
-        Of slew limits with two sides a share is left to tracking; one number is used in full, as ever.
+        For slew limits with two sides a share is reserved for tracking; a single number is used in full.
         """
         usual = cls.of_robot()
 

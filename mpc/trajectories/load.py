@@ -98,7 +98,7 @@ def load_segments(name_or_path: str | Path) -> tuple[Segment, ...]:
 
 
 def _read(path: Path, limits: TrajectoryLimits, timing: Timing | None) -> Trajectory:
-    # Paths of arcs, as most of the shipped ones are, do without SciPy, which all others are laid with.
+    # Paths of arcs, which most shipped ones are, do not need SciPy.
     if path.suffix.lower() == ".csv":
         from diffdrive_mpc.mpc.trajectories.timed_poses import read_timed_poses  # noqa: PLC0415
 

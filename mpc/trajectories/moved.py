@@ -52,7 +52,7 @@ class MovedReference:
 
     @cached_property
     def native(self) -> NativeTrajectory | None:
-        """The same in the compiled core, where that can sample the original."""
+        """The same in the compiled core, if it can sample the original."""
         native = getattr(self.original, "native", None)
         if not isinstance(native, NativeTrajectory) or any(native.struct.motion):
             return None
@@ -100,11 +100,11 @@ def scaled_to_robot(
 ) -> ArcTrajectory:
     """Scale a path of segments by the robot's track over that of the robot of the papers.
 
-    A robot with a least turn radius gets a path whose tightest turn is wider than that.
-    It is driven as fast as a share of what the robot can reach allows, and stops where the curvature jumps. A robot
-    reaches its limits of the command times the model's steady-state gain, as far as its wheels get so fast, and follows
-    a share of its limits of the slew. As it answers late, an acceleration takes its lag's worth more command: the same
-    share of what the speed leaves. The shares stand in `settings.yaml`.
+    A robot with a minimum turn radius gets a path whose tightest turn is wider. Its speed is a share of what the robot
+    can reach, and it stops where the curvature jumps. A robot reaches its limits of the command times the model's
+    steady-state gain, as far as its wheels get so fast, and follows a share of its limits of the slew. As it answers
+    late, an acceleration takes its lag's worth more command: the same share of what the speed leaves. The shares are in
+    `settings.yaml`.
 
     Parameters
     ----------

@@ -94,7 +94,7 @@ class NativeReference:
     struct
         For the core.
     complete
-        Whether the core can sample all of it; else it knows duration and end only, and Python has to say what to track.
+        Whether the core can sample all of it; otherwise it knows only duration and end, and Python provides the target.
     """
 
     def __init__(self, reference: Reference) -> None:
@@ -127,7 +127,7 @@ def _rest(reference: Reference) -> NativeTrajectory:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TableTrajectory(Trajectory):
-    """A trajectory that the compiled core samples; subclasses say what its `breaks` and `table` hold."""
+    """A trajectory that the compiled core samples; subclasses define its `breaks` and `table`."""
 
     breaks: FloatArray
     table: FloatArray

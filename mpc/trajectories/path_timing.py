@@ -1,4 +1,4 @@
-"""Time along a path: the fastest speed that keeps to the speed and acceleration limits, by two passes."""
+"""Time along a path: the maximum speed within the speed and acceleration limits, by two passes."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def timed(
     poses = np.column_stack([path.points, path.heading])
     along = sense * np.column_stack([np.cos(path.heading), np.sin(path.heading)])
     rates = v[:, None] * np.column_stack([along, path.curvature])
-    # Between the nodes the heading is a cubic, whose yaw acceleration may exceed the timed one by a hair.
+    # Between the nodes the heading is a cubic, whose yaw acceleration may slightly exceed the timed one.
     slower = np.sqrt(max(1.0, _yaw_acceleration(times, path.heading, rates[:, 2]) / limits.omega_acceleration))
     return times * slower, poses, rates / slower
 

@@ -1,8 +1,8 @@
 """Segments driven without a stop where the curvature jumps: clothoids round the jumps, a speed within all limits.
 
-Only the path is changed, by no more than a stated distance. The robot still stops where it has to: at cusps, and before
-and after a turn on the spot or a wait, which stay what they are. A segment that turns more tightly than the settings'
-least radius counts as a turn on the spot.
+Only the path changes, by at most a stated distance. The robot still stops where necessary: at cusps, and before and
+after a turn on the spot or a wait, which do not change. A segment that turns more tightly than the settings' least
+radius counts as a turn on the spot.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def lay_smooth(
     smoothing: float | None = None,
     caps: SpeedCaps | None = None,
 ) -> SplineTrajectory:
-    """Turn `segments` into a trajectory of continuous curvature, from rest to rest, that stops only where it must.
+    """Convert `segments` to a trajectory of continuous curvature, from rest to rest, with as few stops as possible.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def lay_smooth(
 
 
 def _check_work(segments: Sequence[Segment], where: str) -> None:
-    """Raise ConfigError where there are too many pieces or joints, before any is made."""
+    """Raise ConfigError for too many pieces or joints, before any is built."""
     settings = load_settings()
     driven = [(segment, bool(_sense(segment))) for segment in segments]
     pieces = sum(
@@ -135,7 +135,7 @@ def _driven(
     """Compute nodes of segments that are driven in one direction, from rest to rest."""
     bends = [segment.omega / abs(segment.v) for segment in run]
     lengths = [abs(segment.v) * segment.duration for segment in run]
-    # Half of a segment for the joint at each of its ends, all of it where it has only one.
+    # Each joint gets half of a segment, or all of it if the segment has only one.
     room = [length / 2 for length in lengths]
     room[0], room[-1] = lengths[0], lengths[-1]
     joints = [joint(*pair, min(spaces), distance) for pair, spaces in zip(pairwise(bends), pairwise(room), strict=True)]
@@ -154,7 +154,7 @@ def _driven(
     drawn: list[FloatArray] = [np.zeros(1)]
     off: dict[Joint, FloatArray] = {}
     for parts, cruise, rounded in blocks:
-        # From rest to rest there has to be a node at which it moves.
+        # Between two stops there has to be a moving node.
         least = 2 if len(blocks) == len(parts) == 1 else 1
         counts = [max(least, math.ceil(part.length / spacing)) for part in parts]
         since = np.cumsum(np.repeat([part.length / n for part, n in zip(parts, counts, strict=True)], counts))

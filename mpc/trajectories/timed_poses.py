@@ -173,11 +173,11 @@ def _check_speeds(
             )
 
 
-# Trajectories from arrays in memory: the checks of what arrives, and the headings where none are given.
+# Trajectories from arrays in memory: checks of the input, and headings if none are given.
 
 
 _MOVING_SHARE = 0.01
-"""Below this share of the top speed a path has no direction of its own: the robot keeps its heading."""
+"""Share of the maximum speed below which a path has no direction: the robot keeps its heading."""
 _MISFIT_SHARE, _MISFIT = 0.6, {"v": 0.05, "omega": 0.1}
 """Twists may differ from the change of the poses by noise; a wrong unit or sign differs by more [-, m/s, rad/s]."""
 _ASIDE, _ALONG = 0.3, 0.1

@@ -33,8 +33,8 @@ class Phase(NamedTuple):
 def rest_to_rest(lengths: Sequence[float], cruises: Sequence[float], acceleration: float) -> list[list[Phase]]:
     """Time consecutive stretches of path, starting and ending at rest, as fast as the bounds allow.
 
-    A forward and a backward pass lower the speeds at the joints to what the acceleration can reach; each stretch then
-    gets a trapezoid, or a triangle where it is too short to reach its cruise speed.
+    A forward and a backward pass reduce the speeds at the joints to those that the acceleration permits; each stretch
+    then gets a trapezoid, or a triangle if it is too short for its cruise speed.
 
     Parameters
     ----------

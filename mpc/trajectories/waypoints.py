@@ -1,4 +1,4 @@
-"""Trajectories through waypoints: a smooth path, then a speed along it that keeps to the limits."""
+"""Trajectories through waypoints: a smooth path, then a speed profile within the limits."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Transforms of the last seconds, by the frame that they place; looked up along chains of frames, at any time kept.
 
 As tf2 does it: no transform is guessed beyond its newest stamp, and without a time the newest is taken that the whole
-chain has. Beside that it says what is wrong: loops, frames placed by two parents in turns, stamps from the future.
+chain has. It also reports faults: loops, frames placed by two parents in turns, stamps from the future.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ MOST_KEPT = 4000
 """Maximum number of transforms of one frame; a frame beyond 400 Hz is stored for a shorter time."""
 _NORM_TOLERANCE = 1e-2
 _DISPUTED = 2
-"""A frame whose parent has changed so often within the time that is kept has more than one."""
+"""Number of parent changes in the stored time from which a frame counts as having two parents."""
 
 
 class TransformError(DiffdriveMpcError, ValueError):
-    """A transform cannot be used, or there is none; says why, in few words."""
+    """Error of an unusable or missing transform; says why, in few words."""
 
     def __init__(self, reason: str) -> None:
-        super().__init__(plain_line(reason))  # frames in it are anybody's text, and logs go to terminals
+        super().__init__(plain_line(reason))  # its frame names are untrusted text, and logs go to terminals
 
 
 class TransformLookup(NamedTuple):
@@ -67,7 +67,7 @@ class _Placed:
 
 
 class TransformBuffer:
-    """Keeps what /tf and /tf_static state."""
+    """Buffer of the transforms on /tf and /tf_static."""
 
     def __init__(self) -> None:
         self._frames: dict[str, _Placed] = {}

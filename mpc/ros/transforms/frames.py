@@ -51,7 +51,7 @@ class Frames:
             self.accepted += 1
 
     def refuse(self, reason: str) -> None:
-        """Count what cannot be used, and why."""
+        """Count unusable transforms and their reasons."""
         self.refused += 1
         self.last_refusal = reason
 

@@ -1,4 +1,4 @@
-"""Rigid motions in space, as /tf states them, and what of them lies in the plane."""
+"""Rigid motions in space, as on /tf, and their part in the plane."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 
 _NEARLY = 1.0 - 1e-9
-"""Cosine between two quaternions from which they are interpolated along the chord [-]."""
+"""Cosine between two quaternions above which they are interpolated along the chord [-]."""
 
 
 class Rigid(NamedTuple):

@@ -1,4 +1,4 @@
-"""A planner's path as a timed reference: cut at the robot, smoothed, timed, with turns where it has to turn."""
+"""A planner's path as a timed reference: cut at the robot, smoothed, timed, with turns on the spot if needed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from diffdrive_mpc.mpc.trajectories.smooth_path import SmoothPath, smooth_path
 from diffdrive_mpc.mpc.trajectories.smooth_segments import Nodes, turned
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 
-# What a planner's poses say: which parts are driven forwards, which backwards, and where the robot turns.
+# Interpretation of a planner's poses: parts driven forwards, backwards, and turns.
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +53,8 @@ def read_runs(poses: FloatArray, robot: FloatArray, *, backwards: bool = True) -
     """Cut a path where its direction changes.
 
     A part whose poses point against the travel is driven backwards; poses that stay at one place and turn are a turn on
-    the spot. Some planners state no headings but the last: all others are 0, exactly. They are not believed where the
-    travel, or the robot, is at odds with that; such a path is driven forwards.
+    the spot. Some planners state no headings but the last: all others are 0, exactly. They are ignored if the travel,
+    or the robot, contradicts that; such a path is driven forwards.
 
     Parameters
     ----------
@@ -139,7 +139,8 @@ def _without_hairpins(run: DirectedPart) -> list[DirectedPart]:
     vertex = run.points[inside]
     before, after = vertex - place(along[inside] - reach), place(along[inside] + reach) - vertex
     turn = np.abs(np.arctan2(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], (before * after).sum(axis=1)))
-    # Beside the place where it turns, the way there and the way back cancel: there the chords are longest.
+    # Next to a reversal, the paths to it and from it cancel, so the chords are longest there. there the chords are
+    # longest.
     sharpness = np.hypot(*before.T) * np.hypot(*after.T)
     cuts: list[int] = []
     for i in sorted(np.flatnonzero(turn > settings.hairpin), key=lambda i: -sharpness[i]):
@@ -165,10 +166,11 @@ def _without_hairpins(run: DirectedPart) -> list[DirectedPart]:
 _PIECES = 3
 # Of a smoothed line that is to bend at all.
 _LEAST_POINTS = 8
-# Points beyond an end that say how a line gets there; curvature there at most [1/m].
+# Points beyond an end that define the direction of a line; curvature there at most [1/m]. curvature there at most
+# [1/m].
 _BEYOND = 3
 _TIGHTEST = 3.0
-# A smaller turn is rounding [rad], a slower robot stands [m/s].
+# Turn below which it counts as rounding [rad], and speed below which the robot stands [m/s].
 _NO_TURN, _STANDING = 1e-3, 0.02
 _AT_ONCE = 1e-9  # [s]
 
@@ -224,9 +226,9 @@ def lay_poses(
 ) -> Laid:
     """Lay a reference along a planner's poses, to rest at the last of them, heading included.
 
-    It begins where the robot is along the path, with the twist that the robot has, so that a new path takes over from
-    another without a stop. It stops where the direction changes and where it has to turn on the spot: before the path
-    where the robot stands and looks elsewhere, and at its end where the goal has another heading than the path.
+    It starts at the robot's place along the path with the robot's twist, so that a new path replaces another without a
+    stop. It stops at reversals and at turns on the spot: before the path if the robot stands with another heading, and
+    at its end if the goal has another heading than the path.
 
     Parameters
     ----------
@@ -312,7 +314,7 @@ def poses_left(poses: FloatArray, robot: FloatArray) -> FloatArray:
     distance = np.hypot(*(feet - robot[:2]).T)
     # Not further than it can have come: the path may come by here once more.
     near = along[:-1] <= 2.0 * float(np.hypot(*(robot - poses[0])[:2])) + load_settings().spacing
-    # Nor beyond a place where it turns back.
+    # Nor beyond a reversal.
     back = np.flatnonzero((step[1:] * step[:-1]).sum(axis=1) < 0)
     if back.size:
         near[back[0] + 1 :] = False
@@ -359,7 +361,8 @@ def _smoothed(
         if abs(float(wrap_angle(travel - math.atan2(chord[1], chord[0])))) > settings.bendable:
             continue
         ends[-1] = travel
-        # Points beyond the end, on the arc or the straight line that leads there: the line goes on from them.
+        # Points beyond the end, on the arc or straight line to it, from which the line continues. the line goes on from
+        # them.
         beyond = spacing * np.arange(1, _BEYOND + 1)
         turn = -0.5 * beyond * (bend if side > 0 and robot is not None else 0.0)
         direction = travel + turn
