@@ -50,15 +50,15 @@ class PlatformWheel(bdist_wheel):
     """A wheel for one platform and any Python 3: the core is a plain library, not a module of one Python."""
 
     def get_tag(self) -> tuple[str, str, str]:
-        """Tag of the wheel."""
+        """Return the tag of the wheel."""
         return "py3", "none", super().get_tag()[2]
 
 
 class WithLibrary(Distribution):
-    """What is installed is not the same everywhere."""
+    """Distribution with a compiled library, which depends on the platform."""
 
     def has_ext_modules(self) -> bool:
-        """Whether there is compiled code."""
+        """Return True if the distribution contains compiled code."""
         return True
 
 

@@ -15,7 +15,7 @@ NUMBER = r"\d[\d.e+-]*"
 
 
 def differences(new: object, shipped: object, place: str = "") -> list[str]:
-    """Places at which two parameter files disagree."""
+    """List the places at which two parameter files disagree."""
     if isinstance(new, dict) and isinstance(shipped, dict):
         if new.keys() != shipped.keys():
             return [f"{place}: keys differ"]
@@ -32,8 +32,10 @@ def differences(new: object, shipped: object, place: str = "") -> list[str]:
 
 complaints = []
 for new, shipped in zip(sys.argv[1::2], sys.argv[2::2], strict=True):
-    found = differences(*(yaml.safe_load(Path(name).read_text()) for name in (new, shipped)), place=Path(shipped).name)
-    print(f"{shipped}: {'as shipped' if not found else 'differs'}")
-    complaints += found
+    mismatches = differences(
+        *(yaml.safe_load(Path(name).read_text()) for name in (new, shipped)), place=Path(shipped).name
+    )
+    print(f"{shipped}: {'as shipped' if not mismatches else 'differs'}")
+    complaints += mismatches
 if complaints:
     sys.exit("\n".join(complaints))

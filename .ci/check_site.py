@@ -32,7 +32,7 @@ class Quiet(SimpleHTTPRequestHandler):
 
 @contextmanager
 def served(folder: Path) -> Iterator[str]:
-    """Address of a plain web server for the files of `folder`."""
+    """Serve the files of `folder` by a plain web server; yield its address."""
     with ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=folder)) as server:
         Thread(target=server.serve_forever, daemon=True).start()
         yield f"http://127.0.0.1:{server.server_port}"
@@ -41,14 +41,18 @@ def served(folder: Path) -> Iterator[str]:
 
 def watched(page: Page, home: str, faults: list[str]) -> None:
     """Add what `page` says, and whom it asks, to `faults`."""
-    page.on("console", lambda said: faults.append(f"{page.url}: {said.text}") if said.type == "error" else None)
+    page.on(
+        "console", lambda message: faults.append(f"{page.url}: {message.text}") if message.type == "error" else None
+    )
     page.on("pageerror", lambda error: faults.append(f"{page.url}: {error}"))
-    page.on("request", lambda asked: None if is_own(asked.url, home) else faults.append(f"{page.url}: {asked.url}"))
+    page.on(
+        "request", lambda request: None if is_own(request.url, home) else faults.append(f"{page.url}: {request.url}")
+    )
     page.on("response", lambda got: faults.append(f"{page.url}: {got.url} {got.status}") if got.status >= 400 else None)
 
 
 def is_own(url: str, home: str) -> bool:
-    """Whether an address is that of the site, or holds its content itself."""
+    """Return True if an address is that of the site, or contains its content itself."""
     return url.startswith((f"{home}/", "data:", "blob:"))
 
 
@@ -64,19 +68,19 @@ def open_all(page: Page, home: str, site: Path, faults: list[str]) -> int:
 
 
 def search(page: Page, home: str) -> str:
-    """Title of the page that the first find of the search box leads to."""
+    """Return the title of the page behind the first result of the search box."""
     # The index is read by a worker of the page; on a busy machine it sometimes does not start, and a reader loads anew.
     for patience in (30_000, 30_000, 120_000):
         page.goto(f"{home}/index.html")
         page.locator("label.md-header__button[for=__search]").click()
         page.locator("input.md-search__input").fill(SOUGHT)
-        found = page.locator("a.md-search-result__link").first
+        result = page.locator("a.md-search-result__link").first
         with suppress(NothingYet):
-            found.wait_for(timeout=patience)
+            result.wait_for(timeout=patience)
             break
     else:
         raise AssertionError(f"nothing was found for '{SOUGHT}', in three visits of the page")
-    found.click()
+    result.click()
     page.wait_for_url(lambda url: "index.html" not in url)
     text = page.locator("article").inner_text().lower()
     assert SOUGHT in text, f"{page.url} does not speak of '{SOUGHT}'"
@@ -86,7 +90,7 @@ def search(page: Page, home: str) -> str:
 def download(page: Page, home: str) -> int:
     """Download every tutorial's notebook by its link; returns how many there are."""
     page.goto(f"{home}/tutorials/index.html")
-    tutorials = {str(one.get_attribute("href")) for one in page.locator("article table a").all()}
+    tutorials = {str(link.get_attribute("href")) for link in page.locator("article table a").all()}
     for name in tutorials:
         page.goto(f"{home}/tutorials/{name}")
         with page.expect_download() as coming:

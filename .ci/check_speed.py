@@ -14,14 +14,14 @@ COST_RATIO = 0.01
 
 content = json.loads(Path(sys.argv[1]).read_text())
 records = content["records"]
-complaints = [f"{one['solver']} is missing: {one['reason']}" for one in content["missing"]]
+complaints = [f"{absent['solver']} is missing: {absent['reason']}" for absent in content["missing"]]
 cases = {(record["model"], record["horizon"]) for record in records}
 for model, horizon in sorted(cases):
     case = [record for record in records if (record["model"], record["horizon"]) == (model, horizon)]
-    found = {record["solver"]: record for record in case}
-    complaints += [f"{model} {horizon}: no {name}" for name in (*OURS, *PEERS) if name not in found]
-    converged = found["casadi/ipopt"]["closed_loop_cost"]
-    for name, record in found.items():
+    by_solver = {record["solver"]: record for record in case}
+    complaints += [f"{model} {horizon}: no {name}" for name in (*OURS, *PEERS) if name not in by_solver]
+    converged = by_solver["casadi/ipopt"]["closed_loop_cost"]
+    for name, record in by_solver.items():
         where = f"{name}, {model} {horizon}"
         complaints += [f"{where}: no {key}" for key in KEYS - set(record)]
         times = [record[key] for key in TIMES]
@@ -33,7 +33,7 @@ for model, horizon in sorted(cases):
             complaints.append(f"{where}: gap {record['gap_v_p50']:.1e} m/s, {record['gap_omega_p50']:.1e} rad/s")
         if abs(record["closed_loop_cost"] / converged - 1) > COST_RATIO:
             complaints.append(f"{where}: cost {record['closed_loop_cost']:.5f}, converged {converged:.5f}")
-    print(f"{model}, N = {horizon}: {len(found)} solvers, median gaps and costs as promised")
+    print(f"{model}, N = {horizon}: {len(by_solver)} solvers, median gaps and costs as promised")
 if not cases:
     complaints.append("no records")
 if complaints:

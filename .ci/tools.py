@@ -1,4 +1,4 @@
-"""What is installed under which licence (`bill`), and what is known against it (`audit`).
+"""Licences of the installed packages (`bill`), and their known vulnerabilities (`audit`).
 
 The tools live in an environment of their own, made from tools.txt with its hashes and kept in the user's cache.
 """
@@ -21,7 +21,7 @@ _COPYLEFT = {"GPL or LGPL": ("GPL", "General Public License"), "MPL": ("MPL", "M
 
 
 def main() -> None:
-    """Carry out `bill PYTHON OUT` or `audit REQUIREMENTS...`."""
+    """Run `bill PYTHON OUT` or `audit REQUIREMENTS...`."""
     command, *words = sys.argv[1:]
     if command == "bill":
         bill(words[0], Path(words[1]))
@@ -39,8 +39,8 @@ def bill(python: str, out: Path) -> None:
     )
     components = json.loads(out.read_text(encoding="utf-8"))["components"]
     licences = {
-        one["name"]: " ".join(str(licence.get("license", licence)) for licence in one.get("licenses", ()))
-        for one in components
+        component["name"]: " ".join(str(licence.get("license", licence)) for licence in component.get("licenses", ()))
+        for component in components
     }
     print(f"{out}: {len(components)} components")
     for kind, words in _COPYLEFT.items():
@@ -50,49 +50,49 @@ def bill(python: str, out: Path) -> None:
 
 
 def audit(lists: list[str]) -> None:
-    """Ask for known vulnerabilities of what the lists pin; exits with 1 where there are some.
+    """Audit the packages that the lists pin; exit with 1 if there are vulnerabilities.
 
     Where nobody could be asked it says so, and does not fail: that a service is down is no fault of what is tested.
     """
     with tempfile.TemporaryDirectory() as folder:
         probe = Path(folder) / "probe.txt"
         probe.write_text(f"{_KNOWN_BAD}\n", encoding="utf-8")
-        found, reason = _asked(str(probe), "--no-deps")
-    if not any(one.get("vulns") for one in found):
+        packages, reason = _asked(str(probe), "--no-deps")
+    if not any(package.get("vulns") for package in packages):
         print(f"NOT AUDITED: nothing is said against {_KNOWN_BAD}, which has known vulnerabilities ({reason})")
         print("  elsewhere: make audit; or give the bill of materials (make bill) to a scanner")
         return
     bad, unknown, count = list[str](), list[str](), 0
     for name in lists:
-        found, reason = _asked(name)
-        if not found:
+        packages, reason = _asked(name)
+        if not packages:
             print(f"NOT AUDITED: {name} ({reason})")
-        count += sum("vulns" in one for one in found)
+        count += sum("vulns" in package for package in packages)
         bad += [
-            f"{one['name']} {one['version']}: {', '.join(v['id'] for v in one['vulns'])}"
-            for one in found
-            if one.get("vulns")
+            f"{package['name']} {package['version']}: {', '.join(v['id'] for v in package['vulns'])}"
+            for package in packages
+            if package.get("vulns")
         ]
-        unknown += [one["name"] for one in found if "vulns" not in one]
+        unknown += [package["name"] for package in packages if "vulns" not in package]
     print(f"audited: {count} packages; not known to the service: {', '.join(sorted(set(unknown))) or 'none'}")
     if bad:
         sys.exit("known vulnerabilities:\n  " + "\n  ".join(sorted(set(bad))))
 
 
 def _asked(requirements: str, *more: str) -> tuple[list[dict[str, object]], str]:
-    """What pip-audit says of each package of a list, and why where it says nothing."""
+    """Return pip-audit's result for each package of a list, or the reason for its failure."""
     words = ["--requirement", requirements, "--disable-pip", *more]
     words += ["--format", "json", "--progress-spinner", "off", "--timeout", "15"]
     done = subprocess.run([tool("pip-audit"), *words], capture_output=True, text=True, check=False)
     try:
         return list(json.loads(done.stdout)["dependencies"]), "the service that was asked does not know it"
     except (ValueError, KeyError):
-        said = done.stderr.strip().splitlines()
-        return [], said[-1][:200] if said else f"exit code {done.returncode}"
+        errors = done.stderr.strip().splitlines()
+        return [], errors[-1][:200] if errors else f"exit code {done.returncode}"
 
 
 def tool(name: str) -> str:
-    """Path of a tool; its environment is made where it is not there."""
+    """Return the path of a tool; create its environment if it is missing."""
     digest = hashlib.sha256(_LIST.read_bytes() + sys.version.encode()).hexdigest()[:16]
     folder = user_folder() / "tools" / digest
     if not (folder / ".ready").is_file():

@@ -1,1 +1,1 @@
-"""What people touch: the command line, and what stands behind each of its commands."""
+"""Command line, and the functions behind each of its commands."""

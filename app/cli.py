@@ -35,14 +35,14 @@ class Commands(PackagedGroup, OneLineErrors):
 
 
 class CommandEntry(NamedTuple):
-    """Where a command is, below `app.commands`."""
+    """Place of a command below `app.commands`."""
 
     panel: str
     module: str
     function: str = ""
     """By default called as the command."""
     passed_on: bool = False
-    """Whether words that it does not know are left to it."""
+    """True if the command handles unknown words itself."""
 
 
 _COMMANDS = {
@@ -74,7 +74,7 @@ def command_line(words: Sequence[str] = ()) -> typer.Typer:
         context_settings={"help_option_names": ["-h", "--help"]},
         help="Model-predictive trajectory tracking for skid-steer and differential-drive robots.",
     )
-    made.callback(epilog="Example: diffdrive-mpc bench --quick --out results")(_options)
+    made.callback(help=_HELP, epilog="Example: diffdrive-mpc bench --quick --out results")(_options)
     added = {name: name.partition(".") for name in plug_in_names("commands")}
     every = _COMMANDS.keys() | _GROUPS.keys() | {first for first, _, _ in added.values()}
     chosen = {*words[:1]} & every or every
@@ -131,24 +131,27 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
+_HELP = "Model-predictive trajectory tracking for skid-steer and differential-drive robots."
+
+
 def _options(
     version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
-    """Model-predictive trajectory tracking for skid-steer and differential-drive robots."""
+    """Accept the options of the program itself."""
 
 
 @cache
 def __getattr__(name: str) -> typer.Typer:
-    """`app`, the whole command line, made when it is first asked for."""
+    """Create `app`, the whole command line, on first access."""
     if name != "app":
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
     return command_line()
 
 
 def main() -> None:
-    """Entry point of the console command."""
+    """Run the console command."""
     leave_on_sigterm()
     # Matrices are small, and campaigns have processes: threads of NumPy cost more than they bring, and another number
     # of them rounds otherwise. What the user sets counts.

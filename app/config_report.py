@@ -86,6 +86,6 @@ def print_schema(part: str | None = None) -> None:
 
 
 def _is_part(key: str, part: str) -> bool:
-    """Whether a key is `part` or stands in it, named with its room or without; `expert` is all of the second room."""
+    """Return True if a key is `part` or belongs to it, with or without its room; `expert` is all of the second room."""
     plain, whole = plain_key(key), plain_key(part)
     return key.startswith(f"{part}.") or plain == whole or plain.startswith((f"{whole}.", f"{whole}[]."))

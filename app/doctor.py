@@ -72,8 +72,12 @@ def _python() -> Check:
 def _dependencies() -> Check:
     """Compare installed versions with the requirements of the package, without its extras."""
     requirements = [Requirement(text) for text in requires("diffdrive-mpc") or []]
-    wanted = [one for one in requirements if one.marker is None or one.marker.evaluate({"extra": ""})]
-    faults = [fault for one in wanted if (fault := _fault(one))]
+    wanted = [
+        requirement
+        for requirement in requirements
+        if requirement.marker is None or requirement.marker.evaluate({"extra": ""})
+    ]
+    faults = [fault for requirement in wanted if (fault := _fault(requirement))]
     versions = ", ".join(f"{name} {_installed(name)}" for name in _SHOWN)
     remedy = "pip install --upgrade diffdrive-mpc"
     return Check("dependencies", not faults, "; ".join(faults) or versions, remedy, is_required=True)

@@ -40,7 +40,7 @@ def print_model(name: str) -> None:
 
 
 def model_text(model: VelocityModel | NonlinearModel, width: int = 140) -> str:
-    """Matrices or architecture, poles, gains and provenance as lines of text; matrices are at most `width` wide."""
+    """Format matrices or architecture, poles, gains and provenance as text; matrices are at most `width` wide."""
     lines = _function_lines(model) if isinstance(model, NonlinearModel) else _linear_lines(model, width)
     return "\n".join([*lines, *_provenance_lines(model.provenance)])
 

@@ -22,7 +22,7 @@ WriteLog = Callable[..., None]
 
 
 def holds_plans(log: Path | None) -> bool:
-    """Whether a log of this name holds what the controller predicted, so that the run has to keep it."""
+    """Return True if a log of this name contains predictions, which the run must then store."""
     return log is not None and log.suffix == ".mcap"
 
 
@@ -68,18 +68,18 @@ def run_log(log: Path | None) -> Iterator[WriteLog]:
 
 
 def repeating(case: Case) -> list[str]:
-    """Arguments of `simulate` that drive a case again."""
+    """Return the arguments of `simulate` that repeat a case."""
     chosen = [
         dimension for dimension in DIMENSIONS if getattr(case, dimension.name) not in (dimension.default, NO_MODEL)
     ]
-    words = [word for one in chosen for word in (one.option, str(getattr(case, one.name)))]
+    words = [word for option in chosen for word in (option.option, str(getattr(case, option.name)))]
     words += ["--config", case.config] if case.config else []
     words += ["--scale-to-robot"] if case.scaled else []
     return words + [word for key, value in case.overrides for word in ("--set", f"{key}={value}")]
 
 
 def _told(case: Case, command: Sequence[str]) -> dict[str, Mapping[str, str]]:
-    """What the file says of the run, by name of the record."""
+    """Return the metadata of the run, by name of the record."""
     labels = {name: str(value) for name, value in case.labels.items()}
     version = {"version": project_version(), "repeat": shlex.join(["diffdrive-mpc", *command])}
     metadata: dict[str, Mapping[str, str]] = {"case": {**version, **labels}}

@@ -1,1 +1,1 @@
-"""What compares: cases, runs, peers, tables, and the report."""
+"""Comparison of controllers: cases, runs, peers, tables, and the report."""

@@ -1,4 +1,4 @@
-"""What a run consists of: one value of each dimension.
+"""Definition of a run by one value of each dimension.
 
 The fields of `Case` are the only place where a dimension is declared. Options, plan, names in tables, figures and JSON,
 and the introduction of a report follow from them; docs/recipes.md shows how to add one.
@@ -26,7 +26,7 @@ NO_SCENARIO, NO_MODEL, AS_FILED = "none", "none", "file"
 MOST_SEEDS = 10_000
 """More runs of one case than this take days, and their list alone could fill the memory."""
 MOST_CASES = 100_000
-"""Of one study: some days on two cores, and a gigabyte of results."""
+"""Maximum number of cases of one study: some days on two cores, and a gigabyte of results."""
 COMPARED = (
     *((peer, NO_MODEL) for peer in ("lqr+slip", "kanayama+slip", "pursuit+slip")),
     *(("mpc", model) for model in ("kinematic", "two_delays", "mbm", "sm", "ssm")),
@@ -70,7 +70,7 @@ def split_numbers(text: str, option: str, *, least: int, most: int | None = None
 
 
 def parse_seeds(text: str, option: str = "--seeds") -> tuple[int, ...]:
-    """`5` means the seeds 0 to 4, a list with commas (`7,` or `3,4`) those seeds; raises ValueError otherwise."""
+    """Parse seeds: `5` means the seeds 0 to 4, a list with commas (`7,` or `3,4`) those seeds; raise ValueError."""
     numbers = split_numbers(text, option, least=0)
     if "," in text:
         return numbers
@@ -125,7 +125,7 @@ class Dimension:
 
     @property
     def place(self) -> bool:
-        """Whether it says where a run takes place; it is part of a controller's name in tables where it varies."""
+        """True for a dimension of the place of a run; it is part of a controller's name in tables if it varies."""
         return self.name not in ("controller", "model", "trajectory", "seed")
 
 
@@ -196,7 +196,7 @@ class Case:
     gains: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
-        """Give the run the name of its plant as trajectory if it asks for none and the plant has its own."""
+        """Set the trajectory to the name of the plant if none is given and the plant has its own path."""
         if self.trajectory == _trajectory_default() and split_plant(self.plant) is not None:
             object.__setattr__(self, "trajectory", self.plant)
 
@@ -214,28 +214,28 @@ class Case:
         return {dimension.name: label(getattr(self, dimension.name)) for dimension in DIMENSIONS}
 
     def as_row(self, leave_out: Container[str] = ()) -> dict[str, object]:
-        """Value of each dimension for JSON, but of those whose names are in `leave_out`."""
+        """Return the value of each dimension for JSON, without those in `leave_out`."""
         values = {
             dimension.name: getattr(self, dimension.name) for dimension in DIMENSIONS if dimension.name not in leave_out
         }
         return {name: label(value) if isinstance(value, str) else value for name, value in values.items()}
 
     def with_override(self, key: str, value: object) -> Case:
-        """The same case with one configuration value replaced."""
-        kept = tuple(pair for pair in self.overrides if pair[0] != key)
-        return replace(self, overrides=(*kept, (key, value)))
+        """Return the case with one configuration value replaced."""
+        remaining = tuple(pair for pair in self.overrides if pair[0] != key)
+        return replace(self, overrides=(*remaining, (key, value)))
 
 
 DIMENSIONS: tuple[Dimension, ...] = tuple(
     replace(
-        one,
-        name=of.name,
-        compared=one.compared or (one.default,),
-        list_option=one.list_option or replace(one, name=of.name).option,
-        list_help=one.list_help or one.help,
+        entry,
+        name=member.name,
+        compared=entry.compared or (entry.default,),
+        list_option=entry.list_option or replace(entry, name=member.name).option,
+        list_help=entry.list_help or entry.help,
     )
-    for of in fields(Case)
-    if (one := of.metadata.get("dimension"))
+    for member in fields(Case)
+    if (entry := member.metadata.get("dimension"))
 )
 """Every dimension, in order."""
 
@@ -245,20 +245,20 @@ def _trajectory_default() -> str:
 
 
 def combinations(**values: Iterable[object]) -> list[Case]:
-    """A case for each combination of values of some fields, the last varying fastest; others have their defaults.
+    """Return a case for each combination of values of some fields, the last varying fastest, with other defaults.
 
     Raises ValueError where there are more than `MOST_CASES`.
     """
     listed = [tuple(several) for several in values.values()]
     check_count(math.prod(map(len, listed)))
     fixed = [dict(zip(values, chosen, strict=True)) for chosen in itertools.product(*listed)]
-    return [Case(**one) for one in fixed]  # type: ignore[arg-type]
+    return [Case(**entry) for entry in fixed]  # type: ignore[arg-type]
 
 
 def label(value: object) -> str:
     """Return a value; a path without folders and ending. "model:PATH+SECONDS" and "KIND:PATH@PLANT" keep the rest."""
-    inner, at, outer = str(value).rpartition("@")
-    if at and outer.partition(":")[0] in BUILT_IN:
+    inner, at_sign, outer = str(value).rpartition("@")
+    if at_sign and outer.partition(":")[0] in BUILT_IN:
         return f"{label(inner)}@{label(outer)}"
     kind, separator, rest = str(value).rpartition(":")
     base = Path(rest).name

@@ -16,7 +16,7 @@ from diffdrive_mpc.bench.html_report.page import Chart, GridMap, Mark, RunViews,
 from diffdrive_mpc.models.interface import FloatArray
 
 _WIDTH, _HEIGHT, _LEGEND_ROW = 4.6, 3.4, 0.22
-"""Of a chart, and of each row of names below it [inches]."""
+"""Size of a chart, and of each row of names below it [inches]."""
 _NAMES_IN_A_ROW = 3
 _DENSE = 100
 """Number of points from which markers are small."""
@@ -135,7 +135,7 @@ def draw_map(axes: Axes, chart: GridMap) -> Any:  # noqa: ANN401 - what a colour
 
 
 def _categories(chart: Chart) -> list[str]:
-    """Names along the axis that has names in place of numbers, in the order of first appearance."""
+    """List the names along a categorical axis in the order of first appearance."""
     rows = any(entry.kind == "rows" for entry in chart.series)
     if not rows and chart.x.type != "category":
         return []
@@ -146,7 +146,7 @@ def _categories(chart: Chart) -> list[str]:
 def _draw_bars(axes: Axes, series: Series, place: int, count: int, categories: Sequence[str]) -> None:
     width = _BARS / count
     names, lengths = (series.y, series.x) if series.kind == "rows" else (series.x, series.y)
-    at = np.array([categories.index(str(name)) for name in names]) + (place - (count - 1) / 2) * width
+    places = np.array([categories.index(str(name)) for name in names]) + (place - (count - 1) / 2) * width
     values = np.nan_to_num(_numbers(lengths))
     look: dict[str, Any] = {
         "color": colour(series.style),
@@ -157,10 +157,10 @@ def _draw_bars(axes: Axes, series: Series, place: int, count: int, categories: S
     }
     ends = _interval(series, values)
     if series.kind == "rows":
-        axes.barh(at, values, 0.92 * width, xerr=ends, **look)
+        axes.barh(places, values, 0.92 * width, xerr=ends, **look)
         axes.grid(axis="y", visible=False)
     else:
-        axes.bar(at, values, 0.92 * width, yerr=ends, capsize=2, **look)
+        axes.bar(places, values, 0.92 * width, yerr=ends, capsize=2, **look)
         axes.grid(axis="x", visible=False)
 
 
@@ -181,7 +181,7 @@ def _draw_points(axes: Axes, series: Series, categories: Sequence[str]) -> None:
 
 
 def _interval(series: Series, values: FloatArray) -> FloatArray | None:
-    """(2, n) how far the interval reaches below and above each value; None without one."""
+    """Compute (2, n) lengths of the interval below and above each value; None without one."""
     if not len(series.low):
         return None
     return np.asarray(np.abs([values - _numbers(series.low), _numbers(series.high) - values]))

@@ -47,7 +47,7 @@ class LatePlant(PlantAround):
         self._under_way = deque(np.zeros(2) for _ in range(self._ticks))
 
     def measure(self) -> Measurement:
-        """What the plant's sensors delivered; as sent counts what entered the line."""
+        """Collect the plant's sensor data; the applied command is the one that entered the line."""
         measurement = self._plant.measure()
         if measurement.sent is None or not self._under_way:
             return measurement
@@ -102,9 +102,9 @@ def load_reference(case: Case) -> Trajectory:
 
     With a top speed, or scaled to the robot, it stops where the curvature jumps. A plant may have its own reference.
     """
-    own = _reference_of_plant(case)
-    if own is not None:
-        return own
+    plant_path = _reference_of_plant(case)
+    if plant_path is not None:
+        return plant_path
     config = _config_of_robot(case)
     if case.scaled:
         from diffdrive_mpc.mpc.trajectories.moved import scaled_to_robot  # noqa: PLC0415 - as above
@@ -137,16 +137,16 @@ def _reference_of_plant(case: Case) -> Trajectory | None:
         return None
     kind, name, _ = around
     limits = TrajectoryLimits.of_controller(_config_of_robot(case).limits)
-    own: Trajectory | None = kind.reference(name, case.seed, limits)
+    reference: Trajectory | None = kind.reference(name, case.seed, limits)
     is_named = case.trajectory != case.plant
-    if own is not None and is_named:
+    if reference is not None and is_named:
         raise ConfigError(
             f"--trajectory {case.trajectory}: the plant '{label(case.plant)}' has its own path; leave the option out, "
             "or remove the path from a copy of the plant's file"
         )
-    if own is None and not is_named:
+    if reference is None and not is_named:
         raise ConfigError(f"--plant {case.plant}: it has no path of its own; give a --trajectory")
-    return own
+    return reference
 
 
 def other_robots(cases: Iterable[Case]) -> list[str]:
@@ -172,9 +172,9 @@ def _other_robot(case: Case) -> str:
     if abs(track / robot.track - 1.0) > _SAME_TRACK:
         differences.append(f"its track is {robot.track:.3g} m, the configuration's {track:.3g} m")
     for name, unit in (("v", "m/s"), ("omega", "rad/s")):
-        own, limit = getattr(robot.limits, name), getattr(config.limits, name)
-        if limit > own:
-            differences.append(f"it clips {name} at {own:.3g} {unit}, limits.{name} is {limit:.3g} {unit}")
+        robot_limit, limit = getattr(robot.limits, name), getattr(config.limits, name)
+        if limit > robot_limit:
+            differences.append(f"it clips {name} at {robot_limit:.3g} {unit}, limits.{name} is {limit:.3g} {unit}")
     if not differences:
         return ""
     return (
@@ -184,13 +184,13 @@ def _other_robot(case: Case) -> str:
 
 
 def _config_of_robot(case: Case) -> ControllerConfig:
-    """The configuration that says what the robot of a case can do; a peer has none of its own."""
+    """Return the configuration for the robot of a case; a peer has none of its own."""
     model = Case().model if case.controller in PEERS or case.model == NO_MODEL else case.model
     return controller_config(model, case.config, settings_of(case))
 
 
 def make_controller(case: Case) -> TrackingController:
-    """A fresh controller for a case.
+    """Create a controller for a case.
 
     Raises ConfigError if the controller is unknown, or its model or configuration cannot be used.
     """
@@ -204,7 +204,7 @@ def make_controller(case: Case) -> TrackingController:
 
 
 def settings_of(case: Case) -> Overrides:
-    """Configuration values of a case, by dotted key: `case.overrides`, and what the user of a drawn robot states.
+    """Return configuration values by dotted key: `case.overrides`, and those that the user of a drawn robot states.
 
     A peer that does not act on this project's estimate takes none.
     """
@@ -224,7 +224,7 @@ def case_config(case: Case) -> ControllerConfig:
 
 @lru_cache(maxsize=256)
 def controller_config(model: str, config: str | None = None, overrides: Overrides = ()) -> ControllerConfig:
-    """The configuration of the predictive controller.
+    """Return the configuration of the predictive controller.
 
     Without a file it is the shipped one of `model`. A model file of the user's own has none: it takes that of the
     SSM, without the extra dead time, which belongs to the model it was found with.
@@ -242,7 +242,7 @@ def controller_config(model: str, config: str | None = None, overrides: Override
 
 
 def chosen_model(model: str | None, config: Path | None) -> str:
-    """The model that was asked for, or else the one that a configuration file names, or else the default one.
+    """Return the requested model, or else that of a configuration file, or else the default one.
 
     Raises ConfigError if the name is empty or the file cannot be used.
     """

@@ -28,30 +28,30 @@ _PROBES, _SUMMANDS = 3, 300
 
 
 class Effort(NamedTuple):
-    """What some work took: elapsed and own processor time [s], involuntary switches, time of the yardstick [s]."""
+    """Cost of some work: elapsed and own processor time [s], involuntary switches, time of the yardstick [s]."""
 
     elapsed: float
-    own: float
+    processor: float
     switches: int
     pace: float
 
     def undisturbed(self, best_pace: float) -> bool:
-        """Whether nobody disturbed it, on a machine whose yardstick takes `best_pace` [s] at its best."""
-        away = self.elapsed - self.own
+        """Return True if the work was undisturbed, for a machine whose yardstick takes `best_pace` [s] at its best."""
+        away = self.elapsed - self.processor
         return self.switches == 0 and away <= AWAY[0] + AWAY[1] * self.elapsed and self.pace <= SLOWER * best_pace
 
 
 def watched(work: Callable[[], T]) -> tuple[T, Effort]:
     """Run `work`; return its result and its effort. The yardstick is measured before and after."""
     pace = yardstick()
-    began, own, switches = time.perf_counter(), time.thread_time(), _switches()
+    began, processor, switches = time.perf_counter(), time.thread_time(), _switches()
     result = work()
-    effort = (time.perf_counter() - began, time.thread_time() - own, _switches() - switches)
+    effort = (time.perf_counter() - began, time.thread_time() - processor, _switches() - switches)
     return result, Effort(*effort, max(pace, yardstick()))
 
 
 def yardstick() -> float:
-    """The time that a fixed sum takes [s], the shortest of a few: a few dozen microseconds in all."""
+    """Time a fixed sum [s], the minimum of a few runs: a few dozen microseconds in all."""
     return min(_one_sum() for _ in range(_PROBES))
 
 

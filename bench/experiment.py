@@ -68,7 +68,7 @@ def _row(drive: ExperimentRun, measure: Measure | None, run_one: Callable[[Case]
 
 
 def frame(rows: Iterable[Row]) -> DataFrame:
-    """Rows as a table; arrays and cases stay what they are."""
+    """Build a table of rows; arrays and cases stay objects."""
     return DataFrame(list(rows))
 
 
@@ -79,18 +79,18 @@ def joined(*parts: DataFrame) -> DataFrame:
 
 
 def values(rows: DataFrame, column: str) -> FloatArray:
-    """(runs,) the numbers of a column; what is not known is NaN."""
+    """Return the numbers (runs,) of a column, NaN for unknown ones."""
     return np.asarray(rows[column].to_numpy(dtype=float)) if len(rows) else np.zeros(0)
 
 
 def mean(rows: DataFrame, column: str) -> float:
-    """Mean of a column over runs; NaN without runs, and where one of them could not compute it."""
+    """Compute the mean of a column over runs; NaN without runs, and if a run lacks the value."""
     column_values = values(rows, column)
     return float(np.mean(column_values)) if column_values.size else math.nan
 
 
 def total(rows: DataFrame, column: str) -> int:
-    """Sum of a column of counts or booleans over runs."""
+    """Sum a column of counts or booleans over runs."""
     return int(values(rows, column).sum())
 
 
@@ -121,13 +121,13 @@ def by(rows: DataFrame, column: str) -> dict[str, DataFrame]:
 
 
 def json_rows(rows: DataFrame, digits: int = 6) -> list[Row]:
-    """Rows as plain values, without timings, runs and arrays, and with the case's overrides under "set"."""
-    kept = [name for name in rows if name not in ("case", "run", PROCESSOR) and not str(name).startswith(CLOCK)]
+    """Convert rows to plain values, without timings, runs and arrays, and with the case's overrides under "set"."""
+    columns = [name for name in rows if name not in ("case", "run", PROCESSOR) and not str(name).startswith(CLOCK)]
     return [
         plain(
             {
                 name: row[name]
-                for name in kept
+                for name in columns
                 if not (isinstance(row[name], (np.ndarray, dict)) or is_dataclass(row[name]))
             }
             | {"set": dict(row["case"].overrides)},

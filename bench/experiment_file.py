@@ -1,4 +1,4 @@
-"""What the file of an experiment holds. A wheel is built with its schema, where nothing that drives is installed."""
+"""Schema of an experiment file."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class TableFile(StrictModel):
 
 
 class ExperimentFile(StrictModel):
-    """What is driven and what is shown of it."""
+    """Runs of an experiment and their presentation."""
 
     title: str = Field(description="heading of the report")
     vary: Varied = Field({}, description="values for every part that does not state its own; the last varies fastest")

@@ -45,7 +45,7 @@ _SETTINGS: Any = {
 
 @contextmanager
 def new_figure(path: Path, width: float, height: float) -> Iterator[Figure]:
-    """Give a figure of `width` x `height` inches to draw on, and save it to `path`."""
+    """Yield a figure of `width` x `height` inches, and save it to `path` afterwards."""
     with mpl.rc_context(_SETTINGS):
         figure = Figure(figsize=(width, height), layout="constrained")
         yield figure
@@ -54,22 +54,22 @@ def new_figure(path: Path, width: float, height: float) -> Iterator[Figure]:
 
 
 def colour(index: int) -> str:
-    """Colour of the series number `index`; it repeats after seven."""
+    """Return the colour of the series number `index`; it repeats after seven."""
     return PALETTE[index % len(PALETTE)]
 
 
 def line_style(index: int) -> str:
-    """Line style of the series number `index`, so that lines are told apart without colour."""
+    """Return the line style of the series number `index`, so that lines differ without colour, too."""
     return LINE_STYLES[index % len(LINE_STYLES)]
 
 
 def file_name(text: str) -> str:
-    """A name that every file system takes: lower case, words joined by hyphens."""
+    """Convert text to a name that every file system accepts: lower case, words joined by hyphens."""
     return re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-")
 
 
 def free_name(text: str, taken: Container[str]) -> str:
-    """File name of a figure called `text`, with a number where another one has that name already."""
+    """Return the file name of a figure called `text`, with a number if the name is taken."""
     stem = file_name(text)
     names = itertools.chain([f"{stem}.png"], (f"{stem}-{number}.png" for number in itertools.count(2)))
     return next(name for name in names if name not in taken)

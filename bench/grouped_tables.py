@@ -60,7 +60,7 @@ def figure(text: str, where: str = "figure") -> Figure:
 
 
 def cell(text: str, where: str = "column") -> Cell:
-    """The cell that `text` states, such as "mean position_rmse_m mm" or "share completed".
+    """Parse a cell such as "mean position_rmse_m mm" or "share completed".
 
     Beside the statistics there are `runs` (how many), `share` (of how many runs a column is true), and `time` or
     `longest` (mean and maximum of a time, infinite for never).
@@ -89,7 +89,7 @@ class TableSpec(TableFile):
     """A table over groups of runs, as a file states it."""
 
     def table(self, rows: DataFrame, cells: Mapping[str, Cell] | None = None, note: str = "") -> Table:
-        """The table of those of `rows` that it shows.
+        """Build the table of the rows that it selects.
 
         `cells` are those that have a name of their own, and `note` follows that of the file.
         """
@@ -115,7 +115,7 @@ def _among(made: Cell, index: pd.Index, rows: DataFrame) -> str:
 
 
 def load_tables(file: Path) -> dict[str, TableSpec]:
-    """The tables of a file by name, in order; raises ConfigError when it has a mistake."""
+    """Load the tables of a file by name, in order; raise ConfigError for a mistake."""
     return {name: check(TableSpec, data, f"{file.name}: {name}") for name, data in read_yaml(file).items()}
 
 
@@ -128,7 +128,7 @@ def grouped_table(
     *,
     mean: bool = False,
 ) -> Table:
-    """A table with a row for each group.
+    """Build a table with a row for each group.
 
     Parameters
     ----------
@@ -148,4 +148,4 @@ def grouped_table(
         entries += (listed := list(block))
         if mean and len(listed) > 1:
             entries.append(((*outer, "mean"), pd.concat(part for _, part in listed)))
-    return Table.of(title, tuple(names), columns, entries, note)
+    return Table.build(title, tuple(names), columns, entries, note)

@@ -1,4 +1,4 @@
-"""What a figure was measured on, without anything that names a host, a user or a path."""
+"""Description of the machine behind a figure, without names of hosts, users or paths."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PACKAGES = ("numpy", "scipy", "casadi", "osqp", "daqp", "mujoco", "control", "jo
 
 
 def describe_run(wall_time: float) -> dict[str, Any]:
-    """What every result says of the run behind it: version, revision, day, machine, duration `wall_time` [s]."""
+    """Describe the run behind a result: version, revision, day, machine, duration `wall_time` [s]."""
     return {
         "project": "diffdrive-mpc",
         "version": project_version(),
@@ -28,7 +28,7 @@ def describe_run(wall_time: float) -> dict[str, Any]:
 
 
 def describe_machine() -> dict[str, object]:
-    """Processor, cores, system, Python and packages."""
+    """Describe processor, cores, system, Python and packages."""
     return {
         "cpu": _processor(),
         "cores": available_cores(),
@@ -39,12 +39,12 @@ def describe_machine() -> dict[str, object]:
 
 
 def project_version() -> str:
-    """Version of this project."""
+    """Return the version of this project."""
     return package_version("diffdrive-mpc")
 
 
 def git_revision() -> str | None:
-    """Revision of the checkout that this code runs from, with a plus sign where files were changed; None elsewhere."""
+    """Return the revision of the running checkout, with a plus sign after changes; None outside a checkout."""
     root = Path(__file__).resolve().parents[1]
     top = _git("rev-parse", "--show-toplevel")
     revision = _git("rev-parse", "--short=12", "HEAD")
@@ -64,7 +64,7 @@ def _git(*arguments: str) -> str:
 
 
 def package_version(package: str) -> str:
-    """Version of an installed package, in words where it is not."""
+    """Return the version of an installed package, or a remark that it is missing."""
     try:
         return version(package)
     except PackageNotFoundError:

@@ -24,7 +24,7 @@ def plain(value: object, digits: int | None = None) -> Any:  # noqa: ANN401 - wh
     if isinstance(value, BaseModel):
         value = value.model_dump(mode="json")
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        value = {of.name: getattr(value, of.name) for of in dataclasses.fields(value)}
+        value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
     if isinstance(value, Mapping):
         return {str(key): plain(entry, digits) for key, entry in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):

@@ -60,18 +60,18 @@ class ProgressBar:
         """Remove the bar."""
         self._progress.stop()
 
-    def at(self, done: int, total: int) -> None:
-        """Say how far it is."""
+    def show(self, done: int, total: int) -> None:
+        """Show the progress as `done` of `total`."""
         self._progress.update(self._task, completed=done, total=total)
         self._draw()
 
     def advance(self) -> None:
-        """One step more is done."""
+        """Advance by one step."""
         self._progress.advance(self._task)
         self._draw()
 
-    def begin(self, text: str, total: int, done: int = 0) -> None:
-        """Start over with another activity, or go on with another part of one of which so much is done."""
+    def start_stage(self, text: str, total: int, done: int = 0) -> None:
+        """Show another activity, or resume one of which `done` steps are finished."""
         self._progress.update(self._task, description=text, completed=done, total=total)
         self._progress.refresh()
 
@@ -83,7 +83,7 @@ class ProgressBar:
 
 
 def output_console(width_elsewhere: int = 140) -> Console:
-    """Console on stdout, as wide as the variable COLUMNS or else the terminal.
+    """Create a console on stdout, as wide as the variable COLUMNS or else the terminal.
 
     Without both (a file, a pipe, a build log) it is wide enough for the tables.
     """

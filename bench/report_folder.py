@@ -39,11 +39,15 @@ def _contents(folder: Path) -> Entries:
     """Return the entries of a folder; none if its list cannot be read."""
     try:
         listed: Any = parse_json(read_input(folder / CONTENTS, _LARGEST))
-        entries = {str(name): _entry(str(of["by"]), of["bytes"], of["changed_ns"]) for name, of in listed.items()}
+        entries = {
+            str(name): _entry(str(entry["by"]), entry["bytes"], entry["changed_ns"]) for name, entry in listed.items()
+        }
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return {}
     whole = folder.resolve()
-    return {name: of for name, of in entries.items() if (path := whole / name).is_file() and path.resolve() == path}
+    return {
+        name: entry for name, entry in entries.items() if (path := whole / name).is_file() and path.resolve() == path
+    }
 
 
 def _entry(owner: str, size: int, changed: int) -> dict[str, Any]:
@@ -110,7 +114,7 @@ def staged(
     owner: str = "",
     shared: bool = False,
 ) -> Iterator[Path]:
-    """Give a temporary folder to write into; on success its files go to `target`, on failure nothing does.
+    """Yield a temporary folder to write into; on success its files go to `target`, on failure none of them do.
 
     Other files of `target` stay, also those in folders that get new files, but for those that the same command left
     there before and that have no fixed name. Folders made for nothing are removed.
@@ -176,9 +180,9 @@ def _check_owners(place: Path, target: Path, files: Sequence[str], owner: str) -
     """Refuse to replace a file of another command; of its page only the name is another."""
     known = _contents(place)
     for name in files if owner else ():
-        other = _other_owner(known, name, owner)
-        if other and name != REPORT:
-            raise ConfigError(f"--out {target}: '{name}' there is a result of `{other}`; give another folder")
+        former = _other_owner(known, name, owner)
+        if former and name != REPORT:
+            raise ConfigError(f"--out {target}: '{name}' there is a result of `{former}`; give another folder")
         check_not_read(place / name, f"--out {target / name}")
 
 

@@ -28,7 +28,7 @@ STATISTICS = "true pose against the reference, from t = 0 to the end of the refe
 
 @dataclass(frozen=True)
 class SolverShares:
-    """Which method the solver took, in shares of the solved ticks [%], and at how many ticks nothing was solved.
+    """Shares of the solver methods in the solved ticks [%], and the number of ticks without a solve.
 
     Unlimited: no limit was active. Active set: the limits that were guessed were proven. Backend: OSQP or DAQP solved
     it. NaN where nothing was solved.
@@ -40,8 +40,8 @@ class SolverShares:
     not_solved: int
 
     @classmethod
-    def of(cls, run: Run) -> SolverShares:
-        """Over the ticks of `run` that the statistics cover."""
+    def of_run(cls, run: Run) -> SolverShares:
+        """Compute the shares over the ticks of `run` that the statistics cover."""
         ticks = Counter(method for method, counted in zip(run.solver_methods, run.counted, strict=True) if counted)
         solved = ticks.total() - ticks[NO_SOLVER]
 
@@ -84,13 +84,13 @@ class RunOutcome:
 
 
 def row_of(case: Case, run: Run) -> Row:
-    """The row of a run: the case, who drove, the dimensions of the case, and `run_columns`."""
+    """Build the row of a run: the case, its driver, the dimensions of the case, and `run_columns`."""
     return {"case": case, "driver": who_drives(case)} | case.as_row() | run_columns(run)
 
 
 def statistics_of(run: Run, *, timed: bool = True) -> Row:
-    """Metrics and shares of the solver; without the columns of the clock where it was not `timed`."""
-    values = asdict(run.metrics) | asdict(SolverShares.of(run))
+    """Compute metrics and shares of the solver, without the columns of the clock if not `timed`."""
+    values = asdict(run.metrics) | asdict(SolverShares.of_run(run))
     values |= {former: values[name] for former, name in FORMER_COLUMNS.items()}
     return {name: value for name, value in values.items() if timed or not name.startswith(CLOCK)}
 
@@ -111,13 +111,13 @@ def run_columns(run: Run) -> Row:
 
 
 def who_drives(case: Case) -> str:
-    """Model of the predictive controller, or name of a peer."""
+    """Return the model of the predictive controller, or the name of a peer."""
     labels = case.labels
     return model_name(labels["model"]) if labels["controller"] == "mpc" else labels["controller"]
 
 
 def model_name(name: str) -> str:
-    """Name of a model as the papers write it, or that of the user's file."""
+    """Return the name of a model as in the papers, or that of the user's file."""
     if name in STRUCTURES:
         return name.replace("_", " ") if "_" in name else name.upper()
     return {
@@ -130,19 +130,24 @@ def _setting(key: str, value: object) -> str:
 
 
 def driver_names(cases: Sequence[Case]) -> list[str]:
-    """What is compared among several cases: controller and model, and place and settings where they vary.
+    """Name the compared drivers: controller and model, with place and settings if they vary.
 
     The names of a dimension that does not vary are left out, and so is "mpc" beside the name of its model.
     """
     labels = [case.labels for case in cases]
     varying = [
-        dimension for dimension in DIMENSIONS if dimension.place and len({of[dimension.name] for of in labels}) > 1
+        dimension
+        for dimension in DIMENSIONS
+        if dimension.place and len({labels_of_case[dimension.name] for labels_of_case in labels}) > 1
     ]
     several = len({case.overrides for case in cases if case.controller == "mpc"}) > 1
     names = []
-    for case, of in zip(cases, labels, strict=True):
+    for case, labels_of_case in zip(cases, labels, strict=True):
         parts = [who_drives(case)]
-        parts += [of[one.name] if one.kind is str else f"{one.name}={of[one.name]}" for one in varying]
+        parts += [
+            labels_of_case[entry.name] if entry.kind is str else f"{entry.name}={labels_of_case[entry.name]}"
+            for entry in varying
+        ]
         parts += [_setting(key, value) for key, value in case.overrides] if several else []
         names.append(", ".join(parts))
     return names

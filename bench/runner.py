@@ -34,18 +34,18 @@ class WorkerDiedError(StudyFailedError):
 T = TypeVar("T")
 OnDone = Callable[[], None]
 _LOOKS_EVERY = 1.0
-"""Whether the parent is there [s]."""
+"""Period of the check for the parent process [s]."""
 _LASTING: ContextVar[bool] = ContextVar("processes last", default=False)
 
 
 def available_cores() -> int:
-    """Cores that this process may use."""
+    """Count the cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @contextmanager
 def lasting_processes() -> Iterator[None]:
-    """Processes that `run_tasks` starts within wait for its next call, and end with this."""
+    """Keep processes of `run_tasks` alive between calls inside the context."""
     before = _LASTING.set(True)
     try:
         yield
@@ -55,7 +55,7 @@ def lasting_processes() -> Iterator[None]:
 
 
 def processes_last() -> bool:
-    """Whether a process that is started serves several calls of `run_tasks`."""
+    """Return True if a started process serves several calls of `run_tasks`."""
     return _LASTING.get()
 
 

@@ -28,12 +28,12 @@ _DIMENSIONS = {dimension.name for dimension in DIMENSIONS}
 
 
 class Experiment(ExperimentFile):
-    """What a file states to be driven and shown."""
+    """Experiment of a file, to be driven and shown."""
 
     tables: dict[str, TableSpec] = Field({}, description="tables of the report, in order")
 
     def drives(self, only: Sequence[str] = ()) -> dict[str, list[ExperimentRun]]:
-        """What each part drives, all of them or those that are named.
+        """List the drives of each part, or of the named parts only.
 
         Raises ConfigError if there is no such part, variant or configuration value, ValueError where there are too
         many runs.
@@ -46,7 +46,7 @@ class Experiment(ExperimentFile):
         listed = {name: values for name, values in block.items() if name not in self.vary}
         listed |= {name: block.get(name, values) for name, values in self.vary.items()}
         check_count(math.prod(map(len, listed.values())))
-        return [self._drive(dict(zip(listed, one, strict=True))) for one in itertools.product(*listed.values())]
+        return [self._drive(dict(zip(listed, chosen, strict=True))) for chosen in itertools.product(*listed.values())]
 
     def _drive(self, values: dict[str, Value]) -> ExperimentRun:
         variant = values.pop(VARIANT, None)
@@ -93,7 +93,7 @@ class SpecStudy(Study[Drives, DataFrame]):
         self.title = experiment.title  # type: ignore[misc]
 
     def plan(self) -> Drives:
-        """What each part drives; raises ConfigError or ValueError if one of the runs cannot be driven."""
+        """Plan the drives of each part; raise ConfigError or ValueError if a run cannot be driven."""
         plan = self.experiment.drives(self._only)
         check_cases(self.driven(plan))
         return plan
@@ -105,25 +105,25 @@ class SpecStudy(Study[Drives, DataFrame]):
     def run(self, plan: Drives, jobs: int, bar: ProgressBar) -> DataFrame:
         """Drive every case once; the rows have a column `part`, and a run that belongs to several has a row in each."""
         drives = {drive.case: drive for listed in plan.values() for drive in listed}
-        bar.begin(f"driving, {jobs} at a time", len(drives))
+        bar.start_stage(f"driving, {jobs} at a time", len(drives))
         rows = drive_all(list(drives.values()), jobs, bar.advance, self._measure, self._run_one)
         return in_parts(rows, plan)
 
     def tables(self, rows: DataFrame) -> list[Table]:
-        """Everything that the report shows in tables."""
+        """Build the tables of the report."""
         return self.stated_tables(rows, {})
 
     def stated_tables(self, rows: DataFrame, cells: Mapping[str, Cell]) -> list[Table]:
-        """The tables of the experiment whose parts were driven; `cells` are those that have a name of their own."""
+        """Build the tables of driven parts; `cells` are those with a name of their own."""
         shown = []
         for spec in self.experiment.tables.values():
-            own = rows[rows["part"].isin(spec.part)] if spec.part else rows
-            if len(own) and (not spec.part or spec.part[0] in set(own["part"])):
-                shown.append(spec.table(own.reset_index(drop=True), cells))
+            part_rows = rows[rows["part"].isin(spec.part)] if spec.part else rows
+            if len(part_rows) and (not spec.part or spec.part[0] in set(part_rows["part"])):
+                shown.append(spec.table(part_rows.reset_index(drop=True), cells))
         return shown
 
     def report(self, results: DataFrame, seconds: float) -> Report:
-        """Tables and every row."""
+        """Report tables and every row."""
         rows = results.drop_duplicates("case")
         return Report(
             counted=f"{len(rows)} runs",
@@ -136,9 +136,9 @@ class SpecStudy(Study[Drives, DataFrame]):
 
 
 def in_parts(rows: DataFrame, plan: Drives) -> DataFrame:
-    """Rows of the parts below each other, with the labels of their drives."""
-    at = {case: place for place, case in enumerate(rows["case"])}
+    """Stack the rows of the parts, with the labels of their drives."""
+    places = {case: place for place, case in enumerate(rows["case"])}
     listed = [(name, drive) for name, drives in plan.items() for drive in drives]
-    placed = rows.iloc[[at[drive.case] for _, drive in listed]].reset_index(drop=True)
+    placed = rows.iloc[[places[drive.case] for _, drive in listed]].reset_index(drop=True)
     variants = [drive.labels.get(VARIANT, "") for _, drive in listed]
     return placed.assign(part=[name for name, _ in listed], variant=variants)

@@ -38,7 +38,7 @@ _DRAWN_ALONE = 8
 
 @dataclass(frozen=True)
 class Report:
-    """What a study has to show.
+    """Report of a study.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class Report:
 
     @property
     def drawings(self) -> dict[str, Draw]:
-        """What draws each file in the folder of figures."""
+        """Return the functions that draw each file in the folder of figures."""
         return {
             name: figure if callable(figure) else partial(_draw_charts, figure) for name, figure in self.figures.items()
         }
@@ -90,7 +90,7 @@ class Report:
 
 
 class Study(ABC, Generic[P, R]):
-    """What a study is: subclasses say what to run and what to show of it, `carry_out` does the rest.
+    """Base class of a study: subclasses define runs and their presentation, `carry_out` does the rest.
 
     P is the type of the plan, R of what the runs give. `name` is that of the command and of the files, `title` the
     heading of the report.
@@ -99,7 +99,7 @@ class Study(ABC, Generic[P, R]):
     name: ClassVar[str]
     title: ClassVar[str]
     shared: ClassVar[bool] = False
-    """Whether several processes may carry it out in one folder at a time."""
+    """True if several processes may carry it out in one folder at the same time."""
 
     @abstractmethod
     def plan(self) -> P:
@@ -122,7 +122,7 @@ class Study(ABC, Generic[P, R]):
 
     @abstractmethod
     def report(self, results: R, seconds: float) -> Report:
-        """What there is to show of `results`, which took so many `seconds`; matplotlib is imported here, if at all."""
+        """Report `results`, which took `seconds`; import matplotlib here if at all."""
 
 
 def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
@@ -152,7 +152,7 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
         results = study.run(plan, jobs or available_cores(), bar)
         run = describe_run(time.perf_counter() - began)
         report = study.report(results, run["wall_time_s"])
-        bar.begin("drawing figures", len(report.drawings))
+        bar.start_stage("drawing figures", len(report.drawings))
         write_report(study, report, run | report.meta, folder, bar.advance, jobs or available_cores())
     print_report(report, run["wall_time_s"], out)
     return results
@@ -162,7 +162,7 @@ def print_report(report: Report, seconds: float, out: Path) -> None:
     """Print warnings and tables of a report, and last where it lies; `seconds` are those that it states itself."""
     console = output_console()
     for warned in report.shown.warnings:
-        console.print(f"warning: {warned.what} {warned.remedy}", highlight=False)
+        console.print(f"warning: {warned.text} {warned.remedy}", highlight=False)
     for table in report.screen or report.tables:
         console.print(table.rich())
     console.print(f"{report.counted} in {seconds:g} s; report: {out / REPORT}", highlight=False, soft_wrap=True)
@@ -188,7 +188,7 @@ def write_report(
 
 
 def report_page(study: Study[P, R], report: Report, meta: Meta, figures: Path) -> Page:
-    """The report as a page: its own views, its charts, and unless it does without them the pictures in `figures`."""
+    """Build the page of the report: its own views, its charts, and by default the pictures in `figures`."""
     drawn = [name for name, figure in report.figures.items() if callable(figure) and report.shown.pictures]
     pictures = [EmbeddedPicture(_title(name), picture(figures / name)) for name in drawn]
     summary, notes = (*report.shown.summary, *report.facts), (*report.shown.notes, *report.notes)
@@ -198,7 +198,7 @@ def report_page(study: Study[P, R], report: Report, meta: Meta, figures: Path) -
 
 
 def json_text(meta: Meta, content: Mapping[str, object]) -> str:
-    """`{"meta": ..., NAME: ...}`, a line for each row of a list; what is not finite is null."""
+    """Format `{"meta": ..., NAME: ...}` with one line per row of a list; numbers that are not finite become null."""
     parts = {"meta": json.dumps(plain(meta), indent=1, allow_nan=False)}
     for name, value in plain(content).items():
         if isinstance(value, list):
@@ -209,7 +209,7 @@ def json_text(meta: Meta, content: Mapping[str, object]) -> str:
 
 
 def markdown(title: str, report: Report, meta: Meta) -> str:
-    """The report: what was run on what, the tables, and the figures by their relative paths."""
+    """Format the report: runs and machine, the tables, and the figures by their relative paths."""
     images = [f"![{Path(name).stem}]({FIGURES}/{name})" for name in report.drawings]
     first = len(images[: report.figures_first])
     parts = [f"# {title}", "", *(f"* {line}" for line in (*report.facts, *run_facts(meta), *report.notes)), ""]
@@ -220,7 +220,7 @@ def markdown(title: str, report: Report, meta: Meta) -> str:
 
 
 def run_facts(meta: Meta) -> list[str]:
-    """Version, revision and date of `meta`, as `describe_run` returns it; then machine and packages."""
+    """List version, revision and date of `meta`, as `describe_run` returns it; then machine and packages."""
     machine = meta["machine"]
     packages = ", ".join(f"{name} {version}" for name, version in machine["packages"].items())
     revision = f", revision {meta['revision']}" if meta["revision"] else ""

@@ -153,13 +153,13 @@ class _Task:
 
 
 def _listed(value: Any) -> list[Any]:  # noqa: ANN401
-    """One value or several as a list."""
+    """Return one value or several as a list."""
     single = (str, Path, Mapping, VelocityModel, NonlinearModel, Trajectory)
     return [value] if isinstance(value, single) or not isinstance(value, Iterable) else list(value)
 
 
 def _seeds(seeds: Any) -> list[int]:  # noqa: ANN401
-    """Seeds, or the first so many."""
+    """Return the given seeds, or the first n seeds."""
     if isinstance(seeds, int) and not 1 <= seeds <= MOST_SEEDS:
         raise ConfigError(f"sweep: seeds = {seeds}; give 1 to {MOST_SEEDS}, or a list such as [3, 4]")
     listed = list(range(seeds)) if isinstance(seeds, int) else _listed(seeds)

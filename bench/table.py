@@ -36,7 +36,7 @@ class Table(plain.TextTable):
     """A table that the terminal draws."""
 
     def rich(self) -> RichTables:
-        """The table for the terminal."""
+        """Build the table for the terminal."""
         return rich_table(self)
 
 
@@ -109,12 +109,12 @@ def rich_table(table: plain.TextTable) -> RichTables:
 
 
 def millis(value: float) -> str:
-    """A cell in thousandths of its unit."""
+    """Format a cell in thousandths of its unit."""
     return number(1e3 * value, 1)
 
 
 def duration(seconds: float) -> str:
-    """A cell for a time [s]; "∞" for never, "-" where there is none."""
+    """Format a cell for a time [s]; "∞" for never, "-" for a missing one."""
     return "∞" if seconds == math.inf else number(seconds, 2)
 
 

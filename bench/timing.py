@@ -32,7 +32,7 @@ _WARM_UP_TICKS = 25
 
 @contextmanager
 def quiet_core() -> Iterator[int | None]:
-    """One core (where the system lets a process choose), one BLAS thread, no garbage collection; undone at the end.
+    """Reserve one core if the system permits, with one BLAS thread and no garbage collection; undo it at the end.
 
     Gives the number of the core.
     """
@@ -57,7 +57,16 @@ def quiet_core() -> Iterator[int | None]:
 
 @dataclass(frozen=True)
 class TimingPass:
-    """How the machine was while all was timed.
+    """State of the machine during the timing.
+
+    Attributes
+    ----------
+    clean_share
+    Share of the ticks with an undisturbed measurement [-].
+    others_share
+    Share of the time for which other programs had the core [-], as far as the system reports it.
+    yardstick
+    Minimum time of the yardstick of `bench.counters` [s]: times of two reports compare as far as these agree.
 
     Attributes
     ----------
@@ -75,7 +84,7 @@ class TimingPass:
 
 
 UNDISTURBED = TimingPass()
-"""Where nothing was timed."""
+"""Timing pass without timed runs."""
 
 
 def time_outcomes(outcomes: Sequence[RunOutcome], on_done: OnDone) -> tuple[list[RunOutcome], TimingPass]:
@@ -93,15 +102,15 @@ def time_outcomes(outcomes: Sequence[RunOutcome], on_done: OnDone) -> tuple[list
     """
     groups = list(_grouped(outcomes, lambda outcome: _place(outcome.case)).values())
     with quiet_core() as core:
-        began, own, counted = time.perf_counter(), time.process_time(), busy_time(core)
+        began, processor, counted = time.perf_counter(), time.process_time(), busy_time(core)
         replays = [[CaseReplay(outcome.case, outcome.run) for outcome in place] for place in groups]
         durations, best = take_turns(replays, on_replay=on_done)
-        busy = busy_time(core) - counted - (time.process_time() - own)
+        busy = busy_time(core) - counted - (time.process_time() - processor)
         others = max(0.0, busy) / (time.perf_counter() - began)
     times = {
-        outcome.case: one
+        outcome.case: replayed
         for place, several in zip(groups, durations, strict=True)
-        for outcome, one in zip(place, several, strict=True)
+        for outcome, replayed in zip(place, several, strict=True)
     }
     # What is left out of one controller's times is left out of all.
     drivers = _grouped(outcomes, lambda outcome: _driver(outcome.case)).values()
@@ -109,15 +118,17 @@ def time_outcomes(outcomes: Sequence[RunOutcome], on_done: OnDone) -> tuple[list
     timed = {}
     for outcome in outcomes:
         measured = times[outcome.case]
-        kept = measured.only_clean if alike else measured.times
-        timed[outcome.case] = replace(outcome, run=outcome.run.with_step_time(*kept[0].T), clean_share=measured.share)
+        selected = measured.only_clean if alike else measured.times
+        timed[outcome.case] = replace(
+            outcome, run=outcome.run.with_step_time(*selected[0].T), clean_share=measured.share
+        )
     ticks = [len(outcome.run.time) for outcome in outcomes]
     clean = float(np.average([timed[outcome.case].clean_share for outcome in outcomes], weights=ticks))
     return [timed[outcome.case] for outcome in outcomes], TimingPass(clean, others, best)
 
 
 def _grouped(outcomes: Sequence[RunOutcome], key: Callable[[RunOutcome], K]) -> dict[K, list[RunOutcome]]:
-    """Outcomes by a key, in the order of first appearance."""
+    """Group outcomes by a key, in the order of first appearance."""
     groups: dict[K, list[RunOutcome]] = {}
     for outcome in outcomes:
         groups.setdefault(key(outcome), []).append(outcome)
@@ -125,12 +136,12 @@ def _grouped(outcomes: Sequence[RunOutcome], key: Callable[[RunOutcome], K]) -> 
 
 
 def _place(case: Case) -> Case:
-    """What cases share that are compared with each other."""
+    """Return the case without the fields in which compared cases differ."""
     return replace(case, controller="", model="", config=None, overrides=())
 
 
 def _driver(case: Case) -> tuple[object, ...]:
-    """What tells controllers apart."""
+    """Return the fields that distinguish controllers."""
     return case.controller, case.model, case.config, case.overrides
 
 
@@ -146,7 +157,7 @@ class CaseReplay:
 
     @property
     def ticks(self) -> int:
-        """Of the run."""
+        """Number of ticks of the run."""
         return len(self._run.time)
 
     def restart(self) -> None:
@@ -159,7 +170,7 @@ class CaseReplay:
         gc.collect()
 
     def run(self, first: int, last: int) -> tuple[FloatArray, Effort]:
-        """Times (ticks, 2) of whole steps and solves [s]; raises NotReproducibleError as `replay` does."""
+        """Replay ticks; return times (ticks, 2) of whole steps and solves [s]; raise as `replay`."""
         controller = self._controller
         assert controller is not None
         times, effort = watched(lambda: replay(controller, self._run, first, last))
@@ -169,7 +180,7 @@ class CaseReplay:
 
 
 def replay(controller: TrackingController, run: Run, first: int, last: int) -> FloatArray:
-    """Give `controller` the measurements of the ticks `first` to `last` - 1 of `run` again, and time it.
+    """Replay the measurements of the ticks `first` to `last` - 1 of `run` with `controller`, and time them.
 
     Returns
     -------

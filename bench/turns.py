@@ -26,9 +26,9 @@ STRETCH = 2e-3
 """Longest time that is watched at once [s]: a slow controller's whole turn would hardly ever be undisturbed, beside one
 whose turn takes a millisecond."""
 AGAIN = 4
-"""How many more times all is replayed where blocks were disturbed, at most."""
+"""Maximum number of additional replays after disturbed blocks."""
 PATIENCE = 0.5
-"""How long that may go on, in units of the time that the wanted replays took."""
+"""Time limit, as a multiple of the duration of the requested replays."""
 
 
 class Replay(Protocol):
@@ -36,15 +36,15 @@ class Replay(Protocol):
 
     @property
     def ticks(self) -> int:
-        """How many it has."""
+        """Return the number of ticks."""
         ...
 
     def restart(self) -> None:
-        """Be before the first tick."""
+        """Restart before the first tick."""
         ...
 
     def run(self, first: int, last: int) -> tuple[FloatArray, Effort] | None:
-        """Go on through the ticks `first` to `last` - 1: times (ticks, 2) of the whole step and of the solve [s].
+        """Run the ticks `first` to `last` - 1: times (ticks, 2) of the whole step and of the solve [s].
 
         None if it has failed: it takes no more turns.
         """
@@ -77,7 +77,7 @@ class TurnTimes:
         return np.where(self.clean[..., None], self.times, np.nan)
 
     @property
-    def kept(self) -> FloatArray:
+    def selected(self) -> FloatArray:
         """The times with NaN for disturbed ticks, unless none is clean: then all of them."""
         return self.only_clean if self.clean.any() else self.times
 
@@ -100,34 +100,34 @@ class _Track:
     stretch: int = 0
 
     def stretches(self, first: int, last: int) -> list[tuple[int, int]]:
-        """Begins and ends of what is watched at once in a turn: all of the first, which tells how long a tick is."""
+        """Split a turn into stretches that are timed at once; the first turn is one stretch."""
         size = self.stretch if first and self.stretch else last - first
-        return [(begin, min(begin + size, last)) for begin in range(first, last, size)]
+        return [(start, min(start + size, last)) for start in range(first, last, size)]
 
     def take(self, first: int, last: int) -> None:
-        """Have a turn."""
-        for begin, end in self.stretches(first, last):
-            result = self.replay.run(begin, end)
+        """Take a turn."""
+        for start, end in self.stretches(first, last):
+            result = self.replay.run(start, end)
             if result is None:
                 self.failed = True
                 break
             turn = _Measured(*result)
-            self.blocks.setdefault(begin, []).append(turn)
+            self.blocks.setdefault(start, []).append(turn)
             if not self.stretch:
-                self.stretch = max(1, int(STRETCH / max(turn.effort.elapsed / (end - begin), 1e-9)))
+                self.stretch = max(1, int(STRETCH / max(turn.effort.elapsed / (end - start), 1e-9)))
 
     def clean(self, block: int, best: float) -> list[_Measured]:
-        """Undisturbed measurements of the stretch that begins at a tick."""
+        """Return the undisturbed measurements of the stretch that starts at a tick."""
         return [turn for turn in self.blocks.get(block, []) if turn.effort.undisturbed(best)]
 
     def end(self, best: float, block: int) -> int:
-        """The tick after the last turn in which a stretch lacks clean measurements; 0 if none does."""
+        """Return the tick after the last turn with a stretch that lacks clean measurements; 0 if there is none."""
         if self.failed:
             return 0
         ticks = self.replay.ticks
         for first in reversed(range(0, ticks, block)):
             last = min(first + block, ticks)
-            if any(len(self.clean(begin, best)) < self.repetitions for begin, _ in self.stretches(first, last)):
+            if any(len(self.clean(start, best)) < self.repetitions for start, _ in self.stretches(first, last)):
                 return last
         return 0
 
@@ -139,9 +139,9 @@ class _Track:
             good = self.clean(first, best)
             bad = [turn for turn in turns if not turn.effort.undisturbed(best)]
             chosen = (good + bad)[: self.repetitions]
-            for row, one in enumerate(chosen):
-                place = slice(first, first + len(one.times))
-                times[row, place], clean[row, place] = one.times, row < len(good)
+            for row, measured in enumerate(chosen):
+                place = slice(first, first + len(measured.times))
+                times[row, place], clean[row, place] = measured.times, row < len(good)
                 if first % block == 0:
                     times[row, first : first + COLD] = np.nan
         return TurnTimes(times, clean)
@@ -193,7 +193,7 @@ def take_turns(
 
 
 def _go_round(group: list[_Track], best: float, block: int) -> None:
-    """One pass of a group, each as far as it lacks clean blocks."""
+    """Give each member of a group one turn, as far as it lacks clean blocks."""
     ends = {id(track): track.end(best, block) for track in group}
     for track in group:
         track.replay.restart()

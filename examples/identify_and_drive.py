@@ -20,9 +20,9 @@ for seed, trajectory in enumerate(("s", "square", "cane")):
 
 # 2. From two logs to a model: "sm" has a transfer function with dead time for v, and one for omega. The third log is
 #    not fitted to: the report says how well the model predicts it, and what the logs do not tell.
-found = identify(["s.csv", "square.csv"], structure="sm", validate=["cane.csv"])
-print(found)
-found.write(OUT)
+identified = identify(["s.csv", "square.csv"], structure="sm", validate=["cane.csv"])
+print(identified)
+identified.write(OUT)
 
 # 3. Drive with it, along a path that it has not seen. The configuration that was written names the model, and has
 #    limits that the logs cover.

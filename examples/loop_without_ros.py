@@ -21,7 +21,7 @@ class SerialLine:
         return v, omega
 
     def read(self):
-        """Wheel speeds, left and right [rad/s], and the gyro's yaw rate [rad/s]."""
+        """Read wheel speeds, left and right [rad/s], and the gyro's yaw rate [rad/s]."""
         return self.left, self.right, WHEEL_RADIUS * (self.right - self.left) / TRACK
 
 

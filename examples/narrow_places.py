@@ -26,8 +26,8 @@ def person(t):
 
 Path("straight.yaml").write_text("segments: [{v: 0.4, omega: 0.0, duration: 20.0}]\n")
 reference = load_trajectory("straight.yaml")
-seen = {"free_space.enabled": True, "free_space.footprint": str(OUTLINE.tolist()), "free_space.margin": 0.015}
-controller, robot = Controller(load_config("ssm", seen)), make_plant("model:ssm", seed=1)
+settings = {"free_space.enabled": True, "free_space.footprint": str(OUTLINE.tolist()), "free_space.margin": 0.015}
+controller, robot = Controller(load_config("ssm", settings)), make_plant("model:ssm", seed=1)
 robot.reset(reference.sample([0.0]).pose[0])
 controller.start(reference, robot.time)
 

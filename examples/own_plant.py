@@ -18,7 +18,7 @@ class HeavyRobot:
     sample_time = 0.04  # time between two ticks [s]
 
     def reset(self, pose):
-        """At rest at `pose`: x [m], y [m], theta [rad]; the same noise every time."""
+        """Reset to rest at `pose`: x [m], y [m], theta [rad]; the noise is the same every time."""
         self._noise, self._tick = np.random.default_rng(0), 0
         self.true_pose, self._wheels = np.array(pose, dtype=float), np.zeros(2)
 
@@ -32,7 +32,7 @@ class HeavyRobot:
         return np.array([self._wheels[0], 0.0, YAW_GAIN * self._wheels[1]])
 
     def measure(self):
-        """What arrived since the last tick, each value with the time it is valid for; None is "nothing new"."""
+        """Return the measurements since the last tick, each with its time; None means no new one."""
         pose = self.true_pose + self._noise.normal(scale=[0.005, 0.005, 0.005])
         return Measurement(
             pose=Stamped(pose, self.time) if self._tick % 2 == 0 else None,

@@ -33,7 +33,7 @@ MOST_VALUES = file_limits().yaml_values
 """Keys and values, those that aliases repeat counted each time."""
 
 _UNFIT = (LookupError, TypeError, AttributeError, ArithmeticError, ValueError)
-"""What PyYAML raises, beside its own errors, for a tag whose value does not fit it."""
+"""Exceptions of PyYAML, beside its own errors, for a tag whose value does not fit it."""
 
 
 class _UniqueKeyLoader(SafeLoader):
@@ -87,7 +87,7 @@ _UniqueKeyLoader.add_implicit_resolver(
 
 
 def parse_yaml(text: str) -> Any:  # noqa: ANN401 - the schema gives it a type
-    """The values in `text`; nothing in it is executed.
+    """Parse `text` as YAML without executing anything in it.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def parse_yaml(text: str) -> Any:  # noqa: ANN401 - the schema gives it a type
 
 
 def parse_json(text: str | bytes) -> Any:  # noqa: ANN401 - who reads it checks its type
-    """The values in `text`; raises ValueError where it is no JSON, too large, or so deep that Python cannot read it."""
+    """Parse `text` as JSON; raise ValueError if it is invalid, too large, or too deeply nested for Python."""
     if len(text) > (most := file_limits().json_bytes):
         raise ValueError(f"{len(text):,} bytes of JSON, at most {most:,} are read")
     try:
@@ -126,7 +126,7 @@ class _Part:
 
 
 def _check_bounds(text: str) -> None:
-    """Go through the events of the parser, which builds nothing and does not recurse."""
+    """Check the limits on the events of the parser, which builds nothing and does not recurse."""
     whole = _Part(None)
     open_parts, known = [whole], dict[str, _Part]()
     for event in yaml.parse(text, Loader=SafeLoader):
@@ -212,7 +212,7 @@ def load_checked(schema: type[Schema], path: str | Path) -> Schema:
 
 
 def laid_over(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """`base` with the values of `changes` in place of its own, groups key by key."""
+    """Return `base` with the values of `changes` in place of its own, groups key by key."""
     whole = dict(base)
     for key, value in changes.items():
         under = whole.get(key)
@@ -246,7 +246,7 @@ def check(schema: type[Schema], data: object, where: str, shown: Callable[[str],
 
 
 def mistakes(where: str, sentences: Sequence[str], more: int = 0) -> str:
-    """One line that says all mistakes of what `where` names, numbered where there are several, and `more` of them."""
+    """Format all mistakes of `where` in one line, numbered if there are several, and the count of `more` of them."""
     different = list(dict.fromkeys(sentences))
     if len(different) + more == 1:
         return f"{where}: {different[0]}"
@@ -256,7 +256,7 @@ def mistakes(where: str, sentences: Sequence[str], more: int = 0) -> str:
 
 
 def _sentence(schema: type[BaseModel], error: Any, shown: Callable[[str], str]) -> str:  # noqa: ANN401 - pydantic's
-    """One readable sentence for one of pydantic's errors."""
+    """Format one of pydantic's errors as a readable sentence."""
     location = [part for part in error["loc"] if not str(part).startswith("function-")]
     place = shown(".".join(plain_line(str(part), _SHOWN) for part in location))
     kind = error["type"]

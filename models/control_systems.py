@@ -105,7 +105,7 @@ def _state_space(where: str, system: Any, size: int) -> _StateSpace:  # noqa: AN
 
 
 def _realised(where: str, system: Any) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:  # noqa: ANN401
-    """A, B, C, D of a transfer function; outputs that share a denominator share the states of their input."""
+    """Realise a transfer function as A, B, C, D; outputs with one denominator share the states of their input."""
     blocks, inputs, outputs = [], [], []
     D = np.zeros((system.noutputs, system.ninputs))
     # Coefficients in z are of order one: less than this is what a conversion left by rounding.
@@ -134,14 +134,14 @@ def _realised(where: str, system: Any) -> tuple[FloatArray, FloatArray, FloatArr
 
 
 def _cancelled(numerator: FloatArray, denominator: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Coefficients without leading zeros and common factors z (or s)."""
+    """Cancel leading zeros and common factors z (or s) of the coefficients."""
     both = [np.trim_zeros(side, "f") for side in (numerator, denominator)]
     common = min(len(side) - len(np.trim_zeros(side, "b")) for side in both)
     return both[0][: len(both[0]) - common], both[1][: len(both[1]) - common]
 
 
 def _continuous(where: str, sampled: _StateSpace) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """A, B, C of the continuous system that a zero-order hold samples so, and the dead time (2,) [s] of its inputs."""
+    """Return A, B, C of the continuous system with this zero-order-hold sampling, and its dead time (2,) [s]."""
     count = 2 * len(sampled.A) + 2
     response = _impulse_response(sampled.A, sampled.B, sampled.C, count)
     size = np.abs(response).max()
@@ -179,7 +179,7 @@ def _continuous(where: str, sampled: _StateSpace) -> tuple[FloatArray, FloatArra
 
 
 def _without_delays(sampled: _StateSpace, delay: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A, B, C of the system whose inputs act `delay` (2,) samples earlier, without the states of these delays."""
+    """Return A, B, C of the system whose inputs act `delay` (2,) samples earlier, without delay states."""
     A, Q, n = sampled.A.copy(), np.eye(len(sampled.A)), len(sampled.A)
     least = _ZERO * np.linalg.norm(A)
     k = 0
@@ -199,7 +199,7 @@ def _without_delays(sampled: _StateSpace, delay: NDArray[np.int64]) -> tuple[Flo
 
 
 def _impulse_response(A: FloatArray, B: FloatArray, C: FloatArray, count: int) -> FloatArray:
-    """(count, 2, 2) values from sample 1 on."""
+    """Compute (count, 2, 2) values of the impulse response from sample 1 on."""
     values = np.empty((count, 2, 2))
     for k in range(count):
         values[k] = C @ B

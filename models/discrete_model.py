@@ -64,7 +64,7 @@ class DiscreteModel:
         return np.asarray(self.C @ np.linalg.solve(np.eye(self.order) - self.A, self.B0 + self.B1))
 
     def effective_inputs(self, commands: FloatArray, past: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The delayed commands that B0 and B1 see.
+        """Compute the delayed commands that B0 and B1 act on.
 
         Parameters
         ----------
@@ -83,7 +83,7 @@ class DiscreteModel:
         return line[rows, [0, 1]], line[rows - 1, [0, 1]]
 
     def settled_state(self, command: ArrayLike) -> FloatArray:
-        """(n,) the state after `command` (2,) has been held for ever."""
+        """Compute the steady state (n,) under the constant `command` (2,)."""
         drive = (self.B0 + self.B1) @ np.asarray(command, dtype=float)
         return np.asarray(np.linalg.solve(np.eye(self.order) - self.A, drive))
 
@@ -119,7 +119,7 @@ class DiscreteModel:
 
 
 def zero_order_hold(A: FloatArray, B: FloatArray, C: FloatArray, dead_time: FloatArray, dt: float) -> DiscreteModel:
-    """Exact zero-order-hold sampling of x' = A x + B u(t - dead_time), y = C x.
+    """Sample x' = A x + B u(t - dead_time), y = C x exactly with a zero-order hold.
 
     With dead_time = delay dt + rest, the command of sample k - delay acts during the last dt - rest of sample k and its
     predecessor during the first `rest`: B0 is the hold matrix over dt - rest, and B0 + B1 that over dt.

@@ -1,4 +1,4 @@
-"""What not to trust in a log or a model, and whether that matters for driving: one answer for each kind."""
+"""Doubts about a log or a model, and their relevance for driving: one definition for each kind."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from diffdrive_mpc.models.table import escaped
 
 @dataclass(frozen=True)
 class DoubtRelevance:
-    """Whether a kind of doubt matters for driving with the model.
+    """Relevance of a kind of doubt for driving with the model.
 
     Attributes
     ----------
@@ -24,7 +24,7 @@ class DoubtRelevance:
     why: str
 
     def __str__(self) -> str:
-        """In words."""
+        """Format the relevance in words."""
         return f"{'matters' if self.matters else 'does not matter'} for driving: {self.why}"
 
 
@@ -132,18 +132,18 @@ class Doubt:
 
     @property
     def verdict(self) -> DoubtRelevance:
-        """Whether it matters for driving."""
+        """Relevance for driving."""
         return VERDICTS[self.kind]
 
     def of(self, label: str) -> Doubt:
-        """The same about one part of a model."""
+        """Return the same doubt about one part of a model."""
         return Doubt(self.kind, f"{label}: {self.words}")
 
     def __str__(self) -> str:
-        """One line, verdict included."""
+        """Format the doubt in one line, relevance included."""
         return escaped(f"{self.words} ({self.verdict})")
 
 
 def lines(doubts: Iterable[Doubt]) -> tuple[str, ...]:
-    """As they stand in files and on the screen."""
+    """Format doubts for files and the screen."""
     return tuple(map(str, doubts))

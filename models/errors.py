@@ -19,7 +19,7 @@ def _shown(message: str) -> str:
 
 
 class DiffdriveMpcError(Exception):
-    """What the project itself refuses or cannot do; the message is one line: place, mistake, remedy.
+    """Error of the project itself; its message is one line: place, mistake, remedy.
 
     Most of its kinds are a ValueError or a RuntimeError too. An argument that no caller of a correct program gives (the
     wrong shape of an array) raises a plain ValueError, which is none of them.

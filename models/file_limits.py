@@ -36,6 +36,6 @@ class FileLimits:
 
 @cache
 def file_limits() -> FileLimits:
-    """The shipped limits. Read without `checked_yaml`, which needs them itself."""
+    """Load the shipped limits, without `checked_yaml`, which itself needs them."""
     text = Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8")
     return FileLimits(**yaml.safe_load(text))

@@ -63,17 +63,17 @@ class FunctionStructure:
     slow: bool = False
 
     def load(self, path: Path, data: Any) -> NonlinearModel:  # noqa: ANN401 - what a YAML file may hold
-        """The model of the parameter file at `path`, whose content is `data`; raises ConfigError or ModelError."""
+        """Load the model of the parameter file at `path` with the content `data`; raise ConfigError or ModelError."""
         model: NonlinearModel = self._named(self.loader)(path, data)
         return model
 
     def schema(self) -> type[BaseModel]:
-        """What its parameter files are checked by."""
+        """Return the schema of its parameter files."""
         schema: type[BaseModel] = self._named(self.file)
         return schema
 
     def finder(self) -> Finder:
-        """What finds one in a log; raises MissingPackageError where what it needs is not installed."""
+        """Return the finder of such a model in a log; raise MissingPackageError without its dependencies."""
         if self.check:
             self._named(self.check)()
         finder: Finder = self._named(self.finder_function)
@@ -85,5 +85,8 @@ class FunctionStructure:
 
 
 def function_structures() -> Mapping[str, FunctionStructure]:
-    """All that are there by what their files call them, the simplest first."""
-    return {one.structure: one for one in sorted(plug_ins("structures"), key=lambda one: one.rank)}
+    """Return all structures by the name in their files, the simplest first."""
+    return {
+        structure.structure: structure
+        for structure in sorted(plug_ins("structures"), key=lambda structure: structure.rank)
+    }

@@ -21,7 +21,7 @@ _READ: ContextVar[dict[_Identity, Path] | None] = ContextVar("files that are rea
 
 @contextmanager
 def reading(named: Iterable[str | Path] = ()) -> Iterator[None]:
-    """Within, files that are read are remembered, those of `named` that are there from the start."""
+    """Record the files that are read inside the context, and the existing ones of `named` from its start."""
     token = _READ.set({})
     try:
         for path in named:
@@ -41,7 +41,7 @@ def remember(file: os.stat_result, path: str | Path) -> None:
 
 
 def is_read(path: Path) -> bool:
-    """Whether there is a file at `path` that is read."""
+    """Return True if a recorded file is at `path`."""
     files = _READ.get()
     if not files:
         return False
@@ -59,7 +59,7 @@ def _identity(file: os.stat_result) -> _Identity:
 
 MEGABYTE = 1_000_000
 _LFS_POINTER = b"version https://git-lfs"
-"""How the few lines begin that Git LFS leaves in place of a file that was not fetched."""
+"""First bytes of the text that Git LFS leaves in place of a file that was not fetched."""
 
 
 def open_input(path: Path) -> BufferedReader:
@@ -91,7 +91,7 @@ def open_input(path: Path) -> BufferedReader:
 
 
 def read_input(path: Path, most: int) -> bytes:
-    """All of a regular file of at most `most` bytes.
+    """Read a regular file of at most `most` bytes.
 
     Raises
     ------

@@ -39,7 +39,7 @@ class Stamped:
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """What arrived since the last control tick. None means: nothing new.
+    """Measurements since the last control tick; None means no new one.
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ class Reference(Protocol):
 
 
 class ControlStep(Protocol):
-    """What a controller returns for one tick; the closed loop reads these fields, and those of `EstimatingStep`."""
+    """Result of a controller for one tick; the closed loop reads these fields, and those of `EstimatingStep`."""
 
     @property
     def command(self) -> FloatArray:
@@ -130,12 +130,12 @@ class ControlStep(Protocol):
 
     @property
     def solver(self) -> Any:  # noqa: ANN401 - every solver has its own report
-        """How it was solved, in its `status`, `method` and `iterations`, or None for a controller without a solver."""
+        """Report with `status`, `method` and `iterations`; None for a controller without a solver."""
         ...
 
     @property
     def solve_time(self) -> float:
-        """How much of `step_time` stating and solving the problem took [s]; NaN if nothing was solved."""
+        """Time to state and solve the problem, as a part of `step_time` [s]; NaN without a solve."""
         ...
 
     @property
@@ -150,12 +150,12 @@ class ControlStep(Protocol):
 
 
 def solver_method(report: Any) -> str:  # noqa: ANN401 - every solver has its own report
-    """How a step was solved, in a word; a controller of one's own may have it under the former name `path`."""
+    """Return the solver method of a step in a word; other controllers may use the former name `path`."""
     return str(report.method if hasattr(report, "method") else report.path)
 
 
 class MotionEstimate(Protocol):
-    """What a controller believes of the robot's motion at a tick, with standard deviations."""
+    """Estimate of the robot's motion at a tick, with standard deviations."""
 
     @property
     def pose(self) -> FloatArray:
@@ -184,7 +184,7 @@ class EstimatingStep(Protocol):
 
     @property
     def estimate(self) -> MotionEstimate | None:
-        """What the command is based on; None before there is one."""
+        """Estimate behind the command; None before there is one."""
         ...
 
 
@@ -192,7 +192,7 @@ class TrackingController(Protocol):
     """Anything that the closed loop can drive a plant with: our MPC or a peer."""
 
     def start(self, reference: Reference, t0: float) -> None:
-        """Begin to track `reference`, whose time 0 is `t0` [s] on the controller's clock."""
+        """Start to track `reference`, whose time 0 is `t0` [s] on the controller's clock."""
         ...
 
     def step(self, t: float, measurement: Measurement) -> ControlStep:

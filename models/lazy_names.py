@@ -9,7 +9,7 @@ from typing import Any
 
 
 def on_first_use(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
-    """The `__getattr__` of `package` that imports a name of `homes` from the module beside it, as `__init__` would.
+    """Return a `__getattr__` for `package` that imports the names of `homes` from their modules on first use.
 
     Whoever needs one module of the package then does not load the others.
     """

@@ -59,18 +59,18 @@ def load_model(name: str | Path) -> VelocityModel | NonlinearModel:
 
 
 def model_names() -> tuple[str, ...]:
-    """Shipped models: one of each structure that ships one, and the one to hold them against."""
+    """List the shipped models: one of each structure that ships one, and the one for comparison."""
     return tuple(_shipped())
 
 
 def is_shipped(name: str | Path) -> bool:
-    """Whether `name` is one of `model_names`."""
+    """Return True if `name` is one of `model_names`."""
     return str(name) in _LINEAR or str(name) in _shipped()
 
 
 def _shipped() -> dict[str, Path]:
-    """Parameter files by name; who asks for one of `_LINEAR` looks for no plug-in."""
-    functions = {one.name: one.shipped for one in function_structures().values() if one.shipped}
+    """Return parameter files by name; a name of `_LINEAR` needs no plug-ins."""
+    functions = {structure.name: structure.shipped for structure in function_structures().values() if structure.shipped}
     linear = {name: path for name, path in _LINEAR.items() if name != _PLAIN}
     return linear | dict(sorted(functions.items())) | {_PLAIN: _LINEAR[_PLAIN]}
 
@@ -112,13 +112,13 @@ def read_model_file(path: str | Path) -> ModelFile:
 
 
 def _function(data: object) -> FunctionStructure | None:
-    """The structure of a function that a file names; None for one of matrices, for which no plug-in is looked for."""
+    """Return the structure of a function that a file names; None for matrices, which need no plug-in."""
     name = _structure(data)
     return None if name in STRUCTURES else function_structures().get(name)
 
 
 def _structure(data: object) -> str:
-    """Empty where it says none."""
+    """Return the structure that a file names; empty without one."""
     structure = data.get("structure") if isinstance(data, Mapping) else None
     return structure if isinstance(structure, str) else ""
 

@@ -12,15 +12,15 @@ Tanh = Callable[[Any], Any]
 
 
 def logistic(x: Any, tanh: Tanh) -> Any:  # noqa: ANN401 - arrays and symbols of any library
-    """1 / (1 + exp(-x))."""
+    """Compute 1 / (1 + exp(-x))."""
     return 0.5 + 0.5 * tanh(0.5 * x)
 
 
 def next_cell(enter: Any, keep: Any, candidate: Any, cell: Any, tanh: Tanh) -> Any:  # noqa: ANN401
-    """The cell one sample later, for the weighted sums of its three gates before their activation."""
+    """Compute the cell one sample later, for the weighted sums of its three gates before their activation."""
     return logistic(keep, tanh) * cell + logistic(enter, tanh) * tanh(candidate)
 
 
 def hidden(leave: Any, cell: Any, tanh: Tanh) -> Any:  # noqa: ANN401
-    """What the unit says, for the weighted sum of its output gate and its cell of the same sample."""
+    """Compute the output of the unit, for the weighted sum of its output gate and its cell at the same sample."""
     return logistic(leave, tanh) * tanh(cell)

@@ -20,7 +20,7 @@ from diffdrive_mpc.models.trust import check_trusted
 def named_file(
     kind: str, folder: Path, name: str | Path, shipped: Sequence[str] | None = None, others: str = ""
 ) -> Path:
-    """The file behind `name`: a YAML file that ships in `folder`, or the user's own.
+    """Resolve `name` to a file: a YAML file that ships in `folder`, or the user's own.
 
     Parameters
     ----------
@@ -114,12 +114,12 @@ def _entries(path: Path) -> Mapping[str, Any]:
 
 
 def is_file(path: str | Path) -> bool:
-    """Whether `path` is a file; false also for a name that is too long, where `Path.is_file` raises."""
+    """Return True if `path` is a file; False also for a name that is too long, for which `Path.is_file` raises."""
     return os.path.isfile(path)  # noqa: PTH113
 
 
 def shipped_names(folder: Path) -> tuple[str, ...]:
-    """Names of the YAML files in `folder`, sorted, without their ending."""
+    """List the YAML files in `folder`, sorted, without their ending."""
     return tuple(sorted(path.stem for path in folder.glob("*.yaml")))
 
 
@@ -127,11 +127,11 @@ def shipped_names(folder: Path) -> tuple[str, ...]:
 
 
 EDITOR_LINE = "# yaml-language-server: $schema="
-"""How it begins; after it the place of the schema, from the folder of the file."""
+"""Start of that line, which continues with the place of the schema relative to the file."""
 
 
 def kept_editor_line(path: Path) -> str:
-    """That line of the file at `path` for one that takes its place; nothing where there is none."""
+    """Return that line of the file at `path` for its replacement; empty without one."""
     with suppress(OSError, UnicodeDecodeError), path.open(encoding="utf-8") as file:
         first = file.readline()
         return first if first.startswith(EDITOR_LINE) else ""

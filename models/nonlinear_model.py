@@ -80,7 +80,7 @@ class NonlinearModel:
     delay: NDArray[np.int64] = field(default_factory=lambda: np.zeros(2, dtype=np.int64), init=False, repr=False)
 
     def __repr__(self) -> str:
-        """Kind, name, order and sample time in one line."""
+        """Describe kind, name, order and sample time in one line."""
         return (
             f"{type(self).__name__} {self.name!r} (a function; order {self.order}, {self.memory} past commands, "
             f"samples of {self.dt:g} s)"
@@ -138,7 +138,7 @@ class NonlinearModel:
 
     @property
     def compiled_step(self) -> CompiledStep | None:
-        """What the core has for it; None for the user's own functions. Raises ModelError for a kind it cannot do."""
+        """Compiled step of the core, or None for the user's functions; raise ModelError for an unknown kind."""
         return None
 
     @property
@@ -148,7 +148,7 @@ class NonlinearModel:
 
     @property
     def plant_step(self) -> ca.Function:
-        """What a plant is moved on by: `step`, unless that rounds off what a robot does sharply."""
+        """Step function for a plant: `step`, unless that smooths a sharp behaviour of the robot."""
         return self.step
 
     @property
@@ -210,7 +210,7 @@ class NonlinearModel:
         return np.asarray(self.dt * (np.diag(moment) / np.diag(self.dc_gain) - 0.5))
 
     def with_extra_dead_time(self, extra: ArrayLike) -> Self:
-        """The model itself for no dead time; raises ModelError for more, which its window would have to hold."""
+        """Return the model itself for zero dead time; raise ModelError for more, which its window lacks."""
         if np.any(np.asarray(extra, dtype=float)):
             raise ModelError(
                 f"model '{self.name}': extra dead time {np.asarray(extra).tolist()} s: its dead time lies in its "
@@ -219,7 +219,7 @@ class NonlinearModel:
         return self
 
     def discretise(self, dt: float) -> NoReturn:
-        """Not to be had: it is a function of samples `dt` apart; `linearised` is what it is near rest.
+        """Raise ModelError: the model is defined at one sample time only; `linearised` approximates it near rest.
 
         Raises
         ------

@@ -23,7 +23,7 @@ _SERIES_LIMIT, _SERIES_TERMS = 0.2, 6
 
 
 class _Functions(NamedTuple):
-    """What the text of the arc needs of NumPy or CasADi beside their operators."""
+    """Functions of NumPy or CasADi in the formula of the arc."""
 
     sin: Callable[[Any], Any]
     cos: Callable[[Any], Any]
@@ -35,7 +35,7 @@ def _numeric_sinc(x: Any) -> Any:  # noqa: ANN401 - numbers or arrays
 
 
 def _symbolic_sinc(x: ca.SX) -> ca.SX:
-    """sin(x) / x for CasADi, which has none; its derivatives are smooth through zero too."""
+    """Compute sin(x) / x for CasADi, which lacks it; its derivatives are smooth through zero."""
     square = x * x
     small = ca.fabs(x) < _SERIES_LIMIT
     series = ca.SX(0)
@@ -58,7 +58,7 @@ def _displacement(  # numbers, arrays or symbols
     dt: Any,  # noqa: ANN401
     lateral: Any,  # noqa: ANN401
 ) -> tuple[Any, Any, Any]:
-    """Displacement (dx, dy, dtheta) of the exact arc: the one text of it, for numbers and for symbols.
+    """Compute the displacement (dx, dy, dtheta) of the exact arc: one formula for numbers and for symbols.
 
     The body moves by the chord v dt sinc(omega dt / 2) along its mean heading theta + omega dt / 2, and by
     lateral dt sinc(omega dt / 2) to the left of that.
@@ -70,7 +70,7 @@ def _displacement(  # numbers, arrays or symbols
 
 
 def arc_displacement(theta: ca.SX, v: ca.SX, omega: ca.SX, dt: ca.SX, lateral: ca.SX) -> ca.SX:
-    """CasADi expression (3) of the displacement dx, dy [m], dtheta [rad] over one arc from heading `theta`.
+    """Return the CasADi expression (3) of the displacement dx, dy [m], dtheta [rad] over one arc from `theta`.
 
     Differentiable through omega = 0; the symbols are scalars in the units of `integrate_pose`.
     """
@@ -117,6 +117,6 @@ def wrap_angle(angle: ArrayLike) -> FloatArray:
 
 
 def ahead_and_left(gap: FloatArray, heading: ArrayLike) -> tuple[Any, Any]:
-    """The first two of `gap` (..., 2 or more) [m] in a frame turned by `heading` (...) [rad]: ahead and to the left."""
+    """Rotate the first two of `gap` (..., 2 or more) [m] into a frame at `heading` (...) [rad]."""
     c, s = np.cos(heading), np.sin(heading)
     return c * gap[..., 0] + s * gap[..., 1], c * gap[..., 1] - s * gap[..., 0]

@@ -32,7 +32,7 @@ class RobotLimits(TwistBounds):
 
 
 class ReferenceAcceleration(TwistBounds):
-    """What a reference may ask of the robot."""
+    """Acceleration limits of a reference."""
 
     lateral: Positive = Field(description="bound of v omega where a path is timed smoothly [m/s^2]")
 

@@ -1,4 +1,4 @@
-"""What a floor makes of the wheels' twist: the laws of the papers, each once."""
+"""Slip laws of the papers: twist of the body on a surface for the twist of its wheels."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LEAST_ROOT = 0.04
 
 
 class _Functions(NamedTuple):
-    """What the text of the growing track needs of NumPy or CasADi beside their operators."""
+    """Functions of NumPy or CasADi in the formula of the growing track."""
 
     sqrt: Callable[[Any], Any]
     absolute: Callable[[Any], Any]
@@ -31,7 +31,7 @@ _SYMBOLIC = _Functions(ca.sqrt, ca.fabs, ca.fmax)
 
 
 def polynomial_twist(coefficients: ArrayLike, wheels: ArrayLike) -> FloatArray:
-    """Twist of the body by terms in v_c, w_c and v_c w_c, added to the wheels' (v_c, w_c).
+    """Compute the twist of the body with terms in v_c, w_c and v_c w_c, added to the wheels' (v_c, w_c).
 
     Source: Ordonez et al., 2017 (P4): v = v_c + a11 v_c + a12 w_c + a13 v_c w_c, lateral = a21 v_c + a22 w_c +
     a23 v_c w_c, omega = w_c + a31 v_c + a32 w_c + a33 v_c w_c. Here lateral is to the left and w_c counter-clockwise.
@@ -57,13 +57,13 @@ def polynomial_terms(
     v: Any,  # noqa: ANN401 - arrays or CasADi's symbols
     omega: Any,  # noqa: ANN401
 ) -> tuple[Any, Any, Any]:
-    """The three parts of `polynomial_twist`, its one text for numbers and for symbols; coefficients are (3, 3)."""
+    """Compute the three parts of `polynomial_twist` for numbers or symbols; coefficients are (3, 3)."""
     ahead, left, turn = (a * v + b * omega + c * v * omega for a, b, c in coefficients.tolist())
     return v + ahead, left, omega + turn
 
 
 def _widening(functions: _Functions, settled: Any, growth: Any) -> Any:  # noqa: ANN401 - numbers, arrays or symbols
-    """By what factor the track is wider than at rest: the one text of P3's law, for numbers and for symbols.
+    """Compute the track over that at rest: P3's law for numbers or symbols.
 
     i = p1 |omega| + p0 is k = 1 + growth |omega| with growth = p1 / p0 and omega = settled / k, quadratic in k; this is
     the solution that is 1 for a track that does not grow. A track that shrinks ends where the faster turn would have
@@ -73,7 +73,7 @@ def _widening(functions: _Functions, settled: Any, growth: Any) -> Any:  # noqa:
 
 
 def track_widening(settled: ca.SX, growth: ca.SX) -> ca.SX:
-    """CasADi expression of the track over that at rest [-], for a robot whose track grows with its yaw rate.
+    """Return the CasADi expression of the track over that at rest [-], for a track that grows with the yaw rate.
 
     Source: Botta et al., Appl. Sci. 2021, 11(4), 1594 (P3), see `virtual_track_yaw_rate`.
 
@@ -88,7 +88,7 @@ def track_widening(settled: ca.SX, growth: ca.SX) -> ca.SX:
 
 
 def virtual_track_yaw_rate(difference: ArrayLike, p0: float, p1: float) -> FloatArray:
-    """Yaw rate of a robot whose track grows with it, i = p1 |yaw rate| + p0.
+    """Compute the yaw rate of a robot whose track grows with it, i = p1 |yaw rate| + p0.
 
     Source: Botta et al., Appl. Sci. 2021, 11(4), 1594 (P3). yaw rate = difference / i is quadratic in the yaw rate; its
     solution that stays finite for p1 = 0 is used.

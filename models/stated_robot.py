@@ -1,4 +1,4 @@
-"""What the maker of a robot states of it, by name: numbers with their source, of which none is identified."""
+"""Robots by the data of their makers: numbers with their source, none of them identified."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TO_IDENTIFY = (
     "gain, lag and dead time of both channels, the yaw rate that the ground leaves of the commanded one, slip, noise of"
     " the sensors"
 )
-"""What no maker states, in words."""
+"""Values that no maker states, in words."""
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 _UNITS = {
@@ -113,14 +113,14 @@ class MakersRobot(StrictModel):
         return self.wheel_separation.stated * self.wheel_separation_multiplier.stated
 
     def bounds(self, margin: float) -> dict[str, float]:
-        """Soft limits that follow: none is stated, so they begin `margin` [-] beyond what the command can ask for."""
+        """Return soft limits: none is stated, so they start `margin` [-] beyond the maximum command."""
         v, omega = self.v.stated, self.omega.stated
         rim = v + 0.5 * self.track * omega
         sizes = {"predicted_v": v, "predicted_omega": omega, "wheel_speed": rim}
         return {f"limits.{name}": float(f"{margin * size:.4g}") for name, size in sizes.items()}
 
     def configuration(self) -> dict[str, StatedKey]:
-        """Values of a controller's configuration by dotted key; slopes where they are below the default."""
+        """Return values of a controller's configuration by dotted key; slopes if they are below the default."""
         separation = (
             f"m, wheel separation {self.wheel_separation.stated:g} m times multiplier "
             f"{self.wheel_separation_multiplier.stated:g}"
@@ -148,12 +148,12 @@ class MakersRobot(StrictModel):
         return keys
 
     def mapping(self) -> LogMapping:
-        """Which topic of a bag of this robot is what, in whichever namespace the bag has them."""
-        names = {role: Topic(topic=of.stated) for role, of in dict(self.topics).items() if of is not None}
+        """Return the mapping of topics in a bag of this robot, in any namespace."""
+        names = {role: Topic(topic=topic.stated) for role, topic in dict(self.topics).items() if topic is not None}
         return LogMapping(source=f"{self.name}, as its maker states it", topics=Topics(**names))
 
     def lines(self) -> list[str]:
-        """What is stated, with its source, and what has to be identified; a line each."""
+        """Return the stated values with their sources, and the values to be identified, in one line each."""
         numbers = [(name, unit, getattr(self, name)) for name, unit in _UNITS.items()]
         lines = [
             f"{name} {number.stated:g}{'' if unit == '-' else f' {unit}'} (stated: {number.source})"
@@ -173,7 +173,7 @@ class MakersRobot(StrictModel):
 
 
 def stated_robots() -> tuple[str, ...]:
-    """Names of the robots that are known, sorted."""
+    """List the names of known robots, sorted."""
     return STATED_ROBOTS.names
 
 

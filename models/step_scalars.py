@@ -16,7 +16,7 @@ from diffdrive_mpc.models.checked_yaml import StrictModel, check, read_yaml
 class StepScalar(StrictModel):
     """One number; `step_scalars.yaml` says what its fields mean."""
 
-    of: str = Field(min_length=1)
+    attribute: str = Field(min_length=1)
     label: str = Field(min_length=1)
     unit: str = Field(min_length=1)
     digits: int = Field(ge=0, le=9)
@@ -30,26 +30,26 @@ class StepScalar(StrictModel):
 
 @cache
 def step_scalars() -> Mapping[str, StepScalar]:
-    """All by the name of their column, in the order of the file."""
+    """Return all scalars by the name of their column, in the order of the file."""
     path = Path(__file__).with_suffix(".yaml")
     return {name: check(StepScalar, entry, f"{path}: {name}") for name, entry in read_yaml(path).items()}
 
 
 def scalar_row(step: object) -> list[float]:
-    """What `step` says, in the order of `step_scalars`; NaN where it says nothing."""
+    """Return the scalars of `step` in the order of `step_scalars`; NaN if missing."""
     return [_taken(step, path) for path in _paths()]
 
 
 def scalars_of(step: object) -> dict[str, float]:
-    """What `step` says, by the names of columns."""
+    """Return the scalars of `step` by the names of their columns."""
     values = zip(step_scalars(), scalar_row(step), strict=True)
     return {name: value for name, value in values if not math.isnan(value)}
 
 
 @cache
 def _paths() -> tuple[tuple[str | int, ...], ...]:
-    """From a step to each number: names of attributes, and indices."""
-    ways = (scalar.of.split(".") for scalar in step_scalars().values())
+    """Return the path from a step to each number: names of attributes, and indices."""
+    ways = (scalar.attribute.split(".") for scalar in step_scalars().values())
     return tuple(tuple(int(part) if part.isdecimal() else part for part in way) for way in ways)
 
 

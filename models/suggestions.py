@@ -1,4 +1,4 @@
-"""What a user may have meant by a key that a schema does not know."""
+"""Suggestions for a key that a schema does not know."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _MOST = 4
 
 
 def suggestion(schema: type[BaseModel], location: list[Any], shown: Callable[[str], str] = str) -> str:
-    """The end of a message about an unknown key at `location`: which keys it may stand for, or which are known there.
+    """Format the end of a message about an unknown key at `location`: similar keys, or the known ones.
 
     A key of that very name elsewhere and keys that the field calls so come before names that are merely spelt alike,
     unless one beside it is spelt almost the same; keys beside the unknown one come before others.
@@ -77,24 +77,24 @@ def suggestion(schema: type[BaseModel], location: list[Any], shown: Callable[[st
 
 
 def _synonyms(key: str) -> list[str]:
-    """Other words for the key, or for one word of it, as of `yaw` in `yaw_slew`."""
+    """Return other words for the key, or for one word of it, as of `yaw` in `yaw_slew`."""
     if key.lower() in SYNONYMS:
         return list(SYNONYMS[key.lower()])
     words = key.lower().split("_")
     return [
-        "_".join([*words[:i], other, *words[i + 1 :]])
+        "_".join([*words[:i], synonym, *words[i + 1 :]])
         for i, word in enumerate(words)
-        for other in SYNONYMS.get(word, ())
-        if "." not in other
+        for synonym in SYNONYMS.get(word, ())
+        if "." not in synonym
     ]
 
 
 def _named(paths: list[str], parents: list[str], names: list[str]) -> list[str]:
-    """Of the paths that end in one of the names those beside the unknown key, or else those of the highest level."""
+    """Select the paths that end in one of the names: those next to the unknown key, or else of the highest level."""
     ending = [path for path in paths if any(f".{path}".endswith(f".{name}") for name in names)]
     place = ".".join(parent for parent in parents if not parent.isdigit())
     beside = [path for path in ending if path.rpartition(".")[0] == place]
-    return beside or [path for path in ending if path.count(".") == min(other.count(".") for other in ending)]
+    return beside or [path for path in ending if path.count(".") == min(candidate.count(".") for candidate in ending)]
 
 
 def _further_groups(level: type[BaseModel]) -> Mapping[str, type[BaseModel]]:

@@ -42,7 +42,7 @@ class TextTable:
                 raise ValueError(f"table '{self.title}': {len(row)} cells for {len(self.columns)} columns")
 
     @classmethod
-    def of(
+    def build(
         cls,
         title: str,
         names: tuple[str, ...],
@@ -50,7 +50,7 @@ class TextTable:
         entries: Iterable[tuple[tuple[str, ...], T]],
         note: str = "",
     ) -> Self:
-        """A table of `entries`, each the names on its left and what its cells are made of.
+        """Build a table of `entries`, each with the names on its left and the source of its cells.
 
         Parameters
         ----------
@@ -67,13 +67,13 @@ class TextTable:
         return cls(title, (*names, *columns), rows, len(names), note)
 
     def __str__(self) -> str:
-        """Title, headings, rows and note."""
+        """Format title, headings, rows and note."""
         widths = [max(map(len, column)) for column in zip(self.columns, *self.rows, strict=True)]
         lines = ["  ".join(self._aligned(cells, widths)).rstrip() for cells in (self.columns, *self.rows)]
         return plain_text("\n".join(line for line in (self.title, *lines, self.note) if line))
 
     def markdown(self) -> str:
-        """The table as a Markdown section."""
+        """Format the table as a Markdown section."""
         rule = ["---" if i < self.text_columns else "---:" for i in range(len(self.columns))]
         lines = [_markdown_row(cells) for cells in (self.columns, rule, *self.rows)]
         note = ["", self.note] if self.note else []
@@ -85,7 +85,7 @@ class TextTable:
 
 
 def number(value: float, digits: int = 4) -> str:
-    """A cell for `value`; "-" where it could not be computed."""
+    """Format a cell for `value`; "-" if it is missing."""
     return f"{value:.{digits}f}" if math.isfinite(value) else "-"
 
 
@@ -101,13 +101,17 @@ LONGEST = 1000
 
 
 def plain_line(text: str, longest: int = LONGEST) -> str:
-    r"""`text` as one line that steers neither a terminal nor a parser of lines.
+    r"""Escape `text` to one line that steers neither a terminal nor a parser of lines.
 
     White space is one blank each, other characters that cannot be printed stand as escapes such as ``\x1b``, and what
     is longer than `longest` characters is cut, which "..." shows.
     """
     cut = text[: 4 * longest]  # what follows cannot be shown, and need not be looked at
-    line = " ".join("".join(one if one.isprintable() or one.isspace() else _escape(one) for one in cut).split())
+    line = " ".join(
+        "".join(
+            character if character.isprintable() or character.isspace() else _escape(character) for character in cut
+        ).split()
+    )
     return line if len(line) <= longest and len(cut) == len(text) else f"{line[: longest - 3]}..."
 
 
@@ -116,12 +120,15 @@ def escaped(text: str, allowed: str = "") -> str:
     if text.isprintable():
         return text
     return "".join(
-        one if one.isprintable() or one in allowed or category(one) == "Zs" else _escape(one) for one in text
+        character
+        if character.isprintable() or character in allowed or category(character) == "Zs"
+        else _escape(character)
+        for character in text
     )
 
 
 def plain_text(text: str) -> str:
-    r"""`text` with its lines and tabs; other characters that cannot be printed stand as escapes such as ``\x1b``."""
+    r"""Escape characters of `text` that cannot be printed, except for line breaks and tabs, as in ``\x1b``."""
     return escaped(text, "\n\t")
 
 

@@ -43,7 +43,7 @@ def only_trusted(source: str | Path, folders: Sequence[Path] = ()) -> Iterator[N
 
 @contextmanager
 def also_trusted(folder: Path) -> Iterator[None]:
-    """Trust `folder`, too, where only some are: one that this program writes itself."""
+    """Trust `folder` inside the context, too: for files that this program writes itself."""
     trust = _TRUST.get()
     if trust is None:
         yield
@@ -63,7 +63,7 @@ def check_trusted(path: str | Path) -> None:
 
 
 def is_trusted(path: str | Path) -> bool:
-    """Whether the file at `path` may be opened; see `check_trusted`."""
+    """Return True if the file at `path` may be opened; see `check_trusted`."""
     trust = _TRUST.get()
     if trust is None:
         return True

@@ -22,7 +22,7 @@ _PROGRAM: ContextVar[str] = ContextVar("program", default="diffdrive-mpc")
 
 @contextmanager
 def typed(arguments: Sequence[str], program: str = "diffdrive-mpc") -> Iterator[None]:
-    """Within, `command_line` tells these arguments of `program`, and no file that they name to be read is written."""
+    """Set the arguments of `program` for `command_line` inside the context, and protect files that they name."""
     before, program_before = _TYPED.set(tuple(arguments)), _PROGRAM.set(program)
     try:
         with reading(named_inputs(arguments)):
@@ -33,7 +33,7 @@ def typed(arguments: Sequence[str], program: str = "diffdrive-mpc") -> Iterator[
 
 
 def named_inputs(arguments: Sequence[str]) -> list[str]:
-    """What in a command may name a file to be read: every word, and part of one, but what follows an output option."""
+    """List the words, and parts of words, that may name a file to be read, without those after an output option."""
     outputs = {option for option, commands in OUTPUTS.items() if not commands or commands & set(arguments[:1])}
     parts: list[str] = []
     for before, word in zip(("", *arguments), arguments, strict=False):
@@ -46,6 +46,6 @@ def named_inputs(arguments: Sequence[str]) -> list[str]:
 
 
 def command_line() -> str:
-    """The command, to be pasted into a shell; what called instead where there is none."""
+    """Return the command for a shell; the calling program without one."""
     arguments = _TYPED.get()
     return "called from Python" if arguments is None else f"{_PROGRAM.get()} {shlex.join(arguments)}"

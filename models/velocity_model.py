@@ -27,7 +27,7 @@ class ModelError(DiffdriveMpcError, ValueError):
 
 
 def mean_delay(A: FloatArray, B: FloatArray, C: FloatArray, dead_time: FloatArray, inputs: Sequence[int]) -> FloatArray:
-    """(p,) mean delay of each output's answer to one of the inputs [s]: dead time plus the lag at zero frequency.
+    """Compute the mean delay (p,) of each output's response to one of the inputs [s]: dead time plus lag.
 
     For x' = A x + B u(t - dead_time), y = C x with n states, m inputs and p outputs; `inputs` (p,) are their numbers.
     """
@@ -147,7 +147,7 @@ class VelocityModel:
         return mean_delay(self.A, self.B, self.C, self.dead_time, (0, 1))
 
     def with_extra_dead_time(self, extra: ArrayLike) -> VelocityModel:
-        """The same dynamics behind `extra` (2,) seconds more dead time."""
+        """Return the same dynamics with `extra` (2,) seconds more dead time."""
         return replace(self, dead_time=self.dead_time + np.asarray(extra, dtype=float))
 
     def discretise(self, dt: float) -> DiscreteModel:

@@ -59,9 +59,9 @@ class WheelKinematics:
         return self._to_body
 
     def wheel_speeds(self, twist: ArrayLike) -> FloatArray:
-        """Wheel speeds (..., 4) [rad/s] for body twists (..., 2)."""
+        """Compute wheel speeds (..., 4) [rad/s] for body twists (..., 2)."""
         return np.asarray(np.asarray(twist, dtype=float) @ self._to_wheels.T)
 
     def twist(self, wheel_speeds: ArrayLike) -> FloatArray:
-        """Body twists (..., 2) for wheel speeds (..., 4) [rad/s]."""
+        """Compute body twists (..., 2) for wheel speeds (..., 4) [rad/s]."""
         return np.asarray(np.asarray(wheel_speeds, dtype=float) @ self._to_body.T)

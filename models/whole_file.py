@@ -164,7 +164,7 @@ def _clear_left_over(parent: Path) -> None:
 
 
 def reason(error: Exception) -> str:
-    """Why the system refused, in words."""
+    """Return the system's reason for a refusal in words."""
     return getattr(error, "strerror", None) or str(error)
 
 

@@ -1,6 +1,6 @@
-"""What decides: reference trajectories, the tracking problem, its solver, the estimator and the failure ladder.
+"""Controller: reference trajectories, tracking problem, solver, estimator and failure ladder.
 
-Everything is imported on first use: what shares this room with the controller does not load it.
+Everything is imported on first use: modules next to the controller do not load it.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ if not TYPE_CHECKING:  # a type checker takes the imports above for the public n
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - the type checker sees the imports above
-    """Import a public name when it is first asked for."""
+    """Import a public name on first access."""
     if name == "SolverPath":
         warnings.warn("SolverPath is SolverMethod now", DeprecationWarning, stacklevel=2)
         name = "SolverMethod"

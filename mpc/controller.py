@@ -1,6 +1,6 @@
 """The controller: passes measurements to the compiled tick and returns its result as arrays and messages.
 
-`mpc/core/tick.c` implements the tick. This module does what Python is better at: configuration, sampling of models,
+`mpc/core/tick.c` implements the tick. This module does the parts that suit Python: configuration, sampling of models,
 re-entry, the solver backends that the tick may request, and message text.
 """
 
@@ -60,7 +60,7 @@ _FASTEST = 1e6
 
 @dataclass
 class _Predicted:
-    """What the controller predicts with."""
+    """Prediction model of the controller, with its constants."""
 
     model: VelocityModel | NonlinearModel
     sampled: DiscreteModel | NonlinearModel
@@ -68,7 +68,7 @@ class _Predicted:
 
     @classmethod
     def by(cls, model: VelocityModel | NonlinearModel, dt: float) -> _Predicted:
-        return cls(model, sampled_model(model, dt), FeedForward.of(model, dt))
+        return cls(model, sampled_model(model, dt), FeedForward.from_model(model, dt))
 
 
 @dataclass
@@ -154,7 +154,7 @@ class Controller:
 
     @property
     def operations_bound(self) -> int:
-        """What `step.solver.operations` of no tick exceeds; it follows from the horizon and the kinds of limit."""
+        """Return an upper bound of `step.solver.operations`, which follows from the horizon and the kinds of limit."""
         N = self._config.horizon
         return int(self._tick.lib.ddmpc_operations_bound(N, self._kinds, self._room))
 
@@ -171,7 +171,7 @@ class Controller:
         self._tick.parameters[:] = np.array(defaults, dtype=float)
 
     def __repr__(self) -> str:
-        """What it predicts with and what it tracks, in one line."""
+        """Describe the prediction model and the reference in one line."""
         config, model, reference = self._config, self.model, self._reference
         tracked = "nothing yet" if reference is None else repr(reference.name)
         return (
@@ -192,14 +192,15 @@ class Controller:
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Build it in another process, as it is after `start`."""
+        """Rebuild the controller in another process, in its state after `start`."""
         Controller.__init__(self, state["config"], *state["given"])
         self._tick.parameters[:] = state["parameters"]
         self.limit_speed(state["speed_limit"])
         for name, feature_state in state["features"].items():
             self._features[name].restore(feature_state)
         if state["reference"] is not None:
-            # It was accepted when it began; limits that were tightened while driving do not end it.
+            # The reference was accepted at the start; limits tightened during the drive do not end it. limits that were
+            # tightened while driving do not end it.
             self._begin(state["reference"], state["t0"])
 
     @property
@@ -288,9 +289,9 @@ class Controller:
 
     @property
     def planned_delay(self) -> float:
-        """How late the reference is because it was decided so [s]: the robot stood, a speed limit, things in its way.
+        """Planned delay of the reference [s]: waiting for the robot, speed limits and obstacles.
 
-        Part of `reference_delay` of a step. By how much the robot lags beside that is not counted.
+        Part of `reference_delay` of a step. The lag of the robot itself is not included.
         """
         return self._pursuit.planned_delay
 
@@ -315,14 +316,14 @@ class Controller:
 
     @property
     def belief(self) -> Belief:
-        """All that the filter believes at the tick of the last step, as a copy.
+        """Copy of the filter's belief at the last step.
 
         Raises
         ------
         RuntimeError
             If there is no estimate: no step was taken, or none since the last `start` had a pose.
         """
-        pose = self._tick.believed()
+        pose = self._tick.newest_belief()
         if pose is None:
             raise RuntimeError("nothing is believed yet: call step with a pose first")
         return Belief(*pose, self._tick.layout.slip.start)
@@ -381,7 +382,7 @@ class Controller:
     def start(self, reference: Reference | str | Path, t0: float) -> None:
         """Track `reference` from now on; its time 0 is `t0` [s] on the clock of `step`.
 
-        The estimate and the clock restart. The robot may be moving: commands in the dead time are kept, and the next
+        The estimate and the clock restart. The robot may be moving: commands in the dead time stay, and the next
         command keeps the slew limit relative to the last one. A name or path selects a trajectory, loaded with the
         limits of the configuration.
 
@@ -442,7 +443,7 @@ class Controller:
         self._pursuit.start(tracked, native=native.complete)
 
     def _laid(self, reference: Reference) -> tuple[NativeReference, Reference]:
-        """A reference for the core, and as it will be driven."""
+        """Return a reference for the core, and the same as the robot will drive it."""
         tracked = checked_reference(reference)
         for feature in self._features.values():
             tracked = feature.lay(tracked)
@@ -479,7 +480,7 @@ class Controller:
             return
         native, tracked = self._laid(reference)
         self._t0 = self._host.t0 = self._t0 if t0 is None else t0
-        self._tick.lib.ddmpc_relay(self._c, native.struct, self._t0)
+        self._tick.lib.ddmpc_switch_reference(self._c, native.struct, self._t0)
         # C reads it from now on.
         self._tick.reference, self._reference = native, reference
         if t0 is None:
@@ -488,7 +489,7 @@ class Controller:
             self._pursuit.start(tracked, native=native.complete)
 
     def reset(self) -> None:
-        """Reset estimate, plan and commands, for a robot at standstill. The reference is kept."""
+        """Reset estimate, plan and commands, for a robot at standstill. The reference stays."""
         self._tick.lib.ddmpc_reset(self._c)
         self._pursuit.restart()
         for feature in self._features.values():
@@ -539,7 +540,7 @@ class Controller:
     def updated(
         self, weights: Mapping[str, float] | None = None, limits: Mapping[str, float] | None = None
     ) -> ControllerConfig:
-        """The configuration that `update` would bring into force; nothing changes.
+        """Return the configuration that `update` would apply; nothing changes.
 
         Raises
         ------
@@ -570,7 +571,7 @@ class Controller:
 
     @property
     def speed_limit(self) -> float | None:
-        """Limit of the speed on top of the configuration's [m/s]; None where there is none."""
+        """Limit of the speed on top of the configuration's [m/s]; None without a reference."""
         return self._speed_limit
 
     def limit_speed(self, v: float | None) -> None:
@@ -623,10 +624,10 @@ class Controller:
 
         Never raises on bad data: a measurement that is not finite, jumps or is too old is rejected, and `message` says
         so. The robot then dead-reckons. It brakes when no pose was accepted for `failure.max_pose_age`, or for
-        `failure.dead_reckoning` where wheels and gyro are good.
-        With `hold` it brakes and stands instead of driving; the estimate continues.
-        A clock that leaps zeroes the command in one tick: where `t` is ahead by more than `estimator.history`, a base
-        without commands has stopped by itself. Every other change of the command keeps slew or the braking limits.
+        `failure.dead_reckoning` where wheels and gyro are good. With `hold` it brakes and stands instead of driving;
+        the estimate continues. A clock that leaps zeroes the command in one tick: where `t` is ahead by more than
+        `estimator.history`, a base without commands has stopped by itself. Every other change of the command keeps slew
+        or the braking limits.
 
         With `deadline`, by `time.monotonic` [s], the solve is stopped by the clock. The active set is, after one
         iteration at the earliest: ranges and slew of its plan are kept, the rest as far as it got, and `solver.status`
@@ -713,7 +714,8 @@ class Controller:
                 return tick.lib.ddmpc_too_far(self._c, target.distance), ""
             self._blocked_for = target.blocked_for
             sample = target.sample or target.reference.sample(target.time + self._ahead)
-            # A blocked base must not be commanded more and more: once released, it would lurch.
+            # A blocked base must not receive ever larger commands, or it would lurch once released. once released, it
+            # would lurch.
             share = self._config.reentry.blocked_share if target.blocked_for else 1.0
             return tick.track(sample.pose, sample.twist, share), target.message
         except (ArithmeticError, ValueError) as error:
@@ -730,7 +732,7 @@ class Controller:
         )
         refused = report.status is SolverStatus.REFUSED
         status = SolverStatus.NOT_RUN if refused else report.status
-        answer = {
+        core_report = {
             "status": getattr(tick.lib, f"DDMPC_QP_{status.name}"),
             "path": tick.lib.DDMPC_BACKEND,
             "iterations": report.iterations,
@@ -738,11 +740,11 @@ class Controller:
             "primal_residual": report.primal_residual,
             "dual_residual": report.dual_residual,
         }
-        tick.lib.ddmpc_answer(self._c, plan, multipliers, ffi.new("ddmpc_report *", answer))
+        tick.lib.ddmpc_answer(self._c, plan, multipliers, ffi.new("ddmpc_report *", core_report))
         return refused
 
     def _build(self, hold: Hold | None, message: str, times: tuple[float, float], *, refused: bool) -> StepResult:
-        """The result in C as arrays and words."""
+        """Build the step result from the result in C, with arrays and words."""
         c, pursuit = self._c_result, self._pursuit
         layout = self._tick.layout
         block = layout.copy()
@@ -781,7 +783,7 @@ class Controller:
 
 
 def _limited(config: ControllerConfig, speed: float | None) -> ControllerConfig:
-    """`config` with no greater speed than that [m/s]."""
+    """Return `config` with a forward speed limit of at most `speed` [m/s]."""
     limits = config.limits
     if speed is None or speed >= max(limits.v.sides):
         return config
@@ -790,9 +792,9 @@ def _limited(config: ControllerConfig, speed: float | None) -> ControllerConfig:
 
 
 def _pairs(commands: ArrayLike) -> FloatArray:
-    """Commands (K, 2); raises ValueError where they are something else."""
+    """Return commands as (K, 2); raise ValueError for another shape."""
     pairs = np.asarray(commands, dtype=float)
-    # Not the other way round: NaN must fail.
+    # Negated so that NaN fails.
     if pairs.ndim != 2 or pairs.shape[1] != 2 or not (np.abs(pairs) <= _FASTEST).all():
         raise ValueError(
             f"commands of shape {pairs.shape}: give finite pairs (K, 2) of v_ref [m/s], omega_ref [rad/s], each at "

@@ -1,4 +1,4 @@
-"""What the controller believes at one tick."""
+"""Estimate of pose, velocity and slip at one tick."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ class Estimate:
         return {sensor: value for sensor, value in pairs if not np.isnan(value)}
 
 
-# All that the filter believes at one tick, covariances between its parts included.
+# Full belief of the filter at one tick, including covariances between its parts.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,7 +163,7 @@ class Belief:
         return gradient @ self.slip_covariance @ gradient.T
 
     def with_slip(self, slip: Slip) -> Belief:
-        """The same with another slip, taken as certain."""
+        """Return the same belief with another slip, treated as certain."""
         mean, covariance = self.mean.copy(), self.covariance.copy()
         mean[self.slips] = [getattr(slip, name) for name in SLIPS[: self.slips.stop - self.slips.start]]
         covariance[self.slips], covariance[:, self.slips] = 0.0, 0.0

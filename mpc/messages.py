@@ -1,4 +1,4 @@
-"""What the core says in numbers, in words: modes, states of the solver, and why something was done or rejected."""
+"""Texts for the core's codes: modes, solver states, and reasons for actions and rejections."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from diffdrive_mpc.mpc.solver.report import SolverMethod, SolverStatus
 from diffdrive_mpc.mpc.step_result import Mode
 
 _HONEST = 0.1
-"""By which what a sound sensor reads differs from what poses say [-]."""
+"""Tolerated deviation of a sound sensor from poses [-]."""
 _ASIDE = 15.0
 """Angle between way and heading that no side-slip explains [deg]."""
 _BOTH = 0.35
@@ -53,11 +53,12 @@ class MessageFormatter:
             lib.DDMPC_TIME_FAULTY | lib.DDMPC_TIME_REPEATED | lib.DDMPC_TIME_LEAPT | lib.DDMPC_TIME_PAUSED
         )
         self.cause = ""
-        """Why the robot waits for a person, as the tick said that stopped it; empty while it does not wait."""
+        """Reason for which the robot waits for a person, from the tick that stopped it; empty while it does not wait.
+        """
         self.configure(config)
 
     def configure(self, config: ControllerConfig) -> None:
-        """Speak of the limits of `config` from now on."""
+        """Use the limits of `config` in messages from now on."""
         self._config = config
         self._methods: dict[int, str] = {
             self._lib.DDMPC_NO_WAY: SolverMethod.NONE,
@@ -71,7 +72,7 @@ class MessageFormatter:
         return self._methods[number]
 
     def sentence(self, hold: Hold | None, status: SolverStatus, target: str) -> str:
-        """Why the tick went as it did; `target` says what is out of the ordinary of what is tracked."""
+        """Describe the tick in words; `target` describes anything unusual about the tracked target."""
         c, lib = self._result, self._lib
         reasons = c.reasons
         parts = [words(c) for bit, words in self._time_words(lib) if reasons & bit]
@@ -139,11 +140,11 @@ class MessageFormatter:
         ]
 
     def unused(self, reasons: int) -> tuple[str, ...]:
-        """Names of the sensors that the others contradict."""
+        """Return the names of the sensors that the others contradict."""
         return tuple(name for bit, name in self._accused.items() if reasons & bit)
 
     def _findings(self, c: Any) -> list[str]:  # noqa: ANN401
-        """What comparing the sensors has found: which are not used, and what is to be put right."""
+        """Describe the results of the sensor comparison: unused sensors, and faults to correct."""
         lib, words = self._lib, []
         for subject, (bit, name) in enumerate(self._accused.items()):
             if c.reasons & bit:

@@ -1,4 +1,4 @@
-"""What one control step returns."""
+"""Result of one control step."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LATE = "LATE"
 
 
 class Mode(StrEnum):
-    """What the controller is doing. The names are those of `ddmpc_mode` in core.h."""
+    """Operating mode of the controller. The names are those of `ddmpc_mode` in core.h."""
 
     TRACKING = "TRACKING"
     """The problem was solved; the command is the first of a fresh plan."""
@@ -92,7 +92,7 @@ class StepResult:
 
     @property
     def state(self) -> str:
-        """The mode, or `LATE` in place of `TRACKING` for a robot that `is_late`."""
+        """The mode, or `LATE` instead of `TRACKING` for a robot that `is_late`."""
         return LATE if self.is_late and self.mode is Mode.TRACKING else str(self.mode)
 
     @property
@@ -107,7 +107,7 @@ class StepResult:
 
     @property
     def reference(self) -> FloatArray | None:
-        """(N + 1, 3) the poses that this plan tracks: the reference, or the way back to it."""
+        """(N + 1, 3) the poses that this plan tracks: the reference, or the path back to it."""
         aim = self._take("aim")
         return None if aim is None else aim[:, :3]
 
@@ -118,7 +118,7 @@ class StepResult:
         return layout.take(block, name)
 
     def __str__(self) -> str:
-        """A few lines for people."""
+        """Format a short summary."""
         v, omega = self.command.tolist()
         lines = [
             f"command   {v:+.3f} m/s {omega:+.3f} rad/s",

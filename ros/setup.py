@@ -12,7 +12,7 @@ SHARE = f"share/{NAME}"
 
 
 def files(folder: str) -> list[str]:
-    """Files of a folder, as setuptools wants them: relative to this one."""
+    """List the files of a folder for setuptools, relative to this one."""
     return sorted(str(path.relative_to(HERE)) for path in (HERE / folder).iterdir() if path.is_file())
 
 

@@ -1,4 +1,4 @@
-"""What stands in for the robot: plants, sensors, the closed loop and its metrics.
+"""Simulation of the robot: plants, sensors, the closed loop and its metrics.
 
 Everything is imported on first use, so that it works where MuJoCo is not installed.
 """

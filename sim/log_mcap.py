@@ -58,7 +58,7 @@ def write_ticks(run: Run, path: Path, metadata: Mapping[str, Mapping[str, str]])
 
 
 def _rows(run: Run) -> Iterator[dict[str, Cell]]:
-    """What is known at each tick, of the run's columns."""
+    """Yield the values known at each tick, by column of the run."""
     columns = {name: column.tolist() for name, column in run.columns.items()}
     for cells in zip(*columns.values(), strict=True):
         yield {name: cell for name, cell in zip(columns, cells, strict=True) if not _missing(cell)}

@@ -1,4 +1,4 @@
-"""What the closed loop keeps of each tick, and the run that it becomes."""
+"""Record of each tick of the closed loop, and the resulting run."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Recorder:
         self._readings: dict[str, list[FloatArray]] = {}
 
     def before(self, plant: Plant, measurement: Measurement) -> None:
-        """A tick begins: where the robot is in truth, and what its sensors said."""
+        """Record the true state and the measurement at the start of a tick."""
         k = len(self._said)
         self._time[k], self._true_pose[k], self._true_twist[k] = plant.time, plant.true_pose, plant.true_twist
         for name, part in getattr(plant, "parts", {}).items():
@@ -54,7 +54,7 @@ class Recorder:
         self._measurements.append(measurement)
 
     def decided(self, step: ControlStep, command: FloatArray) -> None:
-        """The controller has answered with `command` (2,)."""
+        """Record the controller's step and its `command` (2,)."""
         k = len(self._said)
         self._command[k] = command
         self._step_time[k], self._solve_time[k] = step.step_time, step.solve_time
@@ -70,7 +70,7 @@ class Recorder:
             self._plans.append(step.plan)
 
     def after(self, plant: Plant, *, lost: bool) -> None:
-        """The sample has passed; a robot that was `lost` in it has done no work."""
+        """Record the end of the sample; a robot that was `lost` in it has done no work."""
         self._work.append(NOTHING if lost else motor_work(plant))
 
     def run(self, plant: Plant, reference: Reference, *, ended: str) -> Run:
@@ -114,7 +114,7 @@ class Recorder:
 
 
 class _Said(NamedTuple):
-    """What a step says of itself, in words and numbers."""
+    """Texts and numbers of a step."""
 
     mode: str
     message: str
@@ -125,14 +125,14 @@ class _Said(NamedTuple):
 
     @classmethod
     def by(cls, step: ControlStep) -> _Said:
-        """The words of `step`."""
+        """Extract texts and numbers of `step`."""
         solver, state = step.solver, str(getattr(step, "state", step.mode))
         status, method = ("", NO_SOLVER) if solver is None else (str(solver.status), solver_method(solver))
         return cls(str(step.mode), step.message, status, method, scalar_row(step), state)
 
 
 def _stacked(plans: Sequence[FloatArray | None]) -> FloatArray:
-    """(n, N + 1, 3) the plans of n ticks, NaN where there is none; (n, 0, 3) where no tick has one."""
+    """Stack the plans of n ticks as (n, N + 1, 3), NaN for missing ones; (n, 0, 3) if all are missing."""
     poses = next((len(plan) for plan in plans if plan is not None), 0)
     nothing = np.full((poses, 3), np.nan)
     return np.array([nothing if plan is None else plan for plan in plans], dtype=float).reshape(len(plans), poses, 3)

@@ -1,4 +1,4 @@
-"""What happened in one closed-loop run."""
+"""Results of one closed-loop run."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ class Run(ReadOnlyArrays):
             "estimates": np.full((count, 5), np.nan),
             "estimate_deviations": np.full((count, 5), np.nan),
             "scalars": np.full((count, len(step_scalars())), np.nan),
-            **{f"motor_{what}": np.full((count, 4), np.nan) for what in ("torque", "speed", "power", "square")},
+            **{f"motor_{quantity}": np.full((count, 4), np.nan) for quantity in ("torque", "speed", "power", "square")},
         }
         vars(self).update({name: rows for name, rows in nothing.items() if not len(vars(self)[name])})
         super().__post_init__()
@@ -155,7 +155,7 @@ class Run(ReadOnlyArrays):
 
     @cached_property
     def recovery(self) -> Recovery:
-        """How the run came back to its path after the disturbance, up to the end of the reference."""
+        """Recovery of the run after the disturbance, up to the end of the reference."""
         counted, band = self.counted, metric_settings().band
         lateral, command = self.errors.lateral[counted], self.command[counted]
         return compute_recovery(
@@ -220,8 +220,8 @@ class Run(ReadOnlyArrays):
         numbers.append((tuple(names[column] for column in finite), self.scalars[:, finite]))
         if np.isfinite(self.motor_torque).any():
             numbers += [
-                (tuple(f"true_{what}_{wheel}_{unit}" for wheel in ("fl", "fr", "rl", "rr")), rows)
-                for what, unit, rows in (
+                (tuple(f"true_{quantity}_{wheel}_{unit}" for wheel in ("fl", "fr", "rl", "rr")), rows)
+                for quantity, unit, rows in (
                     ("torque", "n_m", self.motor_torque),
                     ("motor_power", "w", self.motor_power),
                     ("torque_square", "n2_m2", self.motor_square),
@@ -242,7 +242,7 @@ class Run(ReadOnlyArrays):
         return {**columns, **{name: np.array(values, dtype=object) for name, values in texts.items()}}
 
     def to_dataframe(self) -> DataFrame:
-        """The run as a pandas table, one row per tick, with the names of `columns`.
+        """Convert the run to a pandas table, one row per tick, with the names of `columns`.
 
         Raises
         ------
@@ -267,11 +267,11 @@ class Run(ReadOnlyArrays):
         return plot_run(self)
 
     def __str__(self) -> str:
-        """Its statistics as a table."""
+        """Format the statistics as a table."""
         return f"{self!r}\n{self.metrics}"
 
     def __repr__(self) -> str:
-        """What it is, in one line."""
+        """Describe the run in one line."""
         return f"Run along {self.reference.name!r}: {len(self.time)} ticks of {self.sample_time:g} s" + (
             f", ended: {self.ended}" if self.ended else ""
         )
@@ -282,7 +282,8 @@ class Run(ReadOnlyArrays):
         Raises ValueError on another length.
         """
         times = [
-            np.asarray(one, dtype=float) for one in (step_time, self.solve_time if solve_time is None else solve_time)
+            np.asarray(series, dtype=float)
+            for series in (step_time, self.solve_time if solve_time is None else solve_time)
         ]
         for time in times:
             if time.shape != self.time.shape:
@@ -297,11 +298,11 @@ class Run(ReadOnlyArrays):
         return np.array(rows or [empty] * len(self.time)).reshape(-1, width)
 
 
-def _named(what: str, parts: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(f"{what}_{part}" for part in parts)
+def _named(quantity: str, parts: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(f"{quantity}_{part}" for part in parts)
 
 
 def told_columns(measurements: Sequence[Measurement], count: int) -> dict[str, FloatArray]:
-    """Columns (count,) by the names of `TOLD`, NaN where nothing was said; `measurements` may be empty."""
+    """Compute columns (count,) by the names of `TOLD`, NaN for missing values; `measurements` may be empty."""
     rows = [measured_cells(measurement) for measurement in measurements] or [{}] * count
     return {name: np.array([row.get(name, np.nan) for row in rows], dtype=float) for name in TOLD}

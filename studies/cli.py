@@ -52,7 +52,7 @@ app.add_typer(shipped_models_app, name="models")
 
 
 def main() -> None:
-    """Entry point of `python -m studies`."""
+    """Run `python -m studies`."""
     leave_on_sigterm()
     build_only_named(app, sys.argv[1:])
     app(prog_name=Studies.program)

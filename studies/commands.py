@@ -27,17 +27,17 @@ EXAMPLES = {
 
 
 def _parts_option(parts: str) -> Any:  # noqa: ANN401 - typer's own type
-    """The option that chooses some parts of a study."""
+    """Create the option that selects parts of a study."""
     return typer.Option("--only", metavar="PARTS", help=f"{parts}.", show_default="all of them")
 
 
-def _names(what: str, default: str | bool = True, name: str | None = None) -> Any:  # noqa: ANN401 - typer's own type
-    """The option that takes names, with commas between."""
-    return typer.Option(*([name] if name else []), metavar="NAMES", help=f"{what}.", show_default=default)
+def _names(content: str, default: str | bool = True, name: str | None = None) -> Any:  # noqa: ANN401 - typer's own type
+    """Create an option that takes names separated by commas."""
+    return typer.Option(*([name] if name else []), metavar="NAMES", help=f"{content}.", show_default=default)
 
 
 def _carry_out(study: Study[Any, Results], out: Path, jobs: int | None = None) -> Results:
-    """As `bench.study.carry_out`, which is imported when a study runs: --help does without it."""
+    """Carry out a study; `bench.study.carry_out` is imported late, since --help does not need it."""
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
 
     return carry_out(study, out, jobs)
@@ -214,7 +214,7 @@ def fit(
     from studies.shipped_models.model_fitting import fit_models  # noqa: PLC0415
 
     with ProgressBar("experiments and identification (about a minute)") as bar:
-        table, warnings = fit_models(out or PARAMETERS, on_progress=bar.at)
+        table, warnings = fit_models(out or PARAMETERS, on_progress=bar.show)
     output_console().print(table.rich())
     for warning in warnings:
         typer.echo(f"warning: {warning}", err=True)
@@ -257,7 +257,7 @@ def train(
     folder = out or PARAMETERS
     folder.mkdir(parents=True, exist_ok=True)
     with ProgressBar("drives and training (about a minute)") as bar:
-        table = fit_network(folder, on_progress=bar.at)
+        table = fit_network(folder, on_progress=bar.show)
     output_console().print(table.rich())
 
 
@@ -309,5 +309,5 @@ def truths(
     from studies.shipped_models.known_truths import coverage_table, recover_all  # noqa: PLC0415
 
     with ProgressBar("known truths (a few seconds each)") as bar:
-        recoveries = recover_all(5 if quick else None, on_progress=bar.at)
+        recoveries = recover_all(5 if quick else None, on_progress=bar.show)
     output_console().print(coverage_table(recoveries).rich())

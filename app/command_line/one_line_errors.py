@@ -49,10 +49,10 @@ class OneLineErrors(TyperGroup):
     """
 
     program: ClassVar[str] = "diffdrive-mpc"
-    """What is typed before the name of a command."""
+    """Name of the program before the command."""
 
     def make_context(self, *args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 - the signature of the base class
-        """Begin to parse; commands of this group take `--trajectory` and `--trajectories` for each other."""
+        """Parse the arguments; commands of this group accept `--trajectory` and `--trajectories` for each other."""
         return super().make_context(*args, token_normalize_func=_singular, **kwargs)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - of classes that typer hides
@@ -70,9 +70,9 @@ class OneLineErrors(TyperGroup):
     def main(self, *args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 - the signature of the base class
         """Parse the command line, run the command and exit."""
         kwargs["standalone_mode"] = False
-        given = args[0] if args else kwargs.get("args")
+        arguments = args[0] if args else kwargs.get("args")
         try:
-            with typed(sys.argv[1:] if given is None else given, self.program), warnings.catch_warnings():
+            with typed(sys.argv[1:] if arguments is None else arguments, self.program), warnings.catch_warnings():
                 _SHOWN_NOTES.clear()
                 warnings.showwarning = _show_warning
                 code = super().main(*args, **kwargs)
@@ -139,7 +139,7 @@ def _show_warning(
 
 
 def _singular(name: str) -> str:
-    """Name of an option without the plural of the option beside it; both of them are read by this name."""
+    """Return the name of an option without the plural of its sibling; both are read by this name."""
     return _SINGULARS.get(name, name)
 
 

@@ -44,15 +44,15 @@ def out_folder(text: str) -> Path:
     return Path(text)
 
 
-def out_option(what: str, usual: str | None = None) -> Any:  # noqa: ANN401 - typer's own type
-    """The option that names a folder for `what`, and the usual one where it need not be given."""
+def out_option(content: str, usual: str | None = None) -> Any:  # noqa: ANN401 - typer's own type
+    """Create the option that names a folder for `content`, with its default if it has one."""
     shown: str | bool = usual or False
-    return typer.Option("--out", parser=out_folder, metavar="PATH", help=f"Folder for {what}.", show_default=shown)
+    return typer.Option("--out", parser=out_folder, metavar="PATH", help=f"Folder for {content}.", show_default=shown)
 
 
-def file_option(what: str, name: str) -> Any:  # noqa: ANN401 - typer's own type
-    """The option that takes a YAML file in place of a shipped one."""
-    return typer.Option(name, help=f"{what} (YAML) in place of the shipped one.", show_default=False)
+def file_option(content: str, name: str) -> Any:  # noqa: ANN401 - typer's own type
+    """Create the option that takes a YAML file in place of a shipped one."""
+    return typer.Option(name, help=f"{content} (YAML) in place of the shipped one.", show_default=False)
 
 
 Jobs = Annotated[int | None, typer.Option("--jobs", min=1, help="Processes.", show_default="one for each core")]

@@ -36,8 +36,10 @@ def node(
     from diffdrive_mpc.mpc.ros.settings import NodeSettings  # noqa: PLC0415
 
     arguments = ros_arguments(context)
-    own = NodeSettings(config=config, trajectory=trajectory, autostart=autostart or drive, drive_on_activate=drive)
+    node_settings = NodeSettings(
+        config=config, trajectory=trajectory, autostart=autostart or drive, drive_on_activate=drive
+    )
     overrides = single_settings(settings or [])
     from diffdrive_mpc.mpc.ros.main import run  # noqa: PLC0415 - needs rclpy
 
-    run(arguments, own, dict(overrides))
+    run(arguments, node_settings, dict(overrides))

@@ -60,7 +60,7 @@ Mapping = Annotated[
         show_default="that of simulate --log, and a bag's usual topics",
     ),
 ]
-"""Of the columns or topics of a log."""
+"""Mapping of the columns or topics of a log."""
 RobotName = Annotated[
     str | None,
     typer.Option(
@@ -90,37 +90,39 @@ def with_dimensions(*names: str, several: bool = False) -> Callable[[Command], C
 
     def extended(command: Command) -> Command:
         signature = inspect.signature(command, eval_str=True)
-        own = [
+        parameters = [
             parameter
             for parameter in signature.parameters.values()
             if parameter.kind is not inspect.Parameter.VAR_KEYWORD
         ]
-        first = [one for one in own if one.kind is not inspect.Parameter.KEYWORD_ONLY]
-        rest = own[len(first) :]
+        first = [entry for entry in parameters if entry.kind is not inspect.Parameter.KEYWORD_ONLY]
+        rest = parameters[len(first) :]
         command.__signature__ = signature.replace(parameters=[*first, *added, *rest])  # type: ignore[attr-defined]
         return command
 
     return extended
 
 
-def _single_option(of: Dimension) -> inspect.Parameter:
-    if of.name == "model":
+def _single_option(dimension: Dimension) -> inspect.Parameter:
+    if dimension.name == "model":
         return inspect.Parameter("model", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Model)
-    kind, least = type(of.default), 0 if isinstance(of.default, int) else None
-    option = typer.Option(of.option, help=of.help, min=least)
+    kind, least = type(dimension.default), 0 if isinstance(dimension.default, int) else None
+    option = typer.Option(dimension.option, help=dimension.help, min=least)
     annotation = Annotated[kind, option]  # type: ignore[valid-type]
-    return inspect.Parameter(of.name, inspect.Parameter.KEYWORD_ONLY, default=of.default, annotation=annotation)
+    return inspect.Parameter(
+        dimension.name, inspect.Parameter.KEYWORD_ONLY, default=dimension.default, annotation=annotation
+    )
 
 
-def _list_option(of: Dimension) -> inspect.Parameter:
-    default = ",".join(map(str, of.compared))
-    option = typer.Option(of.list_option, metavar="LIST", help=of.list_help, show_default=default)
+def _list_option(dimension: Dimension) -> inspect.Parameter:
+    default = ",".join(map(str, dimension.compared))
+    option = typer.Option(dimension.list_option, metavar="LIST", help=dimension.list_help, show_default=default)
     annotation = Annotated[str | None, option]
-    return inspect.Parameter(of.several, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
+    return inspect.Parameter(dimension.several, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
 
 
 def ros_arguments(context: typer.Context) -> list[str]:
-    """What follows `--ros-args`, with it; raises ValueError for words before it that no option takes."""
+    """Return the words from `--ros-args` on; raise ValueError for unknown words before it."""
     words = list(context.args)
     ours = words[: words.index("--ros-args")] if "--ros-args" in words else words
     if ours:

@@ -19,7 +19,7 @@ from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 FOLDER = "figures"
-"""Of the figures, inside that of the results."""
+"""Name of the folder of figures inside that of the results."""
 UNITS = {"v": "m/s", "omega": "rad/s"}
 WINDOW = 30.0
 """Duration of a drive that a row of a figure shows, while there are at most `_ROWS` [s]."""
@@ -53,7 +53,7 @@ def draw_identification(report: IdentificationReport, folder: Path, on_done: Cal
 
 
 def figures_of(report: IdentificationReport) -> dict[str, tuple[str, Draw | Sequence[Chart]]]:
-    """Title, file name and charts or drawing function of each figure that the report has something for."""
+    """Return title, file name and charts or drawing function of each figure with data in the report."""
     jobs: dict[str, tuple[str, Draw | Sequence[Chart]]] = {
         "Measured against simulated": ("simulation.png", draw_simulation),
         "What residuals still hold": ("residuals.png", draw_residuals),
@@ -75,7 +75,7 @@ def other_charts(report: IdentificationReport) -> list[Chart]:
 
 
 def simulation_charts(report: IdentificationReport, points: int = _POINTS) -> list[Chart]:
-    """All that was held out: command, measured and simulated of both channels, each by at most so many points.
+    """Chart command, measurement and simulation of both channels on all held-out data, thinned to `points` each.
 
     Stretches stand one after another. Of the rows that a point stands for, the smallest and the largest value are kept.
     """
@@ -87,8 +87,8 @@ def simulation_charts(report: IdentificationReport, points: int = _POINTS) -> li
         when = from_zero(records[0].time)[1]
     columns: list[list[FloatArray]] = [[], [], []]
     experiments = twist_experiments(records, data.yaw)
-    for record, experiment, simulated, begin in zip(records, experiments, fitted.simulated, begins, strict=False):
-        time = begin + record.dt * np.arange(len(record.command))
+    for record, experiment, simulated, start in zip(records, experiments, fitted.simulated, begins, strict=False):
+        time = start + record.dt * np.arange(len(record.command))
         for column, values in zip(columns, (record.command, experiment.readings, simulated), strict=True):
             # A line ends where its stretch does.
             column.append(np.vstack([np.column_stack([time, values]), [time[-1], np.nan, np.nan]]))
@@ -100,9 +100,9 @@ def simulation_charts(report: IdentificationReport, points: int = _POINTS) -> li
             if name == "measured":  # points, which no gap has to part
                 rows = rows[np.isfinite(rows[:, 1])]
             time, values = rows[envelope(rows[:, 1], points)].T
-            times = [round(float(one), 3) for one in time]
+            times = [round(float(value), 3) for value in time]
             series.append(
-                Series(name, times, [rounded(one) for one in values], style, "points" if style == 0 else "line")
+                Series(name, times, [rounded(value) for value in values], style, "points" if style == 0 else "line")
             )
         fit = number(float(fitted.validation.fit_percent[i]), 1)
         note = f"All that was held out; simulated from the commands alone. FIT {fit} %."
@@ -112,13 +112,13 @@ def simulation_charts(report: IdentificationReport, points: int = _POINTS) -> li
 
 
 def envelope(values: FloatArray, points: int) -> NDArray[np.intp]:
-    """Rows of values (n,) that show them all by about `points`: smallest and largest of each bin, and every gap."""
+    """Select about `points` rows that preserve the shape of values (n,): extremes of each bin, and every gap."""
     known = np.flatnonzero(np.isfinite(values))
     size = 1 if len(known) <= points else -(-2 * len(known) // points)
     bins = np.split(known, np.arange(size, len(known), size))
     bins = [part for part in bins if len(part)]
-    kept = [part[extreme(values[part])] for part in bins for extreme in (np.argmin, np.argmax)]
-    return np.union1d(np.array(kept, dtype=np.intp), np.flatnonzero(np.isnan(values)))
+    extremes = [part[extreme(values[part])] for part in bins for extreme in (np.argmin, np.argmax)]
+    return np.union1d(np.array(extremes, dtype=np.intp), np.flatnonzero(np.isnan(values)))
 
 
 def draw_simulation(report: IdentificationReport, path: Path) -> None:
@@ -139,13 +139,13 @@ def draw_simulation(report: IdentificationReport, path: Path) -> None:
 
 
 def step_charts(report: IdentificationReport) -> list[Chart]:
-    """The response of both outputs to a unit step of each command, dead time included."""
+    """Chart the response of both outputs to a unit step of each command, dead time included."""
     model = report.fitted.identified.model
     time, responses = step_responses(report)
-    x, made = [round(float(one), 4) for one in time], []
+    x, made = [round(float(value), 4) for value in time], []
     for j, command in enumerate(CHANNELS):
         series = [
-            Series(f"{channel} [{UNITS[channel]}]", x, [rounded(one) for one in responses[j][:, i]], i, "line")
+            Series(f"{channel} [{UNITS[channel]}]", x, [rounded(value) for value in responses[j][:, i]], i, "line")
             for i, channel in enumerate(CHANNELS)
         ]
         steady = ", ".join(f"{channel} {model.dc_gain[i, j]:.3f}" for i, channel in enumerate(CHANNELS))
@@ -157,7 +157,7 @@ def step_charts(report: IdentificationReport) -> list[Chart]:
 
 
 def order_charts(report: IdentificationReport) -> list[Chart]:
-    """FIT over order, training and validation."""
+    """Chart FIT over order, training and validation."""
     choice = report.fitted.orders
     assert choice is not None
     orders, made = list(range(1, len(choice.rows) + 1)), []
@@ -173,7 +173,7 @@ def order_charts(report: IdentificationReport) -> list[Chart]:
 
 
 def drift_charts(report: IdentificationReport) -> list[Chart]:
-    """Position error over the time of a free prediction."""
+    """Chart the position error over the time of a free prediction."""
     drift = report.poses.drift
     x = [row.horizon for row in drift]
     series = [
@@ -192,10 +192,10 @@ def draw_residuals(report: IdentificationReport, path: Path) -> None:
     with new_figure(path, 7.4, 6.0) as figure:
         panels = figure.subplots(2, 3, width_ratios=(1.0, 1.3, 1.3))
         for i, channel in enumerate(CHANNELS):
-            own = panels[i, 0]
-            own.axhspan(-check.whiteness_bound, check.whiteness_bound, color=REFERENCE_COLOUR, alpha=0.3, linewidth=0)
-            own.plot(lags, check.autocorrelation[i], color=colour(i))
-            own.set(xlabel="lag [s]", ylabel=f"residual of {channel}", title="with itself")
+            panel = panels[i, 0]
+            panel.axhspan(-check.whiteness_bound, check.whiteness_bound, color=REFERENCE_COLOUR, alpha=0.3, linewidth=0)
+            panel.plot(lags, check.autocorrelation[i], color=colour(i))
+            panel.set(xlabel="lag [s]", ylabel=f"residual of {channel}", title="with itself")
             for j, command in enumerate(CHANNELS):
                 axes = panels[i, 1 + j]
                 bound = check.cross_bound[i, j]
@@ -209,7 +209,7 @@ def draw_residuals(report: IdentificationReport, path: Path) -> None:
 
 
 def step_responses(report: IdentificationReport) -> tuple[FloatArray, list[FloatArray]]:
-    """Times (n,) [s], and for a unit step of each command both outputs (n, 2)."""
+    """Compute times (n,) [s], and for a unit step of each command both outputs (n, 2)."""
     model = report.fitted.identified.model
     discrete = model.discretise(_STEP_RESPONSE * float(model.lag.max()) / _SAMPLES)
     time = discrete.dt * np.arange(_SAMPLES + 1)
@@ -266,7 +266,7 @@ def draw_poles(report: IdentificationReport, path: Path) -> None:
 
 
 def _uncertain_poles(identified: IdentifiedModel) -> list[tuple[float, float, float, float]]:
-    """Real and imaginary part of each pole whose uncertainty is known, and their standard deviations [rad/s]."""
+    """List real and imaginary part of each pole with known uncertainty, and their standard deviations [rad/s]."""
     rows = []
     for poles in identified.poles:
         for name in poles.names:

@@ -38,13 +38,13 @@ _PICTURES = {"What residuals still hold": "residuals.png", "Poles": "poles.png"}
 
 @cache
 def remedies() -> dict[str, str]:
-    """What to do about each kind of warning."""
+    """Load the remedy for each kind of warning."""
     texts: dict[str, str] = read_yaml(Path(__file__).with_name("remedies.yaml"))
     return texts
 
 
 def identification_page(verdict: TrialVerdict, folder: Path, seconds: float) -> Page:
-    """The page of an identification whose files and figures are in `folder`.
+    """Build the page of an identification whose files and figures are in `folder`.
 
     Parameters
     ----------
@@ -56,10 +56,12 @@ def identification_page(verdict: TrialVerdict, folder: Path, seconds: float) -> 
         How long it took.
     """
     report, trials = verdict.identification.report, verdict.drives
-    names, paths = (tuple(dict.fromkeys(getattr(trial, of) for trial in trials)) for of in ("plant", "path"))
+    names, paths = (
+        tuple(dict.fromkeys(getattr(trial, attribute) for trial in trials)) for attribute in ("plant", "path")
+    )
     toggles = [Toggle("stand-in", names, names, styled=True), Toggle("path", paths, paths[:1])] if trials else []
     shown = Shown(
-        summary=[*report.found, *verdict.answers()],
+        summary=[*report.findings_summary, *verdict.answers()],
         key_figures=_key_figures(report, trials),
         toggles=toggles,
         views=[*simulation_charts(report), *_driven(trials), *other_charts(report), *_pictures(folder)],
@@ -108,7 +110,7 @@ def _key_figures(report: IdentificationReport, drives: Sequence[TrialDrive]) -> 
 
 
 def _driven(drives: Sequence[TrialDrive]) -> list[View]:
-    """The trial drives as linked views."""
+    """Show the trial drives as linked views."""
     if not drives:
         return []
     plants = list(dict.fromkeys(drive.plant for drive in drives))
@@ -132,10 +134,10 @@ def _pictures(folder: Path) -> list[View]:
 
 
 def _warnings(report: IdentificationReport, drives: Sequence[TrialDrive]) -> list[Warned]:
-    """Of log, estimate and drives; those that matter for driving first."""
+    """List the warnings about log, estimate and drives; those that matter for driving first."""
     findings = [finding for finding in report.data.findings if finding.severity != "note"]
     shown = [(finding.verdict, str(finding), finding.kind) for finding in findings]
-    shown += [(one.verdict, str(one), one.kind) for one in (*report.doubts, *trial_doubts(drives))]
+    shown += [(doubt.verdict, str(doubt), doubt.kind) for doubt in (*report.doubts, *trial_doubts(drives))]
     shown.sort(key=lambda row: row[0] is None or not row[0].matters)
     return [Warned(_sentence(words), remedies()[kind]) for _, words, kind in shown]
 

@@ -100,7 +100,7 @@ def _identify_into(
         verdict = _proven(_identified(logs, bar, force, options), bar, force)
         _write(verdict, folder, bar, force)
         if writers and (force or not verdict.identification.refusal):
-            bar.begin("parameters of other packages", 1)
+            bar.start_stage("parameters of other packages", 1)
             report = verdict.identification.report
             estimator = next(iter(writers.values()))
             estimate = estimator.estimate(report.data, report.fitted.identified.limits, report.fitted.base)
@@ -117,7 +117,7 @@ def _identify_into(
 
 
 def _identified(logs: Sequence[Path], bar: ProgressBar, force: bool, options: Mapping[str, Any]) -> Identification:
-    """The identification, its options named as those of the command line where one cannot be used."""
+    """Identify from the logs; errors name options as on the command line."""
     robot = options.get("robot")
     if robot is not None:
         stated = load_stated_robot(robot)
@@ -129,7 +129,7 @@ def _identified(logs: Sequence[Path], bar: ProgressBar, force: bool, options: Ma
             force=force,
             on_log=_print_log,
             on_findings=_print_findings,
-            on_progress=lambda text: bar.begin(text, 1),
+            on_progress=lambda text: bar.start_stage(text, 1),
             **options,
         )
     except OptionError as error:
@@ -137,17 +137,17 @@ def _identified(logs: Sequence[Path], bar: ProgressBar, force: bool, options: Ma
 
 
 def _proven(identification: Identification, bar: ProgressBar, force: bool) -> TrialVerdict:
-    """The configuration that drives, unless the logs alone speak against it."""
+    """Drive the configuration, unless the logs alone rule it out."""
     if identification.refusal and not force:
         return TrialVerdict(identification, None, (), against=identification.refusal)
-    return judge_by_drives(identification, lambda text: bar.begin(text, DRIVES), bar.advance, force=force)
+    return judge_by_drives(identification, lambda text: bar.start_stage(text, DRIVES), bar.advance, force=force)
 
 
 def _write(verdict: TrialVerdict, folder: Path, bar: ProgressBar, force: bool) -> None:
     """Write files and figures; model, configuration and first circle only where they drive, or by force."""
     identification = verdict.identification
     report = identification.report
-    bar.begin("figures", len(figures_of(report)))
+    bar.start_stage("figures", len(figures_of(report)))
     figures = draw_identification(report, folder, bar.advance)
     drives = force or not verdict.against
     if drives:
@@ -155,7 +155,9 @@ def _write(verdict: TrialVerdict, folder: Path, bar: ProgressBar, force: bool) -
     if identification.advice:
         identification.advice.write(folder)
     parts = [
-        report.markdown(figures, ["```text", *verdict.lines(), "```", "", *(f"{line}\n" for line in report.found)])
+        report.markdown(
+            figures, ["```text", *verdict.lines(), "```", "", *(f"{line}\n" for line in report.findings_summary)]
+        )
     ]
     if verdict.drives:
         parts += [
@@ -172,7 +174,7 @@ def _write(verdict: TrialVerdict, folder: Path, bar: ProgressBar, force: bool) -
 
 
 def _print_verdict(verdict: TrialVerdict, out: Path, force: bool) -> None:
-    """How the configuration drives and what to do next; raises ConfigError where none was written."""
+    """Print the result of the drives and the next steps; raise ConfigError if no configuration was written."""
     if verdict.drives:
         output_console().print(rich_table(trial_table(verdict.drives)))
     for doubt in trial_doubts(verdict.drives):
@@ -208,7 +210,7 @@ def _print(identification: Identification, out: Path) -> None:
     chosen = report.fitted.orders
     if chosen:
         _print_line(f"order {chosen.order}: {chosen.reason}")
-    _print_line(report.found[0])
+    _print_line(report.findings_summary[0])
     for setting in identification.configuration.bounds:
         _print_line(f"limit {setting.line()}")
     if identification.configuration.room:

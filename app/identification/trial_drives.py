@@ -49,7 +49,7 @@ _NOTE = (
 
 
 class TrialSettings(StrictModel):
-    """What a configuration has to show in its trial drives, and what is tried where it does not."""
+    """Requirements of the trial drives, and reactions to a failure."""
 
     lateral_share: Positive = Field(description="largest lateral error over the radius of the scaled circle [-]")
     shares: tuple[tuple[Share, Share], ...] = Field(
@@ -102,13 +102,13 @@ class TrialDrive:
 
     @property
     def passed(self) -> bool:
-        """Whether it arrived and stayed near enough to its path."""
+        """True if the robot arrived and stayed near enough to its path."""
         return self.metrics.completed and self.lateral_share <= trial_settings().lateral_share
 
 
 @dataclass(frozen=True)
 class StandIn:
-    """What stands in for the robot in a trial drive.
+    """Stand-in for the robot in a trial drive.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ def model_itself(identification: Identification) -> StandIn:
 
 
 def stand_ins(identification: Identification) -> list[StandIn]:
-    """The model itself, and one of another structure fitted to the data held out, where they allow it."""
+    """Return the model itself, and one of another structure fitted to held-out data, if there is enough."""
     itself, held_out = model_itself(identification), _of_held_out(identification)
     return [itself] if held_out is None else [itself, held_out]
 
@@ -202,7 +202,7 @@ def log_sensors(identification: Identification, config: ControllerConfig) -> Sen
 
 
 def circle_radius(config: ControllerConfig) -> float:
-    """Radius of the shipped circle, a metre, scaled to the robot's track [m]."""
+    """Compute the radius of the shipped circle, a metre, scaled to the robot's track [m]."""
     return config.wheels.encoder_track / load_robot().track
 
 
@@ -213,33 +213,33 @@ def _of_held_out(identification: Identification) -> StandIn | None:
     """
     data, fitted = identification.report.data, identification.report.fitted
     try:
-        own = fitted.predictor.refitted(data.validation, data.yaw) if fitted.predictor else None
-        if own is not None:
-            return StandIn(HELD_OUT, own, BaseEffects())
+        refitted = fitted.predictor.refitted(data.validation, data.yaw) if fitted.predictor else None
+        if refitted is not None:
+            return StandIn(HELD_OUT, refitted, BaseEffects())
         if fitted.base is not None:
-            other = fitted.base.refitted(data.validation)
+            alternative = fitted.base.refitted(data.validation)
         else:
-            other = _of_other_structure(data, fitted.structure)
-        return StandIn(HELD_OUT, other.model, other.base_effects)
+            alternative = _of_other_structure(data, fitted.structure)
+        return StandIn(HELD_OUT, alternative.model, alternative.base_effects)
     except ValueError:
         return None
 
 
 def _of_other_structure(data: LogData, structure: str) -> IdentifiedModel:
-    """An SSM for a robot of decoupled channels, an SM for any other; dead times where neither can be a robot."""
+    """Fit an SSM to a robot of decoupled channels, an SM to any other, or dead times if neither is a robot's."""
     settings = trial_settings()
     rows = tuple(most_informative(data.validation, settings.stand_in_rows))
-    other, order = ("ssm", settings.stand_in_order) if structure != "ssm" else ("sm", None)
+    structure_name, order = ("ssm", settings.stand_in_order) if structure != "ssm" else ("sm", None)
     held_out = replace(data, train=rows, validation=rows)
     try:
-        return fit(held_out, STRUCTURES[other], order).identified
+        return fit(held_out, STRUCTURES[structure_name], order).identified
     except ModelError:
         # Short data may show no lag at all, as a pole that is faster than a robot's.
         return fit(held_out, STRUCTURES["two_delays"], None).identified
 
 
 def trial_table(drives: Sequence[TrialDrive]) -> TextTable:
-    """Errors, a row for each stand-in and path."""
+    """Tabulate errors, a row for each stand-in and path."""
     columns = ("stand-in", "path", "position RMSE [m]", "largest lateral [m]", "of the circle's radius [%]")
     return TextTable(
         _TITLE,
@@ -262,7 +262,7 @@ def trial_table(drives: Sequence[TrialDrive]) -> TextTable:
 
 
 def trial_doubts(drives: Sequence[TrialDrive]) -> list[Doubt]:
-    """A doubt for each drive that failed."""
+    """Return a doubt for each drive that failed."""
     doubts = [
         f"the configuration does not drive '{drive.path}' on {drive.plant}: "
         + (f"{drive.metrics.lateral_max_m:.2g} m beside the path" if drive.metrics.completed else "it did not arrive")
@@ -277,7 +277,7 @@ def trial_doubts(drives: Sequence[TrialDrive]) -> list[Doubt]:
 
 FIRST_CIRCLE = "first_circle.yaml"
 _SHARE = 0.3
-"""Of the speeds that the robot reaches [-]: slow enough to walk beside, fast enough to leave its dead band."""
+"""Share of the attainable speeds [-]: slow enough to walk along, fast enough to leave the dead band."""
 _FASTEST = 0.5
 """A walk [m/s], whatever the robot could do."""
 _ROOM = 2.0
@@ -302,11 +302,11 @@ class FirstCircle:
 
     @property
     def duration(self) -> float:
-        """Of one turn [s]."""
+        """Duration of one turn [s]."""
         return 2.0 * math.pi / self.omega
 
     def text(self) -> str:
-        """The trajectory file."""
+        """Format the trajectory file."""
         return (
             f"# One turn to the left, {self.radius:.3g} m in radius, at {_SHARE:g} of what the robot can, or a walk.\n"
             "name: first circle\n"
@@ -316,7 +316,7 @@ class FirstCircle:
 
 
 def first_circle(config: ControllerConfig, model: VelocityModel | NonlinearModel) -> FirstCircle:
-    """The circle for a robot with these limits and gains."""
+    """Design the circle for a robot with these limits and gains."""
     radius = circle_radius(config)
     v_gain, omega_gain = abs(model.dc_gain[0, 0]), abs(model.dc_gain[1, 1])
     reached = min(
@@ -327,7 +327,7 @@ def first_circle(config: ControllerConfig, model: VelocityModel | NonlinearModel
 
 
 def recipe(circle: FirstCircle, config: ControllerConfig, drives: Sequence[TrialDrive], topics: Topics) -> str:
-    """How to drive the robot for the first time, as the end of the report; `topics` are those of a bag."""
+    """Describe the first drive of the robot, as the end of the report; `topics` are those of a bag."""
     room = _ROOM * 2.0 * circle.radius
     arguments = f" {node_arguments(topics)}" if topics else ""
     steps = [

@@ -1,4 +1,4 @@
-"""What a robot may be trusted to do with an identified model: what its logs say, and what its trial drives prove."""
+"""Verdict on an identified model: trust by its logs, and results of its trial drives."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ class TrialVerdict:
 
     @property
     def grade(self) -> Grade:
-        """Whether to drive."""
+        """Grade of trust for driving."""
         trust = self.identification.report.trust
         if self.against or trust.grade == "No":
             return "No"
@@ -101,7 +101,7 @@ class TrialVerdict:
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """What stands against a better grade, a clause each."""
+        """Reasons against a better grade, a clause each."""
         trust = self.identification.report.trust
         if self.against:
             return (self.against,)
@@ -124,7 +124,7 @@ class TrialVerdict:
 
     @property
     def promised(self) -> Promise | None:
-        """What the robot may be trusted to do; None where nothing drives."""
+        """Performance to expect of the robot; None if nothing drives."""
         curved = [drive for drive in self.drives if drive.path in trial_settings().curved]
         if self.against or not curved:
             return None
@@ -158,7 +158,7 @@ class TrialVerdict:
         return {"grade": self.grade, "reasons": list(self.reasons), "promise": self.promise}
 
     def answers(self) -> list[str]:
-        """May I drive, how fast, how good is it, what next: a sentence or two each."""
+        """Answer whether the robot may drive, how fast, how well, and the next step: a sentence or two each."""
         fit = self.identification.report.fitted.validation.fit_percent
         each = ", ".join(f"{channel} {value:.0f} %" for channel, value in zip(CHANNELS, fit, strict=True))
         explained = f"FIT on data held out: {each}."
@@ -193,7 +193,7 @@ def _answer(head: str, words: str) -> list[str]:
 
 
 def _shortened(words: str, lines: int) -> str:
-    """As much as `lines` of an answer hold."""
+    """Shorten an answer to `lines`."""
     room = lines * (_WIDTH - max(map(len, _HEADS)) - 8)
     return words if len(words) <= room else f"{words[:room].rsplit(' ', 1)[0]} ... (report.md)"
 
@@ -271,7 +271,7 @@ def _fastest(
     on_try: Callable[[str], None],
     on_run: Callable[[], None],
 ) -> TrialVerdict | None:
-    """With the largest of the settings' shares of the limits whose drives pass, by halving; None if the least fails."""
+    """Find the largest configured share of the limits whose drives pass, by bisection; None if the least fails."""
     shares = trial_settings().shares
 
     def attempt(i: int) -> TrialVerdict:
@@ -292,7 +292,7 @@ def _fastest(
 
 
 def _simplified(identification: Identification) -> tuple[Identification, tuple[str, ...]] | None:
-    """The plain SM of the same data and what was changed; None where it is one already, or there is none to drive."""
+    """Return the plain SM of the same data and the changes; None if it is one already, or there is none."""
     report = identification.report
     fitted = report.fitted
     if fitted.structure == SIMPLEST and fitted.base is None:
@@ -307,7 +307,7 @@ def _simplified(identification: Identification) -> tuple[Identification, tuple[s
 
 
 def _lowered(identification: Identification, shares: tuple[float, float]) -> tuple[Identification, tuple[str, ...]]:
-    """The same with a share of its limits of v and omega, and what was changed."""
+    """Reduce the limits of v and omega to a share; return the identification with the changes."""
     configuration = identification.configuration.slowed(dict(zip(CHANNELS, shares, strict=True)))
     words = [
         f"limits.{channel} lowered to {100 * share:.0f} %, as faster trial drives fail"
@@ -320,7 +320,7 @@ def _lowered(identification: Identification, shares: tuple[float, float]) -> tup
 def _driven(
     identification: Identification, plants: Sequence[StandIn], on_run: Callable[[], None], *, whole: bool
 ) -> TrialVerdict:
-    """How a configuration drives; only `whole` drives on after the first that fails."""
+    """Run the trial drives of a configuration; stop after the first failure unless `whole`."""
     drives: list[TrialDrive] = []
     config: ControllerConfig | None = None
     with TemporaryDirectory() as folder:

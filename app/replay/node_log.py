@@ -104,7 +104,7 @@ def _start(
             f"The log begins {time - drive.t0:.1f} s after the start of the drive, without the estimate at that time: "
             "commands may differ for some seconds."
         )
-    reference = None if drive.reference is None else TabledTrajectory.of(drive.reference)
+    reference = None if drive.reference is None else TabledTrajectory.from_table(drive.reference)
     # A recording that starts mid-drive has no state to resume from.
     start = Start(reference, drive.t0, drive.reset, goes_on=drive.goes_on and not is_first)
     return start, None if drive.starts else config

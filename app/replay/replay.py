@@ -131,7 +131,7 @@ def replay_log(request: ReplayRequest) -> None:
         _check_sample_time(recording, config)
         references = _references(recording, config, request.trajectory)
         with ProgressBar("replaying") as bar:
-            bar.begin("replaying", len(recording.ticks))
+            bar.start_stage("replaying", len(recording.ticks))
             replayed = replay(recording, config, references, as_recorded=named is None, on_step=bar.advance)
     _print(recording, replayed)
 

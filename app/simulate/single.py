@@ -69,10 +69,10 @@ def simulate_one(
     with ExitStack() as stack:
         write_log = stack.enter_context(run_log(log))
         folder = None if out is None else stack.enter_context(staged(out, owner="simulate"))
-        kept = folder is not None or holds_plans(log)
+        keep_plans = folder is not None or holds_plans(log)
         began = time.perf_counter()
         with ProgressBar("simulating") as bar:
-            run = simulate(controller, plant, reference, on_tick=bar.at, keep_plans=kept)
+            run = simulate(controller, plant, reference, on_tick=bar.show, keep_plans=keep_plans)
         write_log(run, case)
         if folder is not None:
             draw(RunOutcome(case, run), folder, time.perf_counter() - began)
@@ -80,7 +80,7 @@ def simulate_one(
 
 
 def case_from_options(values: Mapping[str, Any], *, config: Path | None, settings: Sequence[str], scaled: bool) -> Case:
-    """The case that was typed; arguments and errors are those of `simulate_one`."""
+    """Build the case from typed options; arguments and errors are those of `simulate_one`."""
     name, model = values["controller"], values["model"]
     if name in PEERS and (settings or config is not None or model is not None):
         raise ConfigError(f"the controller '{name}' takes no --model, --config or --set")
@@ -125,8 +125,8 @@ def _summary(outcome: RunOutcome, out: Path | None) -> Iterator[str]:
         away = f"{run.errors.position[last]:.3f} m from the reference at its end"
         yield f"not completed: {run.ended or away}"
     yield "errors: " + "; ".join(
-        f"{what} RMSE {1e3 * rmse:.1f} mm, max {1e3 * largest:.1f} mm"
-        for what, rmse, largest in (
+        f"{quantity} RMSE {1e3 * rmse:.1f} mm, max {1e3 * largest:.1f} mm"
+        for quantity, rmse, largest in (
             ("position", metrics.position_rmse_m, metrics.position_max_m),
             ("lateral", metrics.lateral_rmse_m, metrics.lateral_max_m),
         )
@@ -152,7 +152,7 @@ def _summary(outcome: RunOutcome, out: Path | None) -> Iterator[str]:
 
 
 def tables(outcome: RunOutcome) -> list[Table]:
-    """The tables of one run."""
+    """Build the tables of one run."""
     from diffdrive_mpc.bench.comparison.tables import (  # noqa: PLC0415 - the summary does without them
         error_table,
         path_table,

@@ -22,32 +22,34 @@ POINTS = 2000
 
 def key_figures(run: Run) -> list[KeyFigure]:
     """Return the key figures of one run."""
-    of, band = run.metrics, f"±{1e3 * metric_settings().band:g} mm to either side of the path"
-    late = f"of {1e3 * run.sample_time:.1f} ms; {of.deadline_misses or 'none'} late"
-    step = f"{number(1e3 * of.step_time_p99_s, 2)} ms"
+    metrics, band = run.metrics, f"±{1e3 * metric_settings().band:g} mm to either side of the path"
+    late = f"of {1e3 * run.sample_time:.1f} ms; {metrics.deadline_misses or 'none'} late"
+    step = f"{number(1e3 * metrics.step_time_p99_s, 2)} ms"
     return [
-        KeyFigure("completed", "yes" if of.completed else "no", run.ended, "good" if of.completed else "bad"),
-        KeyFigure("position error, RMSE", _mm(of.position_rmse_m), f"largest {_mm(of.position_max_m)}"),
-        KeyFigure("lateral error, RMSE", _mm(of.lateral_rmse_m), f"largest {_mm(of.lateral_max_m)}"),
-        KeyFigure("inside the band", f"{number(of.in_band_percent, 1)} %", band),
+        KeyFigure("completed", "yes" if metrics.completed else "no", run.ended, "good" if metrics.completed else "bad"),
+        KeyFigure("position error, RMSE", _mm(metrics.position_rmse_m), f"largest {_mm(metrics.position_max_m)}"),
+        KeyFigure("lateral error, RMSE", _mm(metrics.lateral_rmse_m), f"largest {_mm(metrics.lateral_max_m)}"),
+        KeyFigure("inside the band", f"{number(metrics.in_band_percent, 1)} %", band),
         KeyFigure("step time, p99", step, late),
-        KeyFigure("fallbacks", str(of.fallbacks), "ticks without a fresh plan", "bad" if of.fallbacks else "good"),
+        KeyFigure(
+            "fallbacks", str(metrics.fallbacks), "ticks without a fresh plan", "bad" if metrics.fallbacks else "good"
+        ),
     ]
 
 
 def sentences(case: Case, run: Run) -> list[str]:
     """Describe the run and say whether it completed."""
-    of, labels, silent = run.metrics, case.labels, (NO_SCENARIO, AS_FILED)
+    metrics, labels, silent = run.metrics, case.labels, (NO_SCENARIO, AS_FILED)
     where = [
         f"{dimension.name} {labels[dimension.name]}"
         for dimension in DIMENSIONS
         if dimension.place and labels[dimension.name] not in silent
     ]
-    ending = "reached the end" if of.completed else "did not reach the end"
+    ending = "reached the end" if metrics.completed else "did not reach the end"
     return [
         f"{who_drives(case)} drove “{run.reference.name}” in {run.reference.duration:.1f} s ({', '.join(where)}, "
-        f"seed {case.seed}). It {ending}: the robot was {_mm(of.lateral_rmse_m)} beside its path (RMSE) and "
-        f"{_mm(of.lateral_max_m)} at most.",
+        f"seed {case.seed}). It {ending}: the robot was {_mm(metrics.lateral_rmse_m)} beside its path (RMSE) and "
+        f"{_mm(metrics.lateral_max_m)} at most.",
         *filter(None, (part.summary(run) for part in columns_of(run))),
     ]
 
@@ -79,5 +81,5 @@ def _mm(length: float) -> str:
 
 
 def _hint(run: Run, points: int) -> str:
-    """How to read the views."""
+    """Explain how to read the views."""
     return f"{HOW_TO_READ}." + (f" {PEAKS}." if len(run.time) > points else "")

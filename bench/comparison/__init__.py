@@ -1,1 +1,1 @@
-"""What `diffdrive-mpc bench` compares: controllers, models and settings on trajectories, and horizons."""
+"""Comparison by `diffdrive-mpc bench`: controllers, models and settings on trajectories, and horizons."""

@@ -1,4 +1,4 @@
-"""Which controller is better than which, and which cannot be told apart."""
+"""Ranking of controllers, and pairs without a significant difference."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.interface import FloatArray
 
 RESAMPLES, CERTAINTY = 2000, 95.0
-"""Of the bootstrap: how often it draws anew, and the share of its means that its interval holds [%]."""
+"""Number of resamples of the bootstrap, and the confidence of its interval [%]."""
 RULE = (
     "Two controllers are told apart where the mean difference of their position RMSE, paired by trajectory "
     f"and seed, has one sign in the middle {CERTAINTY:g} % of {RESAMPLES} bootstrap samples of these differences."
@@ -41,12 +41,12 @@ class Rank:
 
     @property
     def told_apart(self) -> bool:
-        """Whether it is certainly behind the one before it."""
+        """True if it is significantly worse than the previous one."""
         return bool(self.behind[0] > 0)
 
 
 def interval(differences: FloatArray) -> FloatArray:
-    """(2,) bootstrap interval of the mean of paired `differences` (n,); the same every time."""
+    """Compute a bootstrap interval (2,) of the mean of paired `differences` (n,); it is the same at each call."""
     draws = np.random.default_rng(0).integers(len(differences), size=(RESAMPLES, len(differences)))
     tail = (100.0 - CERTAINTY) / 2
     return np.asarray(np.percentile(differences[draws].mean(axis=1), [tail, 100.0 - tail]))

@@ -1,4 +1,4 @@
-"""What the page of `bench` shows: all runs as linked views, and its figures as charts with the same toggles."""
+"""Page of `bench`: all runs as linked views, and its figures as charts with the same toggles."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _WARNINGS_SHOWN = 12
 
 
 def shown(results: ComparisonResults) -> Shown:
-    """Everything that the page shows beside tables and charts."""
+    """Collect the contents of the page except tables and charts."""
     drivers = by(results.main, COMPARED)
     names, paths, seeds = tuple(drivers), tuple(by(results.main, "trajectory")), tuple(by(results.main, "seed"))
     cases = dict.fromkeys(rows["case"].iloc[0] for rows in drivers.values())
@@ -50,7 +50,7 @@ def shown(results: ComparisonResults) -> Shown:
         ],
         views=[_runs(results.main, drivers), error_chart(results.main)],
         warnings=_warnings(drivers),
-        configurations=[one for case in cases for one in configuration(case)],
+        configurations=[view for case in cases for view in configuration(case)],
         pictures=False,
     )
 
@@ -127,7 +127,7 @@ def _least_error(drivers: Mapping[str, DataFrame]) -> KeyFigure:
 
 
 def _runs(main: DataFrame, drivers: Mapping[str, DataFrame]) -> RunViews:
-    """Every run, styled by its controller, the predictive ones first; the more there are, the thinner."""
+    """View every run in the style of its controller, predictive ones first; lines are thinner the more there are."""
     points = min(_TICKS_OF_A_RUN, _TICKS // len(main))
     series = []
     styles, ours = list(drivers), predictive(drivers)
@@ -148,18 +148,18 @@ def _runs(main: DataFrame, drivers: Mapping[str, DataFrame]) -> RunViews:
 
 
 def error_chart(main: DataFrame) -> Chart:
-    """Mean position RMSE of each controller along each path."""
+    """Chart the mean position RMSE of each controller along each path."""
     paths = list(by(main, "trajectory"))
     series = []
     for i, (name, rows) in enumerate(by(main, COMPARED).items()):
-        there = by(rows, "trajectory")
-        errors = [rounded(1e3 * mean(there[path], "position_rmse_m")) if path in there else None for path in paths]
+        driven = by(rows, "trajectory")
+        errors = [rounded(1e3 * mean(driven[path], "position_rmse_m")) if path in driven else None for path in paths]
         series.append(Series(name, paths, errors, i, "bars", labels={"controller": name}))
     return Chart("Error by path", Axis("path", "category"), Axis("position RMSE [mm]"), series, "Means over seeds.")
 
 
 def step_time_chart(main: DataFrame) -> Chart:
-    """The share of steps that took longer than a time."""
+    """Chart the share of steps that took longer than a time."""
     series = []
     for i, (name, rows) in enumerate(by(main, COMPARED).items()):
         times = 1e3 * step_times(rows)
@@ -200,7 +200,7 @@ def _swept(rows: DataFrame, x: Sequence[float], axis: str, figures: Figures, nam
     for title, (unit, figure) in figures.items():
         series = []
         for name, part in by(rows, "driver").items():
-            values = {float(at): rounded(figure(group)) for at, group in part.groupby("x")}
+            values = {float(value): rounded(figure(group)) for value, group in part.groupby("x")}
             of_seeds = pd.Series({key: figure(group) for key, group in part.groupby(["x", "seed"])})
             several = part["seed"].nunique() > 1 and of_seeds.notna().all()
             low, high = (list(of_seeds.groupby(level=0).agg(end)) if several else () for end in ("min", "max"))
@@ -211,7 +211,7 @@ def _swept(rows: DataFrame, x: Sequence[float], axis: str, figures: Figures, nam
 
 
 def _labels(name: str, names: Sequence[str]) -> dict[str, str]:
-    """What hides a series: its controller's toggle, where it has one."""
+    """Return the label that hides a series: its controller's toggle, if it has one."""
     return {"controller": name} if name in names else {}
 
 
@@ -220,13 +220,13 @@ def _style(name: str, names: Sequence[str]) -> int:
 
 
 def _scale(series: Sequence[Series]) -> Division:
-    """Logarithmic where one value would press all others flat."""
-    values = [value for one in series for value in one.y if isinstance(value, float) and value]
+    """Choose a logarithmic scale if one value would hide the differences of the others."""
+    values = [value for line in series for value in line.y if isinstance(value, float) and value]
     return "log" if values and max(values) > 20 * min(values) else "linear"
 
 
 def _warnings(drivers: Mapping[str, DataFrame]) -> list[Warned]:
-    """Those of every run; where many runs have the same, the first and how many others."""
+    """List the warnings of all runs; for a warning of many runs the first run and the number of others."""
     warned: dict[tuple[str, str], list[Warned]] = {}
     for name, rows in drivers.items():
         for case, run in zip(rows["case"], rows["run"], strict=True):
@@ -236,7 +236,7 @@ def _warnings(drivers: Mapping[str, DataFrame]) -> list[Warned]:
     made = []
     for alike in warned.values():
         more = f" The same kind in {len(alike) - 1} more of its runs." if len(alike) > 1 else ""
-        made.append(Warned(alike[0].what + more, alike[0].remedy))
+        made.append(Warned(alike[0].text + more, alike[0].remedy))
     if len(made) > _WARNINGS_SHOWN:
         rest = Warned(f"And {len(made) - _WARNINGS_SHOWN} other kinds of warning: see the tables.")
         return [*made[:_WARNINGS_SHOWN], rest]

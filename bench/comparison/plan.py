@@ -1,4 +1,4 @@
-"""Which cases the comparison consists of."""
+"""Cases of the comparison."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
 
 
 class ComparisonSettings(StrictModel):
-    """What is compared: beside what stands here the values of every dimension, under its name in the plural."""
+    """Settings of a comparison: the fields here, and the values of every dimension under its plural name."""
 
     horizons: tuple[Annotated[int, Field(ge=1)], ...] = Field((), description="of the sweep [steps]; empty for none")
     config: str | None = Field(None, description="controller configuration file in place of the shipped ones")
@@ -42,38 +42,38 @@ class ComparisonSettings(StrictModel):
     robots: bool = Field(False, description="other robots beside the tables, see `other_robots`")
 
     def values(self, dimension: str) -> tuple[Any, ...]:
-        """Values of a dimension by its name in the plural."""
+        """Return the values of a dimension by its plural name."""
         values: tuple[Any, ...] = getattr(self, dimension)
         return values
 
     @property
     def ours(self) -> bool:
-        """Whether a controller is among them that has a model and a configuration."""
+        """True if a controller with a model and a configuration is among them."""
         return not set(self.values("controllers")) <= set(PEERS)
 
 
 SPEEDS = (0.3, 0.6, 0.9, 1.2)
 """Top speeds of the error against speed [m/s]."""
 SPEED_TRAJECTORIES, SPEED_SEEDS = ("circle", "s"), 1
-"""What is driven at these speeds, and with how many of the seeds."""
+"""Trajectories driven at these speeds, and their number of seeds."""
 SWEPT_TRAJECTORIES = ("s", "cane")
 """Over which horizons are swept in a bench without options: the others show the same."""
 LATE_TICKS, LATE_TRAJECTORY = (-2, 0, 2, 4), "s"
-"""By how many samples the plant's dead time is longer than the configured one, and what is driven there."""
+"""Excess of the plant's dead time over the configured one [samples], and the trajectory of these runs."""
 OTHER_SEEDS = (10, 11)
 """Seeds over which the order of the controllers is looked at once more."""
 ROBOT_SEEDS = tuple(range(0, 40, 2))
 """Seeds with which robots of known dynamics are driven in a sweep."""
 
 _DIMENSIONS: dict[str, Any] = {
-    one.several: (Annotated[tuple[one.kind, ...], Field(min_length=1)], one.compared)  # type: ignore[name-defined]
-    for one in DIMENSIONS
+    entry.several: (Annotated[tuple[entry.kind, ...], Field(min_length=1)], entry.compared)  # type: ignore[name-defined]
+    for entry in DIMENSIONS
 }
 _WithDimensions = create_model("ComparisonSettings", __base__=ComparisonSettings, **_DIMENSIONS)
 
 
 def default_settings() -> ComparisonSettings:
-    """What `bench` runs without options."""
+    """Return the settings of `bench` without options."""
     return _WithDimensions()
 
 
@@ -87,7 +87,7 @@ def read_options(
     scaled: bool = False,
     sweeps: bool = False,
 ) -> ComparisonSettings:
-    """What the options of the command ask for.
+    """Read the settings from the options of the command.
 
     Parameters
     ----------
@@ -99,8 +99,8 @@ def read_options(
     Raises ConfigError or ValueError if an option cannot be used.
     """
     default = default_settings()
-    given = {dimension: text for dimension in DIMENSIONS if (text := values.get(dimension.several)) is not None}
-    options: dict[str, object] = {one.several: one.read(text, one.list_option) for one, text in given.items()}
+    stated = {dimension: text for dimension in DIMENSIONS if (text := values.get(dimension.several)) is not None}
+    options: dict[str, object] = {entry.several: entry.read(text, entry.list_option) for entry, text in stated.items()}
     if "controllers" not in options and (config is not None or settings or "models" in options):
         options["controllers"] = ("mpc",)  # who asks for a model or a configuration asks about that
     if sweeps and (quick or config or settings or scaled or set(options) - {"controllers", "models", "seeds"}):
@@ -207,7 +207,7 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
     check_count(len(compared) * len(places))
     main = [replace(driver, **place) for driver in compared for place in places]
     first = {name: values[0] for name, values in several.items() if name != "trajectory"}
-    swept = [one for one in several["trajectory"] if not settings.beyond or one in SWEPT_TRAJECTORIES]
+    swept = [entry for entry in several["trajectory"] if not settings.beyond or entry in SWEPT_TRAJECTORIES]
     check_count(len(ours) * len(settings.horizons) * len(swept))
     horizon = [
         _at_horizon(replace(case, overrides=settings.settings[0], trajectory=trajectory, **first), steps)
@@ -244,7 +244,7 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
 
 
 def _late(case: Case, ticks: int) -> Case:
-    """On a plant that is later than the configuration says, or with a configuration that says too much."""
+    """Return the case on a plant that is later than configured, or with a configured dead time that is too long."""
     if ticks >= 0:
         return replace(case, late=ticks)
     known = controller_config(case.model, case.config, case.overrides)
@@ -255,7 +255,7 @@ def _late(case: Case, ticks: int) -> Case:
 
 
 def _at_horizon(case: Case, steps: int) -> Case:
-    """The case with another horizon, or itself where that is its own: equal cases run once."""
+    """Return the case with another horizon, or the same case for its own: equal cases run once."""
     return case if case.horizon == steps else case.with_override("horizon", steps)
 
 
@@ -270,9 +270,9 @@ def _check_labels(settings: ComparisonSettings) -> None:
     for dimension, names in dimensions.items():
         labels: dict[str, str] = {}
         for name in names:
-            other = labels.setdefault(label(name).casefold(), name)
-            if other != name:
+            namesake = labels.setdefault(label(name).casefold(), name)
+            if namesake != name:
                 raise ConfigError(
-                    f"{dimension}: '{other}' and '{name}' would both be '{label(name)}' in tables and figures; "
+                    f"{dimension}: '{namesake}' and '{name}' would both be '{label(name)}' in tables and figures; "
                     f"rename one file"
                 )

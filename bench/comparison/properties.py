@@ -1,4 +1,4 @@
-"""What a model is worth before it drives: open-loop FIT and pose drift on the plant, beside its tracking error."""
+"""Open-loop properties of models: FIT and pose drift on the plant, with the tracking error."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from diffdrive_mpc.sim import make_plant
 from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, random_commands
 
 EXCITATION_SEEDS = (2001, 2002)
-"""Of random set-points and noise: drives that no model is identified from."""
+"""Seeds of random set-points and noise of drives that no model is identified from."""
 DRIFT_AFTER = 2.0
 """Length of a free prediction of the pose [s]: about three horizons."""
 _FEWEST = 5
@@ -50,7 +50,7 @@ class Property:
     drift: float
 
     @classmethod
-    def of(cls, case: Case) -> Property | None:
+    def measure(cls, case: Case) -> Property | None:
         """Drive the plant of `case` open loop; None for a model that is a function, which cannot be run freely."""
         from diffdrive_mpc.models.identification.fit.poses import pose_drift  # noqa: PLC0415 - loads slowly
 
@@ -71,9 +71,9 @@ class Property:
 
 
 def measure_properties(cases: Sequence[Case], jobs: int, on_done: OnDone = lambda: None) -> list[Property]:
-    """Of every pair of model and plant among `cases`, once."""
+    """Measure every pair of model and plant among `cases` once."""
     wanted = dict.fromkeys(_property_case(case) for case in cases if case.controller not in PEERS)
-    measured = run_tasks([partial(Property.of, case) for case in wanted], jobs, on_done)
+    measured = run_tasks([partial(Property.measure, case) for case in wanted], jobs, on_done)
     return [row for row in measured if row is not None]
 
 
@@ -89,23 +89,23 @@ def _property_case(case: Case) -> Case:
 
 
 def property_rows(properties: Sequence[Property], runs: DataFrame) -> list[dict[str, object]]:
-    """Each as plain values with the tracking error of the same model on the same plant."""
+    """Return each property as plain values with the tracking error of the same model on the same plant."""
     of_case = [_property_case(case) for case in runs["case"]]
     return [
         {
-            "model": one.case.labels["model"],
-            **{name: one.case.labels[name] for name in ("plant", "surface", "sensors")},
-            "fit_v_percent": one.fit_v,
-            "fit_omega_percent": one.fit_omega,
-            "drift_m": one.drift,
-            "position_rmse_m": mean(runs[[case == one.case for case in of_case]], "position_rmse_m"),
+            "model": measured.case.labels["model"],
+            **{name: measured.case.labels[name] for name in ("plant", "surface", "sensors")},
+            "fit_v_percent": measured.fit_v,
+            "fit_omega_percent": measured.fit_omega,
+            "drift_m": measured.drift,
+            "position_rmse_m": mean(runs[[case == measured.case for case in of_case]], "position_rmse_m"),
         }
-        for one in properties
+        for measured in properties
     ]
 
 
 def property_table(properties: Sequence[Property], runs: DataFrame) -> Table:
-    """FIT, drift and tracking error; and which of the first two goes with the third."""
+    """Tabulate FIT, drift and tracking error, and the correlation of the first two with the third."""
     rows = property_rows(properties, runs)
     cells = tuple(
         (
@@ -132,7 +132,7 @@ def property_table(properties: Sequence[Property], runs: DataFrame) -> Table:
 
 
 def predicts(rows: Sequence[dict[str, object]]) -> str:
-    """The rank correlation of each property with the tracking error, or that there are too few points for one."""
+    """Describe the rank correlation of each property with the tracking error, or the lack of points for one."""
     if len(rows) < _FEWEST:
         return f"{len(rows)} pairs of model and plant are too few for a correlation with the tracking error."
     from scipy.stats import spearmanr  # noqa: PLC0415 - loads slowly

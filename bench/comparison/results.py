@@ -1,4 +1,4 @@
-"""What a comparison gave, its rows in `bench.json`, and what it is a comparison of."""
+"""Results of a comparison, its rows in `bench.json`, and the description of its settings."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ BEYOND = ("speed", "dead_time", "other_seeds", "population", "dynamics")
 
 @dataclass(frozen=True)
 class ComparisonResults:
-    """What a comparison gave.
+    """Results of a comparison.
 
     Attributes
     ----------
@@ -80,27 +80,27 @@ class ComparisonResults:
         ]
 
     def rows(self) -> list[Row]:
-        """Every run as plain values; what could not be computed is None."""
+        """Return every run as plain values, with None for missing ones."""
         swept, smoothed = any(self.settings.settings), bool((self.all["drawn_max_m"] > 0.0).any())
         rows = self.all.to_dict("records")
         return [json_row(row, self.silent, with_settings=swept, with_drawn=smoothed) for row in rows]
 
     def content(self) -> dict[str, object]:
-        """Everything as rows of plain values by name; parts that were not run are left out."""
+        """Return all rows of plain values by name, without parts that were not run."""
         scored = {name: getattr(self, name) for name in BEYOND}
         rows = {"runs": self.rows(), "properties": property_rows(self.properties, self.main)}
         rows |= {
-            name: [beyond_row(one, self.silent) for one in part.to_dict("records")] for name, part in scored.items()
+            name: [beyond_row(row, self.silent) for row in part.to_dict("records")] for name, part in scored.items()
         }
         return {name: part for name, part in rows.items() if part}
 
 
-_STATISTICS = (*(of.name for kind in (Metrics, SolverShares) for of in fields(kind)), *FORMER_COLUMNS)
-_RECOVERY = tuple(of.name for of in fields(Recovery))
+_STATISTICS = (*(member.name for kind in (Metrics, SolverShares) for member in fields(kind)), *FORMER_COLUMNS)
+_RECOVERY = tuple(member.name for member in fields(Recovery))
 
 
 def json_row(row: Row, silent: Container[str], *, with_settings: bool = False, with_drawn: bool = False) -> Row:
-    """One run as plain values.
+    """Convert one run to plain values.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def json_row(row: Row, silent: Container[str], *, with_settings: bool = False, w
 
 
 def beyond_row(row: Row, silent: Container[str]) -> Row:
-    """A run that was not timed as plain values; `late_s` is by how much the plant was later than told."""
+    """Convert a run without timing to plain values; `late_s` is the plant's delay beyond the configured one."""
     case = row["case"]
     sample_time = controller_config(Case().model).sample_time
     values = case.as_row(silent) | {"top_speed_m_s": case.top_speed, "late_s": case.late * sample_time}
@@ -136,7 +136,7 @@ def beyond_row(row: Row, silent: Container[str]) -> Row:
 
 
 def predictive(compared: Mapping[str, DataFrame]) -> dict[str, DataFrame]:
-    """The groups of predictive controllers, which figures show; all groups where there are peers alone."""
+    """Return the groups of predictive controllers, which figures show, or all groups if there are only peers."""
     ours = {name: rows for name, rows in compared.items() if rows["controller"].iloc[0] not in PEERS}
     return ours or dict(compared)
 
@@ -147,12 +147,12 @@ def complete(compared: Mapping[str, DataFrame]) -> dict[str, DataFrame]:
 
 
 def best_of(compared: Mapping[str, DataFrame]) -> str:
-    """The name with the least mean position RMSE."""
+    """Return the name with the lowest mean position RMSE."""
     return min(compared, key=lambda name: np.nan_to_num(mean(compared[name], "position_rmse_m"), nan=np.inf))
 
 
 def incomplete(results: ComparisonResults) -> str | None:
-    """One line about the runs of the predictive controller that did not complete; None where all did."""
+    """Describe incomplete runs of the predictive controller in one line; None if all are complete."""
     rows = results.all
     ours = rows[~rows["controller"].isin(PEERS)]
     failed = ours[~ours["completed"].astype(bool)]
@@ -167,7 +167,7 @@ def incomplete(results: ComparisonResults) -> str | None:
 
 
 def describe(settings: ComparisonSettings, timing: TimingPass) -> dict[str, object]:
-    """Definitions, and what was asked for, for the `meta` part of `bench.json`.
+    """Describe definitions and settings for the `meta` part of `bench.json`.
 
     Parameters
     ----------
@@ -194,19 +194,19 @@ def describe(settings: ComparisonSettings, timing: TimingPass) -> dict[str, obje
 
 
 def labelled(settings: ComparisonSettings, dimension: str) -> list[object]:
-    """Values of a dimension by its name in the plural, without what tells of the machine."""
+    """Return the values of a dimension by its plural name, without parts that identify the machine."""
     return [label(value) if isinstance(value, str) else value for value in settings.values(dimension)]
 
 
 def chosen_configuration(settings: ComparisonSettings) -> str:
-    """The configuration file and the values in place of the shipped ones, as one phrase; empty without any."""
+    """Describe the configuration file and changed values as one phrase; empty for shipped values."""
     parts = [] if settings.config is None else [f"file {Path(settings.config).stem}"]
     parts += [f"{key}={','.join(map(str, values))}" for key, values in _swept(settings).items()]
     return "; ".join(parts)
 
 
 def _configurations(settings: ComparisonSettings) -> list[dict[str, object]]:
-    """Every value that each model's controller was given, for each combination of swept values."""
+    """List every configuration value of each model's controller, for each combination of swept values."""
     return [
         {
             "model": label(model),
@@ -220,7 +220,7 @@ def _configurations(settings: ComparisonSettings) -> list[dict[str, object]]:
 
 
 def _swept(settings: ComparisonSettings) -> dict[str, list[object]]:
-    """Values by dotted key, each once."""
+    """Collect the swept values by dotted key, each once."""
     values: dict[str, list[object]] = {}
     for key, value in (pair for overrides in settings.settings for pair in overrides):
         known = values.setdefault(key, [])

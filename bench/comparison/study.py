@@ -31,7 +31,7 @@ from diffdrive_mpc.bench.timing import TimingPass, time_outcomes
 
 
 class ComparisonStudy(Study[CasePlan, ComparisonResults]):
-    """What `settings` ask for."""
+    """Comparison with the given `settings`."""
 
     name = "bench"
     title = "Controllers compared: tracking error and step time"
@@ -40,11 +40,11 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         self.settings = settings
 
     def plan(self) -> CasePlan:
-        """The cases; raises ConfigError or ValueError if one of them cannot be run."""
+        """Plan the cases; raise ConfigError or ValueError if one of them cannot be run."""
         return plan_cases(self.settings)
 
     def cases(self, plan: CasePlan) -> Iterable[Case]:
-        """All of them, where a configuration was given; else plants are compared on purpose."""
+        """Select the cases to check against their robots: all of them, unless plants are compared."""
         return [case for case in plan.all if case.config is not None]
 
     def driven(self, plan: CasePlan) -> Iterable[Case]:
@@ -54,28 +54,28 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
     def run(self, plan: CasePlan, jobs: int, bar: ProgressBar) -> ComparisonResults:
         """Run every case, and time the controllers' steps; raises NotReproducibleError where a replay differs."""
         cases, whole, timed_cases = (*plan.all, *plan.beyond), set(plan.all), plan.timed
-        bar.begin(f"running, {jobs} at a time", len(cases))
+        bar.start_stage(f"running, {jobs} at a time", len(cases))
         # Of the cases of tables and figures the whole run is kept, of the others their row.
         driven = run_tasks([partial(_drive, case, whole=case in whole) for case in cases], jobs, bar.advance)
         recorded = {run.case: run for run in driven if isinstance(run, RunOutcome)}
-        bar.begin("timing, in turns", len(timed_cases))
+        bar.start_stage("timing, in turns", len(timed_cases))
         timed, timing = time_outcomes([recorded[case] for case in timed_cases], bar.advance)
         recorded = {case: outcome.untimed for case, outcome in recorded.items()} | {run.case: run for run in timed}
         rows: dict[Case, Row] = {case: outcome.row for case, outcome in recorded.items()}
         rows |= {run["case"]: run for run in driven if not isinstance(run, RunOutcome)}
 
-        def of(listed: Iterable[Case]) -> DataFrame:
+        def of_listed(listed: Iterable[Case]) -> DataFrame:
             return frame(rows[case] for case in listed)
 
-        beyond = {name: of(getattr(plan, name)) for name in BEYOND}
-        results = ComparisonResults(self.settings, of(plan.main), of(plan.horizon), timing, **beyond)
+        beyond = {name: of_listed(getattr(plan, name)) for name in BEYOND}
+        results = ComparisonResults(self.settings, of_listed(plan.main), of_listed(plan.horizon), timing, **beyond)
         if not self.settings.beyond:
             return results
         # In one process: another pool takes longer to start.
         return replace(results, properties=tuple(measure_properties(plan.main, 1)))
 
     def report(self, results: ComparisonResults, seconds: float) -> Report:
-        """The overview above the tables, the runs of the first seed one by one below."""
+        """Report the overview above the tables, and below them the runs of the first seed."""
         from diffdrive_mpc.bench.comparison.figures import drawings  # noqa: PLC0415 - matplotlib loads slowly
 
         named = [
@@ -83,10 +83,10 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
             for dimension in DIMENSIONS
             if (dimension.place or dimension.name == "seed") and dimension.name not in results.silent
         ]
-        asked = [
-            f"{one.name if one.place and len(values) == 1 else one.several} {', '.join(map(str, values))}"
-            for one in named
-            if (values := labelled(self.settings, one.several))
+        requested = [
+            f"{entry.name if entry.place and len(values) == 1 else entry.several} {', '.join(map(str, values))}"
+            for entry in named
+            if (values := labelled(self.settings, entry.several))
         ]
         chosen = chosen_configuration(self.settings)
         return Report(
@@ -94,7 +94,7 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
             meta=describe(self.settings, results.timing),
             content=results.content(),
             facts=[
-                f"{len(results.all)} runs in {seconds} s; {', '.join(asked)}.",
+                f"{len(results.all)} runs in {seconds} s; {', '.join(requested)}.",
                 *([f"Configuration: {chosen}."] if chosen else []),
             ],
             notes=[

@@ -26,12 +26,12 @@ _PATHS_ON_SCREEN = 4
 
 @cache
 def table_specs() -> dict[str, TableSpec]:
-    """The tables that `tables.yaml` states."""
+    """Load the tables of `tables.yaml`."""
     return load_tables(Path(__file__).with_name("tables.yaml"))
 
 
 def step_times(rows: DataFrame) -> FloatArray:
-    """Times of the whole step [s] at the counted ticks of several runs that have one."""
+    """Collect times of the whole step [s] at the counted ticks of the runs that have them."""
     return _times([run.step_time[run.counted] for run in rows["run"]])
 
 
@@ -46,19 +46,19 @@ def _times(parts: list[FloatArray]) -> FloatArray:
 
 
 def time_percentile(times: FloatArray, percent: float) -> float:
-    """A percentile of times; NaN without any."""
+    """Compute a percentile of times; NaN without any."""
     return float(np.percentile(times, percent)) if times.size else math.nan
 
 
 def disturbed_share(rows: DataFrame) -> float:
-    """Share of the ticks that could not be timed undisturbed, of the runs that were timed; 0 without any."""
+    """Compute the share of ticks without an undisturbed timing among timed runs; 0 without any."""
     timed = rows[np.isfinite(values(rows, "clean_share"))]
     ticks = [len(run.time) for run in timed["run"]]
     return float(np.average(1.0 - values(timed, "clean_share"), weights=ticks)) if ticks else 0.0
 
 
 def _time(name: str, percent: float, digits: int = 2) -> Cell:
-    """A percentile of times [ms], with an asterisk where not all of them are undisturbed."""
+    """Format a percentile of times [ms], with an asterisk if some of them are disturbed."""
 
     def made(rows: DataFrame) -> str:
         times = step_times(rows) if name == "step" else solve_times(rows)
@@ -69,7 +69,7 @@ def _time(name: str, percent: float, digits: int = 2) -> Cell:
 
 
 def _recovered(rows: DataFrame) -> str:
-    """How many runs recovered, of how many; "-" where the disturbance lasts."""
+    """Format the number of recovered runs and of all runs; "-" for a lasting disturbance."""
     times = values(rows, "recovery_time_s")
     return "-" if np.isnan(times).all() else f"{np.count_nonzero(np.isfinite(times))}/{len(rows)}"
 
@@ -86,7 +86,7 @@ CELLS: dict[str, Cell] = {
 
 
 def report_tables(results: ComparisonResults) -> list[Table]:
-    """Every table of a report, in order; those of horizons and scenarios only where there are any."""
+    """Build every table of a report in order; those of horizons and scenarios only if they were run."""
     main, several = results.main, len(by(results.main, COMPARED)) > 1
     tables = [make(main) for make in (summary_table, error_table, path_table, time_table, solver_table)]
     if several:
@@ -106,21 +106,24 @@ def report_tables(results: ComparisonResults) -> list[Table]:
 
 
 def summary_table(rows: DataFrame) -> Table:
-    """One row for each controller: how well it tracks and what it costs."""
+    """Tabulate tracking and cost, one row for each controller."""
     return table_specs()["summary"].table(rows, CELLS, _disturbed_note(rows))
 
 
 def error_table(rows: DataFrame) -> Table:
-    """Position and heading errors by trajectory: the statistics of Guffanti et al. 2025, Table 2."""
+    """Tabulate position and heading errors by trajectory: the statistics of Guffanti et al. 2025, Table 2."""
     return table_specs()["errors"].table(rows)
 
 
 def path_table(rows: DataFrame) -> Table:
-    """Errors against the path rather than the timed reference, by trajectory."""
+    """Tabulate errors against the path rather than the timed reference, by trajectory."""
     spec = table_specs()["path"]
     columns, note = dict(spec.columns), spec.note
     if (rows["drawn_max_m"] > 0.0).any():
-        columns |= {f"reference to drawn path, {of} [m]": f"{what} drawn_{of}_m" for what, of in _DRAWN.items()}
+        columns |= {
+            f"reference to drawn path, {statistic} [m]": f"{name} drawn_{statistic}_m"
+            for name, statistic in _DRAWN.items()
+        }
         note += " The path is that of the reference, which smooth timing and waypoints lay beside the drawn one."
     return spec.model_copy(update={"columns": columns, "note": note}).table(rows)
 
@@ -129,7 +132,7 @@ _DRAWN = {"max": "max", "mean": "rms"}
 
 
 def scenario_table(rows: DataFrame) -> Table:
-    """How the controllers come back from the disturbances, by scenario."""
+    """Tabulate the recovery of the controllers from disturbances, by scenario."""
     return table_specs()["scenarios"].table(rows, CELLS)
 
 
@@ -184,26 +187,26 @@ def error_part(rows: DataFrame, *, way: int, repeats: bool) -> str:
 
 
 def time_table(rows: DataFrame) -> Table:
-    """Percentiles of solve and whole step over all ticks of a controller."""
+    """Tabulate percentiles of solve and whole step over all ticks of a controller."""
     return table_specs()["times"].table(rows, CELLS, _disturbed_note(rows))
 
 
 def solver_table(rows: DataFrame) -> Table:
-    """Which method the solver took, and its iterations; a controller without a solver is left out."""
+    """Tabulate solver methods and iterations; a controller without a solver is left out."""
     solving = [part for part in by(rows, COMPARED).values() if math.isfinite(mean(part, "iterations_mean"))]
-    kept = rows[rows.index.isin([index for part in solving for index in part.index])]
-    return table_specs()["solver"].table(kept)
+    solved = rows[rows.index.isin([index for part in solving for index in part.index])]
+    return table_specs()["solver"].table(solved)
 
 
 def horizon_table(rows: DataFrame) -> Table:
-    """Tracking error and times against the horizon, by model."""
+    """Tabulate tracking error and times against the horizon, by model."""
     ordered = rows.sort_values("horizon", kind="stable").astype({"horizon": int})
     note = f"Means over {', '.join(by(rows, 'trajectory'))}; {_where(rows)}.{_disturbed_note(rows)}"
     return table_specs()["horizon"].table(ordered, CELLS, note)
 
 
 def screen_table(rows: DataFrame) -> Table:
-    """What the terminal shows of a comparison: a row for each controller, in 80 columns."""
+    """Tabulate a comparison for the terminal: a row for each controller, in 80 columns."""
     paths = list(by(rows, "trajectory"))
     error = cell("mean position_rmse_m mm")
     columns = {path: _on_path(path) for path in paths} if 1 < len(paths) <= _PATHS_ON_SCREEN else {}
@@ -222,7 +225,7 @@ def screen_table(rows: DataFrame) -> Table:
 
 
 def side_by_side_table(rows: DataFrame) -> Table:
-    """Position RMSE, a row for each trajectory and a column for each controller."""
+    """Tabulate position RMSE, a row for each trajectory and a column for each controller."""
     drivers = by(rows, COMPARED)
     named = {name: _of_rows(part) for name, part in drivers.items()}
     note = "Position RMSE [mm], means over seeds; of runs that did not complete, up to their end."
@@ -234,14 +237,14 @@ def _on_path(path: str) -> Cell:
     return lambda rows: error(rows[rows["trajectory"] == path])
 
 
-def _of_rows(own: DataFrame) -> Cell:
-    """Position RMSE of those rows of a group that are among `own`."""
+def _of_rows(subset: DataFrame) -> Cell:
+    """Return a cell for the position RMSE of those rows of a group that are among `subset`."""
     error = cell("mean position_rmse_m mm")
-    return lambda rows: error(rows[rows.index.isin(own.index)])
+    return lambda rows: error(rows[rows.index.isin(subset.index)])
 
 
 def _disturbed_note(rows: DataFrame) -> str:
-    """What an asterisk means, where there is one."""
+    """Explain the asterisk, if there is one."""
     share = disturbed_share(rows)
     if not share:
         return ""
@@ -252,9 +255,9 @@ def _disturbed_note(rows: DataFrame) -> str:
 
 
 def _where(rows: DataFrame) -> str:
-    """Where all runs of the horizon sweep took place: only the first of each dimension is swept."""
+    """Describe the place of the horizon sweep, which sweeps only the first value of each dimension."""
     case = rows["case"].iloc[0]
     labels = {dimension: case.labels[dimension.name] for dimension in DIMENSIONS if dimension.place}
-    parts = [f"{one.name} {text}" for one, text in labels.items() if not (one.silent and text == one.default)]
+    parts = [f"{entry.name} {text}" for entry, text in labels.items() if not (entry.silent and text == entry.default)]
     parts += [f"{key}={value}" for key, value in case.overrides if key != "horizon"]
     return ", ".join([*parts, f"seed {case.seed}"])

@@ -26,7 +26,7 @@ def write_page(page: Page, path: Path) -> None:
 
 
 def page_text(page: Page) -> str:
-    """The page as HTML; the same page gives the same text."""
+    """Render the page as HTML; the same page gives the same text."""
     parts = {
         "title": _escaped_title(page.title),
         "style": _file("page.css"),
@@ -38,7 +38,7 @@ def page_text(page: Page) -> str:
 
 
 def content(page: Page) -> dict[str, Any]:
-    """What the script gets: everything of a page as plain values, and the look that all figures share."""
+    """Collect the data for the script: the page as plain values, and the common style of the figures."""
     shown: dict[str, Any] = plain(replace(page.shown, views=[_view(view) for view in page.shown.views]))
     tables = [
         {
@@ -58,13 +58,13 @@ def content(page: Page) -> dict[str, Any]:
 
 
 def json_text(values: Mapping[str, object]) -> str:
-    """JSON that cannot end the script it stands in."""
+    """Format JSON that cannot end the script element around it."""
     text = json.dumps(values, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
 
 
 def picture(path: Path) -> str:
-    """A PNG file as an address that holds it."""
+    """Encode a PNG file as a data address."""
     return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode("ascii")
 
 

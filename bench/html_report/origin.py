@@ -1,4 +1,4 @@
-"""How to repeat a run: its command, software versions and machine."""
+"""Origin of a run: command, software versions and machine."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 
 def origin(run: Mapping[str, Any], more: Sequence[tuple[str, str]] = ()) -> Origin:
-    """The origin of a report.
+    """Build the origin of a report.
 
     Parameters
     ----------
@@ -44,12 +44,12 @@ def origin(run: Mapping[str, Any], more: Sequence[tuple[str, str]] = ()) -> Orig
 
 
 def case_config(case: Case) -> ControllerConfig | None:
-    """Configuration of a case's controller; None for a peer, which has none."""
+    """Return the configuration of a case's controller; None for a peer, which has none."""
     return None if case.controller in PEERS else controller_config(case.model, case.config, case.overrides)
 
 
 def configuration(case: Case) -> list[ConfigurationView]:
-    """The configuration of a case with every value, its model named without folders."""
+    """View the configuration of a case with every value and its model named without folders."""
     config = case_config(case)
     if config is None:
         return []

@@ -1,4 +1,4 @@
-"""What a report shows, in plain values: the engine in `template/` draws it, and each command says only this."""
+"""Contents of a report in plain values; the engine in `template/` draws them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Labels = Mapping[str, str]
 
 
 Division = Literal["linear", "log", "category"]
-"""How an axis is divided."""
+"""Scale of an axis."""
 
 
 @dataclass(frozen=True)
@@ -33,9 +33,9 @@ class KeyFigure:
 
 @dataclass(frozen=True)
 class Warned:
-    """A warning in words, and what to do about it."""
+    """Warning in words, and its remedy."""
 
-    what: str
+    text: str
     remedy: str = ""
 
 
@@ -63,7 +63,7 @@ class Toggle:
 
 @dataclass(frozen=True)
 class Axis:
-    """Of a chart: its title with the unit, and how it is divided."""
+    """Axis of a chart: its title with the unit, and its scale."""
 
     title: str
     type: Division = "linear"
@@ -72,7 +72,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Series:
-    """What a chart draws in one style.
+    """Series that a chart draws in one style.
 
     Attributes
     ----------
@@ -236,14 +236,14 @@ class ConfigurationView:
 
     @classmethod
     def of_files(cls, folder: Path, files: Mapping[str, str]) -> list[ConfigurationView]:
-        """Those files of a folder, by name with their titles, that are there."""
+        """View the existing ones of the files of a folder, given by name with their titles."""
         paths = {f"{title}: {name} (YAML)": folder / name for name, title in files.items()}
         return [cls(title, path.read_text(encoding="utf-8")) for title, path in paths.items() if path.is_file()]
 
 
 @dataclass(frozen=True)
 class Shown:
-    """What a report shows beside tables, definitions and origin: everything that only the command can say.
+    """Contents of a report besides tables, definitions and origin, which only its command knows.
 
     Attributes
     ----------
@@ -274,12 +274,12 @@ class Shown:
 
 
 NOTHING = Shown()
-"""Of a report that has tables and pictures only."""
+"""Contents of a report with tables and pictures only."""
 
 
 @dataclass(frozen=True)
 class Origin:
-    """How to repeat a run: the exact command, and facts about version, machine and seeds as name and value."""
+    """Origin of a run: the exact command, and facts about version, machine and seeds as name and value."""
 
     command: str
     facts: Sequence[tuple[str, str]]
@@ -303,19 +303,19 @@ _TAIL_POINTS = 120
 
 
 def from_zero(time: FloatArray) -> tuple[FloatArray, str]:
-    """Times (n,) [s] counted from the first, and the title of their axis, which names the first."""
-    begin = float(time[0]) if len(time) else 0.0
-    since = f" since {begin:.2f} s on the log's clock" if begin else ""
-    return time - begin, f"time [s]{since}"
+    """Count times (n,) [s] from the first; return them with the title of their axis, which names the first."""
+    start = float(time[0]) if len(time) else 0.0
+    since = f" since {start:.2f} s on the log's clock" if start else ""
+    return time - start, f"time [s]{since}"
 
 
 def rounded(value: float) -> float | None:
-    """A number with four leading digits; None where it could not be computed."""
+    """Round a number to four leading digits; None if it is not finite."""
     return float(f"{value:.4g}") if math.isfinite(value) else None
 
 
 def tail(values: Sequence[float] | FloatArray) -> tuple[list[float], list[float | None]]:
-    """Values, and the share that is larger: some, evenly over the logarithm of that share, as the tail matters."""
+    """Return values and the share of larger ones, sampled evenly over the logarithm of that share."""
     ordered = np.sort(np.asarray(values, dtype=float))
-    kept = np.unique(ordered.size - np.geomspace(1, ordered.size, _TAIL_POINTS).round().astype(int))
-    return [float(f"{one:.4g}") for one in ordered[kept]], [rounded(1.0 - k / ordered.size) for k in kept]
+    indices = np.unique(ordered.size - np.geomspace(1, ordered.size, _TAIL_POINTS).round().astype(int))
+    return [float(f"{value:.4g}") for value in ordered[indices]], [rounded(1.0 - k / ordered.size) for k in indices]

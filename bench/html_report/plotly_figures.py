@@ -77,7 +77,7 @@ def map_figure(grid: GridMap) -> dict[str, Any]:
         f"%{{customdata}} {escape(grid.unit)}<extra></extra>",
         "meta": {"labels": {}, "group": ""},
     }
-    axes = {f"{name}axis": _axis(Axis(of.title, of.type)) for name, of in (("x", grid.x), ("y", grid.y))}
+    axes = {f"{name}axis": _axis(Axis(axis.title, axis.type)) for name, axis in (("x", grid.x), ("y", grid.y))}
     return {"data": [trace], "layout": _LAYOUT | axes | {"height": 360}}
 
 

@@ -48,44 +48,44 @@ def run_series(
     config
         Configuration of the controller; None for a peer.
     """
-    single, labels, kept = labels is None, labels or {}, kept_ticks(run, points)
+    single, labels, ticks = labels is None, labels or {}, kept_ticks(run, points)
     of_path = {"path": labels["path"]} if "path" in labels else {}
-    time = rounded_list(run.time[kept], 3)
+    time = rounded_list(run.time[ticks], 3)
 
-    def line(what: str, x: Sequence[float | None], values: FloatArray, digits: int, number: int = 0) -> Series:
-        shown = (what, number) if single else (name, style)
+    def line(title: str, x: Sequence[float | None], values: FloatArray, digits: int, number: int = 0) -> Series:
+        shown = (title, number) if single else (name, style)
         return Series(shown[0], x, rounded_list(values, digits), shown[1], "line", labels=labels, group=name)
 
     def reference(x: Sequence[float | None], values: FloatArray) -> Series:
         return Series("reference", x, rounded_list(values, 3), kind="reference", labels=of_path)
 
-    def in_plane(what: str, xy: FloatArray, number: int = 0) -> Series:
-        return line(what, rounded_list(xy[:, 0], 3), xy[:, 1], 3, number)
+    def in_plane(title: str, xy: FloatArray, number: int = 0) -> Series:
+        return line(title, rounded_list(xy[:, 0], 3), xy[:, 1], 3, number)
 
-    errors, pose = run.errors, run.reference_pose[kept]
-    plane = [reference(rounded_list(pose[:, 0], 3), pose[:, 1]), in_plane("driven", run.true_pose[kept])]
+    errors, pose = run.errors, run.reference_pose[ticks]
+    plane = [reference(rounded_list(pose[:, 0], 3), pose[:, 1]), in_plane("driven", run.true_pose[ticks])]
     panes = {
-        ERROR: [line("lateral", time, 1e3 * errors.lateral[kept], 1)],
-        HEADING: [line("heading", time, 1e3 * errors.heading[kept], 1)],
+        ERROR: [line("lateral", time, 1e3 * errors.lateral[ticks], 1)],
+        HEADING: [line("heading", time, 1e3 * errors.heading[ticks], 1)],
         **{
             title: [
-                reference(time, run.reference_twist[kept, channel]),
-                line("command", time, run.command[kept, channel], 3, 1),
+                reference(time, run.reference_twist[ticks, channel]),
+                line("command", time, run.command[ticks, channel], 3, 1),
             ]
             for channel, title in enumerate(TWIST)
         },
-        STEP: [line("step time", time, 1e3 * run.step_time[kept], 3, 1)],
+        STEP: [line("step time", time, 1e3 * run.step_time[ticks], 3, 1)],
         METHOD: [_words(run, name, labels, 1 if single else style)],
     }
     marks = {}
     if single:
-        plane += [in_plane("estimate", run.estimates[kept], 2)] if np.isfinite(run.estimates[:, 0]).any() else []
+        plane += [in_plane("estimate", run.estimates[ticks], 2)] if np.isfinite(run.estimates[:, 0]).any() else []
         poses = run.measured_pose[np.isfinite(run.measured_pose[:, 0])][:: max(1, len(run.time) // points)]
         xy = (rounded_list(poses[:, 0], 3), rounded_list(poses[:, 1], 3))
         plane = [*([Series("poses that arrived", *xy, 3, "points")] if len(poses) else []), *plane]
-        panes[ERROR] += [line("along", time, 1e3 * along_error(run)[kept], 1, 4)]
+        panes[ERROR] += [line("along", time, 1e3 * along_error(run)[ticks], 1, 4)]
         for channel, title in enumerate(TWIST):
-            panes[title] += [line("true", time, run.true_twist[kept, (0, 2)[channel]], 3)]
+            panes[title] += [line("true", time, run.true_twist[ticks, (0, 2)[channel]], 3)]
         marks = {} if config is None else _limits(run, config)
     return RunSeries(name, plane, panes, marks)
 

@@ -1,4 +1,4 @@
-"""What in a closed-loop run needs attention, in words, each with what to do about it."""
+"""Warnings about a closed-loop run, each with its remedy."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ class Remedies(StrictModel):
 
 @cache
 def remedies() -> Remedies:
-    """The shipped ones."""
+    """Load the shipped remedies."""
     return load_checked(Remedies, Path(__file__).parent / "remedies.yaml")
 
 
 def run_warnings(run: Run, config: ControllerConfig | None = None, name: str = "") -> list[Warned]:
-    """Everything that a person should look at, the gravest first.
+    """List the warnings about a run, the most serious first.
 
     Parameters
     ----------
@@ -55,19 +55,19 @@ def run_warnings(run: Run, config: ControllerConfig | None = None, name: str = "
     name
         What each warning begins with where there are several runs.
     """
-    of = remedies()
+    remedies_of_kinds = remedies()
     warned = [
-        (_not_completed(run), of.not_completed),
-        (_modes(run, ("BRAKING", "STOPPED")), of.waited),
-        (_modes(run, ("REUSED_PLAN",)), of.fallback),
-        (_late(run), of.late),
-        (_poses_lost(run, of), of.poses_lost),
-        (_at_limit(run, config, of), of.at_limit),
-        (_on_backend(run, config, of), of.backend),
-        (_said(run), of.messages),
+        (_not_completed(run), remedies_of_kinds.not_completed),
+        (_modes(run, ("BRAKING", "STOPPED")), remedies_of_kinds.waited),
+        (_modes(run, ("REUSED_PLAN",)), remedies_of_kinds.fallback),
+        (_late(run), remedies_of_kinds.late),
+        (_poses_lost(run, remedies_of_kinds), remedies_of_kinds.poses_lost),
+        (_at_limit(run, config, remedies_of_kinds), remedies_of_kinds.at_limit),
+        (_on_backend(run, config, remedies_of_kinds), remedies_of_kinds.backend),
+        (_said(run), remedies_of_kinds.messages),
     ]
     before = f"{name}: " if name else ""
-    return [Warned(before + what, remedy) for what, remedy in warned if what]
+    return [Warned(before + sentence, remedy) for sentence, remedy in warned if sentence]
 
 
 def _not_completed(run: Run) -> str:
@@ -76,10 +76,12 @@ def _not_completed(run: Run) -> str:
     return f"The run did not complete: {run.ended or 'the robot was not near the end of its path in time'}."
 
 
-def _modes(run: Run, asked: Sequence[str]) -> str:
-    """At how many counted ticks it was in which of the modes that are asked for, and since when."""
+def _modes(run: Run, wanted: Sequence[str]) -> str:
+    """Describe the number of counted ticks in one of the `wanted` modes, and the first of them."""
     entered = [
-        (mode, t) for mode, t, one in zip(run.modes, run.time, run.counted, strict=True) if one and mode in asked
+        (mode, t)
+        for mode, t, counted in zip(run.modes, run.time, run.counted, strict=True)
+        if counted and mode in wanted
     ]
     if not entered:
         return ""
@@ -96,13 +98,13 @@ def _late(run: Run) -> str:
     return f"{_ticks(misses)} took longer than the sample time of {sample:.1f} ms; the longest {worst:.1f} ms."
 
 
-def _poses_lost(run: Run, of: Remedies) -> str:
+def _poses_lost(run: Run, remedy: Remedies) -> str:
     arrived = run.time[np.isfinite(run.measured_pose[:, 0])]
     if len(arrived) < 3:
         return "" if len(arrived) or not len(run.time) else "No pose arrived at all."
     pauses = np.diff([*arrived, run.time[-1]])
     usual = float(np.median(pauses[:-1]))
-    long = pauses > of.pose_gap * usual
+    long = pauses > remedy.pose_gap * usual
     if not long.any():
         return ""
     first = arrived[np.flatnonzero(long)[0]]
@@ -112,19 +114,19 @@ def _poses_lost(run: Run, of: Remedies) -> str:
     )
 
 
-def _at_limit(run: Run, config: ControllerConfig | None, of: Remedies) -> str:
+def _at_limit(run: Run, config: ControllerConfig | None, remedy: Remedies) -> str:
     if config is None:
         return ""
-    command, asked = run.command[run.counted], np.abs(run.reference_twist[run.counted])
+    command, demanded = run.command[run.counted], np.abs(run.reference_twist[run.counted])
     sides = (config.limits.v, config.limits.omega)
     limits = np.column_stack([sides_at(limit, column) for limit, column in zip(sides, command.T, strict=True)])
     command = np.abs(command)
     # A path that asks for the limit itself is driven at the limit.
-    shares = 100.0 * np.mean((command >= limits - _SAME) & (asked < limits - _SAME), axis=0)
+    shares = 100.0 * np.mean((command >= limits - _SAME) & (demanded < limits - _SAME), axis=0)
     sentences = [
         f"{name} at {share:.0f} %"
         for name, share in zip(("v", "omega"), shares, strict=True)
-        if share > of.share_at_limit
+        if share > remedy.share_at_limit
     ]
     return (
         f"Commands are at their limit though the path asks for less: {' and '.join(sentences)} of the ticks."
@@ -133,12 +135,12 @@ def _at_limit(run: Run, config: ControllerConfig | None, of: Remedies) -> str:
     )
 
 
-def _on_backend(run: Run, config: ControllerConfig | None, of: Remedies) -> str:
-    """Where it was not chosen."""
+def _on_backend(run: Run, config: ControllerConfig | None, remedy: Remedies) -> str:
+    """Describe the share of ticks with a backend, unless the configuration chose it."""
     if config is not None and config.solver.method != "auto":
         return ""
-    share = SolverShares.of(run).method_backend_percent
-    return f"A backend had to solve {share:.0f} % of the ticks." if share > of.share_on_backend else ""
+    share = SolverShares.of_run(run).method_backend_percent
+    return f"A backend had to solve {share:.0f} % of the ticks." if share > remedy.share_on_backend else ""
 
 
 def _said(run: Run) -> str:

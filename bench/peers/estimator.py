@@ -1,4 +1,4 @@
-"""What every peer is given: the predictive controller's own estimate, moved forward over the robot's delay.
+"""Estimator of every peer: the predictive controller's own estimate, moved forward over the robot's delay.
 
 A command shows its effect one lag later, so a law that answers to the present pose answers too late. Commands that are
 on their way are known: the velocity model says where they take the robot.
@@ -43,22 +43,22 @@ class HeldEstimator:
         return model
 
     def start(self, reference: Reference, t0: float) -> None:
-        """Begin anew; `reference` and `t0` [s] as `Controller.start` takes and checks them."""
+        """Restart with `reference` and `t0` [s] as `Controller.start` checks them."""
         self._controller.start(reference, t0)
 
     def step(self, t: float, measurement: Measurement) -> Estimate | None:
-        """The estimate at the tick at `t` [s] from what arrived since the last one; None before the first pose."""
+        """Compute the estimate at the tick at `t` [s] from the new measurements; None before the first pose."""
         if measurement.sent is None and self._sent is not None:
             measurement = replace(measurement, sent=self._sent)
         return self._controller.step(t, measurement, _HOLD).estimate
 
     def sent(self, command: FloatArray) -> None:
-        """Say what was commanded (2,) at this tick: the held controller believes that it brakes."""
+        """Store the command (2,) of this tick; the held controller would otherwise assume that it brakes."""
         self._sent = (float(command[0]), float(command[1]))
 
 
 class PredictedMotion(NamedTuple):
-    """Where the robot will be, and how it will move there."""
+    """Predicted pose and motion of the robot."""
 
     pose: FloatArray
     """(3,) x [m], y [m], theta [rad, unwrapped]."""
@@ -95,7 +95,7 @@ class DelayPredictor:
         self._past = np.zeros((self._memory, 2))
 
     def reset(self) -> None:
-        """Forget the commands, for a robot that stands still."""
+        """Forget the commands, for a robot at rest."""
         self._past[:] = 0.0
 
     def sent(self, command: FloatArray) -> None:
@@ -103,7 +103,7 @@ class DelayPredictor:
         self._past = np.vstack([self._past[1:], command])
 
     def predict(self, pose: FloatArray, state: FloatArray, slip: Slip) -> PredictedMotion:
-        """The motion one lead later.
+        """Predict the motion one lead later.
 
         Parameters
         ----------
@@ -118,6 +118,6 @@ class DelayPredictor:
         acceleration = np.diff(twists[:, 0]) / self._sample_time
         theta = pose[2] + np.concatenate([[0.0], np.cumsum(0.5 * (twists[:-1, 1] + twists[1:, 1]) * self._durations)])
         middle = 0.5 * (outputs[:-1] + outputs[1:])
-        rows = (one[None] for one in (theta[:-1], acceleration, self._durations))
+        rows = (values[None] for values in (theta[:-1], acceleration, self._durations))
         moved = np.array(self._move(middle.T, slips, *rows)[0]).sum(axis=1)
         return PredictedMotion(pose + moved, (1 - self._share) * twists[-2] + self._share * twists[-1])

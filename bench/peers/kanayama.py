@@ -23,7 +23,7 @@ class KanayamaGains(Gains):
 
 
 def kanayama_twist(gains: KanayamaGains, feed_forward: FloatArray, error: FloatArray) -> FloatArray:
-    """(2,) v [m/s] and omega [rad/s]: feed-forward (2,) plus feedback of the error (3,), ahead, to the left, turned.
+    """Compute v [m/s] and omega [rad/s] (2,): feed-forward (2,) plus feedback of the error (3,), ahead, left, turned.
 
     |v| stands at the heading term so that it also stabilises when reversing.
     """
@@ -45,8 +45,8 @@ class KanayamaLaw:
         self._gains = gains
 
     def start(self, reference: Reference) -> None:
-        """Begin to track `reference`: nothing to prepare."""
+        """Start to track `reference`; nothing has to be prepared."""
 
     def decide(self, sight: LawInput) -> FloatArray:
-        """(2,) wanted v [m/s] and omega [rad/s]."""
+        """Compute the wanted v [m/s] and omega [rad/s] (2,)."""
         return kanayama_twist(self._gains, sight.feed_forward, sight.error)

@@ -40,7 +40,7 @@ class LqrLaw:
         self._R = np.diag([1.0, gains.omega])
 
     def start(self, reference: Reference) -> None:
-        """Work out the gains along `reference`."""
+        """Compute the gains along `reference`."""
         self._reference, self._integral = reference, 0.0
         count = int(np.ceil(reference.duration / self._dt)) + 1
         twists = reference.sample(self._dt * (np.arange(count) + 0.5)).twist
@@ -50,7 +50,7 @@ class LqrLaw:
             self._K[k], P = self.backwards(P, *self.linearised(*twists[k]))
 
     def linearised(self, v: float, omega: float) -> tuple[FloatArray, FloatArray]:
-        """A (6, 6) and B (6, 2) of one sample around a reference of constant twist.
+        """Linearise one sample around a reference of constant twist: A (6, 6) and B (6, 2).
 
         The states are errors along [m] and across [m], of heading [rad], the integral of the second [m s], and of v
         [m/s] and omega [rad/s].
@@ -67,13 +67,13 @@ class LqrLaw:
         return A, B
 
     def backwards(self, P: FloatArray, A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Gain K (2, 6) and cost-to-go (6, 6) one sample before that of P (6, 6)."""
+        """Compute gain K (2, 6) and cost-to-go (6, 6) one sample before that of P (6, 6)."""
         K = np.asarray(np.linalg.solve(self._R + B.T @ P @ B, B.T @ P @ A), dtype=float)
         before = self._Q + A.T @ P @ (A - B @ K)
         return K, np.asarray(0.5 * (before + before.T))
 
     def decide(self, sight: LawInput) -> FloatArray:
-        """(2,) wanted v [m/s] and omega [rad/s]."""
+        """Compute the wanted v [m/s] and omega [rad/s] (2,)."""
         gap = sight.motion.pose - sight.reference
         along, across = ahead_and_left(gap, sight.reference[2])
         expected = self._reference.sample([sight.time]).twist[0]

@@ -22,7 +22,7 @@ _AHEAD = np.arange(0.0, 2.0, 0.05)
 
 
 class PursuitGains(Gains):
-    """What is tuned."""
+    """Tuned gains."""
 
     look_ahead_time: AboveZero = Field(description="look-ahead distance over speed [s]")
     min_look_ahead: AboveZero = Field(description="its lower bound [m]")
@@ -41,11 +41,11 @@ class PursuitLaw:
         self._gains = gains
 
     def start(self, reference: Reference) -> None:
-        """Begin to track `reference`."""
+        """Start to track `reference`."""
         self._reference = reference
 
     def decide(self, sight: LawInput) -> FloatArray:
-        """(2,) wanted v [m/s] and omega [rad/s]."""
+        """Compute the wanted v [m/s] and omega [rad/s] (2,)."""
         gains, (v, omega) = self._gains, sight.feed_forward
         ahead, _, turned = sight.error
         if abs(v) <= STANDING:
@@ -58,15 +58,15 @@ class PursuitLaw:
         return np.array([regulated, regulated * curvature])
 
     def carrot(self, sight: LawInput) -> FloatArray:
-        """(2,) the point to reach in the robot's frame [m]; a path that ends or turns back is thought to go on."""
+        """Compute the target point (2,) in the robot's frame [m]; a path that ends or reverses is extended straight."""
         gains, v = self._gains, sight.feed_forward[0]
         direction = np.sign(v)
         distance = float(np.clip(gains.look_ahead_time * abs(v), gains.min_look_ahead, _FARTHEST))
         path = self._reference.sample(sight.time + _AHEAD)
         with_it = direction * path.twist[:, 0] > STANDING
-        begin = int(np.argmax(with_it))
-        rest = np.flatnonzero(~with_it[begin:])
-        last = begin + int(rest[0]) if with_it.any() and rest.size else len(_AHEAD) - 1 if with_it.any() else 0
+        start = int(np.argmax(with_it))
+        rest = np.flatnonzero(~with_it[start:])
+        last = start + int(rest[0]) if with_it.any() and rest.size else len(_AHEAD) - 1 if with_it.any() else 0
         covered = path.arc_length[: last + 1] - path.arc_length[0]
         point = np.array([np.interp(distance, covered, path.pose[: last + 1, i]) for i in (0, 1)])
         beyond = direction * max(0.0, distance - covered[-1])

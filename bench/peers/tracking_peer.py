@@ -29,12 +29,12 @@ from diffdrive_mpc.mpc.problem.slip import Slip
 
 
 def slew_step(limits: Limits, dt: float) -> FloatArray:
-    """(2,) largest change of the command from one tick to the next that both sides of slew allow [m/s, rad/s]."""
+    """Compute the maximum change (2,) of the command per tick within both sides of the slew [m/s, rad/s]."""
     return np.array([limits.v_slew, limits.omega_slew]) * dt
 
 
 def nearest_command(command: FloatArray, limits: Limits, dt: float, last: FloatArray) -> FloatArray:
-    """The nearest command (2,) inside the range, and inside slew of `last` (2,)."""
+    """Return the nearest command (2,) inside the range, and inside slew of `last` (2,)."""
     upper, lower = np.transpose([limits.v.sides, limits.omega.sides])
     grows, falls = np.transpose([limits.v_slew.sides, limits.omega_slew.sides]) * dt
     return reached(last, np.clip(command, -lower, upper), grows, falls)
@@ -50,14 +50,14 @@ AboveZero = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 class Gains(StrictModel):
-    """What is tuned of a peer: the gains of its law, and how far ahead it acts."""
+    """Tuned gains of a peer's law, and its lead."""
 
     lead: NotNegative = Field(0.0, description="the law acts on the pose so far ahead [s]")
 
 
 @dataclass(frozen=True, slots=True)
 class LawInput:
-    """What a law is told at one tick; all of it belongs to the instant at which its command takes effect.
+    """Input of a law at one tick; all values belong to the time at which its command takes effect.
 
     Attributes
     ----------
@@ -85,7 +85,16 @@ class LawInput:
 
 @dataclass(frozen=True)
 class Delayed:
-    """What a law may know of the robot beside the prediction.
+    """Knowledge of a law about the robot, in addition to the prediction.
+
+    Attributes
+    ----------
+    sample_time
+    Period of the ticks [s].
+    time_constant
+    (2,) lag of v and omega behind their commands, without dead time [s].
+    limits
+    Range and slew of the command.
 
     Attributes
     ----------
@@ -109,11 +118,11 @@ class Law(Protocol):
     """
 
     def start(self, reference: Reference) -> None:
-        """Begin to track `reference`."""
+        """Start to track `reference`."""
         ...
 
     def decide(self, sight: LawInput) -> FloatArray:
-        """(2,) wanted v [m/s] and omega [rad/s] of the body."""
+        """Compute the wanted v [m/s] and omega [rad/s] (2,) of the body."""
         ...
 
 
@@ -151,7 +160,7 @@ class TrackingPeer:
         self._reference: Reference | None = None
 
     def start(self, reference: Reference, t0: float) -> None:
-        """Begin to track `reference`, whose time 0 is `t0` [s]; raises ValueError where it is beyond the limits."""
+        """Start to track `reference`, whose time 0 is `t0` [s]; raise ValueError if it is beyond the limits."""
         self._estimator.start(reference, t0)
         self._law.start(reference)
         self._reference, self._t0 = reference, t0
@@ -188,12 +197,12 @@ class TrackingPeer:
         return PeerStep(command, mode, message, time.perf_counter() - began, took)
 
     def _since_start(self, t: float, estimate: Estimate | None) -> float:
-        """Where on the reference's clock the robot is at `t` [s]."""
+        """Compute the robot's time on the reference's clock at `t` [s]."""
         del estimate
         return t - self._t0
 
     def _allowed(self, twist: FloatArray, sight: LawInput) -> tuple[FloatArray, str]:
-        """What becomes of the twist (2,) that the law wants, and why, or an empty text."""
+        """Limit the wanted twist (2,) of the law; return it with the reason, or an empty text."""
         del sight
         return twist, ""
 
@@ -230,7 +239,7 @@ def make_tracking_peer(
 
 
 def delayed(config: ControllerConfig) -> Delayed:
-    """What laws know of the robot of a configuration."""
+    """Describe the robot of a configuration for the laws."""
     model = load_linear_model(config.model)
     return Delayed(config.sample_time, model.lag - model.dead_time, config.limits)
 

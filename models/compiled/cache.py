@@ -27,7 +27,7 @@ _log = logging.getLogger(__name__)
 
 
 def load_cached(stem: str, origin: str, build: Callable[[Path], Path], load: Callable[[Path], _Loaded]) -> _Loaded:
-    """A library from the cache, built first if there is none that can be used.
+    """Load a library from the cache; build it first if there is no usable one.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def load_cached(stem: str, origin: str, build: Callable[[Path], Path], load: Cal
 
 
 def content_digest(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal digits.
+    """Compute the SHA-256 of a file, in hexadecimal digits.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def _load_in(folder: Path, stem: str, build: Callable[[Path], Path], load: Calla
 
 
 def _intact(path: Path) -> bool:
-    """Whether the content is what the name says."""
+    """Return True if the content matches the digest in the name."""
     try:
         return content_digest(path) == path.stem.rpartition("-")[2]
     except OSError:
@@ -100,7 +100,7 @@ def _to_disk(path: Path) -> None:
 
 
 def _folders() -> Iterator[Path]:
-    """Folders for libraries that nobody else can write to, best first: the user's, then private ones."""
+    """Yield folders for libraries that nobody else can write to, best first: the user's, then private ones."""
     for folder in (user_folder, _shared_private_folder):
         try:
             path = folder()
@@ -116,7 +116,7 @@ def _folders() -> Iterator[Path]:
 
 
 def user_folder() -> Path:
-    """The folder that is named, or the user's cache. RuntimeError: there is no home folder."""
+    """Return the configured folder, or else the user's cache; raise RuntimeError without a home folder."""
     named = os.environ.get(CACHE_VARIABLE)
     if named:
         return Path(named).expanduser().resolve()
@@ -125,13 +125,13 @@ def user_folder() -> Path:
 
 
 def _shared_private_folder() -> Path:
-    """A folder of this user beside everybody's temporary files."""
+    """Return a folder of this user in the system's folder for temporary files."""
     return Path(tempfile.gettempdir()).resolve() / f"diffdrive-mpc-{os.geteuid()}"
 
 
 @cache
 def _process_folder() -> Path:
-    """A folder that ends with this process."""
+    """Return a folder that is removed at the end of this process."""
     folder = tempfile.TemporaryDirectory(prefix="diffdrive-mpc-")
     _kept.append(folder)
     return Path(folder.name)
@@ -141,7 +141,7 @@ _kept: list[tempfile.TemporaryDirectory[str]] = []
 
 
 def _why_not_ours(folder: Path) -> str | None:
-    """Why somebody else might have put a library into `folder`, which is no link; None if nobody can."""
+    """Describe why another user might have written to `folder`, which is no link; None if nobody can."""
     status = folder.lstat()
     if not stat.S_ISDIR(status.st_mode):
         return f"{folder} is no folder"

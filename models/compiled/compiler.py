@@ -83,7 +83,7 @@ def build_library(texts: Mapping[str, str], folder: Path, tunings: Sequence[Sequ
 
 
 def _complaint(command: Sequence[str], folder: Path) -> str:
-    """What the compiler has against a command, in one line; nothing if it did it.
+    """Return the compiler's error message for a command in one line; an empty string on success.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def _complaint(command: Sequence[str], folder: Path) -> str:
 
 
 def what_is_built(texts: Mapping[str, str]) -> str:
-    """Digest of all that a library for this machine comes from: texts, compiler, flags and processor.
+    """Compute the digest of all inputs of a library for this machine: texts, compiler, flags and processor.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def what_is_built(texts: Mapping[str, str]) -> str:
 
 
 def digest_of(parts: Sequence[str]) -> str:
-    """SHA-256 of texts, in hexadecimal digits."""
+    """Compute the SHA-256 of texts, in hexadecimal digits."""
     digest = hashlib.sha256()
     for part in parts:
         digest.update(part.encode() + b"\0")
@@ -122,7 +122,7 @@ def digest_of(parts: Sequence[str]) -> str:
 
 @cache
 def find_compiler() -> tuple[str, str]:
-    """Path of the C compiler, and what it says of itself.
+    """Find the C compiler; return its path and its version text.
 
     Raises
     ------
@@ -133,11 +133,11 @@ def find_compiler() -> tuple[str, str]:
         path = shutil.which(name)
         if path:
             try:
-                code, answer, _ = _run([path, "--version"], _ANSWER_PATIENCE)
+                code, version, _ = _run([path, "--version"], _ANSWER_PATIENCE)
             except OSError:  # a timeout is one
                 continue
             if code == 0:
-                return path, answer
+                return path, version
     raise NotCompiledError(f"no C compiler ({', '.join(_COMPILERS)}) was found")
 
 
@@ -172,14 +172,14 @@ def _run(command: Sequence[str], patience: float, folder: Path | None = None) ->
 
 @cache
 def _machine() -> str:
-    """The processor, with all that it can do: code for one may not run on another."""
+    """Describe the processor with its features: code for one may not run on another."""
     known = ("model name", "flags", "Features", "CPU part")
     return platform.machine() + "".join(sorted({line for line in processor_lines() if line.startswith(known)}))
 
 
 @cache
 def processor_lines() -> tuple[str, ...]:
-    """What the system says of its processors, line by line; on a system that has no such file, what Python knows."""
+    """Return the system's description of its processors by line; without such a file, that of Python."""
     try:
         return tuple(Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines())
     except OSError:

@@ -26,9 +26,9 @@ class Level(NamedTuple):
     """A level of the architecture."""
 
     flags: tuple[str, ...]
-    """what the compiler is told"""
+    """Compiler flags."""
     needs: frozenset[str]
-    """what the processor must say that it has"""
+    """Features that the processor must report."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class Packaged:
         return [folder / self._manifest.name, *(folder / entry["file"] for entry in libraries.values())]
 
     def libraries(self) -> Iterator[Path]:
-        """Those that this processor can run, best first; only whole ones, and only of these sources."""
+        """Yield the libraries that this processor can run, best first; skip incomplete or outdated ones."""
         try:
             manifest = json.loads(self._manifest.read_text(encoding="utf-8"))
             if (manifest["origin"], manifest["machine"]) != (self.origin, platform.machine()):
@@ -128,7 +128,7 @@ def load_library(
     build: Callable[[Path], Path],
     complaint: str,
 ) -> tuple[cffi.FFI, Any]:
-    """Cffi's declarations, and the library: the package's own where a wheel brought one, else compiled and kept.
+    """Load the declarations and the library: the one in the package, or else one compiled and cached.
 
     Parameters
     ----------
@@ -165,6 +165,6 @@ def load_library(
 
 
 def _processor_has() -> frozenset[str]:
-    """What every processor here says that it can do."""
+    """Return the features that every processor of this machine reports."""
     flags = [frozenset(line.partition(":")[2].split()) for line in processor_lines() if line.startswith("flags")]
     return frozenset.intersection(*flags) if flags else frozenset()

@@ -1,4 +1,4 @@
-"""What findings propose for the mapping, tried on the log: only what predicts better is advised.
+"""Trial of the mapping changes that findings propose: only changes that improve the prediction are advised.
 
 The rule, in this one place. A proposal is put into the mapping, the log is read again, an SM is fitted to the thinned
 training rows and predicts the held-out rows, the same ones before and after. FIT is free of units and signs, and a free
@@ -52,7 +52,7 @@ class LogSelection:
 
 @dataclass(frozen=True)
 class Score:
-    """How good a mapping is.
+    """Quality of a mapping.
 
     Attributes
     ----------
@@ -68,14 +68,14 @@ class Score:
     agreement: float
     errors: int
 
-    def gain_over(self, other: Score | None) -> float:
-        """By how much this is better [percentage points]; not positive where it is not clearly so."""
+    def gain_over(self, reference: Score | None) -> float:
+        """Compute the improvement over `reference` [percentage points]; not positive unless it is clear."""
         rule = identification_settings().advice
-        if other is None:
+        if reference is None:
             return float(self.fit.mean()) if self.fit.min() > 0 else 0.0
-        fit, agreement = self.fit - other.fit, float(np.nan_to_num(self.agreement - other.agreement))
+        fit, agreement = self.fit - reference.fit, float(np.nan_to_num(self.agreement - reference.agreement))
         lost = min(float(fit.min()), agreement) < -rule.tolerance
-        mended = other.errors - self.errors
+        mended = reference.errors - self.errors
         gained = max(float(fit.mean()), agreement) > rule.least_gain or mended > 0
         return max(float(fit.mean()), 0.0) + max(agreement, 0.0) + max(mended, 0) if gained and not lost else 0.0
 
@@ -105,11 +105,11 @@ class Advice:
     @property
     def file(self) -> str:
         """Name of its file; another one where the mapping that was given has that name."""
-        given = self.selection.mapping
-        return FIXED_AGAIN if isinstance(given, str | Path) and Path(given).name == FIXED_FILE else FIXED_FILE
+        mapping = self.selection.mapping
+        return FIXED_AGAIN if isinstance(mapping, str | Path) and Path(mapping).name == FIXED_FILE else FIXED_FILE
 
     def text(self) -> str:
-        """The mapping as the text of a file."""
+        """Format the mapping as the text of a file."""
         return mapping_text(self.mapping)
 
     def write(self, folder: Path) -> None:
@@ -117,9 +117,9 @@ class Advice:
         (folder / self.file).write_text(self.text(), encoding="utf-8")
 
     def sentence(self, folder: Path = Path()) -> str:
-        """What it brings, and the command that uses it, its file being in `folder`."""
+        """Describe the improvement, and the command that uses the mapping, whose file is in `folder`."""
         path = str(folder / self.file)
-        what = ", ".join(map(str, self.changes))
+        changes = ", ".join(map(str, self.changes))
         fit, rule = _percent(self.after), identification_settings().advice
         if self.before is None:
             words = f"the held-out FIT is {fit}; without it nothing can be fitted"
@@ -132,7 +132,7 @@ class Advice:
             words = f"the log is read without that error, and the held-out FIT stays at {fit}"
         tried = [word for log in self.selection.validate for word in ("--validate", str(log))]
         command = ["diffdrive-mpc", "identify", *map(str, self.selection.logs), *tried, "--mapping", path]
-        return f"With the mapping {path} ({what}) {words}: {shlex.join(command)}"
+        return f"With the mapping {path} ({changes}) {words}: {shlex.join(command)}"
 
 
 def _percent(score: Score) -> str:
@@ -149,12 +149,12 @@ class AdvisedError(UnsoundLogError):
     """
 
     def __init__(self, findings: Sequence[Finding], advice: Advice | None) -> None:
-        super().__init__(told(findings, advice))
+        super().__init__(without_rejected(findings, advice))
         self.advice = advice
 
 
-def told(findings: Iterable[Finding], advice: Advice | None) -> tuple[Finding, ...]:
-    """The findings without what they propose, where that is no part of the advice."""
+def without_rejected(findings: Iterable[Finding], advice: Advice | None) -> tuple[Finding, ...]:
+    """Return the findings, without proposals that are not part of the advice."""
     chosen = set() if advice is None else set(advice.changes)
     kinds = {(change.stream, change.key) for change in chosen}
     return tuple(
@@ -168,14 +168,14 @@ def told(findings: Iterable[Finding], advice: Advice | None) -> tuple[Finding, .
 def advise(
     selection: LogSelection, findings: Sequence[Finding], on_progress: Callable[[str], None] | None = None
 ) -> Advice | None:
-    """The best mapping that can be made of what the findings propose; None where nothing of it predicts better."""
+    """Find the best mapping among the proposals of the findings; None if none of them improves the prediction."""
     proposals = _proposals(findings)
     mapping = _mapping_of(selection) if proposals else None
     if mapping is None:
         return None
     if on_progress:
         on_progress("trying advice")
-    start = best = _Trial.of(selection, mapping, ())
+    start = best = _Trial.make(selection, mapping, ())
     rows = start.rows() if start else None
     before = score = start.score(rows) if start and rows else None
     for _ in range(identification_settings().advice.most_changes):
@@ -183,7 +183,7 @@ def advise(
         judged = [
             (proposal, *_judged(trial, best, score, rows))
             for proposal in proposals
-            if (trial := _Trial.of(selection, mapping, (*made, *proposal))) is not None and trial.keeps_time()
+            if (trial := _Trial.make(selection, mapping, (*made, *proposal))) is not None and trial.keeps_time()
         ]
         taken = max(judged, key=lambda row: row[1], default=None)
         if taken is None or taken[1] <= 0:
@@ -209,16 +209,16 @@ def _mapping_of(selection: LogSelection) -> LogMapping | None:
 def _judged(
     trial: _Trial, best: _Trial | None, score: Score | None, rows: _Rows | None
 ) -> tuple[float, _Trial, Score | None, _Rows | None]:
-    """By how much a trial is better than the best so far, the trial, its score, and the rows of that."""
+    """Score a trial against the best so far; return its improvement, the trial, its score and its rows."""
     if rows is None or best is None:
-        at, other = trial.rows(), None
+        trial_rows, reference = trial.rows(), None
     elif _is_cut(trial.changes) and not _is_cut(best.changes):
-        at = trial.rows()
-        other = best.score(rows.beside(at))
+        trial_rows = trial.rows()
+        reference = best.score(rows.beside(trial_rows))
     else:
-        at, other = rows, score
-    own = trial.score(at)
-    return (0.0 if own is None else own.gain_over(other)), trial, own, at
+        trial_rows, reference = rows, score
+    score_of_trial = trial.score(trial_rows)
+    return (0.0 if score_of_trial is None else score_of_trial.gain_over(reference)), trial, score_of_trial, trial_rows
 
 
 def _is_cut(changes: Changes) -> bool:
@@ -226,11 +226,11 @@ def _is_cut(changes: Changes) -> bool:
 
 
 def _proposals(findings: Iterable[Finding]) -> list[Changes]:
-    """What the findings propose, each once; of two values for one place the first."""
+    """List the distinct proposals of the findings; of two values for one place the first."""
     distinct: dict[tuple[tuple[str, str], ...], Changes] = {}
     for finding in findings:
         if finding.changes:
-            distinct.setdefault(tuple((of.stream, of.key) for of in finding.changes), finding.changes)
+            distinct.setdefault(tuple((change.stream, change.key) for change in finding.changes), finding.changes)
     return list(distinct.values())
 
 
@@ -252,8 +252,8 @@ class _Trial:
     logs: tuple[Log, ...]
 
     @classmethod
-    def of(cls, selection: LogSelection, mapping: LogMapping, changes: Changes) -> _Trial | None:
-        """The logs with the changes made; None where they cannot be made, or the logs not be read then."""
+    def make(cls, selection: LogSelection, mapping: LogMapping, changes: Changes) -> _Trial | None:
+        """Apply the changes to the logs; None if that is impossible, or the logs become unreadable."""
         read: list[Log] = []
         try:
             mapping = changed(mapping, changes)
@@ -265,7 +265,7 @@ class _Trial:
         return cls(selection, mapping, changes, tuple(read))
 
     def proposals(self) -> list[Changes]:
-        """What the findings on the logs as they are read now propose."""
+        """List the proposals of the findings about the logs as they are read now."""
         logs = [read_log(path, self.mapping) for path in self.selection.logs]
         return _proposals(finding for log in logs for finding in log.findings)
 
@@ -281,7 +281,7 @@ class _Trial:
         return abs(scale - 1.0) <= identification_settings().advice.clock_tolerance
 
     def rows(self) -> _Rows:
-        """Rows to fit and rows held out, both thinned."""
+        """Choose rows to fit and rows held out, both thinned."""
         most = identification_settings().advice.rows
         count = len(self.selection.logs)
         train: list[Spans] = []
@@ -292,12 +292,12 @@ class _Trial:
                 validated = bool(self.selection.validate)
                 parts = (log.records, ()) if validated else divide(log.records, self.selection.fit_share)
             for spans, part in zip((train, held), parts, strict=True):
-                kept = most_informative(part, most // count) if part else ()
-                spans.append([(record.start, record.end) for record in kept])
+                thinned = most_informative(part, most // count) if part else ()
+                spans.append([(record.start, record.end) for record in thinned])
         return _Rows(tuple(train), tuple(held))
 
     def score(self, rows: _Rows) -> Score | None:
-        """How well a model of the training rows predicts those held out; None where no model can be had."""
+        """Score a model of the training rows on those held out; None if there is no model."""
         try:
             train, held = (self._usable(spans) for spans in (rows.train, rows.held))
             yaw: YawSource = "gyro" if train[0].yaw_rate is not None else "encoders"
@@ -310,7 +310,7 @@ class _Trial:
         return Score(fit, float(np.mean(agreement)), sum(len(log.errors) for log in self.logs))
 
     def _usable(self, spans: tuple[Spans, ...]) -> tuple[Record, ...]:
-        """What the logs hold of some rows, where every signal is there."""
+        """Return the parts of the logs within the spans in which every signal is present."""
         records = [
             part
             for log, of_log in zip(self.logs, spans, strict=True)
@@ -323,27 +323,27 @@ class _Trial:
 
 @dataclass(frozen=True)
 class _Rows:
-    """Of each log from and to [s] of the rows to fit, and of those held out."""
+    """Spans [s] of each log: rows to fit, and rows held out."""
 
     train: tuple[Spans, ...]
     held: tuple[Spans, ...]
 
-    def beside(self, other: _Rows) -> _Rows:
-        """The rows held out of another division, and of the rows to fit those that are not among them."""
-        train = tuple(_without(*spans) for spans in zip(self.train, other.held, strict=True))
-        return _Rows(train, other.held)
+    def beside(self, division: _Rows) -> _Rows:
+        """Return the rows held out of another division, and the rows to fit that are not among them."""
+        train = tuple(_without(*spans) for spans in zip(self.train, division.held, strict=True))
+        return _Rows(train, division.held)
 
 
 def _without(spans: Spans, taken: Spans) -> Spans:
-    """Spans [s] without what lies in others."""
+    """Subtract the spans `taken` from `spans` [s]."""
     for first, last in taken:
-        pieces = [((begin, min(end, first)), (max(begin, last), end)) for begin, end in spans]
+        pieces = [((start, min(end, first)), (max(start, last), end)) for start, end in spans]
         spans = [piece for pair in pieces for piece in pair if piece[0] < piece[1]]
     return spans
 
 
 def _within(record: Record, spans: Spans) -> list[Record]:
-    """The parts of a record in spans [s]; grids that begin a moment apart still give the same rows."""
+    """Cut a record into spans [s]; grids with slightly different starts give the same rows."""
     parts = []
     for span in spans:
         first, last = (round((time - record.start) / record.dt) for time in span)

@@ -14,7 +14,7 @@ import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import wrong_type
-from diffdrive_mpc.models.identification.advice import Advice, AdvisedError, LogSelection, advise, told
+from diffdrive_mpc.models.identification.advice import Advice, AdvisedError, LogSelection, advise, without_rejected
 from diffdrive_mpc.models.identification.deliver.configuration import (
     CONFIG_FILE,
     MODEL_FILE,
@@ -53,12 +53,12 @@ AUTOMATIC = "auto"
 BESIDE = "sm"
 """The linear model beside a predictor."""
 FILES = (MODEL_FILE, CONFIG_FILE, SURFACE_FILE, NODE_FILE, "report.json", "report.md")
-"""What `Identification.write` writes, the node's parameters for bags only, and of a network the file of its weights."""
+"""Files of `Identification.write`; the node's parameters for bags only. A network also has a file of weights."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Identification:
-    """What was made of logs. `str` of it is the report's summary; arrays in it cannot be written to.
+    """Result of an identification from logs. Its `str` is the report's summary; its arrays are read-only.
 
     Attributes
     ----------
@@ -85,16 +85,16 @@ class Identification:
     configuration: IdentifiedConfiguration
 
     def __repr__(self) -> str:
-        """A word: the arrays behind it fill pages."""
+        """Format as one word, since the arrays would fill pages."""
         return f"<Identification {self.report.name!r}>"
 
     def __str__(self) -> str:
-        """The report, in short."""
+        """Format the summary of the report."""
         return str(self.report)
 
     @property
     def verdict(self) -> str:
-        """Whether to trust the model, in a line."""
+        """Verdict on the model, in one line."""
         return self.report.verdict
 
     @property
@@ -104,7 +104,7 @@ class Identification:
 
     @property
     def refusal(self) -> str:
-        """Why no controller should drive with this model, in a line; empty where nothing speaks against it."""
+        """Reason for which no controller should drive with this model, in one line; empty without one."""
         return "; ".join(refusals(self.report.data.findings, self.report.fitted))
 
     def write(self, folder: str | Path, figures: Mapping[str, str] | None = None, *, force: bool = False) -> None:
@@ -239,7 +239,9 @@ def identify(
                 mapping=known,
                 fit_share=share,
                 wheels=chosen.needs_wheels,
-                on_findings=(lambda findings: on_findings(told(findings, None))) if on_findings else (lambda _: None),
+                on_findings=(lambda findings: on_findings(without_rejected(findings, None)))
+                if on_findings
+                else (lambda _: None),
                 on_log=on_log,
                 force=force,
                 most_rows=identification_settings().most_rows["effects" if effects else "plain"],
@@ -254,7 +256,7 @@ def identify(
         data,
         train=corrections.mended(data.train),
         validation=corrections.mended(data.validation),
-        findings=(*told(data.findings, advice), *corrections.findings),
+        findings=(*without_rejected(data.findings, advice), *corrections.findings),
         sensors=corrections.settings,
         advice=advice,
     )
@@ -363,7 +365,7 @@ def _linear_content(report: IdentificationReport) -> ModelFile:
 
 
 def _fields(report: IdentificationReport, predictor: Predictor) -> dict[str, Any]:
-    """What every file of a predictor says."""
+    """Return the fields of every predictor's file."""
     fitted, data = report.fitted, report.data
     return {
         "name": report.name,
@@ -377,7 +379,7 @@ def _fields(report: IdentificationReport, predictor: Predictor) -> dict[str, Any
 
 
 def _origin(report: IdentificationReport) -> dict[str, Any]:
-    """What the provenance of a model file says of the logs."""
+    """Return the provenance of a model file, as far as logs determine it."""
     data = report.data
     return {
         "source": ", ".join(data.logs),
@@ -388,13 +390,13 @@ def _origin(report: IdentificationReport) -> dict[str, Any]:
 
 
 def _chosen(name: str, *, effects: bool) -> tuple[Structure, str | None]:
-    """The structure of a name, or the one beside a predictor and its name; what is not installed is refused here."""
+    """Return the structure of a name, or the one of a predictor and its name; refuse a missing package."""
     predictor = name if name in finders() else None
     if predictor is None and name not in STRUCTURES:
         raise OptionError("structure", f" '{name}': give one of {', '.join((*STRUCTURES, *finders()))}")
     chosen = STRUCTURES[BESIDE if predictor else name]
     if effects and (predictor or not chosen.takes_effects):
-        able = " or ".join(other.name for other in STRUCTURES.values() if other.takes_effects)
+        able = " or ".join(structure.name for structure in STRUCTURES.values() if structure.takes_effects)
         raise OptionError("effects", f": they stand around an {able}, not an {name}; choose that structure")
     if predictor:
         finders()[predictor]()
@@ -405,7 +407,9 @@ def _order(structure: Structure, order: int | str) -> int | None:
     if order == AUTOMATIC:
         return None
     if structure.largest_order is None:
-        able = " or ".join(name for name, other in STRUCTURES.items() if other.largest_order is not None)
+        able = " or ".join(
+            name for name, structure_of_name in STRUCTURES.items() if structure_of_name.largest_order is not None
+        )
         raise OptionError("order", f" {order}: only {able} has a choice of order; leave it out for {structure.name}")
     if not (str(order).isdecimal() and 1 <= int(order) <= structure.largest_order):
         raise OptionError("order", f" '{order}': give {AUTOMATIC}, or 1 to {structure.largest_order}")

@@ -39,14 +39,14 @@ class OptionError(ConfigError):
 
 
 class _Clock(StrictModel):
-    """What a controller for the log would be run at."""
+    """Clock of a controller for the log."""
 
     sample_time: SampleTime
 
 
 @dataclass(frozen=True)
 class LogData:
-    """What a model is identified from and tried on.
+    """Data for identification and validation.
 
     Attributes
     ----------
@@ -188,7 +188,7 @@ def _read_alike(
     on_log: Callable[[Log], None],
     admit: Callable[[Sequence[Finding]], None],
 ) -> list[Log]:
-    """The logs, all at the sample time of the first; `admit` refuses what speaks against one."""
+    """Read the logs at the sample time of the first; `admit` refuses findings that rule one out."""
     read: list[Log] = []
     for path in paths:
         log = read_log(path, mapping, read[0].records[0].dt if read else None)
@@ -199,7 +199,7 @@ def _read_alike(
 
 
 def _divided(fitted: Sequence[Log], tried: Sequence[Log], fit_share: float) -> tuple[list[Record], list[Record], str]:
-    """Records to identify from, records held out, and what these are in words."""
+    """Divide logs into records to identify from and records held out; describe the latter in words."""
     if tried:
         train, validation = ([record for log in logs for record in log.records] for logs in (fitted, tried))
         return train, validation, f"logs of their own: {', '.join(log.name for log in tried)}"
@@ -209,14 +209,14 @@ def _divided(fitted: Sequence[Log], tried: Sequence[Log], fit_share: float) -> t
 
 
 def _spare(parts: Mapping[str, Sequence[Record]], most: int) -> list[Finding]:
-    """A note for each part that has more than `most` rows."""
+    """Return a note for each part with more than `most` rows."""
     counts = {use: sum(len(record.command) for record in records) for use, records in parts.items()}
     words = "{} of {} rows are used, the parts in which the commands change most"
     return [Finding("subset", "note", use, words.format(most, rows)) for use, rows in counts.items() if rows > most]
 
 
 def divide(records: Sequence[Record], share: float) -> tuple[list[Record], list[Record]]:
-    """The first `share` [-] of all rows, and the rest; the record in which the cut falls is cut."""
+    """Divide records into the first `share` [-] of all rows and the rest; cut the record between them."""
     left = round(share * sum(len(record.command) for record in records))
     first: list[Record] = []
     last: list[Record] = []
@@ -234,7 +234,7 @@ def divide(records: Sequence[Record], share: float) -> tuple[list[Record], list[
 
 
 def most_informative(records: Sequence[Record], most: int) -> list[Record]:
-    """At most `most` rows in all, of the parts of a minute in which the commands change most; in order."""
+    """Select at most `most` rows, in order, from the minutes in which the commands change most."""
     if sum(len(record.command) for record in records) <= most:
         return list(records)
     commands = np.concatenate([record.command for record in records])
@@ -246,8 +246,8 @@ def most_informative(records: Sequence[Record], most: int) -> list[Record]:
     ]
     taken: list[tuple[int, int]] = []
     left = most
-    for at in np.argsort(-np.array(scores), kind="stable"):
-        i, first = parts[at]
+    for index in np.argsort(-np.array(scores), kind="stable"):
+        i, first = parts[index]
         count = min(span, len(records[i].command) - first)
         if count <= left:
             taken.append((i, first))
@@ -256,7 +256,7 @@ def most_informative(records: Sequence[Record], most: int) -> list[Record]:
 
 
 def usable(records: Sequence[Record], needed: Sequence[str], use: str, warnings: list[Doubt]) -> tuple[Record, ...]:
-    """Records with enough readings of every signal; `warnings` gets a line for each that is left out.
+    """Select records with enough readings of every signal; append a line to `warnings` for each one left out.
 
     Raises
     ------
@@ -264,18 +264,18 @@ def usable(records: Sequence[Record], needed: Sequence[str], use: str, warnings:
         If none is left.
     """
     least = identification_settings().fewest_readings
-    kept: list[Record] = []
+    selected: list[Record] = []
     lacking = ""
     for record in records:
         missing = next((name for name in needed if _readings(record, name) < least), None)
         if missing is None:
-            kept.append(record)
+            selected.append(record)
             continue
         lacking = f"{record.name}: {_readings(record, missing)} readings of {missing}, fewer than {least}"
         warnings.append(Doubt("stretch left out", f"{lacking}; the stretch is not used {use}"))
-    if not kept:
+    if not selected:
         raise ConfigError(f"nothing {use}: {lacking or 'no rows are left'}; log that signal, or for longer")
-    return tuple(kept)
+    return tuple(selected)
 
 
 def _readings(record: Record, name: str) -> int:

@@ -1,4 +1,4 @@
-"""How logs are divided and models judged: read from `settings.yaml`."""
+"""Settings for the division of logs and the verdict on models, read from `settings.yaml`."""
 
 from __future__ import annotations
 

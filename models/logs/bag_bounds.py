@@ -10,14 +10,14 @@ from diffdrive_mpc.models.file_limits import file_limits
 from diffdrive_mpc.models.input_file import MEGABYTE
 
 MOST_UNPACKED = file_limits().bag_chunk
-"""Of one chunk or message."""
+"""Maximum unpacked size of one chunk or message."""
 MOST_RATIO, ALWAYS = file_limits().bag_ratio, file_limits().bag_always
 """A file may unpack to so many times its size, and to so much in any case."""
 _SMALLER = "record it in smaller chunks, or uncompressed"
 
 
 class Budget:
-    """How much more a file of `size` bytes at `path` may unpack to."""
+    """Remaining unpacked size of a file of `size` bytes at `path`."""
 
     def __init__(self, path: Path, size: int) -> None:
         self._path, self._left = path, max(ALWAYS, MOST_RATIO * size)
@@ -34,7 +34,7 @@ class Budget:
 
 
 def unpacked(path: Path, data: bytes | memoryview, how: str, size: int | None = None) -> bytes | memoryview:
-    """What `data` of a file unpack to, with no more memory than that takes and `MOST_UNPACKED` at most.
+    """Unpack `data` of a file, with no more memory than that takes and `MOST_UNPACKED` at most.
 
     Parameters
     ----------

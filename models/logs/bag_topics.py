@@ -69,7 +69,7 @@ _NUMBER: Callable[[Any], Reading] = lambda message: (float(message.data),)  # no
 
 
 def motor_readers(topic: MotorTopic) -> dict[str, Callable[[Any], Reading]]:
-    """Currents of the motors of a side, as they stand in messages without `fields`."""
+    """Read the currents of the motors of a side from messages without `fields`."""
     joints = topic.joints
     if joints is None:
         return {"std_msgs/msg/Float32": _NUMBER, "std_msgs/msg/Float64": _NUMBER}
@@ -118,7 +118,7 @@ class TopicRows:
 
     @property
     def has_stamps(self) -> BoolArray:
-        """Whether every message carries a stamp."""
+        """True if every message carries a stamp."""
         return np.asarray((self.stamped > 0).all())
 
 
@@ -162,9 +162,9 @@ def require_topics(reader: Bag, path: Path, wanted: Iterable[tuple[Topic, Decode
                 "type name 'fields', where its numbers stand, and a file for it under 'definitions'"
             )
     if missing:
-        there = ", ".join(sorted({f"{known.topic} ({known.msgtype})" for known in reader.connections})) or "none"
+        known_topics = ", ".join(sorted({f"{known.topic} ({known.msgtype})" for known in reader.connections})) or "none"
         which = f"no topic {missing[0]}; name it" if len(missing) == 1 else f"no topics {', '.join(missing)}; name them"
-        sentences.insert(0, f"{which} under 'topics' in a mapping, {draft_command(path)}; the bag has {there}")
+        sentences.insert(0, f"{which} under 'topics' in a mapping, {draft_command(path)}; the bag has {known_topics}")
     if sentences:
         raise ConfigError(mistakes(str(path), sentences))
 
@@ -255,7 +255,7 @@ class _Columns:
 
 
 def _register(path: Path, store: Any, kind: str, definitions: Mapping[str, str]) -> None:  # noqa: ANN401
-    """Teach the library the types that the user defines; raises ConfigError where one of `kind` is still unknown."""
+    """Register the types that the user defines; raise ConfigError if one of `kind` is still unknown."""
     from rosbags.typesys import get_types_from_msg  # noqa: PLC0415
 
     for name, file in definitions.items():
@@ -269,12 +269,12 @@ def _register(path: Path, store: Any, kind: str, definitions: Mapping[str, str])
 
 
 def _entry(message: Any, name: str) -> Any:  # noqa: ANN401
-    """A field by its name, or an entry of an array by its number."""
+    """Return a field by its name, or an entry of an array by its number."""
     return message[int(name)] if name.isdigit() else getattr(message, name)
 
 
 def _reader_of(path: Path, topic: Topic) -> Callable[[Any], Reading]:
-    """Takes the numbers out of a message where the mapping says that they stand."""
+    """Return a function that extracts the mapped numbers from a message."""
     fields = [field.split(".") for field in topic.fields or ()]
 
     def decode(message: Any) -> Reading:  # noqa: ANN401

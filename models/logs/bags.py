@@ -57,7 +57,7 @@ _OF_A_SIDE = 2
 
 
 def is_bag(path: Path) -> bool:
-    """Whether the path is that of a bag: a folder, or a file with the ending of one."""
+    """Return True if the path is that of a bag: a folder, or a file with the ending of one."""
     return path.is_dir() or path.suffix in (".mcap", ".db3", ".bag", ".zst", ".zstd")
 
 
@@ -78,12 +78,12 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
         command and the sensors have no time in common.
     """
     with opened(path) as reader:
-        there = {known.topic for known in reader.connections}
+        recorded = {known.topic for known in reader.connections}
         topics = mapping.topics if mapping else Topics()
         if topics is None:
             raise ConfigError(f"{path}: the mapping has no 'topics', which a bag needs")
-        topics = topics.named(there)
-        requested = _requested(path, topics, there)
+        topics = topics.named(recorded)
+        requested = _requested(path, topics, recorded)
         readers = dict(_DECODERS)
         if topics.imu is not None and topics.imu.sign > 0:  # as in the node, a stated sign replaces the transforms
             readers["imu"] = imu_decoders(reader)
@@ -125,18 +125,18 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
         findings += check_bursts(f"{path.name}, {topics.command.topic}", quiet, measured, check_settings())
     elif not topics.command.on_change:
         sample_time = float(np.fmin(usual_step([stretch.command.time]), sample_time))
-    kinds = {role: (of.topic, of.kind) for role, of in rows.items()}
+    kinds = {role: (rows_of_topic.topic, rows_of_topic.kind) for role, rows_of_topic in rows.items()}
     return RawLog(path.name, stretches, tuple(findings), float(sample_time), kinds)
 
 
-def _requested(path: Path, topics: Topics, there: set[str]) -> dict[str, Topic]:
-    """Topics of command and sensors by role; raises ConfigError without a sensor, or for a wrong count of fields."""
+def _requested(path: Path, topics: Topics, recorded: set[str]) -> dict[str, Topic]:
+    """Select topics of command and sensors by role; raise ConfigError for missing or miscounted fields."""
     requested: dict[str, Topic] = {role: topic for role in _DECODERS if (topic := getattr(topics, role)) is not None}
     if not set(requested) & set(_FIELDS):
-        missing = "" if topics.command.topic in there else f", nor is the command {topics.command.topic}"
+        missing = "" if topics.command.topic in recorded else f", nor is the command {topics.command.topic}"
         raise ConfigError(
             f"{path}: neither /odom nor /imu is there{missing}; give a mapping file that names the topics, "
-            f"{draft_command(path)}; the bag has {', '.join(sorted(there)) or 'none'}"
+            f"{draft_command(path)}; the bag has {', '.join(sorted(recorded)) or 'none'}"
         )
     for role, topic in requested.items():
         if topic.fields is not None and len(topic.fields) != _WIDTHS.get(role, len(topic.fields)):
@@ -145,7 +145,7 @@ def _requested(path: Path, topics: Topics, there: set[str]) -> dict[str, Topic]:
 
 
 def _power(signals: dict[str, Signal], wheels: MappedWheels | None) -> dict[str, Signal]:
-    """Battery and motors, and the wheels' speeds that the odometry's twist comes from; nothing where none is asked."""
+    """Combine battery and motors, and convert the odometry's twist to wheel speeds; return nothing if unused."""
     power_signals: dict[str, Signal] = {}
     if "battery" in signals:
         power_signals["battery"] = signals["battery"]
@@ -153,14 +153,18 @@ def _power(signals: dict[str, Signal], wheels: MappedWheels | None) -> dict[str,
     if sides:
         left, right = sides
         # The right side at the times of the left: two topics are not read at the same instants.
-        at = (left.time >= right.time[0]) & (left.time <= right.time[-1])
-        time = left.time[at]
-        other = np.stack([np.interp(time, right.time, column) for column in right.value.T], axis=-1)
-        both = np.stack([left.value[at], other], axis=-1) if left.value.shape[1] == right.value.shape[1] else None
+        overlap = (left.time >= right.time[0]) & (left.time <= right.time[-1])
+        time = left.time[overlap]
+        right_values = np.stack([np.interp(time, right.time, column) for column in right.value.T], axis=-1)
+        both = (
+            np.stack([left.value[overlap], right_values], axis=-1)
+            if left.value.shape[1] == right.value.shape[1]
+            else None
+        )
         if both is not None and both.shape[1] == _OF_A_SIDE:
             values = both.reshape(len(time), -1)  # front left, front right, rear left, rear right
         else:
-            values = np.stack([left.value[at].sum(axis=1), other.sum(axis=1)], axis=-1)
+            values = np.stack([left.value[overlap].sum(axis=1), right_values.sum(axis=1)], axis=-1)
         power_signals |= {name: Signal(time, value) for name, value in motor_fields(values).items()}
     if power_signals and wheels is not None and wheels.radius is not None and "odometry" in signals:
         twist = signals["odometry"]
@@ -171,7 +175,7 @@ def _power(signals: dict[str, Signal], wheels: MappedWheels | None) -> dict[str,
 
 
 def _stride(reader: Bag, path: Path, topic: Topic, role: str, findings: list[Finding]) -> int:
-    """One in how many messages of a sensor is needed; of commands every one is."""
+    """Choose how many messages of a sensor to skip; every command is read."""
     count = sum(connection.msgcount for connection in reader.connections if connection.topic == topic.topic)
     if role == "command" or count < 2:
         return 1
@@ -183,7 +187,7 @@ def _stride(reader: Bag, path: Path, topic: Topic, role: str, findings: list[Fin
 
 
 def _most_driven(path: Path, stretch: RawStretch, findings: list[Finding]) -> tuple[RawStretch, ...]:
-    """Of a bag with too many commands to be used whole the parts in which they change most."""
+    """Cut a bag with too many commands into the parts in which they change most."""
     command, most = stretch.command, check_settings().most_rows
     if len(command.time) <= most:
         return (stretch,)
@@ -194,13 +198,13 @@ def _most_driven(path: Path, stretch: RawStretch, findings: list[Finding]) -> tu
 
 
 def _repeated(command: Signal, clock: FloatArray) -> Signal:
-    """Commands that are sent when they change, once more at every time of `clock` (n,) [s] from the first on."""
+    """Repeat commands that are sent on change at every time of `clock` (n,) [s] from the first on."""
     time = np.union1d(command.time, clock[clock >= command.time[0]])
     return Signal(time, command.value[np.searchsorted(command.time, time, side="right") - 1])
 
 
 def _times(path: Path, rows: dict[str, TopicRows], topics: Topics, findings: list[Finding]) -> dict[str, FloatArray]:
-    """Times of each topic's messages [ns]: their stamps where they have them, else when they were received."""
+    """Return the times of each topic's messages [ns]: their stamps, or else the times of receipt."""
     if topics.clock == "receive":
         return {role: topic.received for role, topic in rows.items()}
     late = {
@@ -217,7 +221,7 @@ def _times(path: Path, rows: dict[str, TopicRows], topics: Topics, findings: lis
 
 
 def _signal(path: Path, rows: TopicRows, time: FloatArray, topic: Topic, role: str, findings: list[Finding]) -> Signal:
-    """One topic's messages in order of time, without those that are not finite or come out of order."""
+    """Build the signal of one topic in order of time, without invalid or late messages."""
     where = f"{path.name}, {rows.topic}, message "
     finite = (np.abs(rows.value) < ABSURD).all(axis=1)
     ordered = increasing(time)
@@ -245,7 +249,7 @@ def _signal(path: Path, rows: TopicRows, time: FloatArray, topic: Topic, role: s
 
 
 def _stretch(path: Path, command: Signal, measured: dict[str, Signal]) -> RawStretch:
-    """The time in which both the command and at least one sensor are there."""
+    """Cut the time in which both the command and at least one sensor are present."""
     first = min(signal.time[0] for signal in measured.values())
     last = max(signal.time[-1] for signal in measured.values())
     clock = command.time[(command.time >= first) & (command.time <= last)]

@@ -1,4 +1,4 @@
-"""Where the checks of a log draw their lines."""
+"""Thresholds of the checks of a log."""
 
 from __future__ import annotations
 
@@ -98,11 +98,11 @@ class CheckSettings(StrictModel):
     pose_window: Positive = Field(description="over which poses are turned into speeds [s]")
 
     def longest_step(self, period: float) -> float:
-        """Longest time between two readings of one stretch [s] for a source with this period [s]."""
+        """Compute the maximum time between two readings of one stretch [s] for a source with this period [s]."""
         return max(self.gap_time, self.gap_periods * period)
 
 
 @cache
 def check_settings() -> CheckSettings:
-    """The shipped thresholds."""
+    """Load the shipped thresholds."""
     return load_checked(CheckSettings, Path(__file__).with_name("check_settings.yaml"))

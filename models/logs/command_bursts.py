@@ -21,19 +21,19 @@ class Silences(NamedTuple):
 
     Attributes
     ----------
-    begin, end
+    start, end
         (n,) last command before and first one after each [s].
     command
         (n, 2) the last command before it.
     """
 
-    begin: FloatArray
+    start: FloatArray
     end: FloatArray
     command: FloatArray
 
 
 def silences(command: Signal, settings: CheckSettings) -> Silences | None:
-    """The silences of commands that come in bursts; None where they come steadily, or pause now and then."""
+    """Find the silences of commands that come in bursts; None for steady commands with rare pauses."""
     steps = np.diff(command.time)
     silent = np.flatnonzero(steps > settings.longest_step(usual_step([command.time])))
     share = float(steps[silent].sum() / steps.sum()) if len(steps) else 0.0
@@ -43,26 +43,28 @@ def silences(command: Signal, settings: CheckSettings) -> Silences | None:
 
 
 def check_bursts(place: str, quiet: Silences, measured: Mapping[str, Signal], settings: CheckSettings) -> list[Finding]:
-    """A finding where the robot goes on with its last command while none comes."""
+    """Return a finding if the robot continues its last command while none arrives."""
     if not _goes_on(quiet, measured, settings):
         return []
     words = (
-        f"commands come in bursts, with {len(quiet.begin)} silences of {np.median(quiet.end - quiet.begin):.2g} s "
+        f"commands come in bursts, with {len(quiet.start)} silences of {np.median(quiet.end - quiet.start):.2g} s "
         "between that are left out, although the robot goes on with its last command"
     )
     return [Finding("silent commands", "warning", place, words, changes=(MappingChange("command", "on_change", True),))]
 
 
 def _goes_on(quiet: Silences, measured: Mapping[str, Signal], settings: CheckSettings) -> bool:
-    """Whether readings in the second halves of the silences hold more of the last command than a robot that stops."""
+    """Return True if readings late in silences follow the last command more than those of a robot that stops."""
     answered = commanded = 0.0
     for name, channels in _CHANNELS.items():
         if name not in measured:
             continue
         signal = measured[name]
-        at = np.searchsorted(quiet.begin, signal.time, side="right") - 1
-        late = (at >= 0) & (signal.time < quiet.end[at]) & (2 * signal.time > quiet.begin[at] + quiet.end[at])
-        last = quiet.command[at[late]][:, channels]
+        index = np.searchsorted(quiet.start, signal.time, side="right") - 1
+        late = (
+            (index >= 0) & (signal.time < quiet.end[index]) & (2 * signal.time > quiet.start[index] + quiet.end[index])
+        )
+        last = quiet.command[index[late]][:, channels]
         scale = np.maximum(np.abs(quiet.command[:, channels]).max(axis=0), np.finfo(float).tiny)
         answered += float((signal.value[late] * last / scale**2).sum())
         commanded += float(((last / scale) ** 2).sum())

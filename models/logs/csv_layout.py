@@ -1,4 +1,4 @@
-"""How a CSV file is written: its encoding, its separator, the names of its columns and the line of its first row."""
+"""Layout of a CSV file: encoding, separator, column names and first row."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _EXCEL = "sep="
 
 @dataclass(frozen=True)
 class CsvLayout:
-    """What the first lines of a CSV file say about the others.
+    """Layout of a CSV file by its first lines.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class _Recoded(io.RawIOBase):
         self._text = io.TextIOWrapper(file, encoding="utf-16", newline="")
 
     def readable(self) -> bool:
-        """It is."""
+        """Return True: the file is readable."""
         return True
 
     def readinto(self, buffer: memoryview, /) -> int:  # type: ignore[override]
@@ -108,12 +108,12 @@ def read_layout(path: Path, file: BinaryIO) -> CsvLayout:
 
 
 def plain_separator(separator: str) -> str:
-    """A separator as it can be printed."""
+    """Convert a separator to printable text."""
     return "tab" if separator == "\t" else separator
 
 
 def _are_numbers(names: list[str], separator: str) -> bool:
-    """Whether what should be names are readings; names that count the columns from 0 or 1 are names."""
+    """Return True if the names are readings; names that count the columns from 0 or 1 are names."""
     filled = [name for name in names if name]
     if not filled or any(filled == [str(i + start) for i in range(len(filled))] for start in (0, 1)):
         return False
@@ -124,7 +124,7 @@ def _are_numbers(names: list[str], separator: str) -> bool:
 
 
 def rest_of_line(path: Path, file: BinaryIO) -> bytes:
-    """The rest of a line; raises ConfigError where it does not end."""
+    """Read the rest of a line; raise ConfigError if it does not end."""
     line = file.readline(_LONGEST_LINE)
     if len(line) == _LONGEST_LINE:
         raise ConfigError(f"{path}: a line of more than {_LONGEST_LINE:,} bytes; is it a log?")

@@ -62,7 +62,7 @@ class RowSignal:
     counts: bool = False
 
     def signal(self, rows: Rows) -> Signal:
-        """The readings in these rows, which must be in order of time."""
+        """Return the readings in these rows, which must be in order of time."""
         rows = rows[self.fresh[rows] & np.isfinite(self.time[rows]) & np.isfinite(self.value[rows]).all(axis=1)]
         rows = rows[increasing(self.time[rows])]
         time, value = self.time[rows], self.value[rows]
@@ -89,7 +89,7 @@ class RowReader:
         self.findings: list[Finding] = []
 
     def column(self, column: SignalColumn) -> tuple[FloatArray, BoolArray]:
-        """Values (n,) in SI units, NaN where there is none, and (n,) True where a cell holds NaN or infinity."""
+        """Return values (n,) in SI units, NaN for missing ones, and (n,) True for cells with NaN or infinity."""
         values, empty = self.table.numbers(column.column)
         if empty.all():
             raise ConfigError(
@@ -111,27 +111,27 @@ class RowReader:
         return column.sign * self._factor(column) * values, bad
 
     def command(self, command: CommandColumns) -> tuple[FloatArray, FloatArray | None, BoolArray]:
-        """Commands (n, 2) v, omega; (n, 2) left, right or None; (n,) True where a command is not finite."""
-        names = ("v", "omega") if command.given("v") else SIDES
+        """Return commands (n, 2) v, omega; (n, 2) left, right or None; (n,) True for commands that are not finite."""
+        names = ("v", "omega") if command.has("v") else SIDES
         values, bad = self._columns(command, names)
-        if command.given("v"):
+        if command.has("v"):
             return values, None, bad
         return self._twist(values, "command"), values, bad
 
     def encoders(self, encoders: EncoderColumns) -> tuple[dict[str, FloatArray], bool]:
-        """Fields of a record that the encoders fill, and whether they are running counts."""
+        """Return the fields of a record from the encoders, and True for running counts."""
         fields: dict[str, FloatArray] = {}
-        if encoders.given(*FOUR_WHEELS):
+        if encoders.has(*FOUR_WHEELS):
             fields["wheel_speeds"] = self._columns(encoders, FOUR_WHEELS)[0]
             fields["wheels"] = 0.5 * (fields["wheel_speeds"][:, :2] + fields["wheel_speeds"][:, 2:])
-        if encoders.given(*SIDES):
+        if encoders.has(*SIDES):
             fields["wheels"] = self._columns(encoders, SIDES)[0]
-        if encoders.given("v"):
+        if encoders.has("v"):
             fields["twist"] = self._columns(encoders, ("v", "omega"))[0]
         else:
             fields["twist"] = self._twist(fields["wheels"], "encoders")
         units = {column.unit for name in (*SIDES, *FOUR_WHEELS) if (column := getattr(encoders, name)) is not None}
-        if "ticks" in units and (len(units) > 1 or encoders.given("v")):
+        if "ticks" in units and (len(units) > 1 or encoders.has("v")):
             raise ConfigError(f"{self.table.path}: encoders: give all columns in ticks, or none")
         return fields, "ticks" in units
 
@@ -154,14 +154,14 @@ class RowReader:
         return FACTORS[column.unit]
 
     def _lengths(self, purpose: str) -> tuple[float, float]:
-        """Radius and track [m]."""
+        """Return radius and track [m]."""
         if self.wheels is None or self.wheels.radius is None:
             raise ConfigError(f"{self.table.path}: the mapping needs 'wheels' with radius and track [m]: it {purpose}")
         return self.wheels.radius, self.wheels.track
 
 
 def fresh_rows(value: FloatArray) -> BoolArray:
-    """(n,) True where a row of held values (n, width) holds a new reading: one a period, also where it repeats.
+    """Mark rows (n,) of held values (n, width) with a new reading: one per period, even if it repeats.
 
     A changed value is new. So is one that stays for a period, or, where none is clear, for as long as hardly any
     reading does (95th percentile of the distance between changes): a robot at rest or at one speed is read too.
@@ -202,7 +202,7 @@ def read_csv(path: Path, mapping: LogMapping | None) -> RawLog:
 
 
 def log_of_table(whole: CsvTable, columns: Columns, wheels: MappedWheels | None = None) -> RawLog:
-    """The rows of a table as a log; raises as `read_csv`.
+    """Convert the rows of a table to a log; raise as `read_csv`.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ def _own_mapping(path: Path) -> LogMapping:
 
 
 def _where(table: CsvTable, columns: Columns) -> CsvTable:
-    """The rows that the mapping's 'where' chooses."""
+    """Select the rows by the mapping's 'where'."""
     keep = np.ones(len(table.row), dtype=bool)
     for name, wanted in columns.where.items():
         values = wanted if isinstance(wanted, tuple) else (wanted,)
@@ -265,7 +265,7 @@ def _where(table: CsvTable, columns: Columns) -> CsvTable:
 
 
 def _times(table: CsvTable, columns: Columns) -> FloatArray:
-    """(n,) times of the rows [s]."""
+    """Return the times (n,) of the rows [s]."""
     if columns.time is None:
         assert columns.sample_time is not None
         return np.asarray(columns.sample_time * table.row, dtype=float)
@@ -279,14 +279,14 @@ def _seconds(table: CsvTable, time: TimeColumn) -> FloatArray:
 
 
 def _measured(reader: RowReader, columns: Columns, time: FloatArray) -> dict[str, RowSignal]:
-    """The measured signals by the field of `Record` that they fill."""
+    """Return the measured signals by the field of `Record`."""
     signals: dict[str, RowSignal] = {}
 
     def add(name: str, sensor: SensorColumns, values: dict[str, FloatArray], counts: bool = False) -> None:
-        own = time
+        sensor_time = time
         if sensor.time is not None:
-            own = _seconds(reader.table, sensor.time)
-            late = {"the rows": np.zeros(1), f"column '{sensor.time.column}'": time - own}
+            sensor_time = _seconds(reader.table, sensor.time)
+            late = {"the rows": np.zeros(1), f"column '{sensor.time.column}'": time - sensor_time}
             require_one_clock(
                 str(reader.table.path), late, "log both on one clock, or leave its time out of the mapping"
             )
@@ -301,7 +301,7 @@ def _measured(reader: RowReader, columns: Columns, time: FloatArray) -> dict[str
             value = values["pose"] * [1.0, 1.0, FACTORS["deg"]]
             values = {"pose": value}
         for field, value in values.items():
-            signals[field] = RowSignal(own - sensor.delay, value, fresh, counts)
+            signals[field] = RowSignal(sensor_time - sensor.delay, value, fresh, counts)
 
     if columns.encoders is not None:
         add("encoders", columns.encoders, *reader.encoders(columns.encoders))
@@ -315,20 +315,20 @@ def _measured(reader: RowReader, columns: Columns, time: FloatArray) -> dict[str
         parts = (columns.battery.voltage, columns.battery.current)
         add("battery", columns.battery, {"battery": np.column_stack([reader.column(part)[0] for part in parts])})
     if columns.motors is not None:
-        columns_read = [reader.column(getattr(columns.motors, name))[0] for name in columns.motors.given]
+        columns_read = [reader.column(getattr(columns.motors, name))[0] for name in columns.motors.named_columns]
         add("motors", columns.motors, motor_fields(np.column_stack(columns_read)))
     return signals
 
 
 def motor_fields(currents: FloatArray) -> dict[str, FloatArray]:
-    """Fields of a record for currents (n, 2) of the sides, or (n, 4) of the motors [A]."""
+    """Return the fields of a record for currents (n, 2) of the sides, or (n, 4) of the motors [A]."""
     if currents.shape[1] == len(SIDES):
         return {"motor_current": currents}
     return {"motor_current": currents[:, :2] + currents[:, 2:], "motor_currents": currents}
 
 
 def _seems_held(table: CsvTable, sensor: str, readings: FloatArray) -> list[Finding]:
-    """A finding where rows repeat the readings (n, width) of others for a period that is certain."""
+    """Return a finding if rows clearly repeat the readings (n, width) of others for a period."""
     period = hold_period(readings, check_settings())
     if period is None or period == 1:
         return []
@@ -343,7 +343,7 @@ def _seems_held(table: CsvTable, sensor: str, readings: FloatArray) -> list[Find
 def _forward(
     table: CsvTable, columns: Columns, time: FloatArray, broken: BoolArray, findings: list[Finding]
 ) -> list[Rows]:
-    """The rows in parts of one segment each, in which time runs forward and every command is known."""
+    """Split the rows into parts of one segment in which time increases and every command is known."""
     where = f"{table.path.name}, line "
     if np.isnan(time).any():
         lines = ranges(table.lines[np.isnan(time)])

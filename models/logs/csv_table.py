@@ -47,7 +47,7 @@ class Growing(Generic[_Scalar]):
         self._count = zeros
 
     def __len__(self) -> int:
-        """Rows so far."""
+        """Count the rows so far."""
         return self._count
 
     def extend(self, block: NDArray[_Scalar]) -> None:
@@ -60,7 +60,7 @@ class Growing(Generic[_Scalar]):
         self._count = end
 
     def array(self) -> NDArray[_Scalar]:
-        """All of them, (n,); nothing may follow."""
+        """Return all values, (n,), and accept no more."""
         self._values.resize(self._count, refcheck=False)
         return self._values
 
@@ -107,7 +107,7 @@ class CsvTable:
     findings: tuple[Finding, ...] = ()
 
     def numbers(self, name: str) -> tuple[FloatArray, BoolArray]:
-        """Numbers (n,) of a column, NaN in empty cells and for what is not finite, and (n,) True for empty cells.
+        """Return the numbers (n,) of a column, NaN for empty or invalid cells, and (n,) True for empty cells.
 
         Raises
         ------
@@ -121,31 +121,31 @@ class CsvTable:
             absent = np.isin(values, [number for word, number in self.words.items() if word.lower() in _MISSING])
             values, empty, wrong = np.where(absent, np.nan, values), empty | absent, wrong & ~absent
         if wrong.any():
-            at = int(np.argmax(wrong))
-            cell = next(word for word, number in self.words.items() if number == values[at])
+            index = int(np.argmax(wrong))
+            cell = next(word for word, number in self.words.items() if number == values[index])
             remedy = "leave the cell empty where a reading is missing"
             if _DECIMAL_COMMA.fullmatch(cell):
                 remedy = "write decimals with a point, or with a comma throughout and semicolons between the cells"
             raise ConfigError(
-                f"{self.path}, line {self.lines[at]}, column '{name}': '{plain_line(cell, _SHOWN)}' is no number; "
+                f"{self.path}, line {self.lines[index]}, column '{name}': '{plain_line(cell, _SHOWN)}' is no number; "
                 f"{remedy}"
             )
         return np.where(np.isfinite(values), values, np.nan), empty
 
     def cells(self, name: str) -> FloatArray:
-        """Cells (n,) of a column, words as their numbers; raises ConfigError if there is no such column."""
+        """Return the cells (n,) of a column, with words as their numbers; raise ConfigError without such a column."""
         require_columns(self.path, self.header, [name])
         return self.values[name]
 
     def cell(self, text: str | float) -> float:
-        """The number that stands for a text in `cells`: its own, or that of the word; NaN where no cell holds it."""
+        """Return the number of a text in `cells`: its own, or that of the word; NaN if no cell holds it."""
         try:
             return _plain(str(text))
         except ValueError:
             return self.words.get(str(text).strip(), float("nan"))
 
     def part(self, rows: NDArray[np.intp] | BoolArray) -> CsvTable:
-        """The table of some rows."""
+        """Return the table of some rows."""
         values = {name: cells[rows] for name, cells in self.values.items()}
         empty = {name: cells[rows] for name, cells in self.empty.items()}
         return CsvTable(
@@ -158,7 +158,7 @@ _WORDS = -1e300
 
 
 def read_header(path: Path) -> list[str]:
-    """Names of the columns; raises ConfigError as `read_table`."""
+    """Read the names of the columns; raise ConfigError as `read_table`."""
     with open_csv(path) as file:
         return read_layout(path, file).names
 
@@ -224,7 +224,7 @@ def read_table(path: Path, names: Collection[str]) -> CsvTable:
 
 
 def _blocks(path: Path, file: BinaryIO) -> Iterator[tuple[str, bool]]:
-    """Whole lines, a block at a time, and whether the block is the last."""
+    """Yield blocks of whole lines, and True for the last block."""
     text = file.read(_BLOCK) + rest_of_line(path, file)
     while text:
         following = file.read(_BLOCK)
@@ -237,7 +237,7 @@ _Parsed = tuple[dict[str, FloatArray], dict[str, BoolArray], NDArray[np.int64]]
 
 
 def _quick(text: str, separator: str, header: list[str], wanted: list[str]) -> _Parsed | None:
-    """A block of numbers and empty cells; None where it holds anything else: quotes, words, shorter lines."""
+    """Parse a block of numbers and empty cells; None for anything else, such as quotes, words, shorter lines."""
     count = text.count("\n") + (not text.endswith("\n"))
     if '"' in text or "\n\n" in text or not wanted or not _is_even(text, separator, len(header), count):
         return None
@@ -263,7 +263,7 @@ def _quick(text: str, separator: str, header: list[str], wanted: list[str]) -> _
 
 
 def _is_even(text: str, separator: str, columns: int, count: int) -> bool:
-    """Whether `count` lines together have as many cells as columns; each may have as many empty ones behind them."""
+    """Return True if `count` lines have one cell per column, apart from equal numbers of empty ones."""
     tail, left = divmod(text.count(separator) - count * (columns - 1), count)
     if tail <= 0 or left:
         return tail == left == 0
@@ -272,7 +272,7 @@ def _is_even(text: str, separator: str, columns: int, count: int) -> bool:
 
 
 def _filled(text: str, separator: str) -> str:
-    """The text with "nan" in its empty cells; itself where it has none."""
+    """Fill empty cells of the text with "nan"."""
     twice, first, last = 2 * separator, f"\n{separator}", f"{separator}\n"
     if not (twice in text or first in text or last in text or text[0] == separator or text[-1] == separator):
         return text
@@ -294,20 +294,20 @@ def _careful(
     words: dict[str, float],
     findings: list[Finding] | None,
 ) -> _Parsed:
-    """A block cell by cell, its first on `line`; `findings` are given for the last block, which may be cut off."""
+    """Parse a block cell by cell, its first on `line`; `findings` belong to the last block, which may be cut off."""
     reader = csv.reader(io.StringIO(text), delimiter=separator)
     numbered = [(reader.line_num - 1, row) for row in reader if row]
     if findings is not None and numbered and len(numbered[-1][1]) < len(header):
         place = f"{path.name}, line {line + numbered[-1][0]}"
         findings.append(Finding("incomplete line", "note", place, "cut off; it is left out"))
         numbered.pop()
-    for at, row in numbered:
+    for offset, row in numbered:
         if len(row) < len(header) or any(row[len(header) :]):
             hint = ""
             if separator == "," and all(cell.strip().lstrip("+-").isdigit() for cell in row):
                 hint = "; where decimals are written with a comma, put semicolons between the cells"
             raise ConfigError(
-                f"{path}, line {line + at}: {len(row)} cells, expected {len(header)} as in the header{hint}"
+                f"{path}, line {line + offset}: {len(row)} cells, expected {len(header)} as in the header{hint}"
             )
     values, missing = {}, {}
     for name in wanted:
@@ -317,11 +317,11 @@ def _careful(
         empty = np.array([not cell for cell in cells], dtype=bool)
         if empty.any():
             missing[name] = empty
-    return values, missing, np.array([at for at, _ in numbered], dtype=np.int64)
+    return values, missing, np.array([offset for offset, _ in numbered], dtype=np.int64)
 
 
 def as_numbers(cells: list[str], words: dict[str, float], *, decimal_comma: bool = False) -> FloatArray:
-    """Cells (n,) as numbers, NaN where they are empty; what is none stands in `words`, to which new ones are added.
+    """Convert cells (n,) to numbers, NaN for empty ones; add other texts to `words`.
 
     With `decimal_comma` a comma may stand for the point of a column that has none.
     """

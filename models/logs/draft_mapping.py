@@ -35,7 +35,7 @@ from diffdrive_mpc.models.table import plain_line
 
 
 class _Table(StrictModel):
-    """What words mean, and where values stop being likely; see `draft_words.yaml`."""
+    """Table of words and plausible ranges of values, see `draft_words.yaml`."""
 
     sources: dict[str, str]
     quantities: dict[str, str]
@@ -89,7 +89,7 @@ class _Column:
     nanosec: str = ""
 
     def entry(self) -> str:
-        """The column as it stands in the mapping, with the reasons as a comment."""
+        """Format the column for the mapping, with the reasons as a comment."""
         fields = {"column": self.name, "unit": self.unit} | ({"nanosec": self.nanosec} if self.nanosec else {})
         return f"{_flow(fields)}    # {plain_line('; '.join(self.reasons))}"
 
@@ -146,7 +146,7 @@ def _draft_of_table(log: Path) -> list[str]:
 
 
 def _wheels(used: _Used) -> list[str]:
-    """The lengths to be filled in, where the mapping needs them."""
+    """Format the lengths to be filled in, if the mapping needs them."""
     units = {column.unit for fields in used.values() for column in fields.values() if column.quantity in _WHEELS}
     sides_alone = bool(units) and not ("v" in used["command"] and used["encoders"].keys() >= {"v"})
     if not (sides_alone or units & {"ticks", "ticks/s", "m/s"}):
@@ -160,7 +160,7 @@ def _not_used(names: Iterable[str]) -> list[str]:
 
 
 def _column(table: CsvTable, name: str) -> _Column | None:
-    """What the name of a column says; None where it names nothing that a mapping takes, or a cell is no number."""
+    """Interpret the name of a column; None without a use in a mapping, or if a cell is no number."""
     text = re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower().rstrip(" ])")
     known, unit, reasons = _table(), "", []
     for candidate, pattern in known.units.items():
@@ -210,7 +210,7 @@ def _guess_unit(column: _Column) -> None:
         since = ", since 1970" if epochs == [column.unit] else ""
         column.reasons.append(f"steps by {step:.6g}, {step * FACTORS[column.unit]:.3g} s in this unit{since}")
     elif not column.unit:
-        unit, (limit, other) = (
+        unit, (limit, alternative) = (
             _FITTING[column.quantity][0],
             _table().largest.get("wheel" if column.quantity in _WHEELS else column.quantity, (np.inf, "")),
         )
@@ -219,25 +219,25 @@ def _guess_unit(column: _Column) -> None:
         elif column.quantity in _WHEELS and _counts(values):
             unit = "ticks"
         elif (np.ptp(values) if column.quantity in ("x", "y") else largest) > limit:
-            unit = other
+            unit = alternative
         column.unit = unit
         column.reasons.append(f"no unit in its name, but values up to {largest:.3g}")
 
 
 def _counts(values: FloatArray) -> bool:
-    """Whether values (n,) are whole numbers that run on, as counts of an encoder do."""
+    """Return True if values (n,) are increasing whole numbers, like counts of an encoder."""
     typical = float(np.mean(np.abs(np.diff(values))))
     return bool((values == np.round(values)).all()) and float(np.ptp(values)) > 20 * max(typical, 1.0)
 
 
 def _runs(column: _Column) -> bool:
-    """Whether the values never fall and mostly rise, as times do."""
+    """Return True if the values never fall and mostly rise, like times."""
     steps = np.diff(column.values[np.isfinite(column.values)])
     return bool((steps >= 0).all() and np.mean(steps > 0) > 0.05)
 
 
 def _steady(table: CsvTable) -> _Column | None:
-    """The first column that rises by steps of one size, as times do whatever they are called; None without one."""
+    """Find the first column that rises in equal steps, like times of any name; None without one."""
     taken = {"command", "encoders", "gyro", "pose"}
     for name in table.header:
         column = _column(table, name)
@@ -258,10 +258,10 @@ def _steady(table: CsvTable) -> _Column | None:
 
 
 def _roles(columns: list[_Column]) -> _Used:
-    """Columns by role and field; groups that are not whole are left out."""
+    """Assign columns to roles and fields; leave out incomplete groups."""
     commanded = {column.quantity for column in columns if column.source == "command"}
-    there = {column.quantity for column in columns if column.source in ("", "command", "encoders")}
-    is_twist = commanded.issuperset(_TWIST) or (there.issuperset(_TWIST) and not commanded.issuperset(SIDES))
+    quantities = {column.quantity for column in columns if column.source in ("", "command", "encoders")}
+    is_twist = commanded.issuperset(_TWIST) or (quantities.issuperset(_TWIST) and not commanded.issuperset(SIDES))
     used: _Used = {"command": {}, "encoders": {}, "gyro": {}, "pose": {}}
     for quantity in (*_TWIST, *_WHEELS):
         alike = [
@@ -284,7 +284,7 @@ def _roles(columns: list[_Column]) -> _Used:
 
 
 def _named(columns: list[_Column], sources: tuple[str, ...], fields: dict[str, str]) -> dict[str, _Column]:
-    """For each field a column of its quantity, of the first source that has one; nothing where a field has none."""
+    """Select for each field a column of its quantity, of the first source that has one; nothing if one is missing."""
     group = {}
     for field, quantity in fields.items():
         alike = [column for column in columns if column.quantity == quantity and column.source in sources]
@@ -294,12 +294,12 @@ def _named(columns: list[_Column], sources: tuple[str, ...], fields: dict[str, s
 
 
 def _whole(group: dict[str, _Column], kinds: Sequence[tuple[str, ...]]) -> dict[str, _Column]:
-    """The fields that stand together with all others of their kind."""
+    """Return the fields of complete kinds."""
     return {field: group[field] for kind in kinds if set(kind) <= set(group) for field in kind}
 
 
 def _command_and_measured(alike: list[_Column], may_command: bool) -> tuple[_Column | None, _Column | None]:
-    """Of columns of one quantity the command and what was measured; by what follows what where names do not say."""
+    """Distinguish command and measurement among columns of one quantity; by the delay if names are unclear."""
     command = next((column for column in alike if column.source == "command" and may_command), None)
     measured = next((column for column in alike if column.source == "encoders"), None)
     plain = [column for column in alike if not column.source]
@@ -328,7 +328,7 @@ def _compare(command: _Column | None, measured: _Column) -> None:
 
 
 def _behind(first: FloatArray, second: FloatArray) -> tuple[int, float]:
-    """Rows by which changes of `second` (n,) follow those of `first` (n,), and their correlation at that lag [-]."""
+    """Compute the rows by which changes of `second` (n,) follow those of `first` (n,), and the correlation [-]."""
     u, y = (np.diff(_filled(values)) for values in (first, second))
     most = min(_table().largest_lag, len(u) // 4)
     lags = range(-most, most + 1)
@@ -339,7 +339,7 @@ def _behind(first: FloatArray, second: FloatArray) -> tuple[int, float]:
 
 
 def _filled(values: FloatArray) -> FloatArray:
-    """Values (n,) with what is missing interpolated."""
+    """Interpolate missing values (n,)."""
     rows = np.flatnonzero(np.isfinite(values))
     return np.interp(np.arange(len(values)), rows, values[rows])
 
@@ -376,7 +376,7 @@ def _draft_of_bag(log: Path) -> list[str]:
 
 
 def _points(role: str, topic: str, kind: str) -> int | None:
-    """How well the name of a topic of a fitting type speaks for the role; None where it rules the role out.
+    """Score the name of a topic of a fitting type for a role; None if the name rules the role out.
 
     An odometry is a localisation's pose only where its name says so, and a goal is no measured pose.
     """

@@ -21,7 +21,7 @@ class WheelGeometry(NamedTuple):
 
 
 def wheel_geometry(records: Sequence[Record]) -> WheelGeometry | None:
-    """Radius and track by least squares over all records with wheels and twist; None without any.
+    """Fit radius and track by least squares over all records with wheels and twist; None without any.
 
     v = radius (right + left) / 2, omega = radius (right - left) / track.
     """

@@ -1,4 +1,4 @@
-"""What of a log too long to be used whole is read on with: fewer samples a second, and the parts that teach most."""
+"""Reduction of long logs: fewer samples per second, and the most informative parts."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _PART = 20_000
 
 
 def chosen_rows(table: CsvTable, columns: Columns, settings: CheckSettings) -> tuple[CsvTable, list[Finding]]:
-    """The table without rows that no base is quick enough to need, and without parts that say least.
+    """Remove rows that no base is fast enough to need, and the least informative parts, from the table.
 
     Parameters
     ----------
@@ -49,32 +49,32 @@ def chosen_rows(table: CsvTable, columns: Columns, settings: CheckSettings) -> t
 
 
 def needed_stride(period: float, settings: CheckSettings) -> int:
-    """One in how many readings `period` [s] apart a base is quick enough to need."""
+    """Compute the largest stride of readings `period` [s] apart that no base is too fast for."""
     # A clock of less than a sample time of any robot is a wrong unit or a burst, and told as such.
     quick = settings.sample_times[0] <= period < settings.shortest_step
     return round(settings.needed_step / period) if quick else 1
 
 
-def decimated(place: str, what: str, stride: int, period: float) -> Finding:
-    """The note that one `what` in `stride`, which are `period` [s] apart, is used."""
+def decimated(place: str, noun: str, stride: int, period: float) -> Finding:
+    """Return the note that one `noun` in `stride`, which are `period` [s] apart, is used."""
     words = (
-        f"one {what} in {stride} is used, {stride * period:.3g} s apart: a base does not move in less, and no "
+        f"one {noun} in {stride} is used, {stride * period:.3g} s apart: a base does not move in less, and no "
         "controller is run faster"
     )
     return Finding("decimated", "note", place, words)
 
 
-def subset(place: str, what: str, taken: int, count: int) -> Finding:
-    """The note that `taken` of `count` rows or commands are used."""
+def subset(place: str, noun: str, taken: int, count: int) -> Finding:
+    """Return the note that `taken` of `count` rows or commands are used."""
     words = (
-        f"{taken} of {count} {what} are used, the parts in which the command changes most; cut the log by "
+        f"{taken} of {count} {noun} are used, the parts in which the command changes most; cut the log by "
         "'times' or 'where' in the mapping to choose others"
     )
     return Finding("subset", "note", place, words)
 
 
 def most_driven(commands: list[FloatArray], most: int, part: int = _PART) -> NDArray[np.intp]:
-    """At most `most` rows, in order, of the parts of `part` rows in which the commands (n,) change most."""
+    """Select at most `most` rows, in order, of the parts of `part` rows in which the commands (n,) change most."""
     count = -(-len(commands[0]) // part)
     score = np.zeros(count)
     for command in commands:

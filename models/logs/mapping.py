@@ -73,7 +73,7 @@ class _NameOrMore(StrictModel):
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        """A name, or what follows from the fields."""
+        """Return the schema of a name, or the one of the fields."""
         return {"anyOf": [{"type": "string", "minLength": 1}, handler(core)]}
 
 
@@ -150,31 +150,31 @@ class _TwistOrWheels(StrictModel):
     left: WheelColumn | None = None
     right: WheelColumn | None = None
 
-    def given(self, *names: str) -> bool:
-        """Whether the mapping names all of these."""
+    def has(self, *names: str) -> bool:
+        """Return True if the mapping names all of these."""
         return all(getattr(self, name) is not None for name in names)
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
         groups = [("v", "omega"), SIDES, *([FOUR_WHEELS] if hasattr(self, FOUR_WHEELS[0]) else [])]
         for group in groups:
-            there = [name for name in group if self.given(name)]
-            if there and len(there) < len(group):
-                absent = next(name for name in group if name not in there)
-                raise ValueError(f"'{there[0]}' needs '{absent}' beside it")
-        if not any(self.given(*group) for group in groups):
+            named = [name for name in group if self.has(name)]
+            if named and len(named) < len(group):
+                absent = next(name for name in group if name not in named)
+                raise ValueError(f"'{named[0]}' needs '{absent}' beside it")
+        if not any(self.has(*group) for group in groups):
             raise ValueError(f"name the columns of {' or of '.join(', '.join(group) for group in groups)}")
         return self
 
 
 class CommandColumns(_TwistOrWheels):
-    """What was commanded: (v, omega), or wheel speeds left and right. An empty cell: the last command still holds."""
+    """Columns of the command: (v, omega), or wheel speeds left and right. In an empty cell the last command holds."""
 
     delay: float = Field(0.0, description="how long after the robot took it a command appears in the log [s]")
 
     @model_validator(mode="after")
     def _no_counts(self) -> Self:
-        if self.given("v") and self.given("left"):
+        if self.has("v") and self.has("left"):
             raise ValueError("name the columns of v and omega, or of left and right, not both")
         for side in (self.left, self.right):
             if side is not None and side.unit == "ticks":
@@ -183,7 +183,7 @@ class CommandColumns(_TwistOrWheels):
 
 
 class SensorColumns(StrictModel):
-    """How a sensor's readings reached the log."""
+    """Columns of a sensor, with its delay and time."""
 
     time: TimeColumn | None = Field(None, description="times of its readings where they are not those of the rows")
     held: bool = Field(False, description="rows repeat the last reading until the next one arrives")
@@ -191,7 +191,7 @@ class SensorColumns(StrictModel):
 
 
 class EncoderColumns(_TwistOrWheels, SensorColumns):
-    """What the encoders measured: (v, omega), sides, four wheels, or several of these."""
+    """Columns of the encoders: (v, omega), sides, four wheels, or several of these."""
 
     front_left: WheelColumn | None = None
     front_right: WheelColumn | None = None
@@ -200,13 +200,13 @@ class EncoderColumns(_TwistOrWheels, SensorColumns):
 
 
 class GyroColumns(SensorColumns):
-    """What the gyro measured."""
+    """Columns of the gyro."""
 
     yaw_rate: RateColumn
 
 
 class PoseColumns(SensorColumns):
-    """Where the robot was, from something better than its own encoders, in one frame within a segment."""
+    """Columns of the robot's pose from a source better than its encoders, in one frame within a segment."""
 
     x: LengthColumn
     y: LengthColumn
@@ -215,13 +215,13 @@ class PoseColumns(SensorColumns):
 
 
 class PowerColumns(SensorColumns):
-    """Of battery or motors."""
+    """Columns of battery or motors."""
 
     optional: bool = Field(False, description="whether logs without these columns are read, too, as if not mapped")
 
 
 class BatteryColumns(PowerColumns):
-    """What the battery gives."""
+    """Columns of the battery."""
 
     voltage: VoltageColumn
     current: CurrentColumn
@@ -238,13 +238,13 @@ class MotorColumns(PowerColumns):
     rear_right: CurrentColumn | None = None
 
     @property
-    def given(self) -> tuple[str, ...]:
+    def named_columns(self) -> tuple[str, ...]:
         """Names of the columns that are named."""
         return tuple(name for name in (*SIDES, *FOUR_WHEELS) if getattr(self, name) is not None)
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
-        if self.given not in (SIDES, FOUR_WHEELS):
+        if self.named_columns not in (SIDES, FOUR_WHEELS):
             raise ValueError(f"name the columns of {', '.join(SIDES)}, or of {', '.join(FOUR_WHEELS)}")
         return self
 
@@ -273,19 +273,19 @@ class Columns(StrictModel):
             raise ValueError("nothing measured: name the columns of 'encoders', 'gyro' or 'pose'")
         return self
 
-    def found_in(self, there: Collection[str]) -> Self:
-        """The same without what is optional and not all among the columns that are `there`."""
+    def found_in(self, recorded: Collection[str]) -> Self:
+        """Remove optional sensors whose columns are not all among those `recorded`."""
         absent = [
             key
             for key, group in (("battery", self.battery), ("motors", self.motors))
             if group is not None
             and group.optional
-            and not {part.column for _, part in group if isinstance(part, Column)} <= set(there)
+            and not {part.column for _, part in group if isinstance(part, Column)} <= set(recorded)
         ]
         return self.model_copy(update=dict.fromkeys(absent))
 
     def names(self) -> set[str]:
-        """Names of all columns that the mapping uses."""
+        """Return the names of all columns that the mapping uses."""
         groups = [self.command, self.encoders, self.gyro, self.pose, self.battery, self.motors]
         parts = [part for group in groups if group is not None for _, part in group]
         names = {part.column for part in [self.time, *parts] if isinstance(part, Column)}
@@ -322,7 +322,7 @@ class MotorTopic(Topic):
 
 
 class MotorTopics(StrictModel):
-    """Where the currents of the two sides are, perhaps in the same topic."""
+    """Topics of the currents of the two sides, perhaps the same one."""
 
     left: MotorTopic
     right: MotorTopic
@@ -348,19 +348,19 @@ class Topics(StrictModel):
         default_factory=dict, description="files of message definitions, beside the mapping, by type: pkg/msg/Name"
     )
 
-    def named(self, there: Collection[str]) -> Self:
-        """The same with the usual sensors among the topics `there`, where none is named, and in their namespace."""
+    def named(self, recorded: Collection[str]) -> Self:
+        """Add the usual sensors among the topics `recorded`, if none is named, in their namespace."""
         if self.odometry or self.imu or self.pose:
-            return self._in_namespace(there)
+            return self._in_namespace(recorded)
         usual = {"odometry": "/odom", "imu": "/imu"}
-        return self.model_copy(update={role: Topic(topic=name) for role, name in usual.items() if name in there})
+        return self.model_copy(update={role: Topic(topic=name) for role, name in usual.items() if name in recorded})
 
-    def _in_namespace(self, there: Collection[str]) -> Self:
-        """Relative names of a robot in the one namespace of `there` that has its odometry; others as they are."""
+    def _in_namespace(self, recorded: Collection[str]) -> Self:
+        """Resolve relative names in the one namespace of `recorded` that has the odometry; keep others."""
         if self.odometry is None or self.odometry.topic.startswith("/"):
             return self
         ending = f"/{self.odometry.topic}"
-        spaces = sorted(name.removesuffix(ending) for name in there if name.endswith(ending))
+        spaces = sorted(name.removesuffix(ending) for name in recorded if name.endswith(ending))
         if len(spaces) != 1:
             several = f"several namespaces have it: {', '.join(spaces)}" if spaces else "no namespace has it"
             raise ConfigError(f"topic '{self.odometry.topic}' of the robot: {several}; give a mapping file")
@@ -370,7 +370,7 @@ class Topics(StrictModel):
             if topic is not None and not topic.topic.startswith("/"):
                 name = f"{spaces[0]}/{topic.topic}"
                 # A bag need not have the gyro.
-                absent = role == "imu" and name not in there
+                absent = role == "imu" and name not in recorded
                 named[role] = None if absent else topic.model_copy(update={"topic": name})
         return self.model_copy(update=named)
 
@@ -403,7 +403,11 @@ class LogMapping(StrictModel):
         lines = []
         if self.wheels is not None and self.wheels.radius is not None and not (columns or motors):
             lines.append("wheels.radius is not used: nothing in the mapping is the speed of a wheel")
-        if self.wheels is not None and self.wheels.ticks_per_turn and not any("ticks" in of.unit for of in columns):
+        if (
+            self.wheels is not None
+            and self.wheels.ticks_per_turn
+            and not any("ticks" in column.unit for column in columns)
+        ):
             lines.append("wheels.ticks_per_turn is not used: no column has the unit ticks or ticks/s")
         for role, topic in self.topics or ():
             if isinstance(topic, Topic) and topic.on_change and role != "command":
@@ -413,7 +417,7 @@ class LogMapping(StrictModel):
         return lines
 
     def sources(self) -> dict[str, str]:
-        """Names of columns or topics by stream: "command", "encoders", "gyro", "pose"; of topics "battery", too."""
+        """Return names of columns or topics by stream: "command", "encoders", "gyro", "pose", "battery"."""
         sources: dict[str, str] = {}
         for group in (self.columns, self.topics):
             for role, part in group or ():

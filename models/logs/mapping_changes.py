@@ -48,7 +48,7 @@ def of_topics(changes: Iterable[MappingChange]) -> tuple[MappingChange, ...]:
 
 
 def changed(mapping: LogMapping, changes: Iterable[MappingChange]) -> LogMapping:
-    """The mapping with all changes made.
+    """Apply all changes to the mapping.
 
     Signs are turned, not set, and delays added, so that a finding need not know what the mapping says. v and omega of
     wheels are turned by the signs of the wheels and by exchanging their sides.
@@ -65,7 +65,7 @@ def changed(mapping: LogMapping, changes: Iterable[MappingChange]) -> LogMapping
 
 
 def mapping_text(mapping: LogMapping) -> str:
-    """A mapping as the text of a file that reads the same from every folder."""
+    """Format a mapping as the text of a file that reads the same from every folder."""
     data = mapping.model_dump(mode="json", exclude_defaults=True)
     if definitions := data.get("topics", {}).get("definitions"):
         data["topics"]["definitions"] = {kind: str(Path(file).resolve()) for kind, file in definitions.items()}
@@ -107,7 +107,7 @@ def _set_time(columns: dict[str, Any], change: MappingChange) -> None:
 
 
 def _change_columns(stream: dict[str, Any], change: MappingChange) -> None:
-    """The sign, unit or place of columns of one stream."""
+    """Change the sign, unit or place of columns of one stream."""
     if change.key == "sides":
         _exchange(stream, _SIDES)
         return
@@ -126,8 +126,8 @@ def _change_columns(stream: dict[str, Any], change: MappingChange) -> None:
             raise ConfigError("wheels have no unit of omega")
     if not named and not (name == "omega" and wheels):
         raise ConfigError(f"the mapping has no column '{name}' to be changed")
-    for one in named:
-        column = stream[one] = _whole(stream[one], "column")
+    for column_name in named:
+        column = stream[column_name] = _whole(stream[column_name], "column")
         if key == "sign":
             _turn(column)
         else:
@@ -135,7 +135,7 @@ def _change_columns(stream: dict[str, Any], change: MappingChange) -> None:
 
 
 def _whole(value: Any, first: str) -> dict[str, Any]:  # noqa: ANN401 - whatever the mapping holds
-    """A column or topic that may be a plain name, as a group."""
+    """Expand a column or topic, which may be a plain name, to a group."""
     return {first: value} if isinstance(value, str) else value
 
 

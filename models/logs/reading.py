@@ -87,7 +87,7 @@ def read_log(
 
 
 def _raw(path: Path, mapping: LogMapping | None) -> RawLog:
-    """What the reader of such a file hands over."""
+    """Read a log with the reader for its type."""
     if (mapping is None or mapping.columns is not None) and is_drive_log(path):
         return read_drive(path, mapping)
     return (read_bag if is_bag(path) else read_csv)(path, mapping)
@@ -100,7 +100,7 @@ def _records(
     times: Sequence[tuple[float, float]],
     settings: CheckSettings,
 ) -> tuple[list[Record], list[Finding]]:
-    """The stretches that are long enough, and findings about gaps and those that are not."""
+    """Build records of the stretches that are long enough, with findings about gaps and shorter stretches."""
     records: list[Record] = []
     findings: list[Finding] = []
     longest, end, left = 0, np.inf, settings.most_samples

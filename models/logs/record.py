@@ -1,4 +1,4 @@
-"""What every kind of log becomes: evenly sampled stretches in SI units, and what was found wrong on the way."""
+"""Common form of all logs: evenly sampled stretches in SI units, and findings from reading."""
 
 from __future__ import annotations
 
@@ -129,11 +129,11 @@ class Record:
         return self.start + self.dt * (len(self.command) - 1)
 
     def fresh(self, name: str) -> BoolArray | None:
-        """(K,) which samples of a signal are readings of their own; None without the signal, or without such a mask."""
+        """Mark samples (K,) of a signal with new readings; None without the signal, or without such a mask."""
         return getattr(self, _MASKS[name]) if name in _MASKS and getattr(self, name) is not None else None
 
     def pose_windows(self, steps: int, known: BoolArray) -> list[int]:
-        """First samples of windows of `steps` steps, a fresh pose at both ends, `known` (K,) between; none overlap."""
+        """Find first samples of windows of `steps` steps with fresh poses at both ends, `known` (K,) and no overlap."""
         starts, k = [], 0
         while self.fresh_pose is not None and k + steps < len(self.fresh_pose):
             usable = self.fresh_pose[k] and self.fresh_pose[k + steps] and known[k : k + steps].all()
@@ -143,7 +143,7 @@ class Record:
         return starts
 
     def part(self, first: int, stop: int) -> Record:
-        """The samples from `first` up to, and without, `stop`, as a record of their own."""
+        """Return the samples from `first` up to, and without, `stop`, as a record."""
         count = len(self.command)
         if not 0 <= first < stop <= count:
             raise ValueError(f"record '{self.name}': no samples {first} to {stop} among its {count}")
@@ -183,7 +183,7 @@ class MappingChange:
     value: float | str | bool
 
     def __str__(self) -> str:
-        """As it can be told: "gyro `delay: +0.30`"."""
+        """Format the change: "gyro `delay: +0.30`"."""
         value = str(self.value).lower() if isinstance(self.value, bool) else str(self.value)
         return f"{self.stream} `{self.key}: {f'{self.value:+.2f}' if self.key == 'delay' else value}`"
 
@@ -218,11 +218,11 @@ class Finding:
 
     @property
     def verdict(self) -> DoubtRelevance | None:
-        """Whether it matters for driving; None for a note."""
+        """Relevance for driving; None for a note."""
         return None if self.severity == "note" else VERDICTS[self.kind]
 
     def __str__(self) -> str:
-        """One line."""
+        """Format one line."""
         remedy = f"; in the mapping: {', '.join(map(str, self.changes))}" if self.changes else ""
         return escaped(f"{self.place}: {self.words}{remedy}")
 
@@ -287,7 +287,7 @@ def refuse(findings: Sequence[Finding]) -> None:
 
 
 def counted(findings: Sequence[Finding], most: int = 2) -> list[str]:
-    """One line per finding, verdict included; of one kind only the first `most`, and how many more there are."""
+    """Format one line per finding, relevance included; for each kind the first `most`, and the number of others."""
     lines, by_kind = [], Counter(finding.kind for finding in findings)
     shown: Counter[str] = Counter()
     for finding in findings:
@@ -300,7 +300,7 @@ def counted(findings: Sequence[Finding], most: int = 2) -> list[str]:
 
 
 def ranges(numbers: Iterable[int], most: int = 5) -> str:
-    """Numbers in ascending order as words: "3, 7 to 9 and 4 more places"."""
+    """Format numbers in ascending order as words: "3, 7 to 9 and 4 more places"."""
     runs: list[list[int]] = []
     for number in numbers:
         if runs and number == runs[-1][1] + 1:

@@ -1,4 +1,4 @@
-"""Whether the records of a log can teach anything: commands that excite, sensors that read."""
+"""Checks of the information in records: exciting commands, and working sensors."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _SENSORS = {
 
 
 def check_commands(log: str, records: Sequence[Record], settings: CheckSettings) -> list[Finding]:
-    """Findings about commands that never or hardly change, that change together, or that rest at a limit."""
+    """Return findings about commands that hardly change, change together, or stay at a limit."""
     commands = np.concatenate([record.command for record in records])
     still = [bool(np.ptp(column) < settings.least_command) for column in commands.T]
     if all(still):
@@ -57,7 +57,7 @@ def check_commands(log: str, records: Sequence[Record], settings: CheckSettings)
 
 
 def command_changes(records: Sequence[Record], channel: int, settings: CheckSettings) -> int:
-    """How often the command of a channel changes by what can be seen, inside stretches and from one to the next."""
+    """Count visible changes of a channel's command, inside stretches and from one to the next."""
     commands = np.concatenate([record.command[:, channel] for record in records])
     largest = float(np.abs(commands).max())
     return (
@@ -68,7 +68,7 @@ def command_changes(records: Sequence[Record], channel: int, settings: CheckSett
 
 
 def check_excitation(logs: str, records: Sequence[Record], settings: CheckSettings) -> list[Finding]:
-    """Errors about channels that hardly any drive excites: a model of them would be made up."""
+    """Return errors about channels that hardly any drive excites: a model of them would be arbitrary."""
     findings = []
     for j, channel in enumerate(CHANNELS):
         changes = command_changes(records, j, settings)
@@ -83,7 +83,7 @@ def check_excitation(logs: str, records: Sequence[Record], settings: CheckSettin
 
 
 def _saturated(log: str, records: Sequence[Record], j: int, settings: CheckSettings) -> list[Finding]:
-    """A finding where channel `j` rests at its largest value for much of the time, though it takes many others."""
+    """Return a finding if channel `j` is at its maximum for much of the time, though it takes many other values."""
     size = np.abs(np.concatenate([record.command[:, j] for record in records]))
     largest = float(size.max())
     share = float(np.mean(size >= 0.999 * largest))
@@ -99,7 +99,7 @@ def _saturated(log: str, records: Sequence[Record], j: int, settings: CheckSetti
 
 
 def largest_command(records: Sequence[Record]) -> FloatArray:
-    """(2,) largest |v| [m/s] and |omega| [rad/s] that are commanded anywhere."""
+    """Return the largest commanded |v| [m/s] and |omega| [rad/s], (2,)."""
     return np.asarray(np.max([np.abs(record.command).max(axis=0) for record in records], axis=0))
 
 
@@ -132,7 +132,7 @@ def check_sensors(records: Sequence[Record], settings: CheckSettings) -> tuple[l
 def _stuck(
     values: FloatArray, fresh: BoolArray, share: FloatArray, is_pose: bool, dt: float, settings: CheckSettings
 ) -> list[tuple[int, int]]:
-    """First and last sample of each run of equal readings that the commands, as shares of the largest, contradict."""
+    """Find first and last samples of runs of equal readings that the commands, as shares of the largest, contradict."""
     samples = np.flatnonzero(fresh)
     if not len(samples):
         return []
@@ -181,7 +181,7 @@ def require_one_clock(log: str, late: Mapping[str, FloatArray], remedy: str) -> 
 
 
 def drifting_clocks(log: str, late: Mapping[str, FloatArray]) -> list[Finding]:
-    """Findings for the sources whose stamps wander against the time of receipt; `late` as for `require_one_clock`."""
+    """Return findings for sources whose stamps drift against the time of receipt; `late` as for `require_one_clock`."""
     findings = []
     for source, values in late.items():
         spread = float(np.ptp(np.percentile(values, [5, 95])))
@@ -195,7 +195,7 @@ def drifting_clocks(log: str, late: Mapping[str, FloatArray]) -> list[Finding]:
 
 
 def gap_finding(log: str, end: float, start: float, settings: CheckSettings) -> Finding:
-    """The finding for a pause of the log from `end` to `start` [s]."""
+    """Return the finding for a pause of the log from `end` to `start` [s]."""
     place = f"{log}, {end:.1f} to {start:.1f} s"
     if start - end > settings.clock_jump:
         words = f"time jumps by {start - end:.0f} s: were two clocks written into one column? A new stretch begins"
@@ -204,7 +204,7 @@ def gap_finding(log: str, end: float, start: float, settings: CheckSettings) -> 
 
 
 def check_timing(raw: RawLog, period: float, settings: CheckSettings) -> list[Finding]:
-    """A finding where the log's clock, of `period` [s], ticks unevenly."""
+    """Return a finding if the log's clock, of `period` [s], ticks unevenly."""
     steps = np.concatenate([np.diff(stretch.clock) for stretch in raw.stretches])
     starts = np.concatenate([stretch.clock[:-1] for stretch in raw.stretches])
     inside = steps <= settings.longest_step(period)

@@ -32,11 +32,11 @@ class Signal:
     value: FloatArray
 
     def later(self, shift: float) -> Signal:
-        """The same values, valid `shift` seconds later."""
+        """Return the same values, valid `shift` seconds later."""
         return Signal(self.time + shift, self.value)
 
     def between(self, first: float, last: float) -> Signal:
-        """The readings at times from `first` to `last` [s], both included."""
+        """Return the readings at times from `first` to `last` [s], both included."""
         inside = (self.time >= first) & (self.time <= last)
         return Signal(self.time[inside], self.value[inside])
 
@@ -63,7 +63,7 @@ class RawStretch:
     wheel_commands: Signal | None = None
 
     def between(self, first: float, last: float) -> RawStretch:
-        """The part from `first` to `last` [s], both included."""
+        """Return the part from `first` to `last` [s], both included."""
         return RawStretch(
             self.clock[(self.clock >= first) & (self.clock <= last)],
             self.command.between(first, last),
@@ -98,18 +98,18 @@ class RawLog:
 
 
 def unwrapped(pose: FloatArray) -> FloatArray:
-    """Poses (n, 3) with the third column [rad] made continuous."""
+    """Unwrap the third column [rad] of poses (n, 3)."""
     return np.column_stack([pose[:, :2], np.unwrap(pose[:, 2])])
 
 
 def increasing(time: FloatArray) -> BoolArray:
-    """(n,) True where a time is later than every one before it."""
+    """Mark times (n,) later than every one before."""
     before = np.concatenate([[-np.inf], np.maximum.accumulate(time)[:-1]])
     return np.asarray(time > before)
 
 
 def usual_step(times: list[FloatArray]) -> float:
-    """Usual step of rows of times [s]; NaN where no two times follow each other.
+    """Compute the usual step of rows of times [s]; NaN without two consecutive times.
 
     The median, unless rounded or uneven stamps put the mean elsewhere. Rows missed count for as many steps; gaps do not
     count.
@@ -126,7 +126,7 @@ def usual_step(times: list[FloatArray]) -> float:
 
 
 def hold(signal: Signal, grid: FloatArray, dt: float, tolerance: float) -> FloatArray:
-    """Values (K, width) in force over the samples of `dt` [s] that begin at the times `grid` (K,) [s]: zero-order hold.
+    """Resample values (K, width) by a zero-order hold over samples of `dt` [s] that start at `grid` (K,) [s].
 
     Where a value changes within a sample it is their mean: a command that comes late in its sample acts for less of it.
     A value within `tolerance` [s] of a grid point belongs to that point. The first value must not be later.
@@ -180,9 +180,9 @@ def sample(signal: Signal, grid: FloatArray, dt: float, tolerance: float, reach:
 def pieces(
     stretch: RawStretch, longest_step: float, times: Sequence[tuple[float, float]] = ()
 ) -> Iterator[tuple[float, float]]:
-    """From and to [s] of the parts of a stretch between pauses longer than `longest_step` [s], inside `times` [s]."""
-    for begin, end in times or [(-np.inf, np.inf)]:
-        clock = stretch.clock[(stretch.clock >= begin) & (stretch.clock <= end)]
+    """Yield first and last times [s] of a stretch's parts between long pauses, inside `times` [s]."""
+    for start, end in times or [(-np.inf, np.inf)]:
+        clock = stretch.clock[(stretch.clock >= start) & (stretch.clock <= end)]
         if not len(clock):
             continue
         edges = np.flatnonzero(np.diff(clock) > longest_step)

@@ -1,4 +1,4 @@
-"""What a controller was told and what it did at a tick, as one line of JSON: enough to ask it again, bit for bit.
+"""Record of a tick as one line of JSON, which is enough to repeat the controller's step bit for bit.
 
 The node publishes these lines, so that any recorder of messages keeps them. Numbers are written so that reading gives
 back the same bits; times are seconds on the controller's clock.
@@ -18,7 +18,7 @@ from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
 
 FORMAT = 1
-"""Of both kinds of line."""
+"""Version of both kinds of line."""
 _SENSORS = ("pose", "wheel_twist", "yaw_rate")
 
 
@@ -65,7 +65,7 @@ class TickRecord:
     stopped_after: int | None = None
 
     def line(self) -> str:
-        """The record as a line."""
+        """Format the record as a line."""
         sensors = {name: _stamped_words(getattr(self.measurement, name)) for name in _SENSORS}
         return json.dumps(
             {
@@ -86,7 +86,7 @@ class TickRecord:
 
     @classmethod
     def read(cls, line: str) -> TickRecord:
-        """The record of a line; raises TickRecordError where it is none."""
+        """Parse the record of a line; raise TickRecordError if it is none."""
         data = _parsed(line)
         try:
             hold = data["hold"]
@@ -109,7 +109,7 @@ class TickRecord:
 
 @dataclass(frozen=True)
 class DriveRecord:
-    """What ticks have in common: written when the controller starts, and when its configuration changes.
+    """Common data of ticks, written when the controller starts and when its configuration changes.
 
     Attributes
     ----------
@@ -141,12 +141,12 @@ class DriveRecord:
     goes_on: bool = False
 
     def line(self) -> str:
-        """The record as a line."""
+        """Format the record as a line."""
         return json.dumps({"format": FORMAT} | vars(self))
 
     @classmethod
     def read(cls, line: str) -> DriveRecord:
-        """The record of a line; raises TickRecordError where it is none."""
+        """Parse the record of a line; raise TickRecordError if it is none."""
         data = _parsed(line)
         try:
             names = ("number", "starts", "reset", "t0", "reference", "config", "model")

@@ -41,7 +41,7 @@ class ChannelForm(Parametrisation, Protocol):
 
     @property
     def words(self) -> str:
-        """What it is, for the file of a model."""
+        """Describe the form for the file of a model."""
         ...
 
     @property
@@ -55,11 +55,11 @@ class ChannelForm(Parametrisation, Protocol):
         ...
 
     def values(self, parameters: AnyArray) -> AnyArray:
-        """(f,) fields of the file, in its order, of parameters (s,)."""
+        """Compute the fields (f,) of the file, in its order, from parameters (s,)."""
         ...
 
     def first_guesses(self, gain: float, frequency: float) -> Sequence[FloatArray]:
-        """Parameters (s,) to try for a steady-state gain and a cut-off frequency [rad/s]."""
+        """Return parameters (s,) to try for a steady-state gain and a cut-off frequency [rad/s]."""
         ...
 
 
@@ -131,14 +131,16 @@ def identify_channel(
     fit = fit_output_error([(layout, start) for start in starts], experiments, robust)
     if limit:
         fit = find_limits(fit, experiments, _quick(layout, form, fit.parameters), robust)
-    own = fit.layout.counts[0]
-    names = (*form.file.model_fields, *(_readable(name, label) for name in fit.layout.names[own:]))
-    parameters = fit.estimate.derived(names, lambda row: np.concatenate([form.values(row[:own]), row[own:]]))
+    form_count = fit.layout.counts[0]
+    names = (*form.file.model_fields, *(_readable(name, label) for name in fit.layout.names[form_count:]))
+    parameters = fit.estimate.derived(
+        names, lambda row: np.concatenate([form.values(row[:form_count]), row[form_count:]])
+    )
     return IdentifiedChannel(form, parameters, fit, _warnings(form, parameters, fit, label))
 
 
 def pole_estimate(parameters: ParameterEstimate, file: type[TransferFunction]) -> ParameterEstimate:
-    """Poles [rad/s] of a transfer function whose fields are `parameters`: `pole_1`, or `pole_1.real` and `.imag`."""
+    """Derive poles [rad/s] of a transfer function from its `parameters`: `pole_1`, or real and imaginary part."""
     poles = distinct_poles(file.realisation(parameters.values)[0])
     return parameters.derived(pole_names(poles), lambda row: pole_numbers(file.realisation(row)[0], poles))
 
@@ -168,7 +170,7 @@ def _warnings(form: ChannelForm, parameters: ParameterEstimate, fit: OutputError
 def _first_guesses(
     layout: Layout, form: ChannelForm, experiments: Sequence[SampledExperiment], label: str
 ) -> list[FloatArray]:
-    """The best few points (q,) of a grid over dead time and frequency, the gain from the ratio of spreads."""
+    """Select the best points (q,) of a grid over dead time and frequency, with the gain from the ratio of spreads."""
     settings = estimator_settings()
     commanded = float(np.std(np.concatenate([experiment.inputs for experiment in experiments])))
     if commanded == 0.0:
@@ -180,9 +182,9 @@ def _first_guesses(
     _, dead_times, *others = layout.counts
     rest = np.zeros(sum(others))
     grid = [
-        np.concatenate([own, [dead_time] * dead_times, rest])
+        np.concatenate([form_values, [dead_time] * dead_times, rest])
         for frequency in settings.start_frequencies
-        for own in form.first_guesses(gain, frequency)
+        for form_values in form.first_guesses(gain, frequency)
         for dead_time in (settings.start_dead_times if dead_times else (0.0,))
     ]
 

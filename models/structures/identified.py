@@ -1,4 +1,4 @@
-"""What an identification returns, whatever the structure, and how it becomes a parameter file."""
+"""Result of an identification of any structure, and its conversion to a parameter file."""
 
 from __future__ import annotations
 
@@ -153,14 +153,14 @@ class IdentifiedModel:
         return LinearSystem(*data.matrices(), dead_time, self.offset, limits_in(data.base_effects))
 
     def file(self, name: str, provenance: Mapping[str, Any], **more: object) -> ModelFile:
-        """The content of a parameter file; `more` are further keys of it."""
+        """Build the content of a parameter file; `more` are further keys of it."""
         return self.schema.model_validate(
             {"name": name, "structure": self.structure, "provenance": provenance, **self.content, **more}
         )
 
 
 def rounded(value: object) -> Any:  # noqa: ANN401 - numbers in any nesting, as YAML takes them
-    """Numbers, or arrays or mappings of them, as plain Python numbers with the digits that a file carries."""
+    """Convert numbers, or arrays or mappings of them, to plain Python numbers with the digits of a file."""
     if isinstance(value, Mapping):
         return {key: rounded(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):
@@ -179,7 +179,7 @@ def model_file(
     validation_fit_percent: FloatArray | None = None,
     notes: str = "",
 ) -> ModelFile:
-    """The checked content of a parameter file, with provenance and uncertainty.
+    """Build and check the content of a parameter file, with provenance and uncertainty.
 
     Parameters
     ----------
@@ -218,7 +218,7 @@ def model_file(
 def provenance(
     method: str, *, source: str, records: Sequence[str], date: datetime.date, notes: str = ""
 ) -> dict[str, Any]:
-    """Where the numbers of an identified model come from, as its file says it; arguments as of `model_file`."""
+    """Describe the provenance of an identified model; arguments as of `model_file`."""
     return {
         "origin": "identified",
         "source": source,
@@ -235,7 +235,7 @@ def write_model_file(path: Path, content: ModelFile) -> None:
 
 
 def uncertainty(estimate: ParameterEstimate) -> Mapping[str, Any]:
-    """What the parameter file says about how well parameters are known."""
+    """Return the uncertainty of the parameters for the parameter file."""
     deviation = estimate.standard_deviation
     scale = np.where(deviation > 0, deviation, 1.0)
     correlation = np.clip(estimate.covariance / np.outer(scale, scale), -1.0, 1.0)
@@ -248,5 +248,5 @@ def uncertainty(estimate: ParameterEstimate) -> Mapping[str, Any]:
 
 
 def percent(fit: FloatArray) -> dict[str, float]:
-    """FIT (2,) by channel, as a file holds it [%]."""
+    """Return FIT (2,) by channel for a file [%]."""
     return {channel: round(float(value), _PERCENT_DIGITS) for channel, value in zip(CHANNELS, fit, strict=True)}

@@ -64,7 +64,7 @@ class MotorsParametrisation:
         return np.append(np.tile(low, count), track[0]), np.append(np.tile(high, count), track[1])
 
     def matrices(self, parameters: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
-        """A (2 motors, 2 motors), B (2 motors, 2), C (motors, 2 motors)."""
+        """Compute A (2 motors, 2 motors), B (2 motors, 2), C (motors, 2 motors)."""
         count = len(self.sides)
         A = np.zeros((2 * count, 2 * count), dtype=parameters.dtype)
         B, C = np.zeros((2 * count, 2), dtype=parameters.dtype), np.zeros((count, 2 * count), dtype=parameters.dtype)
@@ -76,7 +76,7 @@ class MotorsParametrisation:
         return A, B, C
 
     def recentred(self, parameters: FloatArray) -> tuple[MotorsParametrisation, FloatArray]:
-        """Logarithms suit everywhere."""
+        """Return the form unchanged, since logarithms suit all values."""
         return self, parameters
 
 
@@ -172,7 +172,7 @@ def _start(
 
 
 def _combined(experiment: SampledExperiment, weights: FloatArray, column: int) -> SampledExperiment:
-    """One command against a weighted sum of the wheels."""
+    """Combine one command against a weighted sum of the wheels."""
     return SampledExperiment(
         experiment.name,
         experiment.dt,
@@ -187,15 +187,15 @@ def _physical(fit: OutputErrorFit, motors: int) -> ParameterEstimate:
     names = [f"{motor}.{key}" for motor in _MOTORS[:motors] for key in TwoPoles.model_fields]
 
     def physical(row: FloatArray) -> FloatArray:
-        own, dead_time, _, levels = fit.layout.split(row)
-        each = [TWO_POLES.values(motor) for motor in own[:-1].reshape(motors, -1)]
-        return np.concatenate([*each, np.exp(own[-1:]), dead_time, levels])
+        motor_parameters, dead_time, _, levels = fit.layout.split(row)
+        each = [TWO_POLES.values(motor) for motor in motor_parameters[:-1].reshape(motors, -1)]
+        return np.concatenate([*each, np.exp(motor_parameters[-1:]), dead_time, levels])
 
     return fit.estimate.derived((*names, "firmware_track", "dead_time", *limit_names(fit.layout.limited)), physical)
 
 
 def _with_effective_track(estimate: ParameterEstimate, motors: int) -> ParameterEstimate:
-    """The yaw gain of the gyro turned into a track: firmware track times the motors' mean gain over the yaw gain."""
+    """Convert the yaw gain of the gyro to a track: firmware track times the motors' mean gain over the yaw gain."""
     gains = [estimate.names.index(f"{motor}.gain") for motor in _MOTORS[:motors]]
     track, yaw = estimate.names.index("firmware_track"), estimate.names.index("omega.gain")
 
@@ -209,7 +209,7 @@ def _with_effective_track(estimate: ParameterEstimate, motors: int) -> Parameter
 
 
 def identify(records: Sequence[Record], conditions: IdentificationConditions) -> StructureFit:
-    """See `Structure.identify`."""
+    """Identify as `Structure.identify` describes."""
     if conditions.wheel_radius is None or conditions.yaw != "gyro":
         raise ConfigError("mbm: it needs wheel speeds and a gyro in the log; map them, or identify sm or ssm")
     return StructureFit(identify_mbm(records, conditions.wheel_radius))

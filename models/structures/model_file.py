@@ -53,7 +53,7 @@ class Uncertainty(StrictModel):
 
 
 class Provenance(StrictModel):
-    """Where the numbers of a parameter file come from."""
+    """Provenance of the numbers in a parameter file."""
 
     origin: Literal["published", "identified", "assumed"] = Field(
         description="'published' only if the numbers stand in a paper's text; 'assumed' if nobody measured them"
@@ -97,20 +97,20 @@ class ParameterFile(StrictModel):
 
 
 class FunctionFile(ParameterFile):
-    """What every file of a model that is a function of samples has."""
+    """Fields of every file of a model that is a function of samples."""
 
     sample_time: SampleTime = Field(description="of commands and outputs [s]")
 
 
 class ModelFile(ParameterFile):
-    """What every file of a linear model has. A structure narrows `structure` to its name, as a Literal."""
+    """Fields of every file of a linear model. A structure narrows `structure` to its name, as a Literal."""
 
     uncertainty: Uncertainty | None = Field(default=None, description="how well the identified parameters are known")
     dead_time: DeadTime = DeadTime()
     base_effects: BaseEffects = Field(default=BaseEffects(), description="what the base does around the linear model")
 
     def matrices(self) -> Matrices:
-        """Continuous A (n, n), B (n, 2), C (2, n); by default from `transfer_functions`."""
+        """Return continuous A (n, n), B (n, 2), C (2, n); by default from `transfer_functions`."""
         return side_by_side(self.transfer_functions().values())
 
     def transfer_functions(self) -> Mapping[str, TransferFunction]:
@@ -119,7 +119,7 @@ class ModelFile(ParameterFile):
 
 
 def build_model(data: ModelFile) -> VelocityModel:
-    """The model that the content of a parameter file describes; raises ModelError if it cannot be a robot's."""
+    """Build the model in the content of a parameter file; raise ModelError if it cannot be a robot's."""
     A, B, C = data.matrices()
     return VelocityModel(
         name=data.name,
@@ -148,7 +148,7 @@ def write_parameters(path: Path, head: str, content: ParameterFile, **more: obje
 
 
 def structure_name(schema: type[ModelFile]) -> str:
-    """The name to which a schema narrows `structure`."""
+    """Return the name to which a schema narrows `structure`."""
     (name,) = get_args(schema.model_fields["structure"].annotation)
     return str(name)
 
@@ -161,16 +161,16 @@ class TransferFunction(StrictModel):
 
     @staticmethod
     def realisation(values: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
-        """A (n, n), B (n, 1), C (1, n) of the fields (f,) in their order; analytic, so that a complex step passes."""
+        """Compute A (n, n), B (n, 1), C (1, n) from the fields (f,) in order; analytic, for a complex step."""
         raise NotImplementedError
 
     @staticmethod
     def lag(values: Sequence[float] | FloatArray) -> float:
-        """Mean delay of its answer [s] for the fields (f,) in their order."""
+        """Compute the mean delay of the response [s] from the fields (f,) in order."""
         raise NotImplementedError
 
     def matrices(self) -> Matrices:
-        """Continuous A (n, n), B (n, 1), C (1, n)."""
+        """Return continuous A (n, n), B (n, 1), C (1, n)."""
         return self.realisation(np.array(list(self.model_dump().values())))
 
 
@@ -183,14 +183,14 @@ class TwoPoles(TransferFunction):
 
     @staticmethod
     def realisation(values: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
-        """States (output, its derivative over w): (2, 2), (2, 1), (1, 2), all of one scale."""
+        """Compute the realisation (2, 2), (2, 1), (1, 2), with states (output, its derivative over w)."""
         gain, w, damping = values
         A = np.array([[0.0, w], [-w, -2 * damping * w]])
         return A, np.array([[0.0], [gain * w]]), np.array([[1.0, 0.0]], dtype=values.dtype)
 
     @staticmethod
     def lag(values: Sequence[float] | FloatArray) -> float:
-        """Sum of both time constants [s]."""
+        """Sum both time constants [s]."""
         _, w, damping = values
         return float(2.0 * damping / w)
 
@@ -218,7 +218,7 @@ _AT_ONCE = 900.0
 
 
 def side_by_side(parts: Iterable[TransferFunction]) -> Matrices:
-    """Side by side: each transfer function keeps its own input and output."""
+    """Combine transfer functions block-diagonally: each keeps its own input and output."""
     from scipy.linalg import block_diag  # noqa: PLC0415 - loads slowly, and SSM does without it
 
     A, B, C = (block_diag(*matrices) for matrices in zip(*(part.matrices() for part in parts), strict=True))
@@ -248,11 +248,11 @@ class MbmFile(ModelFile):
     effective_track: Positive = Field(description="track on the way out [m]")
 
     def transfer_functions(self) -> Mapping[str, TransferFunction]:
-        """Of each motor."""
+        """Return the transfer functions of each motor."""
         return dict(self.motors)
 
     def matrices(self) -> Matrices:
-        """Continuous A (8, 8), B (8, 2), C (2, 8)."""
+        """Return continuous A (8, 8), B (8, 2), C (2, 8)."""
         A, B, C = super().matrices()
         into = WheelKinematics(self.wheel_radius, self.firmware_track).body_to_wheels
         out = WheelKinematics(self.wheel_radius, self.effective_track).wheels_to_body
@@ -314,5 +314,5 @@ class SsmFile(ModelFile):
         return self
 
     def matrices(self) -> Matrices:
-        """Continuous A (n, n), B (n, 2), C (2, n) as the file states them."""
+        """Return continuous A (n, n), B (n, 2), C (2, n) as the file states them."""
         return np.array(self.A), np.array(self.B), np.array(self.C)

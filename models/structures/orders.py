@@ -1,4 +1,4 @@
-"""Which order of a structure: each one compared on blocks of the data that it was made without.
+"""Choice of the order of a structure by comparison on held-out blocks of the data.
 
 Records held out for the score have no part in the choice: a score that chose would flatter.
 """
@@ -71,7 +71,7 @@ def compare_orders(
     validation: Sequence[Record],
     yaw: YawSource,
     *,
-    asked: int | None = None,
+    requested: int | None = None,
     floor: FloatArray | None = None,
 ) -> OrderChoice:
     """Choose among models of order 1, 2 and so on.
@@ -99,7 +99,7 @@ def compare_orders(
         If no order gives a usable model.
     """
     criteria = _criteria(models)
-    held_out = [None] * len(models) if asked else _block_fits(models, joined(twist_experiments(train, yaw)))
+    held_out = [None] * len(models) if requested else _block_fits(models, joined(twist_experiments(train, yaw)))
     rows = tuple(
         OrderRow(
             identified,
@@ -111,8 +111,8 @@ def compare_orders(
         )
         for identified, blocks, criterion in zip(models, held_out, criteria, strict=True)
     )
-    if asked:
-        return OrderChoice(rows, asked, "as asked for")
+    if requested:
+        return OrderChoice(rows, requested, "as asked for")
     usable = [order for order, row in enumerate(rows, start=1) if order > _FLOOR and _is_robot(row.identified)]
     if not usable:
         name = models[0].structure.upper()
@@ -136,7 +136,7 @@ def is_behind(fit_percent: FloatArray, floor: FloatArray) -> bool:
 
 
 def _block_fits(models: Sequence[IdentifiedModel], experiments: Sequence[SampledExperiment]) -> list[FloatArray | None]:
-    """For each model (2,) FIT [%] on blocks held out in turn; None where the records are too short."""
+    """Compute FIT (2,) [%] of each model on blocks held out in turn; None for short records."""
     spread = output_spread(experiments)
     fits: list[FloatArray | None] = []
     for model in models:
@@ -150,7 +150,7 @@ def _block_fits(models: Sequence[IdentifiedModel], experiments: Sequence[Sampled
 
 
 def _criteria(models: Sequence[IdentifiedModel]) -> list[tuple[float, float]]:
-    """AIC and BIC of each model over the lowest; the residuals' scale and correlation are those of the largest."""
+    """Compute AIC and BIC of each model over the lowest, with residual scale and correlation of the largest."""
     reference = models[-1].fits[0]
     samples = reference.effective_samples
     criteria = []

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from diffdrive_mpc.models.logs.record import Record
 
 LARGEST_ORDER = 5
-"""Of SSM."""
+"""Maximum order of SSM."""
 
 
 def _identify_by(module: str, records: Sequence[Record], conditions: IdentificationConditions) -> StructureFit:

@@ -79,7 +79,7 @@ def identify_channels(
     robust: bool = True,
     form: ChannelForm = TWO_POLES,
 ) -> tuple[IdentifiedChannel, IdentifiedChannel]:
-    """The two channels of SM, v and omega; parameters and errors as `identify_sm`."""
+    """Identify the two channels of SM, v and omega; parameters and errors as `identify_sm`."""
     experiments = twist_experiments(records, yaw)
     v, omega = (
         identify_channel(
@@ -96,5 +96,5 @@ def identify_channels(
 
 
 def identify(records: Sequence[Record], conditions: IdentificationConditions) -> StructureFit:
-    """See `Structure.identify`."""
+    """Identify as `Structure.identify` describes."""
     return StructureFit(identify_sm(records, yaw=conditions.yaw))

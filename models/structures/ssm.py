@@ -68,7 +68,7 @@ def choose_order(
     largest: int = LARGEST_ORDER,
     yaw: YawSource = "gyro",
     limits: bool = True,
-    asked: int | None = None,
+    requested: int | None = None,
 ) -> OrderChoice:
     """Identify every order up to `largest` and choose one, as `compare_orders` does.
 
@@ -93,7 +93,7 @@ def choose_order(
     channels = identify_channels(train, yaw=yaw, limits=limits)
     models = _identify_orders(train, channels, largest, yaw)
     floor = validate(_decoupled(channels), train, yaw).fit_percent
-    return compare_orders(models, train, validation, yaw, asked=asked, floor=floor)
+    return compare_orders(models, train, validation, yaw, requested=requested, floor=floor)
 
 
 def identify_ssm_orders(
@@ -196,7 +196,7 @@ def _decoupled(channels: _Channels) -> LinearSystem:
 
 
 def _side_by_side(channels: _Channels, poles: int) -> Realisation:
-    """The channels' transfer functions with two poles each, or with one pole of the same lag and gain."""
+    """Combine the channels' transfer functions with two poles each, or with one pole of the same lag and gain."""
     parts = []
     for row, channel in enumerate(channels):
         system = channel.fit.system
@@ -211,7 +211,7 @@ def _side_by_side(channels: _Channels, poles: int) -> Realisation:
 
 
 def _common_pole(channels: _Channels) -> Realisation:
-    """One pole for both channels, for an impulse response too noisy to realise."""
+    """Realise one common pole for both channels, for an impulse response too noisy to realise."""
     A, B, C = _side_by_side(channels, 1)
     return A[:1, :1], B[:1], C[:, :1]
 
@@ -221,7 +221,7 @@ def _identified(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
     A, B, C = balanced(system.A, system.B, system.C)
     order = len(A)
     label = f"SSM order {order}"
-    own, _, offsets, _ = fit.layout.counts
+    gain_count, _, offsets, _ = fit.layout.counts
     poles = distinct_poles(A)
     gains = [f"gain.{into}_ref_to_{out}" for out in CHANNELS for into in CHANNELS]
     named_poles = pole_names(poles)
@@ -231,7 +231,7 @@ def _identified(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
     def meaningful(parameters: FloatArray) -> FloatArray:
         system = fit.layout.system(parameters)
         gain = -system.C @ np.linalg.solve(system.A, system.B)
-        return np.concatenate([gain.ravel(), pole_numbers(system.A, poles), parameters[own:]])
+        return np.concatenate([gain.ravel(), pole_numbers(system.A, poles), parameters[gain_count:]])
 
     parameters = fit.estimate.derived((*gains, *named_poles, *rest), meaningful)
     main = parameters.part([gains[0], gains[3], *(name for name in named_poles if not name.endswith("imag"))])
@@ -259,9 +259,9 @@ def _identified(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
 
 
 def identify(records: Sequence[Record], conditions: IdentificationConditions) -> StructureFit:
-    """See `Structure.identify`."""
+    """Identify as `Structure.identify` describes."""
     order = conditions.order
     # Order 1 is only a floor to compare with, so at least order 2 is tried beside it.
     largest = max(order or LARGEST_ORDER, 2)
-    choice = choose_order(records, conditions.validation, largest=largest, yaw=conditions.yaw, asked=order)
+    choice = choose_order(records, conditions.validation, largest=largest, yaw=conditions.yaw, requested=order)
     return StructureFit(choice.identified, choice)

@@ -1,4 +1,4 @@
-"""What a structure of velocity models has to say for itself, so that one line in the registry adds it everywhere."""
+"""Interface of a structure of velocity models; one line in the registry adds a structure everywhere."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class IdentificationConditions:
-    """What an identification is told beside the records to identify from.
+    """Conditions of an identification, besides the training records.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class IdentificationConditions:
 
 
 class StructureFit(NamedTuple):
-    """What a structure made of records."""
+    """Fit of a structure to records."""
 
     identified: IdentifiedModel
     """The model."""

@@ -42,25 +42,25 @@ class TwoPolesForm:
         return ranges[:, 0], ranges[:, 1]
 
     def values(self, parameters: AnyArray) -> AnyArray:
-        """(3,) gain [-], natural frequency [rad/s] and damping [-] of `parameters` (3,)."""
+        """Compute gain [-], natural frequency [rad/s] and damping [-] (3,) of `parameters` (3,)."""
         gain, lag, short = np.exp(parameters)
         return np.array([gain, 1 / np.sqrt(lag * short), 0.5 * np.sqrt(lag / short)])
 
     def parameters(self, values: FloatArray) -> FloatArray:
-        """(3,) the inverse of `values`."""
+        """Invert `values`: (3,)."""
         gain, natural_frequency, damping = values
         return np.log([gain, 2 * damping / natural_frequency, 0.5 / (damping * natural_frequency)])
 
     def first_guesses(self, gain: float, frequency: float) -> list[FloatArray]:
-        """Parameters (3,) of a double pole at `frequency` [rad/s]."""
+        """Return parameters (3,) of a double pole at `frequency` [rad/s]."""
         return [self.parameters(np.array([gain, frequency, 1.0]))]
 
     def matrices(self, parameters: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
-        """The realisation of `TwoPoles`."""
+        """Compute the realisation of `TwoPoles`."""
         return self.file.realisation(self.values(parameters))
 
     def recentred(self, parameters: FloatArray) -> tuple[TwoPolesForm, FloatArray]:
-        """Logarithms suit everywhere."""
+        """Return the form unchanged, since logarithms suit all values."""
         return self, parameters
 
 

@@ -83,7 +83,7 @@ def config_path(name: str | Path) -> Path:
     ours = shipped_names(PARAMETERS)
     if str(name) in ours:
         return PARAMETERS / f"{name}.yaml"
-    plugged = {one.name: one.config for one in function_structures().values() if one.config}
+    plugged = {structure.name: structure.config for structure in function_structures().values() if structure.config}
     if str(name) in plugged:
         return plugged[str(name)]
     check_package("models", name)
@@ -91,7 +91,7 @@ def config_path(name: str | Path) -> Path:
 
 
 def values_from_log(text: str, log: str | Path) -> Mapping[str, Any]:
-    """Keys and values of the `text` of a configuration that stands in a `log`; raises ConfigError if it has none."""
+    """Return the keys and values in `text`, a configuration stored in a `log`; raise ConfigError if it has none."""
     try:
         values = parse_yaml(text)
     except yaml.YAMLError as error:
@@ -102,7 +102,7 @@ def values_from_log(text: str, log: str | Path) -> Mapping[str, Any]:
 
 
 def config_from_log(values: Mapping[str, object], log: str | Path, trusted: Sequence[Path] = ()) -> ControllerConfig:
-    """The configuration that stands in a log, of which nothing is opened or run: keys and values as in its file.
+    """Build the configuration that a log contains, without opening or running any file on its behalf.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def config_from_log(values: Mapping[str, object], log: str | Path, trusted: Sequ
 
 
 def replace_values(config: ControllerConfig, overrides: Mapping[str, object]) -> ControllerConfig:
-    """A copy of `config` with values replaced by dotted key, checked anew; raises ConfigError."""
+    """Return a validated copy of `config` with values replaced by dotted key; raise ConfigError."""
     return _checked(_replaced(config.model_dump(), overrides), "configuration")
 
 

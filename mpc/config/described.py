@@ -32,7 +32,7 @@ class FieldRow:
 
 
 def schema_rows(schema: type[BaseModel] = ControllerConfig, prefix: str = "") -> list[FieldRow]:
-    """Every key of `schema`, groups resolved into dotted keys; NAME[].KEY is a key of each item of a list.
+    """Return a row for every key of `schema`, groups resolved into dotted keys; NAME[].KEY is a key of each list item.
 
     Those of a controller come room by room, see `rooms`; `feature_rows` has those of installed features.
     """
@@ -44,7 +44,7 @@ def schema_rows(schema: type[BaseModel] = ControllerConfig, prefix: str = "") ->
 
 
 def feature_rows() -> list[FieldRow]:
-    """Every key of the groups of installed features."""
+    """Return a row for every key of the groups of installed features."""
     groups = ControllerConfig.further_groups()
     return [row for name, schema in groups.items() for row in _rows(schema, f"{EXPERT}.{name}.")]
 
@@ -70,7 +70,7 @@ def _rows(schema: type[BaseModel], prefix: str) -> list[FieldRow]:
 
 
 def commented_yaml(config: BaseModel, notes: Mapping[str, str] | None = None) -> str:
-    """A configuration with all its values as YAML, each with its meaning as a comment, and before it a note by key.
+    """Format a configuration as YAML, each value with its meaning as a comment and preceded by the note of its key.
 
     That of a controller has its two rooms, see `rooms`.
     """
@@ -102,7 +102,7 @@ def _yaml_lines(
 
 
 def _scalar(value: object) -> str:
-    """A value as YAML writes it, on one line."""
+    """Format a value as YAML on one line."""
     if isinstance(value, TwoSided):
         value = value.plain
     if isinstance(value, list):

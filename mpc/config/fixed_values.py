@@ -23,9 +23,9 @@ def fixed_values() -> Mapping[str, float]:
 
 
 STANDING = 0.02
-"""The reference stands where it is slower than this [m/s]: it is then taken to head where it will go next."""
+"""A reference below this speed counts as standing [m/s]: its heading is then that of the next motion."""
 TURNING = 0.05
-"""... and turns on the spot where it is then faster than this [rad/s]."""
+"""... A standing reference above this yaw rate turns on the spot [rad/s]."""
 BEHIND = 3.0
 """In units of `reentry.wait`: waiting leaves a robot behind by twice that at most; further back it was moved [-]."""
 AHEAD = 1.5

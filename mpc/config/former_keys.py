@@ -28,7 +28,7 @@ def former_keys() -> Mapping[str, str]:
 
 
 def present_place(key: str) -> str:
-    """Return what has the value of a former key now, in the words of a message; empty for a present key."""
+    """Describe the replacement of a former key for a message; empty for a present key."""
     present = former_keys().get(key, key)
     if present in fixed_values():
         return f"the constant {present} of {FILE}"

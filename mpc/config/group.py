@@ -1,4 +1,4 @@
-"""What the groups of the configuration's schema are made of."""
+"""Base class of the groups of the configuration schema."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SMALLEST, LARGEST = 1e-12, 1e12
 
 
 class Group(StrictModel, strict=True):
-    """Base of every group: no silent conversion, so that `true` is not taken for 1."""
+    """Base of every group: no silent conversion, so that `true` is not read as 1."""
 
     @field_validator("*", mode="after")
     @classmethod

@@ -49,11 +49,11 @@ USER = (
     "fence",
     "terms",
 )
-"""Keys of the first room, a group for all of its keys; everything else lies under `expert:`."""
+"""Keys of the first room, a group for all of its keys; everything else is under `expert:`."""
 
 
 def is_for_users(key: str) -> bool:
-    """Whether a dotted key stands in the first room."""
+    """Return True if a dotted key belongs to the first room."""
     return any(key == user_key or key.startswith((f"{user_key}.", f"{user_key}[]")) for user_key in USER)
 
 
@@ -65,7 +65,7 @@ def shown_key(key: str) -> str:
         return key
     if group not in ControllerConfig.model_fields:
         return f"{EXPERT}.{key}" if is_feature(group) else key
-    # A name that a group of both rooms does not know stands where it was written.
+    # A name unknown to a group of both rooms stays in its place.
     known = key in _LEAVES or not any(user_key.startswith(f"{group}.") for user_key in USER)
     return f"{EXPERT}.{key}" if known else key
 
@@ -77,9 +77,9 @@ def plain_key(key: str) -> str:
 
 
 def side_by_side(data: Mapping[str, Any], where: str = "") -> dict[str, Any]:
-    """Values as a file states them, in two rooms or as earlier files did, as `ControllerConfig` takes them.
+    """Merge the values of a file, in two rooms or in the former layout, into the layout of `ControllerConfig`.
 
-    With a name of the file in `where`, one FormerNameWarning for each key says where its value belongs now.
+    If `where` names the file, each key in a former place causes one FormerNameWarning with its new place.
 
     Raises ConfigError if a value is stated twice, a user's key under `expert`, a group as something else, or a former
     key with another value than the constant that replaced it.
@@ -112,7 +112,7 @@ def _moved(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, str
 
 
 def _check_rooms(first: Mapping[str, Any], second: Mapping[str, Any], where: str) -> None:
-    """Raise ConfigError where one room would hide what the other one states."""
+    """Raise ConfigError if one room hides a value of the other one."""
     for group in first.keys() & second.keys():
         for prefix, room in (("", first), (f"{EXPERT}.", second)):
             if not isinstance(room[group], Mapping):

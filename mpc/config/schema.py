@@ -1,7 +1,7 @@
 """The configuration of a controller: one typed schema with unit, range and help for every field.
 
-The schema is the single source of defaults, error messages and documentation. Units stand in brackets at the end of
-each description.
+The schema is the single source of defaults, error messages and documentation. Units are in brackets at the end of each
+description.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Margin(Group):
 
 
 class Limits(Group):
-    """Hard limits of the command, and soft limits of what the model predicts."""
+    """Hard limits of the command, and soft limits of predicted values."""
 
     v: Annotated[VelocityLimit, Field(gt=0)] = Field(
         VelocityLimit(_ROBOT.limits.v), description="hard: |v_ref|; a number, or {forward, reverse} [m/s]"
@@ -119,7 +119,7 @@ class Limits(Group):
 
 
 class Wheels(Group):
-    """What turns a twist into wheel speeds, and back."""
+    """Wheel geometry, which relates a twist to wheel speeds."""
 
     track: Annotated[float, Field(gt=0, le=10)] = Field(
         0.4,
@@ -164,7 +164,7 @@ class SpeedResponse(SensorResponse):
 
     @property
     def late(self) -> float:
-        """Return delay and lag together [s]: a lag shows as so much delay where motion changes slowly beside it."""
+        """Return delay and lag together [s]: for slow motion, a lag acts like a delay of the same size."""
         return self.delay + self.lag
 
 
@@ -192,7 +192,7 @@ class SensorResponses(Group):
 
 
 class Compensation(Group):
-    """What the controller makes up for. All of it in practice; one at a time left out shows what it is worth."""
+    """Effects that the controller compensates. Use all of them in practice; disabling one shows its benefit."""
 
     dead_time: bool = Field(True, description="predict over the dead time of model file and extra_dead_time [-]")
     delay: bool = Field(True, description="estimate delays of the commands that the model lacks [-]")
@@ -216,7 +216,7 @@ CurvedSlip = Annotated[list[float], Field(min_length=3, max_length=3), AfterVali
 
 
 class Estimator(Group):
-    """Noise that the Kalman filter assumes (standard deviations), and what it rejects.
+    """Noise assumed by the Kalman filter (standard deviations), and thresholds for rejecting measurements.
 
     Slips that curve the twist are lists of their start, its standard deviation, and its random walk per sqrt(s).
     """
@@ -314,7 +314,7 @@ class Estimator(Group):
 
 
 class Monitor(Group):
-    """When sensors of motion contradict each other, and when one of them is believed again."""
+    """Thresholds for contradictions between motion sensors, and for the return of a rejected sensor."""
 
     enabled: bool = Field(True, description="find the sensor that the others contradict, and do without it [-]")
     false_alarm_rate: Annotated[float, Field(gt=0, le=1000)] = Field(
@@ -332,7 +332,7 @@ class Monitor(Group):
 
 
 class Failure(Group):
-    """What happens when a solve or the measurements fail."""
+    """Behaviour after a failed solve or a loss of measurements."""
 
     max_reused_ticks: Annotated[int, Field(ge=0, le=100)] = Field(
         5, description="ticks for which the rest of the last good plan is used after a failed solve [-]"
@@ -386,7 +386,7 @@ class Fence(Group):
 
 
 class Reentry(Group):
-    """How a robot that is off its path rejoins it, and how far the reference's clock waits for it."""
+    """Return of a robot to its path, and waiting of the reference clock for a robot that is late."""
 
     # Constants that no robot has to change, with their meaning and unit in fixed_values.yaml.
     heading_wait: ClassVar[float] = fixed_values()["reentry.heading_wait"]
@@ -453,7 +453,7 @@ _Schema = TypeVar("_Schema", bound=FeatureGroup)
 
 
 class ControllerConfig(Group):
-    """Everything that one controller needs beside the reference.
+    """Configuration of a controller, apart from the reference.
 
     Values are read and dumped with the groups of features next to the other groups, each under the feature's name.
     """

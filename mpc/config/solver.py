@@ -27,7 +27,7 @@ class Osqp(Group):
 
 
 class Solver(Group):
-    """How the problem is solved."""
+    """Solver of the quadratic program."""
 
     method: Literal["auto", "osqp", "daqp"] = Field(
         "auto",
@@ -61,5 +61,5 @@ class Solver(Group):
 
     @property
     def backend(self) -> str:
-        """The solver that is asked where the core's own methods are not used, or do not prove a solution."""
+        """Solver for ticks in which the core's own methods are disabled or prove no solution."""
         return "daqp" if self.method == "auto" else self.method

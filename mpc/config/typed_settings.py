@@ -53,7 +53,7 @@ def single_settings(texts: Sequence[str]) -> tuple[tuple[str, object], ...]:
 
 
 def _number(value: object) -> object:
-    """YAML 1.1 reads 1e-3, without a dot, as text."""
+    """Convert text such as 1e-3, which YAML 1.1 does not read as a number without a dot."""
     if isinstance(value, str):
         try:
             return float(value)

@@ -1,16 +1,16 @@
-/* The active rows of ddmpc_solve_limited: which press, on which piece, and the factorised system of their multipliers, kept up
- * to date as rows come and leave. Every loop runs over rows, inputs or lanes. */
+/* The active rows of ddmpc_solve_limited: the piece of each row, and the factorised system of their multipliers,
+ * updated when rows enter and leave. Every loop runs over rows, inputs or lanes. */
 #include "active_rows.h"
 
 #include <string.h>
 
 enum { LANES = DDMPC_LANES };
 
-/* From how many columns on it pays to find them side by side. */
+/* Number of columns from which computing them side by side is faster than one by one. */
 enum { SIDE_BY_SIDE = 3 };
 
-/* A row is taken to depend on others where less than this part of its square is left: some 30 roundings of the number type in
-   single precision, some 5000 in double, which has them to spare. */
+/* A row counts as linearly dependent if less than this share of its squared norm remains after elimination: some 30
+ * rounding errors in single precision, and some 5000 in double, where the margin costs nothing. */
 #ifdef DDMPC_FLOAT
 static const real DEPENDENT = R(4e-6);
 #else
@@ -21,7 +21,7 @@ int ddmpc_begin_rows(ddmpc_rows *rows, const ddmpc_limited_problem *problem, con
 {
     const int n = problem->inputs, m = problem->rows, slots = DDMPC_LIMITED_SLOTS(memory->most_active);
     const int whole = ddmpc_whole_lanes(n);
-    /* Blocks begin at whole lines of the cache. */
+    /* Blocks start at cache lines. */
     real *next = memory->reals + (64 - (size_t)memory->reals % 64) % 64 / sizeof(real);
     memset(rows, 0, sizeof *rows);
     rows->problem = problem;
@@ -54,7 +54,7 @@ int ddmpc_begin_rows(ddmpc_rows *rows, const ddmpc_limited_problem *problem, con
     memset(rows->z, 0, (size_t)whole * sizeof(real));
     for (int i = 0; i < n; i++) {
         const real diagonal = problem->factor[i * n + i];
-        /* Not the other way round, here and below: NaN must fail. */
+        /* Negated, here and below, so that NaN fails. */
         if (!(diagonal > R(0.0) && diagonal < DDMPC_LARGEST &&
               ddmpc_fabs(problem->minimiser[i]) < DDMPC_LARGEST))
             return 0;
@@ -79,7 +79,8 @@ static real sum_of_lanes(const real sum[LANES])
     return half[0];
 }
 
-/* a'b for whole lanes of numbers, in several sums side by side, which one order of adding would forbid. */
+/* a'b for whole lanes, in several partial sums: a compiler may not reorder a single sum and so could not vectorise
+ * it. */
 static real dot(const real *restrict a, const real *restrict b, int count)
 {
     real sum[LANES] = {R(0.0)};
@@ -103,13 +104,13 @@ real ddmpc_long_dot(const real *restrict a, const real *restrict b, int count)
     return sum_of_lanes(sum);
 }
 
-/* row -= weight other, over LANES. */
-static inline void subtract(real *restrict row, real weight, const real *restrict other)
+/* row -= weight * subtracted, over LANES. */
+static inline void subtract(real *restrict row, real weight, const real *restrict subtracted)
 {
-    /* Left as a loop it is vectorised as one. */
+    /* The compiler vectorises the loop as a whole only if it is not unrolled. */
 #pragma GCC unroll 1
     for (int lane = 0; lane < LANES; lane++)
-        row[lane] -= weight * other[lane];
+        row[lane] -= weight * subtracted[lane];
 }
 
 static inline void scale(real *restrict row, real weight)
@@ -123,26 +124,26 @@ static inline void scale(real *restrict row, real weight)
 static void cross(const real *restrict left, int left_stride, const real *restrict right, int right_stride, int rows,
                   real sum[LANES][LANES])
 {
-    real own[LANES][LANES];
-    memset(own, 0, sizeof own);
+    real block[LANES][LANES];
+    memset(block, 0, sizeof block);
     for (int row = 0; row < rows; row++, left += left_stride, right += right_stride)
 #pragma GCC unroll 8
         for (int a = 0; a < LANES; a++)
 #pragma GCC unroll 8
             for (int b = 0; b < LANES; b++)
-                own[a][b] += left[a] * right[b];
-    memcpy(sum, own, sizeof own);
+                block[a][b] += left[a] * right[b];
+    memcpy(sum, block, sizeof block);
 }
 
-/* x = U'^-1 x for an upper triangular U of `count` rows, with the inverses of its diagonal. Before `zero` x is zero, and
- * before `known`, whole lanes, it is solved already. */
+/* x = U'^-1 x for an upper triangular U of `count` rows, with the inverses of its diagonal. Before `zero` x is zero,
+ * and before `known`, whole lanes, it is solved already. */
 static void substitute(const real *restrict U, int stride, const real *restrict inverse, int count, int zero, int known,
                        real *restrict x)
 {
     for (int i = known; i < count; i += LANES) {
         const int width = count - i < LANES ? count - i : LANES;
         real sum[2][LANES] = {{R(0.0)}};
-        /* Beyond a last block that is not whole this reads on into the next row; nobody looks at the result. */
+        /* In an incomplete last block this reads into the next row; the surplus results are not used. */
         for (int k = zero / LANES * LANES; k < i; k += 2)
 #pragma GCC unroll 2
             for (int half = 0; half < 2; half++)
@@ -158,43 +159,44 @@ static void substitute(const real *restrict U, int stride, const real *restrict 
     }
 }
 
-/* The same for LANES of them side by side, (n, LANES). */
+/* x = R'^-1 x for LANES right-hand sides, (n, LANES), which are zero before row `first`. */
 static void substitute_batch(const ddmpc_rows *rows, int first, real *x)
 {
-    const int n = rows->n, begin = first / LANES * LANES;
+    const int n = rows->n, start = first / LANES * LANES;
     const real *factor = rows->problem->factor;
-    for (int i = begin; i < n; i += LANES) {
+    for (int i = start; i < n; i += LANES) {
         const int width = n - i < LANES ? n - i : LANES;
         real sum[LANES][LANES];
-        /* Beyond a last block that is not whole this reads on into the next row; nobody looks at the result. */
-        cross(factor + begin * n + i, n, x + begin * LANES, LANES, i - begin, sum);
+        /* In an incomplete last block this reads into the next row; the surplus results are not used. */
+        cross(factor + start * n + i, n, x + start * LANES, LANES, i - start, sum);
         for (int a = 0; a < width; a++) {
-            real *own = x + (i + a) * LANES;
+            real *solved = x + (i + a) * LANES;
             const real *row = factor + (i + a) * n + i;
-            subtract(own, R(1.0), sum[a]);
-            scale(own, rows->inverse[i + a]);
+            subtract(solved, R(1.0), sum[a]);
+            scale(solved, rows->inverse[i + a]);
             for (int c = a + 1; c < width; c++)
-                subtract(sum[c], -row[c], own);
+                subtract(sum[c], -row[c], solved);
         }
     }
 }
 
-/* x = U^-1 x for the first `count` rows of an upper triangular U, with the inverses of its diagonal. x has whole lanes. */
+/* x = U^-1 x for the first `count` rows of an upper triangular U, with the inverses of its diagonal. x has whole
+ * lanes. */
 static void substitute_back(const real *U, int stride, const real *inverse, int count, real *x)
 {
     const int whole = ddmpc_whole_lanes(count);
-    /* Beyond the last row x is zero; what U has there is read, but does not count. */
+    /* x is zero beyond the last row, so the entries of U there are read without effect. */
     for (int k = count; k < whole; k++)
         x[k] = R(0.0);
-    /* In blocks: what depends on blocks that are known does not wait. */
-    for (int begin = whole - LANES; begin >= 0; begin -= LANES) {
-        const int end = begin + LANES, last = end < count ? end : count;
+    /* In blocks: the products with solved blocks vectorise, and only the small triangles are sequential. */
+    for (int start = whole - LANES; start >= 0; start -= LANES) {
+        const int end = start + LANES, last = end < count ? end : count;
         if (end < whole)
-            for (int k = begin; k < last; k++)
+            for (int k = start; k < last; k++)
                 x[k] -= dot(U + k * stride + end, x + end, whole - end);
-        for (int k = last - 1; k >= begin; k--) {
+        for (int k = last - 1; k >= start; k--) {
             x[k] *= inverse[k];
-            for (int i = begin; i < k; i++)
+            for (int i = start; i < k; i++)
                 x[i] -= U[i * stride + k] * x[k];
         }
     }
@@ -215,7 +217,7 @@ void ddmpc_move_plan(ddmpc_rows *rows, const real *multipliers, const real *star
     rows->work += ddmpc_plan_operations(n, rows->m, rows->used);
 }
 
-/* A slot for `row`: a new one, else that of a row which does not press. */
+/* Return a slot for `row`: an unused one, or else that of an inactive row. */
 static int take_slot(ddmpc_rows *rows, int row)
 {
     int slot = rows->taken;
@@ -237,7 +239,7 @@ static int take_slot(ddmpc_rows *rows, int row)
     return slot;
 }
 
-/* Columns and products of one row that has got a slot. */
+/* Compute the column v and the products v'v of the row in a slot. */
 static void bring_one(ddmpc_rows *rows, int slot)
 {
     const int n = rows->n, slots = rows->slots;
@@ -261,7 +263,7 @@ static void bring_one(ddmpc_rows *rows, int slot)
     }
 }
 
-/* The same for several at once. */
+/* Compute columns and products of the rows in several slots at once. */
 static void bring_batch(ddmpc_rows *rows, const int *chosen, int count)
 {
     const int n = rows->n, slots = rows->slots;
@@ -283,15 +285,15 @@ static void bring_batch(ddmpc_rows *rows, const int *chosen, int count)
         cross(rows->columns + earliest * slots + block, slots, rows->batch + earliest * LANES, LANES, n - earliest, sum);
         for (int a = 0; a < LANES; a++)
             for (int lane = 0; lane < count; lane++) {
-                const int own = chosen[lane];
-                rows->gram[own * slots + block + a] = rows->gram[(block + a) * slots + own] = sum[a][lane];
+                const int slot = chosen[lane];
+                rows->gram[slot * slots + block + a] = rows->gram[(block + a) * slots + slot] = sum[a][lane];
             }
     }
 }
 
 static void bring_columns(ddmpc_rows *rows, const int *chosen, int count)
 {
-    /* A batch works on whole lanes. */
+    /* A batch computes whole lanes, even if some are unused. */
     rows->work += (count >= SIDE_BY_SIDE ? LANES : count) * ddmpc_column_operations(rows->n, rows->used);
     if (count >= SIDE_BY_SIDE)
         bring_batch(rows, chosen, count);
@@ -340,8 +342,9 @@ void ddmpc_switch_piece(ddmpc_rows *rows, int position)
     touch(rows, position);
 }
 
-/* U'U = S in one block; rows that depend on those before them, by the diagonal before, become zero if `skip`, else end
- * it. Returns how many rows it got through; -1 where numbers are none. */
+/* Factorise U'U = S in one block. A row is dependent on the previous ones if its pivot is small compared with its
+ * diagonal `before`; it becomes zero if `skip`, and ends the factorisation otherwise. Returns the number of
+ * factorised rows, or -1 for numbers that are not finite. */
 static int factorise_block(real S[LANES][LANES], const real *before, int count, int skip, real *inverse)
 {
     for (int p = 0; p < count; p++) {
@@ -366,7 +369,7 @@ int ddmpc_factorise_rows(ddmpc_rows *rows, int skip)
     const int k = rows->active, from = rows->factored / LANES * LANES, slots = rows->slots;
     rows->work += k * (k + 16);
     real *U = rows->factor, *before = rows->step;
-    /* Blocks that are not whole are filled up with any row. */
+    /* An incomplete last block is padded with an arbitrary row. */
     for (int i = k; i < ddmpc_whole_lanes(k); i++)
         rows->order[i] = rows->order[0];
     for (int i = from; i < k; i++) {

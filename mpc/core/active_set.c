@@ -1,6 +1,19 @@
-/* The active set: the two methods that active_set.h names, and the proof of what they find. Every loop is over rows or inputs, or
- * is bounded where it stands; each system that is solved counts as an iteration, of which there are `most_iterations`. */
-/* for clock_gettime, which C99 alone does not know */
+/* The active set: the two methods named in active_set.h, and the proof of their result.
+ *
+ * Both guess which limits are active, that is hold with equality, and solve the linear system of their multipliers.
+ * The multiplier of a limit is the force with which it pushes the plan. Its sign and size show whether the guess is
+ * right:
+ *
+ *     hard limit           0 <= multiplier             else the limit pulls, and must leave the active set
+ *     soft limit, kept     0 <= multiplier <= price    else exceeding the limit is cheaper
+ *     soft limit, exceeded price <= multiplier         and grows by `slope` per unit of excess
+ *
+ * These ranges are the pieces of a row. At a lower limit all signs are reversed. The active set of the last tick, one
+ * step ahead, is usually right or nearly so, which makes a solve cheap.
+ *
+ * A tick has a bounded duration, so every loop runs over rows or inputs, or has its own bound; each solved system
+ * counts as one of `most_iterations`. */
+/* for clock_gettime, which C99 alone does not declare */
 #define _POSIX_C_SOURCE 199309L
 #include "active_set.h"
 
@@ -11,25 +24,25 @@
 #include "clock.h"
 
 enum {
-    MOST_ROUNDS = 12,     /* of the primal-dual method; it ends after one to three, or not at all */
-    PATIENCE = 2,         /* rounds in which fewer rows have to be wrong */
-    MOST_STALLS = 20,     /* times that the dual objective need not rise: rounding, no more */
-    MOST_REFINEMENTS = 3, /* of one solution */
-    MOST_WORK = 6,          /* starts with all rows pressing, and factorisations, whose operations a tick may take */
-    FEW = DDMPC_LANES     /* rows that are let in at once by the dual method: one block of columns */
+    MAX_ROUNDS = 12,      /* rounds of the primal-dual method, which ends after one to three, or cycles */
+    PATIENCE = 2,         /* rounds within which the number of wrong rows must fall */
+    MAX_STALLS = 20,      /* rounds without a rise of the dual objective, which only rounding can cause */
+    MAX_REFINEMENTS = 3,  /* iterative refinements of one solution */
+    MAX_WORK = 6,         /* full starts and factorisations whose operations a tick may take, see ddmpc_limited_most */
+    FEW = DDMPC_LANES     /* rows that the dual method activates at once: a block of columns costs as much as one */
 };
 
-/* By the number type: its rounding; steps that are none beside the largest; the share of a multiplier within which it is
-   reached; and the share of the largest term that the gradient of the Lagrangian may keep. */
+/* For each number type: its rounding error; the size of a negligible step relative to the largest; the relative error
+ * of a multiplier that counts as reached; and the permitted gradient of the Lagrangian relative to its largest term. */
 #ifdef DDMPC_FLOAT
 static const real EPSILON = FLT_EPSILON, NEGLIGIBLE = R(1e-3), REACHED = R(1e-5), STATIONARY = R(3e-4);
 #else
 static const real EPSILON = DBL_EPSILON, NEGLIGIBLE = R(1e-7), REACHED = R(1e-10), STATIONARY = R(1e-8);
 #endif
-/* Roundings that a sum over a plan adds up to. */
+/* Accumulated rounding errors of a sum over a plan, as a multiple of EPSILON. */
 static const real ROUNDINGS = R(16.0);
 
-/* The range of a multiplier on the piece of its row. */
+/* Range of a multiplier on the piece of its row. */
 typedef struct {
     real low, high;
 } range;
@@ -49,15 +62,15 @@ static real within(range piece, real multiplier)
     return ddmpc_min(ddmpc_max(multiplier, piece.low), piece.high);
 }
 
-/* How much a value may be beyond its limit. */
+/* Tolerated excess of a value over its limit: the slack of the problem, and rounding errors of the value. */
 static real tolerance(const ddmpc_rows *rows, int row)
 {
     return rows->problem->slack + ROUNDINGS * EPSILON * (rows->largest_input + ddmpc_fabs(rows->start[row]));
 }
 
-/* Replace the values in `now` by what is beyond a limit and its tolerance: positive above the upper one, negative below
- * the lower one, else zero. `broken` says whether there are such rows, hard ones and soft ones. Returns whether all are
- * numbers. */
+/* Replace the values in `now` by their excess over limit and tolerance: positive above the upper limit, negative
+ * below the lower one, and zero otherwise. `broken` is set to 1 for hard and for soft rows if there are any. Returns
+ * 1 if all are finite. */
 static int survey(ddmpc_rows *rows, int broken[2])
 {
     const real *restrict upper = rows->problem->upper, *restrict lower = rows->problem->lower;
@@ -82,7 +95,7 @@ static int survey(ddmpc_rows *rows, int broken[2])
     return sound;
 }
 
-/* The `most` worst of the rows in `entering` first, as many as there are. */
+/* Move the `most` worst rows to the front of `entering`; return their number. */
 static int worst_of(ddmpc_rows *rows, int count, int most)
 {
     int *entering = rows->entering;
@@ -96,9 +109,10 @@ static int worst_of(ddmpc_rows *rows, int count, int most)
     return count < most ? count : most;
 }
 
-/* Let rows press that are broken and do not press yet: all, or the worst of each run of rows side by side that are
- * broken on the same side, which mostly mends the others, and of these a few. Returns how many rows are broken; with
- * `entered` 0 if there is no room for any of them. */
+/* Activate broken rows: all of them, or a few of the worst, one for each run of adjacent rows that are broken on the
+ * same side. Adjacent samples of one limit move together, so one active row usually repairs its run, and a smaller
+ * set is cheaper and rarely dependent. Returns the number of broken rows; `entered` is 0 if there is no room for any
+ * of them. */
 static int enter_broken(ddmpc_rows *rows, int all, int *entered)
 {
     const real *now = rows->now;
@@ -126,8 +140,8 @@ static int enter_broken(ddmpc_rows *rows, int all, int *entered)
     return broken;
 }
 
-/* Whether active rows are where their multipliers say, to within their tolerance, or `exactly`: to within the rounding of
- * the plan. Leaves what is missing in `step`. */
+/* Return 1 if active rows have the values that belong to their multipliers, to within their tolerance, or to within
+ * the rounding error of the plan if `exactly`. Writes the differences to `step`. */
 static int is_met(ddmpc_rows *rows, const real *plan, int exactly)
 {
     const ddmpc_limited_problem *problem = rows->problem;
@@ -148,17 +162,19 @@ static int is_met(ddmpc_rows *rows, const real *plan, int exactly)
     return met;
 }
 
-/* Bring active rows to where their multipliers say, in MOST_REFINEMENTS rounds at most. The plan is moved by the changes of
- * the multipliers: a sum over large multipliers would round it anew each time. Returns whether rows are within tolerance. */
+/* Refine the solution until the active rows have the values of their multipliers, in at most MAX_REFINEMENTS rounds.
+ * The plan is moved by the changes of the multipliers only: a new sum over large multipliers would repeat their
+ * rounding errors. Returns 1 if the rows are within tolerance. */
 static int refine(ddmpc_rows *rows, real *plan, int exactly)
 {
     int met = is_met(rows, plan, exactly);
-    for (int round = 0; !met && round < (exactly ? 1 : MOST_REFINEMENTS) && rows->factored == rows->active; round++) {
+    for (int round = 0; !met && round < (exactly ? 1 : MAX_REFINEMENTS) && rows->factored == rows->active; round++) {
         ddmpc_solve_step(rows);
         for (int i = 0; i < rows->active; i++) {
             const real before = rows->multiplier[i], multiplier = before + rows->step[i];
             rows->multiplier[i] = within(piece_of(rows, i), multiplier);
-            /* The plan still takes a step that a large multiplier rounds away. */
+            /* The plan still moves by a step that vanishes in the rounding of a large multiplier, but not beyond its
+             * piece. */
             if (rows->multiplier[i] != multiplier)
                 rows->step[i] = rows->multiplier[i] - before;
         }
@@ -168,7 +184,7 @@ static int refine(ddmpc_rows *rows, real *plan, int exactly)
     return met || (exactly && is_met(rows, plan, 0));
 }
 
-/* Whether there may be no further iteration. */
+/* Return 1 if no further iteration is allowed: out of time, iterations or operations. */
 static int is_over(ddmpc_rows *rows, int iterations)
 {
     const ddmpc_limited_problem *problem = rows->problem;
@@ -177,18 +193,20 @@ static int is_over(ddmpc_rows *rows, int iterations)
     return rows->late || iterations >= problem->most_iterations || rows->work >= rows->most_work;
 }
 
-/* Steps of the primal-dual active set method: what pulls leaves, what is broken comes, all at once. For hard rows only:
- * soft ones make it go round in circles. Returns whether that ended at the solution. */
+/* Run the primal-dual active-set method: in each round all rows with a wrong multiplier leave, and all broken rows
+ * enter. It is for hard rows only, since it cycles with soft ones. Returns 1 if it ended at the solution. */
 static int change_many(ddmpc_rows *rows, int *iterations, real *plan)
 {
     int best = rows->m + 1, patience = PATIENCE, entered;
-    for (int round = 0; round < MOST_ROUNDS && !is_over(rows, *iterations); round++) {
+    for (int round = 0; round < MAX_ROUNDS && !is_over(rows, *iterations); round++) {
         int wrong = 0, broken[2];
         ++*iterations;
         if (ddmpc_factorise_rows(rows, 1) < 0)
             return 0;
         ddmpc_solve_rows(rows);
         memcpy(rows->multiplier, rows->wanted, (size_t)rows->active * sizeof(real));
+        /* Dependent rows have no multiplier of their own. Positions shift when a row leaves, hence the descending
+         * order. */
         for (int i = rows->active - 1; i >= 0; i--)
             if (rows->pivot[i] == R(0.0))
                 ddmpc_leave_row(rows, i);
@@ -215,8 +233,8 @@ static int change_many(ddmpc_rows *rows, int *iterations, real *plan)
     return 0;
 }
 
-/* Where a solution that rounding has spoilt would rather be stopped: the row of which least is left beside those before
- * it. Else the number of active rows. */
+/* Find the row that makes the system ill-conditioned: the one with the smallest remainder after elimination of the
+ * previous rows. Returns the number of active rows if the rounding error of the solution is acceptable. */
 static int find_weak_row(const ddmpc_rows *rows)
 {
     real sum = R(0.0), largest = R(0.0), room = R(0.0), least = R(1.0);
@@ -239,7 +257,7 @@ static int find_weak_row(const ddmpc_rows *rows)
     return weak;
 }
 
-/* How fast the dual rises along `step`; what is negligible of it becomes zero. */
+/* Compute the slope of the dual objective along `step`, and set negligible entries of `step` to zero. */
 static real find_rise(ddmpc_rows *rows)
 {
     real *step = rows->step, largest = R(0.0), rise = R(0.0);
@@ -262,23 +280,27 @@ static real find_rise(ddmpc_rows *rows)
     return rise;
 }
 
-typedef enum { NO_STEP, TO_THE_TOP, ENDLESS, WEAK } way;
+/* Kinds of step: none because of overflow; to the maximum of the dual on the active rows; unbounded along dependent
+ * rows; along a weak row. */
+typedef enum { NO_STEP, TO_THE_TOP, ENDLESS, WEAK } step_kind;
 
-/* The way to the maximum of the dual on the active rows into `step`, and how far that is; where a row depends on others,
- * or nearly, along what moves no plan. `rise` is how fast the dual rises. NO_STEP if numbers ran out. */
-static way find_step(ddmpc_rows *rows, real *length, real *rise)
+/* Compute the step to the maximum of the dual on the active rows, with its `length`. If a row depends on others, or
+ * nearly so, the step is along the combination of rows that does not move the plan. `rise` is the slope of the dual
+ * along it. */
+static step_kind find_step(ddmpc_rows *rows, real *length, real *rise)
 {
-    const int got = ddmpc_factorise_rows(rows, 0);
-    int along = got;
-    if (got < 0)
+    const int factored = ddmpc_factorise_rows(rows, 0);
+    int along = factored;
+    if (factored < 0)
         return NO_STEP;
-    if (got == rows->active) {
+    if (factored == rows->active) {
         ddmpc_solve_rows(rows);
         along = find_weak_row(rows);
         if (along == rows->active) {
             for (int i = 0; i < rows->active; i++) {
                 const real step = rows->wanted[i] - rows->multiplier[i];
-                /* What rounding leaves of a step must not stop all others: it would be switched to and fro. */
+                /* A rest of rounding must not block the step of all other rows: its row would switch pieces back and
+                 * forth. */
                 rows->step[i] = ddmpc_fabs(step) > REACHED * ddmpc_fabs(rows->wanted[i]) ? step : R(0.0);
             }
             *length = R(1.0);
@@ -292,13 +314,14 @@ static way find_step(ddmpc_rows *rows, real *length, real *rise)
             rows->step[i] = -rows->step[i];
     *rise = ddmpc_fabs(*rise);
     *length = DDMPC_LARGEST;
-    if (got < rows->active)
+    if (factored < rows->active)
         return ENDLESS;
     *length = *rise * rows->pivot[along] * rows->pivot[along];
     return WEAK;
 }
 
-/* The first row whose multiplier leaves its piece within `length` along `step`; -1 if none does. */
+/* Find the first row whose multiplier leaves its piece within `length` along `step`, and reduce `length` to it; -1 if
+ * none does. */
 static int find_block(const ddmpc_rows *rows, real *length)
 {
     int block = -1;
@@ -317,7 +340,8 @@ static int find_block(const ddmpc_rows *rows, real *length)
     return block;
 }
 
-/* Whether the rows of a step without end contradict each other, even if each gives way by the slack: only hard rows do. */
+/* Return 1 if the rows of an unbounded step contradict each other, even if each is relaxed by its tolerance. Soft
+ * rows never do, since they can be exceeded. */
 static int contradicts(const ddmpc_rows *rows, real rise)
 {
     real total = R(0.0);
@@ -331,16 +355,18 @@ static int contradicts(const ddmpc_rows *rows, real rise)
 
 typedef enum { SETTLED, RAN_OUT, ASTRAY, UNBOUNDED } outcome;
 
-/* From multipliers on their pieces climb to the maximum of the dual on the active rows, or a part of them. */
+/* Move multipliers, which lie on their pieces, to the maximum of the dual on the active rows or a subset of them.
+ * Every step keeps all multipliers on their pieces: a row that would leave its piece ends the step, and leaves the
+ * active set or changes its piece. */
 static outcome settle(ddmpc_rows *rows, int *iterations)
 {
-    /* Each round solves a system: it ends after `most_iterations` of them at the latest. */
+    /* Each round solves a system, so the loop ends after at most `most_iterations` rounds. */
     for (;;) {
-        real length = R(0.0), rise = R(0.0); /* find_step sets what its answer needs */
+        real length = R(0.0), rise = R(0.0); /* find_step sets them as needed */
         if (is_over(rows, *iterations))
             return RAN_OUT;
         ++*iterations;
-        const way next = find_step(rows, &length, &rise);
+        const step_kind next = find_step(rows, &length, &rise);
         int block = next == NO_STEP ? -1 : find_block(rows, &length);
         if (block < 0 && next == TO_THE_TOP) {
             for (int i = 0; i < rows->active; i++)
@@ -350,7 +376,7 @@ static outcome settle(ddmpc_rows *rows, int *iterations)
         if (block < 0 && next == ENDLESS) {
             if (contradicts(rows, rise))
                 return UNBOUNDED;
-            /* As high everywhere: the other way something blocks. */
+            /* The dual is level along this step, so the opposite direction is as good, and a row blocks it. */
             for (int i = 0; i < rows->active; i++)
                 rows->step[i] = -rows->step[i];
             block = find_block(rows, &length);
@@ -362,6 +388,7 @@ static outcome settle(ddmpc_rows *rows, int *iterations)
         for (int i = 0; i < rows->active; i++)
             rows->multiplier[i] = within(piece_of(rows, i), rows->multiplier[i] + length * rows->step[i]);
         rows->multiplier[block] = falls ? piece.low : piece.high;
+        /* At zero the limit stops pushing and is inactive; at the price a soft limit starts or stops being exceeded. */
         if (falls == above && !ddmpc_is_exceeded(rows, block))
             ddmpc_leave_row(rows, block);
         else
@@ -369,7 +396,7 @@ static outcome settle(ddmpc_rows *rows, int *iterations)
     }
 }
 
-/* The dual objective where the system is solved. */
+/* Return the dual objective at a solution of the system. */
 static real height(const ddmpc_rows *rows)
 {
     const real price = rows->problem->price;
@@ -382,12 +409,13 @@ static real height(const ddmpc_rows *rows)
     return R(0.5) * sum;
 }
 
-/* The dual method: settle, let broken rows press, settle, ... */
+/* Run the dual method: maximise the dual on the active rows, activate broken rows, and repeat. The dual objective
+ * rises in every round, so no active set can recur, and the method ends at the solution. */
 static ddmpc_limited_status climb(ddmpc_rows *rows, int *iterations, real *plan)
 {
     real highest = -DDMPC_LARGEST;
-    /* Each round settles, and so takes an iteration, of which there are `most_iterations`. */
-    for (int stalls = 0; stalls < MOST_STALLS;) {
+    /* Each round takes at least one of `most_iterations`, so the loop is bounded. */
+    for (int stalls = 0; stalls < MAX_STALLS;) {
         const outcome end = settle(rows, iterations);
         int entered, broken[2];
         if (end == UNBOUNDED || end == ASTRAY)
@@ -403,6 +431,7 @@ static ddmpc_limited_status climb(ddmpc_rows *rows, int *iterations, real *plan)
         stalls = reached > highest ? 0 : stalls + 1;
         highest = ddmpc_max(highest, reached);
         if (!(broken[0] || broken[1]) || enter_broken(rows, 0, &entered) == 0) {
+            /* No row is broken. Check the final plan with values computed anew, since `survey` has overwritten them. */
             rows->problem->values(rows->problem->context, plan, rows->now);
             rows->work += 8 * rows->m;
             return refine(rows, plan, 1) && survey(rows, broken) ? DDMPC_PROVEN : DDMPC_NOT_PROVEN;
@@ -413,17 +442,17 @@ static ddmpc_limited_status climb(ddmpc_rows *rows, int *iterations, real *plan)
     return DDMPC_NOT_PROVEN;
 }
 
-/* Begin with the rows whose multipliers are not zero, and no others. */
+/* Start with the rows whose multipliers are not zero as the active set. */
 static void warm_start(ddmpc_rows *rows, const real *multipliers)
 {
     const ddmpc_limited_problem *problem = rows->problem;
     int count = 0;
-    /* One row less each time, of `most_active`. */
+    /* Each round removes one of at most `most_active` rows. */
     while (rows->active > 0)
         ddmpc_leave_row(rows, rows->active - 1);
     for (int row = 0; row < rows->m && count < rows->most_active; row++) {
         const real size = ddmpc_fabs(multipliers[row]);
-        /* Not the other way round: NaN is nothing to begin with. */
+        /* Negated so that a NaN multiplier is skipped. */
         if (!(size > R(0.0) && size < DDMPC_LARGEST))
             continue;
         const int piece = row >= problem->hard && size > problem->price ? DDMPC_EXCEEDED : DDMPC_KEPT;
@@ -435,7 +464,7 @@ static void warm_start(ddmpc_rows *rows, const real *multipliers)
         rows->multiplier[i] = multipliers[ddmpc_row_at(rows, i)];
 }
 
-/* How large the numbers are whose sum is R'R (U - U0), largest entry. */
+/* Return the largest sum of absolute terms in R'R (U - U0), which bounds its rounding error. */
 static real size_of_gradient(const ddmpc_rows *rows, const real *plan)
 {
     const ddmpc_limited_problem *problem = rows->problem;
@@ -454,7 +483,9 @@ static real size_of_gradient(const ddmpc_rows *rows, const real *plan)
     return largest;
 }
 
-/* Fill residuals and multipliers from the plan; returns whether the cost is stationary, as far as rounding tells. */
+/* Fill residuals and multipliers from the plan; return 1 if the Lagrangian is stationary to within rounding errors.
+ * This proves optimality independently of the method: limits hold, multipliers have the right sign, and the gradient
+ * is zero. */
 static int is_stationary(ddmpc_rows *rows, const real *plan, real *multipliers, ddmpc_limited_result *result)
 {
     const ddmpc_limited_problem *problem = rows->problem;
@@ -476,20 +507,20 @@ static int is_stationary(ddmpc_rows *rows, const real *plan, real *multipliers, 
     for (int i = 0; i < rows->active; i++) {
         const int row = ddmpc_row_at(rows, i), above = ddmpc_is_above(rows, i);
         int first = 0, last = n;
-        real multiplier = rows->multiplier[i], give = R(0.0), *restrict line = rows->line;
+        real multiplier = rows->multiplier[i], play = R(0.0), *restrict line = rows->line;
         problem->row(problem->context, row, line, &first, &last);
         multipliers[row] = multiplier;
         if (ddmpc_is_exceeded(rows, i)) {
-            /* The price is that of the plan as it is. */
+            /* Compute the penalty at the plan itself, not at the value that the multiplier implies. */
             const real value = ddmpc_long_dot(line + first, plan + first, last - first);
             multiplier = above ? problem->price + problem->slope * (value - problem->upper[row])
                                : -problem->price + problem->slope * (value - problem->lower[row]);
-            give = problem->slope * tolerance(rows, row);
+            play = problem->slope * tolerance(rows, row);
         }
         for (int k = first; k < last; k++) {
             gradient[k] += multiplier * line[k];
             largest = ddmpc_max(largest, ddmpc_fabs(line[k]) * ddmpc_fabs(multiplier));
-            allowed = ddmpc_max(allowed, ddmpc_fabs(line[k]) * give);
+            allowed = ddmpc_max(allowed, ddmpc_fabs(line[k]) * play);
         }
     }
     int sound = 1;
@@ -502,7 +533,7 @@ static int is_stationary(ddmpc_rows *rows, const real *plan, real *multipliers, 
     return sound && (dual <= allowed || dual <= allowed + ROUNDINGS * EPSILON * size_of_gradient(rows, plan));
 }
 
-/* Fill multipliers with those that were reached; returns whether they and the plan are numbers. */
+/* Fill multipliers with the current ones; return 1 if they and the plan are finite. */
 static int is_left_usable(const ddmpc_rows *rows, const real *plan, real *multipliers)
 {
     int sound = 1;
@@ -516,14 +547,14 @@ static int is_left_usable(const ddmpc_rows *rows, const real *plan, real *multip
     return sound;
 }
 
-/* What the limits must be for there to be a problem. */
+/* Check the limits: each lower one at most at its upper one, and finite penalties. */
 static ddmpc_limited_status check_limits(const ddmpc_limited_problem *problem)
 {
     int sound = 1, crossed = 0;
     for (int row = 0; row < problem->rows; row++) {
-        const int kept = problem->lower[row] <= problem->upper[row];
+        const int ordered = problem->lower[row] <= problem->upper[row];
         crossed |= row < problem->hard && problem->lower[row] > problem->upper[row] + R(2.0) * problem->slack;
-        sound &= kept && problem->lower[row] < DDMPC_LARGEST && problem->upper[row] > -DDMPC_LARGEST;
+        sound &= ordered && problem->lower[row] < DDMPC_LARGEST && problem->upper[row] > -DDMPC_LARGEST;
     }
     if (problem->rows > problem->hard)
         sound &= problem->price >= R(0.0) && problem->price < DDMPC_LARGEST && problem->slope > R(0.0) &&
@@ -545,6 +576,8 @@ ddmpc_limited_result ddmpc_solve_limited(const ddmpc_limited_problem *problem, c
         warm_start(&rows, multipliers);
         for (int i = 0; i < rows.active; i++)
             soft |= ddmpc_is_soft(&rows, i);
+        /* Try the quick method first. Both start from the same multipliers, since a failed attempt leaves arbitrary
+         * rows active. */
         if (soft || !change_many(&rows, &result.iterations, plan)) {
             warm_start(&rows, multipliers);
             result.status = climb(&rows, &result.iterations, plan);
@@ -565,8 +598,8 @@ ddmpc_limited_result ddmpc_solve_limited(const ddmpc_limited_problem *problem, c
     return result;
 }
 
-/* Operations of the greatest parts: a factorisation, a start with all rows pressing, a refinement, a round of the
- * primal-dual method, and one of the dual method with what follows where it has settled. */
+/* Operations of the largest parts: a factorisation, a start with all rows active, a refinement, a round of the
+ * primal-dual method, and a round of the dual method with the activation of broken rows. */
 typedef struct {
     ddmpc_count factor, start, refined, many, settled;
 } parts;
@@ -577,10 +610,10 @@ static parts parts_of(int n, int m, int slots)
     const ddmpc_count blocks = slots / LANES, square = (ddmpc_count)slots * slots;
     const ddmpc_count column = ddmpc_column_operations(n, slots) + slots, plan = ddmpc_plan_operations(n, m, slots);
     parts p;
-    /* A block of rows is done with the ones before it, for each block of columns from it on. */
+    /* Each block of rows is multiplied with the previous ones, for each block of columns from it on. */
     p.factor = LANES * LANES * LANES * blocks * (blocks + 1) * (blocks + 2) / 6 + square + 16 * slots;
     p.start = slots * column;
-    p.refined = 8 * m + MOST_REFINEMENTS * (2 * square + plan);
+    p.refined = 8 * m + MAX_REFINEMENTS * (2 * square + plan);
     p.many = p.factor + square + plan + p.refined + m + square + p.start;
     p.settled = p.factor + 3 * square + plan + p.refined + m + FEW * (slots + column);
     return p;
@@ -589,7 +622,7 @@ static parts parts_of(int n, int m, int slots)
 ddmpc_count ddmpc_limited_most(int inputs, int rows, int most_active)
 {
     const parts p = parts_of(inputs, rows, DDMPC_LIMITED_SLOTS(most_active));
-    return MOST_WORK * (p.start + p.factor);
+    return MAX_WORK * (p.start + p.factor);
 }
 
 ddmpc_count ddmpc_limited_bound(int inputs, int rows, int most_active)
@@ -597,9 +630,9 @@ ddmpc_count ddmpc_limited_bound(int inputs, int rows, int most_active)
     const int slots = DDMPC_LIMITED_SLOTS(most_active);
     const parts p = parts_of(inputs, rows, slots);
     const ddmpc_count round = p.many > p.settled ? p.many : p.settled;
-    /* After the last round the plan is found once more, or refined, and the cost is looked at. */
+    /* After the last round the plan is computed again or refined, and its optimality is checked. */
     const ddmpc_count end = p.refined + 2 * ddmpc_plan_operations(inputs, rows, slots);
-    return MOST_WORK * (p.start + p.factor) + 2 * p.start + round + end;
+    return MAX_WORK * (p.start + p.factor) + 2 * p.start + round + end;
 }
 
 unsigned long ddmpc_limited_reals(int inputs, int rows, int most_active)

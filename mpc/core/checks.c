@@ -21,7 +21,8 @@ static int all_finite(const real *values, int count)
     return 1;
 }
 
-/* Whether the k x k `entries` form a symmetric positive definite matrix, by the signs of the elimination's pivots. */
+/* Return 1 if the k x k `entries` form a symmetric positive definite matrix, by the signs of the pivots in
+ * elimination. */
 static int possible_covariance(const ddmpc_constants *constants, const real *entries, int k)
 {
     real work[9];
@@ -45,7 +46,8 @@ static int possible_covariance(const ddmpc_constants *constants, const real *ent
     return 1;
 }
 
-/* What is wrong with a stamp of `subject` at tick `t`, after one at `last`; `number` gets what belongs to it. */
+/* Check a stamp of `subject` at tick `t` after one at `last`; return the fault, and its number for the message in
+ * `number`. */
 static int stamp_fault(const ddmpc_constants *constants, int subject, ddmpc_time stamp, ddmpc_time t, ddmpc_time last,
                        real *number)
 {
@@ -96,7 +98,7 @@ int ddmpc_check_pose(ddmpc_controller *c, ddmpc_time t, const ddmpc_stamped *pos
     return 1;
 }
 
-/* One message with `count` numbers, the sensors from `first` on. */
+/* Check one message with `count` numbers of the sensors from `first` on. */
 static int check_twist(ddmpc_controller *c, int subject, int first, int count, ddmpc_time *last_stamp, real *last,
                        ddmpc_time t, const ddmpc_stamped *stamped, ddmpc_checked_twist *checked)
 {
@@ -165,7 +167,7 @@ static int differs(const ddmpc_constants *constants, const real value[3], const 
 {
     const real distance = ddmpc_hypot(value[0] - expected[0], value[1] - expected[1]);
     const real turn = ddmpc_fabs(ddmpc_wrap(value[2] - expected[2]));
-    /* Not the other way round: NaN must count as different. */
+    /* Negated so that NaN counts as different. */
     return !(distance <= constants->largest_position_jump && turn <= constants->largest_heading_jump);
 }
 

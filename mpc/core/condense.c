@@ -1,25 +1,33 @@
 /* Condensing: the cost of the linearised problem as a dense quadratic program in the commands alone,
  *
- *     minimise  U' H U / 2 + g' U,   H = S' S + what is constant,
+ *     minimise  U' H U / 2 + g' U,   H = S' S + constant terms,
  *
- * where S stacks the weighted rows of the errors along, across and in heading and of the user's residuals. Step k answers to
- * the commands before it only, so its rows end there, and what is zero is left out. Errors and their gradients are generated
- * from mpc/problem/formulas.py, or are the user's. */
+ * where S stacks the rows of the errors along, across and in heading and of the user's residuals: their derivatives
+ * by the commands U, times the roots of their weights. S is the matrix J of docs/how-it-works.md, and H its
+ * Gauss-Newton Hessian.
+ *
+ * The predicted states are eliminated: with N = 30 the program has 60 variables, whatever the order of the model. The
+ * variables are the commands themselves, not changes of the guess, so every residual is first reduced by the part
+ * that the guess contributes: g is then the gradient at U = 0, and limits need no shift.
+ *
+ * Sample k + 1 depends on the commands 0 to k only. Its rows end there: products skip the zeros beyond, about half of
+ * all work. Errors and their gradients are generated from mpc/problem/formulas.py, or are the user's. */
 #include <string.h>
 
 #include "problem.h"
 #include "tile.h"
 
-/* Displacement of one arc per unit of mean v, mean omega and heading before it; heading of the path, roots of the
-   weights and weighted residuals at its end. */
+/* Derivatives of one arc's displacement by mean v, mean omega and the heading before it; cosine and sine of the
+ * path's heading, roots of the weights, and residuals times these roots at the end of the arc. */
 typedef struct {
     real x[3], y[3];
     real cosine, sine, along, across;
     real along_residual, across_residual, heading_residual;
 } row_weights;
 
-/* The rows of one sample: positions, errors along and across, and their part of the gradient. The compiler is told that
-   nothing overlaps, and so works on whole lanes. */
+/* Fill the rows of one sample: positions, errors along and across, and their part of the gradient. Positions
+ * accumulate over the arcs in `moves`. `restrict` states that the arrays do not overlap, without which the compiler
+ * would not vectorise the loop. */
 static void fill_row(int count, const row_weights *w, const real *restrict mean_v,
                                const real *restrict mean_omega, const real *restrict before,
                                const real *restrict after, real *restrict moves_x, real *restrict moves_y,
@@ -44,6 +52,8 @@ void ddmpc_through_slip(const ddmpc_problem *p, const real *by_body, int step, r
 {
     for (int i = 0; i < TERM_INPUTS; i++)
         gradient[i] = by_body[step * i];
+    /* Entries are x, y, heading, v, omega and the two commands. The body's v also depends on the model's omega
+     * (turn_gain), and the model's heading is the integral of its omega. */
     gradient[4] = p->gains[1] * gradient[4] + p->turn_gain * gradient[3];
     gradient[3] *= p->gains[0];
     gradient[2] *= p->gains[1];
@@ -59,6 +69,7 @@ void ddmpc_term_row(const ddmpc_controller *c, int k, const real gradient[TERM_I
     for (int j = 0; j < count; j++)
         row[j] = gradient[0] * x[j] + gradient[1] * y[j] + gradient[2] * heading[j] + gradient[3] * v[j] +
                  gradient[4] * omega[j];
+    /* A term may also depend directly on the command of its own step. */
     row[count - 2] += gradient[5];
     row[count - 1] += gradient[6];
 }
@@ -67,7 +78,7 @@ void ddmpc_call_term(const ddmpc_controller *c, ddmpc_function function, int k, 
                      const real *parameters, real *out)
 {
     const ddmpc_problem *p = &c->problem;
-    /* No command acts at once: what is now does not hang on the plan. */
+    /* No command acts at once, so the current state (k = -1) does not depend on the plan. */
     const real twist[2] = {ddmpc_speed_at(c, p->by_plan, k + 1),
                            p->free_twist[2 * k + 3] + p->gains[1] * p->by_plan[STEPS(c) + 2 + k]};
     const real *arguments[5] = {p->poses + 3 * (k + 1), twist, command, p->aim + 4 * (k + 1), parameters};
@@ -83,7 +94,8 @@ static real dot(const real *a, const real *b, int count)
     return sum;
 }
 
-/* Rows of the user's residuals at sample k + 1 behind those along and across, and their part of the gradient. */
+/* Fill the rows of the user's residuals at sample k + 1, after those along and across, and their part of the
+ * gradient. The user's functions contain their own weights. */
 static void fill_residuals(ddmpc_controller *c, int k)
 {
     ddmpc_problem *p = &c->problem;
@@ -100,6 +112,7 @@ static void fill_residuals(ddmpc_controller *c, int k)
             ddmpc_through_slip(p, p->term + term->rows + r, term->rows, gradient);
             memset(row, 0, (size_t)width * sizeof(real));
             ddmpc_term_row(c, k, gradient, row);
+            /* Remove the part of the guess, see above. */
             const real residual = p->term[r] - dot(row, p->guess, count);
             for (int j = 0; j < count; j++)
                 p->gradient[j] += residual * row[j];
@@ -107,7 +120,7 @@ static void fill_residuals(ddmpc_controller *c, int k)
     }
 }
 
-/* Rows of the errors along and across at the samples 1 to N, and with the residuals of the plan their gradient. */
+/* Fill the rows of the errors along and across at the samples 1 to N, and the gradient of the cost of all errors. */
 static void fill_rows(ddmpc_controller *c)
 {
     const ddmpc_constants *constants = c->constants;
@@ -124,7 +137,7 @@ static void fill_rows(ddmpc_controller *c)
         real *results[2] = {error, J};
         ddmpc_f_errors(arguments, results, 0, 0, 0);
         const real cosine = p->cosine[k] = J[0], sine = p->sine[k] = J[3];
-        /* The error less what the plan itself has brought about: the error at a plan of zeros, linearised here. */
+        /* Error at a plan of zeros, linearised along the guess: the error less the part of the guess. */
         const real along = error[0] - (cosine * moves[k] + sine * moves[N + k]);
         const real across = error[1] - (cosine * moves[N + k] - sine * moves[k]);
         const real turned = error[2] - omega_gain * headings[k + 1];
@@ -135,11 +148,14 @@ static void fill_rows(ddmpc_controller *c)
             cosine, sine, constants->along[k], constants->across[k],
             constants->along[k] * along, constants->across[k] * across, omega_gain * constants->heading[k] * turned,
         };
+        /* Whole lanes: surplus entries are zeros of the padding. */
         fill_row(ddmpc_whole_lanes(2 * (k + 1)), &weights, ddmpc_mean_row(c, k, 0), ddmpc_mean_row(c, k, 1),
                  ddmpc_heading_row(c, k), ddmpc_heading_row(c, k + 1), p->moves, p->moves + width, position,
                  position + width, stack, stack + width, p->gradient);
         if (RESIDUALS(c))
             fill_residuals(c, k);
+        /* A linear model has the same heading rows at every tick, so their part of H is a constant (heading_hessian).
+         * Other models need the rows in the stack. */
         if (ROWS(c)) {
             real *row = stack + (STACKED(c) - 1) * width;
             const real root = omega_gain * ddmpc_sqrt(constants->heading[k]);
@@ -149,7 +165,9 @@ static void fill_rows(ddmpc_controller *c)
     }
 }
 
-/* The rows' squares, tile by tile. A row is zero beyond the commands that it answers to. */
+/* Compute the lower triangle of S'S, tile by tile. Column i is zero in the samples before its command, i / 2, so the
+ * product starts at that sample. The tiles keep partial sums in registers; this product is the largest part of
+ * condensing. */
 static void square_stack(const real *stack, int steps, int stacked, int width, int inputs, real *H)
 {
     for (int i = 0; i < inputs; i += DDMPC_LANES) {
@@ -168,7 +186,7 @@ static void square_stack(const real *stack, int steps, int stacked, int width, i
     }
 }
 
-/* H: the rows' squares and what is constant. */
+/* Fill H: S'S, the constant Hessian of the headings, and the weights of commands and increments. */
 static void fill_hessian(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
@@ -180,6 +198,8 @@ static void fill_hessian(ddmpc_controller *c)
         real *row = p->H + i * inputs;
         for (int j = 0; !ROWS(c) && j <= i; j++)
             row[j] += scale * heading_hessian[i * inputs + j];
+        /* |u_k - u_(k-1)|^2 couples neighbours: 2 on the diagonal, 1 at the last command, which has no successor, and
+         * -1 beside it. Channels alternate, so the neighbour is two columns away. */
         const real increment = k->increment_weight[i % 2];
         row[i] += k->command_weight[i % 2] + (i < inputs - 2 ? R(2.0) : R(1.0)) * increment;
         if (i >= 2)
@@ -189,6 +209,7 @@ static void fill_hessian(ddmpc_controller *c)
     }
 }
 
+/* Fill g: the gradient of the errors, and the parts of commands and increments relative to the feed-forward. */
 static void fill_gradient(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
@@ -197,16 +218,17 @@ static void fill_gradient(ddmpc_controller *c)
     const int inputs = INPUTS(c);
     for (int i = 0; i < inputs; i++) {
         const int channel = i % 2;
-        /* Increments count relative to those of the feed-forward: a reference that ramps costs nothing. */
+        /* Increments count relative to those of the feed-forward, so that a ramp of the reference costs nothing. */
         const real into = fed[i] - (i < 2 ? p->fed_before[channel] : fed[i - 2]);
         const real out = i < inputs - 2 ? fed[i + 2] - fed[i] : R(0.0);
         p->g[i] = p->gradient[i] - k->command_weight[channel] * fed[i] - k->increment_weight[channel] * (into - out);
     }
+    /* The first increment counts from the command that was sent last. */
     for (int channel = 0; channel < 2; channel++)
         p->g[channel] -= k->increment_weight[channel] * p->last[channel];
 }
 
-/* The Hessian of the headings for other delays. */
+/* Compute the Hessian of the headings after the estimated delays have changed. */
 static void square_headings(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;

@@ -370,7 +370,7 @@ void ddmpc_estimator_estimate(ddmpc_controller *c)
     memcpy(estimate->innovations, c->estimator.innovations, sizeof c->estimator.innovations);
 }
 
-int ddmpc_believed(const ddmpc_controller *c, real *mean, real *covariance, real *on_their_way)
+int ddmpc_newest_belief(const ddmpc_controller *c, real *mean, real *covariance, real *on_their_way)
 {
     if (!(ddmpc_estimator_state(c) & READY))
         return 0;
@@ -382,7 +382,7 @@ int ddmpc_believed(const ddmpc_controller *c, real *mean, real *covariance, real
     return 1;
 }
 
-void ddmpc_foresee(const ddmpc_controller *c, const real *commands, real *mean, real *covariance, real *mean_after,
+void ddmpc_predict_belief(const ddmpc_controller *c, const real *commands, real *mean, real *covariance, real *mean_after,
                    real *covariance_after)
 {
     const ddmpc_belief before = {mean, covariance, {R(0.0)}, {0}};

@@ -1,6 +1,6 @@
-/* The fence: a rectangle that the robot is to stay in. It brakes as soon as the way on which it would come to rest, were it
- * to brake from the next tick on, leaves the rectangle less its margin. That way is predicted as all motion is: by the
- * velocity model with the commands on their way, the slip that was learned, and the ramp of braking. */
+/* The fence: a rectangle that the robot must not leave. The robot brakes as soon as its stopping path, with braking
+ * from the next tick on, would leave the rectangle reduced by its margin. The stopping path is predicted by the
+ * velocity model with the pending commands, the estimated slip and the braking ramp. */
 #include <string.h>
 
 #include "internal.h"
@@ -24,7 +24,7 @@ void ddmpc_fence_place(ddmpc_controller *c)
     c->fence[2] = start[2] + middle[2];
 }
 
-/* How far outside a place is [m]; negative inside. */
+/* Distance of a place outside the fence [m]; negative inside. */
 static real beyond(const ddmpc_controller *c, const real *place)
 {
     const real cosine = ddmpc_cos(c->fence[2]), sine = ddmpc_sin(c->fence[2]);
@@ -34,7 +34,7 @@ static real beyond(const ddmpc_controller *c, const real *place)
     return along > across ? along : across;
 }
 
-/* Whether a command is on its way. */
+/* Return 1 if any pending command is not zero. */
 static int is_commanded(const real *commands, int count)
 {
     for (int i = 0; i < 2 * count; i++)
@@ -43,7 +43,7 @@ static int is_commanded(const real *commands, int count)
     return 0;
 }
 
-/* The command nearest to zero that braking reaches in one sample. */
+/* Reduce a command by one sample of braking. */
 static void brake_on(const ddmpc_constants *k, real command[2])
 {
     for (int i = 0; i < 2; i++) {
@@ -52,42 +52,42 @@ static void brake_on(const ddmpc_constants *k, real command[2])
     }
 }
 
-/* Samples of braking that are looked at, or those from the end of the range: a tick has to end, however fast the command of
- * somebody else was. */
+/* Limit of the simulated braking samples, unless braking from the maximum command takes longer: the duration of a
+ * tick must be bounded even if another node has sent an arbitrarily large command. */
 #define MOST_RAMP R(1000.0)
 
-/* Samples in which braking takes a command to zero. */
+/* Number of samples in which braking reduces a command to zero. */
 static real ramps_of(const ddmpc_constants *k, const real command[2])
 {
     return ddmpc_max(ddmpc_fabs(command[0]) / k->braking[0], ddmpc_fabs(command[1]) / k->braking[1]);
 }
 
-/* How far outside the way to rest leads at most, where this tick's command is the last one once more [m]. */
+/* Maximum distance outside the fence on the stopping path [m], if this tick repeats the last command before braking. */
 static real stops_beyond(const ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
     const int window = WINDOW(c) + 1, Z = BELIEF(c);
     real commands[2 * (DDMPC_MOST_WINDOW + 1)], means[2][MOST_BELIEF], y[2];
-    real *here = means[0], *next = means[1], *newest = commands + 2 * (window - 1);
+    real *now = means[0], *next = means[1], *newest = commands + 2 * (window - 1);
     real most = beyond(c, c->result.estimate.mean + STATES(c) + POSE(c));
     const real fastest[2] = {ddmpc_fastest(k, 0), ddmpc_fastest(k, 1)};
     const real ramps = ddmpc_min(ramps_of(k, c->last), ddmpc_max(ramps_of(k, fastest), MOST_RAMP));
     const int longest = (int)ramps + window + (int)(k->fence_rolls_on / k->sample_time);
     memcpy(commands, c->estimator.commands + 2 * (COMMANDS(c) - window), sizeof(real) * (size_t)(2 * window));
-    memcpy(here, c->result.estimate.mean, sizeof(real) * (size_t)Z);
+    memcpy(now, c->result.estimate.mean, sizeof(real) * (size_t)Z);
     real command[2] = {c->last[0], c->last[1]};
     for (int i = 0; i < longest; i++) {
         memmove(commands, commands + 2, sizeof(real) * (size_t)(2 * (window - 1)));
         memcpy(newest, command, sizeof command);
-        ddmpc_filter_carry(c, here, newest, next);
+        ddmpc_filter_carry(c, now, newest, next);
         const real out = beyond(c, next + STATES(c) + POSE(c));
         if (!(out <= most)) /* true for NaN, too */
             most = out;
         ddmpc_velocity_output(c, next, y, 0);
         if (!is_commanded(commands, window) && ddmpc_fabs(y[0]) < k->fence_rest)
             break;
-        real *swapped = here;
-        here = next;
+        real *swapped = now;
+        now = next;
         next = swapped;
         brake_on(k, command);
     }
@@ -98,8 +98,9 @@ int ddmpc_fence_holds(ddmpc_controller *c)
 {
     if (!c->constants->fence)
         return 1;
-    const real here = ddmpc_max(beyond(c, c->result.estimate.mean + STATES(c) + POSE(c)), R(0.0));
-    c->allowed = ddmpc_min(c->allowed, here);
+    /* A robot that starts outside may drive back inside: it only must not go further out than it was. */
+    const real outside = ddmpc_max(beyond(c, c->result.estimate.mean + STATES(c) + POSE(c)), R(0.0));
+    c->allowed = ddmpc_min(c->allowed, outside);
     const real most = c->allowed > R(0.0) ? c->allowed + c->constants->fence_play : R(0.0);
     c->left_fence = c->left_fence || !(stops_beyond(c) <= most);
     return !c->left_fence;

@@ -1,11 +1,17 @@
-/* The extended Kalman filter's steps over one sample. The state is z = (x, slip, gyro bias, pose): the n states of the
- * velocity model, what lies between the model's twist and the true one, the gyro's bias and x, y, theta. Only algebra
- * stands here: motion, sensors and their gradients are generated from mpc/problem/formulas.py.
+/* The steps of the extended Kalman filter over one sample. The state is z = (x, slip, gyro bias, delays, pose): the n
+ * states of the velocity model, the parameters of the difference between the model's twist and the true one, the
+ * gyro's bias, the unknown delays of both commands, and x, y, theta. This file holds algebra only: motion, sensors
+ * and their gradients are generated from mpc/problem/formulas.py.
  *
  *     predict   z = f(z, u),  P = F P F' + Q          F the gradient of f, Q the noise of a sample
  *     correct   S = H P H' + R,  K = P H' / S,  z += K (measured - h(z)),  P -= K S K'
  *
- * Numbers of a measurement are entered one after the other where their noise is independent, a pose as a whole. */
+ * Slip and bias are constant in f: they change through corrections only. They are observable because they couple to
+ * the pose through F and to the sensors through H, so a pose also corrects slip. Readings with independent noise are
+ * entered one after the other, which needs no matrix inverse; a pose is entered as a whole, since its covariance is
+ * full.
+ *
+ * estimator.c calls these steps, and repeats them from the stamp of a late measurement on. */
 #include <string.h>
 
 #include "internal.h"
@@ -27,7 +33,7 @@ void ddmpc_copy_belief(const ddmpc_controller *c, ddmpc_belief *to, const ddmpc_
     memcpy(to->surprised, from->surprised, sizeof to->surprised);
 }
 
-/* Twist of the body, and its gradient by the filter's state (2, Z). */
+/* Compute the twist of the body, and its gradient by the filter's state (2, Z). */
 static void twist_now(const ddmpc_controller *c, const real *mean, real twist[2], real (*gradient)[MOST_BELIEF])
 {
     const int n = STATES(c);
@@ -52,7 +58,7 @@ void ddmpc_filter_twist(const ddmpc_controller *c, const real *mean, real twist[
     twist_now(c, mean, twist, 0);
 }
 
-/* P h; P is symmetric. */
+/* Compute P h. P is symmetric, so its rows serve as columns, and most entries of h are zero. */
 static void times(const ddmpc_controller *c, const ddmpc_belief *belief, const real *h, real *out)
 {
     const int Z = BELIEF(c);
@@ -74,20 +80,20 @@ void ddmpc_filter_twist_deviation(const ddmpc_controller *c, const ddmpc_belief 
     }
 }
 
-/* A pose and its gradient by the filter's state. */
+/* Pose with its gradient by the filter's state. */
 typedef struct {
     real pose[3], twist[2], by[3][MOST_BELIEF];
 } moved_pose;
 
-/* Where the body is after `dt` with the model's output `y`, whose gradient by the states is (2, n) and by the delays (2, 2),
-   and the forward `acceleration`. */
+/* Move the body over `dt` with the model's output `y`, whose gradient by the states is (2, n) and by the delays (2,
+ * 2), and the forward `acceleration`. */
 static void move(const ddmpc_controller *c, const real *z, const real y[2], const real *rows, const real *by_delay,
                  real acceleration, real dt, moved_pose *moved)
 {
     const int n = STATES(c), S = SLIPS(c), pose = n + POSE(c);
-    const real *at = z + pose;
+    const real *start = z + pose;
     real displacement[3], J[3 * (3 + DDMPC_MOST_SLIPS)];
-    const real *arguments[5] = {y, z + n, at + 2, &acceleration, &dt};
+    const real *arguments[5] = {y, z + n, start + 2, &acceleration, &dt};
     real *results[2] = {displacement, J};
     WITH_SLIP(c, move)(arguments, results, 0, 0, 0);
     memset(moved->by, 0, sizeof moved->by);
@@ -100,7 +106,7 @@ static void move(const ddmpc_controller *c, const real *z, const real y[2], cons
             moved->by[i][n + DELAYS(c) + j] = J[i] * by_delay[j] + J[i + 3] * by_delay[2 + j];
         moved->by[i][pose + 2] = J[i + 3 * (2 + S)];
         moved->by[i][pose + i] += R(1.0);
-        moved->pose[i] = at[i] + displacement[i];
+        moved->pose[i] = start[i] + displacement[i];
     }
 }
 
@@ -118,9 +124,11 @@ void ddmpc_filter_pose_at(const ddmpc_controller *c, const ddmpc_belief *belief,
     memcpy(pose, moved.pose, sizeof moved.pose);
 }
 
-/* F P F' for F = (A D 0; 0 1 0; G), of which only the blocks that change are computed; D (n, 2) is by the delays. */
-static void propagate(const ddmpc_controller *c, const moved_pose *moved, const real *A, const real *D, const real *before,
-                      real *out)
+/* Compute F P F' for F = (A D 0; 0 1 0; G), with the rows of states, of slip, bias and delays, and of the pose. Only
+ * the blocks that change are computed, and each pair of symmetric entries once. D (n, 2) is the gradient by the
+ * delays. */
+static void propagate(const ddmpc_controller *c, const moved_pose *moved, const real *A, const real *D,
+                      const real *before, real *out)
 {
     const int n = STATES(c), Z = BELIEF(c), pose = n + POSE(c), delays = n + DELAYS(c);
     real top[DDMPC_MOST_STATES][MOST_BELIEF], bottom[3][MOST_BELIEF];
@@ -157,25 +165,27 @@ static void propagate(const ddmpc_controller *c, const moved_pose *moved, const 
     }
 }
 
-/* The model's output over the sample from z to the states x+: its mean, with its gradient by the states (2, n), its rate,
-   and the body's mean twist. Returns the body's forward acceleration; nothing is differentiated by that, nor by the rate,
-   as they do little. */
+/* Compute the mean output of the model over the sample from z to the states x+, with its gradient by the states (2,
+ * n), its rate, and the body's mean twist. The pose follows the arc of the mean, which is more accurate than that of
+ * the output at the start. Returns the body's forward acceleration. Derivatives by acceleration and rate are
+ * neglected, since their effect is small. */
 static real mean_output(const ddmpc_controller *c, const real *z, const real *after, const real *A, real y[2],
                         real *rows, real rate[2], real twist[2])
 {
     const int n = STATES(c);
-    real next[2], next_rows[2 * DDMPC_MOST_STATES], begin[2], end[2];
+    real next[2], next_rows[2 * DDMPC_MOST_STATES], start[2], end[2];
     ddmpc_velocity_output(c, z, y, rows);
     ddmpc_velocity_output(c, after, next, next_rows);
     const real *arguments[2][2] = {{y, z + n}, {next, z + n}};
-    real *results[2][2] = {{begin, 0}, {end, 0}};
+    real *results[2][2] = {{start, 0}, {end, 0}};
     for (int i = 0; i < 2; i++)
         WITH_SLIP(c, twist)(arguments[i], results[i], 0, 0, 0);
     for (int i = 0; i < 2; i++) {
         rate[i] = (next[i] - y[i]) / (real)c->constants->sample_time;
         y[i] = R(0.5) * (y[i] + next[i]);
-        twist[i] = R(0.5) * (begin[i] + end[i]);
+        twist[i] = R(0.5) * (start[i] + end[i]);
         for (int j = 0; j < n; j++) {
+            /* The output at the end depends on the states at the start through the model's step, by the chain rule. */
             real through = R(0.0);
             for (int k = 0; NONLINEAR(c) && k < n; k++)
                 through += next_rows[i * n + k] * A[k * n + j];
@@ -183,7 +193,7 @@ static real mean_output(const ddmpc_controller *c, const real *z, const real *af
                 NONLINEAR(c) ? R(0.5) * (rows[i * n + j] + through) : c->constants->mean_output[i * n + j];
         }
     }
-    return (end[0] - begin[0]) / (real)c->constants->sample_time;
+    return (end[0] - start[0]) / (real)c->constants->sample_time;
 }
 
 void ddmpc_filter_carry(const ddmpc_controller *c, const real *mean, const real *newest, real *after)
@@ -214,7 +224,7 @@ void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before,
     const real acceleration = mean_output(c, z, state, A, y, rows, after->rate, twist);
     if (SPARE(c) > 0) {
         ddmpc_velocity_by_delay(c, newest, late, D);
-        /* Half of it: y is the mean of the outputs at both ends. */
+        /* Half, because y is the mean of the outputs at both ends, and delays affect the end only. */
         for (int i = 0; i < 4; i++)
             for (int j = 0; j < n; j++)
                 by_delay[i] += R(0.5) * k->C[i / 2 * n + j] * D[2 * j + i % 2];
@@ -222,16 +232,19 @@ void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before,
     move(c, z, y, rows, by_delay, acceleration, (real)k->sample_time, &moved);
     propagate(c, &moved, A, D, before->covariance, after->covariance);
 
+    /* Add Q. Noise enters at the input of the model, and reaches the states through B0 + B1
+     * (mpc/problem/constants.py). */
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++)
             after->covariance[i * Z + j] += k->noise[i * n + j];
     for (int i = 0; i < 3; i++)
         after->covariance[(pose + i) * (Z + 1)] += k->pose_noise[i];
-    /* A gain shows only while its channel moves: without news its uncertainty must not grow. */
+    /* A parameter can be observed in some motions only: a gain while its channel moves, side-slip in curves. In other
+     * motions its uncertainty must not grow, or the next noise would move it anywhere. */
     const int turning = ddmpc_fabs(twist[1]) >= k->min_yaw_rate;
     const int driving = ddmpc_fabs(twist[0]) >= k->min_speed;
     const int cornering = turning && driving;
-    /* In the order of the slips in internal.h. */
+    /* Entries are in the order of the slips in internal.h. */
     const int observable[CURVED_SLIPS] = {1,       turning,   driving, turning, cornering, turning,  turning,
                                           cornering, turning, turning, driving, driving, cornering, cornering, turning};
     for (int i = 0; i < S; i++)
@@ -249,7 +262,9 @@ void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before,
         after->surprised[i] = before->surprised[i] + (before->surprised[i] > 0);
 }
 
-/* Count an innovation; whether it tells of something other than slip, which does not last. */
+/* Count consecutive large innovations of a sensor; return 1 while they count as a push. A push ends soon, whereas a
+ * wrong parameter causes large innovations until it is corrected: beyond `patience` they therefore correct the
+ * parameters. */
 static int count_surprise(const ddmpc_controller *c, ddmpc_belief *belief, int sensor, real normalised)
 {
     if (!(normalised > c->constants->surprise)) {
@@ -261,19 +276,20 @@ static int count_surprise(const ddmpc_controller *c, ddmpc_belief *belief, int s
     return (real)belief->surprised[sensor] <= c->constants->patience;
 }
 
-/* A gain is zero for what the measurement may not change. */
+/* Set the filter gain to zero for states that the measurement must not change. */
 static void freeze(const ddmpc_controller *c, const real *z, int pushed, real *gain, int columns)
 {
     const int n = STATES(c);
     real twist[2];
     if (pushed) {
-        /* The robot does not do as told, for a reason that is none of slip: velocity and pose take it all. */
+        /* Something pushes the robot: velocity and pose explain the innovation, slip and delays do not. */
         memset(gain + n * columns, 0, (size_t)(POSE(c) * columns) * sizeof(real));
         return;
     }
     ddmpc_filter_twist(c, z, twist);
     if (ddmpc_fabs(twist[1]) < c->constants->min_yaw_rate) {
-        /* Friction holds the robot against the small commands of a straight, which tell neither gain nor delay. */
+        /* On a straight, friction holds the robot against small turning commands, which carry no information about
+         * gains and delay. */
         memset(gain + (n + DELAYS(c) + 1) * columns, 0, (size_t)columns * sizeof(real));
         memset(gain + (n + OMEGA_GAIN) * columns, 0, (size_t)columns * sizeof(real));
         memset(gain + (n + YAW_GAIN) * columns, 0, (size_t)columns * sizeof(real));
@@ -287,7 +303,7 @@ void ddmpc_filter_bound(const ddmpc_controller *c, real *z)
     const real *least = c->constants->least_slip, *most = c->constants->most_slip;
     real *slip = z + STATES(c);
     for (int i = 0; i < SLIPS(c); i++) {
-        /* Not by min and max: NaN must stay NaN. */
+        /* Without min and max, since NaN must stay NaN: an invalid estimate has to be detected and reset. */
         if (slip[i] < least[i])
             slip[i] = least[i];
         if (slip[i] > most[i])
@@ -302,6 +318,7 @@ void ddmpc_filter_bound(const ddmpc_controller *c, real *z)
     }
 }
 
+/* Correct a belief by one reading with gradient `h`, `innovation` and `variance`; PHt is P h. */
 static void correct_scalar(const ddmpc_controller *c, ddmpc_belief *belief, const real *h, real innovation,
                            real variance, int pushed, const real *PHt)
 {
@@ -316,13 +333,14 @@ static void correct_scalar(const ddmpc_controller *c, ddmpc_belief *belief, cons
         half[i] = PHt[i] - R(0.5) * S * gain[i];
     }
     ddmpc_filter_bound(c, belief->mean);
-    /* Joseph's form: right for any gain, optimal or not. */
+    /* P -= K (P h)' + (P h) K' - K S K', Joseph's form, is right for any gain; P -= K S K' would need the optimal
+     * gain, which `freeze` has changed. With half = P h - K S / 2 it is one symmetric update. */
     for (int i = 0; i < Z; i++, row += Z)
         for (int j = 0; j < Z; j++)
             row[j] -= gain[i] * half[j] + half[i] * gain[j];
 }
 
-/* What the wheels and the gyro should read of the motion `ahead` [s], and its gradient by the filter's state. */
+/* Compute the expected reading of wheels or gyro `ahead` [s] of the belief, and its gradient by the filter's state. */
 static real expected_reading(const ddmpc_controller *c, const ddmpc_belief *belief, int sensor, real ahead, real *h)
 {
     const int n = STATES(c), S = SLIPS(c);
@@ -353,6 +371,8 @@ real ddmpc_filter_correct_twist(const ddmpc_controller *c, ddmpc_belief *belief,
     const real normalised = innovation * innovation / (dot(h, PHt, Z) + measured->variance);
     const int pushed = count_surprise(c, belief, measured->sensor, normalised);
     if (pushed) {
+        /* The velocity is uncertain by as much as the innovation: add the covariance of a constant disturbance of the
+         * command with the size of the innovation, so that the states follow it. */
         const int channel = measured->sensor == WHEEL_SPEED ? 0 : 1;
         for (int i = 0; i < n; i++)
             for (int j = 0; j < n; j++)
@@ -364,7 +384,7 @@ real ddmpc_filter_correct_twist(const ddmpc_controller *c, ddmpc_belief *belief,
     return normalised;
 }
 
-/* P H' and S = H P H' + covariance for a pose, and the factors of S = L D L'. */
+/* P H' and S = H P H' + covariance for a pose, and the factors of S = L D L', without square roots. */
 typedef struct {
     real PHt[MOST_BELIEF][3], S[3][3];
     real l10, l20, l21, d[3];
@@ -381,7 +401,7 @@ static void factorise(expectation *f)
     f->d[2] = f->S[2][2] - f->l20 * f->S[2][0] - f->l21 * below;
 }
 
-/* x = S^-1 b */
+/* Compute x = S^-1 b. */
 static void divide(const expectation *f, const real b[3], real x[3])
 {
     const real y1 = b[1] - f->l10 * b[0], y2 = b[2] - f->l20 * b[0] - f->l21 * y1;
@@ -391,7 +411,7 @@ static void divide(const expectation *f, const real b[3], real x[3])
 }
 
 static void expect(const ddmpc_controller *c, const ddmpc_belief *belief, const moved_pose *moved,
-                   const ddmpc_checked_pose *pose, expectation *found)
+                   const ddmpc_checked_pose *pose, expectation *expected)
 {
     const int Z = BELIEF(c);
     real product[3][MOST_BELIEF];
@@ -399,23 +419,23 @@ static void expect(const ddmpc_controller *c, const ddmpc_belief *belief, const 
         times(c, belief, moved->by[i], product[i]);
     for (int i = 0; i < 3; i++)
         for (int j = 0; j <= i; j++)
-            found->S[i][j] = found->S[j][i] = dot(moved->by[i], product[j], Z) + pose->covariance[i][j];
+            expected->S[i][j] = expected->S[j][i] = dot(moved->by[i], product[j], Z) + pose->covariance[i][j];
     for (int k = 0; k < Z; k++)
         for (int i = 0; i < 3; i++)
-            found->PHt[k][i] = product[i][k];
-    factorise(found);
+            expected->PHt[k][i] = product[i][k];
+    factorise(expected);
 }
 
-/* Stretch the deviations of position and heading, correlations staying as they are. */
+/* Scale the deviations of position and heading without a change of correlations. */
 static void doubt(const ddmpc_controller *c, ddmpc_belief *belief, const real by[2])
 {
-    const int Z = BELIEF(c), at = STATES(c) + POSE(c);
+    const int Z = BELIEF(c), first = STATES(c) + POSE(c);
     if (!(by[0] > R(1.0) || by[1] > R(1.0)))
         return;
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < Z; j++) {
-            belief->covariance[(at + i) * Z + j] *= by[i / 2];
-            belief->covariance[j * Z + at + i] *= by[i / 2];
+            belief->covariance[(first + i) * Z + j] *= by[i / 2];
+            belief->covariance[j * Z + first + i] *= by[i / 2];
         }
 }
 
@@ -430,12 +450,13 @@ real ddmpc_filter_correct_pose(const ddmpc_controller *c, ddmpc_belief *belief, 
     move_from(c, belief->mean, ahead, &moved);
     for (int i = 0; i < 3; i++)
         innovation[i] = pose->value[i] - moved.pose[i];
+    /* Headings are unwrapped; only the angle between them counts. */
     innovation[2] = ddmpc_wrap(innovation[2]);
     expect(c, belief, &moved, pose, &f);
     divide(&f, innovation, solved);
     const real normalised = dot(innovation, solved, 3) / R(3.0);
-    /* A pose that the belief cannot explain says that something moved the robot: then the pose is believed, and nothing
-       is learned from it about slip, unless that goes on. */
+    /* A pose that the belief cannot explain means that something moved the robot: the estimate then follows the pose,
+     * and slip stays, unless this persists. */
     const int pushed = count_surprise(c, belief, POSE_SENSOR, normalised);
     if (pushed) {
         for (int i = 0; i < 3; i++)
@@ -460,13 +481,15 @@ real ddmpc_filter_correct_pose(const ddmpc_controller *c, ddmpc_belief *belief, 
 
 void ddmpc_filter_place(const ddmpc_controller *c, ddmpc_belief *belief, const ddmpc_checked_pose *pose)
 {
-    const int Z = BELIEF(c), at = STATES(c) + POSE(c);
+    /* The new pose has nothing to do with the estimate, so its correlations vanish; velocity and slip stay as
+     * estimated. */
+    const int Z = BELIEF(c), first = STATES(c) + POSE(c);
     for (int i = 0; i < 3; i++) {
-        for (int j = 0; j < at; j++)
-            belief->covariance[(at + i) * Z + j] = belief->covariance[j * Z + at + i] = R(0.0);
+        for (int j = 0; j < first; j++)
+            belief->covariance[(first + i) * Z + j] = belief->covariance[j * Z + first + i] = R(0.0);
         for (int j = 0; j < 3; j++)
-            belief->covariance[(at + i) * Z + at + j] = pose->covariance[i][j];
-        belief->mean[at + i] = pose->value[i];
+            belief->covariance[(first + i) * Z + first + j] = pose->covariance[i][j];
+        belief->mean[first + i] = pose->value[i];
     }
     memset(belief->surprised, 0, sizeof belief->surprised);
 }

@@ -1,4 +1,4 @@
-"""C text of CasADi functions: plain C99 for double and single precision, without memory of its own.
+"""C text of CasADi functions: plain C99 for double and single precision, without allocated memory.
 
 CasADi writes the statements; its macros, its queries and its reference counts are left out, and each constant and
 function of math.h is wrapped, so that one text serves both precisions and no double sneaks into a controller in float.
@@ -107,17 +107,17 @@ class GeneratedC:
 
 
 def generate_formulas() -> GeneratedC:
-    """C of the controller's formulas, `mpc/problem/formulas.py`."""
+    """Generate C of the controller's formulas in `mpc/problem/formulas.py`."""
     return generate(formulas(), "ddmpc_formulas", "mpc/problem/formulas.py")
 
 
 def generate_network_formulas() -> GeneratedC:
-    """C of the formulas of a network's units, `models/lstm_cell.py`."""
+    """Generate C of the formulas of network units in `models/lstm_cell.py`."""
     return generate_inline(network_formulas(), "ddmpc_network_formulas", "models/lstm_cell.py")
 
 
 def generate(functions: Sequence[ca.Function], stem: str, origin: str) -> GeneratedC:
-    """C of SX functions, under the names that they have.
+    """Generate C of SX functions under their own names.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def generate(functions: Sequence[ca.Function], stem: str, origin: str) -> Genera
 
 
 def generate_inline(functions: Sequence[ca.Function], stem: str, origin: str) -> GeneratedC:
-    """C of SX functions for the inner loops of hand-written C: a header alone, with their definitions; as `generate`.
+    """Generate a header with inline C definitions of SX functions for the inner loops of hand-written code.
 
     Raises
     ------
@@ -164,7 +164,7 @@ def generate_inline(functions: Sequence[ca.Function], stem: str, origin: str) ->
 
 
 def _bodies(functions: Sequence[ca.Function], names: Mapping[str, str]) -> dict[str, str]:
-    """CasADi's statements of each function by name, functions of math.h by `names` where they are in it."""
+    """Return CasADi's statements of each function by name, with calls of math.h replaced as in `names`."""
     generator = ca.CodeGenerator("text.c", {"with_header": False, "main": False, "mex": False, "with_mem": False})
     for function in functions:
         generator.add(_as_computed(function))
@@ -183,19 +183,19 @@ def _bodies(functions: Sequence[ca.Function], names: Mapping[str, str]) -> dict[
 
 
 def _own(bodies: Mapping[str, str]) -> list[str]:
-    """Definitions of what the statements call and C99 does not have."""
+    """Return definitions of functions that the statements call and C99 lacks."""
     return [f"{line}\n" for name, line in _OWN.items() if any(_OWN_NAMES[name] in body for body in bodies.values())]
 
 
 def _as_computed(function: ca.Function) -> ca.Function:
-    """`function` with dense results, and nothing computed twice."""
+    """Return `function` with dense results and without repeated computations."""
     symbols = function.sx_in()
     results = ca.cse([ca.densify(result) for result in function.call(symbols, True, False)])
     return ca.Function(function.name(), symbols, results, function.name_in(), function.name_out())
 
 
 def _plain(name: str, body: str, names: Mapping[str, str]) -> str:
-    """CasADi's statements with each number and each function of math.h in the precision of `real`."""
+    """Convert CasADi's statements to the precision of `real`, numbers and functions of math.h included."""
 
     def written(token: re.Match[str]) -> str:
         if token["number"]:
@@ -251,7 +251,7 @@ def term_name(index: int) -> str:
 
 
 def generated_functions(model: VelocityModel | NonlinearModel, terms: Sequence[Term]) -> GeneratedC | None:
-    """C of the user's nonlinear model, if it is one, and of the terms; None if there is nothing to write.
+    """Generate C of the user's nonlinear model and terms; return None if there are none.
 
     Raises
     ------
@@ -272,7 +272,7 @@ def generated_functions(model: VelocityModel | NonlinearModel, terms: Sequence[T
 def compile_functions(
     model: VelocityModel | NonlinearModel, terms: Sequence[Term]
 ) -> tuple[tuple[Any, Any] | None, list[CompiledTerm]]:
-    """Addresses of a nonlinear model's step and output, if it is one, and of the terms.
+    """Return the addresses of a nonlinear model's step and output, if it has one, and of the terms.
 
     Raises
     ------
@@ -285,15 +285,15 @@ def compile_functions(
     """
     ffi, core = load_core()
     generated = generated_functions(model, terms)
-    own = model.compiled_step if isinstance(model, NonlinearModel) else None
+    compiled = model.compiled_step if isinstance(model, NonlinearModel) else None
     library = load_functions(generated) if generated else None
 
     def address(name: str) -> Any:  # noqa: ANN401 - cffi has no types
         return ffi.addressof(library, name)
 
     step_and_output = None
-    if own is not None:
-        step_and_output = ffi.addressof(core, own.step), ffi.addressof(core, own.output)
+    if compiled is not None:
+        step_and_output = ffi.addressof(core, compiled.step), ffi.addressof(core, compiled.output)
     elif isinstance(model, NonlinearModel):
         step_and_output = address(STEP), address(OUTPUT)
     places = parameter_places(terms)

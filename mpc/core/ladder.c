@@ -1,6 +1,7 @@
-/* The ladder: what is sent when a part of a tick fails. A fresh plan, else the rest of the last good one for a few ticks,
- * else braking to a stop. Whatever is sent lies inside range and slew, and turns no tighter than commands may. */
-/* for clock_gettime, which C99 alone does not know */
+/* The failure ladder: the command after a part of a tick has failed. It comes from a fresh plan, or else from the
+ * rest of the last good plan for a few ticks, or else from braking to a stop. Every command is inside range and slew,
+ * and respects the minimum commanded radius. */
+/* for clock_gettime, which C99 alone does not declare */
 #define _POSIX_C_SOURCE 199309L
 #include <limits.h>
 #include <string.h>
@@ -8,15 +9,15 @@
 #include "clock.h"
 #include "internal.h"
 
-/* The command nearest to `wanted` within `share` of the range and within reach of the last command; `step` by channel, for a
- * size that grows and falls. */
+/* Clip `wanted` to `share` of the range and to the reach of the last command; `step` holds, per channel, the slew of
+ * a growing and of a falling command. */
 static void clip(const ddmpc_controller *c, const real wanted[2], real share, const real step[4], real command[2])
 {
     for (int i = 0; i < 2; i++) {
         const real *largest = c->constants->largest_command + 2 * i;
         real reach[2];
         ddmpc_reach(c->last[i], step + 2 * i, reach);
-        /* Beyond the range, as after it was tightened, as far as the last command makes necessary. */
+        /* The slew wins over the range: after the range was tightened, the last command may lie outside it. */
         const real upper = ddmpc_min(reach[1], ddmpc_max(reach[0], share * largest[0]));
         const real lower = ddmpc_max(reach[0], ddmpc_min(reach[1], -share * largest[1]));
         command[i] = ddmpc_min(ddmpc_max(wanted[i], lower), upper);
@@ -52,7 +53,7 @@ static void widen(ddmpc_controller *c, real share, real command[2])
         c->result.reasons |= DDMPC_TURN_HELD;
 }
 
-/* Say whether the path itself, or the way back to it, turns tighter than commands may. */
+/* Report a path, or a path back to it, that turns more tightly than commands may. */
 static void report_turn(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
@@ -63,7 +64,7 @@ static void report_turn(ddmpc_controller *c)
         c->result.reasons |= DDMPC_TURN_HELD;
 }
 
-/* The command ramps to zero. */
+/* Ramp the command to zero. */
 void ddmpc_ramp(ddmpc_controller *c)
 {
     const real zero[2] = {R(0.0), R(0.0)};
@@ -81,7 +82,7 @@ int ddmpc_brake(ddmpc_controller *c, unsigned int reason, ddmpc_stop stop)
     result->reasons |= reason;
     result->has_plan = 0;
     c->plan_age = -1;
-    /* A solve that is only too slow goes on from where it got. */
+    /* A solve that was only too slow continues from its last iterate. */
     if (reason != DDMPC_DEADLINES_MISSED)
         ddmpc_solver_reset(c);
     c->is_outage = stop == DDMPC_OUTAGE;
@@ -103,30 +104,30 @@ void ddmpc_stand(ddmpc_controller *c)
     c->result.mode = DDMPC_STOPPED;
 }
 
-/* Keep a plan; the next solve begins from the rest of it. */
-static void keep(ddmpc_controller *c)
+/* Store a plan; the next solve starts from the rest of it, with the last command repeated. */
+static void store_plan(ddmpc_controller *c)
 {
     const int inputs = INPUTS(c);
     real *guess = c->problem.guess;
-    memcpy(c->kept, c->problem.plan, (size_t)inputs * sizeof(real));
-    memcpy(guess, c->kept + 2, (size_t)(inputs - 2) * sizeof(real));
-    memcpy(guess + inputs - 2, c->kept + inputs - 2, 2 * sizeof(real));
+    memcpy(c->last_plan, c->problem.plan, (size_t)inputs * sizeof(real));
+    memcpy(guess, c->last_plan + 2, (size_t)(inputs - 2) * sizeof(real));
+    memcpy(guess + inputs - 2, c->last_plan + inputs - 2, 2 * sizeof(real));
     c->problem.has_guess = 1;
 }
 
-/* Take over a plan that may be driven. */
+/* Accept a plan and send its first command. */
 static int accept(ddmpc_controller *c)
 {
     ddmpc_result *result = &c->result;
     const size_t size = (size_t)INPUTS(c) * sizeof(real);
-    keep(c);
-    ddmpc_problem_poses(c, c->kept, result->planned_poses);
-    memcpy(result->planned_commands, c->kept, size);
+    store_plan(c);
+    ddmpc_problem_poses(c, c->last_plan, result->planned_poses);
+    memcpy(result->planned_commands, c->last_plan, size);
     memcpy(result->aim, c->problem.aim, (size_t)(4 * (STEPS(c) + 1)) * sizeof(real));
     c->plan_age = 0;
     result->has_plan = 1;
     result->mode = DDMPC_TRACKING;
-    clip(c, c->kept, c->share, c->constants->slew, result->command);
+    clip(c, c->last_plan, c->share, c->constants->slew, result->command);
     widen(c, c->share, result->command);
     report_turn(c);
     return DDMPC_DONE;
@@ -142,7 +143,7 @@ int ddmpc_reuse(ddmpc_controller *c)
         return ddmpc_brake(c, 0, DDMPC_FAILURE);
     c->result.mode = DDMPC_REUSED_PLAN;
     c->result.has_plan = 1;
-    clip(c, c->kept + 2 * c->plan_age, R(1.0), c->constants->slew, c->result.command);
+    clip(c, c->last_plan + 2 * c->plan_age, R(1.0), c->constants->slew, c->result.command);
     widen(c, R(1.0), c->result.command);
     return DDMPC_DONE;
 }
@@ -172,6 +173,6 @@ int ddmpc_use_plan(ddmpc_controller *c)
     if (!misses_too_many(c))
         return is_good ? accept(c) : ddmpc_reuse(c);
     if (is_good)
-        keep(c);
+        store_plan(c);
     return ddmpc_brake(c, DDMPC_DEADLINES_MISSED, DDMPC_FAILURE);
 }

@@ -1,8 +1,8 @@
 """The compiled core and compiled functions of the user, loaded through cffi.
 
-The core is the package's own where a wheel brought one. Else it is compiled at first use for the processor at hand, and
-kept in the user's cache (`models/compiled/cache.py`). Its declarations are the text of its header, so names cross the
-border by name.
+The core is the package's own where a wheel brought one. Otherwise it is compiled on first use for this processor, and
+cached for the user (`models/compiled/cache.py`). Its declarations are the text of its header, so names cross the border
+by name.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _FUNCTION = "int {name}(const real **, real **, long long *, real *, int);"
 
 @cache
 def load_core() -> tuple[cffi.FFI, Any]:
-    """The core: cffi's declarations of `mpc/core/core.h`, and the library.
+    """Load the core: cffi's declarations of `mpc/core/core.h`, and the library.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def load_core() -> tuple[cffi.FFI, Any]:
 
 @cache
 def load_functions(generated: GeneratedC) -> Any:  # noqa: ANN401 - cffi has no type for a library
-    """The library of generated functions, each to be had by its name, with the core's types.
+    """Load the library of generated functions, which are its attributes and use the core's types.
 
     Raises
     ------
@@ -116,7 +116,8 @@ def _load(stem: str, texts: Mapping[str, str], declared: str) -> Any:  # noqa: A
     return load_cached(stem, what_is_built(texts), build, lambda path: ffi.dlopen(str(path)))
 
 
-# The structs of core.h by the names of their fields: shapes of what they point to, and values that fit.
+# Structs of core.h by field names: shapes of their arrays, and values that fit. shapes of what they point to, and
+# values that fit.
 
 
 _POINTER = re.compile(r"^\s*(?:const )?(?:real|ddmpc_time|int) \*(\w+);\s*/\* ((?:\[[^\]]+\])+)", re.MULTILINE)
@@ -124,7 +125,7 @@ _STRUCT = re.compile(r"typedef struct \{(.*?)\} (\w+);", re.DOTALL)
 
 
 def pointer_shapes(struct: str, sizes: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
-    """Shapes of what the pointers of a struct of core.h point to, by name, for these sizes of a controller."""
+    """Return the shapes of the arrays that a struct of core.h points to, by name, for these sizes of a controller."""
     N, n = sizes["steps"], sizes["states"]
     symbols = {
         "N": N,
@@ -145,7 +146,7 @@ def pointer_shapes(struct: str, sizes: Mapping[str, int]) -> dict[str, tuple[int
 
 
 def _value(expression: str, symbols: Mapping[str, int]) -> int:
-    """A sum of products of symbols and numbers."""
+    """Evaluate a sum of products of symbols and numbers."""
     total = 0
     for summand in expression.strip("()").replace("(", "").split("+"):
         product = 1
@@ -160,11 +161,11 @@ class Field(NamedTuple):
 
     name: str
     value: FloatArray | list[float] | float | int
-    """What a pointer points to; the numbers of an array; or one number."""
+    """Numbers of the array, address that a pointer points to, or one number."""
 
 
 def constant_fields(sizes: Mapping[str, int], values: Constants) -> Iterator[Field]:
-    """The fields of `ddmpc_constants` in their order.
+    """Yield the fields of `ddmpc_constants` in their order.
 
     Raises
     ------

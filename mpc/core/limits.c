@@ -58,13 +58,13 @@ static void bound_commands(ddmpc_controller *c)
 static real direction_at(const ddmpc_controller *c, int k, int end)
 {
     const real *v = c->reference_twist;
-    int at = k;
-    /* Either loop takes as many rounds as there are samples at most. */
-    while (at < end && ddmpc_fabs(v[2 * at]) <= c->constants->standing)
-        at++;
-    while (at > 0 && ddmpc_fabs(v[2 * at]) <= c->constants->standing)
-        at--;
-    return v[2 * at] < R(0.0) ? R(-1.0) : R(1.0);
+    int moving = k;
+    /* Each loop takes at most as many rounds as there are samples. */
+    while (moving < end && ddmpc_fabs(v[2 * moving]) <= c->constants->standing)
+        moving++;
+    while (moving > 0 && ddmpc_fabs(v[2 * moving]) <= c->constants->standing)
+        moving--;
+    return v[2 * moving] < R(0.0) ? R(-1.0) : R(1.0);
 }
 
 /* The command acts one lag later. */
@@ -82,9 +82,9 @@ void ddmpc_directions(const ddmpc_controller *c, real *directions)
 typedef struct {
     ddmpc_function function;
     int rows, first;
-    real radius;            /* the least of a turn that it keeps, from above only [m]; 0: it is about something else */
-    int commanded;          /* whether that turn is the command's, and not the body's */
-    const ddmpc_term *term; /* of the user; none for the shipped ones */
+    real radius;            /* minimum turn radius that it enforces, from above only [m]; 0: another kind of limit */
+    int commanded;          /* 1 if the radius is that of the command, 0 if it is that of the body */
+    const ddmpc_term *term; /* term of the user; NULL for a shipped limit */
 } soft_group;
 
 static void soft_at(const ddmpc_controller *c, const soft_group *group, int k)

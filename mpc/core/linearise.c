@@ -25,7 +25,8 @@ static void settle(const ddmpc_controller *c, const real wanted[2], ddmpc_settle
         memcpy(command, last->command, sizeof last->command);
 }
 
-/* What to aim at, and the commands that would keep the reference's twist, one lag ahead, from the last tick on. */
+/* Compute the poses to aim at, and the feed-forward: the commands that would keep the reference's twist, one lag
+ * ahead, from the last tick on. */
 static void look_ahead(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
@@ -98,7 +99,7 @@ static void find_turning_points(ddmpc_controller *c)
     }
 }
 
-/* What the first `count` commands of a plan add to the twists of a linear model at the samples: a convolution. */
+/* Convolve the first `count` commands of a plan with the response of a linear model: their effect on the twists. */
 static void convolve(const real *response, const real *plan, int count, int N, real *by_plan)
 {
     memset(by_plan, 0, (size_t)(2 * (N + 1)) * sizeof(real));
@@ -152,8 +153,8 @@ static void respond_late(ddmpc_controller *c, const real *delays)
     }
 }
 
-/* The commands of the past as they act later, from the first of the window to the last that acts on the plan: (W + N, 2).
-   Returns how many of them act on the plan. */
+/* Delay the past commands by the estimated delays, from the first of the window to the last that acts on the plan:
+   (W + N, 2). Returns the number of past commands that act on the plan. */
 static int line_up(const ddmpc_controller *c, real *line)
 {
     const real *late = c->problem.late;
@@ -178,7 +179,7 @@ void ddmpc_problem_begin(ddmpc_controller *c)
     look_ahead(c);
     if (NONLINEAR(c))
         return;
-    real *said = CURVED(c) ? p->said : p->free_output;
+    real *free_output = CURVED(c) ? p->model_output : p->free_output;
     const int beyond = line_up(c, line);
     convolve(k->response, line + past, beyond, N, arriving);
     for (int i = 0; i < 2 * (STEPS(c) + 1); i++) {
@@ -188,7 +189,7 @@ void ddmpc_problem_begin(ddmpc_controller *c)
             free += from_state[j] * z[j];
         for (int j = 0; j < past; j++)
             free += from_past[j] * line[j];
-        said[i] = free + arriving[(i % 2) * (N + 1) + i / 2];
+        free_output[i] = free + arriving[(i % 2) * (N + 1) + i / 2];
     }
     if (!CURVED(c))
         free_twists(c);
@@ -204,7 +205,7 @@ void ddmpc_problem_guess(ddmpc_controller *c)
     p->has_guess = 1;
 }
 
-/* The same from rows. */
+/* Compute the effect of a plan on the twists from their rows. */
 static void add_rows(const ddmpc_controller *c, const real *plan, real *by_plan)
 {
     const int N = STEPS(c);
@@ -226,7 +227,7 @@ void ddmpc_add_plan(const ddmpc_controller *c, const real *plan, real *by_plan)
         convolve(ddmpc_rows(c).response, plan, STEPS(c), STEPS(c), by_plan);
 }
 
-/* The outputs (2) of a nonlinear model at the samples under `plan`; `rows` says whether to keep its rows, too. */
+/* Run a nonlinear model under `plan`: its outputs (2) at the samples, and its rows if `rows`. */
 static void run_model(ddmpc_controller *c, const real *plan, real *outputs, int rows)
 {
     ddmpc_problem *p = &c->problem;
@@ -269,7 +270,7 @@ static void run_model(ddmpc_controller *c, const real *plan, real *outputs, int 
     }
 }
 
-/* The same of a linear model. */
+/* Run a linear model under `plan`: its outputs, and on request its rows. */
 static void run_linear_model(ddmpc_controller *c, const real *plan, real *outputs, int rows)
 {
     ddmpc_problem *p = &c->problem;
@@ -277,7 +278,7 @@ static void run_linear_model(ddmpc_controller *c, const real *plan, real *output
     real added[2 * (DDMPC_MOST_STEPS + 1)];
     convolve(ddmpc_rows(c).response, plan, N, N, added);
     for (int i = 0; i < 2 * (N + 1); i++)
-        outputs[i] = p->said[i] + added[(i % 2) * (N + 1) + i / 2];
+        outputs[i] = p->model_output[i] + added[(i % 2) * (N + 1) + i / 2];
     for (int k = 0; rows && k <= N; k++)
         for (int channel = 0; channel < 2; channel++) {
             real *row = p->twist_rows + (2 * k + channel) * width;
@@ -316,7 +317,7 @@ static void run(ddmpc_controller *c, const real *plan, real *outputs, int rows)
         curve(c, outputs, rows);
 }
 
-/* Rows along the guess, and what the output would be without a plan. */
+/* Compute the rows along the guess, and the output without a plan. */
 static void linearise_rows(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
@@ -347,18 +348,18 @@ static void roll_out(const ddmpc_controller *c, const real *by_plan, real *arcs,
     real speed = ddmpc_speed_at(c, by_plan, 0);
     memcpy(poses, p->pose, sizeof p->pose);
     for (int k = 0; k < N; k++) {
-        const real *free = p->free_twist + 2 * k, *at = poses + 3 * k;
+        const real *free = p->free_twist + 2 * k, *pose = poses + 3 * k;
         const real *omega = by_plan + N + 1 + k, next = ddmpc_speed_at(c, by_plan, k + 1);
         const real mean_v = R(0.5) * (speed + next);
         const real mean_omega = R(0.5) * (free[1] + free[3] + omega_gain * (omega[0] + omega[1]));
         real move[2], J[2 * 3];
-        const real *arguments[6] = {at + 2, &mean_v, &mean_omega, p->slip, p->ahead + k, &dt};
+        const real *arguments[6] = {pose + 2, &mean_v, &mean_omega, p->slip, p->ahead + k, &dt};
         real *results[2] = {move, arcs ? J : 0};
         WITH_SLIP(c, arc)(arguments, results, 0, 0, 0);
         speed = next;
-        poses[3 * k + 3] = at[0] + move[0];
-        poses[3 * k + 4] = at[1] + move[1];
-        poses[3 * k + 5] = at[2] + dt * mean_omega;
+        poses[3 * k + 3] = pose[0] + move[0];
+        poses[3 * k + 4] = pose[1] + move[1];
+        poses[3 * k + 5] = pose[2] + dt * mean_omega;
         for (int i = 0; arcs && i < 2; i++) {
             arcs[i * N + k] = move[i];
             arcs[(2 + 3 * i) * N + k] = v_gain * J[i];
@@ -376,7 +377,7 @@ void ddmpc_problem_poses(ddmpc_controller *c, const real *plan, real *poses)
     if (ROWS(c)) {
         real outputs[2 * (DDMPC_MOST_STEPS + 1)];
         run(c, plan, outputs, 0);
-        /* Not linearised: what the plan really adds. */
+        /* Use the exact effect of the plan instead of the linearised one. */
         for (int i = 0; i < 2 * (N + 1); i++)
             p->by_plan[(i % 2) * (N + 1) + i / 2] = outputs[i] - p->free_output[i];
     }

@@ -1,16 +1,16 @@
-/* Lays out a controller in memory that the caller gives: how much it needs by its sizes, and where each array begins. Nothing
- * is allocated after this, here or anywhere in the core. */
+/* Memory layout of a controller in memory provided by the caller: its size, and the start of each array. The core
+ * allocates nothing, here or anywhere else. */
 #include <string.h>
 
 #include "internal.h"
 
-/* Tests leave gaps between arrays that nobody may touch. */
+/* Tests leave gaps between arrays to detect access out of bounds. */
 #ifndef DDMPC_GAP
 #define DDMPC_GAP 0
 #define DDMPC_GUARD(address, bytes) ((void)(address))
 #endif
 
-/* Memory that is dealt out from the front; without any it only counts. */
+/* Memory distributed from the front; without memory it only counts. */
 typedef struct {
     real *reals;
     int *ints;
@@ -54,7 +54,7 @@ static void lay_problem(ddmpc_controller *c, memory *m)
 {
     ddmpc_problem *p = &c->problem;
     const long N = STEPS(c), n = STATES(c), inputs = INPUTS(c), width = WIDTH(c), soft = SOFT(c), kinds = KINDS(c);
-    const long own = soft > RESIDUALS(c) ? soft : RESIDUALS(c);
+    const long rows = soft > RESIDUALS(c) ? soft : RESIDUALS(c);
     p->ahead = reals(m, N);
     if (SPARE(c)) {
         p->late_response = reals(m, 4 * (N + 1));
@@ -72,7 +72,7 @@ static void lay_problem(ddmpc_controller *c, memory *m)
         p->twist_rows = reals(m, (N + 1) * 2 * width);
         p->mean_rows = reals(m, N * 2 * width);
         p->heading_rows = reals(m, (N + 1) * width);
-        p->said = reals(m, 2 * (N + 1));
+        p->model_output = reals(m, 2 * (N + 1));
     }
     if (NONLINEAR(c)) {
         p->sensitivity = reals(m, 2 * n * width);
@@ -91,7 +91,7 @@ static void lay_problem(ddmpc_controller *c, memory *m)
     p->gradient = reals(m, width);
     p->soft_value = reals(m, soft * N);
     p->soft_gradient = reals(m, soft * N * TERM_INPUTS);
-    p->term = reals(m, own * (1 + TERM_INPUTS));
+    p->term = reals(m, rows * (1 + TERM_INPUTS));
     p->H = reals(m, inputs * inputs);
     p->g = reals(m, inputs);
     p->lower = reals(m, kinds * N);
@@ -111,7 +111,7 @@ static void lay(ddmpc_controller *c, memory *m)
     ddmpc_result *result = &c->result;
     lay_estimator(c, m);
     lay_problem(c, m);
-    c->kept = reals(m, 2 * N);
+    c->last_plan = reals(m, 2 * N);
     c->parameters = reals(m, (N + 1) * PARAMETERS(c));
     c->reference_pose = reals(m, 3 * SAMPLES(c));
     c->reference_twist = reals(m, 2 * SAMPLES(c));
@@ -131,7 +131,7 @@ static void lay(ddmpc_controller *c, memory *m)
     c->limited.ints = ints(m, DDMPC_LIMITED_INTS((long)INPUTS(c), (long)rows, (long)PRESSING(c)));
 }
 
-/* Whether local memory holds these sizes. */
+/* Return 1 if local arrays of fixed size are large enough for these sizes. */
 static int fits(const ddmpc_sizes *s)
 {
     return s->steps >= 1 && s->steps <= DDMPC_MOST_STEPS && s->states >= 1 && s->states <= DDMPC_MOST_STATES &&

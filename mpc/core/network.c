@@ -1,7 +1,7 @@
 /* A network on past commands as velocity model: forward through the window, and back for the gradient of its outputs.
  *
- * Only algebra stands here; the equations of the units and their derivatives are generated from
- * models/lstm_cell.py. Inner loops run over units, which lie side by side. */
+ * This file holds algebra only; the equations of the units and their derivatives are generated from
+ * models/lstm_cell.py. Inner loops run over units, which are adjacent in memory. */
 #include "network.h"
 
 #include <string.h>
@@ -10,7 +10,8 @@
 #include "ddmpc_network_formulas.h"
 
 enum { ENTER, KEEP, CANDIDATE, LEAVE, GATES };
-/* Of a unit at a sample: its cell by its gates and by its cell before, and what it says by its gate and by its cell. */
+/* Derivatives of a unit at a sample: of its cell by its gates and previous cell, and of its output by its gate and
+ * cell. */
 enum { BY_ENTER, BY_KEEP, BY_CANDIDATE, BY_CELL, OUT_BY_LEAVE, OUT_BY_CELL };
 
 typedef struct {
@@ -48,26 +49,27 @@ static inline void add_product(const real *restrict left, const real *restrict m
                                real *restrict sum)
 {
     for (int first = 0; first < columns; first += DDMPC_BLOCK) {
-        /* A copy of its own stays in registers. */
-        real own[DDMPC_BLOCK];
+        /* The compiler keeps a local copy in registers. */
+        real block[DDMPC_BLOCK];
 #pragma GCC unroll 32
         for (int j = 0; j < DDMPC_BLOCK; j++)
-            own[j] = sum[first + j];
+            block[j] = sum[first + j];
         for (int k = 0; k < rows; k++) {
             const real *restrict row = matrix + k * columns + first;
 #pragma GCC unroll 32
             for (int j = 0; j < DDMPC_BLOCK; j++)
-                own[j] += left[k] * row[j];
+                block[j] += left[k] * row[j];
         }
 #pragma GCC unroll 32
         for (int j = 0; j < DDMPC_BLOCK; j++)
-            sum[first + j] = own[j];
+            sum[first + j] = block[j];
     }
 }
 
-/* Cells and outputs of all units one sample on, from the sums of their gates; `kept` for the gradient, where wanted. */
+/* Advance cells and outputs of all units by one sample, from the sums of their gates; on request store their
+ * derivatives for the gradient in `stored`. */
 static inline void advance_units(int row, const real *restrict sums, real *restrict cell, real *restrict says,
-                                 real *restrict kept, int gradient)
+                                 real *restrict stored, int gradient)
 {
 #pragma GCC ivdep
     for (int j = 0; j < row; j++) {
@@ -83,12 +85,12 @@ static inline void advance_units(int row, const real *restrict sums, real *restr
         cell[j] = after;
         says[j] = out;
         if (gradient) {
-            kept[BY_ENTER * row + j] = by_before[0];
-            kept[BY_KEEP * row + j] = by_before[1];
-            kept[BY_CANDIDATE * row + j] = by_before[2];
-            kept[BY_CELL * row + j] = by_before[3];
-            kept[OUT_BY_LEAVE * row + j] = by_now[0];
-            kept[OUT_BY_CELL * row + j] = by_now[1];
+            stored[BY_ENTER * row + j] = by_before[0];
+            stored[BY_KEEP * row + j] = by_before[1];
+            stored[BY_CANDIDATE * row + j] = by_before[2];
+            stored[BY_CELL * row + j] = by_before[3];
+            stored[OUT_BY_LEAVE * row + j] = by_now[0];
+            stored[OUT_BY_CELL * row + j] = by_now[1];
         }
     }
 }
@@ -107,22 +109,23 @@ static inline void activate(int row, real *restrict sums, real *restrict slope)
     }
 }
 
-/* Back through one sample: what an output owes to the gates' sums, and to the cell before. */
-static inline void retreat_units(int row, const real *restrict kept, const real *restrict by_says,
+/* Propagate derivatives of an output back through one sample, to the sums of the gates and to the previous cell. */
+static inline void retreat_units(int row, const real *restrict stored, const real *restrict by_says,
                                  real *restrict by_cell, real *restrict by_sums)
 {
     for (int j = 0; j < row; j++) {
-        const real cell = by_cell[j] + by_says[j] * kept[OUT_BY_CELL * row + j];
-        by_sums[ENTER * row + j] = cell * kept[BY_ENTER * row + j];
-        by_sums[KEEP * row + j] = cell * kept[BY_KEEP * row + j];
-        by_sums[CANDIDATE * row + j] = cell * kept[BY_CANDIDATE * row + j];
-        by_sums[LEAVE * row + j] = by_says[j] * kept[OUT_BY_LEAVE * row + j];
-        by_cell[j] = cell * kept[BY_CELL * row + j];
+        const real cell = by_cell[j] + by_says[j] * stored[OUT_BY_CELL * row + j];
+        by_sums[ENTER * row + j] = cell * stored[BY_ENTER * row + j];
+        by_sums[KEEP * row + j] = cell * stored[BY_KEEP * row + j];
+        by_sums[CANDIDATE * row + j] = cell * stored[BY_CANDIDATE * row + j];
+        by_sums[LEAVE * row + j] = by_says[j] * stored[OUT_BY_LEAVE * row + j];
+        by_cell[j] = cell * stored[BY_CELL * row + j];
     }
 }
 
-/* Row `output` of the gradient by the window, which lies column by column. `kept` and `slope` are of the way there. */
-static void go_back(const network *n, int output, const real *kept, const real *slope, real *memory, real *gradient)
+/* Compute row `output` of the gradient by the window, which is stored column by column; `stored` and `slope` come
+ * from the forward pass. */
+static void go_back(const network *n, int output, const real *stored, const real *slope, real *memory, real *gradient)
 {
     const int P = n->unit_row, Z = n->in_row;
     real *by_sums = memory, *by_cell = by_sums + GATES * P, *by_in = by_cell + P, *by_layer = by_in + Z;
@@ -131,7 +134,7 @@ static void go_back(const network *n, int output, const real *kept, const real *
     memset(by_cell, 0, (size_t)(P + Z) * sizeof(real));
     add_product(by_layer, n->layer_transposed, n->dense, P, by_in);
     for (int t = n->samples - 1; t >= 0; t--) {
-        retreat_units(P, kept + t * DDMPC_KEPT * P, by_in, by_cell, by_sums);
+        retreat_units(P, stored + t * DDMPC_STORED * P, by_in, by_cell, by_sums);
         memset(by_in, 0, (size_t)Z * sizeof(real));
         add_product(by_sums, n->gates_transposed, GATES * P, Z, by_in);
         for (int channel = 0; channel < 2; channel++) {
@@ -147,7 +150,7 @@ int ddmpc_network_step(const real **arguments, real **results, long long *iw, re
     const real *window = arguments[1];
     const int P = n.unit_row, gradient = results[2] != 0;
     real *in = w, *cell = in + n.in_row, *sums = cell + P, *layer = sums + GATES * P, *slope = layer + n.dense_row;
-    real *rest = slope + n.dense_row, *kept = rest + GATES * P + P + n.in_row + n.dense_row;
+    real *rest = slope + n.dense_row, *stored = rest + GATES * P + P + n.in_row + n.dense_row;
     (void)iw, (void)memory;
     memset(in, 0, (size_t)(n.in_row + P) * sizeof(real));
     for (int t = 0; t < n.samples; t++) {
@@ -155,7 +158,7 @@ int ddmpc_network_step(const real **arguments, real **results, long long *iw, re
         memcpy(sums, n.gate_offset, (size_t)(GATES * P) * sizeof(real));
         add_product(in, n.gates, n.units + 2, GATES * P, sums);
         if (gradient)
-            advance_units(P, sums, cell, in, kept + t * DDMPC_KEPT * P, 1);
+            advance_units(P, sums, cell, in, stored + t * DDMPC_STORED * P, 1);
         else
             advance_units(P, sums, cell, in, 0, 0);
     }
@@ -168,9 +171,9 @@ int ddmpc_network_step(const real **arguments, real **results, long long *iw, re
             sum += n.outputs[output * n.dense_row + j] * layer[j];
         results[0][output] = sum;
         if (gradient)
-            go_back(&n, output, kept, slope, rest, results[2]);
+            go_back(&n, output, stored, slope, rest, results[2]);
     }
-    /* It has no states of its own. */
+    /* The model has no states: its output depends on the window only. */
     if (results[1])
         memset(results[1], 0, 4 * sizeof(real));
     return 0;

@@ -1,10 +1,10 @@
-/* A network on past commands as velocity model: its functions, and how its parameters and its memory lie.
+/* A network on past commands as velocity model: its functions, and the layout of its parameters.
  *
  * One layer of long short-term memory with H units, a dense layer of D units with tanh, and two outputs. P, Q and Z are
  * H, D and H + 2 (the units and the two commands) padded to whole blocks. The parameters lie one after the other:
  *
  *     3            samples of the window, H, D
- *     [H+2][4][P]  weights of the gates enter, keep, candidate and leave, by what the units said and by the command
+ *     [H+2][4][P]  weights of the gates enter, keep, candidate and leave, for previous outputs and the command
  *     [4][P]       their offsets
  *     [4][P][Z]    the same weights once more, transposed
  *     [H][Q]       dense layer
@@ -13,15 +13,15 @@
  *     [2][Q]       outputs
  *     2            their offsets
  *
- * What pads is zero. mpc/core/network.py writes them so. */
+ * Padding is zero. mpc/core/network.py writes this layout. */
 #ifndef DDMPC_NETWORK_H
 #define DDMPC_NETWORK_H
 
 #include "real.h"
 
-/* Columns that are worked on at once, and to a multiple of which rows are padded. */
+/* Number of columns processed at once; rows are padded to a multiple of it. */
 enum { DDMPC_BLOCK = 32 };
-/* What is kept of each unit and sample for the gradient. */
-enum { DDMPC_KEPT = 6 };
+/* Numbers stored per unit and sample for the gradient. */
+enum { DDMPC_STORED = 6 };
 
 #endif

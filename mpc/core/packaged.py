@@ -34,7 +34,7 @@ def write_packaged(folder: Path) -> list[Path]:
 
 
 def packaged_libraries() -> Iterator[Path]:
-    """The package's libraries that this processor can run, best first; only whole ones, and only of these sources."""
+    """Yield the package's libraries that this processor can run, best first; skip incomplete or outdated ones."""
     return _packaged().libraries()
 
 

@@ -1,10 +1,10 @@
-/* What linearising, condensing and limiting share: the rows by which things answer to the commands. */
+/* Shared by linearise.c, condense.c and limits.c: the rows by which predicted values depend on the commands. */
 #ifndef DDMPC_PROBLEM_H
 #define DDMPC_PROBLEM_H
 
 #include "internal.h"
 
-/* Response of a linear model to a plan: later, if its commands act later than configured. */
+/* Response of a linear model to a plan, delayed if its commands act later than configured. */
 static inline ddmpc_response ddmpc_rows(const ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
@@ -14,13 +14,13 @@ static inline ddmpc_response ddmpc_rows(const ddmpc_controller *c)
     return p->late[0] > R(0.0) || p->late[1] > R(0.0) ? late : configured;
 }
 
-/* The model's own row, where it is linear. */
+/* Row of a linear model's output. All rows are the last one shifted, so this is a place in that row. */
 static inline const real *ddmpc_model_row(const ddmpc_controller *c, int k, int channel)
 {
     return ddmpc_rows(c).twist + channel * 2 * WIDTH(c) + 2 * (STEPS(c) - k);
 }
 
-/* Rows by the commands: twist of the model at the sample k, its mean over the arc k, heading at the sample k. */
+/* Derivatives by the commands: twist of the model at the sample k, its mean over the arc k, heading at the sample k. */
 static inline const real *ddmpc_twist_row(const ddmpc_controller *c, int k, int channel)
 {
     if (ROWS(c))
@@ -55,23 +55,24 @@ static inline const real *ddmpc_parameters_at(const ddmpc_controller *c, int sam
 }
 
 /* linearise.c */
-/* What a plan adds to the twists of the model at the samples, (2, N + 1). */
+/* Compute the effect of a plan on the model's twists at the samples, (2, N + 1). */
 void ddmpc_add_plan(const ddmpc_controller *c, const real *plan, real *by_plan);
-/* Displacements (2, N) at the samples 1 to N that the linearised arcs owe to a plan, and its headings (N + 1). */
+/* Compute the linearised effect of a plan on positions (2, N) at the samples 1 to N, and on headings (N + 1). */
 void ddmpc_linear_moves(const ddmpc_controller *c, const real *by_plan, real *moves, real *headings);
 
 /* condense.c */
-/* What a function of (pose, twist, command, reference, parameters) says at sample k + 1: value, then Jacobian. */
+/* Evaluate a function of (pose, twist, command, reference, parameters) at sample k + 1: value, then Jacobian. */
 void ddmpc_call_term(const ddmpc_controller *c, ddmpc_function function, int k, int rows, const real *command,
                      const real *parameters, real *out);
-/* A gradient by pose, twist of the body and command, made one by what the model says instead of the twist; the heading
-   counts as turned by the model, too. `step` lies between its entries. */
+/* Convert a gradient by pose, twist of the body and command to one by pose, output of the model and command, by the
+ * chain rule. The heading, too, then counts in units of the model's. `step` is the distance between entries of
+ * `by_body`. */
 void ddmpc_through_slip(const ddmpc_problem *p, const real *by_body, int step, real gradient[TERM_INPUTS]);
-/* The row by the commands of something at sample k + 1 whose gradient is that of `ddmpc_through_slip`. */
+/* Compute the row by the commands of a value at sample k + 1 with a gradient of `ddmpc_through_slip`. */
 void ddmpc_term_row(const ddmpc_controller *c, int k, const real gradient[TERM_INPUTS], real *row);
 
 /* limits.c */
-/* The most that may be commanded at a step of the plan [m/s, rad/s]. */
+/* Return the maximum command at a step of the plan [m/s, rad/s]. */
 real ddmpc_largest_command(const ddmpc_controller *c, int step, int channel, int side);
 
 #endif

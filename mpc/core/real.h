@@ -1,10 +1,10 @@
-/* The number type of everything here: double, or float where DDMPC_FLOAT is defined. */
+/* Number type of the core: double, or float if DDMPC_FLOAT is defined. */
 #ifndef DDMPC_REAL_H
 #define DDMPC_REAL_H
 
 #include <math.h>
 
-#include "ddmpc_sizes.h" /* of an export: DDMPC_EXPORT, its sizes, and DDMPC_FLOAT, if it is float; else empty */
+#include "ddmpc_sizes.h" /* an export defines DDMPC_EXPORT, its sizes, and DDMPC_FLOAT; else empty */
 
 #ifdef DDMPC_FLOAT
 typedef float real;
@@ -32,7 +32,7 @@ typedef double real;
 #define ddmpc_atan2 atan2
 #endif
 
-/* Instants stay double: a float counts hours in steps of milliseconds. */
+/* Times are always double: after an hour, float has a resolution of 0.2 ms only. */
 typedef double ddmpc_time;
 
 #define DDMPC_PI R(3.14159265358979323846)

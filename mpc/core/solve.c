@@ -1,22 +1,22 @@
-/* Solves the tick's quadratic program. Most ticks press on no limit: the minimiser without limits keeps them all, and so
- * solves the whole problem. Else the active set is found from the limits that pressed at the last tick, and proven by its
- * multipliers. Stopped by its bounds it leaves a plan that keeps ranges and slew. Where numbers fail ddmpc_solve returns
- * DDMPC_NEEDS_BACKEND: Python asks DAQP or OSQP (mpc/solver/backend.py) and goes on by ddmpc_answer; an export, which has no
- * backend, goes down the ladder. H = R'R is factorised by Cholesky's
- * method, block by block. */
+/* Solves the tick's quadratic program. Most ticks press on no limit: the minimiser without limits keeps them all, and
+ * so solves the whole problem. Else the active set is found from the limits that pressed at the last tick, and proven
+ * by its multipliers. Stopped by its bounds it leaves a plan that keeps ranges and slew. Where numbers fail
+ * ddmpc_solve returns DDMPC_NEEDS_BACKEND: Python asks DAQP or OSQP (mpc/solver/backend.py) and goes on by
+ * ddmpc_answer; an export, which has no backend, goes down the ladder. H = R'R is factorised by Cholesky's method,
+ * block by block. */
 #include <string.h>
 
 #include "active_rows.h"
 #include "internal.h"
 
-/* Whether every number is one: of H the diagonal, which bounds the rest of a positive definite matrix. */
+/* Return 1 if all numbers are finite; of H only the diagonal is checked, which bounds a positive definite matrix. */
 static int is_sound(const ddmpc_controller *c)
 {
     const ddmpc_problem *p = &c->problem;
     const int inputs = INPUTS(c);
     int sound = 1;
     for (int i = 0; i < inputs; i++)
-        /* Not the other way round: NaN must fail. */
+        /* Negated so that NaN fails. */
         sound &= ddmpc_fabs(p->H[i * inputs + i]) < DDMPC_LARGEST && ddmpc_fabs(p->g[i]) < DDMPC_LARGEST;
     for (int i = 0; i < KINDS(c) * STEPS(c); i++)
         sound &= p->upper[i] >= p->lower[i] && (i >= HARD * STEPS(c) || p->upper[i] < DDMPC_LARGEST);
@@ -52,7 +52,7 @@ static int factorise(const real *H, int inputs, real *factor)
             const int columns = inputs - i < LANES ? inputs - i : LANES;
             real sum[LANES][LANES];
             memset(sum, 0, sizeof sum);
-            /* Beyond a last block that is not whole this reads on into the next row; nobody looks at the result. */
+            /* In an incomplete last block this reads into the next row; the surplus results are not used. */
             ddmpc_tile(factor + j, factor + i, j, inputs, sum);
             for (int a = 0; a < rows; a++)
                 for (int b = 0; b < columns; b++)
@@ -80,7 +80,7 @@ static int factorise(const real *H, int inputs, real *factor)
     return 1;
 }
 
-/* a'b in several sums side by side, which one order of adding would forbid. */
+/* a'b in several partial sums: a compiler may not reorder a single sum and so could not vectorise it. */
 static inline real long_dot(const real *a, const real *b, int count)
 {
     real sum[DDMPC_LANES] = {R(0.0)};
@@ -121,7 +121,7 @@ void ddmpc_broken(const ddmpc_controller *c, const real *plan, real margin, int 
     for (int kind = 0; kind < KINDS(c); kind++) {
         broken[kind] = 0;
         for (int i = kind * N; i < (kind + 1) * N; i++)
-            /* Not the other way round: NaN breaks every limit. */
+            /* Negated so that NaN breaks every limit. */
             broken[kind] |= !(p->values[i] <= p->upper[i] + margin && p->values[i] >= p->lower[i] - margin);
     }
 }
@@ -149,7 +149,7 @@ void ddmpc_linearise_again(ddmpc_controller *c, const real *plan)
     const real command[2] = {commands[2 * COMMANDS(c) - 2], commands[2 * COMMANDS(c) - 1]};
     memcpy(shifted, guess, plan_bytes);
     memcpy(guess, plan, plan_bytes);
-    /* The tick's own command was not on its way yet. */
+    /* The command of this tick was not pending when the problem was linearised first. */
     memmove(commands + 2, commands, line_bytes);
     ddmpc_problem_linearise(c);
     ddmpc_problem_condense(c);
@@ -165,17 +165,17 @@ void ddmpc_solver_reset(ddmpc_controller *c)
     memset(c->problem.multipliers, 0, (size_t)(KINDS(c) * STEPS(c)) * sizeof(real));
 }
 
-/* The multipliers of the last tick move a step ahead, like the plan. */
+/* Shift the multipliers of the last tick by one step, like the plan. */
 static void shift_multipliers(ddmpc_controller *c)
 {
     const int N = STEPS(c);
     for (int kind = 0; kind < KINDS(c); kind++) {
-        real *own = c->problem.multipliers + kind * N;
-        memmove(own, own + 1, (size_t)(N - 1) * sizeof(real));
+        real *row = c->problem.multipliers + kind * N;
+        memmove(row, row + 1, (size_t)(N - 1) * sizeof(real));
     }
 }
 
-/* Kinds that press, or that the minimiser without limits breaks. */
+/* Add the kinds with nonzero multipliers to those that the minimiser without limits breaks. */
 static void gather_kinds(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
@@ -183,7 +183,7 @@ static void gather_kinds(ddmpc_controller *c)
         p->pressing[i / STEPS(c)] |= p->multipliers[i] != R(0.0);
 }
 
-/* Bring a plan inside ranges and slew, command by command. */
+/* Clip a plan to ranges and slew, command by command. */
 static void keep_hard_limits(const ddmpc_controller *c, real *plan)
 {
     const ddmpc_problem *p = &c->problem;
@@ -199,7 +199,7 @@ static void keep_hard_limits(const ddmpc_controller *c, real *plan)
     }
 }
 
-/* What a plan costs more than the minimiser without limits, the price of exceeded soft limits included. */
+/* Cost of a plan relative to the minimiser without limits, including the penalties of exceeded soft limits. */
 static real cost_of(ddmpc_controller *c, const real *plan)
 {
     ddmpc_problem *p = &c->problem;
@@ -219,7 +219,8 @@ static real cost_of(ddmpc_controller *c, const real *plan)
     return sum;
 }
 
-/* The active set was stopped. Its plan, or the rest of the last one where that costs less, inside ranges and slew. */
+/* Use the last iterate of a stopped active set, or the rest of the last plan if that costs less, clipped to ranges
+ * and slew. An unfinished iterate may be worse than the plan of the last tick, which was optimal then. */
 static void take_unfinished(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
@@ -228,7 +229,7 @@ static void take_unfinished(ddmpc_controller *c)
     memcpy(rest, p->guess, size);
     keep_hard_limits(c, rest);
     keep_hard_limits(c, p->plan);
-    /* Not the other way round: a cost that is no number is not chosen. */
+    /* Negated so that an iterate with a NaN cost is not used. */
     if (!(cost_of(c, p->plan) <= cost_of(c, rest)))
         memcpy(p->plan, rest, size);
 }
@@ -242,20 +243,20 @@ static int find_active_set(ddmpc_controller *c)
         INPUTS(c), rows, hard, p->factor, p->minimiser, p->lower, p->upper, c->constants->price,
         c->constants->price_slope, ddmpc_limit_values, ddmpc_limit_row, c, c->constants->slack,
         c->most_iterations, ddmpc_limited_most(INPUTS(c), rows, PRESSING(c)), c->deadline};
-    /* Kept for a backend: what is not proven leaves none. */
+    /* Solve on a copy: a failed solve clears its multipliers, and a backend still needs the old ones. */
     memcpy(p->values, p->multipliers, (size_t)rows * sizeof(real));
-    const ddmpc_limited_result found = ddmpc_solve_limited(&problem, &c->limited, p->values, p->plan);
-    report->iterations = found.iterations;
-    report->operations = found.operations;
-    if (found.status != DDMPC_PROVEN && found.status != DDMPC_UNFINISHED)
+    const ddmpc_limited_result solved = ddmpc_solve_limited(&problem, &c->limited, p->values, p->plan);
+    report->iterations = solved.iterations;
+    report->operations = solved.operations;
+    if (solved.status != DDMPC_PROVEN && solved.status != DDMPC_UNFINISHED)
         return 0;
     memcpy(p->multipliers, p->values, (size_t)rows * sizeof(real));
     report->status = DDMPC_QP_SOLVED;
     report->path = DDMPC_ACTIVE_SET;
-    report->primal_residual = found.primal;
-    report->dual_residual = found.dual;
-    if (found.status == DDMPC_UNFINISHED) {
-        report->status = found.late ? DDMPC_QP_STOPPED_IN_TIME : DDMPC_QP_STOPPED;
+    report->primal_residual = solved.primal;
+    report->dual_residual = solved.dual;
+    if (solved.status == DDMPC_UNFINISHED) {
+        report->status = solved.late ? DDMPC_QP_STOPPED_IN_TIME : DDMPC_QP_STOPPED;
         report->primal_residual = R(0.0);
         report->dual_residual = (real)NAN;
         take_unfinished(c);

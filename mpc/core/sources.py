@@ -12,7 +12,7 @@ CORE = Path(__file__).parent
 
 _HEADER = "core.h"
 _PACKAGE = CORE.parents[1]
-# What the generated part comes from.
+# Sources of the generated part.
 _FORMULAS = (
     "models/pose.py",
     "models/slip_laws.py",
@@ -22,7 +22,7 @@ _FORMULAS = (
     "mpc/problem/terms.py",
     "mpc/core/generate.py",
 )
-# Python has the sizes at run time, and numbers in double precision: an export says otherwise here.
+# Python sets sizes at run time and uses double precision; an export overrides both here. an export says otherwise here.
 SIZES = "ddmpc_sizes.h"
 """The header that says so."""
 _SIZES = {SIZES: "/* double precision, and sizes at run time */\n"}
@@ -34,7 +34,7 @@ _CONSTANT = re.compile(r"\s*#\s*define\s+\w+\s+\d+\s*")
 
 
 def core_texts() -> dict[str, str]:
-    """Every C file and header of the core by name, those of the formulas generated."""
+    """Return every C file and header of the core by name, generated formulas included."""
     # Imported late: generating needs CasADi at work, a library that is found does not.
     from diffdrive_mpc.mpc.core.generate import generate_formulas, generate_network_formulas  # noqa: PLC0415
 
@@ -44,28 +44,28 @@ def core_texts() -> dict[str, str]:
 
 
 def written_texts() -> dict[str, str]:
-    """The C files and headers that are written by hand, by name."""
+    """Return the hand-written C files and headers by name."""
     return _SIZES | {path.name: path.read_text(encoding="utf-8") for path in sorted(CORE.glob("*.[ch]"))}
 
 
 def shared_headers() -> dict[str, str]:
-    """The headers that functions beside the core are compiled with."""
+    """Return the headers that functions outside the core are compiled with."""
     return _SIZES | {"real.h": (CORE / "real.h").read_text(encoding="utf-8")}
 
 
 def core_origin() -> str:
-    """Digest of all that the library's C comes from, without generating it."""
+    """Compute the digest of all sources of the library without generating them."""
     written = [part for item in written_texts().items() for part in item]
     return digest_of([*written, *((_PACKAGE / name).read_text("utf-8") for name in _FORMULAS)])
 
 
 def header_text() -> str:
-    """Text of the header that Python reads."""
+    """Return the text of the header that Python reads."""
     return (CORE / _HEADER).read_text(encoding="utf-8")
 
 
 def core_declarations() -> str:
-    """Declarations of that header, as cffi reads them."""
+    """Return the declarations of that header in the form that cffi reads."""
     return declarations(header_text())
 
 

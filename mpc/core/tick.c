@@ -1,13 +1,19 @@
-/* One tick from measurement to command: the tick clock, the conditions for driving, and the order of the parts. What is
- * sent when a part fails is decided in ladder.c. No loop here runs until a condition holds: each part is called once
- * per tick and bounds its own loops. */
-/* for clock_gettime, which C99 alone does not know */
+/* One tick from measurement to command: the tick clock, the conditions for driving, and the order of the parts. The
+ * command after a failed part is chosen in ladder.c. A tick has a bounded duration: each part runs once, and bounds
+ * its own loops.
+ *
+ * Order of a new tick (new_tick): correct the stored commands, predict, measure, check the conditions for driving,
+ * sample the reference, then set up and solve the optimisation problem (track). docs/how-it-works.md has the formulas
+ * in this order. Two steps may need the caller: a target for a robot that is off its path or late, and a backend
+ * solver. The tick then returns, and a later call of this file continues it. */
+/* for clock_gettime, which C99 alone does not declare */
 #define _POSIX_C_SOURCE 199309L
 #include <string.h>
 
 #include "clock.h"
 #include "internal.h"
 
+/* Reset all that belongs to one drive. Commands in the estimator stay: the robot may still be moving under them. */
 static void forget(ddmpc_controller *c)
 {
     ddmpc_estimator_forget(c);
@@ -18,7 +24,7 @@ static void forget(ddmpc_controller *c)
     c->has_result = c->has_driven = c->latched = c->finished = c->is_outage = c->missed = 0;
     c->rim[0] = c->rim[1] = c->carried = c->doubt = c->known = c->slowed = R(0.0);
     c->reference_twist[0] = c->reference_twist[1] = R(0.0);
-    c->short_one = c->on_spot = 0;
+    c->short_wheel = c->on_spot = 0;
     c->tried = (real)HUGE_VAL;
     c->reach = c->rim_reach = (real)HUGE_VAL;
     c->pending = DDMPC_DONE;
@@ -36,7 +42,7 @@ void ddmpc_forget(ddmpc_controller *c) { forget(c); }
 void ddmpc_configure(ddmpc_controller *c, const ddmpc_constants *constants)
 {
     c->constants = constants;
-    /* The delayed response is that of the former constants. */
+    /* The delayed response belongs to the former constants: zero delays make respond_late compute it again. */
     c->problem.late[0] = c->problem.late[1] = R(0.0);
     c->problem.is_stale = 1;
 }
@@ -53,11 +59,12 @@ int ddmpc_start(ddmpc_controller *c, const ddmpc_reference *reference, ddmpc_tim
     return 1;
 }
 
-int ddmpc_relay(ddmpc_controller *c, const ddmpc_reference *reference, ddmpc_time t0)
+int ddmpc_switch_reference(ddmpc_controller *c, const ddmpc_reference *reference, ddmpc_time t0)
 {
     if (!c->has_reference || !isfinite(t0) || !isfinite(reference->duration))
         return 0;
-    /* A new reference is not finished just because the previous one was. */
+    /* A new reference is not finished just because the previous one was. The same reference, moved, stays finished:
+     * otherwise a drifting frame would start the robot again. */
     c->finished = c->finished && t0 == c->t0;
     c->reference = *reference;
     c->t0 = t0;
@@ -74,7 +81,8 @@ int ddmpc_is_latched(const ddmpc_controller *c) { return c->latched; }
 
 typedef enum { TICK_NEW, TICK_REPEATED, TICK_LEAPT, TICK_PAUSED, TICK_FAULTY } tick_kind;
 
-/* Classify a call at `t` relative to the last tick. */
+/* Classify a call at `t` relative to the last tick. Calls within half a sample repeat it: the model is discrete, so a
+ * second prediction step in one period would run ahead of the robot. */
 static tick_kind look_at(const ddmpc_controller *c, ddmpc_time t)
 {
     const ddmpc_constants *k = c->constants;
@@ -89,7 +97,7 @@ static tick_kind look_at(const ddmpc_controller *c, ddmpc_time t)
         return TICK_REPEATED;
     if (gap <= k->longest_pause)
         return TICK_NEW;
-    /* One leap may be a glitch of the clock; a second tick right after it shows that it was none. */
+    /* One leap may be a glitch of the clock. A second tick at the new time shows that the time has really passed. */
     return c->has_leap && since_leap > 0.0 && since_leap <= k->longest_pause ? TICK_PAUSED : TICK_LEAPT;
 }
 
@@ -98,6 +106,7 @@ int ddmpc_is_new_tick(const ddmpc_controller *c, ddmpc_time t) { return look_at(
 static tick_kind classify_tick(ddmpc_controller *c, ddmpc_time t)
 {
     const tick_kind kind = look_at(c, t);
+    /* After a leap the old time stays in force, so that a glitch of a single tick does no harm. */
     c->result.gap = t - c->last_tick;
     c->has_leap = kind == TICK_LEAPT;
     if (kind == TICK_LEAPT)
@@ -123,15 +132,16 @@ static const real *pose_of(const ddmpc_controller *c)
 
 static real distance_to(const ddmpc_controller *c, const real pose[3])
 {
-    const real *here = pose_of(c);
-    return ddmpc_hypot(here[0] - pose[0], here[1] - pose[1]);
+    const real *robot = pose_of(c);
+    return ddmpc_hypot(robot[0] - pose[0], robot[1] - pose[1]);
 }
 
-/* Once every command on its way is zero, restart the estimate at the pose on which the rejected poses agree. Returns the
- * distance between the two estimates [m]; negative while it cannot restart. */
+/* Restart the estimate at the pose on which the rejected poses agree, once all pending commands are zero: the robot
+ * is then at rest, so a belief without velocity is right. Returns the distance between both estimates [m]; negative
+ * while it cannot. */
 static real restart_elsewhere(ddmpc_controller *c)
 {
-    /* Those that act by the model; delays beyond it are not waited for. */
+    /* Only commands that still act by the model count, not those within the allowance for unknown delays. */
     const real *commands = ddmpc_commands(c);
     for (int i = SPARE(c) ? 2 * (SPARE(c) + 1) : 0; i < 2 * WINDOW(c); i++)
         if (commands[i] != R(0.0))
@@ -144,7 +154,8 @@ static real restart_elsewhere(ddmpc_controller *c)
     return distance_to(c, before);
 }
 
-/* Whether the robot is at rest at the end of its reference, or finish_timeout has passed; once true, it stays true. */
+/* Return 1 if the robot is at rest at the end of its reference, or finish_timeout has passed. Once 1, it stays 1:
+ * noise in the speed must not start the robot again. */
 static int is_finished(ddmpc_controller *c, ddmpc_time time)
 {
     const ddmpc_constants *k = c->constants;
@@ -178,10 +189,12 @@ ddmpc_stray ddmpc_stray_from(const ddmpc_controller *c, const real *pose, const 
     stray.along = error[0];
     stray.across = error[1];
     stray.heading = ddmpc_wrap(error[2]);
+    /* Deviations are in the frame of the reference; a robot that drives backwards is late if it is ahead in that
+     * frame. */
     const real v = twist[0], omega = twist[1];
     const int backwards = v < R(0.0), driving = ddmpc_fabs(v) > k->standing;
     const real ahead = backwards ? -stray.along : stray.along;
-    /* Uncertainty of the pose is no reason to leave the path: it widens the band. */
+    /* An uncertain pose is no reason to leave the path: the uncertainty widens the band. */
     const real *deviation = c->result.estimate.deviation + STATES(c) + POSE(c);
     const real band = c->carried + ddmpc_max(k->band, k->unsure * ddmpc_hypot(deviation[0], deviation[1]));
     stray.outside = ddmpc_fabs(stray.across) > band || ddmpc_fabs(stray.heading) > k->heading_band ||
@@ -189,14 +202,15 @@ ddmpc_stray ddmpc_stray_from(const ddmpc_controller *c, const real *pose, const 
     if (driving) {
         stray.late = -ahead / k->wait;
     } else {
-        /* The reference stands or turns on the spot: it waits until the robot has arrived. */
+        /* A standing reference, or one that turns on the spot, waits until the robot has arrived: it has no direction
+         * along which a delay could be measured. */
         const real turning = !(ddmpc_fabs(omega) > k->turning) ? R(0.0)
                              : omega < R(0.0)                  ? stray.heading
                                                                : -stray.heading;
         const real away = ddmpc_max(ddmpc_hypot(stray.along, stray.across) - c->carried, R(0.0));
         stray.late = ddmpc_max(away / k->wait, turning / k->heading_wait);
     }
-    /* The less it knows of its position, the slower it drives. */
+    /* The reference slows down as the position becomes less certain. */
     const real beyond = (c->doubt - k->doubtful_band) / (R(1.0) - k->doubtful_band);
     stray.late = ddmpc_max(stray.late, R(1.0) + beyond);
     return stray;
@@ -206,7 +220,8 @@ static void sample_reference(ddmpc_controller *c, ddmpc_time time)
 {
     const real *delays = c->result.estimate.mean + STATES(c) + DELAYS(c);
     const real late = ddmpc_max(delays[0], delays[1]) / (real)c->constants->sample_time;
-    /* Further samples are looked at with larger delays only. */
+    /* The feed-forward interpolates one lag and one estimated delay ahead; samples beyond that are needed for larger
+     * delays only. */
     const int count = STEPS(c) + 3 + LONGEST_LAG(c) + (int)late;
     real arc_length;
     for (int i = 0; i < SAMPLES(c) && i < count; i++)
@@ -214,6 +229,11 @@ static void sample_reference(ddmpc_controller *c, ddmpc_time time)
                             c->reference_twist + 2 * i, &arc_length);
 }
 
+/* Set up and solve the problem for the reference samples, then use the plan. Each step needs the ones before it: the
+ * free motion and the aim (begin), a plan to linearise along (guess), Jacobians along it (linearise), the cost in the
+ * commands alone (condense), and the limits in the same variables (limit). The guess is the shifted last plan; the
+ * feed-forward replaces it after a failure or at the start, since linearising far from the solution would cost more
+ * than one iteration. */
 static int track(ddmpc_controller *c)
 {
     const ddmpc_time began = ddmpc_now();
@@ -228,20 +248,22 @@ static int track(ddmpc_controller *c)
     return pending == DDMPC_NEEDS_BACKEND ? pending : ddmpc_use_plan(c);
 }
 
-/* A robot that turns on the spot moves by the offset of its turning point and by its slide, whatever the controller
-   does. A displacement of that size is no reason to leave the path or to wait, not even while the robot comes back. */
+/* Tolerate the displacement by a turn on the spot. Such a robot moves by the offset of its turning point and by its
+ * slide, whatever the controller does, so that displacement is no reason to leave the path or to wait. */
 static void carry(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
-    /* By the filter: what may be there is allowed for before there is evidence for it. */
+    /* Use the slip of the filter instead of the cautious mean of the controller: the tolerance must exist before the
+     * evidence. */
     const real *slip = ddmpc_estimator_slip(c), *twist = c->reference_twist;
-    const real turned_about = ddmpc_hypot(slip[TURN_AHEAD], slip[TURN_LEFT]), slide = ddmpc_hypot(slip[SLIDE_X], slip[SLIDE_Y]);
+    const real offset = ddmpc_hypot(slip[TURN_AHEAD], slip[TURN_LEFT]), slide = ddmpc_hypot(slip[SLIDE_X], slip[SLIDE_Y]);
+    /* The tolerance decays while the robot drives back onto its path. */
     c->carried *= R(1.0) - ddmpc_min((real)k->sample_time / k->carried[1], R(1.0));
     if (ddmpc_fabs(twist[0]) <= k->standing && ddmpc_fabs(twist[1]) > k->turning)
-        c->carried = ddmpc_max(c->carried, k->carried[0] * (turned_about + slide));
+        c->carried = ddmpc_max(c->carried, k->carried[0] * (offset + slide));
 }
 
-/* Follow the reference if the robot is on its path and on time; otherwise ask the caller what to track. */
+/* Follow the reference if the robot is on its path and on time; otherwise ask the caller for a target. */
 static int follow(ddmpc_controller *c, const ddmpc_input *input)
 {
     if (!input->on_time)
@@ -255,17 +277,17 @@ static int follow(ddmpc_controller *c, const ddmpc_input *input)
         return ddmpc_brake(c, DDMPC_TOO_FAR, DDMPC_OUTAGE);
     }
     const ddmpc_stray stray = ddmpc_stray_from(c, c->reference_pose, c->reference_twist);
-    /* Before its start the reference rests, and the robot with it. */
+    /* A limit on the rim speed (reach) also needs a target, because it slows the clock of the reference. */
     return stray.outside || !(stray.late <= R(1.0)) || isfinite(c->reach) ? DDMPC_NEEDS_TARGET : track(c);
 }
 
-/* `reason`, and whether poses come but are too old. */
+/* Add to `reason` that poses arrive but are too old. */
 static unsigned int missing(const ddmpc_controller *c, unsigned int reason)
 {
     return c->estimator.too_old > 0.0 ? reason | DDMPC_POSES_TOO_OLD : reason;
 }
 
-/* Say whether poses come too seldom or too late for max_pose_age. */
+/* Report poses that are too rare or too late for max_pose_age. */
 static void report_rate(ddmpc_controller *c)
 {
     const ddmpc_estimator *estimator = &c->estimator;
@@ -275,7 +297,8 @@ static void report_rate(ddmpc_controller *c)
         c->result.reasons |= DDMPC_POSES_RARE;
 }
 
-/* Whether wheels and gyro bridge missing poses: for a limited time, while the position is known to within the band. */
+/* Return 1 if wheels and gyro bridge missing poses: for a limited time, and while the position is known to within the
+ * band. */
 static int is_bridged(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
@@ -283,6 +306,7 @@ static int is_bridged(ddmpc_controller *c)
     const real *deviation = c->result.estimate.deviation + STATES(c) + POSE(c);
     const real variance = deviation[0] * deviation[0] + deviation[1] * deviation[1];
     const real age = *c->result.estimate.pose_age;
+    /* Only uncertainty gained without poses counts: the uncertainty that remains with poses is normal operation. */
     if (age <= k->max_pose_age) {
         c->known = variance;
         c->doubt = R(0.0);
@@ -296,7 +320,8 @@ static int is_bridged(ddmpc_controller *c)
     return age <= k->dead_reckoning && c->doubt <= R(1.0);
 }
 
-/* Whether the last accepted pose is too old, or will be before the next one: driving would then be stop-and-go. */
+/* Return 1 if the last accepted pose is too old, or will be before the next one: the robot would otherwise stop and
+ * go. */
 static int has_old_pose(ddmpc_controller *c)
 {
     const ddmpc_estimator *estimator = &c->estimator;
@@ -320,14 +345,18 @@ static ddmpc_stop stop_of(int request)
 static int new_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
 {
     ddmpc_result *result = &c->result;
+    /* First of all, since the prediction over the last sample must use the command that really acted. */
     if (input->has_sent) {
         if (!ddmpc_estimator_correct_sent(c, input->sent))
             result->reasons |= DDMPC_SENT_REJECTED;
     }
+    /* Predict even without measurements, and during stops: late measurements are entered into this history. */
     ddmpc_estimator_advance(c, t);
     const int state = ddmpc_estimator_update(c, t, input);
     ddmpc_monitor_report(c);
     report_rate(c);
+    /* Conditions for driving. The first unmet one stops the robot, and is the reason that users read: requests come
+     * before faults, and missing data before conclusions from data. */
     if (input->request != DDMPC_DRIVE)
         return ddmpc_brake(c, DDMPC_HELD, stop_of(input->request));
     if (!(state & READY))
@@ -336,6 +365,7 @@ static int new_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
         const real jump = restart_elsewhere(c);
         if (jump < R(0.0))
             return ddmpc_brake(c, DDMPC_ELSEWHERE, DDMPC_FAILURE);
+        /* Somebody has carried the robot during a drive: it must not start by itself at the new place. */
         if (c->has_driven && !(jump <= c->constants->max_position_error))
             return ddmpc_brake(c, DDMPC_ELSEWHERE, DDMPC_WAITS);
     }
@@ -354,6 +384,7 @@ static int new_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
         return ddmpc_brake(c, DDMPC_LEFT_FENCE, DDMPC_FAILURE);
     if (c->latched)
         return ddmpc_brake(c, DDMPC_LATCHED, DDMPC_FAILURE);
+    /* After all reasons to stop, since both learn from the motion of a robot that follows its reference. */
     carry(c);
     ddmpc_watch_wheels(c);
     if (is_finished(c, input->reference_time)) {
@@ -364,14 +395,14 @@ static int new_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
     return follow(c, input);
 }
 
-/* Brake: the time of this tick is unusable. After a jump or a pause of the clock, command zero at once: a base without
-   commands has stopped by itself. */
+/* Brake, because the time of this tick is unusable. After a leap or a pause of the clock command zero at once:
+ * without commands the base has stopped by its timeout, and a ramp from the last command would start it again. */
 static void lose_time(ddmpc_controller *c, tick_kind kind)
 {
     const unsigned int reason = kind == TICK_FAULTY  ? DDMPC_TIME_FAULTY
                                 : kind == TICK_LEAPT ? DDMPC_TIME_LEAPT
                                                      : DDMPC_TIME_PAUSED;
-    /* A single leap forward may be a glitch. */
+    /* A single leap forward may be a glitch, and does not latch. */
     const ddmpc_time gap = c->result.gap, most = c->constants->resume_within;
     const int leapt = (kind == TICK_PAUSED && gap > most) || gap < -most;
     ddmpc_brake(c, reason, leapt ? DDMPC_WAITS : DDMPC_FAILURE);
@@ -381,6 +412,7 @@ static void lose_time(ddmpc_controller *c, tick_kind kind)
         ddmpc_stand(c);
 }
 
+/* Clear the parts of a result that are not written at every tick. */
 static void clear(ddmpc_result *result)
 {
     const ddmpc_report not_run = {DDMPC_QP_NOT_RUN, DDMPC_NO_WAY, 0, 0, 0, (real)NAN, (real)NAN, 0};
@@ -391,7 +423,7 @@ static void clear(ddmpc_result *result)
     result->has_estimate = result->has_plan = 0;
 }
 
-/* Enter the command of a tick that is done. */
+/* Finish a tick: store its command, from which the next prediction and the slew limit start. */
 static int finish_tick(ddmpc_controller *c, int pending, int is_new)
 {
     c->pending = pending;
@@ -403,7 +435,7 @@ static int finish_tick(ddmpc_controller *c, int pending, int is_new)
     if (is_new)
         ddmpc_estimator_append(c, c->result.command);
     else
-        /* No interval of the model begins here: the command in force since the last tick has changed. */
+        /* No sample of the model starts here: the command in force since the last tick has changed. */
         ddmpc_estimator_correct_last(c, c->result.command);
     memcpy(c->last, c->result.command, sizeof c->last);
     c->has_driven = c->has_driven || c->result.mode == DDMPC_TRACKING;
@@ -419,15 +451,15 @@ int ddmpc_step(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
         c->result.reasons = DDMPC_NO_REFERENCE;
         return DDMPC_DONE;
     }
-    /* If the caller did not complete the last tick, it counts as a failed solve. */
+    /* A tick that the caller did not complete counts as a failed solve: a command is stored for it in any case. */
     ddmpc_give_up(c);
     const tick_kind kind = classify_tick(c, t);
     if (kind == TICK_REPEATED && c->has_result) {
         c->result.notes = 0;
         ddmpc_estimator_update(c, t, input);
         c->result.reasons = DDMPC_TIME_REPEATED;
-        /* Repeat the command actually sent, which the application may have replaced: any other would be a jump. Zero
-         * while STOPPED, and the next command counts from it. */
+        /* Repeat the command that was really sent, which the application may have replaced: any other would be a
+         * jump. The command is zero while STOPPED, and slew then starts from zero. */
         if (c->result.mode != DDMPC_STOPPED)
             memcpy(c->result.command, c->last, sizeof c->last);
         else
@@ -476,13 +508,13 @@ int ddmpc_answer(ddmpc_controller *c, const real *plan, const real *multipliers,
     memcpy(c->problem.multipliers, multipliers, (size_t)(KINDS(c) * STEPS(c)) * sizeof(real));
     const long long operations = c->result.solver.operations;
     c->result.solver = *report;
-    c->result.solver.operations = operations; /* of the active set, which went before */
+    c->result.solver.operations = operations; /* those of the active set, which ran before the backend */
     return finish_tick(c, ddmpc_use_plan(c), 1);
 }
 
 int ddmpc_give_up(ddmpc_controller *c) { return c->pending == DDMPC_DONE ? DDMPC_DONE : finish_tick(c, ddmpc_reuse(c), 1); }
 
-int ddmpc_overrule(ddmpc_controller *c, const real *commands, int count)
+int ddmpc_set_applied_commands(ddmpc_controller *c, const real *commands, int count)
 {
     for (int i = 0; i < 2 * count; i++)
         if (!isfinite(commands[i]))

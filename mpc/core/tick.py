@@ -1,8 +1,8 @@
 """The compiled tick from Python: constants and results by the names of their fields in C.
 
-`core.h` is the only place that knows how memory is laid out. Its text declares the structs to cffi, and the shapes of
-what they point to stand in it beside each pointer; names that are missing, unknown or of another shape are refused.
-What a tick does stands in `tick.c`, and what Python does around it in `mpc/controller.py`.
+`core.h` alone defines the memory layout. Its text declares the structs to cffi, and states the shape of each array next
+to its pointer; names that are missing, unknown or of another shape are refused. The steps of a tick are in `tick.c`,
+and the work of Python around it is in `mpc/controller.py`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from diffdrive_mpc.mpc.problem.constants import Constants
 
 
 class Tick:
-    """One controller in C, in memory of its own.
+    """Controller in C with its own memory.
 
     Parameters
     ----------
@@ -82,21 +82,21 @@ class Tick:
         return self.ffi.cast(kind, array.ctypes.data)
 
     def prepare(self, values: Constants) -> tuple[Any, list[FloatArray]]:
-        """A `ddmpc_constants` with these fields, and the arrays that it points to, which have to live as long.
+        """Build a `ddmpc_constants`; return it with the arrays that it points to, which must outlive it.
 
         Raises
         ------
         ValueError
             If a field is missing, unknown, or of another shape than core.h says.
         """
-        struct, kept = self.ffi.new("ddmpc_constants *"), []
+        struct, arrays = self.ffi.new("ddmpc_constants *"), []
         for name, value in constant_fields(self._sizes, values):
             if isinstance(value, np.ndarray):
-                kept.append(value)
+                arrays.append(value)
                 setattr(struct, name, self._address("const real *", value))
             else:
                 setattr(struct, name, value)
-        return struct, kept
+        return struct, arrays
 
     def configure(self, prepared: tuple[Any, list[FloatArray]]) -> None:
         """Use other constants of the same sizes from now on."""
@@ -112,7 +112,7 @@ class Tick:
             self._constants[0].prior[i] = value
 
     def view(self, address: Any, shape: tuple[int, ...]) -> FloatArray:  # noqa: ANN401 - cffi has no types
-        """The numbers at an address of C as an array, without a copy."""
+        """View the numbers at a C address as an array, without a copy."""
         count = int(np.prod(shape))
         return np.frombuffer(self.ffi.buffer(address, 8 * count), dtype=float).reshape(shape)
 
@@ -133,52 +133,52 @@ class Tick:
         return self.view(self.lib.ddmpc_last_command(self.c), (2,)).copy()
 
     def set_applied_commands(self, commands: FloatArray) -> None:
-        """Take what was sent from `commands` (K, 2), finite, in place of the last K."""
+        """Replace the last K commands by `commands` (K, 2), which must be finite."""
         pairs = np.ascontiguousarray(commands, dtype=float)
-        self.lib.ddmpc_overrule(self.c, self._address("const real *", pairs), len(pairs))
+        self.lib.ddmpc_set_applied_commands(self.c, self._address("const real *", pairs), len(pairs))
 
-    def believed(self) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-        """The filter's belief at the newest tick: mean (Z,), covariance (Z, Z), commands (W, 2) sent before; copies."""
+    def newest_belief(self) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+        """Return copies of the filter's newest mean (Z,), covariance (Z, Z) and the preceding commands (W, 2)."""
         size = self._sizes["states"] + self._sizes["slips"] + 6
         mean, covariance, sent = np.zeros(size), np.zeros((size, size)), np.zeros((self._sizes["window"], 2))
         arrays = (mean, covariance, sent)
-        is_known = self.lib.ddmpc_believed(self.c, *(self._address("real *", array) for array in arrays))
+        is_known = self.lib.ddmpc_newest_belief(self.c, *(self._address("real *", array) for array in arrays))
         return arrays if is_known else None
 
     def predict_belief(
         self, mean: FloatArray, covariance: FloatArray, commands: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Mean and covariance after the samples that begin with each of `commands` (W + K, 2) but the first W."""
+        """Predict mean and covariance for each of `commands` (W + K, 2) but the first W."""
         commands, window = np.ascontiguousarray(commands, dtype=float), self._sizes["window"]
         now, after = [np.array(mean), np.array(covariance)], [np.empty_like(mean), np.empty_like(covariance)]
         for first in range(len(commands) - window):
             arrays = (commands[first : first + window + 1], *now, *after)
-            self.lib.ddmpc_foresee(self.c, *(self._address("real *", array) for array in arrays))
+            self.lib.ddmpc_predict_belief(self.c, *(self._address("real *", array) for array in arrays))
             now, after = after, now
         return now[0], now[1]
 
     def stray(self, pose: FloatArray, twist: FloatArray) -> Any:  # noqa: ANN401 - cffi has no types
-        """How the estimate lies to a reference pose (3,) with twist (2,): the fields of `ddmpc_stray`.
+        """Compare the estimate with a reference pose (3,) with twist (2,); return a `ddmpc_stray`.
 
         Raises ValueError if they have other shapes.
         """
         pose, twist = _shaped("pose", pose, (3,)), _shaped("twist", twist, (2,))
-        at = self._address
-        return self.lib.ddmpc_stray_from(self.c, at("const real *", pose), at("const real *", twist))
+        address = self._address
+        return self.lib.ddmpc_stray_from(self.c, address("const real *", pose), address("const real *", twist))
 
     def track(self, poses: FloatArray, twists: FloatArray, share: float) -> int:
-        """Go on with a target: poses (samples, 3) and twists (samples, 2) from now on.
+        """Continue the tick with a target: poses (samples, 3) and twists (samples, 2) from now on.
 
         Raises ValueError if they have other shapes.
         """
         poses = _shaped("poses", poses, (self.samples, 3))
         twists = _shaped("twists", twists, (self.samples, 2))
-        at = self._address
-        return int(self.lib.ddmpc_track(self.c, at("real *", poses), at("real *", twists), share))
+        address = self._address
+        return int(self.lib.ddmpc_track(self.c, address("real *", poses), address("real *", twists), share))
 
 
 class ResultLayout:
-    """Where the arrays of a result lie in one block of memory, so that one copy takes them all; `slip` in the mean."""
+    """Places of a result's arrays in one block of memory, copied at once; `slip` is part of the mean."""
 
     def __init__(self, tick: Tick) -> None:
         n = tick._sizes["states"]
@@ -194,25 +194,25 @@ class ResultLayout:
         self.places: dict[str, tuple[slice, tuple[int, ...]]] = {}
         end = 0
         for name, (_, shape) in shapes.items():
-            begin, count = (addresses[name] - first) // 8, int(np.prod(shape))
-            self.places[name] = (slice(begin, begin + count), shape)
-            end = max(end, begin + count)
+            start, count = (addresses[name] - first) // 8, int(np.prod(shape))
+            self.places[name] = (slice(start, start + count), shape)
+            end = max(end, start + count)
         self._block = np.frombuffer(ffi.buffer(ffi.cast("real *", first), 8 * end), dtype=float)
 
     def copy(self) -> FloatArray:
-        """All arrays of the present result, read-only."""
+        """Copy all arrays of the current result, read-only."""
         block = self._block.copy()
         block.flags.writeable = False
         return block
 
     def take(self, block: FloatArray, name: str) -> FloatArray:
-        """One array of a copy."""
+        """Select one array of a copy."""
         place, shape = self.places[name]
         return block[place].reshape(shape)
 
 
 class MeasurementBuffer:
-    """Memory of one ddmpc_input. Whatever is not numbers becomes NaN, which C rejects and names."""
+    """Memory of one ddmpc_input. Values that are no numbers become NaN, which C rejects and names."""
 
     def __init__(self, ffi: Any) -> None:  # noqa: ANN401 - cffi has no types
         self.struct = ffi.new("ddmpc_input *")
@@ -233,7 +233,7 @@ class MeasurementBuffer:
         self._sent = numbers(ffi.offsetof("ddmpc_input", "sent"), 2)
 
     def fill(self, measurement: Measurement) -> None:
-        """Take over whatever arrived."""
+        """Copy the measurements that arrived."""
         self._pose.fill(measurement.pose)
         self._wheels.fill(measurement.wheel_twist)
         self._yaw_rate.fill(measurement.yaw_rate)
@@ -274,7 +274,7 @@ class _Message:
 
 
 def _shaped(name: str, values: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-    """`values` as C reads them, which cannot see how many there are; raises ValueError for another shape."""
+    """Return `values` in the layout that C reads; raise ValueError for another shape, as C cannot check it."""
     array = np.ascontiguousarray(values, dtype=float)
     if array.shape != shape:
         raise ValueError(f"the reference gave {name} of shape {array.shape}, expected {shape}")
@@ -282,12 +282,12 @@ def _shaped(name: str, values: FloatArray, shape: tuple[int, ...]) -> FloatArray
 
 
 def _write(memory: Any, value: Any, count: int) -> None:  # noqa: ANN401 - whatever arrives
-    """`value` as `count` numbers; NaN if it is anything else."""
+    """Write `value` as `count` numbers; write NaN if it is anything else."""
     if count == 1 and isinstance(value, float):
         memory[0] = value
         return
     try:
-        # Quick, and right for nothing but so many doubles in a row.
+        # This is fast, and valid only for that many doubles in a row.
         memory[:] = value
     except (TypeError, ValueError):
         values = numbers(value, count)
@@ -295,7 +295,7 @@ def _write(memory: Any, value: Any, count: int) -> None:  # noqa: ANN401 - whate
 
 
 def numbers(value: Any, count: int) -> FloatArray | None:  # noqa: ANN401 - whatever arrives
-    """`value` as a flat array of `count` numbers, or None where it is none."""
+    """Convert `value` to a flat array of `count` numbers; return None if that is impossible."""
     try:
         flat = np.asarray(value, dtype=float).ravel()
     except (TypeError, ValueError, OverflowError):

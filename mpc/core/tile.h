@@ -4,7 +4,7 @@
 
 #include "real.h"
 
-/* Columns that are worked on at once: as many as registers hold, which are few in a microcontroller. */
+/* Number of columns processed at once: a block fits into the registers, of which a microcontroller has few. */
 #ifdef DDMPC_EXPORT
 enum { DDMPC_LANES = 4 };
 #else
@@ -21,20 +21,20 @@ static inline int ddmpc_whole_lanes(int count)
 static inline void ddmpc_tile(const real *left, const real *right, int rows, int stride,
                               real sum[DDMPC_LANES][DDMPC_LANES])
 {
-    /* A copy of its own stays in registers. */
-    real own[DDMPC_LANES][DDMPC_LANES];
+    /* The compiler keeps a local copy in registers. */
+    real block[DDMPC_LANES][DDMPC_LANES];
     for (int a = 0; a < DDMPC_LANES; a++)
         for (int b = 0; b < DDMPC_LANES; b++)
-            own[a][b] = sum[a][b];
+            block[a][b] = sum[a][b];
     for (int row = 0; row < rows; row++, left += stride, right += stride)
 #pragma GCC unroll 8
         for (int a = 0; a < DDMPC_LANES; a++)
 #pragma GCC unroll 8
             for (int b = 0; b < DDMPC_LANES; b++)
-                own[a][b] += left[a] * right[b];
+                block[a][b] += left[a] * right[b];
     for (int a = 0; a < DDMPC_LANES; a++)
         for (int b = 0; b < DDMPC_LANES; b++)
-            sum[a][b] = own[a][b];
+            sum[a][b] = block[a][b];
 }
 
 #endif

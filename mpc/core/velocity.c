@@ -1,12 +1,12 @@
-/* The velocity model over one sample: linear with dead time, x+ = A x + B0 u[k - d] + B1 u[k - d - 1] and y = C x with a dead
- * time d of whole samples for v and for omega and the rest of it shared between B0 and B1 (mpc/problem, from the models of
- * models/structures); or a function with its Jacobian, from there, too. */
+/* The velocity model over one sample: linear with dead time, x+ = A x + B0 u[k - d] + B1 u[k - d - 1] and y = C x
+ * with a dead time d of whole samples for v and for omega and the rest of it shared between B0 and B1 (mpc/problem,
+ * from the models of models/structures); or a function with its Jacobian, from there, too. */
 #include <string.h>
 
 #include "internal.h"
 
-/* Newton's steps converge quadratically: after one that is smaller than this there is nothing left to find. In units of
-   states and commands [m/s, rad/s]. */
+/* Newton's method converges quadratically: after a step smaller than this the rest of the error is negligible. In
+ * units of states and commands [m/s, rad/s]. */
 static const real SMALL_STEP = R(1e-4);
 enum { NEWTON_STEPS = 8 };
 
@@ -14,7 +14,7 @@ real ddmpc_delayed(const real *sent, real samples)
 {
     const int whole = (int)samples;
     const real rest = samples - (real)whole, now = sent[-2 * whole];
-    /* The command before may not be remembered where it is not needed. */
+    /* An older command may lie outside the stored ones if it is not needed. */
     return rest > R(0.0) ? now + rest * (sent[-2 * whole - 2] - now) : now;
 }
 
@@ -71,8 +71,8 @@ void ddmpc_velocity_step(const ddmpc_controller *c, const real *x, const real *n
                 by_state[i * n + j] = columns[i + n * j];
 }
 
-/* What a Newton step towards a settled (state, command) solves, row by row: the state stays as it is, and the output is as
-   wanted. Its last columns are the residual, and what both owe to the output that is wanted. */
+/* Equations of a Newton step towards a steady state and its command, row by row: the state does not change, and the
+ * output is `wanted`. The last columns are the residual, and the right-hand sides for derivatives by `wanted`. */
 static void settling_equations(const ddmpc_controller *c, const real wanted[2], const real *state,
                                const real command[2])
 {
@@ -101,8 +101,8 @@ static void settling_equations(const ddmpc_controller *c, const real wanted[2], 
     }
 }
 
-/* Gaussian elimination with pivots by rows; solutions land in the columns behind the first `count`. Returns 0 if there is
-   none. */
+/* Gaussian elimination with row pivots; solutions replace the columns after the first `count`. Returns 0 if the
+ * matrix is singular. */
 static int eliminate(real *rows, int count, int columns)
 {
     for (int p = 0; p < count; p++) {
@@ -110,7 +110,7 @@ static int eliminate(real *rows, int count, int columns)
         for (int i = p + 1; i < count; i++)
             if (ddmpc_fabs(rows[i * columns + p]) > ddmpc_fabs(rows[best * columns + p]))
                 best = i;
-        /* Not the other way round: NaN must fail. */
+        /* Negated so that NaN fails. */
         if (!(ddmpc_fabs(rows[best * columns + p]) > R(0.0)))
             return 0;
         for (int j = p; j < columns; j++) {
@@ -130,20 +130,21 @@ static int eliminate(real *rows, int count, int columns)
     return 1;
 }
 
-int ddmpc_velocity_settle(const ddmpc_controller *c, const real wanted[2], ddmpc_settled *at)
+int ddmpc_velocity_settle(const ddmpc_controller *c, const real wanted[2], ddmpc_settled *settled)
 {
     const int n = STATES(c), columns = n + 5;
     const real *rows = c->problem.settling, *most = c->constants->largest_twist;
-    real *unknowns[2] = {at->state, at->command};
-    if (!at->exists)
-        memset(at, 0, sizeof *at);
+    real *unknowns[2] = {settled->state, settled->command};
+    if (!settled->exists)
+        memset(settled, 0, sizeof *settled);
+    /* Start from the last solution, moved along its derivative by the output. */
     for (int i = 0; i < n + 2; i++)
         for (int j = 0; j < 2; j++)
-            unknowns[i >= n][i >= n ? i - n : i] += at->by_output[2 * i + j] * (wanted[j] - at->output[j]);
-    memcpy(at->output, wanted, sizeof at->output);
-    at->exists = 0;
-    for (int iteration = 0; iteration < NEWTON_STEPS && !at->exists; iteration++) {
-        settling_equations(c, wanted, at->state, at->command);
+            unknowns[i >= n][i >= n ? i - n : i] += settled->by_output[2 * i + j] * (wanted[j] - settled->output[j]);
+    memcpy(settled->output, wanted, sizeof settled->output);
+    settled->exists = 0;
+    for (int iteration = 0; iteration < NEWTON_STEPS && !settled->exists; iteration++) {
+        settling_equations(c, wanted, settled->state, settled->command);
         if (!eliminate(c->problem.settling, n + 2, columns))
             return 0;
         real largest = R(0.0);
@@ -151,15 +152,15 @@ int ddmpc_velocity_settle(const ddmpc_controller *c, const real wanted[2], ddmpc
             const real *solved = rows + i * columns + n + 2;
             unknowns[i >= n][i >= n ? i - n : i] += solved[0];
             largest = ddmpc_max(largest, ddmpc_fabs(solved[0]));
-            memcpy(at->by_output + 2 * i, solved + 1, 2 * sizeof(real));
+            memcpy(settled->by_output + 2 * i, solved + 1, 2 * sizeof(real));
         }
         for (int i = 0; i < 2; i++)
-            /* Not the other way round: NaN must fail. */
-            if (!(ddmpc_fabs(at->command[i]) <= most[i]))
+            /* Negated so that NaN fails. */
+            if (!(ddmpc_fabs(settled->command[i]) <= most[i]))
                 return 0;
-        at->exists = largest <= SMALL_STEP;
+        settled->exists = largest <= SMALL_STEP;
     }
-    return at->exists;
+    return settled->exists;
 }
 
 void ddmpc_velocity_output(const ddmpc_controller *c, const real *x, real y[2], real *gradient)

@@ -19,13 +19,13 @@ static void rims(const ddmpc_controller *c, const real *twist, real rim[2])
     rim[1] = value[3];
 }
 
-/* The smallest and largest speeds that commands have demanded of each wheel, in the directions `sign`, and the largest |v|
- * that they have demanded of the robot: over the last lag plus short_for, or plus 4/3 of the lag where that is longer, as
- * slow wheels that are still speeding up fall short of nothing. Returns 0 if the stored commands do not reach back that far.
- * v and omega count separately, since they show after different lags: the wheel inside a turn that begins while the robot
- * speeds up is slower than any pair demands. Wheels turn as the model states: the body slips, not they. In a turn on the
- * spot they may also turn with the estimated gain; elsewhere a saturated wheel has the same effect on the estimate as a
- * smaller gain. */
+/* The smallest and largest speeds that commands have demanded of each wheel, in the directions `sign`, and the
+ * largest |v| that they have demanded of the robot: over the last lag plus short_for, or plus 4/3 of the lag where
+ * that is longer, since slow wheels that are still accelerating do not fall short. Returns 0 if the stored commands
+ * do not reach back that far. v and omega count separately, since they show after different lags: the wheel inside a
+ * turn that begins while the robot speeds up is slower than any pair demands. Wheels turn as the model states: the
+ * body slips, not they. In a turn on the spot they may also turn with the estimated gain; elsewhere a saturated wheel
+ * has the same effect on the estimate as a smaller gain. */
 static int demanded_speeds(const ddmpc_controller *c, const real sign[2], real least[2], real most[2],
                            real *forward_most)
 {
@@ -77,8 +77,8 @@ static int short_wheel(const ddmpc_controller *c, const real by_reference[2], co
     const real slower = c->on_spot ? (real)HUGE_VAL : forward - R(0.5) * ddmpc_fabs(c->rim[0] + c->rim[1]);
     for (int i = 0; i < 2; i++) {
         const real along = sign[i] * c->rim[i], wanted = ddmpc_min(sign[i] * by_reference[i], least[i]);
-        const real lacks = wanted - along, rank = lacks + (i == c->short_one ? k->short_by[0] : R(0.0));
-        /* Wheels that turn faster than demanded follow somebody else's commands. */
+        const real lacks = wanted - along, rank = lacks + (i == c->short_wheel ? k->short_by[0] : R(0.0));
+        /* Wheels that turn faster than demanded follow the commands of another node. */
         if (along > most[i] + k->short_by[0])
             return -1;
         if (along > k->stuck * wanted && lacks > k->short_by[1] * wanted && lacks > k->short_by[0] && rank > worst &&
@@ -91,13 +91,13 @@ static int short_wheel(const ddmpc_controller *c, const real by_reference[2], co
     return wheel;
 }
 
-/* Whether a larger command gave `wheel` no more speed; one with merely another gain would speed up. */
+/* Return 1 if a larger command gave `wheel` no more speed; a wheel with merely a different gain would speed up. */
 static int gains_nothing(ddmpc_controller *c, int wheel, real demanded)
 {
     const ddmpc_constants *k = c->constants;
     const real speed = ddmpc_fabs(c->rim[wheel]), more = demanded - c->tried, gained = speed - c->tried_speed;
-    if (wheel != c->short_one || more < R(0.0) || (more > k->trial[0] * demanded && gained > k->trial[1] * more)) {
-        c->short_one = wheel;
+    if (wheel != c->short_wheel || more < R(0.0) || (more > k->trial[0] * demanded && gained > k->trial[1] * more)) {
+        c->short_wheel = wheel;
         c->tried = demanded;
         c->tried_speed = speed;
         return 0;
@@ -119,9 +119,9 @@ static real needed_speed(const ddmpc_controller *c)
     return most;
 }
 
-/* Wheels at their speed or force limit slow the reference down. The speed that they attain is learned from their encoders
- * (on slippery floors the estimate trusts the gyro more). A reference that is slowed for longer than `retry` may demand
- * more and more: a wheel that follows ends the limit, for one that does not it is learned again. */
+/* Wheels at their speed or force limit slow the reference down. The speed that they attain is learned from their
+ * encoders (on slippery floors the estimate trusts the gyro more). A reference that is slowed for longer than `retry`
+ * may demand more and more: a wheel that follows ends the limit, for one that does not it is learned again. */
 void ddmpc_watch_wheels(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
@@ -133,7 +133,7 @@ void ddmpc_watch_wheels(ddmpc_controller *c)
     int wheel = -1;
     for (int i = 0; i < 2; i++)
         c->rim[i] += k->smoothed * (read[i] - c->rim[i]);
-    /* A limit of a turn on the spot does not apply elsewhere, and the other way round. */
+    /* A limit learned in a turn on the spot does not apply elsewhere, and vice versa. */
     if (c->on_spot != on_spot) {
         drop_limit(c);
         c->tried = (real)HUGE_VAL;
@@ -157,7 +157,7 @@ void ddmpc_watch_wheels(ddmpc_controller *c)
     c->reach = c->rim_reach + (c->slowed > k->retry ? growth * (c->slowed - k->retry) : R(0.0));
     /* Drop the limit if the wheel turns faster after all, if the path needs much less, or while the encoders count as
      * faulty. */
-    const int faster = ddmpc_fabs(c->rim[c->short_one]) > c->rim_reach * (R(1.0) + k->short_by[1]) + k->short_by[0];
+    const int faster = ddmpc_fabs(c->rim[c->short_wheel]) > c->rim_reach * (R(1.0) + k->short_by[1]) + k->short_by[0];
     if (!k->wheel_limits || faster || needed < k->far_below * c->rim_reach || !(c->rim_reach < k->soft_upper[2]) ||
         c->result.reasons & DDMPC_WHEELS_ACCUSED)
         drop_limit(c);

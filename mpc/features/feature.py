@@ -24,7 +24,7 @@ from diffdrive_mpc.mpc.step_result import StepResult
 
 @dataclass
 class Host:
-    """Access of a feature to its controller, which keeps the attributes up to date.
+    """Access of a feature to its controller, which updates the attributes.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ class Feature:
         return result
 
     def state(self) -> Any:  # noqa: ANN401 - each feature has its own state
-        """Return the state that a pickled controller takes along; None if there is none."""
+        """Return the state that a pickled controller takes along; None without one."""
         return None
 
     def restore(self, state: Any) -> None:  # noqa: ANN401 - as above

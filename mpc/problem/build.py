@@ -25,7 +25,7 @@ from diffdrive_mpc.mpc.problem.terms import Term
 def chosen_model(
     config: ControllerConfig, stated: VelocityModel | NonlinearModel | str | Path | None
 ) -> VelocityModel | NonlinearModel:
-    """The prediction model; the configuration's own model includes the extra dead time.
+    """Load the prediction model; the configuration's own model includes the extra dead time.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def sampled_model(model: VelocityModel | NonlinearModel, dt: float) -> DiscreteM
 
 
 def is_from_file(model: VelocityModel | NonlinearModel) -> bool:
-    """Return True for a model of a file, which states whose robot it is; one made in Python is of an unknown robot."""
+    """Return True for a model from a file, which describes its robot; one made in Python is of an unknown robot."""
     return model.provenance.get("origin", "python-control") != "python-control"
 
 
@@ -79,5 +79,5 @@ def build_problem(
     """Build the problem for `model`; raises like `sampled_model`, `with_increments` and `Problem`."""
     dt = config.sample_time
     sampled = sampled_model(model, dt)
-    increments, feed_forward = with_increments(config, sampled), FeedForward.of(model, dt)
+    increments, feed_forward = with_increments(config, sampled), FeedForward.from_model(model, dt)
     return Problem(increments, sampled, feed_forward, tuple(terms), is_from_file(model))

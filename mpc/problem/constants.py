@@ -30,7 +30,7 @@ SHIPPED_SOFT = ("v", "omega", "right", "left", "across")
 PADDING = 8
 """Rows of commands are padded with zeros to a multiple of this many columns; PADDING of mpc/core/internal.h."""
 SLACK = 0.1
-"""By this share of the solver's tolerance a limit may be exceeded and still count as kept [-]."""
+"""Share of the solver's tolerance by which a limit may be exceeded and still count as satisfied [-]."""
 _POSSIBLE = 5.0  # bound on the estimate of curved slip, in its initial standard deviations [-]
 HARD_KINDS = 4
 """Kinds of hard limit: v_ref, omega_ref, and their increments."""
@@ -113,7 +113,7 @@ class Problem:
 
     @property
     def curved(self) -> bool:
-        """Whether the configuration sets or estimates curved slip, which makes the twist non-affine."""
+        """True if the configuration sets or estimates curved slip, which makes the twist non-affine."""
         s = self.config.estimator
         return any(s.start(name) or s.uncertainty(name) for name in CURVED_SLIPS)
 
@@ -148,7 +148,7 @@ class Problem:
         }
 
     def constants(self) -> Constants:
-        """Fields of `ddmpc_constants`."""
+        """Compute the fields of `ddmpc_constants`."""
         longest_pause = self.history * self.model.dt
         times: Constants = {"sample_time": self.model.dt, "longest_pause": longest_pause}
         parts = (times, self._velocity(), self._estimation(), self._prediction(), self._cost(), self._limits())
@@ -265,7 +265,7 @@ class Problem:
         weighted_heading = self._pose_weights()[:, 2:] * prediction.heading_from_plan[1:]
         return {
             "from_state": prediction.from_state.reshape(N + 1, 2, -1),
-            # Nothing comes from commands that are older than the model's memory.
+            # Commands older than the model's memory have no effect.
             "from_past": np.pad(
                 prediction.from_past.reshape(N + 1, 2, -1, 2), ((0, 0), (0, 0), (W - self.model.memory, 0), (0, 0))
             ),
@@ -277,7 +277,7 @@ class Problem:
         }
 
     def _pose_weights(self) -> FloatArray:
-        """(N, 3) weights of the errors along, across and in heading at the samples 1 to N."""
+        """Return (N, 3) weights of the errors along, across and in heading at the samples 1 to N."""
         w = self.config.weights
         table = np.tile([w.along, w.across, w.heading], (self.config.horizon, 1))
         table[-1] *= w.terminal
@@ -301,7 +301,7 @@ class Problem:
     def _limits(self) -> Constants:
         limits, dt = self.config.limits, self.model.dt
         shipped = [limits.predicted_v, limits.predicted_omega, limits.wheel_speed, limits.wheel_speed, limits.corridor]
-        shipped += [0.0] * self._all_turns  # zeros that nobody reads: limits.c has these bounds from the radius
+        shipped += [0.0] * self._all_turns  # unused zeros: limits.c computes these bounds from the radius
         soft = [term for term in self.terms if term.soft]
         return {
             "largest_command": [*limits.v.sides, *limits.omega.sides],
@@ -358,25 +358,25 @@ class Problem:
 
 @cache
 def _core_numbers(name: str) -> dict[str, Any]:
-    """Numbers of the core that no robot has to change, of `mpc/config/<name>.yaml`, by their fields in C."""
+    """Read constants of the core that no robot has to change from `mpc/config/<name>.yaml`, by their fields in C."""
     data: dict[str, Any] = read_yaml(Path(__file__).parents[1] / "config" / f"{name}.yaml")
     return data
 
 
 def configured_slip(config: ControllerConfig) -> Slip:
-    """What the estimate begins with where nothing else was learned."""
+    """Return the initial slip of the estimate."""
     s = config.estimator
     flat = Slip(side_slip=s.side_slip, load_shift=s.load_shift) if config.compensation.side_slip else Slip()
     return replace(flat, **{name: s.start(name) for name in CURVED_SLIPS})
 
 
 def padded(count: int) -> int:
-    """The next multiple of `PADDING`."""
+    """Round up to a multiple of `PADDING`."""
     return -(-count // PADDING) * PADDING
 
 
 def _longest_row(matrix: FloatArray) -> FloatArray:
-    """The last row of a Toeplitz matrix, padded: any other row begins further along it."""
+    """Return the last row of a Toeplitz matrix, padded: any other row begins further along it."""
     row = matrix[-1]
     return np.concatenate([row, np.zeros(2 * padded(row.size) - row.size)])
 

@@ -14,7 +14,7 @@ from diffdrive_mpc.models.velocity_model import VelocityModel
 
 @dataclass(frozen=True)
 class FeedForward:
-    """A command shows its effect one lag later (dead time and dynamics), so it answers to the twist asked for then.
+    """A command takes effect one lag later (dead time and dynamics), so it must match the twist of that time.
 
     Attributes
     ----------
@@ -29,8 +29,8 @@ class FeedForward:
     rest: FloatArray
 
     @classmethod
-    def of(cls, model: VelocityModel | NonlinearModel, dt: float) -> FeedForward:
-        """That of a model at the sample time `dt` [s]."""
+    def from_model(cls, model: VelocityModel | NonlinearModel, dt: float) -> FeedForward:
+        """Build the feed-forward of a model at the sample time `dt` [s]."""
         # A zero close to the origin can make a lag negative: there is no twist before now to answer to.
         ahead = np.maximum(model.lag, 0.0) / dt
         whole = np.floor(ahead).astype(np.int64)

@@ -12,7 +12,7 @@ reference      4     x, y [m], theta [rad] where the robot should be, and the he
 dt             1     duration [s]
 =============  ====  ============================================================================================
 
-Source of the odometry: Guffanti et al., Sensors 2025, 25(11), 3553. The rest is derived where it stands.
+Source of the odometry: Guffanti et al., Sensors 2025, 25(11), 3553. Other formulas are derived in their place.
 """
 
 from __future__ import annotations
@@ -54,25 +54,25 @@ ALONG = 0.5
 0.5 of four robots on the `mujoco` plant, 10 degrees of slope (0.05 to 0.06 m/rad along, 0.10 to 0.12 across)."""
 _LEAST_TURN = 0.05  # below it the rate of turning that a slide goes with is smooth [rad/s]
 SLOW = 0.1
-"""Slower than this a robot cannot make up for a lateral speed by its heading [m/s]."""
+"""Speed below which the heading cannot compensate a lateral speed [m/s]."""
 # Rounds in which curved slip is undone.
 _ROUNDS = 3
 
 
 def _named(slip: ca.SX) -> SimpleNamespace:
-    """Slip by its names; what a shorter column does not hold is zero."""
+    """Name the components of a slip column; components beyond a shorter column are zero."""
     parts = ca.vertsplit(slip)
     return SimpleNamespace(**dict(zip(SLIPS, [*parts, *[ca.SX(0)] * (len(SLIPS) - len(parts))], strict=True)))
 
 
 def _flat_twist(wheels: ca.SX, turn: ca.SX, s: SimpleNamespace) -> ca.SX:
-    """Twist (2) of the body for the speed of the wheels and the model's yaw rate, as far as it is affine in them."""
+    """Compute the part of the body's twist (2) that is affine in wheel speed and the model's yaw rate."""
     omega = s.omega_gain * s.yaw_gain * turn
     return ca.SX(ca.vertcat(s.longitudinal_gain * wheels + s.turn_left * omega, omega))
 
 
 def _curved(flat: ca.SX, wheels: ca.SX, turn: ca.SX, s: SimpleNamespace) -> ca.SX:
-    """The same with what curves it: veer and couplings, which are a31, a13 and a33 of P4, and a track that widens."""
+    """Add the curved terms to the twist: veer and couplings (a31, a13 and a33 of P4), and a widening track."""
     product = wheels * s.omega_gain * turn
     v = flat[0] + s.forward_coupling * product
     omega = flat[1] / track_widening(flat[1], s.track_growth) + s.veer * wheels + s.yaw_coupling * product
@@ -80,16 +80,16 @@ def _curved(flat: ca.SX, wheels: ca.SX, turn: ca.SX, s: SimpleNamespace) -> ca.S
 
 
 def body_twist(y: ca.SX, slip: ca.SX) -> ca.SX:
-    """Twist (2) of the body for what the model says.
+    """Compute the twist (2) of the body from the output of the model.
 
-    The wheels turn as the model says but for an offset and a gain; the body follows them by the gains of its floor, and
-    turns about a centre that may lie beside the origin of its frame.
+    The wheels follow the model apart from an offset and a gain; the body follows the wheels by the gains of its
+    surface, and turns about a centre that may differ from the origin of its frame.
     """
     return _twists(y, slip)[1]
 
 
 def _twists(y: ca.SX, slip: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Twist (2) of the body without what curves it, and with it."""
+    """Compute the twist (2) of the body without and with the curved terms."""
     s = _named(slip)
     wheels = y[0] + s.v_offset
     flat = _flat_twist(wheels, y[1], s)
@@ -97,9 +97,9 @@ def _twists(y: ca.SX, slip: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 
 def wheel_twist(twist: ca.SX, slip: ca.SX) -> ca.SX:
-    """Speed of the wheels and yaw rate of the model (2) for the body's `twist`: undoes `body_twist`.
+    """Compute wheel speed and model yaw rate (2) for the body's `twist`: the inverse of `body_twist`.
 
-    In rounds where slip is curved: what one leaves of an error is the product of the couplings.
+    In rounds where slip is curved: each iteration multiplies the error by the product of the couplings.
     """
     s = _named(slip)
     gain = s.omega_gain * s.yaw_gain
@@ -112,7 +112,7 @@ def wheel_twist(twist: ca.SX, slip: ca.SX) -> ca.SX:
 
 
 def _flat_of(twist: ca.SX, slip: ca.SX) -> ca.SX:
-    """The body's `twist` (2) without what curves it."""
+    """Remove the curved terms from the body's `twist` (2)."""
     if slip.numel() == len(FLAT_SLIPS):
         return twist
     wheels = wheel_twist(twist, slip)
@@ -120,7 +120,7 @@ def _flat_of(twist: ca.SX, slip: ca.SX) -> ca.SX:
 
 
 def turning_point(slip: ca.SX, acceleration: ca.SX) -> ca.SX:
-    """How far ahead of the origin the robot turns [m] where it does not side-slip.
+    """Compute the distance of the turning point ahead of the origin [m] without side-slip.
 
     Under a forward `acceleration` [m/s^2] load shifts to the rear axle, which then holds the floor better.
     """
@@ -129,7 +129,7 @@ def turning_point(slip: ca.SX, acceleration: ca.SX) -> ca.SX:
 
 
 def lateral_speed(flat: ca.SX, slip: ca.SX, ahead: ca.SX) -> ca.SX:
-    """Speed of the origin to the left [m/s], the turning point lying `ahead` [m] of it; side-slip is outward.
+    """Compute the speed of the origin to the left [m/s] for a turning point `ahead` [m] of it; side-slip is outward.
 
     By the twist before it is curved: so crab, turning point and side-slip are P4's a21, a22 and a23.
     """
@@ -138,10 +138,10 @@ def lateral_speed(flat: ca.SX, slip: ca.SX, ahead: ca.SX) -> ca.SX:
 
 
 def sliding(theta: ca.SX, omega: ca.SX, slide_x: ca.SX, slide_y: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Speed (along, across) the heading `theta` [m/s] at which the floor lets a robot slide that turns at `omega`.
+    """Compute the sliding speed (along, across) [m/s] of a robot with the heading `theta` that turns at `omega`.
 
-    Skidding wheels hold a robot by what is left of their friction; a force down a slope moves it in proportion to how
-    fast they skid.
+    Skidding wheels resist a lateral force by their remaining friction only; a force down a slope moves it in proportion
+    to how fast they skid.
     """
     rate = ca.sqrt(omega**2 + _LEAST_TURN**2) - _LEAST_TURN
     along = ca.cos(theta) * slide_x + ca.sin(theta) * slide_y
@@ -150,14 +150,14 @@ def sliding(theta: ca.SX, omega: ca.SX, slide_x: ca.SX, slide_y: ca.SX) -> tuple
 
 
 def _moved(theta: ca.SX, twist: ca.SX, flat: ca.SX, slip: ca.SX, ahead: ca.SX, dt: ca.SX) -> ca.SX:
-    """Displacement (3) over `dt` along the arc of the body's `twist`, with its side-slip and slide at its middle."""
+    """Compute the displacement (3) over `dt` along the arc of the body's `twist`, with slip at its middle."""
     s = _named(slip)
     along, across = sliding(theta + twist[1] * dt / 2, twist[1], s.slide_x, s.slide_y)
     return arc_displacement(theta, twist[0] + along, twist[1], dt, lateral_speed(flat, slip, ahead) + across)
 
 
 def displacement(y: ca.SX, slip: ca.SX, theta: ca.SX, acceleration: ca.SX, dt: ca.SX) -> ca.SX:
-    """Displacement (3) dx, dy [m], dtheta [rad] over `dt` along the exact arc of the body's twist, side-slip included.
+    """Compute the displacement (3) dx, dy [m], dtheta [rad] over `dt` along the exact arc of the body's twist.
 
     Source: `models/pose.py`.
     """
@@ -166,7 +166,7 @@ def displacement(y: ca.SX, slip: ca.SX, theta: ca.SX, acceleration: ca.SX, dt: c
 
 
 def sensed(y: ca.SX, slip: ca.SX, gyro_bias: ca.SX, wheel_yaw_ratio: ca.SX) -> ca.SX:
-    """What the sensors of motion read (3): wheel speed [m/s], the wheels' yaw rate and the gyro's [rad/s].
+    """Compute the expected readings (3): wheel speed [m/s], yaw rate of the wheels and of the gyro [rad/s].
 
     Wheel speed = y_v + v_offset. The encoders see the wheels, and divide by the geometric track instead of the one of
     the model: wheel yaw rate = wheel_yaw_ratio omega_gain y_omega. The gyro sees the body: omega + gyro_bias.
@@ -190,7 +190,7 @@ def aim(pose: ca.SX, twist: ca.SX, slip: ca.SX, acceleration: ca.SX) -> ca.SX:
 
 
 def feed_forward(wanted: ca.SX, slip: ca.SX, inverse_gain: ca.SX) -> ca.SX:
-    """Command (2) that keeps the body's twist `wanted` (2).
+    """Compute the command (2) that keeps the body's twist `wanted` (2).
 
     The model's steady-state gain and the estimated slip are inverted, `inverse_gain` (2 x 2) being the first of these.
     """
@@ -199,20 +199,20 @@ def feed_forward(wanted: ca.SX, slip: ca.SX, inverse_gain: ca.SX) -> ca.SX:
 
 
 def across_path(pose: ca.SX, reference: ca.SX) -> ca.SX:
-    """Distance [m] of the pose to the left of the reference's tangent."""
+    """Compute the distance [m] of the pose to the left of the reference's tangent."""
     dx, dy, theta = pose[0] - reference[0], pose[1] - reference[1], reference[2]
     return ca.cos(theta) * dy - ca.sin(theta) * dx
 
 
 def tracking_errors(pose: ca.SX, reference: ca.SX) -> ca.SX:
-    """Errors (3) along and across the reference's tangent [m], and of the heading [rad] to the one to hold."""
+    """Compute the errors (3) along and across the reference's tangent [m], and of the heading [rad] to hold."""
     dx, dy, theta = pose[0] - reference[0], pose[1] - reference[1], reference[2]
     along = ca.cos(theta) * dx + ca.sin(theta) * dy
     return ca.vertcat(along, across_path(pose, reference), pose[2] - reference[3])
 
 
 def softly_limited(pose: ca.SX, twist: ca.SX, reference: ca.SX, parameters: ca.SX) -> ca.SX:
-    """What has soft limits (5): v [m/s], omega [rad/s], right and left wheel speed at the rim [m/s], distance [m].
+    """Compute the values with soft limits (5): v, omega, right and left rim speed, distance across [m/s, rad/s, m].
 
     The wheels do not slip as the body does: at the rim the gains of slip are undone. `parameters` (11 or 16) are slip
     and half the track of the wheels [m].
@@ -224,7 +224,7 @@ def softly_limited(pose: ca.SX, twist: ca.SX, reference: ca.SX, parameters: ca.S
 
 
 def turned_tighter(twist: ca.SX, parameters: ca.SX) -> ca.SX:
-    """By how much a twist turns more tightly than allowed to the left and to the right (2) [m/s]: none above zero.
+    """Compute the radius violation (2) of a twist to the left and to the right [m/s]: positive beyond the limit.
 
     |omega| radius <= |v|, in the direction of travel: `parameters` (2) are the least radius [m] and 1 or -1 where the
     reference drives forwards or backwards. Source of the constraint: Ordonez et al., 2017.
@@ -235,12 +235,12 @@ def turned_tighter(twist: ca.SX, parameters: ca.SX) -> ca.SX:
 
 
 def commanded_tighter(command: ca.SX, parameters: ca.SX) -> ca.SX:
-    """The same of a command, whose radius is that of the wheels: P4 states torques and least radii by it."""
+    """Compute the radius violation of a command; its radius is that of the wheels, as in P4."""
     return turned_tighter(command, parameters)
 
 
 def arc_piece(tau: ca.SX, row: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Pose (3), twist (2) and arc length (1) of a reference of exact arcs, `tau` [s] after its phase began.
+    """Compute pose (3), twist (2) and arc length (1) of a reference of exact arcs, `tau` [s] after its phase began.
 
     `row` (10) is the phase: its start time; x, y, theta and arc length at the start of its stretch; forward [m] and
     turn [rad] per unit of progress; progress s, its rate and half its acceleration at the start of the phase. So
@@ -254,7 +254,7 @@ def arc_piece(tau: ca.SX, row: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
 
 
 def spline_piece(tau: ca.SX, coefficients: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Pose (3), twist (2) and arc length (1) of a reference of cubic pieces in time, `tau` [s] after the piece began.
+    """Compute pose (3), twist (2) and arc length (1) of a cubic reference, `tau` [s] after its piece began.
 
     `coefficients` (16) are those of x, y, theta and arc length for each power of tau, highest power first. The forward
     speed is the rate of (x, y) along the heading.
@@ -267,16 +267,16 @@ def spline_piece(tau: ca.SX, coefficients: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
 
 
 def arc_move(theta: ca.SX, v: ca.SX, omega: ca.SX, slip: ca.SX, ahead: ca.SX, dt: ca.SX) -> ca.SX:
-    """Displacement (2) dx, dy [m] over `dt` along the same arc as in `displacement`, for a twist that includes slip."""
+    """Compute the displacement (2) dx, dy [m] over `dt` as in `displacement`, for a twist that includes slip."""
     twist = ca.vertcat(v, omega)
     return _moved(theta, twist, _flat_of(twist, slip), slip, ahead, dt)[:2]
 
 
 @cache
 def formulas() -> tuple[ca.Function, ...]:
-    """The controller's formulas as SX functions, named as they are in C. Those that vary carry their gradient.
+    """Build the controller's formulas as SX functions with their C names; those that vary include their gradient.
 
-    What depends on slip stands there twice: a controller whose slip is not curved does not pay for what is.
+    Formulas with slip exist in two versions: a controller without curved slip does not pay for the curved terms.
     """
     sampled = ("pose", "twist", "arc_length")
     return (
@@ -291,7 +291,7 @@ def formulas() -> tuple[ca.Function, ...]:
 
 
 def _with_slip(ending: str, slips: int) -> tuple[ca.Function, ...]:
-    """The formulas that slip acts in, for a column of `slips`."""
+    """Build the formulas that depend on slip, for a column of `slips`."""
     shapes = {"slip": (slips, 1)}
     return (
         _varied(f"ddmpc_f_twist{ending}", body_twist, "twist", ("y", "slip"), shapes),
@@ -306,22 +306,22 @@ def _with_slip(ending: str, slips: int) -> tuple[ca.Function, ...]:
 
 
 def formula(name: str) -> ca.Function:
-    """The formula `ddmpc_f_NAME`, to evaluate with numbers; with more columns it answers for each of them."""
+    """Build the formula `ddmpc_f_NAME` for numbers; with more columns it evaluates each of them."""
     return {function.name(): function for function in formulas()}[f"ddmpc_f_{name}"]
 
 
 def term_symbols(parameters: int) -> dict[str, ca.SX]:
-    """The inputs of a term by name, with `parameters` stage parameters."""
+    """Create the inputs of a term by name, with `parameters` stage parameters."""
     return {name: ca.SX.sym(name, length) for name, length in {**TERM_INPUTS, "parameters": parameters}.items()}
 
 
 def term(name: str, inputs: Mapping[str, ca.SX], value: ca.SX) -> ca.Function:
-    """The term `value` (m) of `inputs`, see `term_symbols`, with its gradient (m x 7) by pose, twist and command."""
+    """Build the term `value` (m) of `inputs`, see `term_symbols`, with its gradient (m x 7) by `VARIED`."""
     return differentiated(name, inputs, "value", value, VARIED)
 
 
 def differentiated(name: str, inputs: Mapping[str, ca.SX], output: str, value: ca.SX, by: Sequence[str]) -> ca.Function:
-    """The function `name` of `inputs` with two outputs: `value`, called `output`, and its gradient by `by`."""
+    """Build the function `name` of `inputs` with two outputs: `value`, called `output`, and its gradient by `by`."""
     gradient = ca.jacobian(value, ca.vertcat(*(inputs[varied] for varied in by)))
     return named_function(name, inputs, {output: value, "gradient": gradient})
 
@@ -354,7 +354,7 @@ def _term(name: str, formula: _Formula, parameters: int) -> ca.Function:
 
 
 def named_function(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.SX]) -> ca.Function:
-    """The function `name` with these inputs and outputs."""
+    """Build the function `name` with these inputs and outputs."""
     return ca.Function(name, list(inputs.values()), list(outputs.values()), list(inputs), list(outputs))
 
 
@@ -363,7 +363,7 @@ def named_function(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str,
 
 @cache
 def network_formulas() -> tuple[ca.Function, ...]:
-    """Cell and output of a unit, and the activation of a dense layer, as SX functions named as they are in C."""
+    """Build cell and output of a unit, and the activation of a dense layer, as SX functions with their C names."""
     names = ("enter", "keep", "candidate", "leave", "cell", "x")
     enter, keep, candidate, leave, cell, x = (ca.SX.sym(name) for name in names)
     before = {"enter": enter, "keep": keep, "candidate": candidate, "cell": cell}

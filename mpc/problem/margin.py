@@ -27,7 +27,7 @@ LIGHTEST, HEAVIEST = np.array([5.0, 4.0]), 1e4
 plant, seeds 101 and 103 of a search over 13 robots and conditions; lighter ones make commands restless."""
 _HALVINGS = 14
 _STABLE = 1.0 + 1e-6
-"""An error without a weight stays as it is, with eigenvalue 1."""
+"""An error without a weight is constant, with eigenvalue 1."""
 
 
 def feedback(model: DiscreteModel, config: ControllerConfig) -> Callable[[FloatArray], FloatArray]:
@@ -118,7 +118,7 @@ def increment_weights(model: DiscreteModel, config: ControllerConfig) -> FloatAr
 
 @dataclass(frozen=True)
 class _Loop:
-    """Model and settings that the weights follow from, told apart by their numbers."""
+    """Model and settings that determine the weights, identified by their numbers."""
 
     numbers: bytes
     model: DiscreteModel = field(compare=False)

@@ -1,4 +1,4 @@
-"""What lies between the twist that the velocity model says and the one that the body has on its floor."""
+"""Slip: the difference between the twist that the velocity model predicts and the twist of the body on its surface."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from diffdrive_mpc.models.interface import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Slip:
-    """Offset and gains of a twist, side-slip and turning point; the default is a robot that does as its model says.
+    """Offset and gains of a twist, side-slip and turning point; by default the robot follows its model.
 
     The wheels turn with v + v_offset and omega_gain omega. The body turns with yaw_gain times that yaw rate about a
     point that lies turn_ahead - load_shift times the forward acceleration ahead of its origin and turn_left beside it.
@@ -73,12 +73,12 @@ class Slip:
 
     @property
     def flat(self) -> list[float]:
-        """(10,) without what curves the twist, in the order of `SLIPS`."""
+        """(10,) without the curved terms, in the order of `SLIPS`."""
         return [getattr(self, name) for name in FLAT_SLIPS]
 
     @classmethod
     def of_polynomial(cls, coefficients: ArrayLike) -> Slip:
-        """The slip of a floor with these nine coefficients (9,) of `models.slip_laws.polynomial_twist`."""
+        """Compute the slip of a surface with these nine coefficients (9,) of `models.slip_laws.polynomial_twist`."""
         (a11, a12, a13), (a21, a22, a23), (a31, a32, a33) = np.reshape(np.asarray(coefficients, dtype=float), (3, 3))
         forward, turning = 1 + a11, 1 + a32
         # a23 v_c w_c is written in the affine twist, v = forward v_c + a12 w_c and omega = turning w_c.
@@ -98,8 +98,8 @@ class Slip:
     def polynomial(self) -> FloatArray:
         """(9,) coefficients of `models.slip_laws.polynomial_twist` that this slip amounts to, row by row.
 
-        What it has beyond them is left out: offset, load shift, slide and a track that grows. Lateral terms in w_c^2,
-        products of side-slip and a12, do not exist there.
+        Further slip is left out: offset, load shift, slide and a track that grows. Lateral terms in w_c^2, products of
+        side-slip and a12, do not exist there.
         """
         turning = self.omega_gain * self.yaw_gain
         return np.array(
@@ -114,7 +114,7 @@ class Slip:
 
     @property
     def polynomial_gradient(self) -> FloatArray:
-        """(9, 15) gradient of `polynomial` by what slip consists of, in the order of `SLIPS`."""
+        """(9, 15) gradient of `polynomial` by the slips, in the order of `SLIPS`."""
         # Each coefficient is linear in each of them by itself: a difference over one is the slope.
         columns = [replace(self, **{name: getattr(self, name) + 1.0}).polynomial for name in SLIPS]
         return np.stack(columns, axis=1) - self.polynomial[:, None]
@@ -126,14 +126,14 @@ class Slip:
 
     @property
     def offset(self) -> FloatArray:
-        """(2,) what is added to the twist of the model before the gains [m/s, rad/s]."""
+        """(2,) offset of the model's twist before the gains [m/s, rad/s]."""
         return np.array([self.v_offset, 0.0])
 
 
 SLIPS: tuple[str, ...] = tuple(field.name for field in fields(Slip))
-"""Names of what slip consists of, in the order of the filter's state."""
+"""Names of the slips, in the order of the filter's state."""
 PRIORS: tuple[str, ...] = tuple(name.removesuffix("_x").removesuffix("_y") for name in SLIPS)
-"""Whose uncertainty and drift in the configuration they have: the slide has a direction, and its uncertainty none."""
+"""Prior of each slip in the configuration; both directions of the slide share one."""
 CURVED_SLIPS = SLIPS[10:]
 """Those that curve the twist: the filter has them only where the configuration speaks of one."""
 FLAT_SLIPS = SLIPS[:10]

@@ -1,6 +1,6 @@
 """Terms of the user: residuals that are squared and added to the cost, and values with soft limits.
 
-A term is one CasADi function of what the plan does at a sample. It is differentiated, generated as C and compiled like
+A term is one CasADi function of the plan's values at a sample. It is differentiated, generated as C and compiled like
 the shipped ones.
 """
 
@@ -51,7 +51,7 @@ class Term:
     kind
         "residual": half the value's square is added to the cost, so a weight w enters as its root; "soft": the value is
         kept between `lower` and `upper`. One unit beyond them costs `weights.soft`, and half its square
-        `weights.soft_quadratic`, so a value that is scaled up is kept more strictly.
+        `weights.soft_quadratic`, so scaling a value up makes its limit stricter.
     upper, lower
         (m,) limits of a soft term; None, for all of it or in a row: no limit.
     defaults
@@ -100,7 +100,7 @@ class Term:
         object.__setattr__(self, "bounds", bounds)
 
     def _limits(self, name: str, limits: Limits, none: float) -> FloatArray:
-        """(m,) one side of the limits."""
+        """Return one side of the limits (m,)."""
         where = f"term '{self.name}'"
         if limits is not None and not self.soft:
             raise ConfigError(f"{where}: {name} is for kind soft; a residual has no limits, leave it out")
@@ -113,7 +113,7 @@ class Term:
 
     @property
     def soft(self) -> bool:
-        """Whether its value is limited."""
+        """True if the value of the term is limited."""
         return self.kind == "soft"
 
     @property
@@ -128,7 +128,7 @@ class Term:
 
 
 def checked_terms(terms: object) -> tuple[Term, ...]:
-    """`terms` as a tuple; raises ArgumentError where they are no list of terms."""
+    """Return `terms` as a tuple; raise ArgumentError if they are no list of terms."""
     if isinstance(terms, (list, tuple)) and all(isinstance(term, Term) for term in terms):
         return tuple(terms)
     remedy = "write terms=[term], where term = Term(name, casadi.Function(...))"
@@ -138,8 +138,8 @@ def checked_terms(terms: object) -> tuple[Term, ...]:
     raise wrong_type("terms", "a list of Term", odd, remedy)
 
 
-def all_terms(configs: Sequence[TermConfig], own: Sequence[Term]) -> tuple[Term, ...]:
-    """Terms that a configuration names, whose files are run, and those given in Python, in this order.
+def all_terms(configs: Sequence[TermConfig], given_terms: Sequence[Term]) -> tuple[Term, ...]:
+    """Combine terms from configured files, which are run, with terms passed in Python, in this order.
 
     Raises
     ------
@@ -147,7 +147,7 @@ def all_terms(configs: Sequence[TermConfig], own: Sequence[Term]) -> tuple[Term,
         If a file cannot be run, has no such function, or that is none of (pose, twist, command, ...); if two terms have
         one name, or all of them together more rows of soft limits than a controller holds.
     """
-    terms = (*(_load(config) for config in configs), *own)
+    terms = (*(_load(config) for config in configs), *given_terms)
     for name, count in Counter(entry.name for entry in terms).items():
         if count > 1:
             raise ConfigError(f"term '{name}': {count} terms have this name; give each a name of its own")
@@ -163,7 +163,7 @@ def all_terms(configs: Sequence[TermConfig], own: Sequence[Term]) -> tuple[Term,
 
 
 def parameter_places(terms: Sequence[Term]) -> dict[str, slice]:
-    """Where the parameters of each term lie among those of all, by name."""
+    """Return the places of each term's parameters among those of all terms, by name."""
     ends = list(accumulate((term.parameters for term in terms), initial=0))
     return {term.name: slice(first, end) for term, (first, end) in zip(terms, pairwise(ends), strict=True)}
 
@@ -171,7 +171,7 @@ def parameter_places(terms: Sequence[Term]) -> dict[str, slice]:
 def checked_parameters(
     terms: Sequence[Term], samples: int, values: Mapping[str, ArrayLike]
 ) -> list[tuple[slice, FloatArray]]:
-    """Places and numbers of stage parameters by name of their term, (p,) or (samples, p).
+    """Check stage parameters by name of their term, (p,) or (samples, p); return their places and numbers.
 
     Raises
     ------
@@ -201,8 +201,8 @@ def _load(config: TermConfig) -> Term:
     module = _run(path)
     functions = {key: value for key, value in module.items() if isinstance(value, ca.Function)}
     if config.function not in functions:
-        there = f"there are: {', '.join(functions)}" if functions else "it defines none"
-        raise ConfigError(f"{path}: term '{name}': no casadi.Function '{config.function}' in that file; {there}")
+        defined = f"there are: {', '.join(functions)}" if functions else "it defines none"
+        raise ConfigError(f"{path}: term '{name}': no casadi.Function '{config.function}' in that file; {defined}")
     try:
         return Term(name, functions[config.function], config.kind, config.upper, config.lower, tuple(config.parameters))
     except ConfigError as error:
@@ -210,7 +210,7 @@ def _load(config: TermConfig) -> Term:
 
 
 def _run(path: Path) -> dict[str, object]:
-    """What a Python file defines."""
+    """Run a Python file and return its globals."""
     check_trusted(path)
     spec = importlib.util.spec_from_file_location(f"diffdrive_mpc_term_{path.stem}", path)
     if not path.is_file() or spec is None or spec.loader is None:

@@ -19,7 +19,7 @@ _C_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 
 
 def user_term(function: ca.Function, name: str, place: str | None = None) -> ca.Function:
-    """The term of a user's `function`, called `name` in C.
+    """Wrap a user's `function` as a term called `name` in C.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def user_term(function: ca.Function, name: str, place: str | None = None) -> ca.
 
 
 def user_step(function: ca.Function, name: str) -> ca.Function:
-    """One sample of a user's nonlinear velocity model, called `name` in C.
+    """Wrap one sample of a user's nonlinear velocity model as a function called `name` in C.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def user_step(function: ca.Function, name: str) -> ca.Function:
 
 
 def user_output(function: ca.Function, name: str, states: int) -> ca.Function:
-    """Output of a user's nonlinear velocity model, called `name` in C.
+    """Wrap the output of a user's nonlinear velocity model as a function called `name` in C.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def user_output(function: ca.Function, name: str, states: int) -> ca.Function:
 
 
 def _checked_function(function: ca.Function, name: str, kind: str, place: str | None = None) -> str:
-    """The words that name the place, if `function` is one and `name` a name in C."""
+    """Check that `function` is a CasADi function and `name` a name in C; return the words that name the place."""
     if not isinstance(function, ca.Function):
         raise ConfigError(
             f"{place or f'{kind} {name}'}: {type(function).__name__} is no casadi.Function; build one with named inputs"
@@ -155,7 +155,7 @@ def _column_out(function: ca.Function, place: str) -> int:
 
 
 def _value(function: ca.Function, arguments: list[ca.SX], place: str) -> ca.SX:
-    """What the function makes of symbols, all in elementary operations."""
+    """Evaluate the function with symbols, expanded to elementary operations."""
     fault = ConfigError(
         f"{place}: CasADi cannot write it in elementary operations; use SX, and call no solver or table"
     )

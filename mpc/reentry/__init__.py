@@ -1,4 +1,4 @@
-"""Off the path or held up: the way back to the reference, and the reference's clock that waits."""
+"""Off the path or held up: the path back to the reference, and the waiting clock of the reference."""
 
 from diffdrive_mpc.mpc.reentry.pursuit import Pursuit
 from diffdrive_mpc.mpc.reentry.target import Target, TooFar

@@ -85,27 +85,27 @@ class Options:
 
 
 def all_options(
-    window: PathWindow, here: int, course: Course, look_ahead: tuple[float, float], limits: TrajectoryLimits
+    window: PathWindow, nearest: int, course: Course, look_ahead: tuple[float, float], limits: TrajectoryLimits
 ) -> Options:
-    """Every motion worth trying from `course` to the samples of `window` ahead of the sample `here`.
+    """List every motion worth trying from `course` to the samples of `window` ahead of the sample `nearest`.
 
     `look_ahead` are the least and the largest distance along the path [m].
     """
-    sample = _rejoining_samples(window, here, look_ahead)
+    sample = _rejoining_samples(window, nearest, look_ahead)
     options = [*_direct(window, sample, course, limits), _turn_first(window, sample, course, limits, stop=False)]
-    # The last resort, if the reference turns on the spot throughout: to where it is now.
-    options.append(_turn_first(window, np.append(sample, here), course, limits, stop=True))
+    # If the reference only turns on the spot, the last resort is its present pose. to where it is now.
+    options.append(_turn_first(window, np.append(sample, nearest), course, limits, stop=True))
     return Options(*(np.concatenate([getattr(part, field.name) for part in options]) for field in fields(Options)))
 
 
-def _rejoining_samples(window: PathWindow, here: int, look_ahead: tuple[float, float]) -> NDArray[np.intp]:
-    """Samples at even distances ahead, where the reference begins and ceases to stand, and the last."""
-    arc = window.arc_length - window.arc_length[here]
+def _rejoining_samples(window: PathWindow, nearest: int, look_ahead: tuple[float, float]) -> NDArray[np.intp]:
+    """Select samples at even distances ahead, those where the reference starts or stops standing, and the last."""
+    arc = window.arc_length - window.arc_length[nearest]
     evenly = np.searchsorted(arc, np.linspace(*look_ahead, _POINTS))
     stands = np.abs(window.twist[:, 0]) <= STANDING
     edges = np.flatnonzero(np.diff(stands.astype(np.int8)))
     edges = np.concatenate([edges, edges + 1])
-    edges = edges[(edges >= here) & stands[edges] & (arc[edges] <= look_ahead[1])]
+    edges = edges[(edges >= nearest) & stands[edges] & (arc[edges] <= look_ahead[1])]
     samples = np.unique(np.concatenate([evenly[evenly < arc.size], edges, [arc.size - 1]]))
     # Not in the middle of a turn on the spot: no path ends in one.
     twist = np.abs(window.twist[samples])
@@ -113,7 +113,7 @@ def _rejoining_samples(window: PathWindow, here: int, look_ahead: tuple[float, f
 
 
 def _ends(window: PathWindow, sample: NDArray[np.intp]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Pose of travel (C, 3), speed (C,) [m/s] and curvature (C,) [1/m] of the reference at the samples."""
+    """Return pose of travel (C, 3), speed (C,) [m/s] and curvature (C,) [1/m] of the reference at the samples."""
     end = window.pose[sample]
     end[:, 2] += _turned(window.travel[sample])
     speed = np.abs(window.twist[sample, 0])
@@ -121,12 +121,12 @@ def _ends(window: PathWindow, sample: NDArray[np.intp]) -> tuple[FloatArray, Flo
 
 
 def _turned(travel: FloatArray) -> FloatArray:
-    """Angle from the heading to the direction of travel [rad]."""
+    """Compute the angle from the heading to the direction of travel [rad]."""
     return np.where(travel > 0, 0.0, np.pi)
 
 
 def _stopped(course: Course, limits: TrajectoryLimits) -> tuple[float, FloatArray]:
-    """Duration of braking [s], and the pose (3,) after it."""
+    """Compute the duration of braking [s], and the pose (3,) after it."""
     if abs(course.v) <= STANDING and abs(course.omega) <= TURNING:
         return 0.0, course.pose
     brake = braking_time(course.v, course.omega, limits)
@@ -134,7 +134,7 @@ def _stopped(course: Course, limits: TrajectoryLimits) -> tuple[float, FloatArra
 
 
 def _direct(window: PathWindow, sample: NDArray[np.intp], course: Course, limits: TrajectoryLimits) -> list[Options]:
-    """Paths from the robot's pose and speed: with its curvature, straight at first, or bent towards the point.
+    """Build paths from the robot's pose and speed: with its curvature, straight at first, or bent towards the point.
 
     The last is the curvature of pure pursuit, 2 sin(bearing) / distance (Coulter, CMU-RI-TR-92-01, 1992).
     """
@@ -148,7 +148,7 @@ def _direct(window: PathWindow, sample: NDArray[np.intp], course: Course, limits
     gap = end[:, :2] - start[:, :2]
     bearing = np.arctan2(gap[:, 1], gap[:, 0]) - start[:, 2]
     pursuit = 2.0 * np.sin(bearing) / np.maximum(np.hypot(gap[:, 0], gap[:, 1]), SAME_PLACE)
-    own = np.where(onward, course.omega / max(abs(course.v), _LEAST_SPEED), 0.0)
+    present = np.where(onward, course.omega / max(abs(course.v), _LEAST_SPEED), 0.0)
     nothing = np.zeros(sample.size)
     return [
         Options(
@@ -167,7 +167,7 @@ def _direct(window: PathWindow, sample: NDArray[np.intp], course: Course, limits
             yaw_jump=np.where(onward, np.abs(curvature * enter - course.omega), 0.0),
             stops=np.zeros(sample.size, dtype=bool),
         )
-        for curvature in (own, nothing, np.clip(pursuit, -_TIGHTEST, _TIGHTEST))
+        for curvature in (present, nothing, np.clip(pursuit, -_TIGHTEST, _TIGHTEST))
     ]
 
 

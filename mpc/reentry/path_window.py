@@ -1,4 +1,4 @@
-"""A stretch of the reference around its present time, sampled, and where the robot is beside it."""
+"""Sampled stretch of the reference around its present time, and the robot's position relative to it."""
 
 from __future__ import annotations
 
@@ -59,32 +59,32 @@ class PathWindow:
         return int(np.argmin(np.abs(self.times - time)))
 
     def nearest(self, pose: FloatArray, time: float) -> int:
-        """Index of the sample nearest to the position of `pose` (3,), those near `time` [s] being preferred."""
+        """Find the sample nearest to the position of `pose` (3,), with preference for samples near `time` [s]."""
         offset = self.pose[:, :2] - pose[:2]
         path = np.abs(self.arc_length - np.interp(time, self.times, self.arc_length))
         away = np.hypot(offset[:, 0], offset[:, 1])
         return int(np.argmin(away + _PATH_AS_DISTANCE * path + _TIME_AS_DISTANCE * np.abs(self.times - time)))
 
     def beside(self, pose: FloatArray, index: int) -> tuple[float, float]:
-        """Position of `pose` (3,) along and across the heading of sample `index` [m]; left is positive."""
+        """Compute the position of `pose` (3,) along and across the heading of sample `index` [m]; left is positive."""
         x, y, theta = self.pose[index].tolist()
         return in_path(pose[0] - x, pose[1] - y, theta)
 
 
 def in_path(dx: float, dy: float, theta: float) -> tuple[float, float]:
-    """A displacement [m] in parts along and across the heading `theta` [rad], positive to its left."""
-    # Of numbers that are none nothing comes either, without a warning: the caller looks at what it gets.
+    """Split a displacement [m] into parts along and across the heading `theta` [rad], positive to its left."""
+    # NaN in the input yields NaN without a warning: the caller checks the result. the caller looks at what it gets.
     c, s, dx, dy = math.cos(theta), math.sin(theta), float(dx), float(dy)
     return c * dx + s * dy, c * dy - s * dx
 
 
 def _travel(v: FloatArray) -> FloatArray:
-    """Sign of `v` (n,), filled in from the samples after, else before, where it is about zero."""
+    """Compute the sign of `v` (n,); where `v` is about zero, use the next moving sample, or else the previous one."""
     moving = np.flatnonzero(np.abs(v) > STANDING)
     if not moving.size:
         return np.ones_like(v)
-    at = np.minimum(np.searchsorted(moving, np.arange(v.size)), moving.size - 1)
-    return np.asarray(np.sign(v[moving[at]]))
+    index = np.minimum(np.searchsorted(moving, np.arange(v.size)), moving.size - 1)
+    return np.asarray(np.sign(v[moving[index]]))
 
 
 # The pieces of a connection in time: braking, turning on the spot, driving a path; put together to a trajectory.
@@ -92,7 +92,7 @@ def _travel(v: FloatArray) -> FloatArray:
 
 # Closer than this, there is no direction from one point to another [m].
 SAME_PLACE = 0.01
-# A motion that is none at all takes this time [s]: a trajectory needs some.
+# Duration of an empty motion [s]: a trajectory needs a positive one. a trajectory needs some.
 _MOMENT = 1e-3
 
 
@@ -105,7 +105,7 @@ class MotionLine:
         self._rates = [np.zeros(3)]
 
     def brake(self, v: float, omega: float, duration: float) -> None:
-        """Come to rest from the twist (v [m/s], omega [rad/s]) at constant decelerations over `duration` [s]."""
+        """Append braking from (v [m/s], omega [rad/s]) to rest at constant decelerations over `duration` [s]."""
         start = self._poses[-1]
         for share in np.linspace(0.0, 1.0, 5):
             passed = duration * (share - 0.5 * share * share)
@@ -153,7 +153,7 @@ class MotionLine:
             self._add(float(duration), pose, rate)
 
     def trajectory(self, name: str, end_heading: float) -> SplineTrajectory:
-        """The motion as a trajectory, counted on the turn that meets `end_heading` [rad]."""
+        """Convert the motion to a trajectory whose heading is unwrapped so that it ends at `end_heading` [rad]."""
         if len(self._times) == 1:
             self._add(_MOMENT, self._poses[0], np.zeros(3))
         poses = np.array(self._poses)
@@ -189,7 +189,7 @@ def path_speeds(
     shares: FloatArray,
     travel: FloatArray,
 ) -> FloatArray:
-    """Speed at the nodes of each path.
+    """Compute the speed at the nodes of each path.
 
     The bounds on each piece are those of `mpc.trajectories.path_timing.squared_speeds`, here for C paths at a time and
     with given speeds at both ends. Where a path is too short or too tight for the wanted speeds at its ends, the
@@ -223,7 +223,7 @@ def path_speeds(
     square[1:-1] = np.minimum(cap[:, 1:], cap[:, :-1]).T[:, None]
     square[0] = np.minimum(enter**2, cap[:, 0])
     square[-1] = np.minimum(leave**2, cap[:, -1])
-    # Slower than where it begins and ends only as far as half the acceleration brings it.
+    # Slower than at the start and end only as far as half the acceleration permits.
     gone = np.concatenate([np.zeros((len(k), 1)), np.cumsum(lengths, axis=1)], axis=1)
     ramps = np.maximum(
         enter[:, None] ** 2 - limits.v_acceleration * gone,

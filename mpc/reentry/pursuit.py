@@ -1,4 +1,4 @@
-"""Chooses what to track at each tick: the reference on time, the waiting reference, or the way back to it."""
+"""Choice of the target at each tick: the reference on time, the waiting reference, or the path back to it."""
 
 from __future__ import annotations
 
@@ -40,17 +40,17 @@ class Stray(Protocol):
 
     @property
     def outside(self) -> bool:
-        """Whether it is outside the band around its path, or was moved along it."""
+        """True if the robot is outside the band around its path, or was moved along it."""
         ...
 
     @property
     def late(self) -> float:
-        """By how much it is late, in units of the lag from which the reference waits [-]."""
+        """Delay in units of the lag from which the reference waits [-]."""
         ...
 
 
 class Pursuit:
-    """Follows one reference; holds its clock and the way back, if there is one.
+    """Follows one reference; holds its clock and the path back, if there is one.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ class Pursuit:
         self._speed_limit = math.inf if v is None else v
 
     def start(self, reference: Reference, *, native: bool) -> None:
-        """Follow `reference` from now on; `native` says whether the core can sample it by itself."""
+        """Follow `reference` from now on; `native` is True if the core can sample it."""
         self._reference, self._native = reference, native
         samples = int(min(reference.duration / self._config.sample_time + 2.0, _MOST_SAMPLES))
         twist = reference.sample(np.linspace(0.0, reference.duration, samples)).twist
@@ -109,7 +109,7 @@ class Pursuit:
         self.restart()
 
     def restart(self) -> None:
-        """Begin anew with the same reference, on time."""
+        """Restart with the same reference, on time."""
         self._clock.restart()
         self._blocked.restart()
         self._way_back: Rejoin | None = None
@@ -126,14 +126,14 @@ class Pursuit:
 
     @property
     def on_time(self) -> bool:
-        """Whether the robot may follow the reference as it stands, unless it has left its path since."""
+        """True if the robot may follow the reference unmodified, provided that it has not left its path since."""
         if not self._settings.enabled:
             return self._native
         free = self._top_speed <= _KEPT * self._speed_limit
         return self._native and self._driving and self._way_back is None and self._clock.on_time and free
 
     def passed(self, since_start: float, *, followed: bool) -> None:
-        """A tick at `since_start` [s] went by on time; `followed` says whether the robot was driving."""
+        """Record a tick at `since_start` [s] that was on time; `followed` is True if the robot was driving."""
         if self._settings.enabled:
             self._clock.pass_by(since_start)
             self._time, self._resumes = since_start, False
@@ -149,12 +149,12 @@ class Pursuit:
 
     @property
     def delay(self) -> float:
-        """How far the reference's clock is behind the controller's [s]."""
+        """Delay of the reference's clock behind the controller's [s]."""
         return self._clock.delay
 
     @property
     def reference(self) -> Reference | None:
-        """What is pursued: the reference, or the way back to it."""
+        """Pursued reference: the reference of the drive, or the path back to it."""
         return self._way_back or self._reference
 
     @property
@@ -163,7 +163,7 @@ class Pursuit:
         return self._time
 
     def stand(self) -> None:
-        """Somebody else has braked: the reference waits until it is followed again."""
+        """Stand after braking by another part; the reference waits until it is followed again."""
         self._driving = False
 
     def advance(self, since_start: float) -> float:
@@ -183,11 +183,11 @@ class Pursuit:
         return self._time
 
     def _count_delay(self, before: float, *, driving: bool) -> None:
-        """Count what was decided on of the delay since it was `before` [s]; a robot that lags is not counted."""
+        """Add the planned part of the delay since it was `before` [s]; a robot that lags is not counted."""
         delay = self._clock.delay
         if not driving or self._slows_down:
             self.planned_delay += max(0.0, delay - before)
-        # What it catches up is no delay any more.
+        # Caught-up time is no longer a delay.
         self.planned_delay = min(self.planned_delay, max(0.0, delay))
 
     def target(
@@ -208,7 +208,7 @@ class Pursuit:
         if not self._settings.enabled or since_start < 0.0:
             return self._chase(reference, time, estimate)
         if self._resumes:
-            # Until now it was not asked to move.
+            # The robot was not commanded to move until now.
             self._blocked.restart()
         if self._way_back is not None and time >= self._way_back.joins:
             self._way_back = None
@@ -256,10 +256,10 @@ class Pursuit:
             self.is_late, self.limit = True, self._limited_by() or self.limit
 
     def _within_reach(self, reach: float, twist: FloatArray, yaw_gain: float) -> float:
-        """Progress rate at which the upcoming twists (n, 2) need no more than the rim speed `reach` [m/s].
+        """Limit the progress rate so that the upcoming twists (n, 2) need at most the rim speed `reach` [m/s].
 
         The body turns `yaw_gain` times as fast as its wheels, which counts in turns on the spot only. A limit learned
-        in such a turn does not apply to the path after it, and the other way round.
+        in such a turn does not apply to the path after it, and vice versa.
         """
         if not math.isfinite(reach):
             return math.inf
@@ -269,15 +269,15 @@ class Pursuit:
         return _USABLE * reach / max(float(needed.max()), STANDING)
 
     def _within_limit(self, fastest: float) -> float:
-        """Progress rate for a reference that soon reaches `fastest` [m/s]; slows it by `v_acceleration` at most."""
+        """Limit the progress rate of a reference that reaches `fastest` [m/s] by at most `v_acceleration`."""
         fastest = max(fastest, STANDING)
         slowed = self._clock.rate - self._settings.v_acceleration / fastest * self._config.sample_time
         return max(_KEPT * self._speed_limit / fastest, slowed)
 
     def _chase(self, reference: Reference, time: float, estimate: Estimate) -> Target | TooFar:
-        """The reference on time, whatever the robot does."""
-        here = reference.sample([time]).pose[0]
-        distance = float(np.hypot(*(estimate.pose - here)[:2]))
+        """Track the reference on time, whatever the robot does."""
+        start = reference.sample([time]).pose[0]
+        distance = float(np.hypot(*(estimate.pose - start)[:2]))
         self._driving = distance <= self._config.failure.max_position_error
         return Target(reference, time) if self._driving else TooFar(distance)
 
@@ -287,30 +287,31 @@ class Pursuit:
         return self._stray_from(sample.pose[0], twist), float(twist[0])
 
     def _displaced(self, ahead: float) -> bool:
-        """Whether `ahead` [m] along the path, negative behind, is more than the reference's waiting explains."""
+        """Return True if `ahead` [m] along the path exceeds what the waiting of the reference explains."""
         return not -BEHIND * self._settings.wait <= ahead <= AHEAD * self._settings.wait
 
     def _return(
         self, reference: Reference, time: float, since_start: float, estimate: Estimate, waiting: FloatArray
     ) -> Rejoin | TooFar | StandingReference | None:
-        """Plan a way back; return `StandingReference` if there is no room for one.
+        """Plan a path back; return `StandingReference` if there is no room for one.
 
         Returns None if the robot is on its path after all, only earlier or later than the reference.
         """
         settings = self._settings
         away = float(np.hypot(*(estimate.pose - waiting)[:2]))
-        # A displacement while nobody drives is no progress: it counts from `waiting`, where the reference waits.
+        # A displacement without driving is no progress: it counts from `waiting`, the place where the reference waits.
+        # it counts from `waiting`, where the reference waits.
         if self._resumes and away > self._config.failure.max_position_error:
             return TooFar(away)
         window = PathWindow.around(reference, time, settings.window, _WINDOW_STEP * self._config.sample_time)
         waited = self._resumes and self._way_back is None
-        here = window.index(time) if waited else window.nearest(estimate.pose, time)
-        along, across = window.beside(estimate.pose, here)
+        nearest = window.index(time) if waited else window.nearest(estimate.pose, time)
+        along, across = window.beside(estimate.pose, nearest)
         distance = math.hypot(along, across)
         if distance > self._config.failure.max_position_error:
             return TooFar(distance)
-        turned = abs(float(wrap_angle(estimate.pose[2] - window.pose[here, 2])))
-        moved = float(window.arc_length[here] - np.interp(time, window.times, window.arc_length))
+        turned = abs(float(wrap_angle(estimate.pose[2] - window.pose[nearest, 2])))
+        moved = float(window.arc_length[nearest] - np.interp(time, window.times, window.arc_length))
         # As in mpc/core/tick.c.
         band = max(settings.band, _UNSURE * math.hypot(*estimate.pose_deviation[:2]))
         beside, aside = distance > band, turned > settings.heading_band
@@ -320,7 +321,7 @@ class Pursuit:
         path = rejoin(
             reference,
             window,
-            here,
+            nearest,
             Course(estimate.pose, float(estimate.twist[0]), float(estimate.twist[1])),
             since_start,
             (settings.min_look_ahead, settings.max_look_ahead),
@@ -338,16 +339,16 @@ class Pursuit:
         return path
 
     def _fastest_rate(self) -> float:
-        """Progress rate at which the reference stays inside the limits of the command."""
+        """Compute the progress rate up to which the reference stays inside the limits of the command."""
         limits = self._config.limits
         sides = np.transpose([limits.v.sides, limits.omega.sides])
         shares = sides / np.maximum(self._top, [STANDING, TURNING])
-        # A limit far below the reference makes it wait where it is reached, not all along.
+        # A low limit should stop the reference where it is exceeded, not slow it everywhere.
         within = float(shares[shares > _KEPT].min(initial=math.inf))
         return max(1.0, min(self._settings.max_progress, within))
 
     def _limits(self) -> TrajectoryLimits:
-        """Limits of the way back: not much faster than the reference itself."""
+        """Compute the limits of the path back: slightly faster than the reference itself."""
         settings, limits = self._settings, self._config.limits
         cruise = settings.max_progress * self._top_speed if self._top_speed > STANDING else max(limits.v.sides)
         return TrajectoryLimits(

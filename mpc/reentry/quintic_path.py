@@ -28,7 +28,7 @@ class Paths(NamedTuple):
 def quintic_paths(
     start: FloatArray, start_curvature: FloatArray, end: FloatArray, end_curvature: FloatArray, nodes: int
 ) -> Paths:
-    """Quintic Hermite curves between poses, with given curvature at both ends.
+    """Build quintic Hermite curves between poses, with given curvature at both ends.
 
     With the parameter q from 0 to 1 the tangent at both ends is as long as the chord g, and the second derivative
     there is curvature g^2 along the normal, so heading and curvature are met at both ends.
@@ -62,7 +62,7 @@ def quintic_paths(
 
 
 def _quintic_basis(q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(K, 6) values, first and second derivatives of the Hermite basis for (p0, p0', p0'', p1, p1', p1'')."""
+    """Compute (K, 6) values, first and second derivatives of the Hermite basis for (p0, p0', p0'', p1, p1', p1'')."""
     powers = np.array(
         [  # of q^0 ... q^5; from the six conditions at q = 0 and q = 1
             [1.0, 0.0, 0.0, -10.0, 15.0, -6.0],

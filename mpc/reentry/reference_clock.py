@@ -1,7 +1,7 @@
 """The reference's clock: it may wait for the robot, and catches up with the controller's clock afterwards.
 
 The reference's time is the controller's time since the start, less a delay. The progress rate, reference time per
-controller time, is piecewise linear: what the plan sees of the future is exactly what the clock then does.
+controller time, is piecewise linear: the plan sees exactly the future that the clock will realise.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ class RateProfile:
     settles: bool
 
     def rate(self, ahead: ArrayLike) -> FloatArray:
-        """Progress rate at times `ahead` (n,) from now [s]."""
+        """Compute the progress rate at times `ahead` (n,) from now [s]."""
         return np.asarray(np.interp(np.asarray(ahead, dtype=float), self.times, self.rates))
 
     def progress(self, ahead: ArrayLike) -> FloatArray:
-        """Reference time that passes until `ahead` (n,) from now [s]: the integral of the rate."""
+        """Compute the reference time that passes until `ahead` (n,) from now [s]: the integral of the rate."""
         ahead = np.asarray(ahead, dtype=float)
         times, rates = np.array(self.times), np.array(self.rates)
         at_nodes = np.concatenate([[0.0], np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(times))])
@@ -52,10 +52,10 @@ def _held(rate: float) -> RateProfile:
 
 
 def settling_profile(rate: float, delay: float, slowest: float, fastest: float, ramp: float) -> RateProfile:
-    """The quickest way to a delay of zero at rate 1: a trapezoid in the rate's excess over 1.
+    """Plan the fastest return to zero delay at rate 1: a trapezoid in the excess of the rate over 1.
 
-    The excess e is to the delay what a speed is to a distance, so this is the time-optimal motion of a double
-    integrator over the distance `delay` with end speed zero, |de/dt| <= `ramp` and e cruising inside the bounds.
+    The excess e relates to the delay as a speed to a distance, so this is the time-optimal motion of a double
+    integrator over the distance `delay` with end speed zero, |de/dt| <= `ramp` and e inside the bounds.
 
     Parameters
     ----------
@@ -104,11 +104,11 @@ class ReferenceClock:
 
     @property
     def on_time(self) -> bool:
-        """Whether the reference's time is the controller's, now and as far as the plan sees."""
+        """True if the reference's time equals the controller's, now and over the plan."""
         return self.delay == 0.0 and self._profile is _ON_TIME
 
     def advance(self, since_start: float, *, driving: bool) -> float:
-        """Go on to the controller's time `since_start` [s]; the reference stands still unless `driving`.
+        """Advance to the controller's time `since_start` [s]; the reference stands still unless `driving`.
 
         Returns
         -------
@@ -130,7 +130,7 @@ class ReferenceClock:
         return since_start - self.delay
 
     def pass_by(self, since_start: float) -> None:
-        """Go on to the controller's time `since_start` [s], on time as before."""
+        """Advance to the controller's time `since_start` [s], on time as before."""
         self._last = since_start
 
     def set(self, delay: float, rate: float) -> None:
@@ -164,7 +164,7 @@ class ReferenceClock:
             self._profile = RateProfile((0.0, rise), (self.rate, wanted), settles=False) if rise else _held(wanted)
 
     def clocked(self, reference: Reference) -> Reference:
-        """`reference` as it will be passed, on the controller's time."""
+        """Return `reference` on the controller's time, as the clock will pass through it."""
         return ClockedReference(reference, self._profile, (self._last or 0.0), self.delay)
 
 

@@ -1,4 +1,4 @@
-"""What the planner is given to track."""
+"""Target that the planner tracks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from diffdrive_mpc.models.pose import wrap_angle
 
 
 class Target(NamedTuple):
-    """What to track now.
+    """Target of the current tick.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class StandingReference:
     duration: float = 0.0
 
     def sample(self, times: ArrayLike) -> ReferenceSample:
-        """The same at all `times` (n,) [s]."""
+        """Sample the target at all `times` (n,) [s]."""
         count = np.asarray(times, dtype=float).size
         return ReferenceSample(np.tile(self.pose, (count, 1)), np.zeros((count, 2)), np.zeros(count))
 
@@ -59,12 +59,12 @@ class TooFar:
 # Whether the robot moves at all while the reference waits for it.
 
 
-# Less than this is no motion but noise of the pose: m, rad.
+# Displacements below this are noise of the pose: m, rad. m, rad.
 _STIR = (0.04, 0.1)
 
 
 class BlockedWatch:
-    """Says when the robot has stayed where it is for too long.
+    """Detector of a robot that has stayed in place for too long.
 
     Parameters
     ----------
@@ -77,12 +77,12 @@ class BlockedWatch:
         self.restart()
 
     def restart(self) -> None:
-        """Begin anew with the next pose."""
+        """Restart with the next pose."""
         self._since: float | None = None
         self._pose: FloatArray | None = None
 
     def look(self, t: float, pose: FloatArray) -> float:
-        """How long [s] the robot has been blocked at `pose` (3,), now `t` [s]; 0 if it is not."""
+        """Return for how long [s] the robot has been blocked at `pose` (3,), now `t` [s]; 0 if it is not."""
         if self._since is None or self._pose is None or self._moved(pose):
             self._since, self._pose = t, pose
         still = t - self._since

@@ -1,8 +1,8 @@
-"""How a robot that is off its path rejoins it: the choice of a point ahead and of a smooth motion to it.
+"""Path back to the reference: the choice of a point ahead and of a smooth motion to it.
 
-The idea of a look-ahead point and a smooth reconnection is that of Guffanti et al. 2026 (PMC12845739), of which only
-the abstract is known. Here many points on the reference ahead are tried, each with several motions that keep to the
-limits, and the cheapest is taken: in time, in delay of the reference's clock, and in distance from the path meanwhile.
+The idea of a look-ahead point and a smooth reconnection is that of Guffanti et al. 2026 (PMC12845739; only the abstract
+was available). Here many points on the reference ahead are tried, each with several motions that keep to the limits,
+and the cheapest is taken: in time, in delay of the reference's clock, and in distance from the path meanwhile.
 """
 
 from __future__ import annotations
@@ -100,17 +100,17 @@ _ACROSS = 20.0
 # the spot [-].
 _TOO_TIGHT = 100.0
 _ON_THE_SPOT = 100.0
-# Every so many nodes of a path it is looked at whether there is room, and at so many headings of a turn on the spot.
+# Interval of path nodes, and number of headings of a turn on the spot, for checks of room.
 _LOOKED_AT, _HEADINGS = 4, 5
 
 Room = Callable[[FloatArray], NDArray[np.bool_]]
-"""Whether there is room for the robot at poses (k, 3)."""
+"""Check for room for the robot at poses (k, 3)."""
 
 
 def rejoin(
     reference: Reference,
     window: PathWindow,
-    here: int,
+    nearest: int,
     course: Course,
     since_start: float,
     look_ahead: tuple[float, float],
@@ -139,7 +139,7 @@ def rejoin(
     Rejoin or None
         The cheapest connection; None if there is room for none.
     """
-    options = all_options(window, here, course, look_ahead, limits)
+    options = all_options(window, nearest, course, look_ahead, limits)
     paths = quintic_paths(options.start, options.start_curvature, options.end, options.end_curvature, _NODES)
     speed = path_speeds(paths, options.enter, options.leave, limits, _SHARES, options.travel)
     times = travel_times(paths, speed)
@@ -149,7 +149,7 @@ def rejoin(
     cost = duration + np.maximum(delay, -_EARLY * delay) + _YAW_JUMP * options.yaw_jump
     cost += _FIRST_JUMP * (options.enter - speed[..., 0])
     cost += _LAST_JUMP * (options.leave - speed[..., -1] + options.speed_jump) ** 2
-    cost += _price_of_distance(window, here, options, paths, times, before)
+    cost += _price_of_distance(window, nearest, options, paths, times, before)
     # Only turning leads to a point that is reached already, and no robot drives round a cusp.
     gap = options.end[:, :2] - options.start[:, :2]
     reached = np.hypot(gap[:, 0], gap[:, 1]) <= SAME_PLACE
@@ -179,7 +179,7 @@ def rejoin(
 
 
 def _has_room(options: Options, paths: Paths, room: Room) -> NDArray[np.bool_]:
-    """(C,) whether there is room along each motion: its path, and the turns on the spot at its ends."""
+    """Return (C,) True where there is room along a motion: its path, and the turns on the spot at its ends."""
     back = np.where(options.travel > 0, 0.0, np.pi)[:, None]
     points, heading = paths.points[:, ::_LOOKED_AT], paths.heading[:, ::_LOOKED_AT] - back
     share = np.linspace(0.0, 1.0, _HEADINGS)
@@ -193,14 +193,14 @@ def _has_room(options: Options, paths: Paths, room: Room) -> NDArray[np.bool_]:
 
 
 def _price_of_distance(
-    window: PathWindow, here: int, options: Options, paths: Paths, times: FloatArray, before: FloatArray
+    window: PathWindow, nearest: int, options: Options, paths: Paths, times: FloatArray, before: FloatArray
 ) -> FloatArray:
-    """(S, C) price of the distance from the path along each motion, at S paces [s].
+    """Compute the (S, C) price of the distance from the path along each motion, at S paces [s].
 
-    A node of a connection is taken to lie beside the point of the reference that is the same share of the way ahead.
+    A node of a connection is compared with the point of the reference at the same share of the distance ahead.
     """
     gone = np.concatenate([np.zeros((before.size, 1)), np.cumsum(paths.lengths, axis=1)], axis=1)
-    first, last = window.arc_length[here], window.arc_length[options.sample]
+    first, last = window.arc_length[nearest], window.arc_length[options.sample]
     arc = first + (last - first)[:, None] * (gone / gone[:, -1:])
     beside = np.minimum(np.searchsorted(window.arc_length, arc), window.times.size - 1)
     offset = paths.points - window.pose[beside, :2]

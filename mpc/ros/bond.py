@@ -1,7 +1,7 @@
-"""A bond with nav2_lifecycle_manager: both sides say that they live, and learn when the other does not.
+"""A bond with nav2_lifecycle_manager: both sides send heartbeats, and detect the end of the other.
 
 The protocol is that of bondcpp: heartbeats on one topic, of all bonds; `id` names the bond, `instance_id` the side. A
-side waits for its sister, lives while it hears of it, and at its end says so until the sister has, too.
+side waits for its sister, lives while it receives heartbeats, and at its end announces it until the sister ends, too.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ CONNECT_TIMEOUT, HEARTBEAT_TIMEOUT, DISCONNECT_TIMEOUT = 10.0, 4.0, 2.0
 
 
 class BondState(StrEnum):
-    """What one side of a bond does."""
+    """State of one side of a bond."""
 
     WAITING = "waiting for the lifecycle manager"
     ALIVE = "bound"
@@ -57,10 +57,10 @@ class BondProtocol:
         self._since = now()
 
     def beat(self) -> None:
-        """To be called each period: say what there is to say, and see what has taken too long."""
+        """Update the bond; call once per period."""
         passed = self._now() - self._since
         if self.state is BondState.WAITING and passed > CONNECT_TIMEOUT:
-            # Nobody manages this node: it goes on alone.
+            # No manager is present, so the node continues alone. it goes on alone.
             self.state = BondState.DEAD
         elif self.state is BondState.ALIVE and passed > HEARTBEAT_TIMEOUT:
             self.state, self.lost = BondState.DEAD, f"it was silent for {HEARTBEAT_TIMEOUT:g} s"
@@ -72,7 +72,7 @@ class BondProtocol:
             self._send(False)
 
     def hear(self, *, lives: bool) -> None:
-        """The sister said whether it lives."""
+        """Handle a message of the sister, which states whether it lives."""
         if self.state is BondState.LEAVING:
             if not lives:
                 self.state = BondState.DEAD
@@ -122,11 +122,11 @@ class Bond:
         return f"{self.protocol.state}: {self.protocol.lost}" if self.protocol.lost else str(self.protocol.state)
 
     def leave(self) -> None:
-        """End it: said now, and then until the manager has heard it."""
+        """End the bond: announce it now, and repeat it until the manager confirms."""
         self.protocol.leave()
 
     def close(self) -> None:
-        """End it without waiting for an answer."""
+        """End the bond without waiting for a confirmation."""
         if self._gone:
             return
         self.protocol.leave()
@@ -153,7 +153,7 @@ class Bond:
 
 
 def _ignore(_: str) -> None:
-    """What is no message of a bond is nobody's heartbeat."""
+    """Ignore an invalid bond message: it is no heartbeat."""
 
 
 class BondPart(NodePart):
@@ -162,7 +162,7 @@ class BondPart(NodePart):
     bond: Bond | None = None
 
     def activate(self) -> None:
-        """Begin a bond."""
+        """Start a bond."""
         self._close()
         period = self.running()[1].settings.bond_heartbeat_period
         if not period:
@@ -174,7 +174,7 @@ class BondPart(NodePart):
         self.bond = Bond(self.node, period)
 
     def deactivate(self) -> None:
-        """End the bond; it tells the manager until the manager has answered."""
+        """End the bond; it announces the end until the manager has confirmed it."""
         if self.bond is not None:
             self.bond.leave()
 

@@ -1,4 +1,4 @@
-"""How commands leave the node: as a twist, or as wheel speeds for a base without an input for (v, omega)."""
+"""Output of commands as a twist, or as wheel speeds for a base without an input for (v, omega)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TWISTS, WHEELS = "cmd_vel", "wheel_commands"
 
 
 def command_topic(settings: NodeSettings) -> str:
-    """The topic that commands go out on, before remapping."""
+    """Return the topic of the commands, before remapping."""
     return WHEELS if settings.command_output == "wheels" else TWISTS
 
 
@@ -32,7 +32,7 @@ class CommandOutput(Protocol):
         """Send `command` (2,) v [m/s], omega [rad/s], decided at `time` [ns]."""
 
     def wait(self, seconds: float) -> None:
-        """Wait until the last command has arrived, for so long at most [s]."""
+        """Wait until the last command has arrived, at most this long [s]."""
 
     def destroy(self) -> None:
         """Destroy the publisher."""
@@ -41,7 +41,7 @@ class CommandOutput(Protocol):
 def command_output(
     node: LifecycleNode, settings: NodeSettings, config: Callable[[], ControllerConfig]
 ) -> CommandOutput:
-    """The output that `settings` choose; `config` gives the configuration of the controller as it is now."""
+    """Create the output that `settings` choose; `config` returns the current configuration of the controller."""
     if settings.command_output == "wheels":
         return _WheelOutput(node, settings, config)
     return _TwistOutput(node, settings)
@@ -88,8 +88,8 @@ class _WheelOutput(_Output):
     def send(self, command: FloatArray, time: int) -> None:  # noqa: ARG002 - the message has no stamp
         v, omega = float(command[0]), float(command[1])
         rim = abs(v) + self._half_track * abs(omega)
-        # All wheels slower by one factor: the path keeps its curvature.
-        # The limit may change while driving.
+        # Slow all wheels by one factor, so that the path keeps its curvature. the path keeps its curvature. The limit
+        # may change while driving.
         share = min(1.0, self._config().limits.wheel_speed / rim) if rim > 0.0 else 1.0
         speeds = [share * (v + sign * self._half_track * omega) / self._radius for sign in self._signs]
         self._publisher.publish(Float64MultiArray(data=speeds))

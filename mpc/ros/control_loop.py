@@ -1,4 +1,4 @@
-"""The control loop: what one tick of the node does, and how driving is begun, paused and reset. Needs no ROS itself."""
+"""The control loop: the steps of one tick of the node, and start, pause and reset of a drive. Needs no ROS itself."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ HELD = "held; call hold with false to let go"
 # A frame that moved by less counts as unmoved: displacement at the robot [m], with a radian counted as a metre.
 _STAYS = 1e-4
 
-# The reference is published anew where it is due this much later or earlier [s], or lies this much beside [m, rad].
+# Shift of the reference in time [s] or place [m, rad] from which it is published again.
 _TELL_DELAY, _TELL_MOTION = 0.2, 0.02
 
 
 class LoopState(StrEnum):
-    """What an active node does."""
+    """State of an active node."""
 
     IDLE = "IDLE"
     """Commands zero and waits for `start`."""
@@ -42,12 +42,13 @@ class LoopState(StrEnum):
     PAUSED = "PAUSED"
     """The controller brakes and stands; `start` drives on."""
     FAULT = "FAULT"
-    """Commands zero after an exception; `start` begins anew."""
+    """Commands zero after an exception; `start` starts again."""
 
 
 _SHARE_OF_TICK = 0.5
-"""After this share of the sample time a solve has to end, where `solver.time_limit` does not say: the rest of a tick
-needs time, too [-]."""
+"""Share of the sample time after which a solve has to end, unless `solver.time_limit` states it: the rest of a tick
+needs time, too [-].
+"""
 
 
 class RefusedError(DiffdriveMpcError, ValueError):
@@ -79,7 +80,7 @@ class Begun:
 
 @dataclass(frozen=True)
 class Due:
-    """The reference as it is driven, and its time 0 on the controller's clock [s], which waiting moves on."""
+    """Driven reference, and its time 0 on the controller's clock [s], which waiting shifts."""
 
     reference: Reference
     t0: float
@@ -87,7 +88,20 @@ class Due:
 
 @dataclass(frozen=True)
 class LoopTick:
-    """What one tick did.
+    """Result of one tick.
+
+    Attributes
+    ----------
+    command
+    (2,) v [m/s], omega [rad/s] to be sent.
+    state
+    State of the loop.
+    message
+    Reason in words; empty in normal operation.
+    result
+    Step result of the controller; None if it was not called.
+    request
+    Request to the controller.
 
     Attributes
     ----------
@@ -111,12 +125,12 @@ class LoopTick:
 
     @property
     def mode(self) -> str:
-        """Mode of the controller, or what the loop does instead."""
+        """Mode of the controller, or state of the loop without a controller step."""
         return str(self.state if self.result is None else self.result.mode)
 
 
 class ControlLoop:
-    """Asks the controller for a command once per tick; adds no control of its own.
+    """Asks the controller for a command once per tick; it adds no control.
 
     Parameters
     ----------
@@ -226,7 +240,7 @@ class ControlLoop:
             self._begin_when_ready = True
 
     def follow(self, reference: Reference, t0: float | None = None) -> None:
-        """Drive along `reference` from the next tick with a pose, whatever the present state, until `release`.
+        """Drive along `reference` from the next tick with a pose on, in any state, until `release`.
 
         Parameters
         ----------
@@ -247,7 +261,7 @@ class ControlLoop:
         self._next, self.refusal = (reference, t0), ""
 
     def brake(self, reason: str) -> None:
-        """Brake and stand, whatever the loop is doing; a pending start is cancelled."""
+        """Brake and stand, in any state of the loop; a pending start is cancelled."""
         self._next, self._begin_when_ready = None, False
         if self.state in (LoopState.DRIVING, LoopState.PAUSED):
             self.state, self._reason = LoopState.PAUSED, reason
@@ -270,7 +284,7 @@ class ControlLoop:
             self.state, self._reason = LoopState.IDLE, ""
 
     def whereabouts(self) -> tuple[FloatArray, tuple[float, float]] | None:
-        """Pose (3,) of the robot and its twist [m/s, rad/s], as far as is known; None where it is not."""
+        """Return pose (3,) and twist [m/s, rad/s] of the robot; return None if they are unknown."""
         if self.missing():
             return None
         result = None if self.last is None else self.last.result
@@ -280,7 +294,7 @@ class ControlLoop:
         return None if pose is None else (np.array(pose.value, dtype=float), (0.0, 0.0))
 
     def start(self) -> str:
-        """Begin to drive with the next tick, or drive on after a pause; returns what it does.
+        """Start to drive with the next tick, or resume after a pause; return the action in words.
 
         Raises
         ------
@@ -302,7 +316,7 @@ class ControlLoop:
         return "; ".join(filter(None, [begins, self.shortfall]))
 
     def resume(self) -> str:
-        """Drive on along the reference where it waits, after a pause or a failure; returns what it does.
+        """Resume the reference where it waits, after a pause or a failure; returns what it does.
 
         Raises
         ------
@@ -346,7 +360,7 @@ class ControlLoop:
         return f"let go;{waits} ({self.state})"
 
     def reset(self) -> str:
-        """Forget estimate, measurements and progress; returns what it does; raises RefusedError while it moves."""
+        """Reset estimate, measurements and progress; return the action in words; raise RefusedError while moving."""
         if self.is_moving:
             raise RefusedError("the robot is still driving; pause first")
         self._reset_controller()
@@ -358,10 +372,10 @@ class ControlLoop:
     def tick(self) -> LoopTick:
         """Decide the next command. Never raises: an exception ends in zero and FAULT."""
         started = time.perf_counter()
-        self.times.begin(self._steady())
+        self.times.start_tick(self._steady())
         try:
             tick = self._decide(self.inbox.now)
-        except Exception as error:  # whatever happens, the robot has to stop
+        except Exception as error:  # the robot has to stop in any case
             self.state, self._reason = LoopState.FAULT, f"{type(error).__name__}: {error}; call start to begin anew"
             tick = self._standing()
         self.last = tick
@@ -370,9 +384,9 @@ class ControlLoop:
         return tick
 
     def due(self) -> Due | None:
-        """The reference and when it is due, where that has to be published; None: what was published holds.
+        """Return the reference and its start time to publish; return None if the last ones still hold.
 
-        It has to where a drive begins, where one goes on along a reference that waited, and where its frame moved.
+        This is needed at the start of a drive, after a wait of the reference, and after a shift of its frame.
         """
         begun, last = self.begun, self.last
         if begun is None or last is None:
@@ -389,11 +403,11 @@ class ControlLoop:
         return self._published[1]
 
     def _is_moved(self, published: Reference, reference: Reference) -> bool:
-        """Whether the frame of the reference has moved enough for it to be published anew."""
-        here = self.inbox.newest_pose
-        if here is None or not (isinstance(published, MovedReference) and isinstance(reference, MovedReference)):
+        """Return True if the frame of the reference has moved enough to publish the reference again."""
+        pose = self.inbox.newest_pose
+        if pose is None or not (isinstance(published, MovedReference) and isinstance(reference, MovedReference)):
             return False
-        return _apart(published.motion, reference.motion, here.value) > _TELL_MOTION
+        return _apart(published.motion, reference.motion, pose.value) > _TELL_MOTION
 
     def _decide(self, t: float) -> LoopTick:
         self.inbox.look_up_pose()
@@ -417,7 +431,7 @@ class ControlLoop:
         return LoopTick(result.command, self.state, result.message, result, request)
 
     def _deadline(self) -> float | None:
-        """When the solve of this tick has to end, by `time.monotonic` [s]; a simulated robot waits for it."""
+        """Return the end of this tick's time for a solve by `time.monotonic` [s]; a simulated robot waits for it."""
         if self._in_sim_time:
             return None
         config = self._controller.config
@@ -460,8 +474,8 @@ class ControlLoop:
         except ValueError as error:
             self._lost = str(error)
             return
-        here = self.inbox.newest_pose
-        if here is None or _apart(self._laid.motion, motion, here.value) <= _STAYS:
+        pose = self.inbox.newest_pose
+        if pose is None or _apart(self._laid.motion, motion, pose.value) <= _STAYS:
             return
         self._laid = MovedReference(self._laid.original, motion)
         self._controller.switch_reference(self._laid)
@@ -475,7 +489,7 @@ class ControlLoop:
         return LoopTick(np.zeros(2), self.state, "; ".join(filter(None, [self._reason or waiting, HELD * self.held])))
 
     def _missing(self) -> str:
-        """What is missing to begin, in words; empty if nothing is."""
+        """Describe what is missing to start, in words; return an empty string if nothing is."""
         fault = self.missing()
         if not fault and self._reference is None:
             fault = "there is no reference: set the parameter trajectory, or publish one"
@@ -487,7 +501,7 @@ class ControlLoop:
         return fault
 
     def missing(self) -> str:
-        """Which measurement is missing to drive, or who objects, in words; empty if nothing is."""
+        """Describe the missing measurement or the objection to driving; return an empty string without any."""
         inbox = self.inbox
         fault = self.objection or inbox.odometry.fault(inbox.now, self._settings.odom_timeout)
         if not fault and self._settings.poses_from != "odometry":
@@ -511,7 +525,8 @@ class ControlLoop:
             reference = self._laid = MovedReference(reference, self._placement.motion())
         elif self._moves_to_robot and pose is not None:
             reference = starting_at(reference, pose.value)
-        # A planner sends a new path each second: what was learned of the floor outlasts that.
+        # A planner sends a new path each second, and learned slip outlasts it. what was learned of the floor outlasts
+        # that.
         goes_on = self.state is LoopState.DRIVING and self.last is not None and self.last.mode is Mode.TRACKING
         if goes_on:
             self._controller.switch_reference(reference, t0)
@@ -525,11 +540,11 @@ class ControlLoop:
 
 
 def _apart(before: FloatArray, after: FloatArray, pose: ArrayLike) -> float:
-    """Displacement [m] plus rotation [rad] at `pose` (3,) when the motion `before` is replaced by `after`."""
+    """Compute displacement [m] plus rotation [rad] at `pose` (3,) when `after` replaces the motion `before`."""
     (ax, ay, a), (bx, by, b) = before, after
-    here = np.asarray(pose, dtype=float)
-    x, y = here[0] - ax, here[1] - ay
+    start = np.asarray(pose, dtype=float)
+    x, y = start[0] - ax, start[1] - ay
     # Undo the motion `before`, then apply the motion `after`.
     x, y = math.cos(a) * x + math.sin(a) * y, -math.sin(a) * x + math.cos(a) * y
-    there = bx + math.cos(b) * x - math.sin(b) * y, by + math.sin(b) * x + math.cos(b) * y
-    return math.hypot(there[0] - here[0], there[1] - here[1]) + abs(math.remainder(b - a, math.tau))
+    end = bx + math.cos(b) * x - math.sin(b) * y, by + math.sin(b) * x + math.cos(b) * y
+    return math.hypot(end[0] - start[0], end[1] - start[1]) + abs(math.remainder(b - a, math.tau))

@@ -1,4 +1,4 @@
-"""ROS messages to the types of the controller and back. What cannot be used is refused with a reason."""
+"""ROS messages to the types of the controller and back. Unusable messages are rejected with a reason."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from diffdrive_mpc.mpc.ros.message_series import MessageSeries
 NANOSECONDS = 1_000_000_000
 # Rows of x, y and yaw in the 6 x 6 covariance of a pose message.
 _PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
-# Rounding to single precision on the way here does not bring a quaternion's norm further from 1.
+# Tolerance of a quaternion's norm, for rounding to single precision in transmission.
 _NORM_TOLERANCE = 1e-2
 # An axis that points up by a smaller share has no part in a yaw rate [-].
 _ALIGNED = 1e-3
@@ -36,21 +36,21 @@ class MessageError(DiffdriveMpcError, ValueError):
     """A message cannot be used; says why, in few words."""
 
     def __init__(self, reason: str) -> None:
-        super().__init__(plain_line(reason))  # frames in it are anybody's text, and logs go to terminals
+        super().__init__(plain_line(reason))  # its frame names are untrusted text, and logs go to terminals
 
 
 def nanoseconds(stamp: TimeMessage) -> int:
-    """A stamp as whole nanoseconds."""
+    """Convert a stamp to whole nanoseconds."""
     return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
 
 
 def time_message(time: int) -> TimeMessage:
-    """`time` [ns] as a stamp."""
+    """Convert `time` [ns] to a stamp."""
     return TimeMessage(sec=time // NANOSECONDS, nanosec=time % NANOSECONDS)
 
 
 def yaw_of(q: Quaternion) -> float:
-    """Yaw [rad] of an orientation (REP 103); raises MessageError if it is none."""
+    """Compute the yaw [rad] of an orientation (REP 103); raise MessageError if it is invalid."""
     norm = math.hypot(q.x, q.y, q.z, q.w)
     if not abs(norm - 1.0) <= _NORM_TOLERANCE:
         raise MessageError(f"its orientation is no unit quaternion (norm {norm:.3g})")
@@ -58,7 +58,7 @@ def yaw_of(q: Quaternion) -> float:
 
 
 def planar_pose(pose: Pose) -> tuple[float, float, float]:
-    """x, y [m], yaw [rad]; raises MessageError if they are no finite numbers."""
+    """Extract x, y [m] and yaw [rad]; raise MessageError if they are not finite."""
     pose_2d = (pose.position.x, pose.position.y, yaw_of(pose.orientation))
     if not all(map(math.isfinite, pose_2d)):
         raise MessageError("its pose is not finite")
@@ -77,12 +77,12 @@ def seconds(time: int, epoch: int) -> float:
 
 
 def odometry_pose(message: Odometry, epoch: int) -> Stamped:
-    """Pose of an odometry message. Its covariance grows with the drift of its frame, which is no error in it."""
+    """Extract the pose of an odometry message without its covariance, which grows with the drift of its frame."""
     return Stamped(planar_pose(message.pose.pose), seconds(nanoseconds(message.header.stamp), epoch))
 
 
 def odometry_twist(message: Odometry, epoch: int) -> Stamped:
-    """Twist v [m/s], omega [rad/s] of the wheels; raises MessageError if they are not finite."""
+    """Extract the twist v [m/s], omega [rad/s] of the wheels; raise MessageError if it is not finite."""
     twist = message.twist.twist
     value = (twist.linear.x, twist.angular.z)
     if not all(map(math.isfinite, value)):
@@ -91,9 +91,9 @@ def odometry_twist(message: Odometry, epoch: int) -> Stamped:
 
 
 def imu_yaw_rate(message: Imu, epoch: int, up: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Stamped:
-    """Yaw rate [rad/s] about the axis `up` of the gyro's frame; raises MessageError if it is not finite."""
+    """Extract the yaw rate [rad/s] about the axis `up` of the gyro's frame; raise MessageError if it is not finite."""
     rate = message.angular_velocity
-    # An IMU with one axis leaves the others at nought, or not finite.
+    # An IMU with one axis leaves the others zero or not finite.
     yaw_rate = sum(
         axis * value for axis, value in zip(up, (rate.x, rate.y, rate.z), strict=True) if abs(axis) > _ALIGNED
     )
@@ -103,7 +103,7 @@ def imu_yaw_rate(message: Imu, epoch: int, up: tuple[float, float, float] = (0.0
 
 
 def measured_pose(message: PoseWithCovarianceStamped, epoch: int, *, covariance: bool) -> Stamped:
-    """Pose of a pose sensor, with its covariance where that is wanted and stated: zero means unknown."""
+    """Extract the pose of a pose sensor, on request with its covariance, where zero means unknown."""
     stated = np.asarray(message.pose.covariance, dtype=float).reshape(6, 6)[_PLANAR]
     return Stamped(
         planar_pose(message.pose.pose),
@@ -113,20 +113,20 @@ def measured_pose(message: PoseWithCovarianceStamped, epoch: int, *, covariance:
 
 
 def twist_message(command: Sequence[float] | FloatArray) -> Twist:
-    """A command v [m/s], omega [rad/s]."""
+    """Convert a command v [m/s], omega [rad/s]."""
     message = Twist()
     message.linear.x, message.angular.z = float(command[0]), float(command[1])
     return message
 
 
 def pose_message(pose: Sequence[float] | FloatArray) -> Pose:
-    """A planar pose x, y [m], theta [rad]."""
+    """Convert a planar pose x, y [m], theta [rad]."""
     x, y, theta = (float(value) for value in pose)
     return Pose(position=Point(x=x, y=y), orientation=Quaternion(z=math.sin(0.5 * theta), w=math.cos(0.5 * theta)))
 
 
 def stamped_pose_message(pose: Sequence[float] | FloatArray, time: int, frame: str) -> PoseStamped:
-    """The same with its time [ns] and frame."""
+    """Convert a planar pose x, y [m], theta [rad] with its time [ns] and frame."""
     message = PoseStamped(pose=pose_message(pose))
     message.header.stamp, message.header.frame_id = time_message(time), frame
     return message
@@ -136,7 +136,7 @@ def stamped_pose_message(pose: Sequence[float] | FloatArray, time: int, frame: s
 
 
 LONGEST_NAME = 255
-"""Characters of a frame's name at most: what is longer is none."""
+"""Characters of a frame's name at most: longer ones are rejected."""
 _HEADER = 4 + 8 + 4 + LONGEST_NAME + 1 + 8
 """Bytes of a serialised header at most: stamp, name with its length and end, room to align."""
 SENSOR_BYTES = 2048
@@ -148,12 +148,12 @@ POSE_BYTES = _HEADER + 7 * 8
 
 
 def path_bytes(poses: int) -> int:
-    """Bytes that a path of so many poses takes at most, or a trajectory with velocities and accelerations."""
+    """Return the maximum size in bytes of a path of `poses` poses, or of a trajectory with all derivatives."""
     return _HEADER + poses * POSE_BYTES
 
 
 def too_long(size: int, most: int) -> str:
-    """Why a message of `size` bytes is not read."""
+    """Format the reason for rejecting a message of `size` bytes."""
     return f"it has {size} bytes, and none of its kind that can be used has more than {most}"
 
 
@@ -214,7 +214,7 @@ def take_waiting(subscription: Subscription) -> None:
 
 
 def message_type(package: str, name: str) -> type[Any] | None:
-    """The type `package`.msg.`name`; None where the package is not installed, or an older one without it."""
+    """Return the type `package`.msg.`name`, or None if the installed package lacks it."""
     try:
         message_class: type[Any] | None = getattr(import_module(f"{package}.msg"), name, None)
     except ImportError:

@@ -1,4 +1,4 @@
-"""What the node says about itself on /diagnostics."""
+"""Status of the node on /diagnostics."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def diagnostics(
     loop: ControlLoop | None,
     parts: Iterable[NodePart] = (),
 ) -> DiagnosticArray:
-    """One status named after the node.
+    """Build a message with one status, named after the node.
 
     Parameters
     ----------

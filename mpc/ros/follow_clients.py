@@ -31,7 +31,7 @@ class _Link:
         )
 
     def clients(self) -> frozenset[bytes]:
-        """Return the GIDs of the clients that the participant knows."""
+        """Return the GIDs of the clients known to the participant."""
         writers = self.node.get_publishers_info_by_topic(self._requests, no_mangle=True)
         return frozenset(bytes(writer.endpoint_gid) for writer in writers)
 

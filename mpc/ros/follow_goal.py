@@ -1,6 +1,6 @@
-"""What becomes of a goal of `follow_path`: laid beside the loop, driven, judged at each tick, ended. Needs no ROS.
+"""Life cycle of a `follow_path` goal: plan, drive, monitor, finish; independent of ROS.
 
-All of it happens in the thread of the control loop, but for what `Goal` says of itself.
+Everything runs in the thread of the control loop, except for the parts marked in `Goal`.
 """
 
 from __future__ import annotations
@@ -30,23 +30,27 @@ if TYPE_CHECKING:
     from diffdrive_mpc.mpc.ros.node_part import PathCheck
 
 _STANDING = 0.02
-"""A slower robot stands [m/s]."""
+"""Speed below which the robot counts as standing [m/s]."""
 _OUTDATED = 0.3
-"""Where a moving robot was so long ago is not where a reference should begin [s]."""
+"""Age of the robot's pose above which a moving robot gets no new reference [s]."""
 _MOST_OUTDATED = 3
-"""A path that was outdated so often is prepared for a robot that stands."""
+"""Number of outdated results after which a path is planned for a standing robot."""
 _LONGEST_LAYING = 15.0
-"""A path that is not laid after so long is given up, whatever the process beside the loop does [s of the computer]."""
+"""Time limit for planning a path, in seconds of the computer's clock."""
 _SILENT = "the client of the goal does not acknowledge feedback"
 _ABANDONED = "nobody waits for it any more: its client has ended"
 _SILENT_CHECKS, _SILENCE = 3, 0.3
-"""A client counts as silent after so many checks in so long [s]; on a loaded machine it acknowledges within 0.1 s."""
+"""Number of checks, and time [s], after which a client counts as silent; on a loaded machine it acknowledges within 0.1
+s.
+"""
 _LONGEST_SILENCE = 5.0
-"""A goal is abandoned after so long without its client [s]; to tell a dead client from another takes up to 3 s."""
+"""Time without its client after which a goal is abandoned [s]; distinguishing a dead client from another takes up to 3
+s.
+"""
 _REACTION = 0.4
 """Time from the death of a client to the first check, and from the verdict to the first braking command [s]."""
 _SETTLES = 1.0
-"""After a command of zero for so long the robot is taken to stand, whatever its wheels say [s]."""
+"""Duration of zero commands after which the robot counts as standing, whatever its wheels report [s]."""
 
 
 class Code(IntEnum):
@@ -64,7 +68,7 @@ class Code(IntEnum):
 
 
 class GoalOutcome(StrEnum):
-    """How a goal ends."""
+    """Outcome of a goal."""
 
     SUCCEEDED = "succeeded"
     CANCELED = "canceled"
@@ -73,7 +77,7 @@ class GoalOutcome(StrEnum):
 
 @dataclass(frozen=True)
 class End:
-    """How a goal ended, its code, and why in words."""
+    """Outcome of a goal with its code and the reason in words."""
 
     outcome: GoalOutcome
     code: Code
@@ -82,7 +86,7 @@ class End:
 
 @dataclass(eq=False)
 class FollowGoal:
-    """One goal. The loop's thread writes `progress` and `end`, that of the action server what concerns the client.
+    """One goal. The loop's thread writes `progress` and `end`, and that of the action server the client's state.
 
     Attributes
     ----------
@@ -149,7 +153,7 @@ def lay_for_robot(
 ) -> Laid | None:
     """Lay a path in the side process, see `lay_poses`; None if the robot is at the goal and the rest is too short.
 
-    The path keeps to the conditions in `checks`. Raises ConfigError for any other path that cannot be laid.
+    The path satisfies the conditions in `checks`. Raises ConfigError for any other path that cannot be laid.
     """
 
     def laid(limits: TrajectoryLimits) -> Laid:
@@ -177,18 +181,18 @@ def lay_for_robot(
 
 
 def _gap(pose: FloatArray, goal: FloatArray) -> tuple[float, float]:
-    """Distance [m] and angle [rad] between two poses (3,)."""
+    """Compute distance [m] and angle [rad] between two poses (3,)."""
     gap = pose - goal
     return float(np.hypot(gap[0], gap[1])), abs(math.remainder(float(gap[2]), math.tau))
 
 
 def _within(gap: tuple[float, float], settings: NodeSettings) -> bool:
-    """Whether a robot so far from its goal has arrived."""
+    """Return True if a robot at this distance and angle from its goal has arrived."""
     return gap[0] <= settings.follow_goal_position and gap[1] <= settings.follow_goal_heading
 
 
 def path_limits(config: ControllerConfig, gain: FloatArray, settings: NodeSettings) -> TrajectoryLimits:
-    """Speeds and accelerations of a path: shares of those of the commands, times the model's steady-state `gain`."""
+    """Compute speeds and accelerations of a path: shares of those of the commands, times the steady-state `gain`."""
     limits, (v, omega) = config.limits, np.minimum(1.0, np.abs(np.diag(gain))).tolist()
     share, slew = settings.follow_speed_share, settings.follow_acceleration_share
     blind = _blind_speed(config, settings.follow_blind_distance)
@@ -216,7 +220,7 @@ def _speed(tick: LoopTick) -> float:
 
 
 def _not_laid(why: str) -> Code:
-    """Code for a path that the process beside the loop gave back with `why`."""
+    """Return the code for a path that the side process rejected for the reason `why`."""
     ours = why.startswith(("path:", "trajectory limit"))
     return Code.INVALID_PATH if ours else Code.CONTROLLER_TIMED_OUT if "takes longer" in why else Code.UNKNOWN
 
@@ -255,7 +259,7 @@ class Following:
         self._driven: FollowGoal | None = None
 
     def take(self, goal: FollowGoal) -> None:
-        """Have a path laid, to be driven then. What cannot be used ends the drive that is under way, too."""
+        """Plan the path of a goal, then drive it. An unusable goal ends the current drive, too."""
         if self._coming is not None:
             self._close(self._coming, GoalOutcome.ABORTED, Code.NONE, "a newer goal took its place before it began")
         self._coming, goal.handed_on = goal, time.monotonic()
@@ -273,12 +277,12 @@ class Following:
         self._ask(goal)
 
     def after(self, tick: LoopTick) -> None:
-        """Judge the goal that is driven by what the last tick did."""
+        """Judge the current goal by the last tick."""
         coming, goal = self._coming, self._driven
         if coming is not None and coming.cancelled:
             self._coming = None
             self._close(coming, GoalOutcome.CANCELED, Code.NONE, "cancelled before it began")
-            # Whoever sent it did not mean the one that it was to replace either.
+            # A client that sent it did not want the goal that it replaced either.
             self._give_up("a newer goal was cancelled")
         elif coming is not None and self._is_abandoned(coming):
             self._refuse(coming, Code.UNKNOWN, _ABANDONED)
@@ -352,7 +356,7 @@ class Following:
         self._driven, self._coming = goal, None
 
     def _stay(self, goal: FollowGoal, moving: bool) -> None:
-        """End a goal of which nothing is left to drive: reached, if the robot stands there."""
+        """End a goal without a rest to drive: reached, if the robot stands there."""
         whereabouts = self._loop.whereabouts()
         if whereabouts is None:
             self._refuse(goal, Code.TF_ERROR, self._loop.missing() or "the robot's pose is not known")
@@ -374,7 +378,7 @@ class Following:
         self._give_up(f"a newer goal could not be driven: {why}")
 
     def _give_up(self, why: str) -> None:
-        """End what is driven."""
+        """End the current drive."""
         if self._driven is not None and self._driven.ending is None:
             self._driven.ending = End(GoalOutcome.ABORTED, Code.NONE, why)
             self._loop.brake(why)
@@ -383,7 +387,7 @@ class Following:
         goal.end = End(outcome, code, words)
 
     def _verdict(self, goal: FollowGoal, tick: LoopTick) -> End | None:
-        """How the goal ends by what a tick did; None while it goes on."""
+        """Decide how a tick ends the goal; return None while it continues."""
         loop, settings, now = self._loop, self._settings, self._loop.inbox.now
         assert goal.laid is not None
         ours = loop.begun is not None and loop.begun.reference is goal.laid.reference
@@ -445,7 +449,7 @@ class Following:
         return End(GoalOutcome.ABORTED, Code.FAILED_TO_MAKE_PROGRESS, f"the path has ended {words}")
 
     def _code(self, tick: LoopTick) -> Code:
-        """What to call it that the robot does not drive."""
+        """Return the code for a robot that does not drive."""
         assert tick.result is not None
         inbox = self._loop.inbox
         if inbox.odometry.fault(inbox.now, self._settings.odom_timeout) or tick.result.estimate is None:
@@ -457,7 +461,7 @@ class Following:
         return Code.PATIENCE_EXCEEDED
 
     def _stands(self, goal: FollowGoal, tick: LoopTick) -> bool:
-        """Whether the robot has come to rest, as far as is known."""
+        """Return True if the robot is known to be at rest."""
         now = self._loop.inbox.now
         if tick.command.any():
             goal.since = now
@@ -473,8 +477,8 @@ class Following:
         reference = goal.laid.reference
         if result.estimate is None or begun is None or begun.reference is not reference:
             return goal.progress
-        at = self._loop.inbox.now - begun.t0 - result.reference_delay
-        done, whole = reference.sample([at, reference.duration]).arc_length.tolist()
+        time = self._loop.inbox.now - begun.t0 - result.reference_delay
+        done, whole = reference.sample([time, reference.duration]).arc_length.tolist()
         error = tracking_error(result)
         ahead = error[0] if error is not None else 0.0
         return max(0.0, whole - done - ahead), abs(float(result.estimate.twist[0]))

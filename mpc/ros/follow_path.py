@@ -31,19 +31,24 @@ from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 ACTION = "follow_path"
 _REQUESTS = QoSProfile(depth=2000)
-"""So many requests may wait: of the services' default, 10, the middleware drops what arrives while others are read."""
+"""Depth of the request queue: with the services' default of 10, the middleware drops requests that arrive while others
+are read.
+"""
 _RESULTS_AT_ONCE = 4
 """Results sent in one look: a client has room for 10 that it has not read."""
 _LONG_WORK = 0.005
-"""After work that took longer [s] the thread rests as long: the interpreter runs one thread, and the loop's is due."""
+"""After work that took longer [s] the thread rests as long: the interpreter runs one thread at a time, and the loop's
+has priority.
+"""
 _RESULT_KEPT = 60
-"""How long a result waits for its client [s]: one that sends hundreds of goals a second reads their answers late."""
+"""Time for which a result waits for its client [s]: a client that sends hundreds of goals a second reads results late.
+"""
 _MIN_CHECK_RATE = 10.0
 """Lowest rate of feedback while the clients are observed [Hz]."""
 _LOOK = 0.02
-"""How often ends are looked for [s]."""
+"""Period of the check for finished goals [s]."""
 _FAREWELL = 0.4
-"""How long the last results may take [s]."""
+"""Time limit for the last results [s]."""
 
 
 class _Server(ActionServer):
@@ -57,7 +62,7 @@ class _Server(ActionServer):
 
 
 class FollowPathServer:
-    """Accepts goals while there is a `Following` to take them, and tells clients what became of them.
+    """Accept goals while there is a `Following` to take them, and report their results to clients.
 
     Parameters
     ----------
@@ -140,7 +145,7 @@ class FollowPathServer:
                 self._executor.spin_once(timeout_sec=_LOOK)
             except ExternalShutdownException:
                 return
-            except Exception as error:  # one goal's fault must not leave all others without an answer
+            except Exception as error:  # a fault of one goal must not block the results of all others
                 words = f"{ACTION}: {type(error).__name__}: {plain_line(str(error))}"
                 self._node.get_logger().error(words, throttle_duration_sec=_FAREWELL)
                 time.sleep(_LOOK)
@@ -150,7 +155,7 @@ class FollowPathServer:
             left -= self._closing
 
     def _pass_on(self) -> None:
-        """In the thread of the loop: hand on what has arrived."""
+        """Forward queued goals in the thread of the loop."""
         while self._incoming:
             following, goal = self._incoming.popleft()
             if following is self._following:
@@ -192,7 +197,7 @@ class FollowPathServer:
         return result
 
     def _begin(self, handle: ServerGoalHandle, clients: frozenset[bytes]) -> Future | End:
-        """Hand a goal to the loop; returns what will hold its end, or the end."""
+        """Pass a goal to the loop; return the future of its end, or its end."""
         request, following, settings = handle.request, self._following, self._settings
         # A fault ends the drive that the goal was to replace, too: that is the loop's to do.
         poses, fault = np.zeros((0, 3)), None
@@ -207,7 +212,8 @@ class FollowPathServer:
             return End(GoalOutcome.ABORTED, Code.UNKNOWN, "the node was deactivated")
         header = request.path.header
         goal = FollowGoal(poses, header.frame_id, nanoseconds(header.stamp), fault=fault, clients=clients)
-        # The handle keeps its request as long as its result: to collect so many objects stops the loop for a second.
+        # The handle keeps its request as long as its result, and collecting that many objects would stop the loop for a
+        # second. to collect so many objects stops the loop for a second.
         request.path = Path()
         future = Future(executor=self._executor)
         self._open.append((goal, handle, future))
@@ -216,7 +222,7 @@ class FollowPathServer:
         return future
 
     def _look(self) -> None:
-        """Pass on the ends of goals to whoever waits for them."""
+        """Pass on the ends of goals to the waiting clients."""
         ended = [entry for entry in self._open if entry[0].end is not None]
         for entry in ended if self._closing else ended[:_RESULTS_AT_ONCE]:
             self._open.remove(entry)
@@ -246,7 +252,7 @@ class FollowPathServer:
 
 
 def path_poses(message: Path, most: int) -> FloatArray:
-    """Poses (n, 3) of a path; raises MessageError where they are no poses, too many, or not all of one frame."""
+    """Extract poses (n, 3) of a path; raise MessageError if they are invalid, too many, or in different frames."""
     frame, count = message.header.frame_id, len(message.poses)
     if count > most:
         raise MessageError(f"the path has {count} poses, the most is {most} (parameter follow_most_poses)")

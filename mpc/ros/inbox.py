@@ -27,7 +27,7 @@ from diffdrive_mpc.mpc.ros.transforms.frames import Frames
 
 
 class Inbox:
-    """Checks messages and keeps the newest good one of each kind until the next tick takes it.
+    """Inbox that checks messages and keeps the newest good one of each kind for the next tick.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class Inbox:
         self.restart()
 
     def restart(self) -> None:
-        """Forget everything that arrived."""
+        """Discard everything that arrived."""
         self.newest_pose: Stamped | None = None
         self._pose: Stamped | None = None
         self._twist: Stamped | None = None
@@ -74,16 +74,16 @@ class Inbox:
         return seconds(self._clock(), self._epoch)
 
     def time_of(self, stamp: int) -> float:
-        """A stamp [ns] on the controller's clock [s]."""
+        """Convert a stamp [ns] to a time on the controller's clock [s]."""
         return seconds(stamp, self._epoch)
 
     def stamp_of(self, time: float) -> int:
-        """A time on the controller's clock [s] as a stamp [ns]."""
+        """Convert a time on the controller's clock [s] to a stamp [ns]."""
         return self._epoch + round(NANOSECONDS * time)
 
     @property
     def has_pose(self) -> bool:
-        """Whether the next measurement has a pose."""
+        """True if the next measurement has a pose."""
         return self._pose is not None
 
     @property
@@ -95,7 +95,7 @@ class Inbox:
 
     @property
     def fault(self) -> str:
-        """Which topic is stale that the robot can drive without, in words; empty if none is."""
+        """Name the stale topic without which the robot can still drive; return an empty string without any."""
         settings = self._settings
         return self.imu.fault(self.now, settings.odom_timeout) if settings.use_imu else ""
 
@@ -170,7 +170,7 @@ class Inbox:
         self.newest_pose = self._pose = Stamped(value, time)
 
     def measurement(self) -> Measurement:
-        """What arrived since the last call."""
+        """Collect the measurements since the last call."""
         measurement = Measurement(pose=self._pose, wheel_twist=self._twist, yaw_rate=self._yaw_rate)
         self._pose = self._twist = self._yaw_rate = None
         return measurement

@@ -1,4 +1,4 @@
-"""How long things take and how old they are: percentiles over the last ticks."""
+"""Percentiles of durations and latencies over the last ticks."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 _ENOUGH = 20
-"""Ticks from which on their pace is judged."""
+"""Number of ticks from which their pace is judged."""
 _OUT_OF_STEP = 0.1
 """Share of the period by which ticks may be off it [-]."""
 
@@ -40,7 +40,7 @@ class Durations:
         self._values.append(value)
 
     def percentiles(self) -> Percentiles:
-        """Over what is kept."""
+        """Compute percentiles of the stored values."""
         if not self._values:
             return Percentiles(np.nan, np.nan, np.nan, 0)
         p50, p99, largest = np.percentile(self._values, [50, 99, 100]).tolist()
@@ -75,8 +75,8 @@ class LoopTimes:
         self.misses = 0
         self._last: float | None = None
 
-    def begin(self, now: float) -> None:
-        """A tick begins at `now` [s]."""
+    def start_tick(self, now: float) -> None:
+        """Record the start of a tick at `now` [s]."""
         if self._last is not None:
             gap = now - self._last
             self.jitter.add(abs(gap - self._period))
@@ -85,12 +85,12 @@ class LoopTimes:
 
     @property
     def out_of_step(self) -> bool:
-        """Whether the time between two ticks is usually another than the period."""
+        """True if the median interval of ticks differs from the period."""
         jitter = self.jitter.percentiles()
         return jitter.count >= _ENOUGH and jitter.p50 > _OUT_OF_STEP * self._period
 
     def end(self, duration: float, latency: float | None) -> None:
-        """It took `duration` [s]; `latency` [s] where odometry has arrived."""
+        """Record the `duration` of a tick [s], and its `latency` [s] if odometry has arrived."""
         self.step.add(duration)
         self.misses += duration > self._period
         if latency is not None:

@@ -1,4 +1,4 @@
-"""Run the node as a process: a signal ends it after a braking ramp, with zero as its last command."""
+"""Run the node as a process: a signal ends it after a braking ramp, with zero as the last command."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 # How long a signal may wait while nothing else happens [s].
 _LONGEST_WAIT = 0.1
-# As of the commands.
+# As for the commands.
 _BAD_INPUT = 2
 
 
@@ -71,7 +71,7 @@ def run(
             with threadpool_limits(limits=1):
                 while not signals:
                     executor.spin_once(timeout_sec=_LONGEST_WAIT)
-                # By the computer's clock, as the node's may stand.
+                # By the computer's clock, since the node's may have stopped.
                 end = time.monotonic() + node.brake(f"{signal.Signals(signals[0]).name}: the node is shut down")
                 while node.is_moving and len(signals) == 1 and (left := end - time.monotonic()) > 0.0:
                     executor.spin_once(timeout_sec=min(left, _LONGEST_WAIT))
@@ -86,7 +86,7 @@ def run(
 
 
 def main() -> None:
-    """Entry point of the colcon package: everything comes from ROS parameters."""
+    """Run the node as entry point of the colcon package, configured by ROS parameters only."""
     try:
         run(sys.argv)
     except (ValueError, OSError, DiffdriveMpcError) as error:

@@ -60,7 +60,7 @@ class MessageSeries:
         self.restart()
 
     def restart(self) -> None:
-        """Forget all messages."""
+        """Discard all messages."""
         self.is_shared = False
         self._series: list[_Series] = []
         self._turns: deque[_Series] = deque(maxlen=_TURNS)

@@ -170,7 +170,7 @@ class TrackingNode(PartHost):
 
     @logged
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Begin to send commands, zero until driving begins, unless another node of this project does so already."""
+        """Start to send zero commands; fail if another node of this project sends commands already."""
         if self._changes.pending or self._controller is None:
             self._tear_down()
             self._build()
@@ -197,7 +197,7 @@ class TrackingNode(PartHost):
         # The executor serves timers first: where the clock brings many messages at once, the tick waits its turn
         # behind the sensors that came before it.
         self._timer = self.create_timer(period, self._due.trigger if in_sim_time else self._tick, clock=clock)
-        # The constructor cuts off what is less than a nanosecond, and 0.0202 s is a little less than it looks.
+        # The constructor truncates to nanoseconds, and 0.0202 s is stored as slightly less.
         self._period = self._timer.timer_period_ns = round(1e9 * period)
         self._ticks, self._visual_ticks = 0, max(1, round(1.0 / (self._settings.visual_rate * period)))
         self.label = "active"
@@ -212,7 +212,7 @@ class TrackingNode(PartHost):
 
     @logged
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Drop what `on_configure` built."""
+        """Destroy the objects of `on_configure`."""
         success = super().on_cleanup(state)
         self._tear_down()
         self.label = "unconfigured"
@@ -319,7 +319,7 @@ class TrackingNode(PartHost):
         outgoing.command(tick.command, time)
         due = loop.due()
         if due is not None:
-            # Before the mode: the monitor has to know where the robot goes before it hears that it drives on.
+            # Before the mode: the monitor must know the reference before it learns that the robot drives.
             outgoing.reference(due.reference, loop.inbox.stamp_of(due.t0), time)
         outgoing.mode(tick)
         if tick.result is not None:

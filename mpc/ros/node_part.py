@@ -95,13 +95,13 @@ class PartHost(LifecycleNode):
     parts: dict[str, NodePart]
 
     def configure_parts(self, tools: NodeTools) -> None:
-        """Give the parts their tools, and configure them."""
+        """Pass the tools to the parts and configure them."""
         for part in self.parts.values():
             part.tools = tools
             part.configure(tools)
 
     def activate_parts(self, loop: ControlLoop) -> None:
-        """Give the parts the loop, and activate them."""
+        """Pass the loop to the parts and activate them."""
         for part in self.parts.values():
             part.loop = loop
             part.activate()
@@ -113,7 +113,7 @@ class PartHost(LifecycleNode):
             part.deactivate()
 
     def tear_down_parts(self) -> None:
-        """Take the tools from the parts, and destroy what they built."""
+        """Remove the tools from the parts, and destroy their objects."""
         for part in self.parts.values():
             part.tools = None
             part.tear_down()
@@ -152,7 +152,7 @@ class NodePart:
         self._subscriptions: list[Subscription] = []
 
     def configure(self, tools: NodeTools) -> None:
-        """Build what needs the configured node; raise ValueError to refuse the transition."""
+        """Build the objects that need the configured node; raise ValueError to refuse the transition."""
 
     def check_activation(self) -> None:
         """Raise ValueError if the node must not become active."""
@@ -164,16 +164,16 @@ class NodePart:
         """End the activation; the robot has been sent its last command."""
 
     def tear_down(self) -> None:
-        """Destroy what `configure` built, or a part of it if that failed."""
+        """Destroy the objects of `configure`, or those that exist after a failure."""
 
     def change_limits(self) -> None:
-        """React to changed weights or limits of the active controller."""
+        """Apply changed weights or limits of the active controller."""
 
     def tick(self, tick: LoopTick) -> None:
-        """Act on the decision of a tick before its command is sent."""
+        """Handle the decision of a tick before its command is sent."""
 
     def after_tick(self, tick: LoopTick, time: int, row: dict[str, Cell]) -> None:
-        """Act on a tick at `time` [ns] after its command was sent; add columns to the `row` of the recording."""
+        """Handle a tick at `time` [ns] after its command was sent; add columns to the `row` of the recording."""
 
     def path_check(self) -> PathCheck | None:
         """Return the condition on paths of `follow_path`; None without a condition."""
@@ -189,7 +189,7 @@ class NodePart:
         return ""
 
     def after_diagnostics(self, message: DiagnosticArray, time: int) -> None:
-        """Act on a message of diagnostics that was published at `time` [ns]."""
+        """Handle a diagnostics message that was published at `time` [ns]."""
 
     # Helpers for subclasses.
 

@@ -44,7 +44,7 @@ Schema = TypeVar("Schema", bound=BaseModel)
 
 _LARGEST_INTEGER = 2**63 - 1
 NONE = 0.0
-"""What stands for None in a parameter: ROS parameters have a type, and None has none."""
+"""Value that represents None: a ROS parameter has a type and cannot be None."""
 
 
 class _Entry(NamedTuple):
@@ -258,7 +258,7 @@ def _take_overrides(node: Node, present_name: Callable[[str], str]) -> None:
 
 
 def descriptor(field: FieldInfo, *, read_only: bool = False) -> ParameterDescriptor:
-    """Description and range of one field. A bound that does not count itself is named beside the range."""
+    """Describe a field with its range. An exclusive bound is named in the description."""
     bounds = [bound for bound in _metadata(field) if isinstance(bound, Gt | Ge | Lt | Le)]
     low: Any = next((b.gt if isinstance(b, Gt) else b.ge for b in bounds if isinstance(b, Gt | Ge)), None)
     high: Any = next((b.lt if isinstance(b, Lt) else b.le for b in bounds if isinstance(b, Lt | Le)), None)
@@ -327,7 +327,7 @@ def _to_parameter(value: object) -> Value:
 
 
 def _kind(field: FieldInfo) -> type:
-    """Type of the field's values; of an optional one, the type beside None."""
+    """Return the type of the field's values; of an optional field, the type other than None."""
     kinds = [kind for kind in get_args(field.annotation) or (field.annotation,) if kind is not NoneType]
     inner = get_args(kinds[0])
     return inner[0] if inner else kinds[0]
@@ -338,7 +338,7 @@ def _optional(field: FieldInfo) -> bool:
 
 
 def _metadata(field: FieldInfo) -> Iterator[object]:
-    """Bounds of the field, also those of the type beside None."""
+    """Yield the bounds of the field, also those of the type other than None."""
     yield from field.metadata
     for kind in get_args(field.annotation):
         for item in getattr(kind, "__metadata__", ()):
@@ -423,7 +423,7 @@ class ParameterChanges:
         return bool(self._node.get_parameter(name).value != value)
 
     def _apply(self, parameters: list[Parameter]) -> None:
-        """Between two ticks while active, else at the next activation."""
+        """Apply changes between two ticks while active, or else at the next activation."""
         changes = self._declared(parameters)
         self.pending = self.pending or bool(changes)
         controller = self._running()
@@ -440,7 +440,7 @@ class ParameterChanges:
 
 
 def _groups(changes: Mapping[str, Any], config: ControllerConfig) -> list[dict[str, float]]:
-    """Changed weights and limits as `config` has them, in which what stands for None is None."""
+    """Group changed weights and limits as in `config`, with the values that represent None replaced by None."""
     return [
         {
             name: getattr(getattr(config, prefix[:-1]), name)
@@ -451,16 +451,17 @@ def _groups(changes: Mapping[str, Any], config: ControllerConfig) -> list[dict[s
     ]
 
 
-# Transitions of the lifecycle say why they fail, and those that are not allowed are refused: rclpy does neither.
+# Transitions report the reason of a failure, and forbidden ones are rejected, which rclpy does not do. rclpy does
+# neither.
 
 
 class Managed(Protocol):
-    """A lifecycle node that keeps why its last failed transition failed."""
+    """Lifecycle node that stores the reason of its last failed transition."""
 
     failure: str
 
     def get_logger(self) -> RcutilsLogger:
-        """Logger of the node."""
+        """Return the logger of the node."""
         ...
 
 
@@ -469,7 +470,7 @@ Transition = Callable[[NodeType, LifecycleState], TransitionCallbackReturn]
 
 
 def logged(transition: Transition[NodeType]) -> Transition[NodeType]:
-    """Log what a transition raises: bad input (ValueError, OSError) refuses it, anything else is an error."""
+    """Log exceptions of a transition: bad input (ValueError, OSError) refuses it, anything else is an error."""
 
     @wraps(transition)
     def run(self: NodeType, state: LifecycleState) -> TransitionCallbackReturn:
@@ -495,7 +496,7 @@ def refuse_what_is_not_allowed(node: LifecycleNode) -> None:
     services = {service.srv_type: service for service in node.services}
     change = services[ChangeState].callback
 
-    def answer(request: Any, response: Any) -> Any:  # noqa: ANN401 - ROS messages have no types to check
+    def handle(request: Any, response: Any) -> Any:  # noqa: ANN401 - ROS messages have no types to check
         wanted, state = request.transition, services[GetState].callback(None, GetState.Response()).current_state
         # Two services have this type: one has the transitions of this state, the other those of all states.
         known = services[GetAvailableTransitions].callback(None, GetAvailableTransitions.Response())
@@ -509,4 +510,4 @@ def refuse_what_is_not_allowed(node: LifecycleNode) -> None:
         response.success = False
         return response
 
-    services[ChangeState].callback = answer
+    services[ChangeState].callback = handle

@@ -81,7 +81,7 @@ class Publishers:
         self._command.wait(_LAST_WORDS)
 
     def mode(self, tick: LoopTick) -> None:
-        """Say mode and message when the mode changes, in the log too."""
+        """Publish and log mode and message when the mode changes."""
         if tick.mode != self._said:
             self._said = tick.mode
             words = f"{tick.mode}: {tick.message}" if tick.message else tick.mode
@@ -90,7 +90,7 @@ class Publishers:
 
     @property
     def recorded(self) -> bool:
-        """Whether somebody listens to the records of ticks."""
+        """True if the topic of the tick records has a subscriber."""
         return bool(self._tick.get_subscription_count())
 
     def record(self, lines: Sequence[tuple[str, str]]) -> None:
@@ -116,7 +116,7 @@ class Publishers:
         self._reference.publish(self._path(reference.sample(times).pose, stamps.tolist(), time))
 
     def visuals(self, result: StepResult, period: int, time: int) -> None:
-        """Send the predicted path, a pose each `period` [ns], and the marker, where anybody looks at them."""
+        """Publish the predicted path, a pose each `period` [ns], and the marker, if they have subscribers."""
         if result.plan is not None and self._predicted.get_subscription_count():
             stamps = (time + period * index for index in range(len(result.plan)))
             self._predicted.publish(self._path(result.plan, stamps, time))
@@ -131,7 +131,7 @@ class Publishers:
         return path
 
     def _line(self, robot: FloatArray, reference: FloatArray, mode: Mode, time: int) -> Marker:
-        """A line from the robot to the pose that it tracks, green while all is well."""
+        """Draw a line from the robot to the tracked pose, green in normal operation."""
         marker = Marker(ns="tracking_error", type=Marker.LINE_STRIP, action=Marker.ADD)
         marker.header.stamp, marker.header.frame_id = time_message(time), self._frame
         marker.scale.x = _LINE_WIDTH
@@ -141,7 +141,8 @@ class Publishers:
         return marker
 
 
-# Who is at the other end of the node's topics: the wrong type of message, or nobody at all, in words.
+# Peers of the node's topics, in words: wrong message types, or missing peers. the wrong type of message, or nobody at
+# all, in words.
 
 
 _PACKAGE = "geometry_msgs/msg/"
@@ -152,13 +153,13 @@ _COMMANDS = {"TwistStamped": "stamped:=true", "Twist": "stamped:=false"}
 
 def deaf_to_commands(node: Node, topic: str, *, stamped: bool) -> str:
     """Return which node listens on `topic` to another type of command than is sent, with the remedy; empty if none."""
-    sent, other = ("TwistStamped", "Twist") if stamped else ("Twist", "TwistStamped")
-    deaf = [info for info in node.get_subscriptions_info_by_topic(topic) if info.topic_type == _PACKAGE + other]
+    sent, unused = ("TwistStamped", "Twist") if stamped else ("Twist", "TwistStamped")
+    deaf = [info for info in node.get_subscriptions_info_by_topic(topic) if info.topic_type == _PACKAGE + unused]
     if not deaf:
         return ""
     return (
-        f"{_names(deaf)} listens on {topic} to {other} and cannot hear this node's {sent}: set the parameter "
-        f"{_COMMANDS[other]}"
+        f"{_names(deaf)} listens on {topic} to {unused} and cannot hear this node's {sent}: set the parameter "
+        f"{_COMMANDS[unused]}"
     )
 
 
@@ -201,7 +202,7 @@ _POSE, _TWIST = (0, 1, 5), (0, 5)
 
 
 class EstimateOutput:
-    """Publishes the estimate, slip included, where anybody listens.
+    """Publisher of the estimate, slip included, for existing subscribers.
 
     Parameters
     ----------
@@ -235,7 +236,7 @@ class EstimateOutput:
 
 
 def _covariance(deviation: FloatArray, rows: tuple[int, ...]) -> list[float]:
-    """(36,) row by row: variances of what is estimated, zero for what is not; correlations are left out."""
+    """Build the covariance (36,): variances of estimated values, zero elsewhere; correlations are left out."""
     diagonal = np.zeros(6)
     diagonal[list(rows)] = np.square(deviation)
     return [float(value) for value in np.diag(diagonal).ravel()]

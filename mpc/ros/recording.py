@@ -1,4 +1,4 @@
-"""Records what the active node hears, decides and says into an MCAP file, as `simulate --log` does."""
+"""Recorder of the active node's inputs, decisions and messages in an MCAP file, as `simulate --log` writes it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ from diffdrive_mpc.mpc.trajectories.native import table_of
 # How long the node waits for the file to be there, before its first tick, and to be whole, after its last [s].
 _PATIENCE = 5.0
 Method = Callable[..., None]
-# What does not fit into one parcel to the process that writes would end the recording: such a reference is left out.
+# A reference larger than one parcel to the writing process is left out, since it would end the recording. such a
+# reference is left out.
 _LONGEST_LINE = 100_000
 _REFERENCE = ("reference_x_m", "reference_y_m", "reference_theta_rad")
 
@@ -51,7 +52,7 @@ def _harmless(method: Method) -> Method:
 
 
 class ActivationRecording:
-    """The recording of one activation. It can fail, which it says once, but neither raises nor waits in between.
+    """The recording of one activation. A failure is reported once, without an exception and without a wait.
 
     Parameters
     ----------
@@ -76,12 +77,12 @@ class ActivationRecording:
 
     @property
     def incomplete(self) -> bool:
-        """Whether something is missing in the file."""
+        """True if rows are missing in the file."""
         return bool(self._recorder.fault or self._recorder.lost)
 
     @property
     def words(self) -> str:
-        """How it goes."""
+        """State of the recording in words."""
         recorder = self._recorder
         lost = f", {recorder.lost} messages lost: the disk is too slow" if recorder.lost else ""
         return f"ended: {recorder.fault}" if recorder.fault else f"{recorder.path}{lost}"
@@ -116,14 +117,14 @@ class ActivationRecording:
 
     @_harmless
     def record(self, lines: Sequence[tuple[str, str]], time: int) -> None:
-        """Record what is said of a tick, lines with their topics, so that it can be replayed: with the next `tick`."""
+        """Record lines about a tick with their topics, so that it can be replayed: with the next `tick`."""
         for topic, line in lines:
             if len(line) <= _LONGEST_LINE:
                 self._recorder.prepare("serialized", time, topic, serialize_message(String(data=line)))
 
     @_harmless
     def diagnostics(self, message: DiagnosticArray, time: int) -> None:
-        """Record what the node says of itself, and hear how the recording goes."""
+        """Record the node's diagnostics, and read the state of the recording."""
         self._recorder.hand("serialized", time, DIAGNOSTICS, serialize_message(message))
         self._recorder.poll()
         self._warn()
@@ -146,14 +147,14 @@ class ActivationRecording:
 
 
 def _standing(tick: LoopTick) -> dict[str, Cell]:
-    """What of a row a tick fills at which the controller was not asked."""
+    """Fill the columns of a row for a tick without a controller step."""
     v, omega = tick.command.tolist()
     words: dict[str, Cell] = {"mode": tick.mode, "message": tick.message, "solver_status": "", "solver_path": "none"}
     return {"v_ref_m_s": v, "omega_ref_rad_s": omega, **words}
 
 
 def _told(settings: NodeSettings, config: ControllerConfig) -> Metadata:
-    """What the file says of the drive, by name of the record."""
+    """Collect the metadata of a drive by name of the record."""
     try:
         release = version("diffdrive-mpc")
     except PackageNotFoundError:
@@ -173,7 +174,8 @@ def _told(settings: NodeSettings, config: ControllerConfig) -> Metadata:
     }
 
 
-# What the node says of each tick for whoever records it: all that the controller was asked, and its answer.
+# Data of each tick for external recorders: all inputs of the controller, and its result. all that the controller was
+# asked, and its answer.
 
 
 class TickRecords:
@@ -191,12 +193,12 @@ class TickRecords:
         self._told: tuple[Begun, ControllerConfig] | None = None
 
     def lines(self, begun: Begun, tick: LoopTick) -> list[tuple[str, str]]:
-        """What is to be said of a tick of the drive `begun`: a line and its topic, that of a new drive first."""
+        """Return the lines to publish for a tick of the drive `begun` with their topics, a new drive first."""
         records = ((DRIVE, self.drive(begun)), (TICK, self.tick(tick)))
         return [(topic, record.line()) for topic, record in records if record is not None]
 
     def drive(self, begun: Begun) -> DriveRecord | None:
-        """The drive under way where that is another one than at the last call, or its configuration has changed."""
+        """Return the current drive if it or its configuration is new since the last call, or else None."""
         config = self._controller.config
         if self._told is not None and self._told[0] is begun and self._told[1] is config:
             return None
@@ -208,13 +210,14 @@ class TickRecords:
         return DriveRecord(self._number, starts, begun.reset, begun.t0, reference, values, model, begun.goes_on)
 
     def tick(self, tick: LoopTick) -> TickRecord | None:
-        """The record of a tick at which the controller was asked; it belongs to the drive of the last `drive`."""
+        """Build the record of a tick with a controller step; it belongs to the drive of the last `drive`."""
         request, result = tick.request, tick.result
         if request is None or result is None:
             return None
         hold = None if request.hold is None else (request.hold.reason, request.hold.failure)
         solver = result.solver
-        # A backend that was cut off gave nothing: 0. A bound of 1 leaves the minimiser without limits as it is.
+        # A backend that was cut off gave no solution: 0. A bound of 1 leaves the minimiser without limits unchanged. 0.
+        # A bound of 1 leaves the minimiser without limits as it is.
         cut_off = solver.status is SolverStatus.TIME_LIMIT
         late = None if not solver.missed else 0 if cut_off else max(solver.iterations, 1)
         cells = (str(result.mode), result.message, str(solver.method), result.step_time, late)
@@ -222,7 +225,7 @@ class TickRecords:
 
 
 def _model_text(model: str) -> str:
-    """Of a file of the user's own."""
+    """Read the text of a model file of the user."""
     if is_shipped(model):
         return ""
     try:
@@ -239,7 +242,7 @@ class RecordingPart(NodePart):
     _recorded: Begun | None = None
 
     def activate(self) -> None:
-        """Begin a recording if the settings ask for it."""
+        """Start a recording if the settings ask for it."""
         tools = self.running()[1]
         self.records, self._recorded = TickRecords(tools.controller), None
         self.recording = self._begin(tools) if tools.settings.record else None
@@ -290,7 +293,7 @@ class RecordingPart(NodePart):
             return None
 
     def _publish(self, begun: Begun, tick: LoopTick, time: int) -> None:
-        """Publish and record what a replay of the tick needs; a fault ends this for the activation."""
+        """Publish and record the data for a replay of the tick; a fault ends this for the activation."""
         if self.records is None or self.tools is None:
             return
         try:

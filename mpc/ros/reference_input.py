@@ -1,6 +1,6 @@
 """References that arrive as messages: checked as strictly as those from files.
 
-They are read beside the loop, in a process of its own, in the frame that they state.
+They are read in a separate process, in the frame that they state.
 """
 
 from __future__ import annotations
@@ -31,12 +31,13 @@ from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 from diffdrive_mpc.mpc.trajectories.timed_poses import lay_timed_poses
 
-# To lay them takes 15 ms, beside the loop; to begin with them a part of a tick.
+# Limits for planning, which takes 15 ms outside the loop; starting it costs a part of a tick. to begin with them a part
+# of a tick.
 _MOST_POSES = 1000
 MOST_BYTES = path_bytes(_MOST_POSES)
 """Bytes of a message at most that can be accepted."""
 MOST_TRAJECTORY_BYTES = MOST_BYTES + _MOST_POSES * 3 * 6 * 8
-"""The same of a trajectory of a base, whose points have velocity, acceleration and effort, too."""
+"""Size of a base's trajectory, whose points also have velocity, acceleration and effort."""
 
 
 class StatedReference(NamedTuple):
@@ -48,17 +49,17 @@ class StatedReference(NamedTuple):
 
 
 def nothing() -> None:
-    """Who has this called has loaded what reads references."""
+    """Load this module when called in the side process, before the first reference arrives."""
 
 
 def read_path(raw: bytes, limits: Limits) -> StatedReference:
-    """A serialised Path; see `path_reference`."""
+    """Read a serialised Path; see `path_reference`."""
     message: Path = deserialize_message(raw, Path)
     return StatedReference(path_reference(message, limits), message.header.frame_id, nanoseconds(message.header.stamp))
 
 
 def read_trajectory(raw: bytes, limits: Limits) -> StatedReference:
-    """A serialised MultiDOFJointTrajectory; see `trajectory_reference`."""
+    """Read a serialised MultiDOFJointTrajectory; see `trajectory_reference`."""
     message: MultiDOFJointTrajectory = deserialize_message(raw, MultiDOFJointTrajectory)
     return StatedReference(
         trajectory_reference(message, limits), message.header.frame_id, nanoseconds(message.header.stamp)
@@ -66,19 +67,19 @@ def read_trajectory(raw: bytes, limits: Limits) -> StatedReference:
 
 
 def timed_trajectory_type() -> type[Any] | None:
-    """nav_msgs/Trajectory (Lyrical), or nav2_msgs/Trajectory, which came before it (Kilted); None where neither is."""
+    """Return nav_msgs/Trajectory (Lyrical) or its predecessor nav2_msgs/Trajectory (Kilted); None if neither exists."""
     return message_type("nav_msgs", "Trajectory") or message_type("nav2_msgs", "Trajectory")
 
 
 def read_timed_trajectory(raw: bytes, limits: Limits) -> StatedReference:
-    """A serialised message of `timed_trajectory_type`; see `timed_trajectory_reference`."""
+    """Read a serialised message of `timed_trajectory_type`; see `timed_trajectory_reference`."""
     message: Any = deserialize_message(raw, timed_trajectory_type())
     reference = timed_trajectory_reference(message, limits)
     return StatedReference(reference, message.header.frame_id, nanoseconds(message.header.stamp))
 
 
 def timed_trajectory_reference(message: Any, limits: Limits) -> SplineTrajectory:  # noqa: ANN401 - either type
-    """A trajectory of a base: the pose of each point at the time in its header, or after the start.
+    """Convert a trajectory of a base: the pose of each point at the time in its header, or after the start.
 
     Velocities, accelerations and efforts are not used: they follow from poses and times. Parameters and errors are
     those of `path_reference`.
@@ -100,7 +101,7 @@ def timed_trajectory_reference(message: Any, limits: Limits) -> SplineTrajectory
 
 
 def path_reference(message: Path, limits: Limits) -> SplineTrajectory:
-    """A path whose poses carry their times in their headers; only the differences count.
+    """Convert a path whose poses carry their times in their headers; only time differences count.
 
     Parameters
     ----------
@@ -125,7 +126,7 @@ def path_reference(message: Path, limits: Limits) -> SplineTrajectory:
 
 
 def trajectory_reference(message: MultiDOFJointTrajectory, limits: Limits) -> SplineTrajectory:
-    """A trajectory of one joint, the planar pose of the robot: the first transform of each point at its time.
+    """Convert a trajectory of one joint, the planar pose: the first transform of each point at its time.
 
     Parameters and errors are those of `path_reference`.
     """
@@ -134,9 +135,13 @@ def trajectory_reference(message: MultiDOFJointTrajectory, limits: Limits) -> Sp
     for index, point in enumerate(message.points):
         if len(point.transforms) != 1:
             raise MessageError(f"point {index} has {len(point.transforms)} transforms, expected one: the robot's pose")
-        at = point.transforms[0].translation
+        translation = point.transforms[0].translation
         times.append(point.time_from_start.sec + point.time_from_start.nanosec / NANOSECONDS)
-        poses.append(planar_pose(Pose(position=Point(x=at.x, y=at.y), orientation=point.transforms[0].rotation)))
+        poses.append(
+            planar_pose(
+                Pose(position=Point(x=translation.x, y=translation.y), orientation=point.transforms[0].rotation)
+            )
+        )
     return _lay(times, poses, limits, "trajectory")
 
 
@@ -163,7 +168,7 @@ def _lay(times: list[float], poses: list[tuple[float, float, float]], limits: Li
 
 
 SLOWEST = 1e-3
-"""A limit below is taken to be this [m/s]: to stand there is `~/hold`."""
+"""A limit below is taken to be this [m/s]: `~/hold` stops the robot."""
 
 
 @dataclass(frozen=True)
@@ -174,14 +179,14 @@ class SpeedLimit:
     percentage: bool
 
     def speed(self, greatest: float) -> float | None:
-        """The limit [m/s] for a robot with that greatest speed [m/s]; None where there is none."""
+        """Return the limit [m/s] for a robot whose maximum speed is `greatest` [m/s]; return None if there is none."""
         if self.value == 0.0:
             return None
         return max(SLOWEST, min(greatest, 0.01 * self.value * greatest if self.percentage else self.value))
 
 
 def read_speed_limit(message: Any) -> SpeedLimit:  # noqa: ANN401 - ROS messages have no types to check
-    """What a message states; 0 is no limit.
+    """Read the limit in a message; 0 means no limit.
 
     Raises
     ------
@@ -194,11 +199,11 @@ def read_speed_limit(message: Any) -> SpeedLimit:  # noqa: ANN401 - ROS messages
     return SpeedLimit(value, bool(message.percentage))
 
 
-# How far the robot is from what it tracks, as the estimate has it.
+# Distance of the robot from its target, by the estimate.
 
 
 def tracking_error(result: StepResult) -> tuple[float, float, float] | None:
-    """Distance ahead of and to the left of the pose tracked now [m], heading error [rad]; None while nothing is."""
+    """Return distances ahead and to the left of the tracked pose [m] and heading error [rad], or else None."""
     if result.estimate is None or result.reference is None:
         return None
     x, y, theta = result.reference[0].tolist()

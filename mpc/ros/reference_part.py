@@ -73,7 +73,7 @@ class ReferencePart(NodePart):
         self.node.get_logger().error(words)
 
     def _offer(self, loop: ControlLoop, stated: StatedReference) -> None:
-        """Offer a reference to the loop that was active when it arrived; log the reason if it cannot be used."""
+        """Pass a reference to the loop that was active when it arrived; log the reason if it is unusable."""
         try:
             if loop is not self.loop:
                 raise RefusedError("the node was deactivated while it was read")

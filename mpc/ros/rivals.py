@@ -1,4 +1,4 @@
-"""Who else publishes on the topic of the commands, and who on the inputs, each of which has to have one voice."""
+"""Detection of other publishers on the command and input topics."""
 
 from __future__ import annotations
 
@@ -20,10 +20,12 @@ from diffdrive_mpc.mpc.ros.publishers import NAMELESS, deaf_to_commands, full_na
 from diffdrive_mpc.mpc.ros.topic_watch import TopicWatch
 
 _CLAIM = "_diffdrive_mpc"
-"""Below the topic of the commands: whoever of this project drives by it has a publisher there, which never sends."""
+"""Below the topic of the commands: every node of this project that commands on it has a publisher there, which never
+sends.
+"""
 _POLL = 0.02
 _CHRISTENING = 4.0
-"""Until a node whose publisher was found before its name is known by name, at most [s]."""
+"""Maximum time until a node whose publisher was discovered is known by name [s]."""
 _PERIOD = 0.2
 """Period of looking for rivals while the node is active [s]."""
 
@@ -44,7 +46,7 @@ class Others(NamedTuple):
 
 
 class Rivals:
-    """Looks who publishes commands beside `node`, and lets other nodes of this project know that it does.
+    """Detector of other command publishers than `node`, which also announces this node to others.
 
     Parameters
     ----------
@@ -61,9 +63,9 @@ class Rivals:
         self._claim: Publisher | None = None
 
     def claim(self, wait: float) -> Others:
-        """Claim the topic, and say who is there; a node younger than `wait` [s] waits until it has that age.
+        """Claim the topic and return the others on it; a node younger than `wait` [s] waits until it has that age.
 
-        Until then the middleware may not have found the others. Two that claim at the same time see each other.
+        Until then the middleware may not have discovered the others. Two that claim at the same time see each other.
         """
         if self._claim is None:
             self._claim = self._node.create_publisher(Empty, f"{self.topic}/{_CLAIM}", 1)
@@ -77,13 +79,13 @@ class Rivals:
         return rivals
 
     def release(self) -> None:
-        """Let others have it."""
+        """Release the topic."""
         if self._claim is not None:
             self._node.destroy_publisher(self._claim)
             self._claim = None
 
     def others(self) -> Others:
-        """Who publishes there beside the node itself, as far as the middleware knows by now."""
+        """Return the other publishers on the topic, as far as the middleware has discovered them."""
         project = self._beside_own(f"{self.topic}/{_CLAIM}", has_own=self._claim is not None)
         foreign = self._beside_own(self.topic, has_own=True)
         for name in project:
@@ -93,18 +95,19 @@ class Rivals:
 
     def _beside_own(self, topic: str, *, has_own: bool) -> list[str]:
         names = sorted(map(full_name, self._node.get_publishers_info_by_topic(topic)))
-        own = self._node.get_fully_qualified_name()
-        # One of that name is this node; a second one is another. Without a publisher of its own, the first is another.
-        if has_own and own in names:
-            names.remove(own)
+        name = self._node.get_fully_qualified_name()
+        # One publisher of that name is this node's; a second one is another node's. If this node has no publisher, the
+        # first is another node's. a second one is another. Without a publisher of its own, the first is another.
+        if has_own and name in names:
+            names.remove(name)
         return names
 
 
 def speak_together(node: Node, watch: TopicWatch, topic: str) -> str:
-    """Return which publishers share an input, and what to do; empty if only one publishes.
+    """Describe the publishers that share an input, with the remedy; empty if only one publishes.
 
-    The middleware may take a while to forget a node that was killed. Two publishers of one name therefore count as two
-    only if both send, or if the middleware does not tell their messages apart.
+    The middleware may list a killed node for a while. Two publishers of one name therefore count as two only if both
+    send, or if the middleware does not distinguish their messages.
     """
     infos, series = node.get_publishers_info_by_topic(topic), watch.series
     names = sorted({*map(full_name, infos)} - {NAMELESS})
@@ -119,14 +122,14 @@ def speak_together(node: Node, watch: TopicWatch, topic: str) -> str:
 
 
 def drive_too(others: Others, topic: str) -> str:
-    """What is wrong with other nodes of this project that drive, and what to do; empty where there are none."""
+    """Describe the conflict with other driving nodes of this project; return an empty string without one."""
     if not others.project:
         return ""
     return f"{_names(others.project)} of this project drives by {topic} too; deactivate one of them"
 
 
 def publish_too(others: Others, topic: str) -> str:
-    """Who else publishes; empty where nobody does."""
+    """Describe the other publishers; return an empty string without any."""
     return f"{_names(others.foreign)} publishes on {topic} too" if others.foreign else ""
 
 
@@ -164,7 +167,7 @@ class RivalWatch(NodePart):
         self._timer = self.node.create_timer(_PERIOD, self._look_around, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def tick(self, tick: LoopTick) -> None:  # noqa: ARG002 - that of the base class
-        """Look for rivals at once if the messages of an input turn out to come from two publishers."""
+        """Check for rivals at once if the messages of an input come from two publishers."""
         is_shared = self.tools is not None and any(watch.series.is_shared for watch, _ in self.tools.watched)
         if is_shared and not self._was_shared:
             self._look_around()

@@ -1,6 +1,6 @@
-"""What the node needs beside the controller's configuration: one typed schema, as `mpc.config` is for the controller.
+"""Typed schema of the node's settings, which complement the controller's configuration.
 
-Units stand in brackets at the end of each description. Nothing here needs ROS.
+Units are in brackets at the end of each description. Nothing here needs ROS.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class PartSettings(Group):
 
 
 class NodeSettings(StrictModel, strict=True):
-    """Topics, frames, timeouts and what the node does by itself."""
+    """Topics, frames, timeouts and automatic actions of the node."""
 
     config: str = Field(
         "ssm",
@@ -198,7 +198,7 @@ class NodeSettings(StrictModel, strict=True):
 
     @property
     def poses_from(self) -> Literal["odometry", "topic", "tf"]:
-        """Where poses come from, by either name."""
+        """Source of the poses, by either name of the setting."""
         return "topic" if self.use_pose_topic else self.pose_source
 
     @property

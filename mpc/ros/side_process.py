@@ -1,7 +1,7 @@
-"""A process beside the node, for what takes longer than a tick: a thread would take turns with the loop's.
+"""A separate process for tasks that take longer than a tick: a thread would take turns with the loop's.
 
-`python -m diffdrive_mpc.mpc.ros.side_process DESCRIPTOR` is that process: it does what comes through the socket, one
-after the other, until the other end closes, however it ends.
+`python -m diffdrive_mpc.mpc.ros.side_process DESCRIPTOR` is that process: it runs requests from the socket in order,
+until the other end closes for any reason.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from typing import Any, NamedTuple
 _MODULE = "diffdrive_mpc.mpc.ros.side_process"
 _NICENESS = 10
 _FAREWELL = 2.0
-"""How long the process may take to end [s]."""
+"""Time limit for the end of the process [s]."""
 _LONGEST_BEGINNING = 60.0
-"""How long the process may take to begin and to load a module [s]: on a busy computer it comes after all else."""
+"""Time limit for the start of the process with its module [s]; on a busy computer it has the lowest priority."""
 Done = Callable[[Any], None]
 Failed = Callable[[str], None]
 
@@ -36,7 +36,7 @@ class _Job(NamedTuple):
 
 
 class SideProcess:
-    """Has functions called in a process of its own, one after the other; nothing here waits for it but `close`.
+    """Caller of functions in a separate process, one after the other; nothing here waits for it but `close`.
 
     The process begins with the first of them, and takes a second for that.
 
@@ -61,7 +61,7 @@ class SideProcess:
     def submit(
         self, key: str, function: Callable[..., Any], arguments: tuple[Any, ...], done: Done, failed: Failed
     ) -> None:
-        """Have `function(*arguments)` called, and `done` with what it returns, or `failed` with why it could not.
+        """Queue `function(*arguments)`; call `done` with its result, or `failed` with the reason of the failure.
 
         The function is one of a module. One that still waits under the same `key` is superseded, and fails.
         """
@@ -78,7 +78,7 @@ class SideProcess:
             self._wake()
 
     def prepare(self, function: Callable[[], Any]) -> None:
-        """Have the process begin and load the module of `function`, unless it has begun already."""
+        """Start the process and load the module of `function`, unless that has happened already."""
         if self._thread is None:
             self.submit("prepare", function, (), _ignore, _ignore)
 
@@ -90,7 +90,7 @@ class SideProcess:
             (job.done if well else job.failed)(content)
 
     def close(self) -> None:
-        """End the process; what it was to answer is forgotten."""
+        """End the process; its pending requests are dropped."""
         with self._changed:
             self._closed = True
             self._changed.notify()
@@ -101,7 +101,7 @@ class SideProcess:
     def _begin(self) -> Connection:
         ours, theirs = socket.socketpair()
         command = [sys.executable, "-m", _MODULE, str(theirs.fileno())]
-        # A session of its own: Ctrl-C is for the node.
+        # A separate session, so that Ctrl-C reaches the node only.
         self._process = subprocess.Popen(
             command, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, start_new_session=True
         )
@@ -112,7 +112,8 @@ class SideProcess:
     def _end(self) -> None:
         if self._process is not None:
             self._process.kill()
-            # It is gone as soon as the machine has time for it; who waits longer only waits.
+            # The process ends as soon as the machine has time for it, so waiting longer is harmless. who waits longer
+            # only waits.
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(_FAREWELL)
                 self._process = None
@@ -158,11 +159,11 @@ class SideProcess:
 
 
 def _ignore(_: object) -> None:
-    """Nobody waits for it."""
+    """Ignore a result without a receiver."""
 
 
 def _main(descriptor: int) -> None:
-    """Answer until the socket closes."""
+    """Serve requests until the socket closes."""
     os.nice(_NICENESS)
     if hasattr(os, "sched_setscheduler"):
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
@@ -171,8 +172,8 @@ def _main(descriptor: int) -> None:
         try:
             function, arguments = link.recv()
             link.send("its module is loaded")
-            answer = _answer(function, arguments)
-            link.send(answer)
+            reply = _answer(function, arguments)
+            link.send(reply)
         except (EOFError, OSError):
             return
 

@@ -1,6 +1,6 @@
-"""What is known of one incoming topic: how old its last good message is, and why messages were refused.
+"""Watch of one incoming topic: age of its last good message, and reasons for rejected messages.
 
-What the node does about a fault stands in `ControlLoop` (`control_loop.py`), and in words in docs/safety.md.
+Reactions of the node to a fault are in `ControlLoop` (`control_loop.py`), and in words in docs/safety.md.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from diffdrive_mpc.mpc.ros.message_series import MessageSeries
 
 
 class TopicWatch:
-    """Keeps account of one topic.
+    """State of one topic.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class TopicWatch:
         self.restart()
 
     def restart(self) -> None:
-        """Forget the stamps: the next message is the first."""
+        """Discard the stamps: the next message is the first."""
         self._stamp: float | None = None
 
     def accept(self, stamp: float, now: float, ahead: float) -> None:
@@ -78,7 +78,7 @@ class TopicWatch:
         return math.inf if self._stamp is None else now - self._stamp
 
     def fault(self, now: float, timeout: float) -> str:
-        """Why the topic cannot be relied on at `now` [s]; empty if it can."""
+        """Describe why the topic is unreliable at `now` [s]; return an empty string if it is reliable."""
         age = self.age(now)
         if -timeout <= age <= timeout:
             return ""

@@ -16,7 +16,7 @@ from diffdrive_mpc.mpc.ros.transforms.rigid import Rigid
 _DYNAMIC = QoSProfile(depth=100)
 _STATIC = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 MOST_BYTES = 200_000
-"""Of one message: some hundred frames, read in some milliseconds."""
+"""Maximum size of one message, some hundred frames, which take some milliseconds to read."""
 
 
 def listen(node: Node, frames: Frames, *, moving: bool = True) -> list[Subscription]:
@@ -34,8 +34,8 @@ def listen(node: Node, frames: Frames, *, moving: bool = True) -> list[Subscript
     def taking(*, static: bool) -> Any:  # noqa: ANN401 - a callback
         def take(message: Any) -> None:  # noqa: ANN401 - ROS messages have no types to check
             for each in message.transforms:
-                at, turn = each.transform.translation, each.transform.rotation
-                rigid = Rigid(at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w)
+                translation, turn = each.transform.translation, each.transform.rotation
+                rigid = Rigid(translation.x, translation.y, translation.z, turn.x, turn.y, turn.z, turn.w)
                 stamp = nanoseconds(each.header.stamp)
                 frames.take(each.header.frame_id, each.child_frame_id, stamp, rigid, static=static)
 

@@ -1,1 +1,1 @@
-"""Solvers beside the core's own ways: one interface, a backend each for OSQP and DAQP, and what they report."""
+"""Backend solvers besides the core's own methods: an interface, backends for OSQP and DAQP, and their reports."""

@@ -1,8 +1,8 @@
-"""Solvers of the condensed problem beside the core's own: one interface, and the loop that asks them.
+"""Backend solvers of the condensed problem, in addition to the core's own: one interface, and the loop that asks them.
 
 A backend is given only the kinds of limit that matter: those that pressed at the last tick or that the minimiser
-without limits breaks. If its solution keeps all others it solves the whole problem; if not, the kinds that it breaks
-are added and it is asked again.
+without limits breaks. If its solution keeps all others it solves the whole problem; if not, the broken kinds are added
+and it solves again.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SHORTEST = 1e-9
 
 
 class Program:
-    """The tick's quadratic program as it lies in the core's memory, which it shares.
+    """The tick's quadratic program in the core's memory, without a copy.
 
     Minimise U'HU/2 + g'U + penalty(soft rows) subject to lower <= values(U) <= upper, U the commands step by step.
 
@@ -95,13 +95,13 @@ class Program:
         return values
 
     def rows(self, kind: int) -> FloatArray:
-        """(N, 2 N) rows of one kind of soft limit."""
+        """Return the (N, 2 N) rows of one kind of soft limit."""
         rows, tick = np.empty((self._steps, 2 * self._steps)), self._tick
         tick.lib.ddmpc_soft_rows(tick.c, kind, tick.ffi.cast("real *", rows.ctypes.data))
         return rows
 
     def broken(self, plan: FloatArray, margin: float) -> Kinds:
-        """Kinds that `plan` (2 N,) exceeds somewhere by more than `margin`."""
+        """Return the kinds that `plan` (2 N,) exceeds somewhere by more than `margin`."""
         tick = self._tick
         values = tick.ffi.from_buffer("real[]", np.ascontiguousarray(plan))
         tick.lib.ddmpc_broken(tick.c, values, margin, self._missed)
@@ -109,7 +109,16 @@ class Program:
 
 
 class Solved(NamedTuple):
-    """What a backend found.
+    """Result of a backend.
+
+    Attributes
+    ----------
+    plan
+    (2 N,) plan; valid only if the status is usable.
+    multipliers
+    (kinds, N) of the limits, zero where a limit is inactive.
+    status, iterations, primal_residual, dual_residual
+    Report of the solver.
 
     Attributes
     ----------
@@ -144,7 +153,8 @@ class Backend(Protocol):
     ) -> Solved:
         """Solve with these kinds of limit, from a plan (2 N,) and multipliers (kinds, N) near the solution.
 
-        With `time_limit` it ends after so long [s], and does not begin if its factorisation is expected to last longer.
+        With `time_limit` it ends after that time [s], and does not start if its factorisation is expected to take
+        longer.
         """
         ...
 
@@ -152,8 +162,8 @@ class Backend(Protocol):
 class SetUpTime:
     """Processor time of work that a time limit does not interrupt, such as a factorisation.
 
-    The shortest measurement counts: a late one must not keep the solver from ever being asked again. Time of other
-    processes does not count.
+    The shortest measurement counts: a single late one must not disable the solver forever. Time of other processes does
+    not count.
     """
 
     def __init__(self) -> None:
@@ -174,7 +184,7 @@ class SetUpTime:
 def ask(
     backend: Backend, program: Program, path: str, slack: float, deadline: float | None = None
 ) -> tuple[Solved, SolverReport]:
-    """The solution of the whole problem by a backend called `path`; `slack` is what counts as kept.
+    """Solve the whole problem with a backend named `path`; `slack` is the tolerated violation of a limit.
 
     It ends at `deadline`, by `time.monotonic` [s]; a solve that could not end by then is not begun.
     """
@@ -200,7 +210,7 @@ def ask(
     )
 
 
-# The solvers that may be asked, by their names in the configuration (`solver.method`).
+# Available solvers, by their names in the configuration (`solver.method`).
 
 
 BACKENDS: Mapping[str, str] = {"daqp": "DaqpBackend", "osqp": "OsqpBackend"}

@@ -32,7 +32,7 @@ _STATUS = {
     -5: SolverStatus.NOT_CONVEX,
     _TOO_LATE: SolverStatus.TIME_LIMIT,
 }
-# Flags of a row; the last says of a soft limit that it is kept, though it presses.
+# Flags of a row; the last marks a soft limit that is active but not exceeded.
 _ACTIVE, _LOWER, _SOFT, _KEPT = 1, 2, 8, 32
 
 
@@ -67,7 +67,7 @@ class DaqpBackend:
         multipliers: FloatArray,
         time_limit: float | None = None,
     ) -> Solved:
-        """See `mpc.solver.backend.Backend`; the plan that is guessed has no part in it."""
+        """Solve as `mpc.solver.backend.Backend` describes; the guessed plan is not used."""
         deadline = None if time_limit is None else time.monotonic() + time_limit
         rows = np.concatenate([self._hard[kind] if kind < HARD else program.rows(kind) for kind in kinds])
         chosen = list(kinds)
@@ -102,7 +102,7 @@ class DaqpBackend:
             return _TOO_LATE, None
         price = self._weights.soft
         sense = np.where(near > 0, _ACTIVE, np.where(near < 0, _ACTIVE | _LOWER, 0)) | np.where(soft, _SOFT, 0)
-        # Begun from soft limits as exceeded, it may end beside the solution and call it solved.
+        # From a start with exceeded soft limits, it may end near the solution and call it solved.
         sense |= np.where(soft & (near != 0), _KEPT, 0)
         model = daqp.Model()
         with self._set_up_time.measured(len(rows)):

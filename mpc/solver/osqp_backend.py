@@ -1,9 +1,9 @@
 """Solve with OSQP, an operator-splitting method, driven directly and warm-started.
 
-Variables are (U, p, m): p, m >= 0 take up what exceeds the soft limits upwards and downwards. Rows of a soft limit and
-their p and m are divided by the greatest entry of these rows: without it OSQP takes ten times the iterations where they
-press. The work space of the hard limits is set up with the controller; one for each set of soft limits when it first
-matters.
+Variables are (U, p, m): p, m >= 0 are the excesses over the soft limits upwards and downwards. Rows of a soft limit and
+their p and m are divided by the greatest entry of these rows: without it OSQP needs ten times the iterations while
+limits are active. The work space of the hard limits is set up with the controller; one for each set of soft limits when
+it first matters.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _STATUS = {
     osqp.SolverStatus.OSQP_DUAL_INFEASIBLE_INACCURATE: SolverStatus.UNBOUNDED,
     osqp.SolverStatus.OSQP_NON_CVX: SolverStatus.NOT_CONVEX,
 }
-# A multiplier below this is what is left of one: its limit is not active.
+# Multipliers below this are numerical remainders of inactive limits. its limit is not active.
 _NO_PRESSURE = 1e-6
 # OSQP's own default [s].
 _NO_TIME_LIMIT = 1e10
@@ -74,7 +74,7 @@ class OsqpBackend:
         multipliers: FloatArray,
         time_limit: float | None = None,
     ) -> Solved:
-        """See `mpc.solver.backend.Backend`."""
+        """Solve as `mpc.solver.backend.Backend` describes."""
         soft = tuple(kind for kind in kinds if kind >= HARD)
         deadline = None if time_limit is None else time.monotonic() + time_limit
         workspace = self._workspaces.get(soft)
@@ -116,7 +116,8 @@ class _Workspace:
         slacks = [[pattern, -unit, unit], [None, unit, None], [None, None, unit]] if rows else []
         blocks = [*hard, *slacks] if rows else [row[:1] for row in hard]
         self._A = _sorted_csc(sparse.bmat(blocks))
-        # Where the changing block of A lies among its stored values: the columns of U hold it below the hard rows.
+        # Places of the changing block of A among its stored values: the columns of U hold it below the hard rows. the
+        # columns of U hold it below the hard rows.
         self._soft_place = _positions(self._A, self._rows - rows, rows, n) if rows else np.empty((0, n), dtype=np.intp)
         # Entries off the diagonal are stored, and nothing to begin with: numbers come with each tick.
         triangle = sparse.csc_matrix(np.triu(np.ones((n, n))))
@@ -125,7 +126,7 @@ class _Workspace:
         column = np.repeat(np.arange(n), np.arange(1, n + 1))
         self._triangle = n * np.concatenate([np.arange(k + 1) for k in range(n)]) + column
         self._gradient = np.zeros(n + 2 * rows)
-        # Which of all rows are soft limits, and what each of these is divided by.
+        # Rows of soft limits, and their divisors.
         self._limits, self._size = slice(self._rows - rows, self._rows), np.ones(rows)
         self._lower = np.zeros(self._rows + 2 * rows)
         self._upper = np.full(self._rows + 2 * rows, np.inf)
@@ -212,7 +213,7 @@ class _Workspace:
         return np.concatenate([guess, over, under])
 
     def _dual(self, multipliers: FloatArray) -> FloatArray:
-        """Multipliers of all rows; a slack's bound presses with what its limit leaves of the price."""
+        """Fill the multipliers of all rows; a slack's bound gets the part of the price that its limit does not use."""
         pressing = multipliers[self._kinds].reshape(-1)
         if not self._soft:
             return pressing
@@ -232,14 +233,14 @@ class _Workspace:
 
 
 def _sorted_csc(matrix: FloatArray | sparse.spmatrix) -> sparse.csc_matrix:
-    """Compressed columns with ascending rows: the order in which new values are written."""
+    """Convert to compressed columns with ascending rows, the order in which new values are written."""
     result = sparse.csc_matrix(matrix)
     result.sort_indices()
     return result
 
 
 def _positions(matrix: sparse.csc_matrix, first_row: int, rows: int, columns: int) -> NDArray[np.intp]:
-    """(rows, columns) places in `matrix.data` of the dense block that starts at `first_row` in the first column."""
+    """Return (rows, columns) places in `matrix.data` of the dense block from `first_row` in the first column."""
     numbered = matrix.copy()
     numbered.data = np.arange(1, matrix.nnz + 1, dtype=float)
     return np.asarray(numbered[first_row : first_row + rows, :columns].toarray() - 1, dtype=np.intp)

@@ -30,7 +30,7 @@ class QuadraticProgram(NamedTuple):
         (m, n).
     l, u
         (m,) bounds, infinite where there is none. Increments of the first step count from zero: the command before is
-        part of their bounds. Soft limits are those of the values along the plan less what they are at a plan of zeros.
+        part of their bounds. Soft limits apply to the values along the plan less those at a plan of zeros.
     variables, rows
         (n,), (m,) names, such as `v[3]` and `soft omega[3]`; the number is the step.
     """

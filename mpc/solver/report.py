@@ -1,4 +1,4 @@
-"""What the solver says about one tick; it travels with every command."""
+"""Report of the solver about one tick; it accompanies every command."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class SolverStatus(StrEnum):
 
     @property
     def usable(self) -> bool:
-        """Whether a command may be taken from such a solution."""
+        """True if a command may be taken from such a solution."""
         return self in _USABLE
 
 

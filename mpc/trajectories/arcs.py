@@ -43,7 +43,7 @@ class ArcTrajectory(TableTrajectory):
 
     @classmethod
     def lay(cls, name: str, start: ArrayLike, stretches: Sequence[PathStretch]) -> ArcTrajectory:
-        """Lay `stretches` one after the other from the pose `start` (3,) [m, m, rad]."""
+        """Lay `stretches` in sequence from the pose `start` (3,) [m, m, rad]."""
         forward, turn, length = np.array([stretch[:3] for stretch in stretches], dtype=float).reshape(-1, 3).T
         poses = chained(start, forward, turn, length).tolist()
         time, arc_length = 0.0, 0.0
@@ -59,13 +59,13 @@ class ArcTrajectory(TableTrajectory):
 
 
 def chained(start: ArrayLike, forward: FloatArray, turn: FloatArray, length: FloatArray) -> FloatArray:
-    """Poses (n + 1, 3) [m, m, rad] at the ends of n arcs, one after the other from the pose `start` (3,).
+    """Chain n arcs from the pose `start` (3,); return poses (n + 1, 3) [m, m, rad] at their ends.
 
     Each drives `forward` (n,) metres and turns by `turn` (n,) radians for each unit of its `length` (n,).
     """
     first = np.asarray(start, dtype=float)
     heading = np.cumsum(np.append(first[2], turn * length))
-    at = np.zeros((len(length), 3))
-    at[:, 2] = heading[:-1]
-    moved = integrate_pose(at, forward, turn, length)[:, :2]
+    poses = np.zeros((len(length), 3))
+    poses[:, 2] = heading[:-1]
+    moved = integrate_pose(poses, forward, turn, length)[:, :2]
     return np.column_stack([np.cumsum(np.vstack([first[:2], moved]), axis=0), heading])

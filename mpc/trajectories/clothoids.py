@@ -1,9 +1,9 @@
 """Paths of continuous, piecewise linear curvature: clothoids in place of the jumps of curvature between arcs.
 
-Around a joint of two arcs three clothoids replace what lies within a reach on both sides; they meet both arcs with
-equal position, heading and curvature, so the path is changed nowhere else and returns to what was drawn. Three are
-what such a joint needs: Bertolazzi and Frego, "On the G2 Hermite interpolation problem with clothoids", J. Comput.
-Appl. Math. 341 (2018). The parts keep one proportion here, which leaves two curvatures and the length to be found.
+Around a joint of two arcs, three clothoids replace the part within a reach on both sides; they meet both arcs with
+equal position, heading and curvature, so the path is changed nowhere else and returns to what was drawn. Such a joint
+needs three: Bertolazzi and Frego, "On the G2 Hermite interpolation problem with clothoids", J. Comput. Appl. Math. 341
+(2018). The parts keep one proportion here, which leaves two curvatures and the length to be found.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from diffdrive_mpc.models.pose import integrate_pose
 _MIDDLE = 0.4
 _PARTS = np.array([(1 - _MIDDLE) / 2, _MIDDLE, (1 - _MIDDLE) / 2])
 _MOST_TURN = math.pi / 2
-# A joint of arcs that reaches no further [m] is none.
+# Reach below which a joint is omitted [m].
 _TINY = 1e-9
 _LOOKS = np.linspace(0.0, 1.0, 41)
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 
 class Clothoid(NamedTuple):
-    """A stretch of path whose curvature goes linearly over its arc length."""
+    """Stretch of path whose curvature is linear in arc length."""
 
     length: float
     """[m], positive."""
@@ -41,20 +41,20 @@ class Clothoid(NamedTuple):
 
 
 class Joint(NamedTuple):
-    """What stands in place of a jump of curvature."""
+    """Transition that replaces a jump of curvature."""
 
     before: float
     """Curvature of the arc that ends there [1/m]."""
     after: float
     """Curvature of the arc that begins there [1/m]."""
     reach: float
-    """By how much both arcs are shortened [m]."""
+    """Length by which both arcs are shortened [m]."""
     parts: tuple[Clothoid, ...]
     """In order; none where the curvature does not jump, or an arc is too short for them."""
 
 
-def along(parts: Sequence[Clothoid], at: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Poses and curvatures of a path of clothoids that is driven forwards from the origin.
+def along(parts: Sequence[Clothoid], arc_length: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Compute poses and curvatures of a path of clothoids that is driven forwards from the origin.
 
     Parameters
     ----------
@@ -78,16 +78,16 @@ def along(parts: Sequence[Clothoid], at: FloatArray) -> tuple[FloatArray, FloatA
         slope = ((last - first) / lengths)[piece]
         return turned[piece] + since * (first[piece] + slope * since / 2), first[piece] + slope * since
 
-    heading, curvature = bent(at)
-    step = np.diff(at)[:, None]
-    inside, _ = bent(at[:-1, None] + step * (_NODES + 1) / 2)
+    heading, curvature = bent(arc_length)
+    step = np.diff(arc_length)[:, None]
+    inside, _ = bent(arc_length[:-1, None] + step * (_NODES + 1) / 2)
     points = np.stack([np.cos(inside) @ _WEIGHTS, np.sin(inside) @ _WEIGHTS], axis=1) * step / 2
     return np.column_stack([np.concatenate([np.zeros((1, 2)), np.cumsum(points, axis=0)]), heading]), curvature
 
 
 @lru_cache(maxsize=1024)
 def joint(before: float, after: float, longest: float, distance: float) -> Joint:
-    """Clothoids between an arc of curvature `before` and one of curvature `after` [1/m].
+    """Design clothoids between an arc of curvature `before` and one of curvature `after` [1/m].
 
     They reach as far as they can: at most `longest` [m] to either side, and at most `distance` [m] from the arcs.
     """
@@ -105,12 +105,13 @@ def joint(before: float, after: float, longest: float, distance: float) -> Joint
 
     if excess(most) <= 0:
         return made(most)
-    # The distance goes with the square of the reach. A hair less, so that it is kept and not only met.
+    # The distance is proportional to the square of the reach. It is reduced slightly to stay below the limit in spite
+    # of rounding. A hair less, so that it is kept and not only met.
     return made(most * brentq(lambda share: excess(share * most) + 0.001 * distance, 1e-6, 1.0, xtol=1e-6))
 
 
 def _fit(before: float, after: float, reach: float) -> tuple[Clothoid, ...]:
-    """Clothoids from `reach` [m] before a joint of arcs to `reach` after it."""
+    """Build clothoids from `reach` [m] before a joint of arcs to `reach` after it."""
     target = integrate_pose(integrate_pose(np.zeros(3), 1.0, before, reach), 1.0, after, reach)
     overshoot = 0.1 * (after - before)
 
@@ -131,7 +132,7 @@ def _fit(before: float, after: float, reach: float) -> tuple[Clothoid, ...]:
 
 
 def distances(poses: FloatArray, to: Joint) -> FloatArray:
-    """Distances (n,) [m] from the arcs that a joint replaces, of poses (n, 3) seen from where it begins.
+    """Compute distances (n,) [m] from the arcs that a joint replaces, for poses (n, 3) in the frame of its start.
 
     Seen from where the arcs meet, along their common tangent, a pose behind has its foot on the first arc and a pose
     ahead has it on the second, as long as each turns by less than half a turn.

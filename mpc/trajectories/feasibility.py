@@ -1,7 +1,7 @@
 """Find where a reference asks for more than model and limits give, before the robot moves, and which timing would do.
 
-The linear model without limits follows a reference up to what its lags round off. So only the difference to that robot
-is computed, in the twists that commands settle at: commands that the limits cut leave a deficit of distance and
+The linear model without limits follows a reference apart from smoothing by its lags. So only the difference to that
+robot is computed, in the twists that commands settle at: commands that the limits cut leave a deficit of distance and
 heading, which later commands work off as far as the limits allow.
 """
 
@@ -23,9 +23,11 @@ from diffdrive_mpc.mpc.trajectories.speed_check import at_side, checked_referenc
 
 _LIMITS = ("v", "omega", "v_slew", "omega_slew", "wheel_speed", "predicted_v", "predicted_omega")
 _ROUNDING = 1e-6
-# Step [s] and largest number of steps: a shorter sample time is not resolved; longer references are looked at so far.
+# Step [s] and maximum number of steps: shorter sample times are not resolved, and the rest of longer references is not
+# checked. a shorter sample time is not resolved; longer references are looked at so far.
 _STEP, _MOST_TICKS = 0.05, 12_000
-# Speed for each metre behind and yaw rate for each radian [1/s]; share of a tolerance from which a deficit grows [-].
+# Speed per metre of lag and yaw rate per radian [1/s]; share of a tolerance from which a deficit counts as growing [-].
+# share of a tolerance from which a deficit grows [-].
 _CATCH_UP, _GROWS_FROM = 5.0, 0.5
 # Share of the horizon beyond the lags over which v and omega are planned ahead: the cost weighs headings lightly [-].
 _PREVIEWS = 1.0, 0.5
@@ -83,7 +85,8 @@ def find_shortfall(
     """Return where `reference` first takes the robot of `config` and `model` beyond its limits; None if nowhere.
 
     The robot starts on the reference, at rest or, if it `is_moving`, with the reference's twist. Steps and corners that
-    lags round off do not count. Tolerances are in `settings.yaml`. The first ten minutes of a reference are looked at.
+    lags round off do not count. Tolerances are in `settings.yaml`. Only the first ten minutes of a reference are
+    checked.
     """
     timed = partial(_Ticks, checked_reference(reference), config, model, is_moving)
     ticks = timed(1.0)
@@ -93,7 +96,7 @@ def find_shortfall(
     first, end = int(notes[0, 0]), int(notes[-1, 0]) + ticks.preview + 1
     parts = (np.abs(notes[:, 1:]) / np.tile(ticks.tolerance, 3)).sum(axis=0)
     exceeded = ticks.ratio > 1.0 + _ROUNDING
-    # A limit that only the way back to the reference meets is no cause.
+    # A limit that applies only to paths back to the reference is no cause.
     row = int(np.argmax(np.where(exceeded[:end].any(axis=0), [*parts[:4], parts[4:].max(), *parts[4:]], -1.0)))
     over, name = np.flatnonzero(exceeded[:, row]), _LIMITS[row]
     run = [run for run in np.split(over, np.flatnonzero(np.diff(over) > 1) + 1) if run[0] < end][-1]
@@ -189,7 +192,7 @@ class _Ticks:
 
 
 def _foreseen(cut: FloatArray, slew: SlewLimit, step: float, preview: int) -> FloatArray:
-    """Return commands (K,) that begin to change so early that a change beyond the slew lies in the middle of its ramp.
+    """Return commands (K,) that start to change early, so that a change beyond the slew is centred in its ramp.
 
     Half of the time by which the ramp takes longer is before it: that is a slope of the harmonic mean of both.
     """

@@ -40,7 +40,7 @@ class TrajectoryLimits:
         Largest lateral acceleration |v omega|, which smooth timing keeps to [m/s^2]; by default that of the robot of
         the papers.
     min_turn_radius
-        Turns are no tighter [m]; 0 allows turning on the spot. Only the way back to a reference looks at it.
+        Turns are no tighter [m]; 0 allows turning on the spot. Only paths back to a reference use it.
     """
 
     v: float
@@ -59,7 +59,7 @@ class TrajectoryLimits:
 
     @classmethod
     def of_robot(cls, robot: Robot | None = None) -> TrajectoryLimits:
-        """Speed limits and reference accelerations of `robot`; by default the robot of the papers."""
+        """Return speed limits and reference accelerations of `robot`; by default the robot of the papers."""
         robot = robot or load_robot()
         return cls(
             v=robot.limits.v,
@@ -71,9 +71,9 @@ class TrajectoryLimits:
 
     @classmethod
     def of_controller(cls, limits: Limits) -> TrajectoryLimits:
-        """Speed limits of a controller's configuration; accelerations as usual, but never beyond its slew limits.
+        """Return the speed limits of a controller's configuration, and accelerations within its slew limits.
 
-        Of slew limits with two sides a share is left to tracking; one number is used in full, as ever.
+        For slew limits with two sides a share is reserved for tracking; a single number is used in full.
         """
         usual = cls.of_robot()
 
@@ -117,7 +117,7 @@ class TrajectorySettings(StrictModel):
     heading_tolerance: float = Field(gt=0, description="difference of heading that is feasible [rad]")
 
     def pieces_between(self, points: int, usual: int, least: int, where: str) -> int:
-        """Pieces from one of `points` to the next: the usual number, and fewer where there are very many points.
+        """Choose the number of pieces between two of `points`: the usual number, or fewer for very many points.
 
         Raises
         ------

@@ -22,7 +22,7 @@ _FOLDER = Path(__file__).parent / "built_in"
 BUILT_IN: tuple[str, ...] = shipped_names(_FOLDER)
 """Names of the trajectories that ship with the package as files."""
 _RANDOM = "spline-SEED"
-"""How the names of random splines look."""
+"""Pattern of the names of random splines."""
 
 
 def load_trajectory(
@@ -86,7 +86,7 @@ def load_trajectory(
 
 
 def load_segments(name_or_path: str | Path) -> tuple[Segment, ...]:
-    """The segments of a trajectory as its file states them: twists that jump, as a script would command them.
+    """Load the segments of a trajectory as its file states them: twists that jump, as in a script of commands.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def load_segments(name_or_path: str | Path) -> tuple[Segment, ...]:
 
 
 def _read(path: Path, limits: TrajectoryLimits, timing: Timing | None) -> Trajectory:
-    # Paths of arcs, as most of the shipped ones are, do without SciPy, which all others are laid with.
+    # Paths of arcs, which most shipped ones are, do not need SciPy.
     if path.suffix.lower() == ".csv":
         from diffdrive_mpc.mpc.trajectories.timed_poses import read_timed_poses  # noqa: PLC0415
 
@@ -148,7 +148,7 @@ def _remarked(trajectory: Trajectory, drawn: str, timing: str = "", segments: Se
 
 
 def _caps(use: PassportUse | None, timing: Timing, path: Path) -> SpeedCaps | None:
-    """The speeds of the passport that the trajectory file at `path` names, if it names one."""
+    """Load the speed limits of the passport that the trajectory file at `path` names, if it names one."""
     if use is not None and timing != "smooth":
         raise ConfigError(f"{path}: speed_passport: timing '{timing}' takes none; time it with 'smooth'")
     return None if use is None else load_speed_caps(use, path.parent)

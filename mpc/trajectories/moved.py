@@ -52,14 +52,14 @@ class MovedReference:
 
     @cached_property
     def native(self) -> NativeTrajectory | None:
-        """The same in the compiled core, where that can sample the original."""
+        """The same in the compiled core, if it can sample the original."""
         native = getattr(self.original, "native", None)
         if not isinstance(native, NativeTrajectory) or any(native.struct.motion):
             return None
         return native.moved(self.motion)
 
     def __getstate__(self) -> dict[str, object]:
-        """Without the memory of C."""
+        """Copy the state without the memory of C."""
         return {name: value for name, value in self.__dict__.items() if name != "native"}
 
     def sample(self, times: ArrayLike) -> ReferenceSample:
@@ -75,7 +75,7 @@ class MovedReference:
 
 
 def starting_at(reference: Reference, pose: ArrayLike) -> MovedReference:
-    """`reference` turned and moved so that it starts at `pose` (3,) x, y [m], theta [rad]."""
+    """Rotate and translate `reference` so that it starts at `pose` (3,) x, y [m], theta [rad]."""
     start = reference.sample([0.0]).pose[0]
     x, y, theta = np.asarray(pose, dtype=float)
     turn = theta - start[2]
@@ -98,13 +98,13 @@ _ROOM = 1.2
 def scaled_to_robot(
     name_or_path: str | Path, config: ControllerConfig, model: VelocityModel | NonlinearModel
 ) -> ArcTrajectory:
-    """A path of segments, its lengths multiplied by the robot's track over that of the robot of the papers.
+    """Scale a path of segments by the robot's track over that of the robot of the papers.
 
-    A robot with a least turn radius gets a path whose tightest turn is wider than that.
-    It is driven as fast as a share of what the robot can reach allows, and stops where the curvature jumps. A robot
-    reaches its limits of the command times the model's steady-state gain, as far as its wheels get so fast, and follows
-    a share of its limits of the slew. As it answers late, an acceleration takes its lag's worth more command: the same
-    share of what the speed leaves. The shares stand in `settings.yaml`.
+    A robot with a minimum turn radius gets a path whose tightest turn is wider. Its speed is a share of what the robot
+    can reach, and it stops where the curvature jumps. A robot reaches its limits of the command times the model's
+    steady-state gain, as far as its wheels get so fast, and follows a share of its limits of the slew. As it answers
+    late, an acceleration takes its lag's worth more command: the same share of what the speed leaves. The shares are in
+    `settings.yaml`.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def scaled_to_robot(
 
 
 def _tightest(segments: Sequence[Segment], path: str | Path, limits: Limits) -> float:
-    """Least radius of a path [m]; raises ConfigError where it turns on the spot."""
+    """Return the minimum radius of a path [m]; raise ConfigError where it turns on the spot."""
     turning = [segment for segment in segments if segment.omega]
     if any(segment.v == 0.0 for segment in turning):
         name = "min_turn_radius" if limits.min_turn_radius else "min_commanded_radius"

@@ -64,7 +64,7 @@ class NativeTrajectory:
         return np.array(list(self.struct.motion))
 
     def moved(self, motion: ArrayLike) -> NativeTrajectory:
-        """The same elsewhere."""
+        """Return the trajectory moved by `motion`."""
         return NativeTrajectory(self.breaks, self.table, self.struct.duration, motion)
 
     def sample(self, times: ArrayLike) -> ReferenceSample:
@@ -74,14 +74,14 @@ class NativeTrajectory:
         block = np.empty(6 * count)
         pose, twist, arc_length = block[: 3 * count], block[3 * count : 5 * count], block[5 * count :]
         cast = self._ffi.cast
-        begin = block.ctypes.data
+        start = block.ctypes.data
         self._lib.ddmpc_sample(
             self.struct,
             cast("const double *", wanted.ctypes.data),
             count,
-            cast("real *", begin),
-            cast("real *", begin + 24 * count),
-            cast("real *", begin + 40 * count),
+            cast("real *", start),
+            cast("real *", start + 24 * count),
+            cast("real *", start + 40 * count),
         )
         return ReferenceSample(pose.reshape(count, 3), twist.reshape(count, 2), arc_length)
 
@@ -94,7 +94,7 @@ class NativeReference:
     struct
         For the core.
     complete
-        Whether the core can sample all of it; else it knows duration and end only, and Python has to say what to track.
+        Whether the core can sample all of it; otherwise it knows only duration and end, and Python provides the target.
     """
 
     def __init__(self, reference: Reference) -> None:
@@ -113,13 +113,13 @@ class NativeReference:
 
 
 def _native(reference: Reference) -> NativeTrajectory | None:
-    """What samples it in C, where there is such a thing."""
-    own = getattr(reference, "native", None)
-    return own if isinstance(own, NativeTrajectory) else None
+    """Return the object that samples the reference in C, if there is one."""
+    native = getattr(reference, "native", None)
+    return native if isinstance(native, NativeTrajectory) else None
 
 
 def _rest(reference: Reference) -> NativeTrajectory:
-    """Standing at the end of a reference."""
+    """Build a trajectory that stands at the end of a reference."""
     table = np.zeros((10, 1))
     table[1:4, 0] = reference.sample([reference.duration]).pose[0]
     return NativeTrajectory(np.zeros(1), table, reference.duration)
@@ -127,7 +127,7 @@ def _rest(reference: Reference) -> NativeTrajectory:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TableTrajectory(Trajectory):
-    """A trajectory that the compiled core samples; subclasses say what its `breaks` and `table` hold."""
+    """A trajectory that the compiled core samples; subclasses define its `breaks` and `table`."""
 
     breaks: FloatArray
     table: FloatArray
@@ -142,7 +142,7 @@ class TableTrajectory(Trajectory):
         return self.native.sample(times)
 
     def __getstate__(self) -> dict[str, object]:
-        """Without the memory of C."""
+        """Copy the state without the memory of C."""
         return {name: value for name, value in self.__dict__.items() if name != "native"}
 
 
@@ -159,8 +159,8 @@ class TabledTrajectory(Trajectory):
     native: NativeTrajectory
 
     @classmethod
-    def of(cls, data: Mapping[str, Any]) -> TabledTrajectory:
-        """The trajectory of what `table_of` gave; raises ConfigError where it is something else."""
+    def from_table(cls, data: Mapping[str, Any]) -> TabledTrajectory:
+        """Build the trajectory from the result of `table_of`; raise ConfigError for anything else."""
         try:
             breaks, table = (np.array(data[name], dtype=float) for name in ("breaks", "table"))
             native = NativeTrajectory(breaks, table, float(data["duration"]), data["motion"])

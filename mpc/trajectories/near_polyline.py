@@ -1,4 +1,4 @@
-"""A spline that stays near the polyline of its waypoints: it interpolates them, and rounds corners where it must."""
+"""A spline that stays near the polyline of its waypoints: it interpolates them, and rounds corners only if needed."""
 
 from __future__ import annotations
 

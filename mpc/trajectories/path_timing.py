@@ -1,4 +1,4 @@
-"""Time along a path: the fastest speed that keeps to the speed and acceleration limits, by two passes."""
+"""Time along a path: the maximum speed within the speed and acceleration limits, by two passes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def squared_speeds(
     enter: float = 0.0,
     sense: int = 1,
 ) -> FloatArray:
-    """Squared speed at the ends of the pieces of a path, at rest at its end, and at its start unless it enters faster.
+    """Compute the squared speed at the ends of the pieces of a path that ends at rest.
 
     On each piece the acceleration a is constant, so v^2 is linear in arc length. With curvature k the yaw acceleration
     is dk/ds v^2 + k a. It is bounded by |dk/ds| v^2 + |k| |a|, which only falls when the faster end of a piece is
@@ -78,8 +78,8 @@ def squared_speeds(
         for i in pieces:
             start = reached[i + behind]
             free, room, share = start + rise[i], most + lever[i] * start, total[i]
-            there = free if share * free <= room else room / share
-            reached[i + ahead] = min(reached[i + ahead], there)
+            reachable = free if share * free <= room else room / share
+            reached[i + ahead] = min(reached[i + ahead], reachable)
 
     passed(range(lengths.size), 1)
     passed(range(lengths.size - 1, -1, -1), 0)
@@ -89,7 +89,7 @@ def squared_speeds(
 def timed(
     path: SmoothPath, square: FloatArray, limits: TrajectoryLimits, sense: int = 1
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Instants (m + 1,) [s] from 0, poses (m + 1, 3) and their time derivatives at the ends of the pieces of `path`.
+    """Compute instants (m + 1,) [s] from 0, poses (m + 1, 3) and their time derivatives at the ends of the pieces.
 
     `square` are the squared speeds there [m^2/s^2], `sense` is 1 forwards and -1 backwards.
     """
@@ -99,13 +99,13 @@ def timed(
     poses = np.column_stack([path.points, path.heading])
     along = sense * np.column_stack([np.cos(path.heading), np.sin(path.heading)])
     rates = v[:, None] * np.column_stack([along, path.curvature])
-    # Between the nodes the heading is a cubic, whose yaw acceleration may exceed the timed one by a hair.
+    # Between the nodes the heading is a cubic, whose yaw acceleration may slightly exceed the timed one.
     slower = np.sqrt(max(1.0, _yaw_acceleration(times, path.heading, rates[:, 2]) / limits.omega_acceleration))
     return times * slower, poses, rates / slower
 
 
 def _yaw_acceleration(times: FloatArray, heading: FloatArray, rate: FloatArray) -> float:
-    """Largest |second derivative| [rad/s^2] of the cubic pieces with these values and slopes at `times`."""
+    """Return the maximum |second derivative| [rad/s^2] of the cubic pieces with these values and slopes at `times`."""
     step = np.diff(times)
     mean = np.diff(heading) / step
     first, last = rate[:-1], rate[1:]

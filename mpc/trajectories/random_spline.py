@@ -20,7 +20,7 @@ from diffdrive_mpc.mpc.trajectories.waypoints import lay_waypoints
 
 
 class RandomSplines(StrictModel):
-    """What random paths are drawn from."""
+    """Distribution of random paths."""
 
     timing: Timing = Field(description="how speed is laid over the path")
     legs: int = Field(ge=1, description="number of legs between waypoints")
@@ -31,7 +31,7 @@ class RandomSplines(StrictModel):
     omega: float = Field(gt=0, description="highest yaw rate [rad/s]")
 
     def waypoints(self, seed: int) -> FloatArray:
-        """(legs + 1, 2) x, y [m] of the path of a seed, from the origin with the first leg along x."""
+        """Draw (legs + 1, 2) x, y [m] of the path of a seed, from the origin with the first leg along x."""
         random = np.random.default_rng(seed)
         while True:
             heading = np.append(0.0, np.cumsum(random.uniform(-self.turn, self.turn, self.legs - 1)))
@@ -47,17 +47,17 @@ class RandomSplines(StrictModel):
 
 @cache
 def random_splines() -> RandomSplines:
-    """What the package draws random paths from."""
+    """Load the distribution of the package's random paths."""
     return load_checked(RandomSplines, Path(__file__).parent / "random_spline.yaml")
 
 
 def lay_random_spline(seed: int, limits: TrajectoryLimits, timing: Timing | None = None) -> SplineTrajectory:
-    """The path of a seed, the same bit for bit at each call, within `limits` and those of the settings.
+    """Lay the path of a seed within `limits` and those of the settings; it is the same bit for bit at each call.
 
     `timing` replaces that of the settings. Raises ConfigError if it is "commanded" and the path turns too fast for it.
     """
-    of = random_splines()
-    slower = replace(limits, v=min(side_of(limits.v, 1.0), of.speed), omega=min(limits.omega, of.omega))
-    points = [(float(x), float(y)) for x, y in of.waypoints(seed)]
+    settings = random_splines()
+    slower = replace(limits, v=min(side_of(limits.v, 1.0), settings.speed), omega=min(limits.omega, settings.omega))
+    points = [(float(x), float(y)) for x, y in settings.waypoints(seed)]
     name = f"spline-{seed}"
-    return lay_waypoints(points, slower, name=name, where=name, timing=timing or of.timing, max_deviation=None)
+    return lay_waypoints(points, slower, name=name, where=name, timing=timing or settings.timing, max_deviation=None)

@@ -2,14 +2,14 @@
 
 A segment fixes geometry and cruise speed: an arc of length |v| duration and curvature omega / v, driven backwards where
 v < 0; a turn on the spot where v = 0; a wait where both are zero. With `commanded` each twist lasts for its duration.
-With `stop` a robot at rest can start and end it, the geometry is kept exactly and time is added where the acceleration
-limits need it.
+With `stop` a robot starts and ends at rest, the geometry is exact, and time is added as the acceleration limits
+require.
 
-On an arc omega = curvature * v, so where the curvature jumps, omega would jump too unless v = 0 there. Exact
-geometry with a bounded yaw acceleration thus forces the robot to rest between segments of different curvature, between
-forward and backward travel, and around a turn on the spot. Consecutive segments of equal curvature and direction
-form one run, within which the speed goes from one cruise value to the next without a stop. On an arc the acceleration
-is bounded by the smaller of the forward limit and the yaw limit over the curvature.
+On an arc omega = curvature * v, so where the curvature jumps, omega would jump too unless v = 0 there. With exact
+geometry and bounded yaw acceleration, the robot must stop between segments of different curvature, at reversals, and
+around a turn on the spot. Consecutive segments of equal curvature and direction form one run, within which the speed
+goes from one cruise value to the next without a stop. On an arc the acceleration is bounded by the smaller of the
+forward limit and the yaw limit over the curvature.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def lay_commanded(
     """Take `segments` as a script would command them: each twist for its duration, with steps from one to the next.
 
     Only at the start and at the end of all driving the twist follows a ramp within the accelerations, for which time is
-    added: a step from rest would say nothing of a path. Arguments and errors are those of `lay_segments`.
+    added: a step from rest would contain no path. Arguments and errors are those of `lay_segments`.
     """
     check_segments(segments, limits, where, exact=True)
     moving = [i for i, segment in enumerate(segments) if segment.cruise]
@@ -116,7 +116,7 @@ def lay_commanded(
 def check_segments(segments: Sequence[Segment], limits: TrajectoryLimits, where: str, *, exact: bool = False) -> None:
     """Raise ConfigError for no segment, too many, or one faster than `limits`; `where` names their source.
 
-    Timing slows down what is only beyond the smaller side of a limit, unless speeds are `exact`.
+    Timing reduces speeds beyond the smaller side of a limit, unless speeds are `exact`.
     """
     if not segments:
         raise ConfigError(f"{where}: segments is empty; give at least one {{v, omega, duration}}")
@@ -146,8 +146,9 @@ def runs(segments: Sequence[Segment]) -> list[list[Segment]]:
 
 
 def _joins(first: Segment, second: Segment) -> bool:
-    """Whether forward and yaw motion stay in the same proportion from `one` to `other`."""
-    # Only rounding of omega / v is forgiven: the yaw rate may then jump by no more than that.
+    """Return True if forward and yaw motion keep the same proportion from `first` to `second`."""
+    # Only rounding of omega / v is tolerated: the yaw rate may then jump by no more than that. the yaw rate may then
+    # jump by no more than that.
     return all(
         math.isclose(a, b, rel_tol=1e-12, abs_tol=1e-12) for a, b in zip(first.direction, second.direction, strict=True)
     )
@@ -181,7 +182,7 @@ def slowed(segments: Sequence[Segment], limits: TrajectoryLimits) -> list[Segmen
 
 
 def _acceleration(run: Sequence[Segment], limits: TrajectoryLimits) -> float:
-    """Largest change of the rate of progress that no segment of `run`, all moving, lacks room for."""
+    """Compute the maximum change of the progress rate for which each moving segment of `run` has room."""
     bounds = (limits.v_acceleration, limits.omega_acceleration)
     return min(
         bound / abs(share) for segment in run for share, bound in zip(segment.direction, bounds, strict=True) if share

@@ -61,8 +61,8 @@ def smooth_path(
         pieces = settings.pieces_between(len(waypoints), settings.pieces_per_waypoint, least, where)
     chords = np.hypot(*np.diff(waypoints, axis=0).T)
     if chords.min() < _COINCIDE:
-        at = int(np.argmin(chords))
-        raise ConfigError(f"{where}: waypoints.{at} and waypoints.{at + 1} coincide; remove one")
+        index = int(np.argmin(chords))
+        raise ConfigError(f"{where}: waypoints.{index} and waypoints.{index + 1} coincide; remove one")
     along = np.concatenate([[0.0], np.cumsum(chords)])
     if max_deviation is None:
         bounds = tuple((2, np.zeros(2)) if end is None else (1, np.array([np.cos(end), np.sin(end)])) for end in ends)
@@ -82,9 +82,9 @@ def smooth_path(
     bend = np.maximum(bend.max(axis=1), np.maximum(np.abs(curvature[:-1]), np.abs(curvature[1:])))
     # A cusp shows in the heading even where the curvature is zero on both sides of it.
     tightest = np.abs(np.diff(heading)) / lengths
-    at = int(np.argmax(tightest))
-    if tightest[at] * settings.min_turn_radius > 1:
-        leg = int(np.searchsorted(along[1:-1], u[at], side="right"))
+    index = int(np.argmax(tightest))
+    if tightest[index] * settings.min_turn_radius > 1:
+        leg = int(np.searchsorted(along[1:-1], u[index], side="right"))
         near = "" if max_deviation is None else f", or raise max_deviation = {max_deviation:g}"
         raise ConfigError(
             f"{where}: the path turns with a radius below {settings.min_turn_radius:g} m between waypoints."

@@ -1,8 +1,8 @@
 """Segments driven without a stop where the curvature jumps: clothoids round the jumps, a speed within all limits.
 
-Only the path is changed, by no more than a stated distance. The robot still stops where it has to: at cusps, and before
-and after a turn on the spot or a wait, which stay what they are. A segment that turns more tightly than the settings'
-least radius counts as a turn on the spot.
+Only the path changes, by at most a stated distance. The robot still stops where necessary: at cusps, and before and
+after a turn on the spot or a wait, which do not change. A segment that turns more tightly than the settings' least
+radius counts as a turn on the spot.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def lay_smooth(
     smoothing: float | None = None,
     caps: SpeedCaps | None = None,
 ) -> SplineTrajectory:
-    """Turn `segments` into a trajectory of continuous curvature, from rest to rest, that stops only where it must.
+    """Convert `segments` to a trajectory of continuous curvature, from rest to rest, with as few stops as possible.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def lay_smooth(
 
 
 def _check_work(segments: Sequence[Segment], where: str) -> None:
-    """Raise ConfigError where there are too many pieces or joints, before any is made."""
+    """Raise ConfigError for too many pieces or joints, before any is built."""
     settings = load_settings()
     driven = [(segment, bool(_sense(segment))) for segment in segments]
     pieces = sum(
@@ -104,13 +104,13 @@ def _check_work(segments: Sequence[Segment], where: str) -> None:
 
 
 def _sense(segment: Segment) -> int:
-    """1 forwards, -1 backwards, 0 for a turn on the spot, or nearly so, and for a wait."""
+    """Return 1 forwards, -1 backwards, 0 for a wait and for a turn on the spot or nearly so."""
     turning = abs(segment.omega) * load_settings().min_turn_radius > abs(segment.v)
     return 0 if turning or not segment.cruise else int(math.copysign(1, segment.v))
 
 
 def turned(group: Sequence[Segment], pose: FloatArray, limits: TrajectoryLimits) -> Iterator[Nodes]:
-    """Nodes of turns on the spot and waits, as they are without smoothing."""
+    """Yield nodes of turns on the spot and waits, which are not smoothed."""
     for stretch in (stretch for run in runs(group) for stretch in timed_run(run, limits)):
         for phase in stretch.phases:
             turn = abs(stretch.turn) * phase.duration * (phase.rate + phase.acceleration * phase.duration / 2)
@@ -132,10 +132,10 @@ def _driven(
     distance: float,
     caps: SpeedCaps | None,
 ) -> Nodes:
-    """Nodes of segments that are driven in one direction, from rest to rest."""
+    """Compute nodes of segments that are driven in one direction, from rest to rest."""
     bends = [segment.omega / abs(segment.v) for segment in run]
     lengths = [abs(segment.v) * segment.duration for segment in run]
-    # Half of a segment for the joint at each of its ends, all of it where it has only one.
+    # Each joint gets half of a segment, or all of it if the segment has only one.
     room = [length / 2 for length in lengths]
     room[0], room[-1] = lengths[0], lengths[-1]
     joints = [joint(*pair, min(spaces), distance) for pair, spaces in zip(pairwise(bends), pairwise(room), strict=True)]
@@ -149,16 +149,16 @@ def _driven(
             blocks.append((joints[i].parts, min(abs(segment.v), abs(run[i + 1].v)), joints[i]))
 
     spacing = load_settings().smooth_piece
-    at: list[FloatArray] = [np.zeros(1)]
+    distances_along: list[FloatArray] = [np.zeros(1)]
     cruises: list[FloatArray] = []
     drawn: list[FloatArray] = [np.zeros(1)]
     off: dict[Joint, FloatArray] = {}
     for parts, cruise, rounded in blocks:
-        # From rest to rest there has to be a node at which it moves.
+        # Between two stops there has to be a moving node.
         least = 2 if len(blocks) == len(parts) == 1 else 1
         counts = [max(least, math.ceil(part.length / spacing)) for part in parts]
         since = np.cumsum(np.repeat([part.length / n for part, n in zip(parts, counts, strict=True)], counts))
-        at.append(at[-1][-1] + since)
+        distances_along.append(distances_along[-1][-1] + since)
         cruises.append(np.full(since.size, cruise))
         if rounded is None:
             drawn.append(np.zeros(since.size))
@@ -166,7 +166,7 @@ def _driven(
             if rounded not in off:
                 off[rounded] = distances(along(parts, np.append(0.0, since))[0], rounded)[1:]
             drawn.append(off[rounded])
-    arc_lengths = np.concatenate(at)
+    arc_lengths = np.concatenate(distances_along)
     local, curvature = along([part for parts, *_ in blocks for part in parts], arc_lengths)
     cos, sin = sense * math.cos(pose[2]), sense * math.sin(pose[2])
     points = pose[:2] + local[:, :2] @ np.array([[cos, sin], [-sin, cos]])
@@ -174,6 +174,6 @@ def _driven(
     most, change = np.maximum(bent[:-1], bent[1:]), np.abs(np.diff(curvature)) / steps
     path = SmoothPath(points, pose[2] + local[:, 2], curvature, steps, most, change)
     wanted = np.concatenate(cruises)
-    fastest = wanted if caps is None else np.minimum(wanted, caps.at(most))
+    fastest = wanted if caps is None else np.minimum(wanted, caps.speeds_of(most))
     square = squared_speeds(steps, most, change, limits, fastest, lateral=True, sense=sense)
     return *timed(path, square, limits, sense), np.concatenate(drawn)

@@ -10,11 +10,11 @@ from diffdrive_mpc.models.two_sided import TwoSided, side_of, sides_at
 from diffdrive_mpc.mpc.config.fixed_values import STANDING, TURNING
 from diffdrive_mpc.mpc.config.schema import Limits
 
-# References of the user: what they sample is looked at before anything, C among it, reads it by count.
+# User references: their samples are checked before anything, such as C, reads them by count.
 
 
 class CheckedReference:
-    """A reference whose samples have the shapes that `Reference` promises, as floating-point numbers.
+    """Reference whose samples have the shapes promised by `Reference`, as floating-point numbers.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class CheckedReference:
 
 
 def checked_reference(reference: Reference) -> Reference:
-    """`reference` with checked samples; itself where the compiled core samples it."""
+    """Return `reference` with checked samples; return it unchanged if the compiled core samples it."""
     return reference if getattr(reference, "native", None) is not None else CheckedReference(reference)
 
 
@@ -67,9 +67,10 @@ _MOST_SAMPLES = 100_000
 _LONGEST = 1e9
 # Position [m] and heading [rad]; the differences of larger ones are rounding.
 _FURTHEST = 1e9
-# A turn counts as too tight when it is so beyond rounding and what a spline rings [-, m/s].
+# Margins beyond which a turn counts as too tight, for rounding and ringing of splines [-, m/s].
 _LEAST_TURN_SHARE, _LEAST_TURN = 0.99, 1e-3
-# So far a reference may turn while it stands, where commands keep a least radius: the end of a curve, rounding [rad].
+# Tolerated turn of a standing reference if commands have a minimum radius: the end of a curve, rounding [rad]. the end
+# of a curve, rounding [rad].
 _LEAST_SPOT = 0.1
 
 
@@ -78,8 +79,8 @@ def check_speeds(
 ) -> None:
     """Compare the speeds of `reference`, sampled every `dt` [s], with the hard limits of the command.
 
-    With the steady-state `gain` (2, 2) of the model the command is compared, too, that keeps the reference's twist.
-    What the reference asks for before its time `after` [s] is not looked at.
+    With the steady-state `gain` (2, 2) of the model the command is compared, too, that keeps the reference's twist. The
+    reference before its time `after` [s] is not checked.
 
     Raises
     ------
@@ -152,7 +153,7 @@ def _check_spots(name: str, times: FloatArray, twist: FloatArray, limits: Limits
 
 
 def sharper_than_commands(reference: Reference, limits: Limits, dt: float, gain: FloatArray | None = None) -> str:
-    """One line on where the reference asks for tighter turns than commands may be; empty where it does not.
+    """Describe in one line where the reference turns more tightly than commands may; return an empty string otherwise.
 
     With the steady-state `gain` (2, 2) of the model the commands count that keep the reference's twist. Such a
     reference is not refused: its corners are cut.

@@ -23,7 +23,7 @@ _STRAIGHT = 1e-9
 
 
 class PassportUse(StrictModel):
-    """Which passport a trajectory keeps to, and how closely."""
+    """Speed passport of a trajectory and the tolerance to use."""
 
     file: str = Field(min_length=1, description="passport, from the folder of the trajectory")
     tolerance: float = Field(gt=0, description="largest lateral error [m]")
@@ -81,8 +81,8 @@ class SpeedCaps:
     speeds: FloatArray
     where: str
 
-    def at(self, bend: FloatArray) -> FloatArray:
-        """Greatest speed [m/s] for |curvature| `bend` (m,) [1/m]: the least of its class and all wider ones.
+    def speeds_of(self, bend: FloatArray) -> FloatArray:
+        """Return the maximum speed [m/s] for |curvature| `bend` (m,) [1/m]: the lowest of its class and wider ones.
 
         Raises
         ------
@@ -127,10 +127,10 @@ def load_speed_caps(use: PassportUse, folder: Path) -> SpeedCaps:
     where = f"{path}, {use.surface or 'all surfaces'}, {use.tolerance:g} m"
     rows = []
     for surface in surfaces if use.surface is None else [use.surface]:
-        kept = [row for row in passport.rows if row.surface == surface and row.tolerance <= use.tolerance]
-        if not kept:
+        usable = [row for row in passport.rows if row.surface == surface and row.tolerance <= use.tolerance]
+        if not usable:
             least = min(row.tolerance for row in passport.rows if row.surface == surface)
             raise ConfigError(f"{where}: the least tolerance of the passport is {least:g} m; allow as much")
-        best = max(kept, key=lambda row: row.tolerance)
+        best = max(usable, key=lambda row: row.tolerance)
         rows.append([np.nan if speed is None else speed for speed in best.speeds])
     return SpeedCaps(np.array(passport.curvatures), np.min(np.array(rows), axis=0), where)

@@ -56,14 +56,14 @@ class SplineTrajectory(TableTrajectory):
         return cls(name, float(times[-1]), times, table, drawn)
 
     def drawn_distance(self, times: ArrayLike) -> FloatArray:
-        """See `Trajectory.drawn_distance`."""
+        """Compute the distance as in `Trajectory.drawn_distance`."""
         if self.drawn is None:
             return super().drawn_distance(times)
         return np.asarray(np.interp(np.asarray(times, dtype=float).reshape(-1), self.breaks, self.drawn))
 
 
 def _hermite(times: FloatArray, values: FloatArray, slopes: FloatArray) -> FloatArray:
-    """Coefficients (4, m, n) of cubic pieces through values (m + 1, n) with given slopes, as `SplineTrajectory.table`.
+    """Compute coefficients (4, m, n) of cubic pieces through values (m + 1, n) with given slopes, as in `table`.
 
     Written out: SciPy's, which gives the same, takes longer to load than all else that a controller needs.
     """
@@ -74,6 +74,6 @@ def _hermite(times: FloatArray, values: FloatArray, slopes: FloatArray) -> Float
 
 
 def _speed(poses: FloatArray, rates: FloatArray) -> FloatArray:
-    """Absolute forward speed (...) [m/s] for poses and their time derivatives (..., 3)."""
+    """Compute the absolute forward speed (...) [m/s] for poses and their time derivatives (..., 3)."""
     heading = poses[..., 2]
     return np.asarray(np.abs(rates[..., 0] * np.cos(heading) + rates[..., 1] * np.sin(heading)))

@@ -33,7 +33,7 @@ _COLUMNS = tuple(_MOST)
 
 
 def read_timed_poses(path: Path, limits: TrajectoryLimits) -> SplineTrajectory:
-    """Lay a trajectory through the timed poses of a CSV file; see `lay_timed_poses`.
+    """Read timed poses from a CSV file and lay a trajectory through them; see `lay_timed_poses`.
 
     The file has a header with the columns t [s], x, y [m] and theta [rad]; others are ignored.
 
@@ -49,7 +49,7 @@ def read_timed_poses(path: Path, limits: TrajectoryLimits) -> SplineTrajectory:
 def lay_timed_poses(
     rows: FloatArray, limits: TrajectoryLimits | None, *, name: str, where: str, rates: FloatArray | None = None
 ) -> SplineTrajectory:
-    """Lay twice continuously differentiable splines through timed poses, or splines with the rates that are given.
+    """Lay twice continuously differentiable splines through timed poses, or splines with the given rates.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def lay_timed_poses(
 
 
 def _read(path: Path) -> FloatArray:
-    """Columns t, x, y, theta of the file, (m, 4), checked for form."""
+    """Read the columns t, x, y, theta of the file, (m, 4), and check their form."""
     settings = load_settings()
     most = settings.max_pieces // settings.least_pieces_per_row
     try:
@@ -173,11 +173,11 @@ def _check_speeds(
             )
 
 
-# Trajectories from arrays in memory: the checks of what arrives, and the headings where none are given.
+# Trajectories from arrays in memory: checks of the input, and headings if none are given.
 
 
 _MOVING_SHARE = 0.01
-"""Below this share of the top speed a path has no direction of its own: the robot keeps its heading."""
+"""Share of the maximum speed below which a path has no direction: the robot keeps its heading."""
 _MISFIT_SHARE, _MISFIT = 0.6, {"v": 0.05, "omega": 0.1}
 """Twists may differ from the change of the poses by noise; a wrong unit or sign differs by more [-, m/s, rad/s]."""
 _ASIDE, _ALONG = 0.3, 0.1
@@ -255,7 +255,7 @@ def trajectory_from_waypoints(
 
 
 def _checked(where: str, columns: Mapping[str, ArrayLike | None]) -> dict[str, FloatArray]:
-    """Columns (n,) of one length, whose times increase."""
+    """Check that columns (n,) have one length and increasing times."""
     optional = ("theta", "v", "omega")
     present = {name: values for name, values in columns.items() if values is not None or name not in optional}
     arrays = {name: _from_arrays_numbers(where, name, values) for name, values in present.items()}
@@ -297,7 +297,7 @@ def _from_arrays_numbers(where: str, name: str, values: ArrayLike | None) -> Flo
 
 
 def _headings(where: str, rates: FloatArray, chords: FloatArray, v: FloatArray | None) -> FloatArray:
-    """(n,) direction of travel [rad, unwrapped], turned round where `v` is negative; kept where the robot stands.
+    """Compute the direction of travel (n,) [rad, unwrapped], reversed where `v` is negative and held at rest.
 
     It is that of `rates` (n, 2) of a spline, but that of `chords` (n, 2) where the spline swings back at a sudden stop.
     """
@@ -310,12 +310,12 @@ def _headings(where: str, rates: FloatArray, chords: FloatArray, v: FloatArray |
     if v is not None:
         headings = np.where(v < 0, headings + np.pi, headings)
     last_moving = np.maximum(np.searchsorted(moving, np.arange(len(speed)), side="right") - 1, 0)
-    kept = headings[moving[last_moving]]
-    return np.asarray(np.unwrap(kept) - 2 * np.pi * np.round(kept[0] / (2 * np.pi)))
+    held = headings[moving[last_moving]]
+    return np.asarray(np.unwrap(held) - 2 * np.pi * np.round(held[0] / (2 * np.pi)))
 
 
 def _checked_headings(where: str, rates: FloatArray, theta: FloatArray) -> FloatArray:
-    """`theta` (n,); raises ConfigError where it fits the path in degrees only."""
+    """Return `theta` (n,); raise ConfigError if it fits the path in degrees only."""
 
     def aside(headings: FloatArray) -> float:
         sideways = rates[:, 1] * np.cos(headings) - rates[:, 0] * np.sin(headings)

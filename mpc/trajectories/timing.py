@@ -8,7 +8,7 @@ from itertools import pairwise
 from typing import Literal, NamedTuple, get_args
 
 Timing = Literal["stop", "commanded", "smooth"]
-"""How speed is laid over a drawn path.
+"""Speed profile of a drawn path.
 
 stop: the path exactly, within the limits; the robot stops where the curvature jumps. commanded: twists as they are
 drawn, which step while the robot drives; a ramp at the start and one at the end. smooth: jumps of curvature rounded by
@@ -33,8 +33,8 @@ class Phase(NamedTuple):
 def rest_to_rest(lengths: Sequence[float], cruises: Sequence[float], acceleration: float) -> list[list[Phase]]:
     """Time consecutive stretches of path, starting and ending at rest, as fast as the bounds allow.
 
-    A forward and a backward pass lower the speeds at the joints to what the acceleration can reach; each stretch then
-    gets a trapezoid, or a triangle where it is too short to reach its cruise speed.
+    A forward and a backward pass reduce the speeds at the joints to those that the acceleration permits; each stretch
+    then gets a trapezoid, or a triangle if it is too short for its cruise speed.
 
     Parameters
     ----------
@@ -62,12 +62,12 @@ def rest_to_rest(lengths: Sequence[float], cruises: Sequence[float], acceleratio
 
 
 def _reachable(rate: float, length: float, acceleration: float) -> float:
-    """Speed reached from `rate` over `length`."""
+    """Compute the speed reached from `rate` over `length`."""
     return math.sqrt(rate * rate + 2 * acceleration * length)
 
 
 def between(length: float, cruise: float, entry: float, leave: float, acceleration: float) -> list[Phase]:
-    """Speed up from `entry` or what `leave` can be reached from, cruise, slow down to `leave` or what can be reached.
+    """Plan the phases from `entry` over `cruise` to `leave`; both are reduced if the length is too short.
 
     Both are at most `cruise`; units and phases are those of `rest_to_rest`.
     """

@@ -1,4 +1,4 @@
-"""What every reference trajectory has: a name, a duration and a way to sample it."""
+"""Base class of reference trajectories, with name, duration and sampling."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Trajectory(ABC):
         *,
         name: str = "arrays",
     ) -> Trajectory:
-        """Lay a trajectory through timed poses, by cubic splines in time.
+        """Lay a trajectory through timed poses by cubic splines in time.
 
         Speeds are not limited here: `Controller.start` compares them with the limits of its configuration.
 
@@ -86,7 +86,7 @@ class Trajectory(ABC):
         max_deviation: float = 0.05,
         name: str = "waypoints",
     ) -> Trajectory:
-        """Lay a smooth path through waypoints, and drive it from rest to rest.
+        """Lay a smooth path through waypoints, driven from rest to rest.
 
         Parameters
         ----------
@@ -136,5 +136,5 @@ class Trajectory(ABC):
         """
 
     def drawn_distance(self, times: ArrayLike) -> FloatArray:
-        """Distance (n,) [m] at `times` (n,) [s] from the path as it was drawn, which waypoints draw as a polyline."""
+        """Compute the distance (n,) [m] at `times` (n,) [s] from the drawn path, which waypoints draw as a polyline."""
         return np.zeros(np.size(times))

@@ -1,4 +1,4 @@
-"""Trajectories through waypoints: a smooth path, then a speed along it that keeps to the limits."""
+"""Trajectories through waypoints: a smooth path, then a speed profile within the limits."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def lay_waypoints(
         path.bend,
         path.bend_change,
         limits,
-        np.minimum(cruise, caps.at(path.bend)) if caps else cruise,
+        np.minimum(cruise, caps.speeds_of(path.bend)) if caps else cruise,
         lateral=timing == "smooth",
     )
     return SplineTrajectory.through(name, *timed(path, square, limits), path.deviation)
@@ -90,7 +90,7 @@ def lay_waypoints(
 def _unlimited_yaw_acceleration(
     path: SmoothPath, speed: float, limits: TrajectoryLimits, where: str
 ) -> TrajectoryLimits:
-    """Limits with which only the ramps at both ends are slower than `speed` [m/s]; omega follows the path.
+    """Return limits with which only the ramps at both ends are slower than `speed` [m/s]; omega follows the path.
 
     Raises ConfigError where omega would be beyond its limit.
     """

@@ -18,7 +18,7 @@ SHARE = Path(get_package_share_directory("diffdrive_mpc_ros"))
 
 
 def generate_launch_description() -> LaunchDescription:
-    """The node with its command remapped, the monitor, and with simulated:=true the robot in lock step with /clock."""
+    """Launch node, monitor, and with simulated:=true the robot, in lock step with /clock."""
     trajectory, in_sim_time = LaunchConfiguration("trajectory"), LaunchConfiguration("simulated")
     sim_time = PythonExpression(["'use_sim_time:=' + '", in_sim_time, "'"])
     poses = PythonExpression(["'use_pose_topic:=' + '", LaunchConfiguration("use_pose_topic"), "'"])

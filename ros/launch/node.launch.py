@@ -14,7 +14,7 @@ SHARE = Path(get_package_share_directory("diffdrive_mpc_ros"))
 
 
 def generate_launch_description() -> LaunchDescription:
-    """One lifecycle node with the parameters of this package."""
+    """Launch one lifecycle node with the parameters of this package."""
     return LaunchDescription(
         [
             DeclareLaunchArgument("config", default_value="ssm", description="Configuration: a name or a path."),

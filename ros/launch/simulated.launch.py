@@ -14,7 +14,7 @@ SHARE = Path(get_package_share_directory("diffdrive_mpc_ros"))
 
 
 def generate_launch_description() -> LaunchDescription:
-    """The simulated robot in lock step with /clock, and the node that waits for the service `start`."""
+    """Launch the simulated robot in lock step with /clock, and the node, which waits for the service `start`."""
     trajectory, prefix = LaunchConfiguration("trajectory"), LaunchConfiguration("frame_prefix")
     name_space = LaunchConfiguration("namespace")
     return LaunchDescription(

@@ -24,7 +24,7 @@ _STEP = "void mj_step(const void *model, void *data);"
 
 @cache
 def load_twin() -> tuple[cffi.FFI, Any]:
-    """The drivetrain: cffi's declarations of `sim/core/twin.h`, and the library.
+    """Load the drivetrain: cffi's declarations of `sim/core/twin.h`, and the library.
 
     Raises
     ------
@@ -48,18 +48,18 @@ def write_packaged(folder: Path) -> list[Path]:
 
 
 def address(array: FloatArray) -> Any:  # noqa: ANN401 - cffi has no types
-    """Where an array's numbers lie, for C; the array has to live as long as C reads them."""
+    """Return the C address of an array's numbers; the array must live as long as C reads them."""
     return load_twin()[0].cast("double *", array.ctypes.data)
 
 
 def view(numbers: Any) -> FloatArray:  # noqa: ANN401 - cffi has no types
-    """An array field of a struct as an array, without a copy; the struct has to live as long."""
+    """View an array field of a struct as an array, without a copy; the struct must live as long."""
     return np.frombuffer(load_twin()[0].buffer(numbers), dtype=float)
 
 
 @cache
 def physics_step() -> Any:  # noqa: ANN401 - cffi has no types
-    """`mj_step` of the library that MuJoCo's Python package has loaded, for C; None where it cannot be found.
+    """Find `mj_step` for C in the library that MuJoCo's Python package has loaded; return None without success.
 
     C then calls the physics without a way through Python ten times a control sample.
     """

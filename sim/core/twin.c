@@ -70,13 +70,13 @@ void twin_observe(twin_observer *observer, const double *angles)
   }
 }
 
-void twin_torque(twin_loops *loops, const double *set_points, const double *seen, const double *speeds, double *torques)
+void twin_torque(twin_loops *loops, const double *set_points, const double *estimates, const double *speeds, double *torques)
 {
   int i;
   for (i = 0; i < 4; i++) {
-    const double error = set_points[i] - seen[i];
-    /* At a zero set-point the driver brakes and forgets: otherwise it would hunt for a fraction of a count. */
-    const int resting = set_points[i] == 0.0 && fabs(seen[i]) < loops->rest_speed;
+    const double error = set_points[i] - estimates[i];
+    /* At a zero set-point the driver brakes and clears its integrator: otherwise it would hunt for a fraction of a count. */
+    const int resting = set_points[i] == 0.0 && fabs(estimates[i]) < loops->rest_speed;
     double wanted, duty, wanted_torque;
     if (resting)
       loops->sum[i] = 0.0;

@@ -50,7 +50,7 @@ typedef struct {
   double *position;     /* [11] x, y, z, quaternion, wheel angles */
   double *velocity;     /* [10] of the same, without the quaternion's fourth */
   double *torque;       /* [4] */
-  double largest;       /* what MuJoCo computes with */
+  double largest;       /* magnitude beyond which the simulation counts as diverged */
   double least_upright; /* cosine of the lean from which there is no coming back */
   double yaw;           /* unwrapped */
 } twin_chassis;
@@ -74,11 +74,11 @@ void twin_arrived(twin_link *link, double start, double end, double *mean);
 void twin_shape(twin_shaper *shaper, const double *command, double *set_points);
 /* Read the counters at the wheels' angles [4]. */
 void twin_observe(twin_observer *observer, const double *angles);
-/* The counters at rest at angle zero since ever. */
+/* Reset the observer to wheels that have always been at rest at angle zero. */
 void twin_observe_rest(twin_observer *observer);
-/* Torques [4] for wanted, seen and true speeds [4]. */
-void twin_torque(twin_loops *loops, const double *set_points, const double *seen, const double *speeds, double *torques);
-/* One step of the physics under torques [4]; says how the body came through. */
+/* Torques [4] for wanted, estimated and true speeds [4]. */
+void twin_torque(twin_loops *loops, const double *set_points, const double *estimates, const double *speeds, double *torques);
+/* Advance the physics by one step under torques [4]; return the state of the body. */
 int twin_move(twin_chassis *chassis, const double *torques);
 
 /* Torques [4] that the motors give from `start` to `end`, one step of the physics. */

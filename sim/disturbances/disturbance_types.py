@@ -1,4 +1,4 @@
-"""What can happen to the robot: one schema for each kind of disturbance.
+"""Types of disturbance, with one schema for each.
 
 Frames: forward, left and yaw are the body's, x forward and y left; world is that of the reference. Times count from the
 start of the run, and a disturbance without `duration` lasts to its end.
@@ -38,11 +38,11 @@ class Window(StrictModel):
         return (self.start, self.end)
 
     def holds(self, time: float) -> bool:
-        """Whether `time` [s] lies in it, its end excluded."""
+        """Return True if `time` [s] lies within the disturbance, its end excluded."""
         return self.start <= time < self.end
 
     def share(self, start: float, end: float) -> float:
-        """Share of [start, end] [s] that lies in it, 0 to 1."""
+        """Compute the share of [start, end] [s] within the disturbance, 0 to 1."""
         return max(0.0, min(end, self.end) - max(start, self.start)) / (end - start)
 
 
@@ -70,7 +70,7 @@ class Patch(StrictModel):
         return self
 
     def coefficient(self, floor: float) -> float:
-        """Sliding friction coefficient where the floor beside it has `floor`."""
+        """Compute the sliding friction coefficient for a surrounding floor with the coefficient `floor`."""
         return self.friction if self.friction is not None else float(self.factor or 1.0) * floor
 
 
@@ -120,7 +120,7 @@ class BatterySag(StrictModel):
         return (self.start, math.inf)
 
     def voltage(self, time: float) -> float:
-        """Voltage without load at `time` [s] over nominal."""
+        """Compute the open-circuit voltage at `time` [s] over nominal."""
         progress = min(1.0, max(0.0, (time - self.start) / self.duration))
         return self.before + progress * (self.after - self.before)
 

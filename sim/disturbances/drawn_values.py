@@ -16,14 +16,14 @@ _ONE_OF = "one_of"
 
 
 def drawn(data: object, stream: np.random.Generator) -> Any:  # noqa: ANN401 - plain YAML data, which a schema checks
-    """`data` with a value from `stream` in place of every range (uniform) and choice, in the order of the file."""
+    """Replace every range (uniform) and choice in `data` by a value from `stream`, in the order of the file."""
     return _replaced(
         data, lambda ends: float(stream.uniform(ends[0], ends[1])), lambda size: int(stream.integers(size))
     )
 
 
 def extremes(data: object) -> list[Any]:
-    """Copies of `data` that between them hold both ends of every range and every value of every choice.
+    """Return copies of `data` that together contain both ends of every range and every value of every choice.
 
     A schema whose limits are intervals accepts whatever is drawn from `data` if it accepts these.
     """

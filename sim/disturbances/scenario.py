@@ -1,4 +1,4 @@
-"""What happens to the robot in a run: named disturbances, with values that the run's seed draws."""
+"""Scenarios: named disturbances with values drawn from the seed of the run."""
 
 from __future__ import annotations
 
@@ -109,17 +109,17 @@ class ScenarioFile:
     where: str
 
     def draw(self, seed: int) -> Scenario:
-        """The scenario of the run with `seed` (not negative): always the same for the same seed."""
+        """Draw the scenario of the run with `seed` (not negative); it is always the same for the same seed."""
         stream = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_SPAWN_KEY,)))
         return check(Scenario, drawn(self.data, stream), self.where)
 
 
-def beside(scenario: Scenario, other: Scenario) -> Scenario:
-    """Both at once; of what there can be only one of, that of `scenario` if it has one."""
+def beside(scenario: Scenario, second: Scenario) -> Scenario:
+    """Combine both scenarios; of a kind that can occur only once, that of `scenario` takes precedence."""
     joined = {
         name: value + getattr(scenario, name) if isinstance(value, tuple) else getattr(scenario, name) or value
-        for name in other.kinds
-        for value in [getattr(other, name)]
+        for name in second.kinds
+        for value in [getattr(second, name)]
     }
     return scenario.model_copy(update=joined)
 

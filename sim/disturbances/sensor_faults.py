@@ -36,11 +36,11 @@ class SensorFaults:
         self.reset()
 
     def reset(self) -> None:
-        """Nothing has been delivered yet."""
+        """Reset to the state before the first delivery."""
         self._last: dict[str, Any] = {}
 
     def apply(self, measurement: Measurement, time: float) -> Measurement:
-        """What is delivered at `time` [s] in place of `measurement`."""
+        """Apply the faults at `time` [s] to `measurement`."""
         scenario = self._scenario
         for error in scenario.pose_errors:
             if error.holds(time) and measurement.pose is not None:
@@ -84,7 +84,7 @@ class SensorFaults:
 
 
 def _moved(pose: Stamped, off: FloatArray) -> Stamped:
-    """`pose` off by x [m], y [m], theta [rad], its heading in (-pi, pi]."""
+    """Shift a pose by x [m], y [m], theta [rad], with its heading in (-pi, pi]."""
     value = np.asarray(pose.value, dtype=float) + off
     value[2] = -wrap_angle(-value[2])
     return replace(pose, value=value)

@@ -1,1 +1,1 @@
-"""How well a run tracked: errors against the true pose, along and across the path, and recovery."""
+"""Metrics of a run: errors of the true pose along and across the path, and recovery."""

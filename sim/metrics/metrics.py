@@ -81,7 +81,7 @@ class Metrics:
     behind_max_s: float = math.nan
 
     def __str__(self) -> str:
-        """A table: a row per error, a column per statistic, "-" where there is none."""
+        """Format a table: a row per error, a column per statistic, "-" for missing values."""
         names, values = ("rmse", "mean", "std", "p50", "p95", "p99", "max"), asdict(self)
         values["lateral_mean_m"] = self.lateral_mae_m
         rows = []
@@ -96,7 +96,7 @@ class Metrics:
 
 
 class ScoredRun(Protocol):
-    """What the statistics need of a run of n ticks; shapes and units are those of `sim.run.Run`."""
+    """Data of a run of n ticks for the statistics; shapes and units are those of `sim.run.Run`."""
 
     @property
     def reference(self) -> Reference:
@@ -160,7 +160,7 @@ class ScoredRun(Protocol):
 
     @property
     def ended(self) -> str:
-        """Why the run ended before its time; empty where it did not."""
+        """Reason for an early end of the run; empty without one."""
         ...
 
     @property
@@ -175,7 +175,7 @@ class ScoredRun(Protocol):
 
 
 def compute_metrics(run: ScoredRun) -> Metrics:
-    """Statistics of `run` from t = 0 to the end of its reference, or of what was driven where it ended before."""
+    """Compute statistics of `run` from t = 0 to the end of its reference, or to the end of an aborted drive."""
     counted = run.counted
     position = run.errors.position[counted]
     heading = np.abs(run.errors.heading[counted])
@@ -240,7 +240,7 @@ def _stopped(run: ScoredRun) -> bool:
 
 
 def _completed(run: ScoredRun) -> bool:
-    """Whether the run reached the end of its reference, still tracking and near it, with every number finite."""
+    """Return True if the run reached the end of its reference while tracking and near it, with finite numbers only."""
     last = int(np.flatnonzero(run.counted)[-1])
     return bool(
         not run.ended

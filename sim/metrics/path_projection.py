@@ -41,7 +41,7 @@ class Polyline:
     arc_end: FloatArray
 
     def lateral(self, points: ArrayLike, arc_length: ArrayLike, window: float) -> FloatArray:
-        """Signed distance of points from the path, positive to its left.
+        """Compute the signed distance of points from the path, positive to its left.
 
         Parameters
         ----------
@@ -68,11 +68,11 @@ class Polyline:
         # On the inside of a bend the nearest place is faster than the point; of a leap it makes no search.
         moved = np.diff(points, axis=0)
         reach = np.minimum(window, 2.0 * np.hypot(moved[:, 0], moved[:, 1]))
-        begin, end = first.copy(), last.copy()
+        start, end = first.copy(), last.copy()
         nearest, pieces = np.empty(len(points)), np.empty(len(points), dtype=np.intp)
 
         def search(rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-            """Where points are looked for, by where those before them were found."""
+            """Choose the segments for points from the segments of the previous points."""
             before, by = pieces[rows - 1], reach[rows - 1]
             begins = np.minimum(first[rows], np.searchsorted(self.arc_end, self.arc_start[before] - by))
             ends = np.maximum(last[rows], np.searchsorted(self.arc_start, self.arc_end[before] + by, side="right"))
@@ -85,10 +85,10 @@ class Polyline:
         for _ in range(_ROUNDS):
             if not rows.size:
                 break
-            nearest[rows], pieces[rows] = self._nearest(points[rows], begin[rows], end[rows])
+            nearest[rows], pieces[rows] = self._nearest(points[rows], start[rows], end[rows])
             begins, ends = search(later)
-            rows = later[(begins != begin[1:]) | (ends != end[1:])]
-            begin[1:], end[1:] = begins, ends
+            rows = later[(begins != start[1:]) | (ends != end[1:])]
+            start[1:], end[1:] = begins, ends
         for row in range(rows[0] if rows.size else len(points), len(points)):
             rows = np.array([row])
             nearest[rows], pieces[rows] = self._nearest(points[rows], *search(rows))
@@ -96,28 +96,28 @@ class Polyline:
         return lateral
 
     def _nearest(
-        self, points: FloatArray, begin: NDArray[np.intp], end: NDArray[np.intp]
+        self, points: FloatArray, start: NDArray[np.intp], end: NDArray[np.intp]
     ) -> tuple[FloatArray, NDArray[np.intp]]:
-        """(n,) signed distances [m] of `points` (n, 2) from their segments `begin` to `end`, and the nearest of these.
+        """Return (n,) signed distances [m] of `points` (n, 2) from segments `start` to `end`, and the nearest of these.
 
         Of several that are equally near it is the first.
         """
         distance, segment = np.empty(len(points)), np.empty(len(points), dtype=np.intp)
-        some = max(1, _AT_ONCE // max(1, int(np.max(end - begin))))
-        for at in range(0, len(points), some):
-            part = slice(at, at + some)
-            distance[part], segment[part] = self._nearest_at_once(points[part], begin[part], end[part])
+        some = max(1, _AT_ONCE // max(1, int(np.max(end - start))))
+        for first in range(0, len(points), some):
+            part = slice(first, first + some)
+            distance[part], segment[part] = self._nearest_at_once(points[part], start[part], end[part])
         return distance, segment
 
     def _nearest_at_once(
-        self, points: FloatArray, begin: NDArray[np.intp], end: NDArray[np.intp]
+        self, points: FloatArray, start: NDArray[np.intp], end: NDArray[np.intp]
     ) -> tuple[FloatArray, NDArray[np.intp]]:
-        width = int(np.max(end - begin))
-        since = np.minimum(begin, len(self.length) - width)
+        width = int(np.max(end - start))
+        since = np.minimum(start, len(self.length) - width)
         place = since[:, None] + np.arange(width)
 
         def windows(values: FloatArray) -> FloatArray:
-            """(n, width) of the segments from `since` on."""
+            """Return windows (n, width) of the segments from `since` on."""
             return sliding_window_view(values, width)[since]
 
         ux, uy = windows(self.direction[:, 0]), windows(self.direction[:, 1])
@@ -125,7 +125,7 @@ class Polyline:
         along = np.minimum(np.maximum(x * ux + y * uy, 0.0), windows(self.length))
         across, behind = x - along * ux, y - along * uy
         square = across * across + behind * behind
-        square[(place < begin[:, None]) | (place >= end[:, None])] = np.inf
+        square[(place < start[:, None]) | (place >= end[:, None])] = np.inf
         # Squares are quick, and sort out all that can be neither the nearest nor as near: the rest exactly.
         row, k = np.nonzero(square <= (np.sqrt(square.min(axis=1, keepdims=True)) + _LEEWAY) ** 2)
         gap = np.hypot(across[row, k], behind[row, k])

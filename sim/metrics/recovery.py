@@ -1,4 +1,4 @@
-"""How a run comes back to its path after a disturbance, and what the command spends on it.
+"""Recovery of a run after a disturbance: return to the path, and control effort.
 
 Every error is that of the true pose, so it carries no measurement noise; ordinary tracking errors of a few millimetres
 are kept apart by the lateral band (Guffanti et al. 2026, PMC12845739): only what leaves the band is an excursion.
@@ -51,7 +51,7 @@ class Recovery:
     command_rate_omega: float
 
     def __str__(self) -> str:
-        """A table: "-" where there is none, "inf" where the robot did not come back."""
+        """Format a table: "-" for missing values, "inf" if the robot did not return."""
         rows = (
             ("recovery time [s]", self.recovery_time_s),
             ("overshoot [m]", self.overshoot_m),
@@ -75,7 +75,7 @@ def compute_recovery(
     *,
     lost: bool = False,
 ) -> Recovery:
-    """Recovery of a run of n counted ticks, whose definitions are those of `Recovery`.
+    """Compute the recovery of a run of n counted ticks, as defined in `Recovery`.
 
     Parameters
     ----------
@@ -97,10 +97,10 @@ def compute_recovery(
     """
     recovery_time = overshoot = math.nan
     if disturbance is not None and np.isfinite(lateral).all():
-        outside, (begin, end) = np.abs(lateral) > band, disturbance
+        outside, (start, end) = np.abs(lateral) > band, disturbance
         if math.isfinite(end):
             recovery_time = math.inf if lost else _recovery_time(time, outside, end)
-        overshoot = _overshoot(time, lateral, outside, begin, end if math.isfinite(end) else begin)
+        overshoot = _overshoot(time, lateral, outside, start, end if math.isfinite(end) else start)
     energy = sample_time * np.sum(np.square(command), axis=0)
     changes = np.diff(command, axis=0) / sample_time
     rate = np.sqrt(np.mean(np.square(changes), axis=0)) if len(changes) else np.full(2, math.nan)
@@ -115,8 +115,8 @@ def _recovery_time(time: FloatArray, outside: NDArray[np.bool_], end: float) -> 
     return float(time[back] - end) if back < len(time) else math.inf
 
 
-def _overshoot(time: FloatArray, lateral: FloatArray, outside: NDArray[np.bool_], begin: float, end: float) -> float:
-    during = np.flatnonzero(outside & (time >= begin) & (time <= end))
+def _overshoot(time: FloatArray, lateral: FloatArray, outside: NDArray[np.bool_], start: float, end: float) -> float:
+    during = np.flatnonzero(outside & (time >= start) & (time <= end))
     after = np.flatnonzero(outside & (time > end))
     if not during.size and not after.size:
         return 0.0

@@ -59,7 +59,7 @@ class TrackingErrors(ReadOnlyArrays):
 def tracking_errors(
     reference: Reference, expected: ReferenceSample, true_pose: FloatArray, true_twist: FloatArray
 ) -> TrackingErrors:
-    """Error series of a run of n ticks, whose definitions are those of `TrackingErrors`.
+    """Compute the error series of a run of n ticks, as defined in `TrackingErrors`.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ from diffdrive_mpc.models.velocity_model import ModelError, VelocityModel
 
 
 class StepMotion(NamedTuple):
-    """What a step brought about."""
+    """Motion during a step."""
 
     wheels: FloatArray
     """(2,) v [m/s], omega [rad/s] by the wheels, at its end"""
@@ -38,11 +38,11 @@ class _Dynamics(Protocol):
         ...
 
     def reset(self) -> None:
-        """At rest, no command on its way."""
+        """Reset to rest without pending commands."""
         ...
 
     def advance(self, command: FloatArray) -> None:
-        """One sample under `command` (2,)."""
+        """Advance by one sample under `command` (2,)."""
         ...
 
 
@@ -125,13 +125,13 @@ class BaseMotion:
         return self._body(self._dynamics.output)
 
     def reset(self) -> None:
-        """At rest, tyres without twist."""
+        """Reset to rest with tyres without twist."""
         self._dynamics.reset()
         self._reached = np.zeros(2)
         self._strain = 0.0
 
     def advance(self, command: FloatArray) -> StepMotion:
-        """One step under `command` (2,)."""
+        """Advance by one step under `command` (2,)."""
         effects, requested = self._effects, command
         if effects.twist_range is not None:
             requested = effects.twist_range.apply(requested)
@@ -150,7 +150,7 @@ class BaseMotion:
         return StepMotion(wheels, self._body(wheels), mean)
 
     def _body(self, wheels: FloatArray) -> FloatArray:
-        """(2,) twist of the body for that of the wheels."""
+        """Compute the twist of the body (2,) for that of the wheels."""
         body = wheels.copy()
         if self._effects.yaw_relaxation is not None:
             body[1] = abs(wheels[1]) * self._strain
@@ -195,7 +195,7 @@ class CommandShaping:
         self._reached = np.zeros(2)
 
     def levels(self, time: float, command: FloatArray) -> Iterator[tuple[float, FloatArray]]:
-        """From when [s] the motors are asked for which twist (2,), for a command (2,) from `time` on."""
+        """Yield start times [s] and twists (2,) of the motor set-points, for a command (2,) from `time` on."""
         slew, wheels = self._base.twist_slew, self._base.wheel_command
         if self._base.twist_range is not None:
             command = self._base.twist_range.apply(command)

@@ -216,7 +216,7 @@ class Chassis:
 
 
 def _step_in_c(model: Any, data: Any, scene: Scene | None) -> Any:  # noqa: ANN401 - neither MuJoCo nor cffi has types
-    """`mj_step` for C: MuJoCo's own, or where its library cannot be found or a scene watches the way through Python."""
+    """Return `mj_step` for C: MuJoCo's own, or a call through Python without its library or with a watching scene."""
     import mujoco  # noqa: PLC0415 - see above
 
     ffi, _ = load_twin()
@@ -233,14 +233,14 @@ def _ignore(_warning: str) -> None:
 
 
 def _tilted(gravity: FloatArray, slope: Slope) -> FloatArray:
-    """(3,) gravity [m/s^2] in the frame of a floor tilted by `slope`."""
+    """Compute gravity (3,) [m/s^2] in the frame of a floor tilted by `slope`."""
     down, along = math.cos(slope.angle), math.sin(slope.angle)
     direction = np.array([along * math.cos(slope.downhill), along * math.sin(slope.downhill), -down])
     return np.asarray(np.linalg.norm(gravity) * direction)
 
 
 def _of_two(tyre: Tyre) -> Tyre:
-    """The tyre of one of two contact points side by side that together are as stiff and as damped as `tyre`.
+    """Compute the tyre of each of two contact points that together are as stiff and as damped as `tyre`.
 
     MuJoCo gives a contact of impedance d, time constant t and damping ratio z the regularisation (1 - d) / d of its
     inverse mass, the damping 2 / (d t) and the stiffness 1 / (d t^2 z^2): twice the first, and the same of the others.
@@ -260,7 +260,7 @@ def _of_two(tyre: Tyre) -> Tyre:
 def _mjcf(
     robot: Robot, twin: TwinParameters, step: float, payload: Payload | None, aligned: bool, scene: Scene | None
 ) -> str:
-    """The model in MuJoCo's XML format; `aligned` gives contacts whose first tangent is along the axle."""
+    """Format the model in MuJoCo's XML format; `aligned` gives contacts whose first tangent is along the axle."""
     chassis, tyre, radius = twin.chassis, twin.tyre, robot.wheel_radius
     front, half_track = 0.0 if chassis.castors else chassis.wheel_base / 2, robot.track / 2
     rear = front - chassis.wheel_base

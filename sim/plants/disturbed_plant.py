@@ -78,7 +78,7 @@ class DisturbedPlant(PlantAround):
         self._plant.reset(start)
 
     def measure(self) -> Measurement:
-        """Everything that the sensors delivered since the last call, with their faults."""
+        """Collect the sensor data since the last call, with their faults."""
         return replace(self._faults.apply(self._plant.measure(), self.time), sent=self._sent)
 
     def advance(self, command: ArrayLike) -> None:
@@ -127,7 +127,7 @@ class DisturbedPhysics:
         self.reset()
 
     def reset(self) -> None:
-        """Nothing has happened yet; the robot stands where its way begins."""
+        """Reset the history; the robot is at the start of its path."""
         self._travelled = 0.0
         self._position = self._chassis.pose[:2]
         self._crossed: list[Span | None] = [None] * len(self._patches)
@@ -143,7 +143,7 @@ class DisturbedPhysics:
         return [span for span in self._crossed if span is not None]
 
     def advance(self, twin: Twin) -> None:
-        """One control sample of `twin`, disturbed; raises RobotLostError."""
+        """Advance `twin` by one control sample, with disturbances; raise RobotLostError."""
         edges = twin.edges.tolist()
         for k, (start, end) in enumerate(itertools.pairwise(edges)):
             self.before_step(start, end)
@@ -169,7 +169,7 @@ class DisturbedPhysics:
             self._loops.supply = max(0.0, scenario.battery.voltage(start) - drop)
 
     def motors(self, torques: FloatArray, time: float) -> FloatArray:
-        """(4,) wheel torques [N m] that the motors really give at `time` [s] instead of `torques`."""
+        """Compute the true wheel torques (4,) [N m] at `time` [s] for the nominal `torques`."""
         for motor in self._scenario.weak_motors:
             if motor.holds(time):
                 torques[WHEELS.index(motor.wheel)] *= motor.factor
@@ -182,7 +182,7 @@ class DisturbedPhysics:
         self._chassis.push(share * forward, share * left, share * push.yaw_torque, push.height)
 
     def _hold(self, i: int, blockade: Blockade) -> None:
-        """Spring and damper to where the body was when obstacle `i` caught it."""
+        """Attach spring and damper to the place of the body when obstacle `i` caught it."""
         pose, (v, lateral, omega) = self._chassis.pose, self._chassis.twist
         anchor = self._anchors[i]
         anchor = self._anchors[i] = pose if anchor is None else anchor
@@ -211,11 +211,11 @@ class DisturbedPhysics:
 
 
 def _wheels_under(patch: Patch) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """(4,) whether the patch lies under the wheels of that side."""
+    """Return True (4,) for wheels on the side of the patch."""
     return np.array([patch.side == "both" or name.endswith(patch.side) for name in WHEELS])
 
 
 def _edges(patch: Patch, ahead: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(4,) distance travelled [m] at which each wheel, `ahead` (4,) of the middle [m], enters and leaves the patch."""
+    """Compute distances (4,) [m] at which each wheel, `ahead` (4,) of the middle [m], enters and leaves the patch."""
     length = math.inf if patch.length is None else patch.length
     return patch.start - ahead, patch.start + length - ahead

@@ -37,7 +37,7 @@ Share = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class WheelShares(StrictModel):
-    """How often robots have which wheels."""
+    """Distribution of wheel types."""
 
     wheels_4: NotNegative = Field(description="four driven wheels [-]")
     castors: NotNegative = Field(description="two driven wheels and castors [-]")
@@ -85,14 +85,14 @@ class PoseSources(StrictModel):
 
 
 class StatedTrack(StrictModel):
-    """How right users state their track."""
+    """Distribution of the error of the stated track."""
 
     wrong: Share = Field(description="share that states a wrong one [-]")
     factor: Range = Field(description="stated over true [-]")
 
 
 class StatedRobot(StrictModel):
-    """What a user states of the robot."""
+    """Robot as its user states it."""
 
     track: StatedTrack = Field(description="the only thing that is stated wrong")
     yaw_acceleration: Share = Field(
@@ -101,7 +101,7 @@ class StatedRobot(StrictModel):
 
 
 class Needs(StrictModel):
-    """What a path asks of a robot: one that cannot do it is not drawn for it."""
+    """Requirements of a path; robots that cannot meet them are not drawn for it."""
 
     speed: Positive = Field(description="[m/s]")
     turning: Positive = Field(description="yaw rate at that speed [rad/s]")
@@ -176,13 +176,13 @@ class DrawnRobot:
 
 
 def on_driven(build: SimulatedRobot) -> float:
-    """Share of the weight on driven wheels."""
+    """Compute the share of the weight on driven wheels."""
     chassis = build.twin.chassis
     return 1.0 + chassis.centre_of_mass[0] / chassis.wheel_base if chassis.castors else 1.0
 
 
 def yaw_acceleration(build: SimulatedRobot, grip: float) -> float:
-    """Yaw acceleration that driven wheels give a box of its size on a floor of this friction [rad/s^2]."""
+    """Compute the yaw acceleration that driven wheels give a box of its size on a floor of this friction [rad/s^2]."""
     chassis, track = build.twin.chassis, build.robot.track
     behind = chassis.centre_of_mass[0] if chassis.castors else 0.0
     inertia = (chassis.wheel_base**2 + track**2) / 12.0 + behind**2
@@ -190,12 +190,12 @@ def yaw_acceleration(build: SimulatedRobot, grip: float) -> float:
 
 
 def skid_track(track: float, wheel_base: float) -> float:
-    """Track of the wheels that turn a skidding robot [m]: Coulomb friction, the wheels' middle as its centre."""
+    """Compute the effective track of a skidding robot [m] for Coulomb friction about the wheels' centre."""
     return track * (1.0 + (wheel_base / track) ** 2)
 
 
 def rim_speed(track: float, wheel_base: float) -> float:
-    """Speed of the faster wheels on the benchmark paths [m/s]."""
+    """Compute the speed of the faster wheels on the benchmark paths [m/s]."""
     needs = load_market().needs
     return needs.speed + 0.5 * needs.turning * skid_track(track, wheel_base)
 
@@ -229,7 +229,7 @@ def draw_robot(seed: int) -> DrawnRobot:
 
 
 def _draw_build(market: Market, stream: np.random.Generator, description: str) -> dict[str, Any]:
-    """Body, drives, link and firmware, as changes to the digital twin; torques as of its scaled motors."""
+    """Draw body, drives, link and firmware as changes to the digital twin, with torques of its scaled motors."""
     twin = digital_twin()
     usual_robot: Any = twin["robot"]
     usual: Any = twin["twin"]
@@ -276,7 +276,7 @@ def _draw_build(market: Market, stream: np.random.Generator, description: str) -
 
 
 def _true_settings(build: SimulatedRobot) -> dict[str, float]:
-    """Configuration values of a robot whose user knows it, by dotted key; of patches and slopes nobody knows."""
+    """Compute the true configuration values by dotted key, except for patches and slopes."""
     pose, link, usual = build.sensors.pose, build.twin.link, digital_twin()
     usual_twin: Any = usual["twin"]
     usual_robot: Any = usual["robot"]
@@ -306,7 +306,7 @@ def _logarithmic(stream: np.random.Generator, ends: tuple[float, float]) -> floa
 def _draw_motors(
     market: Market, stream: np.random.Generator, *, castors: bool
 ) -> tuple[list[float], list[dict[str, Any]]]:
-    """Torque of each motor over nominal, and the motors that fail on the way; castors have none to spare."""
+    """Draw the torque of each motor over nominal, and failing motors; castors have no reserve."""
     spread = [_uniform(stream, market.motor_spread) for _ in WHEELS]
     weak, dead = market.weak_motor, market.dead_motor
     weak_wheel, weak_factor = int(stream.integers(2 if castors else 4)), _uniform(stream, weak.factor)
@@ -318,15 +318,15 @@ def _draw_motors(
 
 
 def _draw_pose_source(ranges: PoseSources, stream: np.random.Generator, sample_time: float) -> dict[str, Any]:
-    """The pose sensor's values: a common quality, and each beside it."""
+    """Draw the pose sensor: a common quality, and individual deviations from it."""
     quality = stream.random()
 
-    def at(ends: tuple[float, float]) -> float:
+    def draw(ends: tuple[float, float]) -> float:
         share = np.clip(quality + ranges.jitter * stream.uniform(-1.0, 1.0), 0.0, 1.0)
         best, worst = np.log(ends)
         return float(np.exp(best + share * (worst - best)))
 
-    values: dict[str, Any] = {name: at(getattr(ranges, name)) for name in ("latency", "position_sd", "heading_sd")}
-    period, loss = 1.0 / at(ranges.rate), _uniform(stream, ranges.loss)
+    values: dict[str, Any] = {name: draw(getattr(ranges, name)) for name in ("latency", "position_sd", "heading_sd")}
+    period, loss = 1.0 / draw(ranges.rate), _uniform(stream, ranges.loss)
     lossy = stream.random() < 0.5
     return {**values, "period": period if period > sample_time else None, "loss": loss if lossy else 0.0}

@@ -48,7 +48,7 @@ class CommandShaper:
         self.c.state = [0.0, 0.0]
 
     def set_points(self, command: FloatArray) -> FloatArray:
-        """(4,) wheel set-points [rad/s] for the command (2,) that acts during this step."""
+        """Compute wheel set-points (4,) [rad/s] for the command (2,) that acts during this step."""
         limited, wheels = np.array(command, dtype=float), np.empty(4)
         self._lib.twin_shape(self.c, address(limited), address(wheels))
         return wheels
@@ -85,11 +85,11 @@ class SpeedObserver:
         return self._speed.copy()
 
     def reset(self) -> None:
-        """Wheels at rest at angle zero since ever."""
+        """Reset to wheels that have always been at rest at angle zero."""
         self._lib.twin_observe_rest(self.c)
 
     def update(self, angles: FloatArray) -> FloatArray:
-        """(4,) speeds [rad/s] after reading the counters at wheel `angles` (4,) [rad]."""
+        """Compute speeds (4,) [rad/s] after reading the counters at wheel `angles` (4,) [rad]."""
         readings = np.array(angles, dtype=float)
         self._lib.twin_observe(self.c, address(readings))
         return self.speed
@@ -133,11 +133,11 @@ class VelocityLoops:
         self.c.supply = value
 
     def reset(self) -> None:
-        """Empty integrators."""
+        """Clear the integrators."""
         self.c.sum = [0.0] * 4
 
     def torque(self, set_points: FloatArray, measured: FloatArray, speeds: FloatArray) -> FloatArray:
-        """Motor torques.
+        """Compute motor torques.
 
         Parameters
         ----------
@@ -153,7 +153,7 @@ class VelocityLoops:
         FloatArray
             (4,) torques at the wheels [N m].
         """
-        arrays = [np.array(one, dtype=float) for one in (set_points, measured, speeds)]
+        arrays = [np.array(values, dtype=float) for values in (set_points, measured, speeds)]
         torques = np.empty(4)
         self._lib.twin_torque(self.c, *(address(array) for array in arrays), address(torques))
         return torques
@@ -167,7 +167,7 @@ _ROOM = 16
 
 
 def clip_command(command: ArrayLike, limits: TwistBounds) -> FloatArray:
-    """The command that the link can carry.
+    """Clip a command to the range of the link.
 
     Parameters
     ----------
@@ -216,7 +216,7 @@ class DelayLine:
         self._make_room(_ROOM)
 
     def reset(self) -> None:
-        """Nothing under way, zero command at the far end."""
+        """Reset to zero commands, sent and arrived."""
         self.c.first = self.c.count = 0
         self.c.acting = [0.0, 0.0]
 
@@ -228,7 +228,7 @@ class DelayLine:
             self._lib.twin_send(self.c, time, self._sent_address)
 
     def mean(self, start: float, end: float) -> FloatArray:
-        """(2,) mean of the arrived command over [start, end] [s]; intervals must be asked for in order.
+        """Compute the mean (2,) of the arrived command over [start, end] [s]; intervals must be in order.
 
         The mean keeps the dead time exact although it is no multiple of the physics step.
         """
@@ -237,7 +237,7 @@ class DelayLine:
         return mean
 
     def _make_room(self, room: int) -> None:
-        """Room for so many commands under way; those that are stay so."""
+        """Reserve space for `room` pending commands, without a change of those already pending."""
         arrivals, commands, count = np.empty(room), np.empty((room, 2)), self.c.count
         if count:
             places = (self.c.first + np.arange(count)) % self.c.room
@@ -259,28 +259,28 @@ class MotorWork(NamedTuple):
     torque: FloatArray
     """at the wheels [N m]; positive drives forward"""
     speed: FloatArray
-    """of the wheels [rad/s]"""
+    """Speed of the wheels [rad/s]."""
     power: FloatArray
     """mechanical [W]: torque times speed, of each step"""
     square: FloatArray
-    """of the torque [N^2 m^2]: what heats the windings"""
+    """Square of the torque [N^2 m^2], which heats the windings."""
 
 
 NOTHING = MotorWork(*(np.full(WHEELS, np.nan) for _ in MotorWork._fields))
-"""Of a plant without motors."""
+"""Motor work of a plant without motors."""
 
 
 def motor_work(plant: Plant) -> MotorWork:
-    """What the motors of `plant` did during the last sample; `NOTHING` where it has none, as a velocity model."""
+    """Return the work of the motors of `plant` in the last sample; return `NOTHING` for a velocity model."""
     motors: FloatArray | None = getattr(plant, "motors", None)
     if motors is None:
         return NOTHING
     torque, speed = motors[:, 0], motors[:, 1]
     mean_torque, mean_speed = motors.mean(axis=0)
-    power, square = (np.einsum("sw,sw->w", torque, other) / len(motors) for other in (speed, torque))
+    power, square = (np.einsum("sw,sw->w", torque, factor) / len(motors) for factor in (speed, torque))
     return MotorWork(mean_torque, mean_speed, power, square)
 
 
 def stacked(rows: Sequence[MotorWork]) -> FloatArray:
-    """(4, n, 4) the fields of n samples."""
+    """Stack the fields of n samples as (4, n, 4)."""
     return np.array(rows, dtype=float).reshape(len(rows), len(MotorWork._fields), WHEELS).swapaxes(0, 1)

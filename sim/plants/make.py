@@ -134,7 +134,7 @@ def make_plant(
 
 
 class _Setting(NamedTuple):
-    """What plants of both kinds are made in: names as given, for messages and defaults, beside what they name."""
+    """Setting of a plant: names as given, for messages and defaults, with their objects."""
 
     name: str
     surface_name: str | Path
@@ -171,7 +171,7 @@ def _physics_plant(setting: _Setting, scene: Scene | None, sample_time: float | 
         sideways=surface.sideways,
         sample_time=sample_time,
         scene=scene,
-        parts={name: make_part(name, of, values.get(name, {}), setting.seed) for name, of in sensors.parts.items()},
+        parts={name: make_part(name, part, values.get(name, {}), setting.seed) for name, part in sensors.parts.items()},
     )
     if not disturbances.kinds:
         return robot
@@ -181,7 +181,7 @@ def _physics_plant(setting: _Setting, scene: Scene | None, sample_time: float | 
 def _model_plant(
     setting: _Setting, model: VelocityModel | NonlinearModel | None, extra_dead_time: float, robot: Robot
 ) -> Plant:
-    """A robot that moves as a velocity model says: `model`, or the one that the setting's name says."""
+    """Build a robot that moves as a velocity model: `model`, or the one in the setting's name."""
     from diffdrive_mpc.models.load import load_base_effects, load_model  # noqa: PLC0415 - only this plant needs it
     from diffdrive_mpc.sim.plants.model_plant import ModelPlant  # noqa: PLC0415
 
@@ -209,7 +209,7 @@ def _model_plant(
 
 
 def _near_plant(name: str) -> str:
-    """The end of the message about an unknown plant: the nearest name, where one is near."""
+    """Format the end of the message about an unknown plant: the nearest name, if one is near."""
     from diffdrive_mpc.models.load import model_names  # noqa: PLC0415 - see make_plant
 
     by_words = {PHYSICS: PHYSICS, DRAWN: f"{DRAWN}:SEED"} | {model: _MODEL_PREFIX + model for model in model_names()}
@@ -227,7 +227,7 @@ def plant_body(name: str) -> tuple[Robot, TwinParameters]:
 
 
 def _checked_model(model: object) -> VelocityModel | NonlinearModel:
-    """`model`; raises ArgumentError where it is none."""
+    """Return `model`; raise ArgumentError if it is none."""
     from diffdrive_mpc.models.nonlinear_model import NonlinearModel  # noqa: PLC0415 - needs CasADi
     from diffdrive_mpc.models.velocity_model import VelocityModel  # noqa: PLC0415
 

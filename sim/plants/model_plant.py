@@ -72,7 +72,7 @@ class ModelPlant:
         self.reset(np.zeros(3))
 
     def __repr__(self) -> str:
-        """What it is, in one line."""
+        """Describe the plant in one line."""
         return f"ModelPlant of {self._name!r}, samples of {self.sample_time:g} s"
 
     @property
@@ -104,7 +104,7 @@ class ModelPlant:
         self._sensors.reset(self._pose, np.zeros(4))
 
     def measure(self) -> Measurement:
-        """Everything that the sensors delivered since the last call."""
+        """Collect the sensor data since the last call."""
         return self._sensors.collect(self.time, self._sent)
 
     def advance(self, command: ArrayLike) -> None:
@@ -120,8 +120,8 @@ class ModelPlant:
         yaw_rate = float(self._body(motion.body)[2])
         self._tick += 1
         for look in self._sensors.poses_due(self.time):
-            begin, pose, twist = [arc for arc in arcs if arc[0] <= look][-1]
-            self._sensors.see_pose(look, self._pose if look == self.time else self._moved(pose, twist, look - begin))
+            start, pose, twist = [arc for arc in arcs if arc[0] <= look][-1]
+            self._sensors.see_pose(look, self._pose if look == self.time else self._moved(pose, twist, look - start))
         wheel_speeds = self._kinematics.wheel_speeds(self._slip.wheels(motion.wheels))
         self._sensors.see_motion(self.time, wheel_speeds, yaw_rate)
 
@@ -130,7 +130,7 @@ class ModelPlant:
         return np.asarray(self._slip.body(output) + self._disturbance[self._tick % len(self._disturbance)])
 
     def _moved(self, pose: FloatArray, twist: FloatArray, duration: float) -> FloatArray:
-        """(3,) where `pose` (3,) is after `duration` [s] with constant body `twist` (3,)."""
+        """Move `pose` (3,) for `duration` [s] with constant body `twist` (3,)."""
         v, lateral, omega = twist
         # A body that crabs moves along the same arc as one that points in the direction of travel.
         forward = math.copysign(1.0, v)

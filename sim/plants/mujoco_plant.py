@@ -96,7 +96,7 @@ class MujocoPlant:
         self.reset(np.zeros(3))
 
     def __repr__(self) -> str:
-        """What it is, in one line."""
+        """Describe the plant in one line."""
         return f"MujocoPlant, friction {self._friction:g}, samples of {self._sample_time:g} s"
 
     @property
@@ -155,7 +155,7 @@ class MujocoPlant:
             part.reset()
 
     def measure(self) -> Measurement:
-        """Everything that the sensors delivered since the last call."""
+        """Collect the sensor data since the last call."""
         return self._sensors.collect(self.time, self._sent)
 
     def advance(self, command: ArrayLike) -> None:
@@ -165,8 +165,8 @@ class MujocoPlant:
         if self._shaping is None:
             self._line.send(self.time, sent)
         else:
-            for at, twist in self._shaping.levels(self.time, sent):
-                self._line.send(at, twist)
+            for since, twist in self._shaping.levels(self.time, sent):
+                self._line.send(since, twist)
         edges, poses = self._twin.edges, self._twin.poses
         np.add(self.time, self._offsets, out=edges)
         edges[-1] = (self._tick + 1) * self.sample_time

@@ -34,7 +34,7 @@ def split_plant(name: str) -> tuple[PlantKind, str, str] | None:
     part = plug_in("plants", kind)
     if not hasattr(part, "make_plant"):
         return None
-    argument, at, plant = rest.rpartition("@")
+    argument, separator, plant = rest.rpartition("@")
     # A path may contain the separator.
-    is_plant = bool(at) and plant.partition(":")[0] in BUILT_IN
+    is_plant = bool(separator) and plant.partition(":")[0] in BUILT_IN
     return (part, argument, plant) if is_plant else (part, rest, PHYSICS)

@@ -52,7 +52,7 @@ def load_command_parameters() -> CommandParameters:
 
 
 def step_commands(kind: Literal["wheels", "v", "omega"], robot: Robot | None = None) -> list[FloatArray]:
-    """One command row (K, 2) per step level: rest, step, rest.
+    """Build one command row (K, 2) per step level: rest, step, rest.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def step_commands(kind: Literal["wheels", "v", "omega"], robot: Robot | None = N
 def random_commands(
     seed: int, smooth: bool = True, duration: float | None = None, sample_time: float | None = None
 ) -> FloatArray:
-    """(K, 2) random set-points, each held for a random time; the robot comes from rest.
+    """Draw (K, 2) random set-points, each held for a random time; the robot starts from rest.
 
     Parameters
     ----------

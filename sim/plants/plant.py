@@ -1,4 +1,4 @@
-"""What every plant offers to the closed loop."""
+"""Interface of a plant to the closed loop."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Plant(Protocol):
         ...
 
     def measure(self) -> Measurement:
-        """Everything that the sensors delivered since the last call, at the current time."""
+        """Collect the sensor data since the last call, at the current time."""
         ...
 
     def advance(self, command: ArrayLike) -> None:
@@ -66,13 +66,13 @@ class Plant(Protocol):
 
 
 class PlantAround:
-    """What stands around a plant and is one itself: clock and true motion are those of the plant inside."""
+    """Plant around another plant, with the clock and the true motion of the inner one."""
 
     def __init__(self, plant: Plant) -> None:
         self._plant = plant
 
     def __repr__(self) -> str:
-        """What it is, in one line."""
+        """Describe the plant in one line."""
         return f"{type(self).__name__} around {self._plant!r}"
 
     @property

@@ -62,7 +62,7 @@ class SimulatedRobot(StrictModel):
 
 
 def digital_twin() -> dict[str, object]:
-    """What a robot file leaves out, as data: the robot of the papers."""
+    """Load the defaults of a robot file as data: the robot of the papers."""
     parts = {
         "robot": load_robot(),
         "twin": load_twin_parameters(),

@@ -1,4 +1,4 @@
-"""What the robot drives on: friction for the physics, slip for velocity models."""
+"""Surface under the robot: friction for the physics, slip for velocity models."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class VirtualTrack(StrictModel):
 
 
 class BodySlip(StrictModel):
-    """How the body moves when a velocity model says (v, omega).
+    """Motion of the body for the output (v, omega) of a velocity model.
 
     The gains act first, then one of the papers' laws where there is one: on what the gains leave as (v_c, w_c).
     """
@@ -57,7 +57,7 @@ class BodySlip(StrictModel):
     virtual_track: VirtualTrack | None = Field(default=None, description="track that grows with the yaw rate")
 
     def body(self, output: FloatArray) -> FloatArray:
-        """(3,) forward and lateral speed [m/s] and yaw rate [rad/s] of the body for the model's output (2,)."""
+        """Compute forward and lateral speed [m/s] and yaw rate [rad/s] (3,) of the body for the model's output (2,)."""
         v, omega = self.gained(output[0], output[1])
         if self.virtual_track is not None:
             track = self.virtual_track
@@ -69,7 +69,7 @@ class BodySlip(StrictModel):
         return np.array([v, lateral + self.sideways(v, omega), omega])
 
     def wheels(self, output: FloatArray) -> FloatArray:
-        """(2,) v [m/s], omega [rad/s] by encoders and geometric track for the same: they do not see the floor."""
+        """Compute v [m/s], omega [rad/s] (2,) by encoders and geometric track, which do not depend on the floor."""
         return np.array(self.turned(output[0], output[1]))
 
     # One text each for numbers and for CasADi's symbols, which a copy of this class may hold as its values.
@@ -78,11 +78,11 @@ class BodySlip(StrictModel):
         return self.longitudinal_gain * v, self.yaw_gain * omega
 
     def sideways(self, v: Any, omega: Any) -> Any:  # noqa: ANN401 - numbers or symbols
-        """Lateral speed of the side-slip, to the left [m/s]."""
+        """Compute the lateral speed of the side-slip, to the left [m/s]."""
         return -self.side_slip * v * omega
 
     def turned(self, v: Any, omega: Any) -> tuple[Any, Any]:  # noqa: ANN401 - numbers or symbols
-        """Twist v [m/s], omega [rad/s] by encoders and geometric track."""
+        """Compute the twist v [m/s], omega [rad/s] by encoders and geometric track."""
         return v, self.yaw_gain * omega / self.wheel_yaw_gain
 
 

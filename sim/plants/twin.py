@@ -50,11 +50,11 @@ class Twin:
         self._torques_address = address(self._torques)
 
     def advance(self) -> None:
-        """All steps of the control sample; raises RobotLostError."""
+        """Advance all steps of the control sample; raise RobotLostError."""
         self._chassis.check(self._lib.twin_advance(self._c, self._steps, *self._addresses))
 
     def torques(self, step: int) -> FloatArray:
-        """(4,) what the motors give in this step [N m]."""
+        """Compute motor torques (4,) in this step [N m]."""
         self._lib.twin_drive(self._c, self.edges[step], self.edges[step + 1], self._torques_address)
         return self._torques
 

@@ -27,22 +27,22 @@ _PLANE, _FORWARD = (0, 1, 5), (0, 5)
 
 
 def time_message(nanoseconds: int) -> Any:  # noqa: ANN401 - ROS messages have no types to check
-    """A time of whole nanoseconds."""
+    """Convert whole nanoseconds to a time message."""
     return Time(sec=nanoseconds // _NANO, nanosec=nanoseconds % _NANO)
 
 
 def nanoseconds(time: Any) -> int:  # noqa: ANN401
-    """Whole nanoseconds of a time message."""
+    """Convert a time message to whole nanoseconds."""
     return int(time.sec) * _NANO + int(time.nanosec)
 
 
 def clock(now: int) -> Any:  # noqa: ANN401
-    """rosgraph_msgs/Clock at `now` [ns]."""
+    """Build rosgraph_msgs/Clock at `now` [ns]."""
     return Clock(clock=time_message(now))
 
 
 def odometry(now: int, pose: ArrayLike, twist: Stamped) -> Any:  # noqa: ANN401
-    """nav_msgs/Odometry: pose (3,) in odom, twist of the encoders (2,) in base_link.
+    """Build nav_msgs/Odometry: pose (3,) in odom, twist of the encoders (2,) in base_link.
 
     A covariance of zeros means that none is known, as usual in ROS; that of a summed pose never is.
     """
@@ -54,7 +54,7 @@ def odometry(now: int, pose: ArrayLike, twist: Stamped) -> Any:  # noqa: ANN401
 
 
 def imu(now: int, yaw_rate: Stamped) -> Any:  # noqa: ANN401
-    """sensor_msgs/Imu with the yaw rate (); orientation and acceleration are marked as not measured."""
+    """Build sensor_msgs/Imu with the yaw rate (); orientation and acceleration are marked as not measured."""
     message = Imu(header=_header(now, IMU_LINK))
     message.angular_velocity.z = float(np.asarray(yaw_rate.value))
     message.orientation_covariance[0] = message.linear_acceleration_covariance[0] = -1.0
@@ -64,7 +64,7 @@ def imu(now: int, yaw_rate: Stamped) -> Any:  # noqa: ANN401
 
 
 def sensed_pose(stamp: int, pose: Stamped) -> Any:  # noqa: ANN401
-    """geometry_msgs/PoseWithCovarianceStamped in map, stamped with the instant that it describes [ns]."""
+    """Build geometry_msgs/PoseWithCovarianceStamped in map with the time of the measured pose as stamp [ns]."""
     message = PoseWithCovarianceStamped(header=_header(stamp, MAP))
     message.pose.pose = pose_message(pose.value)
     message.pose.covariance = _covariance(pose.covariance, _PLANE)
@@ -72,7 +72,7 @@ def sensed_pose(stamp: int, pose: Stamped) -> Any:  # noqa: ANN401
 
 
 def joint_state(now: int, angles: ArrayLike, speeds: ArrayLike) -> Any:  # noqa: ANN401
-    """sensor_msgs/JointState: angles (4,) [rad] and speeds (4,) [rad/s] of the wheels."""
+    """Build sensor_msgs/JointState: angles (4,) [rad] and speeds (4,) [rad/s] of the wheels."""
     return JointState(
         header=_header(now, ""),
         name=list(WHEELS),
@@ -82,12 +82,12 @@ def joint_state(now: int, angles: ArrayLike, speeds: ArrayLike) -> Any:  # noqa:
 
 
 def true_pose(now: int, pose: ArrayLike) -> Any:  # noqa: ANN401
-    """geometry_msgs/PoseStamped in map: the pose (3,) without error or delay."""
+    """Build geometry_msgs/PoseStamped in map: the pose (3,) without error or delay."""
     return PoseStamped(header=_header(now, MAP), pose=pose_message(pose))
 
 
 def true_twist(now: int, twist: ArrayLike) -> Any:  # noqa: ANN401
-    """geometry_msgs/TwistStamped in base_link: forward and lateral speed [m/s], yaw rate [rad/s] (3,)."""
+    """Build geometry_msgs/TwistStamped in base_link: forward and lateral speed [m/s], yaw rate [rad/s] (3,)."""
     forward, lateral, yaw_rate = (float(value) for value in np.asarray(twist))
     message = TwistStamped(header=_header(now, BASE), twist=twist_message((forward, yaw_rate)))
     message.twist.linear.y = lateral
@@ -95,7 +95,7 @@ def true_twist(now: int, twist: ArrayLike) -> Any:  # noqa: ANN401
 
 
 def pose_message(pose: ArrayLike) -> Any:  # noqa: ANN401
-    """geometry_msgs/Pose of x [m], y [m], theta [rad] (3,)."""
+    """Build geometry_msgs/Pose of x [m], y [m], theta [rad] (3,)."""
     x, y, theta = (float(value) for value in np.asarray(pose))
     message = Pose(orientation=Quaternion(z=math.sin(theta / 2), w=math.cos(theta / 2)))
     message.position.x, message.position.y = x, y
@@ -103,7 +103,7 @@ def pose_message(pose: ArrayLike) -> Any:  # noqa: ANN401
 
 
 def twist_message(twist: ArrayLike) -> Any:  # noqa: ANN401
-    """geometry_msgs/Twist of v [m/s], omega [rad/s] (2,)."""
+    """Build geometry_msgs/Twist of v [m/s], omega [rad/s] (2,)."""
     v, omega = (float(value) for value in np.asarray(twist))
     message = Twist()
     message.linear.x, message.angular.z = v, omega
@@ -123,7 +123,7 @@ def _header(stamp: int, frame: str) -> Any:  # noqa: ANN401
 
 
 def _covariance(known: ArrayLike | None, rows: tuple[int, ...]) -> list[float]:
-    """(36,) row by row, zero where nothing is known."""
+    """Build a covariance (36,) row by row, with zeros for unknown entries."""
     whole = np.zeros((6, 6))
     if known is not None:
         whole[np.ix_(rows, rows)] = known
@@ -177,6 +177,6 @@ def bag_recorder(folder: Path, storage: Storage = "mcap") -> Iterator[MessageRec
 
 
 def _kind(message: Any) -> str:  # noqa: ANN401
-    """The type of a message as ROS names it, such as nav_msgs/msg/Odometry."""
+    """Return the type of a message as ROS names it, such as nav_msgs/msg/Odometry."""
     kind = type(message)
     return f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"

@@ -1,4 +1,4 @@
-"""How the simulated base keeps time: its clocks, lock step with a controller, and real time.
+"""Timing of the simulated base: clocks, lock step with a controller, and real time.
 
 Lock step: sensors of a tick, then /clock, then the command to that tick, then the next tick.
 """
@@ -42,11 +42,11 @@ class SteppedClock:
         self._now = self.origin
 
     def __call__(self) -> int:
-        """Time of the current tick [ns]."""
+        """Return the time of the current tick [ns]."""
         return self._now
 
-    def at(self, tick: int) -> int:
-        """Go to the instant of a tick, which may lie before the first one, and return it [ns]."""
+    def set_tick(self, tick: int) -> int:
+        """Set the clock to a tick, which may be before the first one, and return its time [ns]."""
         self._now = self.origin + round(1e9 * tick * self._sample)
         return self._now
 
@@ -65,7 +65,7 @@ class WallClock:
         self.origin = self()
 
     def __call__(self) -> int:
-        """Now [ns]."""
+        """Return the current time [ns]."""
         return time.monotonic_ns() + self._offset
 
 
@@ -112,11 +112,11 @@ def drive_in_lock_step(
     """
     ticker = base.node.create_publisher(Clock, "/clock", QoSProfile(depth=1))
     # One sample before the first tick, so that a timer that this wakes falls due again on the first tick.
-    before = messages.clock(clock.at(-1))
+    before = messages.clock(clock.set_tick(-1))
     _wait_for_company(base, lambda: ticker.publish(before), settings, spin, going)
     rhythm = CommandRhythm()
     while going():
-        now = clock.at(base.tick)
+        now = clock.set_tick(base.tick)
         base.publish_sensors(now, clock.origin)
         _wait_for_answer(base, now, ticker.publish, settings, spin, going)
         if rhythm.differs(base.tick, answered=base.inbox.answers(now)):
@@ -127,7 +127,7 @@ def drive_in_lock_step(
 def _wait_for_company(
     base: SimulatedBase, publish: Callable[[], None], settings: LockStep, spin: Spin, going: Callable[[], bool]
 ) -> None:
-    """Until commands have a publisher and, though not for longer than an answer may take, odometry has a reader.
+    """Wait until commands have a publisher and, for a limited time, until odometry has a reader.
 
     Nothing must have connected for the settling time: the first tick is for all who are about to come.
     """

@@ -85,7 +85,7 @@ def run_robot(
 
 @contextmanager
 def _told_to_end(plant: Plant, duration: float | None) -> Iterator[Callable[[], bool]]:
-    """Give a function that says whether to go on; a signal only sets a mark, so that a sample is never torn."""
+    """Yield a function that returns True while the run continues; a signal ends it between samples."""
     ended = False
 
     def end(_number: int, _frame: FrameType | None) -> None:
@@ -104,7 +104,7 @@ def _told_to_end(plant: Plant, duration: float | None) -> Iterator[Callable[[], 
 
 @contextmanager
 def _ros_node(arguments: Sequence[str]) -> Iterator[tuple[Node, Callable[[float], None]]]:
-    """A node, and a function that handles one of its messages."""
+    """Yield a node, and a function that handles one of its messages."""
     try:
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # the base of rclpy's errors, which have no public names

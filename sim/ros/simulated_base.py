@@ -48,7 +48,7 @@ class Every(StrictModel):
 
 
 class LockStep(StrictModel):
-    """How the clock and the commands take turns."""
+    """Lock step of clock and commands."""
 
     # A sensor's latency may be 2 s: stamps of poses from before the start must not fall below zero.
     first_tick: int = Field(ge=200, le=1_000_000, description="control samples on /clock at the start")
@@ -60,7 +60,7 @@ class LockStep(StrictModel):
 
 
 class RealTime(StrictModel):
-    """How the base keeps pace with the wall clock."""
+    """Pace of the base by the wall clock."""
 
     most_behind: Seconds = Field(description="delay beyond which lost time is given up [s]")
 
@@ -151,15 +151,15 @@ class CommandInbox:
         return ""
 
     def command(self, now: int) -> tuple[float, float]:
-        """The command that holds at `now`: v [m/s], omega [rad/s]; zero once the last one has lapsed."""
+        """Return the command in force at `now`, v [m/s], omega [rad/s]; zero once the last one has timed out."""
         return STOP if self.lapsed(now) or self._received is None else self._command
 
     def lapsed(self, now: int) -> bool:
-        """Whether a command had been received, and none has come for longer than the timeout."""
+        """Return True if the last command has timed out."""
         return self._received is not None and now - self._received > self._timeout
 
     def answers(self, tick: int) -> bool:
-        """Whether the newest command belongs to the tick at this time: by its stamp, else by when it was received."""
+        """Return True if the newest command belongs to the tick at this time, by its stamp or time of arrival."""
         if self._received is None:
             return False
         return abs((self._stamp or self._received) - tick) <= self._tolerance
@@ -269,17 +269,17 @@ class SimulatedBase:
 
     @property
     def commanded(self) -> bool:
-        """Whether somebody is connected who publishes commands."""
+        """True if commands have a publisher."""
         return self._commands.get_publisher_count() > 0
 
     @property
     def observed(self) -> bool:
-        """Whether somebody is connected who reads the odometry."""
+        """True if the odometry has a reader."""
         return bool(self._publishers["odom"].get_subscription_count() > 0)
 
     @property
     def connections(self) -> tuple[int, ...]:
-        """How many are connected to each topic."""
+        """Count the connections of each topic."""
         readers = (publisher.get_subscription_count() for publisher in self._publishers.values())
         return (self._commands.get_publisher_count(), *readers)
 
@@ -290,16 +290,16 @@ class SimulatedBase:
 
     def _check_senders(self) -> None:
         """Warn once about publishers of the other command type."""
-        heard, other = ("TwistStamped", "Twist") if self._settings.stamped else ("Twist", "TwistStamped")
+        heard, unsupported = ("TwistStamped", "Twist") if self._settings.stamped else ("Twist", "TwistStamped")
         infos = self.node.get_publishers_info_by_topic(self.command_topic)
-        names = {info.node_name for info in infos if info.topic_type == f"geometry_msgs/msg/{other}"}
+        names = {info.node_name for info in infos if info.topic_type == f"geometry_msgs/msg/{unsupported}"}
         # Discovery may bring a publisher before the name of its node.
         misheard = " and ".join(sorted(name for name in names if "_UNKNOWN_" not in name))
         if misheard and misheard != self._misheard:
             option, parameter = ("--unstamped", "true") if self._settings.stamped else ("--stamped", "false")
             self.node.get_logger().warning(
-                f"{misheard} publishes {other} on {self.command_topic}, this robot listens to {heard}: start the robot "
-                f"with {option}, or set the node's parameter stamped:={parameter}"
+                f"{misheard} publishes {unsupported} on {self.command_topic}, this robot listens to {heard}: "
+                f"start the robot with {option}, or set the node's parameter stamped:={parameter}"
             )
         self._misheard = misheard
 

@@ -34,7 +34,7 @@ class Odometry:
         self._sensed, self._anchor = start, start
 
     def update(self, time: float, measurement: Measurement) -> FloatArray:
-        """Go on to `time` [s] with what the sensors delivered.
+        """Advance to `time` [s] with the delivered measurements.
 
         A sensor without news keeps its last value.
 
@@ -60,14 +60,14 @@ class Odometry:
         return _moved(self._sensed, self._anchor, self._summed)
 
     def _summed_at(self, time: float) -> FloatArray:
-        """(3,) the sum at an instant of the past [s]; before the start, the robot rested."""
-        times = np.array([at for at, _ in self._past])
+        """Compute the accumulated pose (3,) at a past time [s]; before the start, the robot was at rest."""
+        times = np.array([time_of_sum for time_of_sum, _ in self._past])
         poses = np.array([pose for _, pose in self._past])
         return np.array([np.interp(time, times, poses[:, i]) for i in range(3)])
 
 
 def _moved(pose: FloatArray, before: FloatArray, after: FloatArray) -> FloatArray:
-    """(3,) `pose` after the motion of a rigid body that takes `before` to `after`."""
+    """Move `pose` (3,) by the motion of a rigid body that takes `before` to `after`."""
     turn = pose[2] - before[2]
     c, s = np.cos(turn), np.sin(turn)
     x, y = after[:2] - before[:2]

@@ -74,7 +74,7 @@ class Sensors:
         self.see_motion(0.0, wheel_speeds, 0.0)
 
     def poses_due(self, until: float) -> list[float]:
-        """The times up to `until` [s] at which the pose sensor looks; each has to be answered with `see_pose`."""
+        """Return the times up to `until` [s] of pose measurements; each requires a call of `see_pose`."""
         due = []
         while self._next_pose * self._period <= until + TIME_TOLERANCE:
             due.append(self._next_pose * self._period)
@@ -82,7 +82,7 @@ class Sensors:
         return due
 
     def see_pose(self, time: float, pose: ArrayLike) -> None:
-        """The pose sensor looks at the true `pose` (3,) at `time` [s]."""
+        """Measure the true `pose` (3,) at `time` [s] with the pose sensor."""
         wired = self._parameters.pose
         value = np.asarray(pose, dtype=float) + next(self._pose_noise)
         value *= [1.0, -1.0 if wired.mirrored else 1.0, wired.theta_sign]
@@ -96,7 +96,7 @@ class Sensors:
         self._on_the_way.append((arrival, Stamped(value, stamp, self._pose_covariance)))
 
     def see_motion(self, time: float, wheel_speeds: ArrayLike, yaw_rate: float) -> None:
-        """Encoders and gyro are read at the tick at `time` [s]: wheel speeds (4,) [rad/s], true yaw rate [rad/s]."""
+        """Measure wheel speeds (4,) [rad/s] and the true yaw rate [rad/s] with encoders and gyro at `time` [s]."""
         wired, gyro = self._parameters.encoders, self._parameters.gyro
         speeds = np.asarray(wheel_speeds, dtype=float) + next(self._encoder_noise)
         # Front left, front right, rear left, rear right.
@@ -108,7 +108,7 @@ class Sensors:
         self._yaw_rate: Stamped | None = Stamped(np.float64(rate), time, self._gyro_covariance)
 
     def collect(self, time: float, sent: tuple[float, float] | None) -> Measurement:
-        """Everything delivered up to `time` [s] and not collected yet; of several poses the newest."""
+        """Collect measurements delivered up to `time` [s] and not collected yet; of several poses the newest."""
         pose = None
         while self._on_the_way and self._on_the_way[0][0] <= time + TIME_TOLERANCE:
             _, pose = self._on_the_way.popleft()
@@ -124,14 +124,14 @@ class Sensors:
 
 
 def _white(seed: np.random.SeedSequence, deviations: FloatArray) -> Iterator[FloatArray]:
-    """White noise with these standard deviations (k,), sample by sample; drawn in blocks, which gives the same."""
+    """Yield white noise with these standard deviations (k,), sample by sample; drawing in blocks does not change it."""
     stream = np.random.default_rng(seed)
     while True:
         yield from deviations * stream.standard_normal((_BLOCK, len(deviations)))
 
 
 def _stated(covariance: FloatArray) -> FloatArray | None:
-    """A covariance to hand out, or None for an exact sensor: a filter must not divide by zero."""
+    """Return a covariance to publish, or None for an exact sensor, since a filter must not divide by zero."""
     if not covariance.any():
         return None
     covariance.setflags(write=False)

@@ -50,7 +50,7 @@ _TITLES = {
 
 
 def parameter_tables() -> str:
-    """Every parameter of the node in a table for each group, from the schemas and the advice file.
+    """Tabulate every parameter of the node by group, from the schemas and the advice file.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def part_rows() -> dict[str, list[FieldRow]]:
 
 
 def _title(group: str) -> str:
-    """Of the table of a group; one of the second room says so."""
+    """Return the title of the table of a group, with a remark for the second room."""
     inner = group.removeprefix(EXPERT).removeprefix(".")
     return f"For experts: {_TITLES[inner]}" if group != inner else _TITLES[group]
 
@@ -107,7 +107,7 @@ def _keys() -> list[FieldRow]:
 
 
 def with_tables(name: str, page: str) -> str:
-    """`page`, the document of that name, with its table as it is now."""
+    """Update the table in `page`, the document of that name."""
     marker, table = PAGES[name]
     return insert(page, table(), marker)
 
@@ -133,7 +133,7 @@ def _line(row: FieldRow, advice: dict[str, str]) -> str:
 
 
 def scalars_table() -> str:
-    """The declared numbers of a step as a table in Markdown."""
+    """Tabulate the declared scalars of a step in Markdown."""
     rows = [f"| `{name}` | {scalar.unit} | {scalar.help} |" for name, scalar in step_scalars().items()]
     return "\n".join(("| column | unit | meaning |", "| --- | --- | --- |", *rows))
 

@@ -35,7 +35,7 @@ _OWN_TARGETS = {
 
 @dataclass(frozen=True)
 class ShownReport:
-    """What the documents show of the report `NAME.md` that `make NAME` writes.
+    """Parts of the report `NAME.md` by `make NAME` that documents show.
 
     Attributes
     ----------
@@ -127,12 +127,14 @@ def copy_report(shown: ShownReport, out: Path, documents: Path) -> None:
     for record in shown.records:
         shutil.copyfile(out / record, documents / record)
     lines = report.replace("](figures/", "](").splitlines()
-    kept = [line for line in lines if not line.startswith("![") or line.split("](")[1].rstrip(")") in shown.figures]
-    (documents / f"{shown.name}.md").write_text("\n".join(kept) + "\n", encoding="utf-8")
+    shown_lines = [
+        line for line in lines if not line.startswith("![") or line.split("](")[1].rstrip(")") in shown.figures
+    ]
+    (documents / f"{shown.name}.md").write_text("\n".join(shown_lines) + "\n", encoding="utf-8")
 
 
 def sections(shown: ShownReport, report: str) -> dict[str, str]:
-    """Parts of a report by the names of their markers: facts, figures and tables."""
+    """Split a report into parts by the names of their markers: facts, figures and tables."""
     folder = os.path.relpath(f"docs/{shown.name}", Path("docs", shown.page).parent)
     head, *tables = report.split("\n## ")
     lines = head.splitlines()
@@ -152,21 +154,21 @@ def sections(shown: ShownReport, report: str) -> dict[str, str]:
 
 
 def insert(document: str, text: str, name: str) -> str:
-    """`document` with `text` between the markers of that name."""
-    begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
-    before, rest = document.split(begin, 1)
-    return f"{before}{begin}\n{text}\n{end}{rest.split(end, 1)[1]}"
+    """Insert `text` between the markers of that name in `document`."""
+    start, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
+    before, rest = document.split(start, 1)
+    return f"{before}{start}\n{text}\n{end}{rest.split(end, 1)[1]}"
 
 
 def measured_on() -> str:
-    """Revision, date and machine of this run, as the end of a sentence below a table."""
+    """Format revision, date and machine of this run, as the end of a sentence below a table."""
     run = describe_run(0.0)
     machine = run["machine"]
     return f"revision {run['revision']}, {run['date']}, {machine['cores']} cores of {machine['cpu']}."
 
 
 def with_report(shown: ShownReport, document: str, report: str) -> str:
-    """`document` with every part of the report between its markers; parts that were not run say so."""
+    """Insert every part of the report between its markers in `document`; missing parts are marked as such."""
     parts = sections(shown, report)
     for name in re.findall(rf"<!-- ({shown.name}(?:-[a-z-]+)?):begin -->", document):
         document = insert(document, parts.get(name, _NOT_RUN), name)
@@ -178,11 +180,11 @@ def update(out: Path) -> str:
 
     Raises ConfigError if there is no report.
     """
-    present = [one for one in SHOWN if (out / one.file).is_file()]
+    present = [candidate for candidate in SHOWN if (out / candidate.file).is_file()]
     if not present:
-        raise ConfigError(f"{out}: no report of {', '.join(one.name for one in SHOWN)}")
+        raise ConfigError(f"{out}: no report of {', '.join(candidate.name for candidate in SHOWN)}")
     # The folder's name says which, where one study writes several.
-    shown = next((one for one in present if one.name == out.name), present[0])
+    shown = next((candidate for candidate in present if candidate.name == out.name), present[0])
     folder = Path("docs") / shown.name
     copy_report(shown, out, folder)
     show(shown)
@@ -217,14 +219,14 @@ def drives() -> dict[str, list[float]]:
 
 
 def alike(first: dict[str, list[float]], second: dict[str, list[float]]) -> bool:
-    """Whether two sets of drives have the same commands but for rounding."""
+    """Return True if two sets of drives have the same commands apart from rounding."""
     return first.keys() == second.keys() and all(
         np.allclose(first[name], second[name], rtol=TOLERANCE, atol=0.0) for name in first
     )
 
 
 def record(documents: Path, made: Collection[str], names: Iterable[str]) -> None:
-    """Note that the reports `made` are of today's commands.
+    """Record that the reports `made` are up to date with the commands.
 
     Where those differ from the commands of the record, all other reports of `names` are older, and get a line that
     says so.
@@ -232,8 +234,8 @@ def record(documents: Path, made: Collection[str], names: Iterable[str]) -> None
     path = documents / RECORD.name
     now = drives()
     known = json.loads(path.read_text(encoding="utf-8"))
-    kept = set(known["reports"]) if alike(known["drives"], now) else set()
-    current = sorted(kept | set(made))
+    current_reports = set(known["reports"]) if alike(known["drives"], now) else set()
+    current = sorted(current_reports | set(made))
     for name in set(names) - set(current):
         mark_as_older(documents / name / f"{name}.md")
     path.write_text(json.dumps({"reports": current, "drives": now}, indent=1) + "\n", encoding="utf-8")

@@ -31,7 +31,7 @@ _SPACING = 0.002
 
 @dataclass(frozen=True)
 class Followed:
-    """How a path was followed: distances of the true position from it at each tick while it drove [m].
+    """Result of following a path: distances of the true position from it at each tick [m].
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Followed:
 
 
 def short_carrot() -> TrackingController:
-    """Nav2's law with its carrot at half the distance."""
+    """Create Nav2's law with its carrot at half the distance."""
     return RegulatedPurePursuit(parameters=load_parameters().model_copy(update={"lookahead_dist": 0.3}))
 
 
@@ -90,7 +90,7 @@ def _distances(points: FloatArray, path: FloatArray) -> FloatArray:
 
 
 def study() -> dict[tuple[str, str], list[Followed]]:
-    """Every controller on every path, each seed."""
+    """Run every controller on every path with each seed."""
     results = {}
     for path in PATHS:
         reference = load_trajectory(path)
@@ -100,7 +100,7 @@ def study() -> dict[tuple[str, str], list[Followed]]:
 
 
 def table(results: dict[tuple[str, str], list[Followed]]) -> str:
-    """Means over the seeds; the largest distance is that of all."""
+    """Tabulate means over the seeds, and the overall maximum distance."""
     lines = [
         "| path | controller | off the path RMS [mm] | largest [mm] | end [mm] | end [rad] | time [s] | speed [m/s] |",
         "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |",
@@ -117,7 +117,7 @@ def table(results: dict[tuple[str, str], list[Followed]]) -> str:
 
 
 def draw(results: dict[tuple[str, str], list[Followed]], path: Path = FIGURE) -> None:
-    """The ways of the first seed on the paths."""
+    """Draw the driven paths of the first seed."""
     path.parent.mkdir(exist_ok=True)
     with new_figure(path, 11.0, 3.2) as figure:
         axes = figure.subplots(1, len(PATHS))

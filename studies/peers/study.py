@@ -79,7 +79,7 @@ class GainSearch:
                     return
 
     def _step(self, name: str, factor: float) -> bool:
-        """Go on in one direction as long as it helps; whether it did."""
+        """Move in one direction as long as it helps; return True if it did."""
         helped = False
         while len(self.tried) < self.evaluations:
             values, least = self.best
@@ -110,7 +110,7 @@ Count = Annotated[int, Field(ge=1, le=MOST_CASES)]
 
 
 class PeersSettings(StrictModel):
-    """How peers are tuned."""
+    """Settings of the tuning of peers."""
 
     plant: str
     runs: dict[str, tuple[Annotated[int, Field(ge=0)], ...]]
@@ -153,7 +153,7 @@ class TunedPeer:
 
 
 def position_errors(settings: PeersSettings, peer: str, values: Values) -> FloatArray:
-    """(runs,) position RMSE of a peer with these gains on every run [m]."""
+    """Compute position RMSE [m] of a peer with these gains on every run (runs,)."""
     gains, errors = law_kind(peer).gains(**values), []
     for trajectory, seeds in settings.runs.items():
         reference = load_trajectory(trajectory)
@@ -173,9 +173,9 @@ def tune(settings: PeersSettings, peer: str) -> TunedPeer:
     search.scan(settings.scan, settings.search_seed)
     search.refine(settings.first_factor)
     gains, rmse = search.best
-    here = errors(gains)
+    best = errors(gains)
     neighbours = [
-        Neighbour(name, factor, errors(gains | {name: value * factor}) - here)
+        Neighbour(name, factor, errors(gains | {name: value * factor}) - best)
         for name, value in gains.items()
         for factor in settings.proof
     ]
@@ -199,21 +199,21 @@ class PeersStudy(Study[list[str], list[TunedPeer]]):
         self._settings, self._only = settings, only
 
     def plan(self) -> list[str]:
-        """Names of the peers, the slowest first."""
+        """Return the names of the peers, the slowest first."""
         known = [name for name in TUNED if name.partition("+")[0] in self._settings.ranges]
-        asked = known if self._only is None else list(self._only)
-        for name in asked:
+        selected = known if self._only is None else list(self._only)
+        for name in selected:
             if name not in known:
                 raise ConfigError(f"--peers: unknown peer '{name}'; known: {', '.join(known)}")
-        return sorted(asked, key=lambda name: not name.startswith("mppi"))
+        return sorted(selected, key=lambda name: not name.startswith("mppi"))
 
     def run(self, plan: list[str], jobs: int, bar: ProgressBar) -> list[TunedPeer]:
         """Tune each peer; a peer is one task."""
-        bar.begin("tuning", len(plan))
+        bar.start_stage("tuning", len(plan))
         return run_tasks([partial(tune, self._settings, name) for name in plan], jobs, bar.advance)
 
     def report(self, results: list[TunedPeer], seconds: float) -> Report:
-        """Gains, and the proof."""
+        """Report gains, and the proof."""
         settings = self._settings
         runs = ", ".join(f"{Path(name).stem} ({', '.join(map(str, seeds))})" for name, seeds in settings.runs.items())
         facts = [
@@ -268,8 +268,8 @@ def _proof(peer: TunedPeer) -> Table:
     columns = ("gain", "what it acts on", "value", *(f"x {factor:g} [mm]" for factor in factors))
     rows = []
     for name, value in peer.gains.items():
-        at = {it.factor: it for it in peer.neighbours if it.gain == name}
-        cells = [f"{1e3 * at[f].worse.mean():+.2f} ± {1e3 * at[f].spread:.2f}" for f in factors]
+        by_factor = {it.factor: it for it in peer.neighbours if it.gain == name}
+        cells = [f"{1e3 * by_factor[f].worse.mean():+.2f} ± {1e3 * by_factor[f].spread:.2f}" for f in factors]
         rows.append((name, str(fields[name].description), f"{value:g}", *cells))
     note = f"Change of the mean position RMSE of {1e3 * peer.rmse:.2f} mm, ± its standard error over the runs."
     return Table(f"Neighbours of {peer.peer}", columns, tuple(rows), 2, note)

@@ -1,4 +1,4 @@
-"""What simulating a model costs: time per step and memory (P0, Table 3; P1, Table 5); the rules on it, its table."""
+"""Cost of simulating a model: time per step and memory (P0, Table 3; P1, Table 5), with its rules and table."""
 
 from __future__ import annotations
 
@@ -112,10 +112,10 @@ def _mean_and_std(values: list[float]) -> tuple[float, float]:
 
 
 def cost_findings(cost: Mapping[str, Cost], published: Published) -> list[PaperFinding]:
-    """Means decide; times differ from machine to machine."""
-    took = {name: one.time_per_step[0] for name, one in cost.items()}
-    held = {name: one.memory[0] for name, one in cost.items()}
-    simulated = {name: one.simulation_time[0] for name, one in cost.items()}
+    """Compare mean costs; single times differ from machine to machine."""
+    took = {name: entry.time_per_step[0] for name, entry in cost.items()}
+    held = {name: entry.memory[0] for name, entry in cost.items()}
+    simulated = {name: entry.simulation_time[0] for name, entry in cost.items()}
     printed, rules = published.cost, published.rules
     return [
         PaperFinding(
@@ -161,7 +161,7 @@ def _network(took: Mapping[str, float], printed: Mapping[str, PublishedCost], mu
 
 
 def cost_table(cost: Mapping[str, Cost], published: Published) -> Table:
-    """Mean and standard deviation over runs, in microseconds and kilobytes."""
+    """Tabulate mean and standard deviation over runs, in microseconds and kilobytes."""
     rows = []
     for name, ours in cost.items():
         paper = published.cost[name]

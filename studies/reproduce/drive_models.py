@@ -28,7 +28,7 @@ from studies.reproduce.real_logs import divide, load_protocol
 NO_MODEL, PHYSICAL, EXPERIMENTAL, SM = "no model", "physical", "experimental", "SM"
 KINDS: Mapping[str, Kind] = {PHYSICAL: "drive_physical", EXPERIMENTAL: "drive_experimental"}
 SHARP = ", sharp"
-"""Of the same numbers without what rounds the model off for its derivatives."""
+"""Suffix for the same numbers without the smoothing that derivatives need."""
 TWIN = "simulated robot"
 _SEEDS_EACH, _FIRST_SEED = 1000, 500
 """Seeds of a repetition, and where this part's begin in it: beyond those of every other drive."""
@@ -44,7 +44,7 @@ class VelocityErrors:
 
 @dataclass(frozen=True)
 class DriveModelsResult:
-    """What came of one source.
+    """Result for one source.
 
     Attributes
     ----------
@@ -71,16 +71,16 @@ class DriveModelsResult:
 
 
 def reversing_commands(study: DriveStudy, seed: int, *, smooth: bool) -> FloatArray:
-    """(K, 2) random set-points up to the speeds of P2's second data set, forwards as often as backwards."""
-    given = load_command_parameters().random
-    ends = np.array([given.v_range, given.omega_range])
+    """Draw (K, 2) random set-points up to the speeds of P2's second data set, forwards as often as backwards."""
+    ranges = load_command_parameters().random
+    ends = np.array([ranges.v_range, ranges.omega_range])
     middle, reach = ends.mean(axis=1), np.diff(ends, axis=1)[:, 0] / 2
     fastest = np.array([study.v, study.omega])
     return np.asarray((random_commands(seed, smooth, study.duration) - middle) / reach * fastest)
 
 
 def twin_records(study: DriveStudy, repetition: int) -> tuple[list[Record], list[Record]]:
-    """Drives to fit and drives to score, set-points smoothed and in steps in turn."""
+    """Simulate training and validation drives, with smoothed and stepped set-points in turn."""
     seed = _SEEDS_EACH * repetition + _FIRST_SEED
     records = [
         record_of(f"reversals, seed {seed + k}", seed + k, reversing_commands(study, seed + k, smooth=k % 2 == 0))
@@ -125,7 +125,7 @@ def _dead_time(fit: DriveFit) -> tuple[float, float]:
 
 
 def velocity_errors(simulated: Sequence[FloatArray], records: Sequence[Record]) -> VelocityErrors:
-    """Of simulated v [m/s] and omega [rad/s] (K, 2), at every reading of the records."""
+    """Compute the errors of simulated v [m/s] and omega [rad/s] (K, 2) at every reading of the records."""
     units = (1e3, np.degrees(1.0))
     experiments = twist_experiments(records)
     pairs = []
@@ -141,7 +141,7 @@ def velocity_errors(simulated: Sequence[FloatArray], records: Sequence[Record]) 
 
 
 def drive_model_tables(results: Sequence[DriveModelsResult], published: Published) -> list[Table]:
-    """Errors beside the paper's, and the numbers that were found."""
+    """Tabulate errors next to the paper's, and the identified numbers."""
     paper = published.drive_models
     rows = [
         (f"P2, {data}", name, *(f"{value:.2f}" for value in (*errors.v, *errors.omega)))
@@ -176,10 +176,10 @@ def drive_model_tables(results: Sequence[DriveModelsResult], published: Publishe
 
 
 def _numbers(group: Sequence[DriveModelsResult], name: str, row: int) -> str:
-    one, channel = group[0], ("v", "omega")[row]
-    words = [f"dead time {one.dead_time[name][row]:.3f}"]
-    for key, value in one.values[name][row].items():
-        mark = "*" if f"{channel} {key}" in one.at_bound[name] else ""
+    first, channel = group[0], ("v", "omega")[row]
+    words = [f"dead time {first.dead_time[name][row]:.3f}"]
+    for key, value in first.values[name][row].items():
+        mark = "*" if f"{channel} {key}" in first.at_bound[name] else ""
         words.append(f"{key.replace('_', ' ')} {value:.3g}{mark}")
     return ", ".join(words)
 
@@ -192,7 +192,7 @@ def _by_source(results: Sequence[DriveModelsResult]) -> dict[str, list[DriveMode
 
 
 def drive_model_findings(results: Sequence[DriveModelsResult], published: Published) -> list[PaperFinding]:
-    """Whether what P2 finds holds: on the simulated robot in each repetition, on the logs in each log."""
+    """Check P2's findings on the simulated robot in each repetition, and on each log."""
     second = published.drive_models["second data set"]
     findings = []
     for where, group in (

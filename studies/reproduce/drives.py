@@ -45,8 +45,8 @@ class Spread:
     max: float
 
     @classmethod
-    def of(cls, error: ArrayLike) -> Spread:
-        """Of errors (K,) of any sign."""
+    def of_errors(cls, error: ArrayLike) -> Spread:
+        """Compute the spread of signed errors (K,)."""
         size = np.abs(np.asarray(error, dtype=float))
         return cls(
             float(np.sqrt(np.mean(size**2))),
@@ -78,20 +78,20 @@ class PathError:
 
 
 def dead_reckon(twist: FloatArray, start: ArrayLike, dt: float) -> FloatArray:
-    """Poses (K, 3) that a twist (K, 2) v [m/s], omega [rad/s] leads through from `start` (3,).
+    """Integrate a twist (K, 2) v [m/s], omega [rad/s] to poses (K, 3) from `start` (3,).
 
     Exact arcs of the mean twist between two samples, without side-slip (Guffanti et al., Sensors 2025, 25(11), 3553).
     """
     start = np.asarray(start, dtype=float)
     v, omega = (0.5 * (twist[1:] + twist[:-1])).T
     theta = start[2] + np.concatenate([[0.0], np.cumsum(omega * dt)])
-    there = np.column_stack([np.zeros((len(v), 2)), theta[:-1]])
-    legs = integrate_pose(there, v, omega, dt)[:, :2]
+    starts = np.column_stack([np.zeros((len(v), 2)), theta[:-1]])
+    legs = integrate_pose(starts, v, omega, dt)[:, :2]
     return np.column_stack([np.vstack([start[:2], start[:2] + np.cumsum(legs, axis=0)]), theta])
 
 
 def sampled(system: LinearSystem, dt: float) -> DiscreteModel:
-    """An identified system without its sensor offsets, sampled with `dt` [s].
+    """Sample an identified system without its sensor offsets, with `dt` [s].
 
     It need not be a robot's: an identification may place a pole that the data do not determine further out than
     `VelocityModel` accepts.
@@ -100,14 +100,14 @@ def sampled(system: LinearSystem, dt: float) -> DiscreteModel:
 
 
 def predict_path(model: DiscreteModel | NonlinearModel, commands: FloatArray, start: ArrayLike) -> FloatArray:
-    """Poses (K, 3) from commands (K, 2) alone, from rest at `start` (3,)."""
+    """Predict poses (K, 3) from commands (K, 2) alone, from rest at `start` (3,)."""
     return dead_reckon(model.simulate(commands), start, model.dt)
 
 
 def pose_error(predicted: FloatArray, driven: FloatArray) -> PathError:
-    """Statistics of predicted poses (K, 3) against driven ones (K, 3), headings unwrapped."""
+    """Compute statistics of predicted poses (K, 3) against driven ones (K, 3), headings unwrapped."""
     error = predicted - driven
-    return PathError(Spread.of(np.hypot(error[:, 0], error[:, 1])), Spread.of(error[:, 2]))
+    return PathError(Spread.of_errors(np.hypot(error[:, 0], error[:, 1])), Spread.of_errors(error[:, 2]))
 
 
 class RobotLogs:
@@ -126,13 +126,13 @@ class RobotLogs:
         self._seeds: Iterator[int] = iter(range(_SEEDS_EACH * repetition, _SEEDS_EACH * (repetition + 1)))
 
     def steps(self, kind: StepKind) -> list[Record]:
-        """The steps of "wheels", "v" or "omega"; see `sim.plants.open_loop.step_commands`."""
+        """Drive the steps of "wheels", "v" or "omega"; see `sim.plants.open_loop.step_commands`."""
         return self._driven(f"step of {kind}", step_commands(kind))
 
     def free(self, drives: int, duration: float, largest: PaperRange | None = None) -> list[Record]:
         """Free drives of `duration` [s] each: smoothed random set-points, stretched to end at `largest` if given."""
-        own = load_command_parameters().random
-        ends = np.array([own.v_range[1], own.omega_range[1]])
+        ranges = load_command_parameters().random
+        ends = np.array([ranges.v_range[1], ranges.omega_range[1]])
         stretch = np.array([largest.v, largest.omega]) / ends if largest else np.ones(2)
         return [
             record_of(f"free drive, seed {seed}", seed, stretch * random_commands(seed, duration=duration))
@@ -140,7 +140,7 @@ class RobotLogs:
         ]
 
     def trajectory(self, name: str) -> Record:
-        """A trajectory's commands in open loop, from rest at the origin."""
+        """Drive a trajectory's commands in open loop, from rest at the origin."""
         return self._driven(name, [trajectory_commands(name)])[0]
 
     def _driven(self, name: str, commands: Iterable[FloatArray]) -> list[Record]:
@@ -148,7 +148,7 @@ class RobotLogs:
 
 
 def trajectory_commands(name: str) -> FloatArray:
-    """(K, 2) v [m/s], omega [rad/s] of a trajectory's segments, one row per sample, without slopes between them."""
+    """Return v [m/s], omega [rad/s] (K, 2) of a trajectory's segments, one row per sample, without ramps in between."""
     segments, dt = load_segments(name), load_robot().sample_time
     ends = np.cumsum([segment.duration for segment in segments])
     rows = np.searchsorted(ends, dt * np.arange(round(ends[-1] / dt)), side="right")

@@ -105,7 +105,7 @@ def compare_mbm_and_sm(study: MbmSmStudy, repetition: int) -> MbmSmResult:
 
 
 def motor_fit(mbm: IdentifiedModel, records: Sequence[Record]) -> tuple[float, ...]:
-    """FIT of each motor's speed, simulated from the commands [%], pooled over records."""
+    """Compute the FIT of each motor's simulated speed [%], pooled over records."""
     stretches = wheel_experiments(records)
     simulated = [simulate_experiment(mbm.fits[0].system, stretch) for stretch in stretches]
     return tuple(
@@ -128,7 +128,7 @@ def _paths(models: Mapping[str, IdentifiedModel], driven: Record) -> dict[str, F
 
 
 def mbm_sm_findings(results: Sequence[MbmSmResult], published: Published) -> list[PaperFinding]:
-    """FIT of motors and channels, and who predicts paths better."""
+    """Compare FIT of motors and channels, and the prediction of paths."""
     least, fit = published.motor_fit_percent, published.sm_fit_percent
     motors = np.array([result.motor_fit[_HELD_OUT] for result in results])
     channels = np.array([result.sm_fit[_HELD_OUT] for result in results])
@@ -158,7 +158,7 @@ def _beats_sm(
     results: Sequence[MbmSmResult], published: Published, model: str, words: str, quantity: str
 ) -> PaperFinding:
     ours, theirs = _rmse(results, model, quantity), _rmse(results, SM, quantity)
-    printed = [_printed(published, of, list(results[0].errors[SM]), quantity) for of in ("mbm", "sm")]
+    printed = [_printed(published, model_name, list(results[0].errors[SM]), quantity) for model_name in ("mbm", "sm")]
     return PaperFinding(
         f"{words} predicts the {quantity} better than SM on every trajectory (RMSE)",
         "P0, Table 2" if model == MBM else "P0, Table 2; the tracks are ours",
@@ -171,25 +171,25 @@ def _beats_sm(
 def _circle_is_worst(results: Sequence[MbmSmResult], published: Published) -> PaperFinding:
     names = list(results[0].errors[SM])
     circle = names.index(_CIRCLE)
-    printed = {of.upper(): _printed(published, of, names, "position") for of in ("mbm", "sm")}
-    ours = {of: _rmse(results, of, "position") for of in (MBM, SM)}
+    printed = {model_name.upper(): _printed(published, model_name, names, "position") for model_name in ("mbm", "sm")}
+    ours = {model_name: _rmse(results, model_name, "position") for model_name in (MBM, SM)}
     worst = np.array([table.argmax(axis=1) for table in ours.values()])
     return PaperFinding(
         "the circle has the largest position RMSE, for MBM and for SM",
         "P0, Table 2",
-        ", ".join(f"{of}: {names[int(values.argmax())]}" for of, values in printed.items()),
-        ", ".join(f"{of}: {names[int(table.mean(axis=0).argmax())]}" for of, table in ours.items()),
+        ", ".join(f"{model_name}: {names[int(values.argmax())]}" for model_name, values in printed.items()),
+        ", ".join(f"{model_name}: {names[int(table.mean(axis=0).argmax())]}" for model_name, table in ours.items()),
         each((worst == circle).all(axis=0)),
     )
 
 
 def _rmse(results: Sequence[MbmSmResult], model: str, quantity: str) -> FloatArray:
-    """(repetitions, trajectories)."""
+    """Return RMSE (repetitions, trajectories)."""
     return np.array([[getattr(error, quantity).rmse for error in result.errors[model].values()] for result in results])
 
 
 def _printed(published: Published, model: str, names: Sequence[str], quantity: str) -> FloatArray:
-    """(trajectories,) printed RMSE, which is the first of the printed statistics."""
+    """Return the printed RMSE (trajectories,), the first of the printed statistics."""
     return np.array([getattr(published.odometry[model][name], quantity)[0] for name in names])
 
 
@@ -199,7 +199,7 @@ def _compared(ours: FloatArray, theirs: FloatArray, unit: str) -> str:
 
 
 def fit_table(results: Sequence[MbmSmResult], published: Published) -> Table:
-    """FIT of the four motors and of both channels of SM."""
+    """Tabulate FIT of the four motors and of both channels of SM."""
     motors = {name: np.mean([result.motor_fit[name] for result in results], axis=0) for name in DATA}
     channels = {name: np.mean([result.sm_fit[name] for result in results], axis=0) for name in DATA}
     printed = published.sm_fit_percent.model_dump()
@@ -220,7 +220,7 @@ def fit_table(results: Sequence[MbmSmResult], published: Published) -> Table:
 
 
 def odometry_tables(results: Sequence[MbmSmResult], published: Published) -> list[Table]:
-    """Position and heading errors by trajectory and statistic."""
+    """Tabulate position and heading errors by trajectory and statistic."""
     return [_odometry(results, published, quantity) for quantity in QUANTITIES]
 
 
@@ -248,7 +248,7 @@ def _odometry(results: Sequence[MbmSmResult], published: Published, quantity: st
 
 
 def _errors(results: Sequence[MbmSmResult], model: str, quantity: str) -> FloatArray:
-    """(trajectories, statistics), mean over repetitions."""
+    """Compute (trajectories, statistics), mean over repetitions."""
     every = [[getattr(error, quantity).statistics for error in result.errors[model].values()] for result in results]
     return np.asarray(np.mean(every, axis=0))
 

@@ -69,7 +69,7 @@ class NetworkResult:
 
 
 def compare_with_ssm(study: NetworkStudy, repetition: int) -> NetworkResult:
-    """An SSM and networks from one drive, held against others."""
+    """Compare an SSM and networks identified from one drive."""
     logs = RobotLogs(_OTHER_SEEDS + repetition)
     drive = logs.free(1, study.train_duration, study.paper_range)
     drives = logs.free(study.free_drives, study.free_duration, study.paper_range)
@@ -120,7 +120,7 @@ def _velocity(fit: FloatArray, error: FloatArray) -> VelocityFit:
 def network_findings(
     results: Sequence[NetworkResult], rows: Sequence[NetworkRow], published: Published
 ) -> list[PaperFinding]:
-    """What P1 says of LSTM beside SSM, and of the nine networks where all of them were trained."""
+    """Check P1's findings on LSTM and SSM, and on the nine networks if all were trained."""
     findings = [_better_fit(results, published), _better_odometry(results, published)] if results else []
     if len(rows) == len(published.networks):
         findings.append(_best_row(rows, published))
@@ -150,7 +150,7 @@ def _better_odometry(results: Sequence[NetworkResult], published: Published) -> 
         return np.array(
             [
                 np.mean(
-                    [(one.odometry.position.rmse, one.odometry.heading.rmse) for one in result.free_drives[name]],
+                    [(drive.odometry.position.rmse, drive.odometry.heading.rmse) for drive in result.free_drives[name]],
                     axis=0,
                 )
                 for result in results
@@ -190,16 +190,18 @@ def _best_row(rows: Sequence[NetworkRow], published: Published) -> PaperFinding:
 
 
 def row_table(rows: Sequence[NetworkRow], published: Published) -> Table:
-    """The nine networks, the paper's figures beside ours."""
+    """Tabulate the nine networks, with the paper's figures next to ours."""
     lines = []
     for row in sorted(rows, key=lambda row: row.row):
         scores = published.networks[row.row]
-        what = f"{scores.layers} x {scores.units}, {scores.activation}, {scores.optimiser}"
+        architecture = f"{scores.layers} x {scores.units}, {scores.activation}, {scores.optimiser}"
         numbers = f"{scores.window}, {scores.batch}, {scores.validation_every}, {scores.patience}"
         paper = [number(value, 2) for value in scores.test.values]
         ours = [number(value, 2 if k < 2 else 4) for k, value in enumerate(row.test.values)]
         validation = [number(value, 2) for value in row.validation.fit_percent]
-        lines.append((str(row.row), what, numbers, *paper, *ours, *validation, str(row.parameters), str(row.steps)))
+        lines.append(
+            (str(row.row), architecture, numbers, *paper, *ours, *validation, str(row.parameters), str(row.steps))
+        )
     columns = (
         "row",
         "layers x units, dense layer, optimiser",
@@ -219,19 +221,19 @@ def row_table(rows: Sequence[NetworkRow], published: Published) -> Table:
 
 
 def beside_tables(results: Sequence[NetworkResult], published: Published) -> list[Table]:
-    """Velocity and odometry of SSM and LSTM on free drives, the paper's experiments beside ours."""
+    """Tabulate velocity and odometry of SSM and LSTM on free drives, with the paper's experiments next to ours."""
     lines: list[tuple[str, str, FloatArray, bool]] = []
     paper = {SSM: (published.free_drives, published.free_drives_average)}
     paper[LSTM] = (published.lstm_drives, published.lstm_drives_average)
     for name, (drives, average) in paper.items():
-        experiments = [(f"experiment {k}", one) for k, one in enumerate(drives, start=1)]
+        experiments = [(f"experiment {k}", experiment) for k, experiment in enumerate(drives, start=1)]
         for label, drive in [*experiments, ("average", average)]:
             values = np.array([*drive.values, *drive.odometry.position, *drive.odometry.heading])
             lines.append((f"published {name}", label, values, True))
     for name in results[0].free_drives:
         ours = np.array([drive.values for result in results for drive in result.free_drives[name]])
         lines.append((name, f"average of {len(ours)}", ours.mean(axis=0), False))
-    errors = [f"{name} [{unit}], {of}" for name, unit in QUANTITIES.items() for of in STATISTICS]
+    errors = [f"{name} [{unit}], {statistic}" for name, unit in QUANTITIES.items() for statistic in STATISTICS]
     fits = [
         (name, label, *(number(float(v), 2 if k < 2 or printed else 4) for k, v in enumerate(values[:4])))
         for name, label, values, printed in lines

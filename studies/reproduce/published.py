@@ -152,7 +152,7 @@ class PaperFinding:
 
 
 def each(flags: ArrayLike) -> tuple[bool, ...]:
-    """Flags (repetitions,) as plain truth values."""
+    """Convert flags (repetitions,) to plain truth values."""
     return tuple(bool(flag) for flag in np.atleast_1d(flags))
 
 
@@ -174,7 +174,7 @@ class MbmSmStudy(StrictModel):
 
 
 class PaperRange(StrictModel):
-    """How fast the set-points of the paper's free drives went."""
+    """Speed range of the set-points of the paper's free drives."""
 
     v: Positive = Field(description="[m/s]")
     omega: Positive = Field(description="[rad/s]")
@@ -192,7 +192,7 @@ class SsmStudy(StrictModel):
 
 
 class LongerTraining(StrictModel):
-    """Where a training differs from the paper's."""
+    """Differences of a training from the paper's."""
 
     dropout: float = Field(ge=0, lt=1)
     decay: float = Field(ge=0)

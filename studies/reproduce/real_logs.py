@@ -44,7 +44,7 @@ def load_protocol() -> Protocol:
 
 
 def divide(records: Sequence[Record], share: float) -> tuple[list[Record], list[Record]]:
-    """The first `share` [-] of the rows of a log, and the rest; a row is a sample with a gyro reading of its own.
+    """Divide a log into the first `share` [-] of its rows and the rest; a row is a sample with a new gyro reading.
 
     Parts with fewer than 20 readings of a sensor are left out.
     """
@@ -58,12 +58,12 @@ def divide(records: Sequence[Record], share: float) -> tuple[list[Record], list[
             count if left >= row.sum() else int(np.searchsorted(np.cumsum(row), left, side="right")) if left > 0 else 0
         )
         left -= int(row.sum())
-        for begin, end, into in ((0, cut, first), (cut, count, last)):
-            if end > begin and _readings(part := record.part(begin, end)) >= _MIN_READINGS:
+        for start, end, into in ((0, cut, first), (cut, count, last)):
+            if end > start and _readings(part := record.part(start, end)) >= _MIN_READINGS:
                 into.append(part)
     return first, last
 
 
 def _readings(record: Record) -> int:
-    """Of the sensor that has fewest."""
+    """Count the readings of the sensor with the fewest."""
     return min(int(np.sum(mask)) for mask in (record.fresh_twist, record.fresh_yaw_rate) if mask is not None)

@@ -42,10 +42,10 @@ FIT_COLUMNS = ("FIT v [%]", "FIT omega [%]", "RMSE v [m/s]", "RMSE omega [rad/s]
 _PUBLISHED = "published"
 _FAST = "fast free drives"
 _DIGITS = {True: (2, 2, 2, 2), False: (2, 2, 4, 4)}
-"""Of FIT and RMSE: the paper's, ours."""
+"""Digits of FIT and RMSE: the paper's, ours."""
 
 Pair = tuple[float, float]
-"""Of v and omega."""
+"""Values of v and omega."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ def _order(number: int, row: OrderRow, train: Sequence[Record], test: Sequence[R
 
 
 def free_drive(system: LinearSystem, drive: Record) -> FreeDrive:
-    """A linear model held against a drive."""
+    """Compare a linear model with a drive."""
     pose = np.asarray(drive.pose)
     path = predict_path(sampled(system, drive.dt), drive.command, pose[0])
     return FreeDrive(_velocity(system, [drive]), pose_error(path, pose))
@@ -154,12 +154,12 @@ def _pair(values: Sequence[float] | np.ndarray) -> Pair:
 
 
 def _as_printed(model: VelocityModel) -> LinearSystem:
-    """A published model held against logs as it stands: no sensor offset, no limit."""
+    """Convert a published model for the comparison with logs, without sensor offset and limit."""
     return LinearSystem(model.A, model.B, model.C, model.dead_time, np.zeros(2), np.full((2, 4), np.inf))
 
 
 def ssm_findings(results: Sequence[SsmResult], published: Published) -> list[PaperFinding]:
-    """Which order, and how good the paper's is on free drives. Rules on orders that were not run are left out."""
+    """Check the choice of order, and the paper's order on free drives; skip orders that were not run."""
     fits = {
         order: np.array([result.orders[order - 1].test.fit_percent for result in results])
         for order in range(PAPERS_ORDER, len(results[0].orders) + 1)
@@ -246,7 +246,7 @@ def _free_drives(where: str, results: Sequence[Sequence[FreeDrive]], published: 
 
 
 def order_table(results: Sequence[SsmResult], published: Published) -> Table:
-    """FIT and RMSE by order, on drives held out."""
+    """Tabulate FIT and RMSE by order, on held-out drives."""
     rows = []
     for k, first in enumerate(results[0].orders):
         printed = published.orders.get(first.order)
@@ -265,7 +265,7 @@ def order_table(results: Sequence[SsmResult], published: Published) -> Table:
 
 
 def free_drive_tables(results: Sequence[SsmResult], published: Published) -> list[Table]:
-    """Velocity and odometry on free drives, ours and such as fast as the paper's: its experiments beside ours."""
+    """Tabulate velocity and odometry on free drives, ours and those as fast as the paper's, with its experiments."""
     return [
         *_drive_tables("free drives", [result.free_drives for result in results], published),
         *_drive_tables(_FAST, [result.full_range for result in results], published),
@@ -282,7 +282,7 @@ def _drive_tables(
     lines = [(_PUBLISHED, f"experiment {k}", row) for k, row in enumerate(paper, start=1)]
     lines.append((_PUBLISHED, "average", average))
     for name in results[0]:
-        drives = np.array([one.values for result in results for one in result[name]])
+        drives = np.array([free_drive_of_model.values for result in results for free_drive_of_model in result[name]])
         lines += [(name, f"experiment {k}", row) for k, row in enumerate(drives[: len(paper)], start=1)]
         lines.append((name, f"average of {len(drives)}", drives.mean(axis=0)))
         if len(drives) > 1:
@@ -292,7 +292,7 @@ def _drive_tables(
         note += " Set-points up to 1.5 m/s and 2.0 rad/s, as in P1; identified from such a drive, too."
     names, errors = (
         ("model", "drive"),
-        [f"{name} [{unit}], {of}" for name, unit in QUANTITIES.items() for of in STATISTICS],
+        [f"{name} [{unit}], {statistic}" for name, unit in QUANTITIES.items() for statistic in STATISTICS],
     )
     fits = [(name, drive, *_ranges(row[..., :4], _DIGITS[name == _PUBLISHED])) for name, drive, row in lines]
     paths = [(name, drive, *_ranges(row[..., 4:], (2,) * len(errors))) for name, drive, row in lines]
@@ -309,6 +309,6 @@ def _cells(values: FloatArray, rmse_digits: int = 2) -> list[str]:
 
 
 def _ranges(values: FloatArray, digits: tuple[int, ...]) -> list[str]:
-    """Cells of one row (k,), or of two (2, k) with "to" between them."""
+    """Format cells of one row (k,), or of two (2, k) with "to" between them."""
     rows = np.atleast_2d(values)
     return [" to ".join(number(float(row[k]), d) for row in rows) for k, d in enumerate(digits)]

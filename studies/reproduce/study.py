@@ -77,7 +77,7 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         self._data = data
 
     def plan(self) -> list[Task]:
-        """What is repeated, the longest first: a long one at the end would keep one core waiting."""
+        """Plan the repetitions, the longest first: a long one at the end would keep one core waiting."""
         check_parts(self._only, PARTS)
         s, only = self.settings, self._only
         tasks: list[Task] = []
@@ -101,12 +101,13 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         return tasks + [partial(mbm_and_sm.compare_mbm_and_sm, s.mbm_sm, k) for k in s.repetitions if "mbm_sm" in only]
 
     def run(self, plan: list[Task], jobs: int, bar: ProgressBar) -> ReproduceResults:
-        """Repetitions in several processes, then, on a quiet machine, what is timed."""
+        """Run repetitions in several processes, and then timed parts on a quiet machine."""
         timed = "cost" in self._only
-        bar.begin("running", len(plan) + 2 * self.settings.cost.runs * timed)
+        bar.start_stage("running", len(plan) + 2 * self.settings.cost.runs * timed)
         done = run_tasks(plan, jobs, bar.advance)
         driven = sorted(
-            (one for one in done if isinstance(one, drive_models.DriveModelsResult)), key=lambda row: -row.repetition
+            (finished for finished in done if isinstance(finished, drive_models.DriveModelsResult)),
+            key=lambda row: -row.repetition,
         )
         tracked, published = "virtual_track" in self._only, load_published()
         return ReproduceResults(
@@ -123,7 +124,7 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         )
 
     def report(self, results: ReproduceResults, seconds: float) -> Report:
-        """Findings with their verdicts first; every result is written but paths, which would fill the file."""
+        """Report findings with their verdicts first, and every result except paths, which would fill the file."""
         parts = [part for part in PARTS if getattr(results, part)]
         written = plain(results)
         for result in written["mbm_sm"]:
@@ -146,7 +147,7 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
 
 
 def report_tables(results: ReproduceResults, findings: Table) -> list[Table]:
-    """Those of the parts that were run, the findings first."""
+    """Build the tables of the parts that were run, the findings first."""
     published = load_published()
     rows = [row for rows in results.rows for row in rows.rows]
     shown: list[tuple[Any, Callable[[Any, Published], list[Table]]]] = [
@@ -175,7 +176,7 @@ def report_tables(results: ReproduceResults, findings: Table) -> list[Table]:
 
 
 def _drawings(results: ReproduceResults) -> dict[str, Draw]:
-    """Figures of the parts that were run."""
+    """Return the figures of the parts that were run."""
     from studies.reproduce import figures  # noqa: PLC0415 - matplotlib loads slowly
 
     shown: dict[str, tuple[Any, Callable[[Any, Path], None]]] = {
@@ -187,7 +188,7 @@ def _drawings(results: ReproduceResults) -> dict[str, Draw]:
 
 
 def find(results: ReproduceResults) -> list[PaperFinding]:
-    """Every rule that the parts of `results` can decide."""
+    """Evaluate every rule that the parts of `results` can decide."""
     published = load_published()
     rows = [row for rows in results.rows for row in rows.rows]
     decided: list[tuple[Any, Callable[[Any, Published], list[PaperFinding]]]] = [
@@ -203,7 +204,7 @@ def find(results: ReproduceResults) -> list[PaperFinding]:
 
 
 def findings_table(findings: Sequence[PaperFinding], repetitions: int) -> Table:
-    """Every rule with its verdict."""
+    """Tabulate every rule with its verdict."""
     rows = tuple(
         (finding.claim, finding.source, finding.published, finding.plant, finding.verdict) for finding in findings
     )

@@ -47,7 +47,7 @@ class TrackLine:
     correlation: float = float("nan")
 
     def misfit(self, tests: FloatArray) -> float:
-        """RMS distance [m] of the tracks of tests (n, 2) from the line."""
+        """Compute the RMS distance [m] of the tracks of tests (n, 2) from the line."""
         return float(np.sqrt(np.mean((tests[:, 1] - self.p1 * np.abs(tests[:, 0]) - self.p0) ** 2)))
 
 
@@ -78,7 +78,7 @@ class VirtualTrackResult:
 def check_virtual_track(published: PublishedTrack, certain: float) -> VirtualTrackResult:
     """Fit lines to the printed tests; two numbers agree within `certain` standard deviations."""
     tests, radii = np.array(published.tests), np.array(published.radii)
-    exchanged = exchange(tests, [(one - 1, other - 1) for one, other in published.exchanged])
+    exchanged = exchange(tests, [(first - 1, second - 1) for first, second in published.exchanged])
     printed = TrackLine(published.p1, published.p0)
     implied = published.p0 * radii[:, 1] / radii[:, 0]
     single = itertools.combinations(range(len(tests)), 2)
@@ -97,20 +97,20 @@ def check_virtual_track(published: PublishedTrack, certain: float) -> VirtualTra
 
 
 def exchange(tests: FloatArray, pairs: Iterable[tuple[int, int]]) -> FloatArray:
-    """Tests (n, 2) with the tracks of pairs of them exchanged."""
+    """Exchange the tracks of pairs of tests (n, 2)."""
     changed = tests.copy()
-    for one, other in pairs:
-        changed[[one, other], 1] = tests[[other, one], 1]
+    for first, second in pairs:
+        changed[[first, second], 1] = tests[[second, first], 1]
     return changed
 
 
 def agree(printed: TrackLine, fitted: TrackLine, certain: float) -> bool:
-    """Whether the slopes are within `certain` standard deviations of each other."""
+    """Return True if the slopes are within `certain` standard deviations of each other."""
     return abs(fitted.p1 - printed.p1) < certain * fitted.p1_deviation
 
 
 def fit_line(tests: FloatArray) -> TrackLine:
-    """Least squares over tests (n, 2) of yaw rate [rad/s] and track [m]."""
+    """Fit a line to tests (n, 2) of yaw rate [rad/s] and track [m] by least squares."""
     line = stats.linregress(np.abs(tests[:, 0]), tests[:, 1])
     return TrackLine(
         float(line.slope),
@@ -122,7 +122,7 @@ def fit_line(tests: FloatArray) -> TrackLine:
 
 
 def virtual_track_findings(result: VirtualTrackResult, published: Published) -> list[PaperFinding]:
-    """Whether the printed tests can be those behind the printed line."""
+    """Check that the printed tests can be those behind the printed line."""
     certain, printed = published.rules.certain, result.printed
     within = f"within {certain:g} standard deviations"
     source, paper = "P3, section 3 and Table 1", f"{printed.p1:.3f} m s"
@@ -156,7 +156,7 @@ def _slope(line: TrackLine) -> str:
 
 
 def virtual_track_table(result: VirtualTrackResult) -> Table:
-    """p1 and p0 of the three lines."""
+    """Tabulate p1 and p0 of the three lines."""
     rows = (
         ("printed coefficients", *_cells(result.printed, result)),
         ("least squares over the printed tests", *_cells(result.fitted, result)),
@@ -190,7 +190,7 @@ _ALONE = ("turning on the spot, over yaw rate", "at constant v, over yaw rate", 
 
 @dataclass(frozen=True)
 class DrivenTrack:
-    """What one floor showed.
+    """Result on one floor.
 
     Attributes
     ----------
@@ -221,7 +221,7 @@ class DrivenTrack:
 
 
 def drive_tests(study: TrackStudy, surface: str) -> DrivenTrack:
-    """The paper's tests, and drives in which one thing stays, on one floor."""
+    """Run the paper's tests, and drives with one quantity held constant, on one floor."""
     v, yaw = study.v, study.yaw_rate
     alone = dict(
         zip(
@@ -244,7 +244,7 @@ def drive_tests(study: TrackStudy, surface: str) -> DrivenTrack:
 
 
 def _driven(study: TrackStudy, surface: str, twists: Sequence[tuple[float, float]]) -> FloatArray:
-    """(n, 4) what `DrivenTrack` says, for commands v [m/s], omega [rad/s]."""
+    """Compute (n, 4) as in `DrivenTrack`, for commands v [m/s], omega [rad/s]."""
     robot, rows = load_robot(), []
     steps, settled = (round(time / robot.sample_time) for time in (study.duration, study.settling))
     ramp = np.minimum(1.0, np.arange(steps) / (0.25 * settled))[:, None]
@@ -257,7 +257,7 @@ def _driven(study: TrackStudy, surface: str, twists: Sequence[tuple[float, float
 
 
 def driven_track_tables(results: Sequence[DrivenTrack], published: Published) -> list[Table]:
-    """The tests beside the paper's, and what the track depends on."""
+    """Tabulate the tests next to the paper's, and the dependencies of the track."""
     paper, commands = published.virtual_track, results[0].tests
     rows = [
         (
@@ -283,8 +283,8 @@ def driven_track_tables(results: Sequence[DrivenTrack], published: Published) ->
             )
         )
     columns = ["test", "P3: yaw rate [rad/s]", "P3: track [m]"]
-    for one in results:
-        columns += [f"{one.surface}: v [m/s]", "yaw rate [rad/s]", "track [m]"]
+    for driven in results:
+        columns += [f"{driven.surface}: v [m/s]", "yaw rate [rad/s]", "track [m]"]
     return [
         Table(
             "Driven virtual track",
@@ -317,7 +317,7 @@ def _pm(value: float, deviation: float, digits: int) -> str:
 
 
 def driven_track_findings(results: Sequence[DrivenTrack], published: Published) -> list[PaperFinding]:
-    """Whether P3's line has the same sign here, and what stands behind it; one verdict for each floor."""
+    """Check that P3's line has the same sign here, and find its causes; one verdict for each floor."""
     certain, paper = published.rules.certain, published.virtual_track
     floors = ", ".join(result.surface for result in results)
     spot, _, speed = _ALONE

@@ -1,4 +1,4 @@
-"""What the study keeps of a run beside the usual columns, and its tables."""
+"""Additional columns of a run, and the tables of the study."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def market_cases(
     tuning: bool = False,
     settings: Mapping[str, bool | int | float | str] | None = None,
 ) -> list[Case]:
-    """Runs of the first `robots` reserved robots of the market that can drive a path; see `driving_seeds`.
+    """List runs of the first `robots` reserved robots of the market that can drive a path; see `driving_seeds`.
 
     With `tuning` those whose seeds are not reserved. Controllers are told what the robot's user states of it, and
     `settings`, configuration values by dotted key.
@@ -59,7 +59,7 @@ _HOUR = 3600.0
 
 
 def measured(settled: float, case: Case, run: Run) -> dict[str, object]:
-    """Columns of a run under a condition.
+    """Compute the columns of a run under a condition.
 
     `late_lateral_m` is the largest |lateral| from `settled` [s] on, NaN without such ticks. `heading_nees` is the mean
     of the squared error of the estimated heading over its variance, about 1 where the estimate knows how good it is,
@@ -93,7 +93,7 @@ def _heading_nees(run: Run) -> float:
 
 
 def study_tables(rows: DataFrame) -> list[Table]:
-    """Errors under each condition, how far each controller is behind, what they said; and robots of the market."""
+    """Build tables of errors under each condition, gaps between controllers, messages, and robots of the market."""
     specs = load_tables(Path(__file__).with_name("tables.yaml"))
     made = [specs["conditions"].table(rows)]
     made += [_ratio_table(rows)] if len(by(rows, "driver")) > 1 else []
@@ -106,7 +106,7 @@ def study_tables(rows: DataFrame) -> list[Table]:
 
 
 def ratios(rows: DataFrame) -> dict[str, float]:
-    """Mean position RMSE of each controller over that of the best one that completed every run; NaN without one."""
+    """Compute mean position RMSE of each controller over that of the best that completed every run; NaN without one."""
     drivers = by(rows, "driver")
     errors = {name: mean(theirs, "position_rmse_m") for name, theirs in drivers.items()}
     best = min((errors[name] for name, theirs in drivers.items() if theirs["completed"].all()), default=float("nan"))
@@ -114,10 +114,10 @@ def ratios(rows: DataFrame) -> dict[str, float]:
 
 
 def _ratio_table(rows: DataFrame) -> Table:
-    entries = [((name,), ratios(own)) for name, own in by(rows, "condition").items()]
+    entries = [((name,), ratios(group)) for name, group in by(rows, "condition").items()]
     columns = {name: _ratio(name) for name in by(rows, "driver")}
     note = "Mean position RMSE over that of the best controller that completed every run there."
-    return Table.of("Error over the best one's", ("condition",), columns, entries, note)
+    return Table.build("Error over the best one's", ("condition",), columns, entries, note)
 
 
 def _ratio(name: str) -> Callable[[Mapping[str, float]], str]:
@@ -125,23 +125,23 @@ def _ratio(name: str) -> Callable[[Mapping[str, float]], str]:
 
 
 def _message_table(rows: DataFrame) -> Table:
-    """The most frequent message of the run in which a controller said most."""
+    """Tabulate the most frequent message of the run with most messages for each controller."""
     loudest = rows.loc[rows.groupby(["condition", "driver"], sort=False)["message_percent"].idxmax()]
     messages = loudest[(loudest["ended"] != "") | (loudest["message"] != "")]
     entries = [((row.condition, row.driver, row.ended or row.message), row) for row in messages.itertuples()]
     note = "The most frequent message of the run with most of them, and the share of ticks at which anything was said."
     columns = {"ticks [%]": lambda row: number(row.message_percent, 0)}
-    return Table.of("What the controllers said", ("condition", "controller", "message"), columns, entries, note)
+    return Table.build("What the controllers said", ("condition", "controller", "message"), columns, entries, note)
 
 
-def share_interval(count: int, of: int) -> tuple[float, float]:
-    """Wilson's interval of 95 % of a share, from `count` of `of` [-]."""
-    interval = binomtest(count, of).proportion_ci(_CONFIDENCE, method="wilson")
+def share_interval(count: int, total: int) -> tuple[float, float]:
+    """Compute Wilson's interval of 95 % of a share, from `count` of `total` [-]."""
+    interval = binomtest(count, total).proportion_ci(_CONFIDENCE, method="wilson")
     return float(interval.low), float(interval.high)
 
 
 def alarms_interval(expected: float) -> tuple[int, int]:
-    """Counts between which 95 % of the draws lie of Poisson's distribution with the mean `expected`."""
+    """Compute the counts between which 95 % of draws from Poisson's distribution with mean `expected` lie."""
     low, high = poisson.interval(_CONFIDENCE, expected)
     return int(low), int(high)
 
@@ -173,7 +173,7 @@ def draw_ratios(rows: DataFrame, path: Path) -> None:
     A cross marks a controller that did not complete every run.
     """
     conditions, names = by(rows, "condition"), list(by(rows, "driver"))
-    values = np.array([[ratios(own).get(name, np.nan) for name in names] for own in conditions.values()])
+    values = np.array([[ratios(group).get(name, np.nan) for name in names] for group in conditions.values()])
     with new_figure(path, 2.6 + 0.7 * len(names), 1.2 + 0.19 * len(conditions)) as figure:
         axes = figure.add_subplot()
         shown = axes.imshow(np.clip(values, 1.0, _MOST), norm=LogNorm(1.0, _MOST), cmap=ERROR_MAP, aspect="auto")
@@ -181,9 +181,9 @@ def draw_ratios(rows: DataFrame, path: Path) -> None:
         axes.xaxis.tick_top()
         axes.set_yticks(range(len(conditions)), list(conditions), fontsize=7)
         axes.grid(visible=False)
-        for i, own in enumerate(conditions.values()):
+        for i, group in enumerate(conditions.values()):
             for k, name in enumerate(names):
-                lost = not own[own["driver"] == name]["completed"].all()
+                lost = not group[group["driver"] == name]["completed"].all()
                 ratio = f"{values[i, k]:.2f}" if np.isfinite(values[i, k]) else "-"
                 dark = not values[i, k] > _MOST**0.5
                 text = f"{ratio} ×" if lost else ratio

@@ -31,7 +31,7 @@ Plan = list[tuple[str, Case]]
 
 
 def turns_on_the_spot(trajectory: str) -> bool:
-    """Whether a path asks to turn where it stands."""
+    """Return True if a path contains turns on the spot."""
     reference = load_trajectory(trajectory)
     twist = reference.sample(np.linspace(0.0, reference.duration, _LOOKS)).twist
     return bool(((np.abs(twist[:, 0]) < STANDING) & (np.abs(twist[:, 1]) > TURNING)).any())
@@ -80,7 +80,7 @@ class RobustnessStudy(Study[Plan, DataFrame]):
         self._trajectories, self._seeds = trajectories, seeds
 
     def plan(self) -> Plan:
-        """The cases; raises ConfigError or ValueError if one of them cannot be run."""
+        """Plan the cases; raise ConfigError or ValueError if one of them cannot be run."""
         drives = len(self._controllers) * len(self._models) + len(self._rates)
         check_count(self._robots * drives * len(self._trajectories))
         several = (self._conditions, self._controllers, self._models, self._trajectories, self._seeds)
@@ -102,7 +102,7 @@ class RobustnessStudy(Study[Plan, DataFrame]):
         return plan + market
 
     def _market(self) -> Plan:
-        """Robots of the population: at the configured rate of false alarms by every controller, at others by ours."""
+        """Plan robots of the population: at the configured false-alarm rate by every controller, at others by ours."""
         if not self._robots:
             return []
         drivers = [
@@ -110,11 +110,11 @@ class RobustnessStudy(Study[Plan, DataFrame]):
             for controller in self._controllers
             for model in (self._models if controller not in PEERS else self._models[:1])
         ]
-        asked: list[tuple[str, str, str, dict[str, float]]] = [(MARKET, *driver, {}) for driver in drivers]
-        asked += [(f"{MARKET}, {rate:g}/h", OURS, self._models[0], {FALSE_ALARM_RATE: rate}) for rate in self._rates]
+        planned: list[tuple[str, str, str, dict[str, float]]] = [(MARKET, *driver, {}) for driver in drivers]
+        planned += [(f"{MARKET}, {rate:g}/h", OURS, self._models[0], {FALSE_ALARM_RATE: rate}) for rate in self._rates]
         return [
             (name, case)
-            for name, controller, model, settings in asked
+            for name, controller, model, settings in planned
             for trajectory in self._trajectories
             for case in market_cases(
                 self._robots,
@@ -129,12 +129,12 @@ class RobustnessStudy(Study[Plan, DataFrame]):
 
     def run(self, plan: Plan, jobs: int, bar: ProgressBar) -> DataFrame:
         """Run every case; each process keeps only what the study needs."""
-        bar.begin(f"running, {jobs} at a time", len(plan))
+        bar.start_stage(f"running, {jobs} at a time", len(plan))
         drives = [ExperimentRun(case, {"condition": name}) for name, case in plan]
         return drive_all(drives, jobs, bar.advance, partial(measured, self._settled))
 
     def report(self, results: DataFrame, seconds: float) -> Report:
-        """Tables, and the figure where there are several controllers to compare."""
+        """Report tables, and the figure if there are several controllers to compare."""
         from studies.robustness.results import draw_ratios  # noqa: PLC0415
 
         several = len(by(results, "driver")) > 1

@@ -60,7 +60,7 @@ class CalibrationParameters(StrictModel):
 
 
 class PredictionFit(NamedTuple):
-    """How well the target model predicts one drive."""
+    """Quality of the target model's prediction of one drive."""
 
     seed: int
     smooth: bool
@@ -77,7 +77,7 @@ def load_calibration_parameters() -> CalibrationParameters:
 
 
 def validate_calibration(firmware: Firmware | None = None, seeds: list[int] | None = None) -> list[PredictionFit]:
-    """Free-run FIT of the target model on random drives of the plant, smoothed and in steps.
+    """Compute the free-run FIT of the target model on random drives of the plant, smoothed and in steps.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def validate_calibration(firmware: Firmware | None = None, seeds: list[int] | No
 
 
 def neighbour_errors(firmware: Firmware | None = None) -> dict[str, tuple[float, ...]]:
-    """Error of the target with each calibrated parameter moved to either side, over that of `firmware` [-].
+    """Compute the error of the target for neighbours of each calibrated parameter, over that of `firmware` [-].
 
     Where a parameter is at its bound it has one neighbour. All above one: on the drives of the calibration these are
     the best values. `firmware` is the shipped one by default.
@@ -112,8 +112,8 @@ def neighbour_errors(firmware: Firmware | None = None) -> dict[str, tuple[float,
     for name in Bounds.model_fields:
         low, high = getattr(parameters.bounds, name)
         value, away = getattr(firmware, name), parameters.neighbour * (high - low)
-        moved = [at for at in (value - away, value + away) if low <= at <= high]
-        errors[name] = tuple(_error(firmware.model_copy(update={name: at})) / least for at in moved)
+        moved = [neighbour for neighbour in (value - away, value + away) if low <= neighbour <= high]
+        errors[name] = tuple(_error(firmware.model_copy(update={name: neighbour})) / least for neighbour in moved)
     return errors
 
 
@@ -196,14 +196,14 @@ def _target() -> DiscreteModel:
 
 
 def _error(firmware: Firmware) -> float:
-    """Error energy of the target on the drives of the calibration."""
+    """Compute the error energy of the target on the drives of the calibration."""
     parameters = load_calibration_parameters()
     target = _target()
     return sum(_squared_error(_drive(firmware, seed, smooth=True), target) for seed in parameters.seeds)
 
 
 def _squared_error(drive: OpenLoopDrive, target: DiscreteModel) -> float:
-    """Error energy of the target on one drive, each channel over that of its prediction, which no parameter changes."""
+    """Compute the error energy of the target on one drive, by channel over the fixed energy of its prediction."""
     predicted = target.simulate(drive.command)
     energy = np.sum((predicted - predicted.mean(axis=0)) ** 2, axis=0)
     return float(np.sum(np.sum((drive.output - predicted) ** 2, axis=0) / energy))
@@ -233,7 +233,7 @@ def write_firmware(firmware: Firmware, path: str | Path) -> None:
 
 
 def calibration_table(firmware: Firmware) -> Table:
-    """FIT of the target model, run free from commands alone, on the held-out drives."""
+    """Tabulate FIT of the target model, run free from commands alone, on the held-out drives."""
     fits = validate_calibration(firmware)
     rows = [
         (str(fit.seed), "smoothed" if fit.smooth else "in steps", f"{fit.v:.2f}", f"{fit.omega:.2f}")
@@ -244,7 +244,7 @@ def calibration_table(firmware: Firmware) -> Table:
 
 
 def neighbours_table(errors: Mapping[str, Sequence[float]]) -> Table:
-    """What `neighbour_errors` found."""
+    """Tabulate the results of `neighbour_errors`."""
     rows = [(name, *(f"{error:.3f}" for error in around)) for name, around in errors.items()]
     title = "Error on the drives of the calibration with one parameter moved either way, over that without [-]"
     return Table(

@@ -1,4 +1,4 @@
-"""Whether the identification finds known truths, and is as sure of itself as it may be.
+"""Test of the identification on known parameters, and of its stated uncertainties.
 
 Random two-pole channels with dead time are driven, logged with noise, quantisation, a gyro bias and a gap, and
 identified as SM. A standard deviation is honest if 95 % of the truths lie within 1.96 of it.
@@ -123,8 +123,8 @@ def recover(seed: int) -> RecoveredTruth:
     deviations: list[float] = []
     for channel in CHANNELS:
         true = truth.channels.model_dump()[channel] | {"dead_time": truth.dead_time.model_dump()[channel]}
-        own = parameters.part([f"{channel}.{name}" for name in true])
-        whole = _with_poles(own, channel, true["damping"])
+        channel_parameters = parameters.part([f"{channel}.{name}" for name in true])
+        whole = _with_poles(channel_parameters, channel, true["damping"])
         names += whole.names
         values += _numbers(np.array(list(true.values())), true["damping"]).tolist()
         estimates += whole.values.tolist()
@@ -133,7 +133,7 @@ def recover(seed: int) -> RecoveredTruth:
 
 
 def coverage_table(recoveries: list[RecoveredTruth]) -> Table:
-    """Share of truths inside the stated 95 % intervals, spread and largest size of the standardised errors."""
+    """Tabulate the share of true values inside the stated 95 % intervals, and the standardised errors."""
     scores: dict[str, list[float]] = {}
     for recovery in recoveries:
         for name, score in zip(recovery.names, recovery.standardised, strict=True):
@@ -199,15 +199,17 @@ def _log(truth: SmFile, stream: np.random.Generator, seed: int, settings: TruthS
     ]
 
 
-def _with_poles(own: ParameterEstimate, channel: str, damping: float) -> ParameterEstimate:
+def _with_poles(estimate: ParameterEstimate, channel: str, damping: float) -> ParameterEstimate:
     poles = ("pole_1", "pole_2") if damping > _REAL else ("pole_1.real", "pole_1.imag")
-    return own.derived((*own.names, *(f"{channel}.{name}" for name in poles)), lambda row: _numbers(row, damping))
+    return estimate.derived(
+        (*estimate.names, *(f"{channel}.{name}" for name in poles)), lambda row: _numbers(row, damping)
+    )
 
 
 def _numbers(row: FloatArray, damping: float) -> FloatArray:
-    """gain, natural frequency, damping and dead time with the poles, real or complex as `damping` says."""
-    _, w, own, _ = row
+    """Append the poles to gain, natural frequency, damping and dead time, real or complex by `damping`."""
+    _, w, damping_found, _ = row
     if damping > _REAL:
-        root = np.sqrt(max(own**2 - 1.0, 0.0))
-        return np.append(row, [-w * (own - root), -w * (own + root)])
-    return np.append(row, [-w * own, w * np.sqrt(max(1.0 - own**2, 0.0))])
+        root = np.sqrt(max(damping_found**2 - 1.0, 0.0))
+        return np.append(row, [-w * (damping_found - root), -w * (damping_found + root)])
+    return np.append(row, [-w * damping_found, w * np.sqrt(max(1.0 - damping_found**2, 0.0))])

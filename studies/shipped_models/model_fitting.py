@@ -51,7 +51,7 @@ from studies.reproduce.published import load_study
 
 
 def side_difference(wheel_speeds: FloatArray, radius: float) -> FloatArray:
-    """(K,) right minus left rim speed [m/s] of wheel speeds (K, 4) [rad/s]; each side is the mean of its wheels."""
+    """Compute right minus left rim speed [m/s] (K,) of wheel speeds (K, 4) [rad/s], averaged by side."""
     return np.asarray(0.5 * radius * (wheel_speeds @ np.array([-1.0, 1.0, -1.0, 1.0])))
 
 
@@ -93,7 +93,7 @@ Identify = Callable[[str, list[SampledExperiment], float | None], IdentifiedChan
 
 
 class FittingSettings(StrictModel):
-    """How the experiments are identified; the reasons stand in `model_fitting.yaml`."""
+    """Settings of the identification from experiments; `model_fitting.yaml` has the reasons."""
 
     first_seed: int
     reading_seeds: tuple[int, ...]
@@ -238,7 +238,7 @@ def _write(
 
 
 def validation_table(folder: Path = PARAMETERS) -> Table:
-    """FIT of the three models on drives that none was identified from, and by how much they trail the body."""
+    """Tabulate FIT of the three models on drives not used for identification, and their lag behind the body."""
     rows = []
     seeds = fitting_settings().validation_seeds
     for smooth in (True, False):
@@ -346,7 +346,7 @@ def _experiment(log: OpenLoopDrive, command: FloatArray, output: FloatArray) -> 
 
 
 def _settled(log: OpenLoopDrive) -> FloatArray:
-    """(K,) whether the command has not changed for the settling time."""
+    """Return (K,) True if the command has not changed for the settling time."""
     window = round(fitting_settings().settling_time / load_robot().sample_time)
     changed = np.concatenate([[True], (np.diff(log.command, axis=0) != 0).any(axis=1)])
     recent = np.convolve(changed, np.ones(window))[: len(changed)]
@@ -386,7 +386,7 @@ def _yaml(name: str, data: dict[str, Any]) -> str:
 
 
 _REPETITION = 43
-"""Whose drives these are: of no study, so no seed is shared with one."""
+"""Repetition number of these drives; no study uses it, so no seed is shared."""
 _NOTES = {
     EXPERIMENTAL: "The structure is the paper's, whose Pioneer 3DX has two samples of 0.1 s and a lag of 0.1 s; its "
     "threshold's line and its slope limits are not in the text. All numbers here are of the simulated robot. The gain "
@@ -425,7 +425,9 @@ def fit_drives(folder: Path) -> Table:
             },
             "fit_percent": _channels(scores[0]),
             "validation_fit_percent": _channels(scores[1]),
-            "warnings": [f"{one} lies on a bound of the search: the data do not determine it" for one in fit.at_bound],
+            "warnings": [
+                f"{parameter} lies on a bound of the search: the data do not determine it" for parameter in fit.at_bound
+            ],
         }
         write_drive(folder / f"{file}.yaml", drive_content(fit, fields))
         rows.append((name, *(f"{value:.2f}" for value in (*scores[0], *scores[1]))))
@@ -441,7 +443,7 @@ def _channels(fit: np.ndarray) -> dict[str, float]:
 
 
 _NETWORK_FITTING_REPETITION = 41
-"""Whose drives these are: of no study, so no seed is shared with one."""
+"""Repetition number of these drives; no study uses it, so no seed is shared."""
 
 
 def fit_network(folder: Path, on_progress: Callable[[int, int], None] | None = None) -> Table:
@@ -462,8 +464,8 @@ def fit_network(folder: Path, on_progress: Callable[[int, int], None] | None = N
     training, validation, test = divided(windows_of(twist_experiments(drive), kind.window), settings.shares)
     trained = train(kind, training, validation, settings)
     network = trained.network
-    other = windows_of(twist_experiments(held_out), kind.window)
-    parts = {"training": training, "validation": validation, "test": test, "other drives": other}
+    held_out_windows = windows_of(twist_experiments(held_out), kind.window)
+    parts = {"training": training, "validation": validation, "test": test, "other drives": held_out_windows}
     fits = {name: fit_percent(network, part) for name, part in parts.items()}
     content = network_content(
         network,

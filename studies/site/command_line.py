@@ -19,7 +19,7 @@ _EXAMPLE = re.compile(r"^Examples?:\s*", re.MULTILINE)
 
 
 def command_line_page() -> str:
-    """Every command with its arguments, options, defaults and example, as Markdown."""
+    """Describe every command with its arguments, options, defaults and example, as Markdown."""
     commands = list(_commands("diffdrive-mpc", typer.main.get_command(app)))
     rows = [f"| [`{_short(name)}`](#{_anchor(name)}) | {_first_line(command)} |" for name, command in commands]
     parts = [_HEAD, "\n".join(["| command | what it does |", "| --- | --- |", *rows])]
@@ -27,7 +27,7 @@ def command_line_page() -> str:
 
 
 def _commands(prefix: str, command: Any) -> Iterator[tuple[str, Any]]:  # noqa: ANN401 - typer has no common type
-    """Commands that do something, by their whole name, those of groups included."""
+    """Yield executable commands by their full name, those of groups included."""
     for name, child in sorted(command.commands.items()):
         if hasattr(child, "commands"):
             yield from _commands(f"{prefix} {name}", child)
@@ -73,7 +73,7 @@ def _cell(text: str | None) -> str:
 
 
 def _text(text: str | None) -> str:
-    """Help as Markdown shows it: no emphasis by asterisks and underscores that stand in it."""
+    """Escape help for Markdown, where asterisks and underscores would become emphasis."""
     return re.sub(r"([*_<>\[\]])", r"\\\1", text or "")
 
 

@@ -18,7 +18,7 @@ _LONGEST = 60
 
 
 def licence_table() -> str:
-    """Every package that is installed with ours, without extras: its licence as it states it, and who needs it."""
+    """Tabulate every package installed with ours, without extras: its stated licence, and the packages that need it."""
     needed = _needed()
     rows = [(name, licence(distribution), ", ".join(sorted(by))) for name, (distribution, by) in sorted(needed.items())]
     lines = ["| package | licence | needed by |", "| --- | --- | --- |"]
@@ -26,7 +26,7 @@ def licence_table() -> str:
 
 
 def licence(package: Distribution) -> str:
-    """What a package says of its licence: an SPDX expression, its classifiers, or the words of its field."""
+    """Return the licence that a package states: an SPDX expression, its classifiers, or the words of its field."""
     metadata = package.metadata
     # What is not there is None in some Pythons, and an error in others.
     if "License-Expression" in metadata:
@@ -43,7 +43,7 @@ def licence(package: Distribution) -> str:
 
 
 def _needed() -> dict[str, tuple[Distribution, set[str]]]:
-    """Packages by their normal name, with those that need them, from ours on."""
+    """Collect packages by their normalised name, with those that need them, starting from ours."""
     distributions: dict[str, tuple[Distribution, set[str]]] = {}
     todo = [(_OURS, distribution(_OURS), frozenset[str]())]
     done: set[tuple[str, frozenset[str]]] = set()
@@ -65,9 +65,9 @@ def _needed() -> dict[str, tuple[Distribution, set[str]]]:
 
 def _requirements(package: Distribution, extras: frozenset[str]) -> Iterator[Requirement]:
     for text in package.requires or ():
-        one = Requirement(text)
-        if one.marker is None or any(one.marker.evaluate({"extra": extra}) for extra in ("", *extras)):
-            yield one
+        requirement = Requirement(text)
+        if requirement.marker is None or any(requirement.marker.evaluate({"extra": extra}) for extra in ("", *extras)):
+            yield requirement
 
 
 def _normal(name: str) -> str:
@@ -75,7 +75,7 @@ def _normal(name: str) -> str:
 
 
 def with_table(page: str) -> str:
-    """`page` with the table as it is now."""
+    """Update the table in `page`."""
     return insert(page, licence_table(), MARKER)
 
 

@@ -37,7 +37,7 @@ os.environ.update(PATH=path, FORCE_COLOR="", COLUMNS="110")
 
 
 def notebook_text(markdown: str) -> str:
-    """The notebook of a tutorial as JSON: Python and shell run, and files that the page shows are written."""
+    """Convert a tutorial to a notebook in JSON: Python and shell run, and files shown on the page are written."""
     source = _FILE.sub(r"```python\n%%writefile \1\n\2```", _REFERENCE.sub("", _PICTURE.sub("", markdown)))
     if "```sh\n" in source:
         title, _, rest = source.partition("\n")
@@ -66,7 +66,7 @@ def with_notebooks(documents: Mapping[str, str], out: Path) -> dict[str, str]:
 
 
 def executed(notebook: str, folder: Path) -> list[bytes]:
-    """The pictures (PNG) that a notebook draws when it runs in `folder`.
+    """Execute a notebook in `folder`; return the pictures (PNG) that it draws.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def executed(notebook: str, folder: Path) -> list[bytes]:
 
 
 def pictures(markdown: str) -> list[str]:
-    """Files of the pictures that a tutorial shows, in its order, which is that in which its notebook draws them."""
+    """List the picture files of a tutorial, in the order in which its notebook draws them."""
     return [match["file"] for match in _PICTURE.finditer(markdown)]
 
 

@@ -26,7 +26,7 @@ POSTER, _POSTER_TIME = "poster", 5.2
 
 
 class SitePicture(StrictModel):
-    """What draws a picture."""
+    """Source of a picture."""
 
     commands: list[str]
     shown: str
@@ -39,7 +39,7 @@ class Pictures(StrictModel):
 
 
 def listed() -> dict[str, SitePicture]:
-    """The pictures by name; raises ConfigError on a mistake in the file."""
+    """Load the pictures by name; raise ConfigError for a mistake in the file."""
     return load_checked(Pictures, Path(__file__).with_name("pictures.yaml")).pictures
 
 

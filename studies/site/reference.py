@@ -80,13 +80,13 @@ def _rows(part: Schema, schema: Schema, prefix: str, needed: str = "required") -
 
 
 def _group(field: Schema, schema: Schema) -> Schema | None:
-    """The one group that a field may be, if it may be nothing else."""
+    """Return the one group that a field may be, if it may be nothing else."""
     alternatives = _alternatives(field, schema)
     return alternatives[0] if len(alternatives) == 1 and "properties" in alternatives[0] else None
 
 
 def _alternatives(field: Schema, schema: Schema) -> list[Schema]:
-    """What a field may be, references followed, nothing left out but null."""
+    """Return the alternatives of a field, references followed, without null."""
     if "$ref" in field:
         return _alternatives(schema["$defs"][field["$ref"].rpartition("/")[2]], schema)
     choices = field.get("anyOf", field.get("oneOf", []))
@@ -136,7 +136,7 @@ fails in [safety](../safety.md#what-can-go-wrong); its parameters are in [tables
 
 
 def reference_pages(documents: Mapping[str, str]) -> dict[str, str]:
-    """The pages as Markdown by place on the site; `documents` are those of the repository, text by path."""
+    """Build the pages as Markdown by place on the site; `documents` are those of the repository, text by path."""
     pages: dict[str, Callable[[], str]] = {
         "api": api_page,
         "command-line": command_line_page,
@@ -147,7 +147,7 @@ def reference_pages(documents: Mapping[str, str]) -> dict[str, str]:
 
 
 def api_page() -> str:
-    """The public names by what they are for, as directives of mkdocstrings."""
+    """List the public names by purpose, as directives of mkdocstrings."""
     parts = [_API]
     for title, names in public_names().items():
         imports = "\n".join(_imports(names))
@@ -156,7 +156,7 @@ def api_page() -> str:
 
 
 def _imports(names: list[str]) -> list[str]:
-    """Lines that import the names, those of the package itself first."""
+    """Format lines that import the names, those of the package itself first."""
     homes: dict[str, list[str]] = {}
     for module, name in (name.rsplit(".", 1) for name in names):
         homes.setdefault("" if name in package.__all__ else f".{module}", []).append(name)
@@ -164,20 +164,20 @@ def _imports(names: list[str]) -> list[str]:
 
 
 def public_names() -> dict[str, list[str]]:
-    """Dotted names below the package by title of their group."""
+    """Load dotted names below the package by title of their group."""
     groups: dict[str, list[str]] = read_yaml(_NAMES)
     return groups
 
 
 def ros_page(guide: str) -> str:
-    """Topics, services, frames and states, as the guide of the node has them."""
+    """Build the page of topics, services, frames and states from the guide of the node."""
     shown = [section(guide, title) for title in ("Topics, services, frames", "States")]
     # They have links of the guide, which lies one folder further up.
     return "\n".join([_ROS, *(part.replace("](#", "](robot.md#").replace("](", "](../") for part in shown), ""])
 
 
 def section(page: str, title: str) -> str:
-    """The section of that title; raises ConfigError if the page has none."""
+    """Extract the section of that title; raise ConfigError if the page has none."""
     match = re.search(rf"^## {re.escape(title)}\n.*?(?=^## |\Z)", page, re.MULTILINE | re.DOTALL)
     if not match:
         raise ConfigError(f"no section '{title}' in the page that the site takes it from; name it so again")

@@ -34,7 +34,7 @@ _FENCED = re.compile(r"^(```.*?^```)$", re.MULTILINE | re.DOTALL)
 
 
 def place_on_site(path: str) -> str:
-    """Where a file of the repository is on the site, both as paths with slashes from the top."""
+    """Return the place on the site of a file of the repository, both as paths with slashes from the top."""
     if path in MOVED:
         return MOVED[path]
     if path.startswith("docs/"):
@@ -45,12 +45,12 @@ def place_on_site(path: str) -> str:
 
 
 def linked_files(markdown: str, document: str) -> set[str]:
-    """Files of the repository that a `document` links to, both as paths with slashes from the top."""
+    """List the files of the repository that a `document` links to, both as paths with slashes from the top."""
     return {_resolved(target, document) for _, target, *_ in _LINK.findall(_FENCED.sub("", markdown))}
 
 
 def with_site_links(markdown: str, document: str) -> str:
-    """The text of a `document` of the repository with its links as they are on the site, and without comments."""
+    """Convert the links in a `document` of the repository to those of the site, and remove comments."""
     folder = posixpath.dirname(place_on_site(document)) or "."
 
     def moved(match: re.Match[str]) -> str:
@@ -63,13 +63,13 @@ def with_site_links(markdown: str, document: str) -> str:
 
 
 def page_of_file(path: str, text: str) -> str:
-    """A page that shows a file which is no Markdown."""
+    """Format a page that shows a file which is no Markdown."""
     kind = {".py": "python", ".yaml": "yaml", ".cff": "yaml", ".json": "json"}.get(Path(path).suffix, "text")
     return f"# {path}\n\n```{kind}\n{text.rstrip()}\n```\n"
 
 
 def pages_outside(root: Path, documents: Mapping[str, str]) -> dict[str, str]:
-    """Markdown by place on the site, for what the `documents` (text by path) link to and for those in `MOVED`.
+    """Build pages by place on the site, for files that the `documents` (text by path) link to and for those in `MOVED`.
 
     A file that a link names and that does not exist is left out: the strict build then says which page links to it.
     """
@@ -92,7 +92,7 @@ _CODE_OR_FORMULA = re.compile(
 
 
 def with_mathml(markdown: str) -> str:
-    """The Markdown of a page with its formulas as MathML; raises what `convert` does for bad TeX."""
+    """Convert the formulas of a page to MathML; raise the errors of `convert` for invalid TeX."""
     return _CODE_OR_FORMULA.sub(_mathml, markdown)
 
 
@@ -133,7 +133,7 @@ def stage(root: Path, out: Path) -> None:
 
 
 def laboratory_page() -> str:
-    """The page of the laboratory, or a line in its place where its compiler is not installed."""
+    """Build the page of the laboratory, or a line in its place without its compiler."""
     if has_compiler():
         return page_text()
     logging.getLogger(__name__).warning(_NO_COMPILER)

@@ -1,1 +1,1 @@
-"""How fast a step is, beside peers on the same problem."""
+"""Speed of a step, compared with peers on the same problem."""

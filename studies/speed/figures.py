@@ -1,4 +1,4 @@
-"""How long a step takes: against the horizon, and how often longer."""
+"""Figures of step times: against the horizon, and their distribution."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from studies.speed.results import ACADOS, SpeedResults
 
 
 def draw_horizons(results: SpeedResults, path: Path) -> None:
-    """Median of the whole step against the horizon, all solvers, a panel per model, both axes logarithmic."""
+    """Draw the median of the whole step against the horizon, all solvers, a panel per model, both axes logarithmic."""
     models, horizons = results.models, results.horizons
     with new_figure(path, 3.2 * len(models) + 1.6, 3.8) as figure:
         panels = figure.subplots(1, len(models), sharey=True, squeeze=False)[0]
@@ -42,14 +42,14 @@ def draw_horizons(results: SpeedResults, path: Path) -> None:
 
 
 def draw_tails(results: SpeedResults, horizon: int, path: Path) -> None:
-    """Share of steps that took longer than a given time, both axes logarithmic, for the last model at one horizon."""
+    """Draw the share of steps longer than a given time for the last model at one horizon, both axes logarithmic."""
     model = results.models[-1]
     with new_figure(path, 6.4, 4.0) as figure:
         axes = figure.add_subplot()
         shown = [record for record in results.records if (record.model, record.horizon) == (model, horizon)]
-        for one in shown:
-            i = results.solvers.index(one.solver)
-            _draw_tail(axes, one.whole[np.isfinite(one.whole)], one.solver, colour(i), line_style(i // 7))
+        for entry in shown:
+            i = results.solvers.index(entry.solver)
+            _draw_tail(axes, entry.whole[np.isfinite(entry.whole)], entry.solver, colour(i), line_style(i // 7))
         axes.axhline(0.01, color="black", linewidth=0.5, alpha=0.5)
         axes.set_xlabel("whole step [ms]")
         axes.set_title(f"{model.upper()}, N = {horizon}")

@@ -35,7 +35,7 @@ from studies.speed.stage import StageProblem, stage_data, stage_problem
 
 
 class PeerInput:
-    """What peers are told: estimate, reference and feed-forward of our own controller, none of it on their clock."""
+    """Input of peers: estimate, reference and feed-forward of our own controller, none of it on their clock."""
 
     def __init__(self, config: ControllerConfig, model: VelocityModel, reference: Reference) -> None:
         self._config, self._reference = config, reference
@@ -45,7 +45,7 @@ class PeerInput:
         self._started = False
 
     def data(self, t: float, measurement: Measurement) -> tuple[FloatArray, FloatArray]:
-        """State of the first stage and parameters of all, see `studies.speed.stage`, at `t` [s]."""
+        """Compute state of the first stage and parameters of all, see `studies.speed.stage`, at `t` [s]."""
         if not self._started:
             self._controller.start(self._reference, t)
         # What the subject commanded, not what this controller would have.
@@ -59,7 +59,7 @@ class PeerInput:
         return stage_data(self._controller.program, estimate, self._past)
 
     def sent(self, command: FloatArray) -> FloatArray:
-        """What is sent for a peer's `command` (2,): as with ours, the nearest inside range and slew."""
+        """Return the command sent for a peer's `command` (2,): the nearest inside range and slew, as for ours."""
         sent = nearest_command(command, self._config.limits, self._config.sample_time, self._past[-1])
         self._past = np.concatenate([self._past[1:], sent[None]])
         return sent
@@ -101,7 +101,7 @@ class ClosedLoop:
         self._input = PeerInput(self.config, self.model, self.reference)
 
     def step(self) -> None:
-        """One tick."""
+        """Run one tick."""
         plant = self._plant
         t, measurement = plant.time, plant.measure()
         peer_data = self._input.data(t, measurement)
@@ -131,7 +131,7 @@ def closed_loop_cost(
     config: ControllerConfig,
     model: VelocityModel,
 ) -> float:
-    """Mean over the ticks of the stage cost of `mpc.problem`, taken where the robot really was.
+    """Compute the mean over the ticks of the stage cost of `mpc.problem` on the true motion.
 
     Half the weighted sum of squares of the pose error along and across the reference and in heading, of the command's
     deviation from its feed-forward and of its increments less those of the feed-forward, plus the penalties on soft
@@ -170,7 +170,7 @@ def closed_loop_cost(
         )
     if not all(np.isfinite(values).all() for values in (pose, twist, command)):
         raise ValueError("pose, twist and command must be finite: a drive that failed has no cost")
-    ahead = FeedForward.of(model, config.sample_time)
+    ahead = FeedForward.from_model(model, config.sample_time)
     sample = reference.sample(config.sample_time * np.arange(n + int(ahead.whole.max()) + 1))
     w = with_increments(config, model.discretise(config.sample_time)).weights
     in_path = _in_path(pose, sample.pose[:n])
@@ -185,7 +185,7 @@ def closed_loop_cost(
 
 
 def _fed_forward(ahead: FeedForward, twist: FloatArray, n: int) -> FloatArray:
-    """(n, 2) commands that would keep the reference's twist, without slip."""
+    """Compute commands (n, 2) that would keep the reference's twist, without slip."""
     rows = np.arange(n)[:, None] + ahead.whole
     now, after = twist[rows, [0, 1]], twist[rows + 1, [0, 1]]
     wanted = (now + ahead.rest * (after - now)).T
@@ -193,13 +193,13 @@ def _fed_forward(ahead: FeedForward, twist: FloatArray, n: int) -> FloatArray:
 
 
 def _in_path(pose: FloatArray, reference: FloatArray) -> FloatArray:
-    """(n, 3) errors along, across and in heading."""
+    """Compute errors (n, 3) along, across and in heading."""
     error = pose - reference
     return np.column_stack([*ahead_and_left(error, reference[:, 2]), wrap_angle(error[:, 2])])
 
 
 def _soft_values(twist: FloatArray, across: FloatArray, config: ControllerConfig) -> FloatArray:
-    """(n, 5) magnitudes of v, omega, the speed of either side at the rim, and the distance across the path."""
+    """Compute magnitudes (n, 5) of v, omega, the rim speed of both sides, and the distance across the path."""
     v, omega = twist.T
     rim = 0.5 * config.wheels.track * omega
     return np.asarray(np.abs(np.column_stack([v, omega, v + rim, v - rim, across])))
@@ -239,15 +239,15 @@ class _Running:
 
     @property
     def ticks(self) -> int:
-        """Of the drive."""
+        """Number of ticks of the drive."""
         return len(self.drive.ticks)
 
     def restart(self) -> None:
-        """Begin the drive anew."""
+        """Restart the drive."""
         self.guarded(lambda: self.drive.subject.reset(self.drive.ticks[0]))
 
     def run(self, first: int, last: int) -> tuple[FloatArray, Effort] | None:
-        """Times (ticks, 2) of whole steps and inside the solver [s]; None where the subject has failed."""
+        """Run ticks; return times (ticks, 2) of whole steps and solver [s], or None after a failure."""
         result = self.guarded(lambda: self.drive.subject.run(self.drive.ticks[first:last]))
         return None if result is None else (_times(result[0]), result[1])
 
@@ -265,7 +265,7 @@ def _times(steps: Sequence[TimedStep]) -> FloatArray:
 
 
 def load_problem(settings: SpeedSettings, model: str, horizon: int) -> SpeedProblem:
-    """The problem for a model by name; raises ConfigError if its configuration cannot be used."""
+    """Load the problem for a model by name; raise ConfigError if its configuration is unusable."""
     config = controller_config(model, None, (*settings.config.items(), ("horizon", horizon)))
     loaded = Controller(config).model
     assert isinstance(loaded, VelocityModel)
@@ -308,10 +308,10 @@ def measure(
             drive = ClosedLoop(problem.config, problem.model, settings, subject, chosen.kind == "ours")
             running.append(_Running(name, problem, drive, built))
         for _ in range(settings.ticks):
-            for one in running:
-                one.guarded(one.drive.step)
+            for candidate in running:
+                candidate.guarded(candidate.drive.step)
             on_tick()
-        _replay([one for one in running if not one.lost], settings)
+        _replay([candidate for candidate in running if not candidate.lost], settings)
         converged = {
             problem.name: _build(
                 stack, settings, problem, settings.converged, None, folder / problem.name / "converged", core
@@ -319,24 +319,28 @@ def measure(
             for problem in problems
         }
         measured = []
-        for one in running:
-            if not one.lost:
-                measured.append(_measured(one, _gaps(one, converged[one.problem.name], settings.gap_every)))
+        for candidate in running:
+            if not candidate.lost:
+                measured.append(
+                    _measured(candidate, _gaps(candidate, converged[candidate.problem.name], settings.gap_every))
+                )
             else:
-                missing.append(Missing(one.name, one.problem.name, one.problem.horizon, one.lost))
+                missing.append(
+                    Missing(candidate.name, candidate.problem.name, candidate.problem.horizon, candidate.lost)
+                )
     return measured, missing
 
 
 def _replay(running: Sequence[_Running], settings: SpeedSettings) -> None:
     """Time all of them; those too slow to be replayed have the times of their closed loop."""
-    quick = [one for one in running if _typical(one) < settings.replayed_below]
+    quick = [subject for subject in running if _typical(subject) < settings.replayed_below]
     (costs,), best = take_turns([quick], repetitions=settings.repetitions, block=settings.block)
-    for one, times in zip(quick, costs, strict=True):
-        one.times = times
-    best = min([best, *(effort.pace for one in running for effort in one.drive.efforts)])
-    for one in running:
-        clean = np.array([[effort.undisturbed(best) for effort in one.drive.efforts]])
-        one.times = one.times or TurnTimes(_times(one.drive.steps)[None], clean)
+    for subject, times in zip(quick, costs, strict=True):
+        subject.times = times
+    best = min([best, *(effort.pace for subject in running for effort in subject.drive.efforts)])
+    for subject in running:
+        clean = np.array([[effort.undisturbed(best) for effort in subject.drive.efforts]])
+        subject.times = subject.times or TurnTimes(_times(subject.drive.steps)[None], clean)
 
 
 def _build(
@@ -367,7 +371,7 @@ def _typical(subject: _Running) -> float:
 
 
 def _gaps(subject: _Running, converged: Subject, every: int) -> FloatArray:
-    """(n, 2) |command - converged command| at every so many ticks."""
+    """Compute |command - converged command| (n, 2) at every `every`-th tick."""
     gaps: list[FloatArray] = []
     for k in range(0, len(subject.drive.ticks), every):
         data = subject.drive.peer_data[k]
@@ -381,7 +385,7 @@ def _gaps(subject: _Running, converged: Subject, every: int) -> FloatArray:
 def _measured(subject: _Running, gaps: FloatArray) -> SpeedRecord:
     drive, problem = subject.drive, subject.problem
     assert subject.times is not None
-    whole, inside = np.moveaxis(subject.times.kept, -1, 0)
+    whole, inside = np.moveaxis(subject.times.selected, -1, 0)
     iterations = [step.iterations for step in drive.steps]
     command = np.array(drive.command)
     cost = closed_loop_cost(

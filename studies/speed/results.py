@@ -1,4 +1,4 @@
-"""What is known of one subject on one problem, and what the whole benchmark gave."""
+"""Results of one subject on one problem, and of the whole benchmark."""
 
 from __future__ import annotations
 
@@ -82,8 +82,8 @@ class SpeedRecord:
     whole: FloatArray = field(repr=False)
 
     def as_json(self) -> dict[str, object]:
-        """Plain values; times to the nanosecond."""
-        written = {of.name: getattr(self, of.name) for of in fields(self) if of.name != "whole"}
+        """Convert to plain values; times to the nanosecond."""
+        written = {member.name: getattr(self, member.name) for member in fields(self) if member.name != "whole"}
         return {name: round(value, 9) if isinstance(value, float) else value for name, value in written.items()}
 
 
@@ -98,7 +98,7 @@ class Missing:
 
 
 def time_statistics(whole: FloatArray, inside: FloatArray) -> dict[str, float]:
-    """Percentiles of times (repetitions, ticks) [s] under the names of a record's fields; what is NaN is left out."""
+    """Compute percentiles of times (repetitions, ticks) [s] by the fields of a record, without NaN."""
     ticks = np.nanmedian(whole[:, np.isfinite(whole).any(axis=0)], axis=0)
     statistics = {"tick_p99_s": float(np.percentile(ticks, 99)), "tick_max_s": float(ticks.max())}
     for name, times in (("step", whole), ("solver", inside)):
@@ -109,7 +109,7 @@ def time_statistics(whole: FloatArray, inside: FloatArray) -> dict[str, float]:
 
 
 def growth_exponent(horizons: FloatArray, times: FloatArray) -> float:
-    """Exponent e of times = c horizons^e, by least squares of the logarithms; NaN with fewer than two horizons."""
+    """Fit the exponent e of times = c horizons^e by least squares of logarithms; NaN with fewer than two horizons."""
     if len(horizons) < 2:
         return float("nan")
     return float(np.polyfit(np.log(horizons), np.log(times), 1)[0])
@@ -150,24 +150,24 @@ class SpeedResults:
         return tuple(dict.fromkeys(record.solver for record in self.records))
 
     def find(self, solver: str, model: str, horizon: int) -> SpeedRecord | None:
-        """One record, if there is one."""
+        """Find one record, if it exists."""
         wanted = (solver, model, horizon)
         return next((r for r in self.records if (r.solver, r.model, r.horizon) == wanted), None)
 
     def value(self, solver: str, model: str, horizon: int, field: Callable[[SpeedRecord], float]) -> float:
-        """A value of one record; NaN if there is none."""
+        """Return a value of one record; NaN without it."""
         record = self.find(solver, model, horizon)
         return float("nan") if record is None else field(record)
 
     def growth(self, solver: str, model: str) -> float:
-        """Exponent of the whole step's median over the horizons from `GROWTH_FROM` on; NaN with fewer than two."""
+        """Fit the exponent of the step's median over horizons from `GROWTH_FROM` on; NaN with fewer than two."""
         records = [r for r in self.records if (r.solver, r.model) == (solver, model) and r.horizon >= GROWTH_FROM]
         return growth_exponent(
             np.array([r.horizon for r in records], dtype=float), np.array([r.step_p50_s for r in records])
         )
 
     def as_json(self) -> dict[str, object]:
-        """`{"records": [...], "missing": [...], "growth": [...]}` of plain values."""
+        """Convert to `{"records": [...], "missing": [...], "growth": [...]}` of plain values."""
         growth = [
             {"solver": solver, "model": model, "exponent": round(exponent, 3)}
             for model in self.models
@@ -190,7 +190,7 @@ _SMALLEST = "ssm"
 """The model with the fewest states, which others are held against."""
 Value = Callable[[SpeedRecord], float]
 Cell = Callable[[str, str, int], str]
-"""Of solver, model and horizon."""
+"""Cell of solver, model and horizon."""
 
 
 def _whole(record: SpeedRecord) -> float:
@@ -202,7 +202,7 @@ def _inside(record: SpeedRecord) -> float:
 
 
 def speed_tables(results: SpeedResults) -> list[Table]:
-    """All tables, those that would be empty left out."""
+    """Build all tables that are not empty."""
     models = results.models
     tables = [_medians(results, model) for model in models]
     if ACADOS in results.solvers:
@@ -219,24 +219,24 @@ def speed_tables(results: SpeedResults) -> list[Table]:
 
 
 def detailed_horizon(results: SpeedResults) -> int:
-    """The horizon that is looked at closely."""
+    """Return the horizon of the detailed comparison."""
     return _DETAILED if _DETAILED in results.horizons else results.horizons[-1]
 
 
 def _by_horizon(
     results: SpeedResults, title: str, models: str | Sequence[str], cell: Cell, note: str, *, unit: str = ""
 ) -> Table:
-    """A row for each solver, or for each of several models and solver; a column for each horizon."""
+    """Tabulate a row for each solver, or for each model and solver, with a column for each horizon."""
 
-    def at(n: int) -> Callable[[tuple[str, str]], str]:
-        return lambda of: cell(*of, n)
+    def cell_at(n: int) -> Callable[[tuple[str, str]], str]:
+        return lambda key: cell(*key, n)
 
-    columns = {f"N = {n}{unit}": at(n) for n in results.horizons}
+    columns = {f"N = {n}{unit}": cell_at(n) for n in results.horizons}
     if isinstance(models, str):
         alone = [((solver,), (solver, models)) for solver in results.solvers]
-        return Table.of(title, ("solver",), columns, alone, note)
+        return Table.build(title, ("solver",), columns, alone, note)
     entries = [((model.upper(), solver), (solver, model)) for model in models for solver in results.solvers]
-    return Table.of(title, ("model", "solver"), columns, entries, note)
+    return Table.build(title, ("model", "solver"), columns, entries, note)
 
 
 def _medians(results: SpeedResults, model: str) -> Table:
@@ -278,10 +278,10 @@ def _tails(results: SpeedResults, model: str) -> Table:
 def _detailed(
     results: SpeedResults, title: str, model: str, columns: dict[str, Callable[[SpeedRecord], str]], note: str
 ) -> Table:
-    """A row for each solver at the horizon that is looked at closely."""
+    """Tabulate a row for each solver at the detailed horizon."""
     n = detailed_horizon(results)
     entries = [((solver,), record) for solver in results.solvers if (record := results.find(solver, model, n))]
-    return Table.of(f"{title} {model.upper()}", ("solver",), columns, entries, f"N = {n}. {note}")
+    return Table.build(f"{title} {model.upper()}", ("solver",), columns, entries, f"N = {n}. {note}")
 
 
 def _tails_by_horizon(results: SpeedResults, model: str) -> Table:
@@ -338,12 +338,12 @@ def _growth(results: SpeedResults) -> Table:
         f"Exponent of the median step over the horizon, from N = {GROWTH_FROM} on. Memory: what its process took "
         "beyond its loaded modules, at most."
     )
-    return Table.of("Growth and memory", ("solver",), columns, entries, note)
+    return Table.build("Growth and memory", ("solver",), columns, entries, note)
 
 
 def _missing(results: SpeedResults) -> Table:
     reasons: dict[tuple[str, str], list[str]] = {}
-    for one in results.missing:
-        reasons.setdefault((one.solver, one.reason), []).append(f"{one.model} {one.horizon}")
+    for entry in results.missing:
+        reasons.setdefault((entry.solver, entry.reason), []).append(f"{entry.model} {entry.horizon}")
     rows = tuple((solver, ", ".join(where), reason) for (solver, reason), where in reasons.items())
     return Table("Missing", ("solver", "where", "reason"), rows, text_columns=3)

@@ -1,4 +1,4 @@
-"""What the speed benchmark runs, read from `settings.yaml`."""
+"""Settings of the speed benchmark, read from `settings.yaml`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_che
 Names = Annotated[tuple[str, ...], Field(min_length=1)]
 Count = Annotated[int, Field(ge=1, le=100_000)]
 MOST_STEPS = 200
-"""Of a horizon, as the configuration has it."""
+"""Maximum horizon, as in the configuration."""
 
 
 class SubjectSettings(StrictModel):
@@ -24,7 +24,7 @@ class SubjectSettings(StrictModel):
 
     @property
     def foreign(self) -> bool:
-        """Whether it needs the peers' environment."""
+        """True if a subject needs the peers' environment."""
         return self.kind in ("acados", "do-mpc")
 
 
@@ -47,7 +47,7 @@ class SpeedSettings(StrictModel):
 
 
 QUICK: dict[str, object] = {"models": ("ssm",), "horizons": (10, 20), "ticks": 60, "repetitions": 2}
-"""What a quick run has less of."""
+"""Reduced settings of a quick run."""
 
 
 def load_speed_settings(file: Path | None = None, *, quick: bool = False) -> SpeedSettings:
@@ -57,7 +57,7 @@ def load_speed_settings(file: Path | None = None, *, quick: bool = False) -> Spe
 
 
 def chosen(settings: SpeedSettings, names: Sequence[str] | None) -> SpeedSettings:
-    """The settings with some subjects only: those named, and those below a name (`ours` is all three of ours).
+    """Select the named subjects, and those below a name (`ours` is all three of ours).
 
     Raises ConfigError if a name is unknown.
     """

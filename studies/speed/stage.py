@@ -29,7 +29,7 @@ ROWS = (
     *("v_ramp", "omega_ramp"),
     *("v_limit", "omega_limit", "right_limit", "left_limit", "corridor"),
 )
-"""What changes from tick to tick, in the order of a stage's parameters."""
+"""Values that change from tick to tick, in the order of a stage's parameters."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class StageProblem:
 
 
 def stage_problem(config: ControllerConfig, model: DiscreteModel) -> StageProblem:
-    """The problem of a controller with `config` and the sampled `model`."""
+    """Build the problem of a controller with `config` and the sampled `model`."""
     n, memory = model.order, model.memory
     size = n + 3 + 2 * memory
     z, u, p = ca.SX.sym("z", size), ca.SX.sym("u", 2), ca.SX.sym("p", len(ROWS))
@@ -114,7 +114,7 @@ def stage_problem(config: ControllerConfig, model: DiscreteModel) -> StageProble
 
 
 def stage_data(program: Program, estimate: Estimate, past: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """State of the first stage (z,) and parameters of all stages (N + 1, p) for one tick.
+    """Compute state of the first stage (z,) and parameters of all stages (N + 1, p) for one tick.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def stage_data(program: Program, estimate: Estimate, past: FloatArray) -> tuple[
 
 
 def _body(turn_left: ca.SX, point: ca.SX) -> ca.SX:
-    """Twist of the body's origin, for that of the point that it turns about."""
+    """Compute the twist of the body's origin from that of its turning point."""
     return ca.vertcat(point[0] + turn_left * point[1], point[1])
 
 

@@ -1,4 +1,4 @@
-"""How fast a step is, beside peers on the same problem."""
+"""Study of the speed of a step, compared with peers on the same problem."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from studies.speed.settings import SpeedSettings
 
 
 class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
-    """What `settings` ask for.
+    """Speed benchmark with the given settings.
 
     Parameters
     ----------
@@ -37,20 +37,20 @@ class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
         self._peer_folder = peer_folder
 
     def plan(self) -> list[list[SpeedProblem]]:
-        """A problem for each horizon and model; raises ConfigError or ValueError if one cannot be used."""
+        """Plan a problem for each horizon and model; raise ConfigError or ValueError if one is unusable."""
         s = self.settings
         return [[load_problem(s, model, n) for model in s.models] for n in s.horizons]
 
     def run(self, plan: list[list[SpeedProblem]], jobs: int, bar: ProgressBar) -> SpeedResults:
-        """One after the other on one core, whatever `jobs` is; raises ValueError if no subject could be run."""
+        """Run one after the other on one core, whatever `jobs` is; raise ValueError if no subject could be run."""
         del jobs
         load = os.getloadavg()[0]
         core = max(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None
         records: list[SpeedRecord] = []
         missing: list[Missing] = []
-        bar.begin("preparing the peers", 1)
+        bar.start_stage("preparing the peers", 1)
         environment = self._environment()
-        bar.begin("driving", len(plan) * self.settings.ticks)
+        bar.start_stage("driving", len(plan) * self.settings.ticks)
         with tempfile.TemporaryDirectory() as scratch:
             for problems in plan:
                 place = Path(scratch) / str(problems[0].horizon)
@@ -62,7 +62,7 @@ class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
         return SpeedResults(tuple(records), tuple(missing), core, (load, os.getloadavg()[0]))
 
     def _environment(self) -> PeerEnvironment | SubjectError | None:
-        """The peers' environment where it is needed, or why it cannot be had."""
+        """Return the peers' environment if it is needed, or the reason for its absence."""
         if not any(subject.foreign for subject in self.settings.subjects.values()):
             return None
         try:
@@ -71,12 +71,12 @@ class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
             return error
 
     def report(self, results: SpeedResults, seconds: float) -> Report:
-        """What was driven, how it was timed and who took part."""
+        """Report the drive, the timing and the participants."""
         from studies.speed.figures import draw_horizons, draw_tails  # noqa: PLC0415
 
         s, (before, after) = self.settings, results.load
         core = "one core for all" if results.core is not None else "no core of their own"
-        missing = "; ".join(dict.fromkeys(f"{one.solver} ({one.reason})" for one in results.missing)) or "none"
+        missing = "; ".join(dict.fromkeys(f"{entry.solver} ({entry.reason})" for entry in results.missing)) or "none"
         lines = REQUIREMENTS.read_text(encoding="utf-8").splitlines()
         shown = ("comma-deps-acados", "casadi", "do-mpc")
         peers = [line.replace("==", " ") for line in lines if line.partition("==")[0] in shown]

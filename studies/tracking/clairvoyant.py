@@ -29,7 +29,7 @@ from studies.tracking.known_plant import KnownPlant
 
 
 class ClairvoyantSettings(StrictModel):
-    """How far it looks and how exactly it solves."""
+    """Horizon and accuracy of the solution."""
 
     horizon: Annotated[int, Field(ge=1)]
     disturbance_memory: Annotated[float, Field(ge=0, lt=1)]
@@ -102,7 +102,7 @@ class ClairvoyantProgram:
         self._last: dict[str, FloatArray] | None = None
 
     def solve(self, present: Present, reference: ReferenceSample, feed_forward: FloatArray) -> FloatArray:
-        """(N, 2) optimal commands.
+        """Compute the optimal commands (N, 2).
 
         Parameters
         ----------
@@ -168,7 +168,7 @@ class ClairvoyantProgram:
         }
 
     def _moved(self, pose: ca.SX, twist: ca.SX, acceleration: ca.SX) -> ca.SX:
-        """The pose one sample later, along the exact arc of `models.pose` with a lateral speed beside v."""
+        """Compute the pose one sample later, along the exact arc of `models.pose` with lateral speed."""
         v, omega, dt = twist[0], twist[1], self._model.dt
         lateral = omega * (self._known.load_shift * acceleration - self._known.side_slip * v)
         half = omega * dt / 2
@@ -182,14 +182,14 @@ class ClairvoyantProgram:
         return np.concatenate([feed_forward.ravel(), states, reference.pose[1:].ravel()])
 
     def _shifted(self, x: FloatArray) -> FloatArray:
-        """A solution one step later, its end repeated."""
+        """Shift a solution by one step, with its end repeated."""
         N, n = self._steps, self._model.order
         parts = [part.reshape(N, -1) for part in np.split(x, [2 * N, (2 + n) * N])]
         return np.concatenate([np.vstack([part[1:], part[-1:]]).ravel() for part in parts])
 
 
 def _in_path(pose: ca.SX, reference: ca.SX) -> ca.SX:
-    """Errors along and across the path, and in heading from the one that holds it."""
+    """Compute errors along and across the path, and in heading from the one that holds it."""
     error = pose - reference[:3]
     c, s = ca.cos(reference[2]), ca.sin(reference[2])
     return ca.vertcat(c * error[0] + s * error[1], c * error[1] - s * error[0], error[2] - reference[3])
@@ -220,7 +220,7 @@ class ClairvoyantController:
         self._reference: Reference | None = None
 
     def start(self, reference: Reference, t0: float) -> None:
-        """Begin to track `reference`, whose time 0 is `t0` [s], with a robot at rest."""
+        """Start to track `reference`, whose time 0 is `t0` [s], with a robot at rest."""
         self._reference, self._t0 = reference, t0
         self._state, self._past = np.zeros(self._model.order), np.zeros((self._model.memory, 2))
         self._last_pose: FloatArray | None = None
@@ -249,15 +249,15 @@ class ClairvoyantController:
         last = self._past[-1]
         pose[2] += 2 * np.pi * np.round((sample.pose[0, 2] - pose[2]) / (2 * np.pi))
         self._observe(pose)
-        here = Present(pose, self._state, self._past, self._disturbance)
-        plan = self._program.solve(here, sample, self._feed_forward(times))
+        present = Present(pose, self._state, self._past, self._disturbance)
+        plan = self._program.solve(present, sample, self._feed_forward(times))
         command = nearest_command(plan[0], self._config.limits, self._config.sample_time, last)
         finished = since_start >= self._reference.duration
         self._send(command)
         return PeerStep(command, "FINISHED" if finished else "TRACKING", "", time.perf_counter() - began)
 
     def _feed_forward(self, times: FloatArray) -> FloatArray:
-        """(N, 2) commands that keep the reference's twist in the steady state, one lag ahead, disturbance taken off."""
+        """Compute steady-state commands (N, 2) for the reference's twist, one lag ahead, less the disturbance."""
         assert self._reference is not None
         wanted = np.column_stack(
             [self._reference.sample(times[:-1] + lag).twist[:, i] for i, lag in enumerate(self._lag)]
@@ -265,7 +265,7 @@ class ClairvoyantController:
         return np.asarray((wanted - self._disturbance) @ self._inverse_gain.T)
 
     def _observe(self, pose: FloatArray) -> None:
-        """What the model did not explain of the mean twist over the last sample, smoothed."""
+        """Update the smoothed difference between mean twist and model over the last sample."""
         last, self._last_pose = self._last_pose, pose
         if last is None:
             return

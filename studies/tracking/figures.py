@@ -31,13 +31,13 @@ def draw_ablation(rows: DataFrame, path: Path) -> None:
     """Draw grouped bars by surface: mean over models, trajectories and seeds, with the range over trajectories."""
     variants = {**by(rows[rows["part"] == "ablation"], "variant"), BOUND_NAME: rows[rows["part"] == "bound"]}
     series = []
-    for i, (name, own) in enumerate(variants.items()):
-        surfaces = by(own, "surface")
+    for i, (name, variant) in enumerate(variants.items()):
+        surfaces = by(variant, "surface")
         parts = [
-            [1e3 * mean(runs, "position_rmse_m") for runs in by(there, "trajectory").values()]
-            for there in surfaces.values()
+            [1e3 * mean(runs, "position_rmse_m") for runs in by(surface_rows, "trajectory").values()]
+            for surface_rows in surfaces.values()
         ]
-        errors = [1e3 * mean(there, "position_rmse_m") for there in surfaces.values()]
+        errors = [1e3 * mean(surface_rows, "position_rmse_m") for surface_rows in surfaces.values()]
         ends = ([min(part) for part in parts], [max(part) for part in parts])
         series.append(Series(name, list(surfaces), errors, i, "bars", *ends))
     axes = Axis("", "category"), Axis("position RMSE [mm]")
@@ -71,8 +71,8 @@ def draw_error_sources(rows: DataFrame, path: Path) -> None:
     """Draw the first model and surface of the ablation: some variants, and the bound."""
     ablated = rows[rows["part"] == "ablation"]
     model, surface = ablated[["driver", "surface"]].iloc[0]
-    here = by(ablated[(ablated["driver"] == model) & (ablated["surface"] == surface)], "variant")
-    compared = {name: here[name] for name in _SOURCES_OF if name in here} or here
+    variants = by(ablated[(ablated["driver"] == model) & (ablated["surface"] == surface)], "variant")
+    compared = {name: variants[name] for name in _SOURCES_OF if name in variants} or variants
     bound = rows[(rows["part"] == "bound") & (rows["surface"] == surface)]
     if len(bound):
         compared[BOUND_NAME] = bound
@@ -85,7 +85,13 @@ def draw_error_sources(rows: DataFrame, path: Path) -> None:
         twist.tick_params(labelbottom=False)
         twist.set_title(f"Along the trajectory '{shown}': {model}, surface {surface}; mean and spread over seeds")
         _twist(twist, shown)
-        _over_time(across, {name: own[own["trajectory"] == shown] for name, own in compared.items()})
+        _over_time(
+            across,
+            {
+                name: rows_of_variant[rows_of_variant["trajectory"] == shown]
+                for name, rows_of_variant in compared.items()
+            },
+        )
         _shares(bars, compared, trajectories)
 
 
@@ -111,7 +117,7 @@ def _over_time(axes: Axes, compared: Mapping[str, DataFrame]) -> None:
 
 
 def _shares(axes: Axes, compared: Mapping[str, DataFrame], trajectories: Sequence[str]) -> None:
-    """Stacked bars: mean squares add up where root mean squares do not."""
+    """Draw stacked bars of mean squares, which add up, unlike root mean squares."""
     places: list[float] = []
     labels: list[str] = []
     for i, trajectory in enumerate(trajectories):

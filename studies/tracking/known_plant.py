@@ -1,4 +1,4 @@
-"""What a clairvoyant knows of a plant: a velocity model fitted to the truth, and how the robot slips."""
+"""Knowledge of a clairvoyant about a plant: a velocity model fitted to the true motion, and the robot's slip."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def reference_drive(plant: str, surface: str, trajectory: str) -> OpenLoopDrive:
 
 
 def _experiments(logs: list[OpenLoopDrive], channel: int, output: int) -> list[SampledExperiment]:
-    """Each drive after a while at rest, so that the initial state, which is free, is known too."""
+    """Build experiments that start with a time at rest, which determines the free initial state."""
     experiments = []
     for log in logs:
         if np.ptp(log.command[:, channel]) > 0:
@@ -101,7 +101,7 @@ def _experiments(logs: list[OpenLoopDrive], channel: int, output: int) -> list[S
 
 
 def _slip(logs: list[OpenLoopDrive]) -> tuple[float, float]:
-    """Side-slip and load shift, by least squares."""
+    """Fit side-slip and load shift by least squares."""
     regressors, lateral = [], []
     for log in logs:
         v, sideways, omega = log.true_twist.T

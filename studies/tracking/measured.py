@@ -1,4 +1,4 @@
-"""What the study keeps of a run beside the usual columns, and what errors over seeds are made of."""
+"""Additional columns of a run, and the parts of errors over seeds."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _SAME_TWIST = 1e-6
 
 
 def steady_arc_lateral(run: ScoredRun) -> FloatArray:
-    """Mean lateral error of every steady arc of the reference, signed: positive to the left of the path.
+    """Compute the signed mean lateral error of every steady arc of the reference: positive to the left of the path.
 
     An arc is a stretch of constant twist with v and omega both other than zero. It is steady from `settled_arc` of
     `metrics.yaml` after its beginning until its end; shorter ones do not count.
@@ -43,7 +43,7 @@ def steady_arc_lateral(run: ScoredRun) -> FloatArray:
 
 
 def steady_arcs(run: ScoredRun) -> list[NDArray[np.intp]]:
-    """The ticks of every steady arc, as `steady_arc_lateral` defines it, in order of time."""
+    """Find the ticks of every steady arc, as `steady_arc_lateral` defines it, in order of time."""
     ticks = np.flatnonzero(run.counted)
     twist, time = run.reference_twist[ticks], run.time[ticks]
     changed = 1 + np.flatnonzero((np.abs(np.diff(twist, axis=0)) > _SAME_TWIST).any(axis=1))
@@ -59,7 +59,7 @@ def steady_arcs(run: ScoredRun) -> list[NDArray[np.intp]]:
 BOUND = "clairvoyant"
 """Name of the controller that is the bound; it is no peer to choose on the command line."""
 BOUND_NAME = "clairvoyant bound"
-"""What tables and figures call it."""
+"""Name of the bound in tables and figures."""
 MARGIN = "margin.omega"
 """Key that the part "margin" varies."""
 _POINTS = 400
@@ -69,8 +69,8 @@ _POINTS = 400
 class FigureTarget(StrictModel):
     """A figure of some runs, and its largest value that is allowed."""
 
-    what: str
-    at: str
+    quantity: str
+    place: str
     where: dict[str, str]
     figure: str
     limit: float
@@ -85,12 +85,12 @@ class Targets(StrictModel):
 
 @cache
 def load_targets() -> Targets:
-    """The shipped targets."""
+    """Load the shipped targets."""
     return load_checked(Targets, Path(__file__).with_name("targets.yaml"))
 
 
 def measured(case: Case, run: Run) -> dict[str, object]:
-    """Columns of a run.
+    """Compute the columns of a run.
 
     `arcs` (arcs,) are the mean lateral errors of every steady arc [m], `late_lateral_m` is the largest |lateral| after
     the first seconds of `targets.yaml`, `omega_change` the RMS change of omega_ref from tick to tick [rad/s], and
@@ -120,7 +120,7 @@ def measured(case: Case, run: Run) -> dict[str, object]:
 
 
 def is_plain(case: Case) -> bool:
-    """Whether it is our controller as shipped, on the physics, with the default sensors and without disturbance."""
+    """Return True for our controller as shipped, on the physics, with default sensors and without disturbance."""
     usual = ("mujoco", "default", NO_SCENARIO, ())
     return case.controller == Case().controller and (case.plant, case.sensors, case.scenario, case.overrides) == usual
 
@@ -146,8 +146,8 @@ def run_or_bound(trajectories: tuple[str, ...], case: Case) -> Run:
 
 
 def worst_arc(rows: DataFrame) -> float:
-    """Largest, over the arcs of the trajectories, of the mean over seeds of |mean lateral error| [m]; NaN without."""
-    arcs = [list(own["arcs"]) for own in by(rows, "trajectory").values()]
+    """Compute the maximum over arcs of the mean over seeds of |mean lateral error| [m]; NaN without arcs."""
+    arcs = [list(group["arcs"]) for group in by(rows, "trajectory").values()]
     means = [np.mean(np.abs(of_seeds), axis=0) for of_seeds in arcs if all(len(of_seed) for of_seed in of_seeds)]
     return float(np.max(np.concatenate(means))) if means else math.nan
 
@@ -188,7 +188,7 @@ def decompose(rows: DataFrame) -> ErrorParts:
 
     Raises ValueError if the runs are of different length.
     """
-    lengths = {len(one) for one in rows["time"]}
+    lengths = {len(times) for times in rows["time"]}
     if len(lengths) != 1:
         raise ValueError(f"runs of {sorted(lengths)} ticks cannot be compared tick by tick")
     across, along = (np.stack(list(rows[name])) for name in ("across", "along"))

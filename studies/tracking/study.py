@@ -49,43 +49,43 @@ class TargetResult:
 
     Attributes
     ----------
-    what, where
-        What is limited, with its unit, and on which runs.
+    quantity, where
+        Limited quantity with its unit, and its runs.
     limit
         Largest value that is allowed.
     reached
         Value of each model; NaN where it could not be computed, which is not within any limit.
     """
 
-    what: str
+    quantity: str
     where: str
     limit: float
     reached: dict[str, float]
 
     def met_by(self, model: str) -> bool:
-        """Whether `model` stays within the limit."""
+        """Return True if `model` stays within the limit."""
         return self.reached[model] <= self.limit
 
     @property
     def met(self) -> bool:
-        """Whether every model does."""
+        """True if every model stays within the limit."""
         return all(self.met_by(model) for model in self.reached)
 
 
 def judge(rows: DataFrame) -> list[TargetResult]:
-    """Verdicts on everything that was asked for and driven, from the rows of the part "targets"."""
+    """Judge all targets that were driven, from the rows of the part "targets"."""
     verdicts = []
     for target in load_targets().targets:
-        there = rows[np.logical_and.reduce([rows[name] == value for name, value in target.where.items()])]
-        value = worst_arc if target.figure == "worst_arc" else figure(target.figure, target.what)
-        reached = {model: value(own) for model, own in by(there, "driver").items()}
+        selected = rows[np.logical_and.reduce([rows[name] == value for name, value in target.where.items()])]
+        value = worst_arc if target.figure == "worst_arc" else figure(target.figure, target.quantity)
+        reached = {model: value(group) for model, group in by(selected, "driver").items()}
         if reached:
-            verdicts.append(TargetResult(target.what, target.at, target.limit, reached))
+            verdicts.append(TargetResult(target.quantity, target.place, target.limit, reached))
     return verdicts
 
 
 def target_table(verdicts: Sequence[TargetResult]) -> Table:
-    """Every target with the value of each model; what is beyond the limit says so."""
+    """Tabulate every target with the value of each model, and mark those beyond the limit."""
     models = list(dict.fromkeys(model for verdict in verdicts for model in verdict.reached))
 
     def exact(value: float) -> str:
@@ -97,8 +97,14 @@ def target_table(verdicts: Sequence[TargetResult]) -> Table:
         return exact(verdict.reached[model]) + ("" if verdict.met_by(model) else " (no)")
 
     rows = tuple(
-        (one.what, one.where, exact(one.limit), *(reached(one, model) for model in models), "yes" if one.met else "no")
-        for one in verdicts
+        (
+            target.quantity,
+            target.where,
+            exact(target.limit),
+            *(reached(target, model) for model in models),
+            "yes" if target.met else "no",
+        )
+        for target in verdicts
     )
     note = (
         "Means over trajectories and seeds, except what is called worst, largest or longest, which is over all runs, "
@@ -117,13 +123,13 @@ class TrackingStudy(SpecStudy):
         super().__init__(experiment, only, measured, partial(run_or_bound, trajectories))
 
     def tables(self, rows: DataFrame) -> list[Table]:
-        """Targets first, then every table whose part was driven."""
+        """Build the targets first, then every table whose part was driven."""
         shown = rows.assign(variant=rows["variant"].mask(rows["controller"] == BOUND, BOUND_NAME))
         targets = rows[rows["part"] == "targets"]
         return [*([target_table(judge(targets))] if len(targets) else []), *self.stated_tables(shown, _cells(rows))]
 
     def report(self, results: DataFrame, seconds: float) -> Report:
-        """Tables of every part that was run, and figures where their part was."""
+        """Report tables of every part that was run, and its figures."""
         from studies.tracking.figures import draw_ablation, draw_error_sources, draw_margin  # noqa: PLC0415
 
         plain = super().report(results, seconds)
@@ -146,13 +152,13 @@ def _cells(rows: DataFrame) -> Mapping[str, Cell]:
     ours = rows[rows["plain"].astype(bool)].drop_duplicates("case")
 
     def ours_there(bound: DataFrame) -> float:
-        """Of our controller on the same surface along the same trajectories as rows of the bound."""
-        there = ours[ours["surface"].isin(bound["surface"]) & ours["trajectory"].isin(bound["trajectory"])]
-        return mean(there, "position_rmse_m")
+        """Compute the error of our controller on the surface and trajectories of the bound."""
+        matching = ours[ours["surface"].isin(bound["surface"]) & ours["trajectory"].isin(bound["trajectory"])]
+        return mean(matching, "position_rmse_m")
 
-    def on_plant(own: DataFrame) -> str:
-        same = own["plant"].iloc[0] == f"model:{own['model'].iloc[0]}"
-        return millis(mean(own, "position_rmse_m")) + ("*" if same else "")
+    def on_plant(group: DataFrame) -> str:
+        same = group["plant"].iloc[0] == f"model:{group['model'].iloc[0]}"
+        return millis(mean(group, "position_rmse_m")) + ("*" if same else "")
 
     def on_floor(group: DataFrame, *, error: str = "total", assumed: bool = False) -> str:
         from studies.tracking.floor import position_floor  # noqa: PLC0415 - loads slowly
@@ -162,23 +168,23 @@ def _cells(rows: DataFrame) -> Mapping[str, Cell]:
         return number(1e3 * float(np.mean(floors)), 2)
 
     return {
-        "worst_arc": lambda own: millis(worst_arc(own)),
+        "worst_arc": lambda runs: millis(worst_arc(runs)),
         "error_on_plant": on_plant,
-        "ours": lambda own: millis(ours_there(own)),
+        "ours": lambda runs: millis(ours_there(runs)),
         "floor_total": on_floor,
         "floor_estimate": partial(on_floor, error="estimate"),
         "floor_assumed": partial(on_floor, assumed=True),
-        "left": lambda own: millis(ours_there(own) - mean(own, "position_rmse_m")),
+        "left": lambda runs: millis(ours_there(runs) - mean(runs, "position_rmse_m")),
     }
 
 
 def shown(rows: DataFrame) -> Shown:
-    """Everything that the page shows beside tables and figures."""
+    """Collect the contents of the page except tables and figures."""
     targets = rows[rows["part"] == "targets"]
     verdicts = judge(targets) if len(targets) else []
     every = rows.drop_duplicates("case")
-    kept = every[every["series"].notna()]
-    driven = kept[kept["seed"] == kept["seed"].min()]
+    listed = every[every["series"].notna()]
+    driven = listed[listed["seed"] == listed["seed"].min()]
     models, paths = tuple(by(driven, "driver")), tuple(by(driven, "trajectory"))
     series = [run.in_style(models.index(name)) for name, run in zip(driven["driver"], driven["series"], strict=True)]
     runs = [RunViews(series, f"{HOW_TO_READ}. Default floor and sensors, first seed. {PEAKS}.")] if series else []
@@ -190,7 +196,9 @@ def shown(rows: DataFrame) -> Shown:
         toggles=[Toggle("model", models, models, styled=True), Toggle("path", paths, paths[:1])] if models else [],
         views=views,
         warnings=_warnings(every, verdicts),
-        configurations=[one for own in by(driven, "driver").values() for one in configuration(own["case"].iloc[0])],
+        configurations=[
+            view for group in by(driven, "driver").values() for view in configuration(group["case"].iloc[0])
+        ],
     )
 
 
@@ -201,19 +209,19 @@ def _key_figures(rows: DataFrame, verdicts: Sequence[TargetResult], driven: Data
         met = sum(verdict.met for verdict in verdicts)
         sound = "good" if met == len(verdicts) else "bad"
         made.append(KeyFigure("targets reached", f"{met} of {len(verdicts)}", "by all models", sound))  # type: ignore[arg-type]
-    for name, own in by(driven, "driver").items():
-        rmse = f"{number(1e3 * mean(own, 'position_rmse_m'), 1)} mm"
+    for name, group in by(driven, "driver").items():
+        rmse = f"{number(1e3 * mean(group, 'position_rmse_m'), 1)} mm"
         made.append(KeyFigure(f"position error of {name}, RMSE", rmse, "default floor and sensors"))
     return made
 
 
 def _target_chart(verdicts: Sequence[TargetResult], models: Sequence[str]) -> Chart:
-    """Each target as share of its limit, where that is not zero."""
-    kept = [verdict for verdict in verdicts if verdict.limit > 0]
-    names = [f"{one.what.split(' [')[0]}, {one.where}" for one in kept]
+    """Chart each target as a share of its limit, if that is not zero."""
+    charted = [verdict for verdict in verdicts if verdict.limit > 0]
+    names = [f"{entry.quantity.split(' [')[0]}, {entry.where}" for entry in charted]
     series = []
-    for model in dict.fromkeys(model for one in kept for model in one.reached):
-        shares = [rounded(one.reached.get(model, np.nan) / one.limit) for one in kept]
+    for model in dict.fromkeys(model for entry in charted for model in entry.reached):
+        shares = [rounded(entry.reached.get(model, np.nan) / entry.limit) for entry in charted]
         style = models.index(model) if model in models else len(models)
         series.append(Series(model, shares, names, style, "rows", labels={"model": model} if model in models else {}))
     axes = Axis("share of the limit"), Axis("", "category")
@@ -226,8 +234,8 @@ def _warnings(rows: DataFrame, verdicts: Sequence[TargetResult]) -> list[Warned]
     for verdict in verdicts:
         missed = [f"{model} {value:.3g}" for model, value in verdict.reached.items() if not verdict.met_by(model)]
         if missed:
-            asked = f"at most {verdict.limit:g} was asked for, {', '.join(missed)} reached"
-            warnings.append(Warned(f"Target missed: {verdict.what}, {verdict.where}: {asked}.", _MISSED))
+            demand = f"at most {verdict.limit:g} was asked for, {', '.join(missed)} reached"
+            warnings.append(Warned(f"Target missed: {verdict.quantity}, {verdict.where}: {demand}.", _MISSED))
     lost = rows[~rows["completed"].astype(bool)]
     if len(lost):
         names = ("controller", "model", "trajectory", "surface", "scenario")

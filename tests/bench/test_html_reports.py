@@ -196,7 +196,7 @@ def test_what_needs_attention_is_said_with_what_to_do(outcome: RunOutcome) -> No
         true_pose=run.true_pose + 9.0, solver_methods=("osqp",) * count,
     )  # fmt: skip
     found = run_warnings(away.with_step_time(times), config, "SSM")
-    told = " ".join(one.what for one in found)
+    told = " ".join(one.text for one in found)
     for said in (
         "it was lost",
         "BRAKING at 4 ticks",
@@ -208,4 +208,4 @@ def test_what_needs_attention_is_said_with_what_to_do(outcome: RunOutcome) -> No
     assert "v at 100 %" in told
     assert "A backend had to solve 100 %" in told
     assert "“why”" in told
-    assert all(one.what.startswith("SSM: ") and one.remedy for one in found)
+    assert all(one.text.startswith("SSM: ") and one.remedy for one in found)

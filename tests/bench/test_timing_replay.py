@@ -125,7 +125,7 @@ def test_the_quiet_core_is_given_back() -> None:
         assert os.sched_getaffinity(0) == cores
 
 
-QUIET = Effort(elapsed=1e-3, own=1e-3, switches=0, pace=1e-5)
+QUIET = Effort(elapsed=1e-3, processor=1e-3, switches=0, pace=1e-5)
 PUT_ASIDE = QUIET._replace(switches=1)
 
 
@@ -178,12 +178,12 @@ def test_what_stays_disturbed_is_marked_and_left_out() -> None:
     ((times,),), _ = take_turns([[replay]], block=2)
     assert times.clean.tolist() == [[True, True, False, False]]
     assert times.share == 0.5
-    assert np.isnan(times.kept[0, :, 0]).tolist() == [True, False, True, True], "the first tick of a turn is cold"
+    assert np.isnan(times.selected[0, :, 0]).tolist() == [True, False, True, True], "the first tick of a turn is cold"
     assert replay.passes == AGAIN + 1
 
 
 def test_a_slow_controller_is_watched_in_stretches_and_only_the_disturbed_one_is_measured_again() -> None:
-    slow = QUIET._replace(elapsed=1.2 * turns.STRETCH, own=1.2 * turns.STRETCH)
+    slow = QUIET._replace(elapsed=1.2 * turns.STRETCH, processor=1.2 * turns.STRETCH)
     efforts = {0: [slow], 2: [slow, slow], 3: [PUT_ASIDE, slow]}
     replay = Scripted("a", 4, said := [], efforts)
     ((times,),), _ = take_turns([[replay]], block=2)
@@ -214,8 +214,8 @@ def test_a_machine_that_was_slow_is_found_out_when_it_is_fast_again() -> None:
     [
         ({}, True),
         ({"switches": 1}, False),
-        ({"own": 0.9e-3}, False),  # somebody else had the core, or the host took it
-        ({"own": 0.985e-3}, True),  # reading clocks
+        ({"processor": 0.9e-3}, False),  # somebody else had the core, or the host took it
+        ({"processor": 0.985e-3}, True),  # reading clocks
         ({"pace": 1.2e-5}, False),  # a throttled core, or a neighbour on it
     ],
 )

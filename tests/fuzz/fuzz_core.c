@@ -375,7 +375,7 @@ static void check(const ddmpc_result *result, const ddmpc_constants *k, const re
         if (!isfinite(command))
             fail("not finite", result);
         if (result->reasons & DDMPC_TIME_REPEATED) {
-            /* After ddmpc_overrule what was sent is another; who stands goes on to stand. */
+            /* After ddmpc_set_applied_commands what was sent is another; who stands goes on to stand. */
             if (command != (result->mode == DDMPC_STOPPED ? R(0.0) : last[i]))
                 fail("a repeated tick changes the command", result);
             continue;
@@ -491,7 +491,7 @@ static void disturb(ddmpc_controller *c, const ddmpc_sizes *s, const ddmpc_const
     real *parameters = ddmpc_parameters(c);
     switch (below(200)) {
     case 6: /* somebody else has driven, for longer than it looks back or for a tick */
-        if (!ddmpc_overrule(c, sent, 1 + below(2)))
+        if (!ddmpc_set_applied_commands(c, sent, 1 + below(2)))
             abort();
         break;
     case 0: ddmpc_reset(c); break;
@@ -510,7 +510,7 @@ static void disturb(ddmpc_controller *c, const ddmpc_sizes *s, const ddmpc_const
     case 5: { /* the reference laid elsewhere, whose clock goes on, or another one */
         const int same = !once_in(4);
         const double from = same ? c->t0 : t0;
-        if (!ddmpc_relay(c, &reference, from))
+        if (!ddmpc_switch_reference(c, &reference, from))
             break;
         if (!isfinite(from) || !isfinite(reference.duration))
             abort();
@@ -530,13 +530,13 @@ static void overrule(ddmpc_controller *c, double t, ddmpc_input *input)
     for (int i = 0; i < 2 * 2000; i++)
         sent[i] = (real)(0.2 * sin(0.01 * i));
     for (int k = 0; k < 4; k++) {
-        if (!ddmpc_overrule(c, sent, counts[k]))
+        if (!ddmpc_set_applied_commands(c, sent, counts[k]))
             abort();
         ddmpc_step(c, t + 0.02 * (k + 1), input);
         ddmpc_give_up(c);
     }
     sent[1] = (real)NAN;
-    if (ddmpc_overrule(c, sent, 1))
+    if (ddmpc_set_applied_commands(c, sent, 1))
         abort();
 }
 

@@ -26,7 +26,7 @@ from degraded_logs import (
 from scipy.signal import lfilter
 
 from diffdrive_mpc import ConfigError
-from diffdrive_mpc.models.identification.advice import LogSelection, advise, told
+from diffdrive_mpc.models.identification.advice import LogSelection, advise, without_rejected
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.logs.diagnosis import compare_logs
 from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
@@ -127,7 +127,7 @@ def test_what_predicts_no_better_is_not_advised(tmp_path, name):
     paths, mapping = logs_of(NOT_MENDED[name], tmp_path)
     findings = findings_of(paths, mapping)
     assert advise(LogSelection(tuple(paths), (), mapping, 0.6), findings) is None
-    assert "in the mapping" not in " ".join(map(str, told(findings, None)))
+    assert "in the mapping" not in " ".join(map(str, without_rejected(findings, None)))
 
 
 def test_that_a_robot_answers_late_is_no_reason_to_take_its_dead_time_away(tmp_path):

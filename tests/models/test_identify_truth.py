@@ -137,10 +137,10 @@ def test_the_order_of_a_second_order_robot_is_two():
     model = published_ssm()
     train, held_out = noisy_drive(model, 15, count=1500), noisy_drive(model, 16, count=1000)
     models = identify_ssm_orders([train], 3)
-    choice = compare_orders(models, [train], [held_out], "gyro", asked=None)
+    choice = compare_orders(models, [train], [held_out], "gyro", requested=None)
     assert choice.order == 2
     elsewhere = replace(held_out, twist=-held_out.twist)
-    other = compare_orders(models, [train], [elsewhere], "gyro", asked=None)
+    other = compare_orders(models, [train], [elsewhere], "gyro", requested=None)
     assert other.order == 2  # the rows that score a model have no part in its choice
     for row, same in zip(choice.rows, other.rows, strict=True):
         np.testing.assert_array_equal(row.block_fit_percent, same.block_fit_percent)

@@ -52,7 +52,7 @@ def test_a_command_of_the_ladder_keeps_range_slew_and_radius_and_says_so():
         side = draw.choice([0.999, 1.001])
         k.turn_held_from, k.max_reused_ticks = [taken * side, 1e3], 3
         c.plan_age, c.result.reasons = 2, 0
-        c.kept[0 : 2 * STEPS] = plan.ravel().tolist()
+        c.last_plan[0 : 2 * STEPS] = plan.ravel().tolist()
         inner.lib.ddmpc_reuse(c)
         assert c.result.mode == inner.lib.DDMPC_REUSED_PLAN
         assert [c.result.command[0], c.result.command[1]] == pytest.approx(command, abs=1e-12)
@@ -95,7 +95,7 @@ def test_a_reference_that_is_refused_changes_nothing(t0, duration):
     inner.controller.start(load_trajectory("circle"), 1.0)
     other = inner.ffi.new("ddmpc_reference *", inner.c.reference)
     other.duration = duration
-    for begin in (inner.lib.ddmpc_start, inner.lib.ddmpc_relay):
+    for begin in (inner.lib.ddmpc_start, inner.lib.ddmpc_switch_reference):
         assert begin(inner.c, other, t0) == 0
         assert (inner.c.t0, inner.c.reference.duration) == (1.0, load_trajectory("circle").duration)
     other.duration = 5.0

@@ -192,13 +192,13 @@ def test_core_rejects_references_without_finite_times():
     tick, reference = Controller(load_config())._tick, NativeReference(load_trajectory("s"))
     endless = tick.ffi.new("ddmpc_reference *", reference.struct[0])
     endless.duration = np.inf
-    assert not tick.lib.ddmpc_relay(tick.c, reference.struct, 0.0), "there is none to go on from"
+    assert not tick.lib.ddmpc_switch_reference(tick.c, reference.struct, 0.0), "there is none to go on from"
     for refused in ((reference.struct, np.nan), (reference.struct, np.inf), (endless, 0.0)):
         assert not tick.lib.ddmpc_start(tick.c, *refused)
     assert tick.lib.ddmpc_start(tick.c, reference.struct, 0.0) == 1
     for refused in ((reference.struct, np.nan), (reference.struct, np.inf), (endless, 0.0)):
-        assert not tick.lib.ddmpc_relay(tick.c, *refused)
-    assert tick.lib.ddmpc_relay(tick.c, reference.struct, 1.0) == 1
+        assert not tick.lib.ddmpc_switch_reference(tick.c, *refused)
+    assert tick.lib.ddmpc_switch_reference(tick.c, reference.struct, 1.0) == 1
 
 
 CONFIG = load_config("ssm")

@@ -20,7 +20,7 @@ NAMES = ("circle", "square", "s", "cane")
 
 
 def pose_error(size: float) -> PathError:
-    return PathError(Spread.of([0.5 * size, size]), Spread.of([0.5 * size, size]))
+    return PathError(Spread.of_errors([0.5 * size, size]), Spread.of_errors([0.5 * size, size]))
 
 
 def mbm_sm(repetition: int = 1, *, mbm: float = 0.1, tracks: float = 0.2, sm: float = 0.3, **changes) -> MbmSmResult:

@@ -80,7 +80,7 @@ CASES = [drive.case for drive in STUDY.drives(["targets"])["targets"]]
 
 
 def verdicts(change=lambda case: {}):
-    return {(v.what, v.where): v for v in judge(frame(row(case, **change(case)) for case in CASES))}
+    return {(v.quantity, v.where): v for v in judge(frame(row(case, **change(case)) for case in CASES))}
 
 
 def only(**conditions):

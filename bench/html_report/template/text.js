@@ -35,7 +35,7 @@ function tableCard(table) {
 
 function warningCard(warning) {
   const remedy = warning.remedy ? [element("p", { class: "remedy" }, "What to do: ", ...sentence(warning.remedy))] : [];
-  return element("div", { class: "card warning" }, element("p", {}, ...sentence(warning.what)), ...remedy);
+  return element("div", { class: "card warning" }, element("p", {}, ...sentence(warning.text)), ...remedy);
 }
 
 function configurationCard(configuration) {

@@ -1,1 +1,1 @@
-"""What an identification hands over: configuration, report, tables."""
+"""Results of an identification: configuration, report, tables."""

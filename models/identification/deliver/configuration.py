@@ -91,7 +91,7 @@ _SAME_PERIOD = 1e-4
 
 @dataclass(frozen=True)
 class Pace:
-    """How often the controller is asked, and how far it looks.
+    """Period and horizon of the controller.
 
     Attributes
     ----------
@@ -125,8 +125,8 @@ def settling_time(model: VelocityModel) -> float:
     dt = longest / _INSTANTS
     late = 0.0
     for row, step in enumerate(np.eye(2)):
-        answer = model.discretise(dt).simulate(np.tile(step, (_INSTANTS, 1)))[:, row]
-        (unsettled,) = np.nonzero(np.abs(answer - model.dc_gain[row, row]) > share * abs(model.dc_gain[row, row]))
+        response = model.discretise(dt).simulate(np.tile(step, (_INSTANTS, 1)))[:, row]
+        (unsettled,) = np.nonzero(np.abs(response - model.dc_gain[row, row]) > share * abs(model.dc_gain[row, row]))
         late = max(late, dt * (unsettled[-1] + 1) if unsettled.size else 0.0)
     return late
 
@@ -141,7 +141,7 @@ def round_period(dt: float) -> float:
 
 
 def choose_pace(model: VelocityModel, dt: float) -> Pace:
-    """A horizon that sees a robot's answer to its end, from a log with samples of `dt` [s].
+    """Choose period and horizon that cover the robot's step response, for a log with samples of `dt` [s].
 
     A robot that is slow beside its log is asked every few samples, so that the steps stay few.
     """
@@ -197,13 +197,13 @@ class Setting:
         return self.value.plain if isinstance(self.value, TwoSided) else self.value
 
     def line(self) -> str:
-        """As it stands in the file."""
+        """Format the line of the file."""
         return f"{self.name}: {_text(self.value)}" + (f"   # {plain_line(self.reason)}" if self.reason else "")
 
 
 @dataclass(frozen=True)
 class IdentifiedConfiguration:
-    """What an identification says about the controller.
+    """Values of the controller's configuration from an identification.
 
     Attributes
     ----------
@@ -232,7 +232,7 @@ class IdentifiedConfiguration:
 
     @property
     def bounds(self) -> tuple[Setting, ...]:
-        """Of `limits` those of speeds and slopes."""
+        """Limits of speeds and slopes."""
         return tuple(
             setting for setting in self.limits if f"limits.{setting.name}" not in identification_settings().lengths
         )
@@ -244,7 +244,7 @@ class IdentifiedConfiguration:
         return tuple(s for group, settings in self.groups.items() for s in settings if f"{group}.{s.name}" in lengths)
 
     def slowed(self, shares: Mapping[str, float]) -> IdentifiedConfiguration:
-        """The same with a share of the limits of "v" and "omega", and of what is predicted of them."""
+        """Return the configuration with a share of the limits of "v" and "omega", and of the predictions from them."""
 
         def slower(setting: Setting) -> Setting:
             share = shares.get(setting.name.removeprefix("predicted_"), 1.0)
@@ -257,7 +257,7 @@ class IdentifiedConfiguration:
         return replace(self, limits=tuple(map(slower, self.limits)))
 
     def mapping(self) -> dict[str, Any]:
-        """Keys and values as `load_config` takes them; the model is the file beside the configuration."""
+        """Return keys and values for `load_config`; the model is the file in the same folder."""
         content: dict[str, Any] = {setting.name: setting.value for setting in self.general}
         for group, settings in self.groups.items():
             if settings:
@@ -265,7 +265,7 @@ class IdentifiedConfiguration:
         return {**content, **({"sensors": self.sensors} if self.sensors else {})}
 
     def text(self) -> str:
-        """The file, a reason beside each value."""
+        """Format the file, with a reason for each value."""
         slew = any(setting.name.endswith("_slew") for setting in self.limits)
         lines = [
             f"# Controller of {plain_line(self.name)}. "
@@ -287,13 +287,17 @@ class IdentifiedConfiguration:
         return "\n".join(lines) + "\n"
 
     def _of(self, group: str, *, expert: bool) -> list[Setting]:
-        """The settings of a group that stand under `expert:`, or those that do not."""
+        """Return the settings of a group that belong under `expert:`, or those that do not."""
         under = identification_settings().expert
-        return [one for one in self.groups[group] if ({group, f"{group}.{one.name}"} & set(under) != set()) == expert]
+        return [
+            setting
+            for setting in self.groups[group]
+            if ({group, f"{group}.{setting.name}"} & set(under) != set()) == expert
+        ]
 
 
 def _group(name: str, settings: Sequence[Setting]) -> list[str]:
-    """Lines of a group; none without settings."""
+    """Format the lines of a group; none without settings."""
     return [f"{name}:", *(f"  {setting.line()}" for setting in settings)] if settings else []
 
 
@@ -308,7 +312,7 @@ def configure(
     every_sample: bool = False,
     sensors: Mapping[str, Mapping[str, float]] | None = None,
 ) -> IdentifiedConfiguration:
-    """The controller of an identified robot: limits that the log covers, and the tracks of the wheels.
+    """Configure the controller of an identified robot: limits that the log covers, and the tracks of the wheels.
 
     Parameters
     ----------
@@ -402,7 +406,7 @@ def _source_of_track(geometry: WheelGeometry, stated: float | None) -> str:
 
 
 def _lengths(speed: float, geometry: WheelGeometry | None) -> dict[str, list[Setting]]:
-    """What a robot larger or faster than that of the papers needs more room for, by group."""
+    """Collect by group the lengths that a robot larger or faster than that of the papers needs."""
     usual = load_robot()
     faster, wider = speed / usual.limits.v, geometry.track / usual.track if geometry is not None else 0.0
     larger, why = max((faster, "the robot is so much faster"), (wider, "its track is so much wider"))
@@ -433,7 +437,7 @@ def _general(identified: IdentifiedModel, dt: float, *, every_sample: bool) -> t
 
 
 def _noises(train: Sequence[Record]) -> tuple[Setting, ...]:
-    """Those that are larger than usual."""
+    """Return the noise settings that are larger than usual."""
     deviations, least = sensor_noise(train), identification_settings().least_noise
     return tuple(
         _setting(name, deviations[name], f"{_NOISE_UNITS[name]}, scatter of the log's readings")
@@ -453,7 +457,7 @@ def _slip(prior: SlipPrior) -> list[Setting]:
 
 
 def _slew(identified: IdentifiedModel) -> list[Setting]:
-    """Within the slopes that the base follows, where they were found, its linear model is exact."""
+    """Choose slew limits within the identified slopes of the base, inside which its linear model is exact."""
     parameters, settings = identified.parameters, identification_settings()
     usual, known = load_robot().command_slew, limits_in(identified.base_effects)
     slews = []
@@ -481,7 +485,7 @@ def _reached(identified: IdentifiedModel, train: Sequence[Record], track: float)
 
 
 def _wheel_speed(commands: FloatArray, track: float, base: WheelCommand | None, gain: float, reached: float) -> Setting:
-    """Of one side; `commands` (K, 2) are the sizes that the robot was driven with."""
+    """Choose the limit of one side's speed; `commands` (K, 2) are the magnitudes that the robot was driven with."""
     rim = identification_settings().limit_margin * float((commands[:, 0] + 0.5 * track * commands[:, 1]).max())
     if base is not None and base.top_speed is not None and gain * base.top_speed < rim:
         return _setting("wheel_speed", gain * base.top_speed, "m/s at the rim, where the motors saturate")
@@ -512,7 +516,7 @@ def _text(value: float | str) -> str:
 
 
 def within_stated(configuration: IdentifiedConfiguration, robot: MakersRobot) -> IdentifiedConfiguration:
-    """The same with limits no larger than stated, and the stated value where the log tells none.
+    """Reduce limits to the stated ones, and use the stated value for limits that the log does not show.
 
     What the log tells is kept, as long as the maker's limits allow it: they clip the command in the base, so that the
     controller's model would be wrong beyond them.
@@ -536,7 +540,7 @@ def within_stated(configuration: IdentifiedConfiguration, robot: MakersRobot) ->
 
 
 def _bounded(setting: Setting, keys: dict[str, StatedKey], shares: dict[str, float], robot: str) -> Setting:
-    """A limit of the log, no larger than the one that is stated; what is predicted goes with it."""
+    """Reduce a limit to the stated one, together with the predictions from it."""
     unit, value = setting.reason.partition(", ")[0], _largest(setting.value)
     stated, share = keys.get(f"limits.{setting.name}"), shares.get(setting.name.removeprefix("predicted_"), 1.0)
     if stated is not None and float(stated.value) < value:

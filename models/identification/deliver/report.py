@@ -64,20 +64,20 @@ class IdentificationReport:
     robot: MakersRobot | None = None
 
     def __repr__(self) -> str:
-        """A word: the arrays behind it fill pages."""
+        """Format as one word, since the arrays of a report would fill pages."""
         return f"<IdentificationReport {self.name!r}>"
 
     def __str__(self) -> str:
-        """Scores, pose errors, parameters and warnings."""
+        """Format scores, pose errors, parameters and warnings."""
         tables = [*self.scores, *self._parameter_tables]
         warnings = "\n".join(f"warning: {warning}" for warning in self.warnings)
         return plain_text("\n\n".join([self.name, *map(str, tables), *([warnings] if warnings else [])]))
 
     @property
     def doubts(self) -> tuple[Doubt, ...]:
-        """What not to trust in the estimate and its scores."""
-        own = self.fitted.predictor.doubts if self.fitted.predictor else ()
-        verdicts = [*self.data.warnings, *own, *self.fitted.identified.warnings, *self.poses.warnings]
+        """Doubts about the estimate and its scores."""
+        predictor_doubts = self.fitted.predictor.doubts if self.fitted.predictor else ()
+        verdicts = [*self.data.warnings, *predictor_doubts, *self.fitted.identified.warnings, *self.poses.warnings]
         if self.data.yaw == "encoders":
             words = "omega: the log has no gyro, so this is the yaw rate of the wheels; a skid-steered body turns less"
             verdicts.append(Doubt("no gyro", words))
@@ -97,18 +97,18 @@ class IdentificationReport:
     @property
     def _parameter_tables(self) -> list[TextTable]:
         identified, predictor = self.fitted.identified, self.fitted.predictor
-        own = [parameter_table("Parameters", predictor.estimate)] if predictor and predictor.estimate else []
+        tables = [parameter_table("Parameters", predictor.estimate)] if predictor and predictor.estimate else []
         delays = [] if identified.delays is None else [delay_table(identified.delays)]
         title = f"Parameters of the linear model beside {predictor.title}" if predictor else "Parameters"
-        return [*own, *delays, parameter_table(title, identified.parameters, dead_times=not delays)]
+        return [*tables, *delays, parameter_table(title, identified.parameters, dead_times=not delays)]
 
     @property
     def _findings(self) -> list[Finding]:
         return [finding for finding in self.data.findings if finding.severity != "note"]
 
     @property
-    def found(self) -> list[str]:
-        """What was found, and a mapping with which the logs are predicted better, a line each."""
+    def findings_summary(self) -> list[str]:
+        """Describe the findings, and a mapping that improves the prediction of the logs, in one line each."""
         model = self.fitted.identified.model
         gain, late, lag = model.dc_gain, model.dead_time, model.lag - model.dead_time
         lags = [
@@ -129,12 +129,12 @@ class IdentificationReport:
         return limit_lines(self.fitted.identified, self.data.train)
 
     def in_short(self) -> list[str]:
-        """The same, and whether to trust the model."""
-        return [*self.found, f"To be trusted? {self.verdict}."]
+        """Return the findings and the verdict on the model."""
+        return [*self.findings_summary, f"To be trusted? {self.verdict}."]
 
     @cached_property
     def trust(self) -> Trust:
-        """How far to trust the model, by what the logs say of it."""
+        """Judge the trust in the model from its logs."""
         return judge(self.data, self.fitted, self.doubts)
 
     @property
@@ -144,7 +144,7 @@ class IdentificationReport:
 
     @property
     def scores(self) -> tuple[TextTable, ...]:
-        """How good the model is: FIT and RMSE, and the open-loop pose error where there are poses."""
+        """Tables of model quality: FIT and RMSE, and the open-loop pose error if there are poses."""
         return (score_table(self.fitted), *([drift_table(self.poses)] if self.poses.drift else []))
 
     @property
@@ -166,9 +166,9 @@ class IdentificationReport:
         return tables
 
     def as_json(self) -> dict[str, Any]:
-        """Scores, pose errors, parameters and warnings for a program; parameters from poses stand behind "poses."."""
+        """Convert scores, pose errors, parameters and warnings to JSON values; keys of poses start with "poses."."""
         fitted = self.fitted
-        own = fitted.predictor.estimate if fitted.predictor else None
+        estimate = fitted.predictor.estimate if fitted.predictor else None
         return {
             "model": fitted.structure,
             "train_fit_percent": _channels(fitted.train.fit_percent),
@@ -182,13 +182,13 @@ class IdentificationReport:
                 for drift in self.poses.drift
             ],
             "parameters": _parameters(fitted.identified.parameters)
-            | (_parameters(own.renamed(fitted.structure)) if own else {})
+            | (_parameters(estimate.renamed(fitted.structure)) if estimate else {})
             | _parameters(self.poses.parameters.renamed("poses")),
             "warnings": list(self.warnings),
         }
 
     def markdown(self, figures: Mapping[str, str] | None = None, first: Sequence[str] = ()) -> str:
-        """The report as Markdown.
+        """Format the report as Markdown.
 
         Parameters
         ----------
@@ -234,7 +234,7 @@ class IdentificationReport:
 
 
 def score_doubts(fitted: Fitted) -> list[Doubt]:
-    """What FIT and residuals on the records held out say against the model."""
+    """Return the doubts from FIT and residuals on the records held out."""
     limits = identification_settings().warn
     verdicts = []
     for row, channel in enumerate(CHANNELS):
@@ -260,7 +260,7 @@ def score_doubts(fitted: Fitted) -> list[Doubt]:
 
 
 def mount_doubts(poses: PoseResults) -> list[Doubt]:
-    """A doubt if poses are those of a point that the robot does not turn about."""
+    """Return a doubt if poses are those of a point that the robot does not turn about."""
     ahead, left = poses.place
     if not ahead and not left:
         return []

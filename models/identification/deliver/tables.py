@@ -17,7 +17,7 @@ from diffdrive_mpc.models.velocity_model import CHANNELS
 
 
 def score_table(fitted: Fitted) -> TextTable:
-    """FIT and RMSE of the free simulation."""
+    """Tabulate FIT and RMSE of the free simulation."""
     train, validation = fitted.train, fitted.validation
     rows = [
         (
@@ -35,7 +35,7 @@ def score_table(fitted: Fitted) -> TextTable:
 
 
 def residual_table(fitted: Fitted) -> TextTable:
-    """Whiteness of the validation residuals, and what the commands could still explain."""
+    """Tabulate whiteness of the validation residuals, and the part that the commands could still explain."""
     check = fitted.validation.residuals
     rows = [
         (channel, f"{check.ljung_box_p[i]:.2g}", *(number(float(x), 2) for x in check.unexplained[i]))
@@ -47,7 +47,7 @@ def residual_table(fitted: Fitted) -> TextTable:
 
 
 def drift_table(poses: PoseResults) -> TextTable:
-    """Open-loop pose error."""
+    """Tabulate the open-loop pose error."""
     rows = [
         (f"{d.horizon:g}", number(d.position_rmse), number(d.position_mean), number(d.heading_rmse), str(d.starts))
         for d in poses.drift
@@ -58,7 +58,7 @@ def drift_table(poses: PoseResults) -> TextTable:
 
 
 def delay_table(delays: ParameterEstimate) -> TextTable:
-    """How late the robot answers: dead time and lag together, which a log tells, then how they are divided."""
+    """Tabulate the delay of the robot: dead time plus lag, which a log determines, and its division into both."""
     cells = [f"{value:.3g} +- {deviation:.2g}" for _, value, deviation in delays.rows]
     names = dict.fromkeys(name.partition(".")[0] for name in delays.names)
     rows = [(name, *cells[3 * i : 3 * i + 3]) for i, name in enumerate(names)]
@@ -68,7 +68,7 @@ def delay_table(delays: ParameterEstimate) -> TextTable:
 
 
 def parameter_table(title: str, estimate: ParameterEstimate, *, dead_times: bool = True) -> TextTable:
-    """Values with their standard deviations, without the dead times where `delay_table` has them."""
+    """Tabulate values with their standard deviations, without the dead times if `delay_table` has them."""
     rows = [
         (name, f"{value:.5g}", f"{deviation:.2g}")
         for name, value, deviation in estimate.rows
@@ -79,7 +79,7 @@ def parameter_table(title: str, estimate: ParameterEstimate, *, dead_times: bool
 
 
 def order_table(choice: OrderChoice) -> TextTable:
-    """Orders compared, as in Table 1 of Guffanti, Pavon, Sensors 2025, 25(18), 5821."""
+    """Tabulate compared orders, as in Table 1 of Guffanti, Pavon, Sensors 2025, 25(18), 5821."""
     rows = []
     for order, row in enumerate(choice.rows, start=1):
         fits = (row.train_fit_percent, row.block_fit_percent, row.validation_fit_percent)
@@ -95,13 +95,13 @@ def order_table(choice: OrderChoice) -> TextTable:
 
 
 def effect_table(base: IdentifiedBase) -> TextTable:
-    """What was tried around the linear model, and what was kept."""
+    """Tabulate the effects tried in addition to the linear model, and those selected."""
     rows = [
         (
             trial.effect + (", once more" if trial.again else ""),
             number(trial.gain),
             str(trial.blocks),
-            "yes" if trial.kept else "no",
+            "yes" if trial.selected else "no",
         )
         for trial in base.trials
     ]
@@ -112,7 +112,7 @@ def effect_table(base: IdentifiedBase) -> TextTable:
 
 
 def slip_table(poses: PoseResults) -> TextTable:
-    """Slip laws with their errors over a short window."""
+    """Tabulate slip laws with their errors over a short window."""
     rows = [
         (name, ", ".join(_valued(law.parameters)), *(number(float(x)) for x in law.rmse), str(law.windows))
         for name, law in poses.laws
@@ -125,7 +125,7 @@ def slip_table(poses: PoseResults) -> TextTable:
 
 
 def finding_table(findings: Sequence[Finding]) -> TextTable:
-    """What was found in the logs."""
+    """Tabulate the findings in the logs."""
     rows = tuple(
         (finding.severity, finding.kind, finding.place, finding.words, str(finding.verdict or ""))
         for finding in findings

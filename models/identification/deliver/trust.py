@@ -1,4 +1,4 @@
-"""How far a model may be trusted, from everything that its logs say: the one rule behind every verdict on a model."""
+"""Trust in a model, judged from everything in its logs by the one rule behind every verdict."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Grade = Literal["Yes", "With care", "No"]
 
 @dataclass(frozen=True)
 class Trust:
-    """Whether to drive with a model.
+    """Grade of trust in a model.
 
     Attributes
     ----------
@@ -37,12 +37,12 @@ class Trust:
     reasons: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        """One line without a full stop."""
+        """Format one line without a full stop."""
         return ": ".join(part for part in (self.grade, "; ".join(self.reasons)) if part)
 
 
 def judge(data: LogData, fitted: Fitted, doubts: Sequence[Doubt]) -> Trust:
-    """The grade of a model, from its FIT on blocks of time held out and what is doubtful and matters for driving.
+    """Grade a model by its FIT on held-out blocks, and by the doubts that matter for driving.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def judge(data: LogData, fitted: Fitted, doubts: Sequence[Doubt]) -> Trust:
     ]
     known = [
         *((finding.kind, finding.verdict) for finding in data.findings),
-        *((one.kind, one.verdict) for one in doubts),
+        *((doubt.kind, doubt.verdict) for doubt in doubts),
     ]
     matters = Counter(kind for kind, verdict in known if verdict is not None and verdict.matters and kind != "low FIT")
     if matters:
@@ -74,7 +74,7 @@ def judge(data: LogData, fitted: Fitted, doubts: Sequence[Doubt]) -> Trust:
 
 
 def refusals(findings: Sequence[Finding], fitted: Fitted) -> tuple[str, ...]:
-    """Why no controller should drive with a model, a clause each; empty where nothing speaks against it."""
+    """List the reasons for which no controller should drive with a model, a clause each."""
     limits = identification_settings().warn
     reasons = [finding.words for finding in findings if finding.severity == "error"]
     fit = fitted.validation.fit_percent
@@ -94,7 +94,7 @@ def refusals(findings: Sequence[Finding], fitted: Fitted) -> tuple[str, ...]:
 
 
 def fit_interval(data: LogData, fitted: Fitted) -> FloatArray:
-    """(2, 2) lower and upper end of the 95 % interval of FIT of v and omega on data held out [%]; blocks drawn anew."""
+    """Compute the 95 % interval (2, 2) of FIT of v and omega on held-out data [%], by resampling blocks."""
     measured = twist_experiments(data.validation, data.yaw)
     powers, weights = block_powers(measured, fitted.simulated)
     readings = np.concatenate([part.readings for part in measured])
@@ -106,13 +106,13 @@ def fit_interval(data: LogData, fitted: Fitted) -> FloatArray:
 
 _DRAWS, _SEED = 2000, 0
 INTERVAL = (0.025, 0.975)
-"""Of 95 %, as quantiles."""
+"""Ends of the 95 % interval, as quantiles."""
 
 
 def block_powers(
     measured: Sequence[SampledExperiment], simulated: Sequence[FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
-    """(B, 2) mean square errors of v [m/s] and omega [rad/s] in blocks of time, and the readings behind each.
+    """Compute (B, 2) mean square errors of v [m/s] and omega [rad/s] in blocks of time, and their numbers of readings.
 
     Errors within a block follow from one another; those of different blocks hardly do.
     """
@@ -133,7 +133,7 @@ def block_powers(
 def pooled_fit(
     powers: FloatArray, weights: FloatArray, spread: FloatArray, draws: FloatArray | None = None
 ) -> FloatArray:
-    """(..., 2) FIT of v and omega over all blocks [%]; of blocks that are drawn (..., B) so often.
+    """Compute (..., 2) FIT of v and omega over all blocks [%], or over resampled blocks (..., B).
 
     Parameters
     ----------
@@ -150,6 +150,6 @@ def pooled_fit(
 
 
 def drawn_blocks(count: int) -> FloatArray:
-    """(draws, count) how often each of `count` blocks is drawn, with one seed: for the spread of a statistic."""
+    """Draw (draws, count) numbers of repetitions of `count` blocks, with one seed: for the spread of a statistic."""
     rng = np.random.default_rng(_SEED)
     return rng.multinomial(count, np.full(count, 1.0 / count), size=_DRAWS).astype(float)

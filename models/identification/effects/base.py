@@ -73,11 +73,11 @@ class IdentifiedBase:
     points: tuple[Point, ...] = ()
 
     def readings(self, records: Sequence[Record]) -> list[FloatArray]:
-        """For each record (K, p) v and omega of the encoders and, with a gyro, its omega, from one free run over it."""
+        """Simulate v and omega of the encoders and, with a gyro, its omega: (K, p) for each record, in one free run."""
         return self._runs(self.point, records)
 
     def body_twists(self, records: Sequence[Record]) -> list[FloatArray]:
-        """For each record (K, 2) true v [m/s] and yaw rate [rad/s] from one free run, without sensors' errors."""
+        """Simulate true v [m/s] and yaw rate [rad/s] without sensor errors: (K, 2) for each record, in one free run."""
         prompt = {name: value for name, value in self.point.items() if name != "encoders.lag"}
         prompt |= {"encoders.delay": 0.0, "gyro.offset": 0.0}
         travel = self.pose.value("pose.travel") if self.pose else 1.0
@@ -87,11 +87,11 @@ class IdentifiedBase:
         return twists
 
     def fit_percent(self, records: Sequence[Record]) -> FloatArray:
-        """(p,) pooled FIT [%] of v and omega of the encoders, omega of the gyro; raises ValueError as `sensed`."""
+        """Compute the pooled FIT (p,) [%] of encoders' v and omega, and the gyro's omega; raise as `sensed`."""
         return fit_percents(self.readings(records), sensed(records, self.identified.yaw))
 
     def refitted(self, records: Sequence[Record]) -> IdentifiedModel:
-        """The same effects, with the numbers that other records give them; its statistics stay those of `identified`.
+        """Refit the same effects to other records; statistics stay those of `identified`.
 
         Raises
         ------
@@ -168,12 +168,12 @@ def identify_with_effects(
 
 
 def rounded_effects(effects: BaseEffects) -> Mapping[str, Any]:
-    """The group `base_effects` of a model file, without what is not there."""
+    """Return the group `base_effects` of a model file, without absent effects."""
     return {name: rounded(values) for name, values in effects.model_dump(exclude_none=True).items()}
 
 
 def _linear(point: Point) -> Mapping[str, Any]:
-    """Keys of the model file for the linear dynamics."""
+    """Return the keys of the model file for the linear dynamics."""
     channels = {
         channel: {
             "gain": point[f"gain.{channel}"],
@@ -211,7 +211,7 @@ def _effects(point: Point, pose: ParameterEstimate | None) -> BaseEffects:
 
 
 def _parameters(selection: Selection) -> ParameterEstimate:
-    """The free parameters as a model file names them, with the track that follows from the gains."""
+    """Return the free parameters as a model file names them, with the track that follows from the gains."""
     fit = selection.fit
     wheels = any(name in selection.effects for name in EFFECTS if name.endswith("of the wheels"))
     names = tuple(_readable(name) for name in fit.free) + (("wheels.track",) if wheels else ())
@@ -237,14 +237,14 @@ def _physical(name: str, value: float) -> float:
 
 
 def _delays(fit: EffectFit, parameters: ParameterEstimate) -> ParameterEstimate:
-    """(2,) how late v and omega answer [s]: dead time and both lags."""
+    """Compute the delay (2,) of v and omega [s]: dead time and both lags."""
     known = {_readable(name): _physical(name, value) for name, value in fit.point.items()}
 
     def delays(row: FloatArray) -> FloatArray:
         point = {**known, **dict(zip(parameters.names, row.tolist(), strict=True))}
         values = [[point.get(f"{channel}.{name}", 1.0) for name in TwoPoles.model_fields] for channel in CHANNELS]
         late = [point[f"{channel}.dead_time"] for channel in CHANNELS]
-        return np.add(late, [TwoPoles.lag(own) for own in values])
+        return np.add(late, [TwoPoles.lag(parameters_of_row) for parameters_of_row in values])
 
     return parameters.derived(CHANNELS, delays)
 

@@ -35,28 +35,30 @@ class Weighted:
     scale: FloatArray
 
     def part(self, pieces: Pieces) -> Weighted:
-        """Some of the data: of each piece the number of its experiment, and its samples from and up to."""
+        """Return a part of the data: of each piece the number of its experiment, and its first and last sample."""
         weights = [self.weights[i][first:stop] for i, first, stop in pieces]
         return Weighted(cut(self.experiments, pieces), weights, self.scale)
 
     def errors(self, point: Point, *, smooth: bool = False) -> list[FloatArray]:
-        """For each experiment (K, p) weighted errors of a free run, NaN where there is no reading."""
+        """Compute weighted errors (K, p) of a free run for each experiment, NaN without a reading."""
         return [
             w * (free_run(point, s, smooth=smooth) - s.readings)
             for s, w in zip(self.experiments, self.weights, strict=True)
         ]
 
     def slopes(self, point: Point, free: Sequence[str]) -> list[FloatArray]:
-        """For each experiment (K, p, q) derivatives of the weighted errors, steps smoothed; one-sided differences."""
+        """Compute derivatives (K, p, q) of the weighted errors by one-sided differences, with steps smoothed."""
         settings = effect_settings()
-        here = [free_run(point, experiment, smooth=True) for experiment in self.experiments]
+        simulated = [free_run(point, experiment, smooth=True) for experiment in self.experiments]
         columns: list[list[FloatArray]] = [[] for _ in self.experiments]
         for name in free:
             low, high, usual = settings.parameters[name]
             step = settings.difference * max(abs(usual), 0.01 * (high - low))
             step = step if point[name] + step < high else -step
             moved = {**point, name: point[name] + step}
-            for column, experiment, weight, base in zip(columns, self.experiments, self.weights, here, strict=True):
+            for column, experiment, weight, base in zip(
+                columns, self.experiments, self.weights, simulated, strict=True
+            ):
                 column.append(weight * (free_run(moved, experiment, smooth=True) - base) / step)
         return [np.stack(column, axis=-1) for column in columns]
 
@@ -81,7 +83,7 @@ class EffectFit:
 
 
 def weighted(experiments: Sequence[SampledExperiment], point: Point | None = None) -> Weighted:
-    """Weights by the residuals under `point`; without one, by the spread of the readings.
+    """Weight the readings by the residuals under `point`, or else by their own spread.
 
     Raises
     ------
@@ -128,12 +130,12 @@ def fit_effects(
 
 
 def covariance(fit: EffectFit, data: Weighted) -> FloatArray:
-    """(q, q) of the free parameters, residual correlation taken into account; see `sandwich`."""
+    """Compute the covariance (q, q) of the free parameters with correlated residuals; see `sandwich`."""
     return sandwich(data.slopes(fit.point, fit.free), data.errors(fit.point)).covariance
 
 
 def _best_track(point: Point, data: Weighted) -> Point:
-    """`point` with its gains shifted so that the true steps fit best.
+    """Shift the gains of `point` so that the true steps fit best.
 
     Which sides coast depends on the track, which follows from the gains; from one such set to another the search finds
     no way by slopes.
@@ -153,14 +155,16 @@ def _search(start: Point, free: tuple[str, ...], data: Weighted, evaluations: in
     low, high, _ = np.array([effect_settings().parameters[name] for name in free]).T
     counts = [experiment.counts for experiment in data.experiments]
 
-    def at(values: FloatArray) -> dict[str, float]:
+    def named_values(values: FloatArray) -> dict[str, float]:
         return {**start, **dict(zip(free, values.tolist(), strict=True))}
 
     def errors(values: FloatArray) -> FloatArray:
-        return np.concatenate([e[c] for e, c in zip(data.errors(at(values), smooth=smooth), counts, strict=True)])
+        return np.concatenate(
+            [e[c] for e, c in zip(data.errors(named_values(values), smooth=smooth), counts, strict=True)]
+        )
 
     def slopes(values: FloatArray) -> FloatArray:
-        return np.concatenate([d[c] for d, c in zip(data.slopes(at(values), free), counts, strict=True)])
+        return np.concatenate([d[c] for d, c in zip(data.slopes(named_values(values), free), counts, strict=True)])
 
     result = least_squares(
         errors,
@@ -173,4 +177,4 @@ def _search(start: Point, free: tuple[str, ...], data: Weighted, evaluations: in
         ftol=1e-5,
         gtol=1e-8,
     )
-    return EffectFit(at(result.x), free, 2.0 * float(result.cost))
+    return EffectFit(named_values(result.x), free, 2.0 * float(result.cost))

@@ -1,4 +1,4 @@
-"""What encoders and gyro read when the robot follows its commands alone, with the effects of its base."""
+"""Simulated readings of encoders and gyro, for a robot that follows its commands with the effects of its base."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SENSORS = ("v", "omega of the encoders", "omega of the gyro")
 
 
 def sensed(records: Sequence[Record], yaw: YawSource = "gyro") -> list[SampledExperiment]:
-    """Commands (v_ref, omega_ref) against v and omega of the encoders and, unless `yaw` says so, omega of the gyro.
+    """Build experiments of commands (v_ref, omega_ref) against v and omega of the encoders and omega of the gyro.
 
     Raises
     ------
@@ -44,7 +44,7 @@ Point = Mapping[str, float]
 
 
 def free_run(point: Point, experiment: SampledExperiment, *, smooth: bool = False) -> FloatArray:
-    """(K, p) v and omega of the encoders, omega of the gyro, from the commands and the first readings.
+    """Simulate (K, p) v and omega of the encoders, omega of the gyro, from the commands and the first readings.
 
     The same chain as `models.base_effects.respond`, from encoders' units, and the sensors behind it. The robot is taken
     for settled at its first readings.
@@ -76,14 +76,14 @@ def free_run(point: Point, experiment: SampledExperiment, *, smooth: bool = Fals
     readings = wheels * np.array([1.0, point["encoders.yaw_ratio"]])
     if "encoders.lag" in point:
         readings = _lagging(readings, point["encoders.lag"], step)
-    at = PARTS * np.arange(experiment.samples) - point["encoders.delay"] / step
+    instants = PARTS * np.arange(experiment.samples) - point["encoders.delay"] / step
     fine = np.arange(len(readings))
-    by_encoders = [np.interp(at, fine, column) for column in readings.T]
+    by_encoders = [np.interp(instants, fine, column) for column in readings.T]
     return np.column_stack([*by_encoders, gyro[::PARTS]][: experiment.outputs.shape[1]])
 
 
 def two_lags(drive: FloatArray, start: float, lag: float, damping: float, step: float) -> FloatArray:
-    """(K,) exact zero-order-hold response of two poles, settled at `start`.
+    """Compute the exact zero-order-hold response (K,) of two poles that start at rest at `start`.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def two_lags(drive: FloatArray, start: float, lag: float, damping: float, step: 
 
 
 def _asked(point: Point, commands: FloatArray, step: float, start: FloatArray, smooth: bool) -> FloatArray:
-    """(n, 2) twist that the motors are asked for."""
+    """Compute the twist (n, 2) that the motors are commanded."""
     most = np.array([point.get("limit.v", np.inf), point.get("limit.omega", np.inf)])
     requested = np.clip(commands, -most, most)
     if "slew.v" in point:
@@ -142,7 +142,7 @@ def base_track(point: Point) -> float:
 
 
 def smoothed(base: WheelCommand, twist: FloatArray) -> FloatArray:
-    """`base.apply` without jumps: each step replaced by its mean, and coasting set in over half a step."""
+    """Apply `base` without jumps: each step is replaced by its mean, and coasting sets in over half a step."""
     sides = base.sides(twist)
     if base.top_speed is not None:
         sides = np.clip(sides, -base.top_speed, base.top_speed)
@@ -155,7 +155,7 @@ def smoothed(base: WheelCommand, twist: FloatArray) -> FloatArray:
 
 
 def _late(values: FloatArray, before: float, steps: float) -> FloatArray:
-    """(n,) values `steps` steps later, `before` at first; between two steps their mean in proportion."""
+    """Delay values (n,) by `steps` steps, with `before` at first; interpolate between two steps."""
     whole = int(steps)
     line = np.concatenate([np.full(whole + 1, before), values])
     rest = steps - whole
@@ -163,7 +163,7 @@ def _late(values: FloatArray, before: float, steps: float) -> FloatArray:
 
 
 def _lagging(values: FloatArray, lag: float, step: float) -> FloatArray:
-    """(n, 2) a first-order lag [s] behind `values`, settled at the first."""
+    """Apply a first-order lag [s] to `values`, settled at the first: (n, 2)."""
     keep = np.exp(-step / lag)
     change = values - values[0]
     from scipy import signal  # noqa: PLC0415 - loads slowly, and who only loads a model does without it

@@ -1,4 +1,4 @@
-"""Where a pose sensor sits and how late it is, and how far the robot travels for what its encoders count."""
+"""Mount and delay of a pose sensor, and the distance travelled per encoder distance."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from diffdrive_mpc.models.output_error.statistics import sandwich
 
 _FEWEST_WINDOWS = 20
 _DELAY_STEP = 0.2
-"""Of a sample: grid on which the delay is looked for."""
+"""Grid of the search for the delay, as a share of a sample."""
 
 
 class _Window(NamedTuple):
@@ -28,7 +28,7 @@ class _Window(NamedTuple):
 
 
 def pose_sensor(records: Sequence[Record], point: Mapping[str, float]) -> ParameterEstimate | None:
-    """pose.delay [s], pose.travel [-], mount.ahead, mount.left [m] and mount.heading [rad]; None without enough poses.
+    """Identify pose.delay [s], pose.travel [-], mount.ahead, mount.left [m] and mount.heading [rad], if possible.
 
     The delay behind the gyro is the one with which the poses turn as the gyro does. Displacements over short windows
     are then explained by the encoders' way along the measured heading: `pose.travel` metres for each metre that they
@@ -94,7 +94,7 @@ def _delay(records: Sequence[Record], point: Mapping[str, float]) -> float | Non
 
 
 def _windows(record: Record, point: Mapping[str, float], delay: float) -> list[_Window]:
-    """Displacements between fresh poses, none overlapping."""
+    """Collect displacements between fresh poses, without overlap."""
     if record.twist is None or record.pose is None:
         return []
     steps = round(effect_settings().pose.window / record.dt)

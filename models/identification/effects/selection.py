@@ -1,4 +1,4 @@
-"""Which effects a base has: each is tried, and kept only if it predicts held-out parts of the records better."""
+"""Selection of a base's effects: each is tried, and selected only if it improves the prediction of held-out parts."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LINEAR = (
     "gyro.offset",
 )
 BY_ENCODERS = LINEAR[:6]
-"""What is left of `LINEAR` without a gyro."""
+"""Parameters of `LINEAR` without a gyro."""
 _CLIPPED = "clipped commands"
 EFFECTS: Mapping[str, tuple[str, ...]] = {
     _CLIPPED: ("limit.v", "limit.omega"),
@@ -48,7 +48,7 @@ _BY_GYRO = ("lag of the encoders", "yaw relaxation", "veer")
 _WITHOUT_GYRO = {"encoders.delay": 0.0, "encoders.yaw_ratio": 1.0, "gyro.offset": 0.0}
 _ROUNDS = 2
 _AT_BOUND = 3e-3
-"""Of the range of a parameter."""
+"""Distance from a bound of a parameter, as a share of its range, within which it counts as at the bound."""
 _FASTEST = 2e-3
 """Time constant [s]."""
 
@@ -78,7 +78,7 @@ def tried(fit: EffectFit, data: Weighted) -> Tried:
 
 
 class Worth(NamedTuple):
-    """What one model is worth over another on held-out blocks."""
+    """Advantage of one model over another on held-out blocks."""
 
     gain: float
     """fall of the logarithm of the error power, mean over sensors"""
@@ -98,7 +98,7 @@ def gain(old: Tried, new: Tried, data: Weighted) -> Worth:
 
 
 def _powers(model: Tried, data: Weighted) -> FloatArray:
-    """(blocks, p) sum of the squared weighted errors of each sensor in each block, by the model found without it."""
+    """Sum the squared weighted errors of each sensor in each block by the model found without it: (blocks, p)."""
     parts = [data.part(block) for _, block in blocks(data.experiments)]
     return np.array(
         [
@@ -110,32 +110,32 @@ def _powers(model: Tried, data: Weighted) -> FloatArray:
 
 @dataclass(frozen=True)
 class EffectTrial:
-    """One effect tried, in or out.
+    """Trial of one effect.
 
     Attributes
     ----------
     effect
         Its name.
     gain
-        What it is worth: fall of the logarithm of the held-out error power with it, mean over the sensors.
+        Its gain: decrease of the logarithm of the held-out error power, mean over the sensors.
     blocks
-        In how many blocks it predicts better.
-    kept
-        Whether it belongs to the model after that.
+        Number of blocks with a better prediction.
+    selected
+        True if it belongs to the model afterwards.
     again
-        Whether an effect that was kept was tried once more, beside all others.
+        True for a second trial of a selected effect, together with all others.
     """
 
     effect: str
     gain: float
     blocks: int
-    kept: bool
+    selected: bool
     again: bool
 
 
 @dataclass(frozen=True)
 class Selection:
-    """What was found.
+    """Result of the selection.
 
     Attributes
     ----------
@@ -214,31 +214,31 @@ def select_effects(
         candidate = tried(_with(model.fit, effect, data, clipped if effect == _CLIPPED else {}), data)
         worth = gain(model, candidate, data)
         sure = worth.gain > settings.certain * worth.error
-        kept = sure and worth.gain > settings.worth and 2 * worth.blocks > len(model.points)
-        trials.append(EffectTrial(effect, worth.gain, worth.blocks, kept, again=False))
-        if kept:
+        selected = sure and worth.gain > settings.worth and 2 * worth.blocks > len(model.points)
+        trials.append(EffectTrial(effect, worth.gain, worth.blocks, selected, again=False))
+        if selected:
             effects.append(effect)
             model, data = candidate, weighted(experiments, candidate.fit.point)
     for effect in tuple(effects):
         announce(f"without {effect}")
         candidate = tried(_without(model.fit, effect, data), data)
         worth = gain(candidate, model, data)
-        kept = worth.gain > settings.worth
-        trials.append(EffectTrial(effect, worth.gain, worth.blocks, kept, again=True))
-        if not kept:
+        selected = worth.gain > settings.worth
+        trials.append(EffectTrial(effect, worth.gain, worth.blocks, selected, again=True))
+        if not selected:
             effects.remove(effect)
             model, data = candidate, weighted(experiments, candidate.fit.point)
     return Selection(_settled(model.fit, data), tuple(effects), tuple(trials), data, model.points)
 
 
 def _possible(*, gyro: bool, track: bool, clipped: bool) -> list[str]:
-    """The effects that can be seen: with a gyro, with a known track, of a model whose commands are clipped."""
+    """Return the identifiable effects: with a gyro, with a known track, for a model whose commands are clipped."""
     unseen = {*(() if gyro else _BY_GYRO), *(() if track else _NEEDS_TRACK), *(() if clipped else (_CLIPPED,))}
     return [effect for effect in EFFECTS if effect not in unseen]
 
 
 def _with(fit: EffectFit, effect: str, data: Weighted, known: Point) -> EffectFit:
-    """The best fit with an effect more, begun from what is known of its parameters."""
+    """Fit one more effect, from initial values in `known`."""
     settings = effect_settings()
     guess = {name: settings.parameters[name][2] for name in EFFECTS[effect] if name in settings.parameters}
     guess = dict(known) or guess
@@ -263,7 +263,7 @@ def _with(fit: EffectFit, effect: str, data: Weighted, known: Point) -> EffectFi
 
 
 def _with_track(fit: EffectFit, data: Weighted) -> EffectFit:
-    """The best fit with a top speed of the wheels whose track is not known: the shape of what is cut off tells it."""
+    """Fit a maximum wheel speed whose track is unknown: the shape of the clipped part determines it."""
     settings = effect_settings()
     commands = np.concatenate([np.abs(experiment.inputs) for experiment in data.experiments])
     widest = 2.0 * commands[:, 0].max() / commands[:, 1].max()
@@ -289,12 +289,12 @@ def _without(fit: EffectFit, effect: str, data: Weighted) -> EffectFit:
 
 
 def _little_less_than_fastest(experiments: Sequence[SampledExperiment]) -> float:
-    """A top speed that is never met has no slope."""
+    """Choose an initial maximum speed slightly below the fastest, since one that is never reached has no slope."""
     return 0.9 * max(float(np.abs(experiment.inputs[:, 0]).max()) for experiment in experiments)
 
 
 def _settled(fit: EffectFit, data: Weighted) -> EffectFit:
-    """Fitted to the end; what went to a bound of the search stays there and is no longer free.
+    """Fit to convergence; parameters at a bound stay there and are no longer free.
 
     So does a pole too fast to be seen, at a time constant that a model may have.
     """

@@ -1,4 +1,4 @@
-"""Where the estimation of base effects looks: read from `settings.yaml`."""
+"""Settings of the estimation of base effects, read from `settings.yaml`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from diffdrive_mpc.models.robot import Positive
 
 
 class PoseSettings(StrictModel):
-    """How the place and delay of a pose sensor are found."""
+    """Settings of the search for place and delay of a pose sensor."""
 
     window: Positive = Field(description="over which displacements are held against poses [s]")
     delays: tuple[float, float] = Field(description="between which the delay is looked for [s]")
@@ -38,5 +38,5 @@ class EffectSettings(StrictModel):
 
 @cache
 def effect_settings() -> EffectSettings:
-    """The shipped settings; raises ConfigError on a mistake in them."""
+    """Load the shipped settings; raise ConfigError for a mistake in them."""
     return load_checked(EffectSettings, Path(__file__).with_name("settings.yaml"))

@@ -69,7 +69,7 @@ class Fitted:
 
     @property
     def method(self) -> str:
-        """How it was done, in words."""
+        """Method in words."""
         return self.identified.method if self.predictor is None else self.predictor.method
 
     @property
@@ -79,7 +79,7 @@ class Fitted:
 
     @property
     def states(self) -> int:
-        """Of the model that predicts."""
+        """Number of states of the prediction model."""
         return self.identified.model.order if self.predictor is None else self.predictor.states
 
 
@@ -129,7 +129,7 @@ def fit(
 def _with_effects(
     data: LogData, plain: StructureFit, geometry: WheelGeometry | None, on_trial: Callable[[str], None] | None
 ) -> tuple[StructureFit, IdentifiedBase | None]:
-    """The model with effects, or the plain one with a warning where it predicts blocks held out at least as well."""
+    """Fit the model with effects; return the plain one with a warning if it predicts held-out blocks as well."""
     track = geometry.track if geometry else None
     limits = plain.identified.limits
     try:
@@ -146,14 +146,14 @@ def _with_effects(
 
 
 def _simulated(identified: IdentifiedModel, base: IdentifiedBase | None, records: Sequence[Record]) -> list[FloatArray]:
-    """Speed of the encoders and omega as the model means it, from one free run over each record."""
+    """Simulate speed of the encoders and omega as the model defines it, in one free run over each record."""
     if base is None:
         return simulate_records(identified.system, records, identified.yaw)
     return [readings[:, [0, -1]] for readings in base.readings(records)]
 
 
 def scored(simulated: Sequence[Sequence[FloatArray]], data: LogData, yaw: YawSource) -> tuple[Validation, Validation]:
-    """How well outputs (K, 2) explain the records to identify from, and those held out; ConfigError where they cannot.
+    """Score outputs (K, 2) on the training records and on those held out; raise ConfigError if that is impossible.
 
     `simulated` has one sequence for each of both, with one array for each record.
     """
@@ -169,7 +169,7 @@ def scored(simulated: Sequence[Sequence[FloatArray]], data: LogData, yaw: YawSou
 
 
 def loses(base: IdentifiedBase, plain: IdentifiedModel, records: Sequence[Record]) -> str | None:
-    """A sentence if `base` predicts held-out blocks of `records` worse than `plain`, an SM from the same; else None.
+    """Explain that `base` predicts held-out blocks worse than `plain`, an SM from `records`; else None.
 
     Raises
     ------

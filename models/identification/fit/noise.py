@@ -17,7 +17,7 @@ FEWEST = 50
 
 
 def sensor_noise(records: Sequence[Record]) -> dict[str, float]:
-    """Standard deviation of what is random in the readings, by the name of its key in the group `estimator`.
+    """Estimate the standard deviation of the random part of readings, by the key in the group `estimator`.
 
     From second differences of neighbouring readings, so outliers and steady motion do not count. Sensors without enough
     readings have no entry. Units: m/s, rad/s, m, rad.
@@ -45,8 +45,8 @@ def second_differences(record: Record, signal: str, columns: list[int]) -> Float
     fresh = record.fresh(signal)
     if fresh is None:
         return np.empty(0)
-    (at,) = np.nonzero(fresh)
-    even = np.diff(at[:-1]) == np.diff(at[1:])
+    (indices,) = np.nonzero(fresh)
+    even = np.diff(indices[:-1]) == np.diff(indices[1:])
     return np.asarray(
-        np.diff(getattr(record, signal).reshape(len(fresh), -1)[at][:, columns], n=2, axis=0)[even].ravel()
+        np.diff(getattr(record, signal).reshape(len(fresh), -1)[indices][:, columns], n=2, axis=0)[even].ravel()
     )

@@ -45,11 +45,11 @@ class SlipLaw(Protocol):
 
     @property
     def holds_lever_arm(self) -> bool:
-        """Whether the coefficients already describe any point fixed to the body, so that it cannot be told apart."""
+        """True if the coefficients already describe any fixed point of the body, so no lever arm is needed."""
         ...
 
     def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
-        """(..., 3) v, lateral speed to the left [m/s], yaw rate [rad/s] of wheels (..., 2) left, right [rad/s]."""
+        """Compute (..., 3) v, lateral speed to the left [m/s], yaw rate [rad/s] of wheels (..., 2) [rad/s]."""
         ...
 
 
@@ -76,7 +76,7 @@ class ConstantTrack:
         return np.array([self.wheel_radius, self.track, 0.0])
 
     def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
-        """(..., 3); see `SlipLaw`."""
+        """Compute (..., 3) as in `SlipLaw`."""
         radius, track, side_slip = coefficients
         v, difference = at_the_rim(radius, wheels)
         omega = difference / track
@@ -98,7 +98,7 @@ class GrowingTrack(ConstantTrack):
         return np.array([self.wheel_radius, self.track, 0.0, 0.0])
 
     def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
-        """(..., 3); see `SlipLaw`."""
+        """Compute (..., 3) as in `SlipLaw`."""
         radius, p0, p1, side_slip = coefficients
         v, difference = at_the_rim(radius, wheels)
         omega = virtual_track_yaw_rate(difference, p0, p1)
@@ -128,18 +128,18 @@ class SlipPolynomial:
         return np.zeros(9)
 
     def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
-        """(..., 3); see `SlipLaw`."""
+        """Compute (..., 3) as in `SlipLaw`."""
         v, difference = at_the_rim(self.wheel_radius, wheels)
         return polynomial_twist(coefficients, np.stack([v, difference / self.track], axis=-1))
 
 
 def side_slid(v: FloatArray, omega: FloatArray, side_slip: float) -> FloatArray:
-    """(..., 3) twist of a body that slides outward in a curve, by `side_slip` [s] times v omega."""
+    """Compute the twist (..., 3) of a body that slides outward in a curve, by `side_slip` [s] times v omega."""
     return np.stack([v, -side_slip * v * omega, omega], axis=-1)
 
 
 def at_the_rim(radius: float, wheels: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Mean speed of both sides and right less left [m/s], of wheels (..., 2) left, right [rad/s]."""
+    """Compute mean rim speed and right less left [m/s], of wheels (..., 2) left, right [rad/s]."""
     left, right = wheels[..., 0], wheels[..., 1]
     return 0.5 * radius * (left + right), radius * (right - left)
 
@@ -163,7 +163,7 @@ _Signal = Literal["wheels", "twist", "yaw_rate"]
 def pose_windows(
     records: Sequence[Record], signal: _Signal, pose_lag: float = 0.0, share: float = 1.0
 ) -> list[PoseWindows]:
-    """Windows of the settings' length, none overlapping, in which the signal is known throughout.
+    """Cut windows of the configured length without overlap, in which the signal is known throughout.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ def _of_record(record: Record, name: _Signal, pose_lag: float, length: float) ->
 
 @dataclass(frozen=True)
 class PoseCalibration:
-    """What poses say about wheels or gyro.
+    """Calibration of wheels or gyro by poses.
 
     Attributes
     ----------
@@ -231,7 +231,7 @@ class PoseCalibration:
 
 
 def calibrate_wheels(records: Sequence[Record], law: SlipLaw, pose_lag: float = 0.0) -> PoseCalibration:
-    """Coefficients of a slip law and the lever arm of the pose point.
+    """Fit the coefficients of a slip law and the lever arm of the pose point.
 
     Parameters
     ----------
@@ -265,7 +265,7 @@ def calibrate_wheels(records: Sequence[Record], law: SlipLaw, pose_lag: float = 
 
 
 def calibrate_gyro(records: Sequence[Record], pose_lag: float = 0.0) -> PoseCalibration:
-    """gyro_scale [-] and gyro_offset [rad/s]: yaw rate of the gyro = scale times true yaw rate plus offset.
+    """Fit gyro_scale [-] and gyro_offset [rad/s]: yaw rate of the gyro = scale times true yaw rate plus offset.
 
     Parameters
     ----------
@@ -357,7 +357,7 @@ def _lag(
 
 
 def displacement(twist: FloatArray, dt: float, lever_arm: FloatArray) -> FloatArray:
-    """(n, 3) motion of a point of the body, seen from its first pose: ahead [m], to the left [m], turned [rad].
+    """Compute the motion (n, 3) of a point of the body from its first pose: ahead [m], to the left [m], turned [rad].
 
     Parameters
     ----------
@@ -383,7 +383,7 @@ def displacement(twist: FloatArray, dt: float, lever_arm: FloatArray) -> FloatAr
 
 
 def _solve(errors: Callable[[FloatArray], FloatArray], start: FloatArray, names: tuple[str, ...]) -> PoseCalibration:
-    """Least squares of window errors (n, r), reweighted by their scale and by whether their neighbours agree."""
+    """Solve for window errors (n, r) by least squares, reweighted by their scale and by agreement with neighbours."""
     parameters, residuals = start, errors(start)
     spread = np.maximum(residuals.std(axis=0), np.finfo(float).tiny)
     for _ in range(_ROUNDS):
@@ -402,5 +402,5 @@ def _weighted(errors: Callable[[FloatArray], FloatArray], weight: FloatArray) ->
 
 
 def _sizes(names: tuple[str, ...]) -> list[str]:
-    """Those parameters that no robot has at zero; the others may well be."""
+    """List the parameters that are never zero for a robot; the others may be."""
     return [name for name in names if name in ("wheel_radius", "track", "p0", "gyro_scale")]

@@ -1,4 +1,4 @@
-"""What measured poses add: geometry and slip of the wheels, scale of the gyro, and the drift of a predicted pose."""
+"""Results from poses: geometry and slip of the wheels, scale of the gyro, and the drift of a predicted pose."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def pose_drift(
     pose_lag: float = 0.0,
     horizons: Sequence[float] | None = None,
 ) -> list[PoseDrift]:
-    """Open-loop pose error about the rotation centre.
+    """Compute the open-loop pose error about the rotation centre.
 
     A prediction starts at a measured pose about every second inside one record, follows the arcs of the predicted
     twists, and ends at the pose nearest to the horizon; position errors are those of the point that the robot turns
@@ -106,7 +106,7 @@ def pose_drift(
 
 
 def rotation_centre(pose: FloatArray, lever_arm: tuple[float, float]) -> FloatArray:
-    """Poses (..., 3) of the rotation centre from those of a point `lever_arm` ahead and to the left of it [m]."""
+    """Convert poses (..., 3) of a point `lever_arm` ahead and to the left of the rotation centre [m] to its poses."""
     ahead, left = lever_arm
     c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
     return np.stack([pose[..., 0] - ahead * c + left * s, pose[..., 1] - ahead * s - left * c, pose[..., 2]], axis=-1)
@@ -159,7 +159,7 @@ def _nearest(rows: NDArray[np.int64], targets: NDArray[np.int64]) -> NDArray[np.
 
 @dataclass(frozen=True)
 class PoseResults:
-    """What was found from poses.
+    """Results of the calibration by poses.
 
     Attributes
     ----------
@@ -197,14 +197,14 @@ class PoseResults:
 
 
 class PosePoint(NamedTuple):
-    """What lies between the body's rotation centre and a measured pose."""
+    """Position and delay of a measured pose relative to the body's rotation centre."""
 
     lever_arm: tuple[float, float] = (0.0, 0.0)
     """Pose point ahead and to the left [m]."""
     side_slip: float = 0.0
     """Lateral speed over -v omega [s]."""
     lag: float = 0.0
-    """By how much poses are late [s]."""
+    """Delay of poses [s]."""
 
 
 NO_POSES = PoseResults(ParameterEstimate((), np.empty(0), np.empty((0, 0))), (), (), ())
@@ -238,7 +238,7 @@ def from_poses(data: LogData, fitted: Fitted) -> PoseResults:
 def _slip_laws(
     train: Sequence[Record], geometry: WheelGeometry | None, warnings: list[Doubt]
 ) -> tuple[tuple[str, PoseCalibration], ...]:
-    """The law with a constant track first; the others where the log has wheels of its own."""
+    """Calibrate the law with a constant track first, then the others if the log has separate wheels."""
     if not train:
         return ()
     records = train if geometry else [_unit_wheels(record) for record in train]
@@ -264,7 +264,7 @@ def _gyro(train: Sequence[Record], warnings: list[Doubt]) -> PoseCalibration | N
 def _of_model(
     data: LogData, fitted: Fitted, wheels: ParameterEstimate | None, gyro: PoseCalibration | None
 ) -> tuple[Predictions, PosePoint]:
-    """The body's twist, which is the model's output behind the calibration, and where the pose was taken."""
+    """Predict the body's twist, which is the calibrated output of the model, with the point of the measured pose."""
     place = fitted.geometry or _UNIT_WHEELS
     gain = np.ones(2)
     if wheels:
@@ -285,7 +285,7 @@ def _of_model(
 
 
 def _of_base(data: LogData, base: IdentifiedBase) -> tuple[Predictions, PosePoint]:
-    """As `_of_model`, with the mount of the pose sensor already taken off the poses."""
+    """Predict as `_of_model`, for poses from which the mount of the sensor is already removed."""
     records = _with_pose(data.validation)
     predictions = list(zip(records, base.body_twists(records), strict=True))
     if base.pose is None:
@@ -318,7 +318,7 @@ def _with_pose(records: Sequence[Record]) -> list[Record]:
 
 
 def _unit_wheels(record: Record) -> Record:
-    """Wheels of 1 m radius, 1 m apart, that would have given the record's twist."""
+    """Convert to wheels of 1 m radius, 1 m apart, with the twist of the record."""
     if record.twist is None:
         return record
     v, omega = record.twist.T
@@ -327,6 +327,6 @@ def _unit_wheels(record: Record) -> Record:
 
 
 def _as_gains(wheels: ParameterEstimate) -> ParameterEstimate:
-    """Of unit wheels, radius and track as the gains that they stand for: body over odometry."""
+    """Convert radius and track of unit wheels to gains, body over odometry."""
     names = ("longitudinal_gain", "yaw_gain", *wheels.names[2:])
     return wheels.derived(names, lambda row: np.concatenate([[row[0], row[0] / row[1]], row[2:]]))

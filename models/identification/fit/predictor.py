@@ -24,21 +24,21 @@ if TYPE_CHECKING:
 
 
 class Predictor(Protocol):
-    """What the way from logs to a folder needs of such a model."""
+    """Interface of such a model for the pipeline from logs to a folder."""
 
     @property
     def structure(self) -> str:
-        """What `--structure` calls it."""
+        """Name of `--structure`."""
         ...
 
     @property
     def title(self) -> str:
-        """What it is, for a sentence: "a network"."""
+        """Noun for sentences: "a network"."""
         ...
 
     @property
     def method(self) -> str:
-        """How it was found, in words."""
+        """Method of its identification in words."""
         ...
 
     @property
@@ -48,7 +48,7 @@ class Predictor(Protocol):
 
     @property
     def states(self) -> int:
-        """Of the model."""
+        """Number of states of the model."""
         ...
 
     @property
@@ -58,23 +58,23 @@ class Predictor(Protocol):
 
     @property
     def doubts(self) -> tuple[Doubt, ...]:
-        """What not to trust in it."""
+        """Doubts about the model."""
         ...
 
     def simulate(self, records: Sequence[Record], yaw: YawSource) -> list[FloatArray]:
-        """For each record v [m/s] and omega [rad/s] (K, 2) from its commands alone, sensor offsets included."""
+        """Simulate v [m/s] and omega [rad/s] (K, 2) of each record from its commands alone, sensor offsets included."""
         ...
 
     def refitted(self, records: Sequence[Record], yaw: YawSource) -> NonlinearModel | None:
-        """The same kind of other records of the robot; None where that is not worth its time."""
+        """Fit the same kind to other records of the robot; None if that would take too long."""
         ...
 
     def content(self, fields: Mapping[str, Any]) -> Any:  # noqa: ANN401 - each kind has its own file
-        """What its parameter file says, `fields` being those that every file has."""
+        """Return the content of its parameter file; `fields` are those of every file."""
         ...
 
     def model(self, content: Any) -> NonlinearModel:  # noqa: ANN401
-        """The velocity model of that content."""
+        """Build the velocity model of that content."""
         ...
 
     def write(self, path: Path, content: Any) -> None:  # noqa: ANN401
@@ -87,5 +87,5 @@ Finder = Callable[["LogData", "Fitted"], Predictor]
 
 
 def finders() -> Mapping[str, Callable[[], Finder]]:
-    """By what `--structure` calls them. Each raises MissingPackageError where what it needs is not installed."""
-    return {one.name: one.finder for one in function_structures().values()}
+    """Return finders by the name of `--structure`; each raises MissingPackageError without its dependencies."""
+    return {structure.name: structure.finder for structure in function_structures().values()}

@@ -1,4 +1,4 @@
-"""What is wrong with a log as a whole, before anything is fitted: one cause, one sentence, one remedy.
+"""Diagnosis of faults of a whole log before a fit: one cause, one sentence, one remedy.
 
 Every rule looks at streams as the rules before it have mended them, so that one fault is told once.
 """
@@ -17,7 +17,7 @@ from diffdrive_mpc.models.logs.diagnosis.distortions import check_clipped_side, 
 from diffdrive_mpc.models.logs.diagnosis.ramps import check_ramps
 from diffdrive_mpc.models.logs.diagnosis.scales import check_axes, check_presence, check_signs, check_units
 from diffdrive_mpc.models.logs.diagnosis.shifts import check_shifts
-from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, Streams, answer
+from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, Streams, fit_response
 from diffdrive_mpc.models.logs.diagnosis.wheels import check_counts, check_order, check_wheels
 from diffdrive_mpc.models.logs.record import Finding, Log, Record
 from diffdrive_mpc.models.logs.record_checks import UNITS, check_excitation, command_changes
@@ -27,7 +27,7 @@ __all__ = ["compare_logs", "diagnose", "summary"]
 
 
 def diagnose(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """Findings about how commands and sensors of one log fit together.
+    """Diagnose the relations between commands and sensors of one log.
 
     Parameters
     ----------
@@ -63,24 +63,24 @@ def diagnose(log: str, streams: Streams, settings: CheckSettings) -> list[Findin
 
 
 def _long_enough(streams: Streams, settings: CheckSettings) -> bool:
-    """Whether the commands change often enough, in long enough a time, for answers to be told from chance."""
+    """Return True if commands change often enough, over a long enough time, to distinguish responses from chance."""
     samples = int(np.isfinite(streams.command[:, 0]).sum())
     return samples * streams.dt >= settings.shortest_drive
 
 
 def compare_logs(logs: Sequence[Log]) -> list[Finding]:
-    """Findings about logs that are to be used together: what none of them drives, and whether they are of one robot."""
+    """Compare logs to be used together: commands missing in all of them, and different robots."""
     settings = check_settings()
     findings = check_excitation(", ".join(log.name for log in logs), [r for log in logs for r in log.records], settings)
     sound = [log for log in logs if not log.errors]
     known = [relations(log.streams, settings) for log in sound] if len(sound) > 1 else []
-    for log, other in zip(sound[1:], known[1:], strict=True):
-        findings += compare(sound[0].name, log.name, known[0], other, settings)
+    for log, log_relations in zip(sound[1:], known[1:], strict=True):
+        findings += compare(sound[0].name, log.name, known[0], log_relations, settings)
     return findings
 
 
 def summary(log: Log) -> list[str]:
-    """Five lines on what was understood of a log: streams, times, commands, and what drives v and omega."""
+    """Summarise a log in five lines: streams, times, commands, and the causes of v and omega."""
     settings = check_settings()
     records = log.records
     dt = records[0].dt
@@ -112,10 +112,10 @@ def _commanded(records: Sequence[Record], channel: int, settings: CheckSettings)
 
 
 def _driven(streams: Streams, channel: int, settings: CheckSettings) -> str:
-    """How the sensors of a channel answer to its command, in words."""
+    """Describe the response of a channel's sensors to its command."""
     lines = []
     for name in streams.present(channel):
-        response = answer(streams, *streams.pair(COMMAND, name, channel), settings)
+        response = fit_response(streams, *streams.pair(COMMAND, name, channel), settings)
         if response is None:
             lines.append(f"{name} not driven")
         else:

@@ -1,4 +1,4 @@
-"""Whether the parts of a log, and several logs, are of one robot: their gains, and how late they answer."""
+"""Agreement of the parts of a log, and of several logs, in gains and delays of one robot."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy import special
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
-from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, POSE, Streams, answer, paired
+from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, POSE, Streams, fit_response, paired
 from diffdrive_mpc.models.logs.record import Finding, MappingChange
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
@@ -41,18 +41,18 @@ class Relation:
     response: float
 
     @property
-    def what(self) -> str:
+    def label(self) -> str:
         """In words."""
         return f"{CHANNELS[self.channel]} of the {self.second} over that of the {self.first}"
 
 
 def relations(streams: Streams, settings: CheckSettings) -> list[Relation]:
-    """All pairs of streams that follow each other clearly."""
+    """Return all pairs of streams that follow each other clearly."""
     pairs = []
     for channel in (0, 1):
         for first, second in combinations([COMMAND, *streams.present(channel)], 2):
             a, b = streams.pair(first, second, channel)
-            how = answer(streams, a, b, settings, both_measured=first != COMMAND)
+            how = fit_response(streams, a, b, settings, both_measured=first != COMMAND)
             if how is None or how.correlation[0] < settings.weak_correlation:
                 continue
             shift = round(how.dead_time / streams.dt)
@@ -66,7 +66,7 @@ def relations(streams: Streams, settings: CheckSettings) -> list[Relation]:
 def _by_part(
     streams: Streams, u: FloatArray, y: FloatArray, shift: int, settings: CheckSettings
 ) -> tuple[FloatArray, FloatArray]:
-    """Gains of y over u in parts that were driven equally hard, and when these begin [s]."""
+    """Compute gains of y over u in parts with equal excitation, and the starts of these parts [s]."""
     both = np.column_stack([u, streams.time])
     left, right = paired(both, y, shift)
     u, time, y = left[:, 0], left[:, 1], right
@@ -87,7 +87,7 @@ def _by_part(
 
 
 def check_jumps(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """At most one finding: a stream whose size leaps in the middle of the log as no robot's does."""
+    """Return at most one finding: a stream whose magnitude jumps within the log as no robot's does."""
     known = np.flatnonzero(np.isfinite(streams.time))
     parts = np.array_split(known, settings.parts)
     times = np.array([streams.time[part[0]] for part in parts if len(part)])
@@ -110,20 +110,20 @@ def check_jumps(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
 
 
 def _rms(values: FloatArray | None, part: NDArray[np.intp]) -> float:
-    """Of the finite values (N,) of a part; 0 where most are not."""
+    """Compute the root mean square of the finite values (N,) of a part; 0 if most are not finite."""
     assert values is not None
     finite = values[part][np.isfinite(values[part])]
     return float(np.sqrt(np.mean(finite**2))) if 2 * len(finite) > len(part) else 0.0
 
 
 def check_parts(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """At most one finding: a stream whose scale changes in the middle of the log, or commands whose gain drifts."""
+    """Return at most one finding: a stream whose scale changes within the log, or commands whose gain drifts."""
     pairs = relations(streams, settings)
     return _changed(log, pairs, settings.scale_change, settings) or _drift(log, pairs, settings)
 
 
 def _drift(log: str, pairs: Sequence[Relation], settings: CheckSettings) -> list[Finding]:
-    """The finding for what the robot answers to its commands where it grows or falls all along the log."""
+    """Return the finding for a response to commands that grows or falls over the whole log."""
     drifts = []
     for relation in pairs:
         if relation.first != COMMAND or relation.second == POSE or len(relation.gains) < settings.parts // 2:
@@ -142,14 +142,14 @@ def _drift(log: str, pairs: Sequence[Relation], settings: CheckSettings) -> list
     relation, ends = max(drifts, key=lambda drift: abs(drift[1][1] - drift[1][0]))
     first, last = np.exp(ends)
     words = (
-        f"{relation.what} {'falls' if last < first else 'grows'} steadily from {first:.3g} to {last:.3g} along the "
+        f"{relation.label} {'falls' if last < first else 'grows'} steadily from {first:.3g} to {last:.3g} along the "
         "log: a battery that sags, or motors that warm up; record with a full battery, or identify from a part"
     )
     return [Finding("gain drift", "warning", log, words)]
 
 
 def _changed(log: str, pairs: Sequence[Relation], least: float, settings: CheckSettings) -> list[Finding]:
-    """The finding for the stream whose gains change by more than the factor `least` at one time."""
+    """Return the finding for the stream whose gains change by more than the factor `least` at one time."""
     changes: list[tuple[Relation, int, float]] = []
     steady: list[Relation] = []
     for relation in pairs:
@@ -169,55 +169,61 @@ def _changed(log: str, pairs: Sequence[Relation], least: float, settings: CheckS
             counts[name] = counts.get(name, 0) - 1
     # Of two that disagree the sensor is named: what a robot answers may change, what it was told does not.
     name = max(counts, key=lambda key: (counts[key], key != COMMAND))
-    relation, at, size = max(
+    relation, index, size = max(
         (change for change in changes if name in (change[0].first, change[0].second)), key=lambda change: abs(change[2])
     )
-    before, after = (float(np.exp(np.mean(np.log(part)))) for part in (relation.gains[:at], relation.gains[at:]))
+    before, after = (float(np.exp(np.mean(np.log(part)))) for part in (relation.gains[:index], relation.gains[index:]))
     words = (
         f"the scale of the {name} changes by a factor of "
-        f"{np.exp(size if relation.second == name else -size):.3g} at about {relation.times[at]:.0f} s: "
-        f"{relation.what} is {before:.3g} before and {after:.3g} after; cut the log there and identify from one part"
+        f"{np.exp(size if relation.second == name else -size):.3g} at about {relation.times[index]:.0f} s: "
+        f"{relation.label} is {before:.3g} before and {after:.3g} after; cut the log there and identify from one part"
     )
-    return [Finding("scale change", "error", log, words, *cut(relation.times, at))]
+    return [Finding("scale change", "error", log, words, *cut(relation.times, index))]
 
 
-def cut(times: FloatArray, at: int) -> tuple[tuple[float, float], tuple[MappingChange, ...]]:
-    """From and to [s] where parts that begin at `times` [s] change from the one before `at` on, and the cut there.
+def cut(times: FloatArray, index: int) -> tuple[tuple[float, float], tuple[MappingChange, ...]]:
+    """Return the span [s] of a change before part `index`, for parts that start at `times` [s], and the cut.
 
     What is kept is the longer of both sides, without the parts in which the change may lie.
     """
-    after = min(at + 1, len(times) - 1)
+    after = min(index + 1, len(times) - 1)
     end = float(2 * times[-1] - times[-2])
-    before, behind = (float(times[0]), float(times[at - 1])), (float(times[after]), end)
-    kept = max(before, behind, key=lambda span: span[1] - span[0])
-    change = MappingChange("log", "times", f"{kept[0]:.1f} to {kept[1]:.1f}")
-    return (float(times[at - 1]), float(times[after])), (change,)
+    before, behind = (float(times[0]), float(times[index - 1])), (float(times[after]), end)
+    longest = max(before, behind, key=lambda span: span[1] - span[0])
+    change = MappingChange("log", "times", f"{longest[0]:.1f} to {longest[1]:.1f}")
+    return (float(times[index - 1]), float(times[after])), (change,)
 
 
 def _change(values: FloatArray, certain: float) -> tuple[int, float, float] | None:
-    """Where a row of values changes its level, by how much, and what would be chance; None where it is too short.
+    """Find a change of level in a row of values: place, size, and the size of chance; None for too few values.
 
     Few values know their scatter badly: chance is as rare as `certain` standard deviations of a known one (Student).
     """
     best: tuple[float, int, float, float] | None = None
-    for at in range(2, len(values) - 1):
-        left, right = values[:at], values[at:]
+    for index in range(2, len(values) - 1):
+        left, right = values[:index], values[index:]
         inside = float(((left - left.mean()) ** 2).sum() + ((right - right.mean()) ** 2).sum())
         deviation = np.sqrt(inside / (len(values) - 2) * (1 / len(left) + 1 / len(right)))
         if best is None or inside < best[0]:
-            best = (inside, at, float(right.mean() - left.mean()), float(deviation))
+            best = (inside, index, float(right.mean() - left.mean()), float(deviation))
     if best is None:
         return None
-    _, at, change, deviation = best
-    return at, change, deviation * float(-special.stdtrit(len(values) - 2, special.ndtr(-certain)))
+    _, index, change, deviation = best
+    return index, change, deviation * float(-special.stdtrit(len(values) - 2, special.ndtr(-certain)))
 
 
 def compare(
-    first: str, second: str, one: Sequence[Relation], other: Sequence[Relation], settings: CheckSettings
+    first: str,
+    second: str,
+    first_relations: Sequence[Relation],
+    second_relations: Sequence[Relation],
+    settings: CheckSettings,
 ) -> list[Finding]:
-    """At most one finding: gains or answers of two logs that no drive of one robot explains."""
-    for a in one:
-        b = next((b for b in other if (b.first, b.second, b.channel) == (a.first, a.second, a.channel)), None)
+    """Return at most one finding: gains or delays of two logs that no drive of one robot explains."""
+    for a in first_relations:
+        b = next(
+            (b for b in second_relations if (b.first, b.second, b.channel) == (a.first, a.second, a.channel)), None
+        )
         if b is None or POSE in (a.first, a.second):
             continue
         low, high = np.log(a.gains), np.log(b.gains)
@@ -229,7 +235,7 @@ def compare(
             continue
         means = [float(np.exp(part.mean())) for part in (low, high)]
         words = (
-            f"{a.what} is {means[0]:.3g} in {first} and {means[1]:.3g} in {second}"
+            f"{a.label} is {means[0]:.3g} in {first} and {means[1]:.3g} in {second}"
             if gain
             else f"{CHANNELS[a.channel]} answers after {a.response:.2f} s in {first} and {b.response:.2f} s in {second}"
         )

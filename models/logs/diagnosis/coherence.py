@@ -1,4 +1,4 @@
-"""How well the streams of a log explain each other through what a robot may do between them."""
+"""Coherence of a log's streams under the dynamics that a robot may have."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, ENCODERS, Strea
 
 
 def coherence(streams: Streams, settings: CheckSettings) -> float:
-    """Mean over all pairs of streams of the FIT of one from the other [%]; NaN without a pair.
+    """Compute the mean FIT of one stream from another over all pairs [%]; NaN without a pair.
 
     A robot follows its commands behind lags and a dead time, its body turns behind its wheels and by less than they
     say, and sensors of one body agree at once. A sign, a unit or a clock that is wrong is none of these, whatever a
@@ -28,7 +28,7 @@ def coherence(streams: Streams, settings: CheckSettings) -> float:
 
 
 def _explained(streams: Streams, first: str, second: str, channel: int, settings: CheckSettings) -> float:
-    """FIT of `second` from `first` [%], no less than 0, at the best lag, dead time and gain that a robot may have."""
+    """Compute the FIT of `second` from `first` [%], at least 0, at the best lag, dead time and gain of a robot."""
     u, y = streams.pair(first, second, channel)
     skids = channel == 1 and first in (COMMAND, ENCODERS)
     gains = settings.gain_of_omega if skids else settings.gain_of_v
@@ -44,7 +44,7 @@ def _explained(streams: Streams, first: str, second: str, channel: int, settings
 
 
 def _fit(u: FloatArray, y: FloatArray, gains: tuple[float, float]) -> float:
-    """FIT of y (n,) by an offset and a gain within `gains` times u (n,) [%], no less than 0."""
+    """Compute the FIT of y (n,) by an offset and a gain within `gains` times u (n,) [%], at least 0."""
     spread, drive = float(np.var(y)) if len(y) else 0.0, float(np.var(u)) if len(u) else 0.0
     if spread == 0 or drive == 0:
         return float("nan")

@@ -8,7 +8,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
-from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, ENCODERS, Streams, answer
+from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, ENCODERS, Streams, fit_response
 from diffdrive_mpc.models.logs.record import Finding
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
@@ -16,7 +16,7 @@ _UNITS = ("m/s", "rad/s")
 
 
 def check_echo(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """At most one finding: commands that repeat what the encoders read, at the same time or later.
+    """Return at most one finding: commands that repeat the encoder readings, at the same time or later.
 
     Behind commands of its own a robot lags; what its odometry becomes elsewhere is merely later.
     """
@@ -26,11 +26,11 @@ def check_echo(log: str, streams: Streams, settings: CheckSettings) -> list[Find
     for channel in (0, 1):
         command, values = streams.pair(COMMAND, ENCODERS, channel)
         changed = np.diff(command[np.isfinite(command)]) != 0
-        shift = answer(streams, command, values, settings, both_measured=True)
-        lag = answer(streams, command, values, settings)
+        shift = fit_response(streams, command, values, settings, both_measured=True)
+        lag = fit_response(streams, command, values, settings)
         if shift is None or lag is None or not changed.any():
             return []
-        rest, less = (1 - float(of.correlation[0]) ** 2 for of in (shift, lag))
+        rest, less = (1 - float(response.correlation[0]) ** 2 for response in (shift, lag))
         is_echo = shift.correlation[0] > settings.echo and shift.dead_time < 0.2 * streams.dt
         # Set-points stay for a while, readings do not; a lag would explain more.
         if not is_echo or changed.mean() < settings.echo_changes or settings.shape * rest > less + settings.echo_noise:
@@ -45,7 +45,7 @@ def check_echo(log: str, streams: Streams, settings: CheckSettings) -> list[Find
 
 
 def check_latch(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """At most one finding: commands that a logger took over only now and then, while the robot got them all."""
+    """Return at most one finding: commands that a logger sampled only now and then, while the robot got all."""
     leads = [part for part in (_crossings(streams, channel, settings) for channel in (0, 1)) if len(part)]
     if not leads:
         return []
@@ -61,7 +61,7 @@ def check_latch(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
 
 
 def _crossings(streams: Streams, channel: int, settings: CheckSettings) -> FloatArray:
-    """Times [s] after clear changes of the command at which the answer last passed the middle; empty where few do."""
+    """Find times [s] after clear changes of the command at which the response last passed the middle; empty for few."""
     names = streams.moving(channel)
     if not names:
         return np.empty(0)
@@ -77,17 +77,17 @@ def _crossings(streams: Streams, channel: int, settings: CheckSettings) -> Float
     steps = np.diff(command, prepend=np.nan)
     changes = np.flatnonzero(np.abs(np.nan_to_num(steps)) > least)
     times = []
-    for before, at in pairwise(changes):
-        first, last = max(before, at - reach), min(at + after, len(moved))
-        beyond = (moved[first:last] - command[at] + 0.5 * steps[at]) * np.sign(steps[at]) > 0
+    for before, index in pairwise(changes):
+        first, last = max(before, index - reach), min(index + after, len(moved))
+        beyond = (moved[first:last] - command[index] + 0.5 * steps[index]) * np.sign(steps[index]) > 0
         crossed = np.flatnonzero(~beyond[:-1] & beyond[1:])
         if len(crossed):
-            times.append((first + 1 + crossed[-1] - at) * streams.dt)
+            times.append((first + 1 + crossed[-1] - index) * streams.dt)
     return np.array(times) if len(times) >= settings.refused_changes + settings.fewest_changes else np.empty(0)
 
 
 def check_rounding(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """Findings about channels whose commands are whole multiples of a step between which the robot moves as well."""
+    """Return findings about channels whose commands are rounded although the robot moves in between."""
     findings = []
     for channel in (0, 1):
         names = streams.moving(channel)
@@ -95,7 +95,7 @@ def check_rounding(log: str, streams: Streams, settings: CheckSettings) -> list[
             continue
         command, values = streams.pair(COMMAND, names[0], channel)
         step = _step(command[np.isfinite(command)], settings)
-        response = None if step is None else answer(streams, command, values, settings)
+        response = None if step is None else fit_response(streams, command, values, settings)
         if step is None or response is None or response.correlation[0] < settings.clear_correlation:
             continue
         least = settings.rounded_rest * step * abs(float(response.gain[0, 0]))
@@ -111,7 +111,7 @@ def check_rounding(log: str, streams: Streams, settings: CheckSettings) -> list[
 
 
 def _step(command: FloatArray, settings: CheckSettings) -> float | None:
-    """Step of which all commands (n,) are multiples, where it is coarse; None otherwise."""
+    """Find the step of which all commands (n,) are multiples, if it is coarse."""
     levels = np.unique(np.round(np.abs(command), 9))
     if len(levels) < 2 or len(levels) > settings.rounded_levels:
         return None
@@ -123,7 +123,7 @@ def _step(command: FloatArray, settings: CheckSettings) -> float | None:
 def _between_holds(
     streams: Streams, command: FloatArray, values: FloatArray, seconds: float, settings: CheckSettings
 ) -> float:
-    """Standard deviation of what the robot does under one and the same command; of zero, where that is less.
+    """Compute the standard deviation of the motion under one and the same command, or under zero if that is less.
 
     Means over each hold from `seconds` after its begin, without what follows the command before: that is not settled.
     """

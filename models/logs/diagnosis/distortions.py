@@ -6,13 +6,13 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
-from diffdrive_mpc.models.logs.diagnosis.streams import ENCODERS, GYRO, Streams, answer
+from diffdrive_mpc.models.logs.diagnosis.streams import ENCODERS, GYRO, Streams, fit_response
 from diffdrive_mpc.models.logs.diagnosis.wheels import SIDES, commanded_sides
 from diffdrive_mpc.models.logs.record import Finding
 
 
 def check_rectified(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """Findings about sensors that read how fast, not in which direction; they are taken out of `streams`."""
+    """Return findings about sensors without a sign, which are removed from `streams`."""
     findings = []
     sides = None if streams.twist is None or streams.wheels is None else commanded_sides(streams)
     pairs: list[tuple[str, FloatArray, FloatArray | None]] = [(GYRO, streams.command[:, 1], streams.yaw_rate)]
@@ -21,7 +21,7 @@ def check_rectified(log: str, streams: Streams, settings: CheckSettings) -> list
     for name, command, values in pairs:
         if values is None or not (_both_signs(command, settings) and _one_sign(values, settings)):
             continue
-        plain, sizes = (answer(streams, of, values, settings) for of in (command, np.abs(command)))
+        plain, sizes = (fit_response(streams, inputs, values, settings) for inputs in (command, np.abs(command)))
         if sizes is None or min(sizes.correlation) < settings.clear_correlation:
             continue
         if plain is not None and min(plain.correlation) > min(sizes.correlation):
@@ -46,7 +46,7 @@ def _both_signs(values: FloatArray, settings: CheckSettings) -> bool:
 
 
 def check_clipped_side(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """At most one finding: the encoder of one side rests at its largest reading while more is asked for."""
+    """Return at most one finding: the encoder of one side saturates although more is commanded."""
     if streams.twist is None or streams.wheels is None or streams.wheels.shape[1] != len(SIDES):
         return []
     sides = commanded_sides(streams)
@@ -59,13 +59,13 @@ def check_clipped_side(log: str, streams: Streams, settings: CheckSettings) -> l
     side = int(np.argmax(share))
     if share[side] < settings.clipped_readings or share[1 - side] > 0.3 * share[side]:
         return []
-    response = answer(streams, sides[:, side], streams.wheels[:, side], settings)
+    response = fit_response(streams, sides[:, side], streams.wheels[:, side], settings)
     if response is None:
         return []
     wanted = np.abs(streams.delayed(streams.lagged(sides[:, side], response.lag), response.dead_time))
     # The scale below the clip, by the side that ends nowhere.
-    other = answer(streams, sides[:, 1 - side], streams.wheels[:, 1 - side], settings)
-    scale = abs(float((other or response).gain[0, 0]))
+    crossed = fit_response(streams, sides[:, 1 - side], streams.wheels[:, 1 - side], settings)
+    scale = abs(float((crossed or response).gain[0, 0]))
     if float(np.nanmedian(wanted[at_most[:, side]])) * scale < settings.beyond_clip * most[side]:
         return []
     words = (

@@ -9,7 +9,7 @@ import numpy as np
 from diffdrive_mpc.models.base_effects import KINDS, limited
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
-from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, Streams, answer
+from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, Streams, fit_response
 
 _PARTS = np.geomspace(0.03, 0.8, 10)
 """Levels, as parts of the largest command, and rates, as parts of twice that per second."""
@@ -45,6 +45,8 @@ def _limited(streams: Streams, channel: int, limit: FloatArray) -> Streams:
 
 def _unexplained(streams: Streams, channel: int, settings: CheckSettings) -> float:
     """Return the share of the variance of the sensors that the command leaves unexplained, its mean."""
-    answers = [answer(streams, *streams.pair(COMMAND, name, channel), settings) for name in streams.present(channel)]
+    answers = [
+        fit_response(streams, *streams.pair(COMMAND, name, channel), settings) for name in streams.present(channel)
+    ]
     shares = [1 - float(response.correlation[0]) ** 2 for response in answers if response is not None]
     return float(np.mean(shares)) if shares else 0.0

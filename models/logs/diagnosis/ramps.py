@@ -1,4 +1,4 @@
-"""Whether each side of the base follows its command along a ramp of its own."""
+"""Check for separate ramps of the two sides of a base."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
-from diffdrive_mpc.models.logs.diagnosis.streams import Streams, answer
+from diffdrive_mpc.models.logs.diagnosis.streams import Streams, fit_response
 from diffdrive_mpc.models.logs.diagnosis.wheels import SIDES, commanded_sides
 from diffdrive_mpc.models.logs.record import Finding
 
@@ -17,7 +17,7 @@ _MOST = 6_000
 
 
 def check_ramps(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """At most one note: wheels that change their speed by no more than so much a second."""
+    """Return at most one note: wheels whose speed changes at a limited rate."""
     if streams.twist is None or streams.wheels is None or streams.wheels.shape[1] != len(SIDES):
         return []
     sides = commanded_sides(streams)
@@ -26,7 +26,7 @@ def check_ramps(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
     sides, slices = sides[:_MOST], [part for part in streams.slices if part.stop <= max(_MOST, streams.slices[0].stop)]
     wheels = streams.wheels[:_MOST]
     streams = replace(streams, wheels=wheels, slices=tuple(slices))
-    plain = answer(streams, sides, wheels, settings)
+    plain = fit_response(streams, sides, wheels, settings)
     if plain is None or plain.correlation.min() < settings.weak_correlation:
         return []
     rest = 1 - float(np.mean(plain.correlation**2))
@@ -53,19 +53,19 @@ def check_ramps(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
 def _best(
     streams: Streams, inputs: FloatArray, back: FloatArray, bounds: FloatArray, settings: CheckSettings
 ) -> tuple[float, float]:
-    """Variance of the wheels that is left behind the best ramp of `inputs` (N, 2), and its rate per second."""
+    """Compute the wheels' variance unexplained by the best ramp of `inputs` (N, 2), and its rate per second."""
     best = (1.0, np.inf)
     limited = _ramped(streams, inputs, bounds * streams.dt)
     assert streams.wheels is not None
     for bound, values in zip(bounds, limited, strict=True):
-        response = answer(streams, values @ back, streams.wheels, settings, lags=settings.lags[::2])
+        response = fit_response(streams, values @ back, streams.wheels, settings, lags=settings.lags[::2])
         if response is not None:
             best = min(best, (1 - float(np.mean(response.correlation**2)), float(bound)))
     return best
 
 
 def _ramped(streams: Streams, inputs: FloatArray, steps: FloatArray) -> FloatArray:
-    """(steps, N, 2) inputs that change by at most a step a sample; stretches begin at theirs."""
+    """Limit the change of inputs per sample to a step: (steps, N, 2); stretches start at their own values."""
     result = np.repeat(inputs[None], len(steps), axis=0)
     for part in streams.slices:
         for k in range(part.start + 1, min(part.stop, len(inputs))):

@@ -1,4 +1,4 @@
-"""What is wrong with single readings and stamps: spikes, held values, plateaus, shuffled and bursty clocks."""
+"""Faults of single readings and stamps: spikes, held values, plateaus, shuffled and bursty clocks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _FEWEST = 100
 
 
 def without_spikes(raw: RawLog, settings: CheckSettings) -> RawLog:
-    """The log without readings that stand far off from those right before and after, with a finding per sensor."""
+    """Remove readings far off from those right before and after, with a finding per sensor."""
     findings = []
     stretches = list(raw.stretches)
     for sensor in ("encoders", "gyro", "pose"):
@@ -48,7 +48,7 @@ def without_spikes(raw: RawLog, settings: CheckSettings) -> RawLog:
 
 
 def _spikes(values: list[FloatArray], settings: CheckSettings) -> list[BoolArray]:
-    """Per stretch (n,) True where one or two readings leap out and back by more than readings do."""
+    """Mark (n,) one or two readings of each stretch that leap out and back by more than readings do."""
     off = [_leaps(part) for part in values]
     together, readings = np.concatenate(off), np.concatenate(values)
     if len(together) < _FEWEST:
@@ -60,7 +60,7 @@ def _spikes(values: list[FloatArray], settings: CheckSettings) -> list[BoolArray
 
 
 def _leaps(values: FloatArray) -> FloatArray:
-    """(n, width) by how much readings stand out, to the same side, from those one or two before and after."""
+    """Compute the distance (n, width) of readings to the same side from those one or two before and after."""
     leap = np.zeros_like(values)
     if not len(values):
         return leap  # a stretch in which the sensor was silent
@@ -73,7 +73,7 @@ def _leaps(values: FloatArray) -> FloatArray:
 
 
 def _without(stretch: RawStretch, fields: list[str], times: FloatArray) -> RawStretch:
-    """A stretch without what a sensor's signals read at these times."""
+    """Remove the readings of a sensor's signals at these times from a stretch."""
     measured = dict(stretch.measured)
     for name in fields:
         keep = ~np.isin(measured[name].time, times)
@@ -82,7 +82,7 @@ def _without(stretch: RawStretch, fields: list[str], times: FloatArray) -> RawSt
 
 
 def hold_period(readings: FloatArray, settings: CheckSettings) -> int | None:
-    """Rows for which each of the readings (n, width) is held; 1 where each row has its own, None where unclear.
+    """Find the number of rows for which each reading (n, width) is held; 1 without holds, None if unclear.
 
     It shows where readings change. Held ones change after one period or a multiple of it, however coarse they are; a
     period that is no whole number of rows, after one of two neighbours while the sensor changes quickly.
@@ -108,7 +108,7 @@ def hold_period(readings: FloatArray, settings: CheckSettings) -> int | None:
 
 
 def check_stamps(name: str, time: FloatArray, readings: FloatArray, settings: CheckSettings) -> Finding | None:
-    """The finding that makes stamps (n,) [s] of the rows useless as they stand; None where they run forward evenly.
+    """Return the finding that makes stamps (n,) [s] of the rows useless; None for stamps that run forward evenly.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def check_stamps(name: str, time: FloatArray, readings: FloatArray, settings: Ch
 
 
 def check_period(name: str, period: float, settings: CheckSettings) -> Finding | None:
-    """The finding for a sample time [s] that no log of a robot has; None where it is one."""
+    """Return the finding for a sample time [s] that no log of a robot has; None otherwise."""
     low, high = settings.sample_times
     if low <= period <= high:
         return None
@@ -163,7 +163,7 @@ def check_period(name: str, period: float, settings: CheckSettings) -> Finding |
 
 
 def in_degrees(heading: FloatArray) -> bool:
-    """Whether headings (n,) that are taken for radians step as only degrees do.
+    """Return True if headings (n,) declared as radians have the steps of degrees.
 
     From one reading to the next radians change by less than one and a half, or by a full turn; degrees by anything
     up to 360.

@@ -10,7 +10,7 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
 from diffdrive_mpc.models.logs.diagnosis.limits import within_limits
-from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, ENCODERS, GYRO, POSE, Streams, answer
+from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, ENCODERS, GYRO, POSE, Streams, fit_response
 from diffdrive_mpc.models.logs.mapping import FACTORS, FOUR_WHEELS, SIDES
 from diffdrive_mpc.models.logs.record import Finding, MappingChange
 from diffdrive_mpc.models.velocity_model import CHANNELS
@@ -40,7 +40,7 @@ _WHAT = {
 
 @dataclass(frozen=True)
 class _Vote:
-    """How one stream stands to the command: its size over that, and correlation at the best lag, with the size's sign.
+    """Relation of a stream to the command: ratio of magnitudes, and signed correlation at the best lag.
 
     At one speed changes alone do not tell the sign: there are few.
     """
@@ -50,7 +50,7 @@ class _Vote:
 
 
 def check_axes(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """Findings about poses whose axes, heading and motion contradict each other; mended in `streams`."""
+    """Return findings about contradictions between axes, heading and motion of poses, corrected in `streams`."""
     if streams.pose is None:
         return []
     votes = _votes(streams, 1, settings)
@@ -85,7 +85,7 @@ def check_axes(log: str, streams: Streams, settings: CheckSettings) -> list[Find
 
 
 def _turned(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """The finding where the heading of the pose is ahead of where the robot drives by an angle that stays the same.
+    """Return the finding for a constant angle between the heading of the pose and the direction of motion.
 
     A pose point beside the centre of rotation moves sideways with omega, which is left to omega.
     """
@@ -113,7 +113,7 @@ def _turned(log: str, streams: Streams, settings: CheckSettings) -> list[Finding
 
 
 def _all_swapped(log: str, votes: dict[str, _Vote], streams: Streams) -> Finding | None:
-    """The finding where gyro and pose turn against commands and encoders; mended in `streams`."""
+    """Return the finding for gyro and pose that turn against commands and encoders, corrected in `streams`."""
     body, sides = [name for name in (GYRO, POSE) if name in votes], votes.get(ENCODERS)
     if len(body) < 2 or sides is None or streams.wheels is None or sides.correlation < 0:
         return None
@@ -133,7 +133,7 @@ def _all_swapped(log: str, votes: dict[str, _Vote], streams: Streams) -> Finding
 
 
 def check_signs(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """Findings about streams that do not follow, or run against the majority; mended in `streams`, or taken out."""
+    """Return findings about unresponsive or inverted streams, which are corrected in `streams` or removed."""
     findings = []
     for channel in (0, 1):
         votes = _votes(streams, channel, settings)
@@ -156,11 +156,11 @@ def check_signs(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
             continue
         most = len(against) > 1 and len(against) == len(votes)
         for name in [COMMAND] if most else against:
-            what = _WHAT[name, channel]
+            signal = _WHAT[name, channel]
             reference = "all sensors" if most else "the command"
             both = name == ENCODERS and channel == 0 and streams.wheels is not None
             worst = min(vote.correlation for vote in votes.values()) if most else votes[name].correlation
-            words = f"{what} runs against {reference} (correlation {worst:.2f})"
+            words = f"{signal} runs against {reference} (correlation {worst:.2f})"
             turned = _signs(name, channel, streams)
             _turn(streams, name, channel)
             if both and ENCODERS in (others := _votes(streams, 1, settings)) and others[ENCODERS].correlation < 0:
@@ -182,7 +182,7 @@ def _weak(log: str, name: str, channel: int, vote: _Vote, best: float, settings:
 
 
 def check_units(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """Findings about streams whose size disagrees with the others'; mended in `streams`."""
+    """Return findings about streams whose magnitude contradicts the others, corrected in `streams`."""
     findings: list[Finding] = []
     for channel in (0, 1):
         low, high = settings.gain_of_v if channel == 0 else settings.gain_of_omega
@@ -214,17 +214,17 @@ def _sizes(streams: Streams, channel: int, settings: CheckSettings) -> dict[str,
 
 
 def _command_is_odd(streams: Streams, settings: CheckSettings) -> bool:
-    """Whether omega tells that of commanded and measured wheels the commands are in another unit."""
+    """Return True if omega shows that of commanded and measured wheels the commands are in another unit."""
     sizes = _sizes(streams, 1, settings)
     return len(sizes) > 2 and _odd_one_out(sizes, *settings.gain_of_omega) == COMMAND
 
 
 def _odd_one_out(sizes: dict[str, float], low: float, high: float) -> str | None:
-    """The stream furthest from the others' median where a robot cannot be the reason; of two, the sensor."""
+    """Find the stream furthest from the others' median beyond what a robot explains; of two, the sensor."""
     logs = {name: math.log(size) for name, size in sizes.items()}
     worst = None
     for name in sizes:
-        others = [value for other, value in logs.items() if other != name]
+        others = [value for log_name, value in logs.items() if log_name != name]
         apart = logs[name] - float(np.median(others))
         bound = (low, high) if name != COMMAND else (1 / high, 1 / low)
         outside = not math.log(bound[0]) <= apart <= math.log(bound[1])
@@ -238,7 +238,7 @@ def _odd_one_out(sizes: dict[str, float], low: float, high: float) -> str | None
 def _unit(
     log: str, name: str, channel: int, ratio: float, skids: bool, streams: Streams, settings: CheckSettings
 ) -> Finding:
-    what = _WHAT[name, channel]
+    signal = _WHAT[name, channel]
     factors = {unit: 1 / FACTORS[unit] for unit in _UNITS[name, channel]}
     radius = _radius(streams)
     wheels = (name == ENCODERS and streams.wheels is not None) or (name == COMMAND and streams.commands_wheels)
@@ -254,7 +254,7 @@ def _unit(
         if unit != "rev/s"
     }
     unit = min(apart, key=apart.__getitem__)
-    alike = [other for other in apart if apart[other] < apart[unit] + _ALIKE]
+    alike = [alternative for alternative in apart if apart[alternative] < apart[unit] + _ALIKE]
     changes: tuple[MappingChange, ...] = ()
     close = settings.unit_tolerance * (3 if skids else 1 + channel)
     against = "what the others say"
@@ -265,18 +265,18 @@ def _unit(
                 MappingChange(name, f"{column}.unit", unit.split()[0]) for column in _columns(name, channel, streams)
             )
         else:
-            units = " or ".join(f"`unit: {other}`" for other in alike)
+            units = " or ".join(f"`unit: {alternative}`" for alternative in alike)
             remedy = f"its column has {units}, which of them the log does not tell"
     elif (name == ENCODERS or wheels) and ratio > settings.most_unit_gain:
         remedy = "its columns may count ticks: `unit: ticks/s` or `unit: ticks` in the mapping, and `ticks_per_turn`"
     else:
         remedy = "no unit of the mapping explains it; check its column, its unit and the lengths under 'wheels'"
-    words = f"{what} is {ratio:.3g} times {against}; {remedy}"
+    words = f"{signal} is {ratio:.3g} times {against}; {remedy}"
     return Finding("wrong unit", "error", log, words, changes=changes)
 
 
 def _columns(name: str, channel: int, streams: Streams) -> tuple[str, ...]:
-    """Keys of the mapping for the columns of a channel."""
+    """Return the keys of the mapping for the columns of a channel."""
     if name == COMMAND:
         return SIDES if streams.commands_wheels else (CHANNELS[channel],)
     if name == ENCODERS:
@@ -289,7 +289,7 @@ def _columns(name: str, channel: int, streams: Streams) -> tuple[str, ...]:
 
 
 def _signs(name: str, channel: int, streams: Streams) -> tuple[MappingChange, ...]:
-    """The changes that turn a channel; of wheels the sides are exchanged for omega, which the mapping does."""
+    """Return the changes that invert a channel; for omega of wheels, the mapping exchanges the sides."""
     columns = _columns(name, channel, streams)
     if columns[0] in (*SIDES, *FOUR_WHEELS):
         columns = (CHANNELS[channel],)
@@ -303,7 +303,7 @@ def _si(unit: str) -> str:
 
 
 def _radius(streams: Streams) -> float | None:
-    """By which the mapping turned wheel speeds into v [m]; None without wheels."""
+    """Return the radius by which the mapping converted wheel speeds to v [m]; None without wheels."""
     if streams.wheels is None or streams.twist is None:
         return None
     mean, v = streams.wheels.mean(axis=1), streams.twist[:, 0]
@@ -313,10 +313,10 @@ def _radius(streams: Streams) -> float | None:
 
 
 def _votes(streams: Streams, channel: int, settings: CheckSettings) -> dict[str, _Vote]:
-    """How each sensor of the channel answers to the command; empty where that never changes."""
+    """Compute the relation of each sensor of the channel to the command; empty for a constant command."""
     votes = {}
     for name in streams.present(channel):
-        response = answer(streams, *streams.pair(COMMAND, name, channel), settings)
+        response = fit_response(streams, *streams.pair(COMMAND, name, channel), settings)
         if response is not None:
             votes[name] = _Vote(response.size, math.copysign(float(response.correlation[0]), response.size))
     return votes
@@ -351,7 +351,7 @@ def _scale(streams: Streams, name: str, channel: int, factor: float) -> None:
 
 
 def check_presence(log: str, streams: Streams) -> list[Finding]:
-    """Findings about sensors that never change although they are asked to; they are taken out of `streams`."""
+    """Return findings about sensors that never change under changing commands; remove them from `streams`."""
     findings = []
     for channel in (0, 1):
         command = streams.command[:, channel]

@@ -14,37 +14,37 @@ from diffdrive_mpc.models.logs.diagnosis.streams import (
     POSE,
     StreamResponse,
     Streams,
-    answer,
+    fit_response,
     foresight,
 )
 from diffdrive_mpc.models.logs.record import Finding, MappingChange
 
 
 def check_shifts(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """At most one finding about a sensor, and one about the commands."""
+    """Return at most one finding about a sensor, and one about the commands."""
     findings = _between_sensors(log, streams, settings)
     answers = _answers(streams, settings)
     return [*findings, *_commands(log, streams, answers, settings)]
 
 
 def _answers(streams: Streams, settings: CheckSettings) -> dict[tuple[str, int], StreamResponse]:
-    """How each channel of each sensor answers to its command, where it does so clearly."""
+    """Compute the clear responses of each channel of each sensor to its command."""
     answers = {}
     for channel in (0, 1):
         for name in streams.present(channel):
-            response = answer(streams, *streams.pair(COMMAND, name, channel), settings, intervals=True)
+            response = fit_response(streams, *streams.pair(COMMAND, name, channel), settings, intervals=True)
             if response is not None and abs(response.correlation[0]) > settings.clear_correlation:
                 answers[name, channel] = response
     return answers
 
 
 def _between_sensors(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """The finding for the sensor that is later or earlier than the others; it is mended in `streams`."""
+    """Return the finding for the sensor that is later or earlier than the others, corrected in `streams`."""
     apart: dict[tuple[str, str], tuple[float, float]] = {}
     for channel in (0, 1):
         for first, second in combinations(streams.present(channel), 2):
             a, b = streams.pair(first, second, channel)
-            response = answer(streams, a, b, settings, intervals=True, both_measured=True)
+            response = fit_response(streams, a, b, settings, intervals=True, both_measured=True)
             if response is None or response.correlation[0] < settings.clear_correlation:
                 continue
             if (first, second) not in apart or channel == 1:  # turns are sharper than straights
@@ -66,7 +66,7 @@ def _between_sensors(log: str, streams: Streams, settings: CheckSettings) -> lis
     late, deviation = (float(np.mean([part[i] for part in signed])) for i in (0, 1))
     if abs(late) <= settings.sensor_shift:
         return []  # later than one and earlier than another: not shifted against both
-    others = sorted({other for pair in shifted for other in pair} - {name})
+    others = sorted({sensor for pair in shifted for sensor in pair} - {name})
     words = (
         f"the {name} is {abs(late):.2f} +- {1.96 * deviation:.2f} s {'later' if late > 0 else 'earlier'} than the "
         f"{' and the '.join(others)}"
@@ -83,7 +83,7 @@ def _lagging(
     streams: Streams,
     settings: CheckSettings,
 ) -> Finding | None:
-    """The finding where a lag tells the sensors apart clearly better than a shift does; None where it does not."""
+    """Return the finding if a lag explains the difference of sensors clearly better than a shift; None otherwise."""
     rests, lags, later = [], [], set()
     for (first, second), (shift, _) in shifted.items():
         if name not in (first, second):
@@ -91,11 +91,11 @@ def _lagging(
         early, late = (first, second) if shift > 0 else (second, first)
         channel = 1 if all(sensor in streams.present(1) for sensor in (early, late)) else 0
         pair = streams.pair(early, late, channel)
-        plain = answer(streams, *pair, settings, both_measured=True)
-        behind = answer(streams, *pair, settings, both_measured=True, lags=settings.lags)
+        plain = fit_response(streams, *pair, settings, both_measured=True)
+        behind = fit_response(streams, *pair, settings, both_measured=True, lags=settings.lags)
         if plain is None or behind is None:
             return None
-        rests.append([1 - float(of.correlation[0]) ** 2 for of in (behind, plain)])
+        rests.append([1 - float(response.correlation[0]) ** 2 for response in (behind, plain)])
         lags.append(2 * behind.lag)
         later.add(late)
     behind_rest, plain_rest = np.mean(rests, axis=0)
@@ -122,7 +122,7 @@ def _lagging(
 
 
 def _odd_one(shifted: dict[tuple[str, str], tuple[float, float]], streams: Streams, settings: CheckSettings) -> str:
-    """The sensor in most of the pairs; of two the one that comes before its command, or else the later."""
+    """Find the sensor in most of the pairs; of two, the one that precedes its command, or else the later one."""
     names = sorted({name for pair in shifted for name in pair})
     counts = [sum(name in pair for pair in shifted) for name in names]
     if len(names) > 2 and counts.count(max(counts)) == 1:
@@ -150,8 +150,10 @@ def _commands(
         return []
     times = [response.dead_time for response in answers.values()]
     middle, scatter = float(np.median(times)), float(np.ptp(times) / 2 if len(times) > 1 else 0.0)
-    own = np.array([response.deviation for response in answers.values()])
-    deviation = float(np.hypot(scatter, np.nan_to_num(np.nanmedian(own)) if np.isfinite(own).any() else 0.0))
+    deviations = np.array([response.deviation for response in answers.values()])
+    deviation = float(
+        np.hypot(scatter, np.nan_to_num(np.nanmedian(deviations)) if np.isfinite(deviations).any() else 0.0)
+    )
     # Certain to come first, not by chance: of a short drive the sensors say different things.
     early = middle + 2 * deviation < 0
     if early and middle < -settings.earliest_response and _foreseen(streams, answers, settings):
@@ -171,7 +173,7 @@ def _commands(
 
 
 def _foreseen(streams: Streams, answers: dict[tuple[str, int], StreamResponse], settings: CheckSettings) -> bool:
-    """Whether sensors tell commands that are still to come: a lag of another shape can look like a lead."""
+    """Return True if sensors react to later commands; a lag of another shape can look like a lead."""
     shares = []
     for name, channel in answers:
         command, values = streams.channel(COMMAND, channel), streams.channel(name, channel)

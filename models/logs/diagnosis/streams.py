@@ -58,7 +58,7 @@ class Streams:
     commands_wheels: bool = False
 
     def channel(self, name: str, channel: int) -> FloatArray | None:
-        """(N,) v (0) or omega (1) of a stream; None where it has none. Those of the pose are means over its window."""
+        """Return v (0) or omega (1) of a stream (N,), or None; those of the pose are means over its window."""
         if name == COMMAND:
             return self.command[:, channel]
         if name == ENCODERS:
@@ -72,7 +72,7 @@ class Streams:
         return np.asarray(along.real if channel == 0 else step[:, 2])
 
     def motion(self) -> FloatArray:
-        """(N, 3) rates of x, y, theta of the pose, as central differences over its window."""
+        """Compute rates of x, y, theta of the pose (N, 3) by central differences over its window."""
         assert self.pose is not None
         rates = np.full_like(self.pose, np.nan)
         r = self.reach
@@ -80,11 +80,11 @@ class Streams:
         return rates
 
     def present(self, channel: int) -> list[str]:
-        """Sensors that measure the channel."""
+        """List the sensors that measure the channel."""
         return [name for name in SENSORS if self.channel(name, channel) is not None]
 
     def moving(self, channel: int) -> list[str]:
-        """Sensors that measure the channel itself: all but poses, which are its integral."""
+        """List the sensors that measure the channel itself: all but poses, which are its integral."""
         return [name for name in self.present(channel) if name != POSE]
 
     def each(self, function: Callable[[FloatArray], FloatArray], values: FloatArray) -> FloatArray:
@@ -95,7 +95,7 @@ class Streams:
         return result
 
     def delayed(self, values: FloatArray, seconds: float) -> FloatArray:
-        """Values (N, ...) that come `seconds` later, inside each stretch."""
+        """Delay values (N, ...) by `seconds` inside each stretch."""
         count = round(seconds / self.dt)
 
         def shift(part: FloatArray) -> FloatArray:
@@ -105,7 +105,7 @@ class Streams:
         return self.each(shift, values) if count else values
 
     def lagged(self, values: FloatArray, lag: float) -> FloatArray:
-        """Values (N, ...) behind two equal lags [s]; each stretch begins settled."""
+        """Filter values (N, ...) by two equal lags [s]; each stretch starts settled."""
         if lag == 0:
             return values
         keep = np.exp(-self.dt / lag)
@@ -120,7 +120,7 @@ class Streams:
         return self.each(low_pass, values)
 
     def smoothed(self, values: FloatArray) -> FloatArray:
-        """Values (N, ...) as means over the pose's window, to be held against the pose."""
+        """Average values (N, ...) over the pose's window, to compare them with the pose."""
         known = np.isfinite(values)
 
         def mean(part: FloatArray) -> FloatArray:
@@ -130,7 +130,7 @@ class Streams:
         return np.asarray(np.where(known, total / np.maximum(weight, 1e-9), np.nan))
 
     def pair(self, first: str, second: str, channel: int) -> tuple[FloatArray, FloatArray]:
-        """(N,) and (N,) v (0) or omega (1) of two streams that have it; beside the pose the other is a mean as well."""
+        """Return v (0) or omega (1) of two streams, (N,) and (N,); next to the pose the other is averaged, too."""
         a, b = self.channel(first, channel), self.channel(second, channel)
         assert a is not None and b is not None
         if POSE not in (first, second):
@@ -138,7 +138,7 @@ class Streams:
         return a if first == POSE else self.smoothed(a), b if second == POSE else self.smoothed(b)
 
     def inside(self, values: FloatArray, seconds: float) -> FloatArray:
-        """Values (N, ...) without the first and last `seconds` of each stretch, of short ones without a third."""
+        """Crop `seconds` at both ends of each stretch of values (N, ...), and a third of short ones."""
 
         def trim(part: FloatArray) -> FloatArray:
             count = min(round(seconds / self.dt), len(part) // 6)
@@ -150,7 +150,7 @@ class Streams:
 
 
 def _bridged(values: FloatArray) -> FloatArray:
-    """Values (n, ...) with straight lines where there are none."""
+    """Interpolate missing values (n, ...) linearly."""
     if np.isfinite(values).all():
         return values
     rows = np.arange(len(values))
@@ -160,7 +160,7 @@ def _bridged(values: FloatArray) -> FloatArray:
 
 
 def streams_of(records: Sequence[Record], settings: CheckSettings) -> Streams:
-    """The streams that all records hold, of stretches long enough to say something."""
+    """Build the streams of all records from stretches that are long enough."""
     stride = max(1, round(settings.compared_every / records[0].dt))
     dt = stride * records[0].dt
     counts = [-(-len(record.command) // stride) for record in records]
@@ -201,7 +201,7 @@ def streams_of(records: Sequence[Record], settings: CheckSettings) -> Streams:
 
 
 def _covered(fresh: BoolArray) -> BoolArray:
-    """(K,) True on and between readings that are not much further apart than usual."""
+    """Mark samples (K,) on and between readings with usual distances."""
     samples = np.flatnonzero(fresh)
     covered = np.zeros(len(fresh), dtype=bool)
     if len(samples) < 2:
@@ -215,7 +215,7 @@ def _covered(fresh: BoolArray) -> BoolArray:
 
 @dataclass(frozen=True)
 class StreamResponse:
-    """How a stream answers to another.
+    """Response of a stream to another.
 
     Attributes
     ----------
@@ -244,7 +244,7 @@ class StreamResponse:
         return self.dead_time + 2 * self.lag
 
 
-def answer(
+def fit_response(
     streams: Streams,
     inputs: FloatArray,
     outputs: FloatArray,
@@ -254,7 +254,7 @@ def answer(
     both_measured: bool = False,
     lags: Sequence[float] | None = None,
 ) -> StreamResponse | None:
-    """How `outputs` (N,) or (N, m) answer to `inputs` (N,) or (N, c); None where either never changes.
+    """Fit the response of `outputs` (N,) or (N, m) to `inputs` (N,) or (N, c); None if either is constant.
 
     Commands go through two equal lags and a dead time, which may be negative; between two sensors, `both_measured`,
     there is a shift alone, unless `lags` are given. The correlations with all shifts come from Fourier transforms, over
@@ -284,21 +284,21 @@ def answer(
         return None
     _, lag, strength = best
     behind = lagged(lag)
-    at = int(np.argmax(strength))
-    gain, correlation = _regress(behind, y, low + at)
+    index = int(np.argmax(strength))
+    gain, correlation = _regress(behind, y, low + index)
     deviation = np.nan
     if intervals:
         edges = np.linspace(0, len(u), _BLOCKS + 1).astype(int)
         parts = [_strength(behind[a:b], y[a:b], low, high) for a, b in pairwise(edges)]
         peaks = [_peak(part, low) for part in parts if part is not None and part.max() > 0.5 * strength.max()]
         deviation = streams.dt * float(np.std(peaks) / np.sqrt(len(peaks))) if len(peaks) > 1 else np.nan
-    before, after = (part[:, 0] for part in paired(behind, y, low + at))
+    before, after = (part[:, 0] for part in paired(behind, y, low + index))
     size = float(before @ after) / max(float(before @ before), 1e-300)
     return StreamResponse(streams.dt * _peak(strength, low), deviation, lag, gain, correlation, size)
 
 
 def _with_heads(streams: Streams, u: FloatArray, y: FloatArray, settings: CheckSettings) -> tuple[FloatArray, Streams]:
-    """Inputs with what was in force before each stretch: what its first readings ask for, by the steady gains.
+    """Extend inputs by the command before each stretch, which follows from its first readings and the steady gains.
 
     Where every stretch is one step of the command, the rise at its beginning is all that tells a dead time.
     """
@@ -318,7 +318,7 @@ def _with_heads(streams: Streams, u: FloatArray, y: FloatArray, settings: CheckS
 
 
 def _strength(u: FloatArray, y: FloatArray, low: int, high: int) -> FloatArray | None:
-    """(lags,) share of the variance of y (N, m) that u (N, c) so many samples before explains, mean over m.
+    """Compute the share (lags,) of the variance of y (N, m) that u (N, c) explains at each lag, mean over m.
 
     With one input a negative gain counts only where the positive one explains clearly less: a drive that repeats
     itself looks much the same half a period later, turned round.
@@ -353,17 +353,17 @@ def _strength(u: FloatArray, y: FloatArray, low: int, high: int) -> FloatArray |
 
 
 def _peak(strength: FloatArray, low: int) -> float:
-    """Place of the largest entry [samples], between samples by the parabola through its neighbours."""
-    at = int(np.argmax(strength))
-    if 0 < at < len(strength) - 1:
-        left, middle, right = strength[at - 1 : at + 2]
+    """Find the place of the largest entry [samples], refined by the parabola through its neighbours."""
+    index = int(np.argmax(strength))
+    if 0 < index < len(strength) - 1:
+        left, middle, right = strength[index - 1 : index + 2]
         if left > 0 and right > 0 and left - 2 * middle + right < 0:
-            return low + at + 0.5 * float((left - right) / (left - 2 * middle + right))
-    return float(low + at)
+            return low + index + 0.5 * float((left - right) / (left - 2 * middle + right))
+    return float(low + index)
 
 
 def paired(u: FloatArray, y: FloatArray, shift: int) -> tuple[FloatArray, FloatArray]:
-    """Rows of u and, `shift` samples later, of y, where both are finite."""
+    """Pair rows of u with rows of y `shift` samples later, where both are finite."""
     if shift >= 0:
         u, y = u[: len(u) - shift], y[shift:]
     else:
@@ -384,7 +384,7 @@ def _regress(u: FloatArray, y: FloatArray, shift: int) -> tuple[FloatArray, Floa
 
 
 def foresight(streams: Streams, inputs: FloatArray, outputs: FloatArray, settings: CheckSettings) -> float:
-    """Share of what past commands leave unexplained of `outputs` (N,) that commands still to come explain.
+    """Compute the share of the variance of `outputs` (N,), unexplained by past commands, that later commands explain.
 
     The past is a basis of lags and dead times wide enough for any base; no robot knows the future.
     """

@@ -1,4 +1,4 @@
-"""Whether the encoders of the two sides are what the mapping says: dead, reversed, exchanged, uneven, or counts."""
+"""Faults of the encoders of both sides: dead, reversed, exchanged, uneven, or counts."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
 from diffdrive_mpc.models.logs.diagnosis.agreement import cut
-from diffdrive_mpc.models.logs.diagnosis.streams import StreamResponse, Streams, answer
+from diffdrive_mpc.models.logs.diagnosis.streams import StreamResponse, Streams, fit_response
 from diffdrive_mpc.models.logs.record import Finding, MappingChange
 
 SIDES = ("left", "right")
@@ -15,7 +15,7 @@ _NAMES = {2: SIDES, 4: ("front_left", "front_right", "rear_left", "rear_right")}
 
 
 def check_wheels(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """At most one finding about the encoders; they are mended in `streams`, or taken out."""
+    """Return at most one finding about the encoders, which are corrected in `streams` or removed."""
     if streams.twist is None:
         return []
     check = _sides_of_twist if streams.wheels is None else _each_wheel
@@ -24,11 +24,11 @@ def check_wheels(log: str, streams: Streams, settings: CheckSettings) -> list[Fi
 
 
 def check_order(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """At most one finding: encoders whose sides are exchanged from some time on."""
+    """Return at most one finding: encoders whose sides are exchanged from some time on."""
     if streams.twist is None or streams.wheels is None:
         return []
     command, omega = streams.command[:, 1], streams.twist[:, 1]
-    plain = answer(streams, command, omega, settings)
+    plain = fit_response(streams, command, omega, settings)
     if plain is None or abs(plain.correlation[0]) > settings.clear_correlation:
         return []
     known = np.flatnonzero(np.isfinite(streams.time))
@@ -36,39 +36,39 @@ def check_order(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
 
     def correlation(start: int) -> float:
         turned = np.where(np.arange(len(omega)) < start, omega, -omega)
-        response = answer(streams, command, turned, settings)
+        response = fit_response(streams, command, turned, settings)
         return 0.0 if response is None else abs(float(response.correlation[0]))
 
     each = [correlation(int(start)) for start in starts]
-    at = int(np.argmax(each))
-    if each[at] < settings.clear_correlation:
+    index = int(np.argmax(each))
+    if each[index] < settings.clear_correlation:
         return []
     # Each part has to follow by itself, one of them the other way: a change of speed and a steady stretch after it tell
     # no order.
-    before = np.arange(len(omega)) < starts[at]
-    parts = [answer(streams, command, np.where(part, omega, np.nan), settings) for part in (before, ~before)]
+    before = np.arange(len(omega)) < starts[index]
+    parts = [fit_response(streams, command, np.where(part, omega, np.nan), settings) for part in (before, ~before)]
     alone = [0.0 if part is None else float(part.correlation[0]) for part in parts]
     if min(np.abs(alone)) < settings.clear_correlation or alone[0] * alone[1] > 0.0:
         return []
     times = streams.time[starts]
     words = (
-        f"left and right of the encoders change places at about {times[at]:.0f} s, from then on omega runs the other "
-        "way: the order of the joints changed; cut the log there and identify from one part"
+        f"left and right of the encoders change places at about {times[index]:.0f} s, from then on omega runs the "
+        "other way: the order of the joints changed; cut the log there and identify from one part"
     )
-    return [Finding("order change", "error", log, words, *cut(times, at))]
+    return [Finding("order change", "error", log, words, *cut(times, index))]
 
 
 def check_counts(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """At most one finding: encoders whose columns count; they are taken out of `streams`."""
+    """Return at most one finding: encoders whose columns are counts; they are removed from `streams`."""
     if streams.twist is None:
         return []
-    response = answer(streams, streams.command, streams.twist, settings)
+    response = fit_response(streams, streams.command, streams.twist, settings)
     if response is None or response.correlation.max() > settings.clear_correlation:
         return []
     rate = streams.each(
         lambda part: np.gradient(part, streams.dt, axis=0) if len(part) > 1 else part * np.nan, streams.twist
     )
-    instead = answer(streams, streams.command, rate, settings)
+    instead = fit_response(streams, streams.command, rate, settings)
     if instead is None or instead.correlation.min() < settings.clear_correlation:
         return []
     streams.twist = streams.wheels = None
@@ -80,7 +80,7 @@ def check_counts(log: str, streams: Streams, settings: CheckSettings) -> list[Fi
 
 
 def _each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Finding | None:
-    """By how each wheel follows what was commanded of the two sides."""
+    """Return the finding from the response of each wheel to the commands of both sides."""
     assert streams.wheels is not None and streams.twist is not None
     names = _NAMES[streams.wheels.shape[1]]
     present = np.isfinite(streams.wheels).all(axis=1)
@@ -94,16 +94,16 @@ def _each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Finding 
         streams.twist = streams.wheels = None
         return Finding("dead wheel", "error", log, words)
     sides = commanded_sides(streams)
-    response = None if sides is None else answer(streams, sides, streams.wheels, settings)
+    response = None if sides is None else fit_response(streams, sides, streams.wheels, settings)
     if sides is None or response is None or response.correlation.max() < settings.clear_correlation:
         return None
     gain = response.gain.T  # rows: wheels; columns: commanded left, right
-    own = np.array([gain[i, i % 2] for i in range(len(names))])
-    other = np.array([gain[i, 1 - i % 2] for i in range(len(names))])
+    direct = np.array([gain[i, i % 2] for i in range(len(names))])
+    crossed = np.array([gain[i, 1 - i % 2] for i in range(len(names))])
     # On a circle what is commanded of one side is that of the other but for a factor: which it follows cannot be told.
     distinct = not _one_motion(sides, settings)
-    if distinct and (np.abs(other) > 2 * np.abs(own)).all():
-        if (other < 0).all():
+    if distinct and (np.abs(crossed) > 2 * np.abs(direct)).all():
+        if (crossed < 0).all():
             return None  # both sides exchanged and reversed: a robot that drives backwards, told by the sign of v
         streams.twist = streams.twist * [1.0, -1.0]
         words = (
@@ -111,7 +111,7 @@ def _each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Finding 
             "the encoders, or of the commands"
         )
         return Finding("swapped sides", "error", log, words, changes=(MappingChange("encoders", "sides", "exchanged"),))
-    strong = (np.abs(own) > np.abs(other)) | (not distinct)
+    strong = (np.abs(direct) > np.abs(crossed)) | (not distinct)
     # Where both sides move much alike, gains of both at once scatter widely; by its own side alone a wheel is told.
     alone = np.array([_size_of_one(streams, sides[:, i % 2], i, settings) for i in range(len(names))])
     reversed_ = strong & (alone < 0)
@@ -127,7 +127,7 @@ def _each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Finding 
     lengths, (low, high) = np.abs(alone), settings.gain_of_v
     apart = lengths.min() * settings.uneven_wheels < lengths.max()
     if distinct:
-        apart &= np.abs(own).min() * settings.uneven_wheels < np.abs(own).max()
+        apart &= np.abs(direct).min() * settings.uneven_wheels < np.abs(direct).max()
     else:
         apart &= ((low < lengths) & (lengths < high)).any()
     if strong.all() and apart:
@@ -145,7 +145,7 @@ def _each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Finding 
 
 def _size_of_one(streams: Streams, side: FloatArray, wheel: int, settings: CheckSettings) -> float:
     assert streams.wheels is not None
-    response = answer(streams, side, streams.wheels[:, wheel], settings)
+    response = fit_response(streams, side, streams.wheels[:, wheel], settings)
     return np.nan if response is None else response.size
 
 
@@ -155,12 +155,12 @@ def _one_motion(sides: FloatArray, settings: CheckSettings) -> bool:
 
 
 def _odd_side(response: StreamResponse) -> int:
-    """Of two, the side whose gain is further from one."""
+    """Return the side whose gain is further from one."""
     return int(np.argmax(np.abs(np.log(np.abs(np.diag(response.gain))))))
 
 
 def commanded_sides(streams: Streams) -> FloatArray | None:
-    """(N, 2) commanded speeds of the two sides [m/s over the wheels' radius]; by the track behind the log's omega."""
+    """Compute commanded speeds (N, 2) of the two sides [m/s over the radius], by the track of the log's omega."""
     assert streams.wheels is not None and streams.twist is not None
     present = np.isfinite(streams.wheels).all(axis=1) & np.isfinite(streams.twist).all(axis=1)
     wheels, twist = streams.wheels[present], streams.twist[present]
@@ -179,7 +179,7 @@ def commanded_sides(streams: Streams) -> FloatArray | None:
 
 
 def _sides_of_twist(log: str, streams: Streams, settings: CheckSettings) -> Finding | None:
-    """Without wheels: a dead side makes v and omega of the encoders one and the same."""
+    """Return the finding for a dead side in a log without wheels, which makes v and omega proportional."""
     assert streams.twist is not None
     present = np.isfinite(streams.twist).all(axis=1) & np.isfinite(streams.command).all(axis=1)
     twist, command = streams.twist[present], streams.command[present]

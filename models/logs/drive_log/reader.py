@@ -69,18 +69,18 @@ class DriveLog:
 
     @property
     def measurements(self) -> tuple[Measurement, ...]:
-        """What the controller was given at each tick, bit for bit."""
+        """Measurements of the controller at each tick, bit for bit."""
         return tuple(measurement_of(row) for row in self.rows)
 
     @property
     def pose_sensor(self) -> bool:
-        """Whether the poses are a sensor's own; otherwise they are the odometry's, summed up from the same wheels."""
+        """True if the poses come from a sensor; otherwise they are odometry from the wheels."""
         return self.metadata.get("layout", {}).get("poses") != "odometry"
 
 
 @dataclass
 class _Found:
-    """What was read so far."""
+    """Content read so far."""
 
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     rows: list[tuple[int, TickRow]] = field(default_factory=list)
@@ -90,7 +90,7 @@ class _Found:
 
 
 def is_drive_log(path: Path) -> bool:
-    """Whether the path is that of an MCAP file that holds a drive."""
+    """Return True if the path is that of an MCAP file with a drive."""
     if path.suffix != ".mcap" or not path.is_file():
         return False
     try:
@@ -129,12 +129,12 @@ def read_drive_log(path: str | Path, *, plans: bool = False) -> DriveLog:
     if not content.rows:
         raise ConfigError(f"{path}: no tick in it: there is no message on {topic.STATE}")
     rows = tuple(row for _, row in content.rows)
-    kept = tuple(content.plans.get(now) for now, _ in content.rows) if plans else ()
-    return DriveLog(path, content.metadata, rows, kept, content.cut)
+    log_plans = tuple(content.plans.get(now) for now, _ in content.rows) if plans else ()
+    return DriveLog(path, content.metadata, rows, log_plans, content.cut)
 
 
 def messages(path: Path) -> Iterator[McapMessage]:
-    """Every message in the order of the file, as far as it goes."""
+    """Yield every message in the order of the file, up to damage."""
     try:
         yield from (content for content in mcap_content(path) if isinstance(content, McapMessage))
     except ValueError:
@@ -198,21 +198,21 @@ def read_drive(path: Path, mapping: LogMapping | None = None) -> RawLog:
     return replace(raw, findings=(*_cut(log), *raw.findings))
 
 
-def _columns(log: DriveLog, mapping: LogMapping | None, there: set[str]) -> Columns:
-    """The mapping without the sensors that did not read, or that only sum up others."""
+def _columns(log: DriveLog, mapping: LogMapping | None, names: set[str]) -> Columns:
+    """Remove sensors without readings, or derived from others, from the mapping."""
     columns = (mapping or load_mapping(OWN_FORMAT)).columns
     assert columns is not None
     encoders = columns.encoders
-    if encoders is not None and "wheel_fl_rad_s" not in there:
+    if encoders is not None and "wheel_fl_rad_s" not in names:
         encoders = encoders.model_copy(update=dict.fromkeys(FOUR_WHEELS))
     by_name = {
-        "encoders": encoders if "v_wheel_m_s" in there else None,
-        "gyro": columns.gyro if "omega_gyro_rad_s" in there else None,
-        "pose": columns.pose if "pose_x_m" in there and log.pose_sensor else None,
+        "encoders": encoders if "v_wheel_m_s" in names else None,
+        "gyro": columns.gyro if "omega_gyro_rad_s" in names else None,
+        "pose": columns.pose if "pose_x_m" in names and log.pose_sensor else None,
     }
     if not any(by_name.values()):
         raise ConfigError(f"{log.path}: no sensor has a reading in it")
-    return columns.model_copy(update=by_name).found_in(there)
+    return columns.model_copy(update=by_name).found_in(names)
 
 
 def _cut(log: DriveLog) -> tuple[Finding, ...]:

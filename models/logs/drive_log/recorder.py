@@ -67,7 +67,7 @@ def _receive(link: socket.socket, waiting: queue.Queue[bytes]) -> None:
 
 
 def _new(path: Path) -> Any:  # noqa: ANN401 - an open file
-    """A new file of this name, or of the next that is free."""
+    """Create a file of this name, or of the next free name."""
     path.parent.mkdir(parents=True, exist_ok=True)
     names = (path.with_stem(f"{path.stem}-{number}") if number else path for number in range(1000))
     for name in names:
@@ -138,18 +138,18 @@ class DriveRecorder:
         self._hear(patience)
 
     def prepare(self, method: str, now: int, *arguments: object, **named: object) -> None:
-        """Have a method of `DriveWriter` called with the next `hand`: its name, the time [ns], what else it takes."""
+        """Prepare a call of a method of `DriveWriter` for the next `hand`: name, time [ns], arguments."""
         self._prepared.append((method, now, arguments, named))
 
     def hand(self, method: str, now: int, *arguments: object, **named: object) -> None:
-        """Have it called now, after what was prepared, in one parcel: what is sent takes longer than what is in it."""
+        """Send a call and the prepared ones at once, since sending takes longer than its content."""
         self.prepare(method, now, *arguments, **named)
         if not self.fault:
             self._send(self._prepared)
         self._prepared = []
 
     def poll(self) -> None:
-        """Hear whether recording has ended."""
+        """Check for the end of recording."""
         if not self.fault:
             self._hear(0.0)
 

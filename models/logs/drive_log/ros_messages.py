@@ -31,32 +31,32 @@ def _store() -> Any:  # noqa: ANN401 - its classes are made when it is
 
 
 def definition(kind: str) -> bytes:
-    """The text that defines a message type, those that it holds included."""
+    """Return the text that defines a message type, with the types in it."""
     return str(_store().generate_msgdef(kind, ros_version=2)[0]).encode()
 
 
 def serialized(kind: str, message: Message) -> bytes:
-    """A message as CDR."""
+    """Serialise a message as CDR."""
     return bytes(_store().serialize_cdr(message, kind))
 
 
 def decoded(kind: str, data: bytes) -> Message:
-    """The message in CDR bytes."""
+    """Decode the message in CDR bytes."""
     return _store().deserialize_cdr(data, kind)
 
 
 def command(now: int, twist: Numbers) -> Message:
-    """TwistStamped in the robot's frame: v [m/s], omega [rad/s] at `now` [ns]."""
+    """Build TwistStamped in the robot's frame: v [m/s], omega [rad/s] at `now` [ns]."""
     return _make("geometry_msgs/msg/TwistStamped", header=_header(now, BASE), twist=_twist(twist[0], 0.0, twist[1]))
 
 
 def true_twist(now: int, twist: Numbers) -> Message:
-    """TwistStamped in the robot's frame: forward, lateral speed [m/s], yaw rate [rad/s]."""
+    """Build TwistStamped in the robot's frame: forward, lateral speed [m/s], yaw rate [rad/s]."""
     return _make("geometry_msgs/msg/TwistStamped", header=_header(now, BASE), twist=_twist(*twist))
 
 
 def odometry(stamp: int, pose: ArrayLike | None, twist: Stamped) -> Message:
-    """Odometry: twist of the wheels (2,), pose (3,) in odom.
+    """Build Odometry: twist of the wheels (2,), pose (3,) in odom.
 
     A covariance of zeros means that none is known, as usual in ROS; that of a summed pose never is.
     """
@@ -76,7 +76,7 @@ def odometry(stamp: int, pose: ArrayLike | None, twist: Stamped) -> Message:
 
 
 def imu(stamp: int, yaw_rate: Stamped) -> Message:
-    """Imu with a yaw rate (); orientation and acceleration are marked as not measured."""
+    """Build Imu with a yaw rate (); orientation and acceleration are marked as not measured."""
     none, turning = np.zeros(9), np.zeros(9)
     none[0] = -1.0
     if yaw_rate.covariance is not None:
@@ -94,7 +94,7 @@ def imu(stamp: int, yaw_rate: Stamped) -> Message:
 
 
 def sensed_pose(stamp: int, pose: Stamped) -> Message:
-    """PoseWithCovarianceStamped in map of a pose (3,)."""
+    """Build PoseWithCovarianceStamped in map of a pose (3,)."""
     return _make(
         "geometry_msgs/msg/PoseWithCovarianceStamped",
         header=_header(stamp, MAP),
@@ -103,7 +103,7 @@ def sensed_pose(stamp: int, pose: Stamped) -> Message:
 
 
 def joint_state(stamp: int, speeds: Stamped) -> Message:
-    """JointState with the speeds (4,) of the wheels [rad/s]."""
+    """Build JointState with the speeds (4,) of the wheels [rad/s]."""
     empty = np.empty(0)
     return _make(
         "sensor_msgs/msg/JointState",
@@ -116,7 +116,7 @@ def joint_state(stamp: int, speeds: Stamped) -> Message:
 
 
 def battery_state(now: int, voltage: float, current: float) -> Message:
-    """BatteryState: voltage [V], and the current that it gives [A], which is negative there; the rest is not known."""
+    """Build BatteryState: voltage [V], and its output current [A], which is negative there; the rest is unknown."""
     unknown = math.nan
     return _make(
         "sensor_msgs/msg/BatteryState",
@@ -140,35 +140,37 @@ def battery_state(now: int, voltage: float, current: float) -> Message:
 
 
 def motor_currents(currents: Numbers) -> Message:
-    """Float64MultiArray: front left, front right, rear left, rear right [A]."""
+    """Build Float64MultiArray: front left, front right, rear left, rear right [A]."""
     layout = _make("std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
     return _make("std_msgs/msg/Float64MultiArray", layout=layout, data=np.array(currents, dtype=float))
 
 
-def pose(now: int, at: Numbers, frame: str) -> Message:
-    """PoseStamped: x [m], y [m], theta [rad]."""
-    return _make("geometry_msgs/msg/PoseStamped", header=_header(now, frame), pose=_pose(at))
+def pose(now: int, place: Numbers, frame: str) -> Message:
+    """Build PoseStamped: x [m], y [m], theta [rad]."""
+    return _make("geometry_msgs/msg/PoseStamped", header=_header(now, frame), pose=_pose(place))
 
 
 def path(now: int, stamps: Sequence[int], poses: Sequence[Numbers], frame: str) -> Message:
-    """Path of poses (n, 3) with a stamp [ns] each."""
-    places = [pose(stamp, at, frame) for stamp, at in zip(stamps, poses, strict=True)]
+    """Build Path of poses (n, 3) with a stamp [ns] each."""
+    places = [pose(stamp, place, frame) for stamp, place in zip(stamps, poses, strict=True)]
     return _make("nav_msgs/msg/Path", header=_header(now, frame), poses=places)
 
 
 def vector(now: int, values: Numbers) -> Message:
-    """Vector3Stamped in the robot's frame."""
+    """Build Vector3Stamped in the robot's frame."""
     return _make("geometry_msgs/msg/Vector3Stamped", header=_header(now, BASE), vector=_vector(*values))
 
 
 def text(words: str) -> Message:
-    """String."""
+    """Build String."""
     return _make("std_msgs/msg/String", data=words)
 
 
-def transform(now: int, at: Numbers, frame: str) -> Message:
-    """TFMessage with the robot's pose (3,) in `frame`."""
-    moved = _make("geometry_msgs/msg/Transform", translation=_vector(at[0], at[1], 0.0), rotation=_rotation(at[2]))
+def transform(now: int, place: Numbers, frame: str) -> Message:
+    """Build TFMessage with the robot's pose (3,) in `frame`."""
+    moved = _make(
+        "geometry_msgs/msg/Transform", translation=_vector(place[0], place[1], 0.0), rotation=_rotation(place[2])
+    )
     kind = "geometry_msgs/msg/TransformStamped"
     return _make(
         "tf2_msgs/msg/TFMessage",
@@ -177,7 +179,7 @@ def transform(now: int, at: Numbers, frame: str) -> Message:
 
 
 def diagnostics(now: int, level: int, words: str, values: Mapping[str, str]) -> Message:
-    """DiagnosticArray with one status, named as the node names it; level 0 is good, 1 a warning, 2 an error."""
+    """Build DiagnosticArray with one status, named as the node names it; level 0 is good, 1 a warning, 2 an error."""
     pairs = [_make("diagnostic_msgs/msg/KeyValue", key=key, value=value) for key, value in values.items()]
     status = _make(
         "diagnostic_msgs/msg/DiagnosticStatus",
@@ -191,7 +193,7 @@ def diagnostics(now: int, level: int, words: str, values: Mapping[str, str]) -> 
 
 
 def planar(message: Message) -> tuple[float, float, float]:
-    """X [m], y [m], theta [rad] of a Pose that lies in the plane."""
+    """Extract x [m], y [m], theta [rad] of a planar Pose."""
     return message.position.x, message.position.y, 2.0 * math.atan2(message.orientation.z, message.orientation.w)
 
 
@@ -216,14 +218,14 @@ def _rotation(theta: float) -> Message:
     return _make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=math.sin(theta / 2), w=math.cos(theta / 2))
 
 
-def _pose(at: Numbers) -> Message:
-    place = _make("geometry_msgs/msg/Point", x=at[0], y=at[1], z=0.0)
-    return _make("geometry_msgs/msg/Pose", position=place, orientation=_rotation(at[2]))
+def _pose(coordinates: Numbers) -> Message:
+    place = _make("geometry_msgs/msg/Point", x=coordinates[0], y=coordinates[1], z=0.0)
+    return _make("geometry_msgs/msg/Pose", position=place, orientation=_rotation(coordinates[2]))
 
 
-def _with_covariance(at: ArrayLike, covariance: ArrayLike | None) -> Message:
+def _with_covariance(coordinates: ArrayLike, covariance: ArrayLike | None) -> Message:
     kind = "geometry_msgs/msg/PoseWithCovariance"
-    return _make(kind, pose=_pose(_list(at)), covariance=_covariance(covariance, _PLANE))
+    return _make(kind, pose=_pose(_list(coordinates)), covariance=_covariance(covariance, _PLANE))
 
 
 def _list(values: ArrayLike) -> list[float]:
@@ -232,7 +234,7 @@ def _list(values: ArrayLike) -> list[float]:
 
 
 def _covariance(known: ArrayLike | None, rows: tuple[int, ...]) -> FloatArray:
-    """(36,) row by row, zero where nothing is known."""
+    """Build a covariance (36,) row by row, with zeros for unknown entries."""
     whole = np.zeros((6, 6))
     if known is not None:
         whole[np.ix_(rows, rows)] = known

@@ -36,8 +36,8 @@ class _Sensor(NamedTuple):
 
 
 _SENSORS = {
-    one.field: one
-    for one in (
+    described.field: described
+    for described in (
         _Sensor(
             "pose",
             tuple(f"pose_{part}" for part in _PARTS),
@@ -57,7 +57,10 @@ _SENSORS = {
 
 TOLD = tuple(
     dict.fromkeys(
-        name for one in _SENSORS.values() for name in (one.time, *one.covariance) if one.field != "wheel_speeds"
+        name
+        for described in _SENSORS.values()
+        for name in (described.time, *described.covariance)
+        if described.field != "wheel_speeds"
     )
 )
 TOLD = (*(name for name in TOLD if name != "pose_t_s"), *_SENT)
@@ -66,7 +69,7 @@ TOLD = (*(name for name in TOLD if name != "pose_t_s"), *_SENT)
 
 @cache
 def tick_schema() -> dict[str, Any]:
-    """The JSON schema of a row."""
+    """Return the JSON schema of a row."""
     schema = json.loads(files(__package__).joinpath("tick.schema.json").read_text(encoding="utf-8"))
     assert isinstance(schema, dict)
     scalars = {
@@ -77,13 +80,13 @@ def tick_schema() -> dict[str, Any]:
 
 
 def to_json(row: TickRow) -> bytes:
-    """A row as JSON, from which the same bits are read; what is not finite JSON has no word for, and is left out."""
+    """Format a row as JSON that reads back bit for bit; values that are not finite are left out."""
     finite = {name: cell for name, cell in row.items() if not isinstance(cell, float) or math.isfinite(cell)}
     return json.dumps(finite, separators=(",", ":")).encode()
 
 
 def measured_cells(measurement: Measurement) -> dict[str, Cell]:
-    """What of a row a measurement fills."""
+    """Return the cells of a row that a measurement fills."""
     cells: dict[str, Cell] = {}
     for field, sensor in _SENSORS.items():
         reading = getattr(measurement, field)
@@ -101,7 +104,7 @@ def measured_cells(measurement: Measurement) -> dict[str, Cell]:
 
 
 def decided_cells(step: ControlStep) -> dict[str, Cell]:
-    """What of a row the step of a controller fills: its command and words, how it was solved, what it believes."""
+    """Return the cells of a row that a controller's step fills: command, words, solver, estimate."""
     v, omega = np.asarray(step.command, dtype=float).tolist()
     solver = step.solver
     cells: dict[str, Cell] = {
@@ -126,8 +129,10 @@ def decided_cells(step: ControlStep) -> dict[str, Cell]:
 
 
 def error_cells(row: TickRow) -> dict[str, Cell]:
-    """The estimate against the pose that is tracked, in that pose's frame; nothing where either is not known."""
-    believed, tracked = (numbers(row, tuple(f"{what}_{part}" for part in _PARTS)) for what in ("estimate", "reference"))
+    """Return the estimate relative to the tracked pose, in that pose's frame; nothing if either is unknown."""
+    believed, tracked = (
+        numbers(row, tuple(f"{prefix}_{part}" for part in _PARTS)) for prefix in ("estimate", "reference")
+    )
     if not believed or not tracked:
         return {}
     gap = np.subtract(believed, tracked)
@@ -137,14 +142,14 @@ def error_cells(row: TickRow) -> dict[str, Cell]:
 
 
 def measurement_of(row: TickRow) -> Measurement:
-    """The measurement that a row holds, bit for bit; without the covariance of single wheels, which nobody uses."""
+    """Return the measurement of a row, bit for bit; without the unused covariance of single wheels."""
     sent = numbers(row, _SENT)
     readings = {field: _reading(row, sensor) for field, sensor in _SENSORS.items()}
     return Measurement(**readings, sent=(sent[0], sent[1]) if sent else None)
 
 
 def covariance_of(row: TickRow, field: str) -> FloatArray | None:
-    """The covariance that a reading came with, by the name of the field of a measurement; None where none did."""
+    """Return the covariance of a reading, by the name of the field of a measurement; None without one."""
     names = _SENSORS[field].covariance
     stated = numbers(row, names)
     if not stated:
@@ -156,13 +161,13 @@ def covariance_of(row: TickRow, field: str) -> FloatArray | None:
 
 
 def numbers(row: TickRow, names: tuple[str, ...]) -> list[float]:
-    """The numbers of these names, or none if one of them is not there."""
+    """Return the numbers of these names, or none if one is missing."""
     cells = [cell for name in names if isinstance(cell := row.get(name), float) and math.isfinite(cell)]
     return cells if len(cells) == len(names) else []
 
 
 def _reading(row: TickRow, sensor: _Sensor) -> Stamped | None:
-    value, at = numbers(row, sensor.values), numbers(row, (sensor.time,))
-    if not value or not at:
+    value, time = numbers(row, sensor.values), numbers(row, (sensor.time,))
+    if not value or not time:
         return None
-    return Stamped(np.array(value) if len(value) > 1 else value[0], at[0], covariance_of(row, sensor.field))
+    return Stamped(np.array(value) if len(value) > 1 else value[0], time[0], covariance_of(row, sensor.field))

@@ -49,5 +49,5 @@ _RATE, _MOST = 20, 500
 
 
 def path_times(duration: float) -> FloatArray:
-    """(n,) times [s] from 0 to `duration`."""
+    """Return times (n,) [s] from 0 to `duration`."""
     return np.linspace(0.0, duration, min(_MOST, 2 + int(duration * _RATE)))

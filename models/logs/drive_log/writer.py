@@ -119,7 +119,7 @@ class DriveWriter:
         self._write(name, now, data)
 
     def _readings(self, now: int, row: TickRow, odometry_pose: Sequence[float] | None) -> None:
-        """What the sensors said, stamped with what it describes."""
+        """Write the sensor readings with the time of measurement as stamp."""
         measured = measurement_of(row)
 
         def stamp(reading: Stamped) -> int:

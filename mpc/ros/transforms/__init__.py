@@ -1,1 +1,1 @@
-"""Frames and the transforms between them: kept for some seconds, looked up along chains, and judged."""
+"""Frames and the transforms between them: stored for some seconds, looked up along chains, and checked."""

@@ -1,7 +1,7 @@
 """Transforms of the last seconds, by the frame that they place; looked up along chains of frames, at any time kept.
 
 As tf2 does it: no transform is guessed beyond its newest stamp, and without a time the newest is taken that the whole
-chain has. Beside that it says what is wrong: loops, frames placed by two parents in turns, stamps from the future.
+chain has. It also reports faults: loops, frames placed by two parents in turns, stamps from the future.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from diffdrive_mpc.mpc.ros.transforms.rigid import IDENTITY, Rigid
 
 _SECOND = 1_000_000_000
 KEPT = 10 * _SECOND
-"""How long a transform is kept [ns]: as long as tf2 keeps it."""
+"""Time for which a transform is stored [ns], the same as in tf2."""
 AHEAD = 2 * _SECOND
 """A stamp may be so far in the future [ns]: localisations post-date theirs, AMCL by up to a second."""
 MOST_FRAMES = 500
 MOST_KEPT = 4000
-"""Of one frame: what arrives oftener than at 400 Hz is kept for a shorter time."""
+"""Maximum number of transforms of one frame; a frame beyond 400 Hz is stored for a shorter time."""
 _NORM_TOLERANCE = 1e-2
 _DISPUTED = 2
-"""A frame whose parent has changed so often within the time that is kept has more than one."""
+"""Number of parent changes in the stored time from which a frame counts as having two parents."""
 
 
 class TransformError(DiffdriveMpcError, ValueError):
-    """A transform cannot be used, or there is none; says why, in few words."""
+    """Error of an unusable or missing transform; says why, in few words."""
 
     def __init__(self, reason: str) -> None:
-        super().__init__(plain_line(reason))  # frames in it are anybody's text, and logs go to terminals
+        super().__init__(plain_line(reason))  # its frame names are untrusted text, and logs go to terminals
 
 
 class TransformLookup(NamedTuple):
@@ -56,28 +56,28 @@ class TransformLookup(NamedTuple):
 
 @dataclass
 class _Placed:
-    """What is known of one frame: the frame it is placed in, and where, oldest first; one without stamp: for ever."""
+    """Placement of one frame: parent and transforms, oldest first; a static transform holds forever."""
 
     parent: str
     static: bool
     stamps: list[int] = field(default_factory=list)
     history: dict[int, Rigid] = field(default_factory=dict)
     changes: list[int] = field(default_factory=list)
-    other: str = ""
+    rival_parent: str = ""
 
 
 class TransformBuffer:
-    """Keeps what /tf and /tf_static state."""
+    """Buffer of the transforms on /tf and /tf_static."""
 
     def __init__(self) -> None:
         self._frames: dict[str, _Placed] = {}
 
     def clear(self) -> None:
-        """Forget what moves, for a clock that was set back; what is static stays."""
+        """Clear moving transforms after the clock was set back; static ones stay."""
         self._frames = {name: placed for name, placed in self._frames.items() if placed.static}
 
     def __len__(self) -> int:
-        """How many transforms are kept."""
+        """Return the number of stored transforms."""
         return sum(len(placed.stamps) or 1 for placed in self._frames.values())
 
     def insert(self, parent: str, child: str, stamp: int, transform: Rigid, now: int, *, static: bool = False) -> None:
@@ -100,11 +100,13 @@ class TransformBuffer:
         placed = self._frames.get(child)
         if placed is None and len(self._frames) >= MOST_FRAMES:
             raise TransformError(f"{link} is one frame too many: {MOST_FRAMES} are kept")
-        # Told again in another way it is a change; where that goes to and fro, somebody disputes it.
+        # A different parent is a change; parents that alternate come from two publishers in dispute.
         if placed is None or (placed.parent, placed.static) != (parent, static):
-            changes = [] if placed is None else [*(at for at in placed.changes if abs(now - at) <= KEPT), now]
+            changes = (
+                [] if placed is None else [*(change for change in placed.changes if abs(now - change) <= KEPT), now]
+            )
             placed = _Placed(
-                parent, static, changes=changes[-_DISPUTED:], other="" if placed is None else placed.parent
+                parent, static, changes=changes[-_DISPUTED:], rival_parent="" if placed is None else placed.parent
             )
             self._frames[child] = placed
         unit = Rigid(*transform[:3], *(value / norm for value in transform[3:]))
@@ -116,14 +118,14 @@ class TransformBuffer:
         if stamp not in placed.history:
             insort(placed.stamps, stamp)
         placed.history[stamp] = unit
-        begin = bisect_left(placed.stamps, placed.stamps[-1] - KEPT)
-        begin = max(begin, len(placed.stamps) - MOST_KEPT)
-        for old in placed.stamps[:begin]:
+        start = bisect_left(placed.stamps, placed.stamps[-1] - KEPT)
+        start = max(start, len(placed.stamps) - MOST_KEPT)
+        for old in placed.stamps[:start]:
             del placed.history[old]
-        del placed.stamps[:begin]
+        del placed.stamps[:start]
 
     def lookup(self, target: str, source: str, now: int, time: int | None = None) -> TransformLookup:
-        """The transform from `source` to `target` at `time` [ns], or the newest that all of the chain has.
+        """Look up the transform from `source` to `target` at `time` [ns]; by default the newest of the whole chain.
 
         Raises
         ------
@@ -138,10 +140,10 @@ class TransformBuffer:
         moving = []
         for name in chain:
             placed = self._frames[name]
-            if len([at for at in placed.changes if abs(now - at) <= KEPT]) >= _DISPUTED:
+            if len([change for change in placed.changes if abs(now - change) <= KEPT]) >= _DISPUTED:
                 raise TransformError(
-                    f"frame '{name}' is placed in '{placed.parent}' and in '{placed.other}' by turns: it needs one "
-                    "parent"
+                    f"frame '{name}' is placed in '{placed.parent}' and in '{placed.rival_parent}' by turns: "
+                    "it needs one parent"
                 )
             if not placed.static:
                 moving.append((placed.stamps[-1], name))
@@ -156,13 +158,13 @@ class TransformBuffer:
         return TransformLookup(back.after(transform), stamp if moving else None, oldest)
 
     def passes(self, source: str, target: str, frame: str) -> bool:
-        """Whether the chain from `source` to `target` goes through `frame`, or begins there."""
+        """Return True if the chain from `source` to `target` contains `frame`."""
         up, down = self._ancestors(source), self._ancestors(target)
         common = next((name for name in up if name in down), None)
         return common is not None and common != frame and frame in up[: up.index(common)]
 
     def _ancestors(self, frame: str) -> list[str]:
-        """`frame`, its parent, and so on."""
+        """List `frame`, its parent, and so on."""
         return list(self._upwards(frame))
 
     def _upwards(self, frame: str) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""What the node asks of transforms: where the robot is, and where references lie that are stated in other frames."""
+"""Transforms that the node needs: pose of the robot, and placement of references stated in other frames."""
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ class Frames:
             self.accepted += 1
 
     def refuse(self, reason: str) -> None:
-        """Count what cannot be used, and why."""
+        """Count unusable transforms and their reasons."""
         self.refused += 1
         self.last_refusal = reason
 
     def pose(self) -> tuple[FloatArray, int]:
-        """(3,) x, y [m], yaw [rad] of the robot, and their stamp [ns]: the newest of the whole chain.
+        """Return x, y [m], yaw [rad] (3,) of the robot, and their stamp [ns]: the newest of the whole chain.
 
         Raises
         ------
@@ -69,14 +69,14 @@ class Frames:
         return transform.transform.planar, transform.stamp
 
     def oldest(self) -> str:
-        """Which frame of the robot's chain was heard of the longest ago; empty where there is no chain."""
+        """Return the frame of the robot's chain with the oldest transform; return an empty string without a chain."""
         try:
             return self.buffer.lookup(self.control, self._base, self._clock()).oldest
         except TransformError:
             return ""
 
     def placement(self, frame: str, stamp: int) -> Placement | None:
-        """Where a reference stated in `frame` at `stamp` [ns; 0: now] lies; None where that is the frame of control.
+        """Place a reference stated in `frame` at `stamp` [ns; 0: now]; return None if that is the control frame.
 
         Raises
         ------
@@ -88,7 +88,7 @@ class Frames:
 
 
 def moved_poses(poses: FloatArray, motion: FloatArray) -> FloatArray:
-    """Poses (n, 3) turned by the theta of `motion` (3,) and then moved."""
+    """Rotate poses (n, 3) by the theta of `motion` (3,), then translate them."""
     x, y, theta = motion
     cos, sin = np.cos(theta), np.sin(theta)
     return np.column_stack(
@@ -101,7 +101,7 @@ def moved_poses(poses: FloatArray, motion: FloatArray) -> FloatArray:
 
 
 class Placement:
-    """Where a reference stated in another frame lies in that of control.
+    """Placement of a reference stated in another frame within the control frame.
 
     A frame that moves with the robot, such as its base, is looked up once, at the stamp of the reference: "a metre
     ahead" means from there. Any other belongs to the world, as the reference does: it is looked up again and again, as
@@ -125,7 +125,7 @@ class Placement:
             self.motion()
 
     def motion(self) -> FloatArray:
-        """(3,) x, y [m] by which it is moved, after it was turned by theta [rad].
+        """Return translation x, y [m] and the rotation theta [rad] before it, (3,).
 
         Raises
         ------

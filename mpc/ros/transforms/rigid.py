@@ -1,4 +1,4 @@
-"""Rigid motions in space, as /tf states them, and what of them lies in the plane."""
+"""Rigid motions in space, as on /tf, and their part in the plane."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 
 _NEARLY = 1.0 - 1e-9
-"""Cosine between two quaternions from which they are interpolated along the chord [-]."""
+"""Cosine between two quaternions above which they are interpolated along the chord [-]."""
 
 
 class Rigid(NamedTuple):
@@ -33,7 +33,7 @@ class Rigid(NamedTuple):
     qw: float
 
     def after(self, first: Rigid) -> Rigid:
-        """`first`, and then this one."""
+        """Compose `first` and then this transform."""
         ax, ay, az, aw = self[3:]
         bx, by, bz, bw = first[3:]
         dx, dy, dz = _turned(self, first.x, first.y, first.z)
@@ -48,24 +48,24 @@ class Rigid(NamedTuple):
         )
 
     def inverse(self) -> Rigid:
-        """From the parent's frame to the child's."""
+        """Invert the transform: from the parent's frame to the child's."""
         back = Rigid(0.0, 0.0, 0.0, -self.qx, -self.qy, -self.qz, self.qw)
         x, y, z = _turned(back, self.x, self.y, self.z)
         return back._replace(x=-x, y=-y, z=-z)
 
-    def towards(self, other: Rigid, share: float) -> Rigid:
-        """Between this (`share` 0) and `other` (1): the position along a line, the attitude along the shortest arc."""
-        here, there = np.array(self[3:]), np.array(other[3:])
-        cosine = float(here @ there)
+    def towards(self, target: Rigid, share: float) -> Rigid:
+        """Interpolate between this (`share` 0) and `target` (1): a line in position, the shortest arc in attitude."""
+        start, end = np.array(self[3:]), np.array(target[3:])
+        cosine = float(start @ end)
         if cosine < 0.0:
-            there, cosine = -there, -cosine
+            end, cosine = -end, -cosine
         if cosine > _NEARLY:
-            turned = here + share * (there - here)
+            turned = start + share * (end - start)
         else:
             angle = math.acos(cosine)
-            turned = (math.sin((1.0 - share) * angle) * here + math.sin(share * angle) * there) / math.sin(angle)
+            turned = (math.sin((1.0 - share) * angle) * start + math.sin(share * angle) * end) / math.sin(angle)
         turned /= np.linalg.norm(turned)
-        x, y, z = (a + share * (b - a) for a, b in zip(self[:3], other[:3], strict=True))
+        x, y, z = (a + share * (b - a) for a, b in zip(self[:3], target[:3], strict=True))
         return Rigid(x, y, z, *turned.tolist())
 
     @property
@@ -91,7 +91,7 @@ IDENTITY = Rigid(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 def _turned(by: Rigid, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """A vector turned by a quaternion q: v + 2 w (u x v) + 2 u x (u x v) for q = (u, w)."""
+    """Rotate a vector by a quaternion q: v + 2 w (u x v) + 2 u x (u x v) for q = (u, w)."""
     ux, uy, uz, w = by[3:]
     cx, cy, cz = uy * z - uz * y, uz * x - ux * z, ux * y - uy * x
     return (

@@ -1,4 +1,4 @@
-"""A planner's path as a timed reference: cut at the robot, smoothed, timed, with turns where it has to turn."""
+"""A planner's path as a timed reference: cut at the robot, smoothed, timed, with turns on the spot if needed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from diffdrive_mpc.mpc.trajectories.smooth_path import SmoothPath, smooth_path
 from diffdrive_mpc.mpc.trajectories.smooth_segments import Nodes, turned
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 
-# What a planner's poses say: which parts are driven forwards, which backwards, and where the robot turns.
+# Interpretation of a planner's poses: parts driven forwards, backwards, and turns.
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +53,8 @@ def read_runs(poses: FloatArray, robot: FloatArray, *, backwards: bool = True) -
     """Cut a path where its direction changes.
 
     A part whose poses point against the travel is driven backwards; poses that stay at one place and turn are a turn on
-    the spot. Some planners state no headings but the last: all others are 0, exactly. They are not believed where the
-    travel, or the robot, is at odds with that; such a path is driven forwards.
+    the spot. Some planners state no headings but the last: all others are 0, exactly. They are ignored if the travel,
+    or the robot, contradicts that; such a path is driven forwards.
 
     Parameters
     ----------
@@ -91,10 +91,10 @@ def read_runs(poses: FloatArray, robot: FloatArray, *, backwards: bool = True) -
     turned = np.abs(wrap_angle(leaving - arriving)) > settings.bendable if stated else np.zeros(len(points), dtype=bool)
     cuts = [0, *(i for i in range(1, len(lengths)) if senses[i] != senses[i - 1] or turned[i]), len(lengths)]
     runs: list[DirectedPart] = []
-    for begin, end in pairwise(cuts):
-        first = float(leaving[begin]) if stated else None
+    for start, end in pairwise(cuts):
+        first = float(leaving[start]) if stated else None
         last = float(arriving[end]) if stated or end == len(lengths) else None
-        runs += _without_hairpins(DirectedPart(points[begin : end + 1], int(senses[begin]), first, last))
+        runs += _without_hairpins(DirectedPart(points[start : end + 1], int(senses[start]), first, last))
     most = settings.turns_allowed + settings.turns_per_metre * float(lengths.sum())
     if len(runs) - 1 > most:
         raise ConfigError(
@@ -104,7 +104,7 @@ def read_runs(poses: FloatArray, robot: FloatArray, *, backwards: bool = True) -
 
 
 def _stated(poses: FloatArray, agree: FloatArray, robot: FloatArray) -> bool:
-    """Whether the headings before the last mean something."""
+    """Return True if the headings before the last carry information."""
     if np.any(np.abs(poses[:-1, 2]) > 1e-9):
         return True
     sideways = bool(np.any(np.abs(agree) < load_settings().sideways))
@@ -112,7 +112,7 @@ def _stated(poses: FloatArray, agree: FloatArray, robot: FloatArray) -> bool:
 
 
 def _steady(senses: FloatArray, lengths: FloatArray, least: float) -> FloatArray:
-    """Senses (m,) of which each lasts for `least` [m]; where a pose says nothing, the one before holds."""
+    """Filter senses (m,) so that each lasts for `least` [m]; a pose without a sense keeps the previous one."""
     known = np.flatnonzero(senses)
     steady = (
         np.ones_like(senses)
@@ -120,14 +120,14 @@ def _steady(senses: FloatArray, lengths: FloatArray, least: float) -> FloatArray
         else senses[known[np.searchsorted(known[1:], np.arange(senses.size), side="right")]]
     )
     edges = [0, *(np.flatnonzero(np.diff(steady)) + 1).tolist(), steady.size]
-    for begin, end in pairwise(edges):
-        if lengths[begin:end].sum() < least:
-            steady[begin:end] = steady[begin - 1] if begin else steady[min(end, steady.size - 1)]
+    for start, end in pairwise(edges):
+        if lengths[start:end].sum() < least:
+            steady[start:end] = steady[start - 1] if start else steady[min(end, steady.size - 1)]
     return np.asarray(steady)
 
 
 def _without_hairpins(run: DirectedPart) -> list[DirectedPart]:
-    """Parts between places where the path turns back on itself."""
+    """Split a run where the path turns back on itself."""
     settings = load_settings()
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(run.points, axis=0).T))])
     reach = settings.hairpin_length
@@ -136,10 +136,11 @@ def _without_hairpins(run: DirectedPart) -> list[DirectedPart]:
         return np.column_stack([np.interp(s, along, run.points[:, i]) for i in (0, 1)])
 
     inside = np.flatnonzero((along > settings.least_run) & (along < along[-1] - settings.least_run))
-    here = run.points[inside]
-    before, after = here - place(along[inside] - reach), place(along[inside] + reach) - here
+    vertex = run.points[inside]
+    before, after = vertex - place(along[inside] - reach), place(along[inside] + reach) - vertex
     turn = np.abs(np.arctan2(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], (before * after).sum(axis=1)))
-    # Beside the place where it turns, the way there and the way back cancel: there the chords are longest.
+    # Next to a reversal, the paths to it and from it cancel, so the chords are longest there. there the chords are
+    # longest.
     sharpness = np.hypot(*before.T) * np.hypot(*after.T)
     cuts: list[int] = []
     for i in sorted(np.flatnonzero(turn > settings.hairpin), key=lambda i: -sharpness[i]):
@@ -147,35 +148,49 @@ def _without_hairpins(run: DirectedPart) -> list[DirectedPart]:
         index = bisect(cuts, cut)
         # Only its neighbours can be too near.
         near = cuts[max(0, index - 1) : index + 1]
-        if all(abs(along[cut] - along[other]) > reach for other in near):
+        if all(abs(along[cut] - along[rival]) > reach for rival in near):
             cuts.insert(index, cut)
     edges = [0, *cuts, len(run.points) - 1]
     last = len(edges) - 2
     return [
         DirectedPart(
-            run.points[begin : end + 1],
+            run.points[start : end + 1],
             run.sense,
             run.first if i == 0 else None,
             run.last if i == last else None,
         )
-        for i, (begin, end) in enumerate(pairwise(edges))
+        for i, (start, end) in enumerate(pairwise(edges))
     ]
 
 
 _PIECES = 3
 # Of a smoothed line that is to bend at all.
 _LEAST_POINTS = 8
-# Points beyond an end that say how a line gets there; curvature there at most [1/m].
+# Points beyond an end that define the direction of a line; curvature there at most [1/m]. curvature there at most
+# [1/m].
 _BEYOND = 3
 _TIGHTEST = 3.0
-# A smaller turn is rounding [rad], a slower robot stands [m/s].
+# Turn below which it counts as rounding [rad], and speed below which the robot stands [m/s].
 _NO_TURN, _STANDING = 1e-3, 0.02
 _AT_ONCE = 1e-9  # [s]
 
 
 @dataclass(frozen=True, eq=False)
 class Laid:
-    """What was made of a path.
+    """Reference laid along a path.
+
+    Attributes
+    ----------
+    reference
+    Reference to track.
+    length
+    Length of the path from the robot on [m].
+    deviation
+    Maximum distance of the reference from the planner's line [m], without the approach to the line.
+    begins
+    Distance of the robot from the start of the reference [m].
+    note
+    Remark for the result of a goal, such as a reduced speed; empty if there is none.
 
     Attributes
     ----------
@@ -211,9 +226,9 @@ def lay_poses(
 ) -> Laid:
     """Lay a reference along a planner's poses, to rest at the last of them, heading included.
 
-    It begins where the robot is along the path, with the twist that the robot has, so that a new path takes over from
-    another without a stop. It stops where the direction changes and where it has to turn on the spot: before the path
-    where the robot stands and looks elsewhere, and at its end where the goal has another heading than the path.
+    It starts at the robot's place along the path with the robot's twist, so that a new path replaces another without a
+    stop. It stops at reversals and at turns on the spot: before the path if the robot stands with another heading, and
+    at its end if the goal has another heading than the path.
 
     Parameters
     ----------
@@ -289,7 +304,7 @@ def _check(poses: FloatArray, longest: float) -> None:
 
 
 def poses_left(poses: FloatArray, robot: FloatArray) -> FloatArray:
-    """The poses (n, 3) that are left to a robot at (3,) that has driven on since the path was planned."""
+    """Return the poses (n, 3) ahead of a robot at (3,) that has driven on since the path was planned."""
     step = np.diff(poses[:, :2], axis=0)
     lengths = np.hypot(*step.T)
     along = np.concatenate([[0.0], np.cumsum(lengths)])
@@ -299,15 +314,15 @@ def poses_left(poses: FloatArray, robot: FloatArray) -> FloatArray:
     distance = np.hypot(*(feet - robot[:2]).T)
     # Not further than it can have come: the path may come by here once more.
     near = along[:-1] <= 2.0 * float(np.hypot(*(robot - poses[0])[:2])) + load_settings().spacing
-    # Nor beyond a place where it turns back.
+    # Nor beyond a reversal.
     back = np.flatnonzero((step[1:] * step[:-1]).sum(axis=1) < 0)
     if back.size:
         near[back[0] + 1 :] = False
-    at = int(np.argmin(np.where(near, distance, np.inf)))
-    if at == 0 and share[0] == 0.0:
+    nearest = int(np.argmin(np.where(near, distance, np.inf)))
+    if nearest == 0 and share[0] == 0.0:
         return poses
-    first = np.array([*feet[at], poses[at, 2]])
-    return np.concatenate([first[None], poses[at + 1 :]])
+    first = np.array([*feet[nearest], poses[nearest, 2]])
+    return np.concatenate([first[None], poses[nearest + 1 :]])
 
 
 _Ends = tuple[float | None, float | None]
@@ -316,7 +331,7 @@ _Ends = tuple[float | None, float | None]
 def _smoothed(
     run: DirectedPart, robot: FloatArray | None, bend: float, deviation: float, beside: float
 ) -> tuple[FloatArray, _Ends, FloatArray]:
-    """The least bent line (m, 2) along a run, how it begins and ends, and how far its points are from it (m,) [m].
+    """Fit the least bent line (m, 2) along a run; return it with its ends and its distance from the run (m,) [m].
 
     With `robot` (3,) the line begins there, if it is no further than `beside` [m] from where the run begins, and along
     its heading, if the line can bend so far, with the curvature `bend` [1/m] that the robot drives.
@@ -324,16 +339,16 @@ def _smoothed(
     settings = load_settings()
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(run.points, axis=0).T))])
     count = max(_LEAST_POINTS, 1 + math.ceil(along[-1] / settings.spacing))
-    at = np.linspace(0.0, along[-1], count)
-    points = np.column_stack([np.interp(at, along, run.points[:, i]) for i in (0, 1)])
-    spacing = float(at[1])
+    arc_length = np.linspace(0.0, along[-1], count)
+    points = np.column_stack([np.interp(arc_length, along, run.points[:, i]) for i in (0, 1)])
+    spacing = float(arc_length[1])
     wanted, first, led = points.copy(), run.first, np.zeros(count, dtype=bool)
     if robot is not None:
         offset = robot[:2] - points[0]
         if np.hypot(*offset) <= beside:
             length = min(settings.join, float(along[-1]))
-            wanted += offset * np.maximum(0.0, 1.0 - at / length)[:, None] ** 2
-            led, first = at < length, float(robot[2])
+            wanted += offset * np.maximum(0.0, 1.0 - arc_length / length)[:, None] ** 2
+            led, first = arc_length < length, float(robot[2])
     look = min(count - 1, max(2, round(2 * settings.hairpin_length / spacing)))
     ends: list[float | None] = []
     parts = [wanted]
@@ -346,7 +361,8 @@ def _smoothed(
         if abs(float(wrap_angle(travel - math.atan2(chord[1], chord[0])))) > settings.bendable:
             continue
         ends[-1] = travel
-        # Points beyond the end, on the arc or the straight line that leads there: the line goes on from them.
+        # Points beyond the end, on the arc or straight line to it, from which the line continues. the line goes on from
+        # them.
         beyond = spacing * np.arange(1, _BEYOND + 1)
         turn = -0.5 * beyond * (bend if side > 0 and robot is not None else 0.0)
         direction = travel + turn
@@ -361,7 +377,7 @@ def _smoothed(
 
 
 def _facing(line: FloatArray, ends: _Ends, sense: int) -> SmoothPath:
-    """The smooth path along a line, with the robot's heading instead of the direction of travel."""
+    """Return the smooth path along a line, with the robot's heading instead of the direction of travel."""
     path = smooth_path(line, "path", _PIECES, ends)
     if sense > 0:
         return path
@@ -375,14 +391,14 @@ def _turn(pose: FloatArray, angle: float, limits: TrajectoryLimits) -> list[Node
 
 
 def _joined(nodes: list[Nodes], heading: float, name: str) -> SplineTrajectory:
-    """One trajectory of parts that begin where the one before ends, but for whole turns; the first near `heading`."""
+    """Join parts that begin where the previous one ends, apart from whole turns; the first starts near `heading`."""
     time = 0.0
-    kept: list[Nodes] = []
+    parts: list[Nodes] = []
     for times, poses, rates, drawn in nodes:
         whole = math.tau * round((heading - poses[0, 2]) / math.tau)
         shifted = poses + [0.0, 0.0, whole]
         # Of two nodes at one time, as rounding leaves them in a short turn, and where parts meet, the first is enough.
-        new = np.diff(times, prepend=-1.0 if not kept else 0.0) > _AT_ONCE
-        kept.append((time + times[new], shifted[new], rates[new], drawn[new]))
+        new = np.diff(times, prepend=-1.0 if not parts else 0.0) > _AT_ONCE
+        parts.append((time + times[new], shifted[new], rates[new], drawn[new]))
         time, heading = time + float(times[-1]), float(shifted[-1, 2])
-    return SplineTrajectory.through(name, *(np.concatenate(rows) for rows in zip(*kept, strict=True)))
+    return SplineTrajectory.through(name, *(np.concatenate(rows) for rows in zip(*parts, strict=True)))

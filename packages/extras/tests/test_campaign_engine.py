@@ -106,13 +106,13 @@ def test_what_a_run_gives_is_what_simulate_gives() -> None:
 
 
 def test_the_hash_knows_everything_that_decides(short: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    one = Definition.of({"trajectory": str(short), "plant": "model:sm"})
+    one = Definition.from_factors({"trajectory": str(short), "plant": "model:sm"})
     keys = {key_of(one)}
     for other in (
         one.with_seed(1),
         one.changed({"config.horizon": 20}),
         one.changed({"sensors.pose.latency": 0.03}),
-        Definition.of({"trajectory": "circle", "plant": "model:sm"}),
+        Definition.from_factors({"trajectory": "circle", "plant": "model:sm"}),
     ):
         keys.add(key_of(other))
     assert len(keys) == 5
@@ -132,14 +132,14 @@ def test_the_hash_knows_files_that_a_file_names(tmp_path: Path) -> None:
     model.write_text(shipped.read_text(encoding="utf-8"), encoding="utf-8")
     config = tmp_path / "config.yaml"
     config.write_text("model: model.yaml\nhorizon: 20\n", encoding="utf-8")
-    one = Definition.of({"config": str(config)})
+    one = Definition.from_factors({"config": str(config)})
     before = key_of(one)
     model.write_text(f"# another text\n{model.read_text(encoding='utf-8')}", encoding="utf-8")
     assert key_of(one) != before
 
 
 def test_who_has_other_files_does_not_drive(short: Path) -> None:
-    task = CampaignTask.of(Definition.of({"trajectory": str(short), "plant": "model:sm"}))
+    task = CampaignTask.for_run(Definition.from_factors({"trajectory": str(short), "plant": "model:sm"}))
     assert do(task)["completed"] is True
     short.write_text(SHORT.replace("0.3", "0.2"), encoding="utf-8")
     with pytest.raises(OtherVersionError, match="has another version of this product"):
@@ -168,7 +168,7 @@ def test_a_factor_changes_what_the_robot_has_and_nothing_else(tmp_path: Path) ->
 
     def reading_and_gain(**factors: float) -> tuple[float, float]:
         named = {"plant": f"mujoco:{path}", "seed": 3} | factors
-        with built(Definition.of(named)) as (_, plant, _):
+        with built(Definition.from_factors(named)) as (_, plant, _):
             plant.reset(np.zeros(3))
             speeds = []
             for _ in range(30):
@@ -191,7 +191,7 @@ def test_a_factor_changes_what_the_robot_has_and_nothing_else(tmp_path: Path) ->
 )
 def test_a_mistake_is_found_before_the_first_run(factors: dict[str, object], line: str, tmp_path: Path) -> None:
     with ProgressBar("") as bar, pytest.raises(ConfigError) as caught:
-        drive_all([Definition.of({}), Definition.of(factors)], CampaignPlace(tmp_path, 1), bar)  # type: ignore[arg-type]
+        drive_all([Definition.from_factors({}), Definition.from_factors(factors)], CampaignPlace(tmp_path, 1), bar)  # type: ignore[arg-type]
     assert line in str(caught.value)
     assert "a run with " in str(caught.value)
     assert not Store(tmp_path).keys()
@@ -211,7 +211,7 @@ drop_outs: [{sensor: pose, start: 2.0, duration: 60.0}]
 
 @pytest.mark.parametrize("scenario", ["sensor_dropouts", "push", "frozen_pose", "pose_jump"])
 def test_the_controller_keeps_what_it_states(scenario: str) -> None:
-    row = drive(Definition.of({"scenario": scenario, "model": "sm"}))
+    row = drive(Definition.from_factors({"scenario": scenario, "model": "sm"}))
     assert row["error"] == ""
     assert [row[f"unsafe_{name}"] for name in ("not_finite", "limit", "slew", "motion")] == [0] * 4
 
@@ -219,7 +219,9 @@ def test_the_controller_keeps_what_it_states(scenario: str) -> None:
 def test_without_poses_it_stops_in_time_and_one_tick_later_would_be_found(tmp_path: Path) -> None:
     path = tmp_path / "blackout.yaml"
     path.write_text(BLACKOUT, encoding="utf-8")
-    definition = Definition.of({"scenario": str(path), "plant": "model:ssm", "config.failure.dead_reckoning": 0.0})
+    definition = Definition.from_factors(
+        {"scenario": str(path), "plant": "model:ssm", "config.failure.dead_reckoning": 0.0}
+    )
     controller, plant, reference = build(definition.case)
     watched = RecordedController(controller)
     run = simulate(watched, plant, reference)
@@ -243,7 +245,7 @@ def test_a_command_that_the_loop_refuses_is_counted(monkeypatch: pytest.MonkeyPa
         return result
 
     monkeypatch.setattr(drive_module.RecordedController, "step", poisoned)
-    row = drive(Definition.of({"plant": "model:ssm"}))
+    row = drive(Definition.from_factors({"plant": "model:ssm"}))
     assert row["unsafe_not_finite"] == 1
     assert row["completed"] is False
     assert "two finite numbers" in str(row["error"])

@@ -183,8 +183,8 @@ def told(coefficients, kind="drive_experimental", **how):
 
 def test_slope_limits_that_act_are_told_within_their_uncertainty():
     found = told(LIMITED)
-    assert not {"v.quicker", "v.slower", "omega.quicker", "omega.slower"} & set(found.kept)
-    assert {"v.threshold", "v.threshold_by_slope"} <= set(found.kept), "this robot never stands still"
+    assert not {"v.quicker", "v.slower", "omega.quicker", "omega.slower"} & set(found.identified)
+    assert {"v.threshold", "v.threshold_by_slope"} <= set(found.identified), "this robot never stands still"
     # Rounding gives up some of the limit at its corner, which no noise explains.
     for row, channel in enumerate(("v", "omega")):
         for name, truth in zip(("gain", "quicker", "slower"), LIMITED[row], strict=False):
@@ -197,7 +197,7 @@ def test_what_a_log_does_not_show_keeps_its_prior():
     """No slope that acts, and never a change of direction: neither limit nor threshold can be told."""
     found = told(UNLIMITED, backwards=False)
     untold = {"quicker", "slower", "threshold", "threshold_by_slope"}
-    assert set(found.kept) == {f"{channel}.{name}" for channel in ("v", "omega") for name in untold}
+    assert set(found.identified) == {f"{channel}.{name}" for channel in ("v", "omega") for name in untold}
     for values in found.fit.values:
         assert values["quicker"] == values["slower"] == NO_LIMIT
         assert values["threshold"] == values["threshold_by_slope"] == 0.0

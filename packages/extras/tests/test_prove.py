@@ -123,7 +123,7 @@ def test_a_mistake_is_one_line(change: tuple[str, str], line: str, proof: Path, 
 def test_the_shipped_proof_can_be_driven() -> None:
     proof = load_proof(None)
     check_definitions(proof.definitions(64))
-    probe = Definition.of(dict(proof.probe.factors))
+    probe = Definition.from_factors(dict(proof.probe.factors))
     ends = [run for of in proof.maps.values() for run in map_runs(of, probe, 0)]
     ends += [
         probe.changed({factor: value})

@@ -314,9 +314,9 @@ def test_where_nothing_is_to_be_tracked_the_reference_is_as_given(settings, word
     controller = Controller(load_config("ssm", SETTINGS | settings))
     floor_lap(controller, "p4_concrete", CORNER)
     rehearsal = controller.feature("rehearsal").learned
-    assert rehearsal.begin(CORNER, 0.0) is CORNER
-    assert words in rehearsal.said
-    assert "tracked as it is given" in rehearsal.said
+    assert rehearsal.start(CORNER, 0.0) is CORNER
+    assert words in rehearsal.message
+    assert "tracked as it is given" in rehearsal.message
     assert not rehearsal.correction.any()
 
 
@@ -377,7 +377,7 @@ def test_what_makes_it_worse_is_forgotten():
         floor_lap(controller, "p4_concrete", CORNER)
     floor_lap(controller, "p4_concrete_left", CORNER)
     controller.start(CORNER, 0.0)
-    assert "forgotten" in controller.feature("rehearsal").learned.said
+    assert "forgotten" in controller.feature("rehearsal").learned.message
     assert controller.feature("rehearsal").learned.laps == 0
     assert controller.feature("rehearsal").learned.slip == Slip()
 

@@ -59,7 +59,7 @@ def drive(base, kind, topic, qos, command=(0.3, 0.4), ticks=60):
     while not base.node.count_subscribers(topic) or base.executor.spin_once(timeout_sec=0.05):
         assert time.monotonic() < end
     for _ in range(ticks):
-        now = base.clock.at(base.tick)
+        now = base.clock.set_tick(base.tick)
         base.inbox.put(*command, 0, now)
         base.publish_sensors(now, base.clock.origin)
         base.advance(now)

@@ -98,7 +98,7 @@ def error_limit(limit, response="slow", v=0.0):
     population = shipped.populations["own"].model_copy(update={"lateral": scale})
     calibration = shipped.model_copy(update={"populations": {"own": population}})
     settings = PredictedErrorSettings(follow_error_limit=limit, follow_error_response=response, error_population="own")
-    predictor = replace(ErrorPredictor.of(Controller("ssm"), settings), calibration=calibration)
+    predictor = replace(ErrorPredictor.build(Controller("ssm"), settings), calibration=calibration)
     limits = path_limits(CONFIG, np.eye(2), SETTINGS)
     check = ErrorLimit(predictor, settings)
     return lay_for_robot(BENT, BENT[0], (v, 0.0), limits, SETTINGS, CONFIG, [check]), predictor

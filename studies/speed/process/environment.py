@@ -29,7 +29,7 @@ class PeerEnvironment:
 
 
 def peer_environment(folder: Path | None = None) -> PeerEnvironment:
-    """The environment in `folder`, by default below the cache folder; made if it is not there.
+    """Return the environment in `folder`, by default below the cache folder; create it if it is missing.
 
     Raises SubjectError if it cannot be made: no package index within reach, or no wheel for this system.
     """
@@ -71,7 +71,7 @@ def _make(folder: Path) -> None:
 
 
 def pinned(name: str, requirements: str) -> str:
-    """The part of a list of requirements that is of one package: its version and the hashes of its files.
+    """Return the part of a list of requirements for one package: its version and the hashes of its files.
 
     Raises SubjectError where the list does not have it.
     """
@@ -90,7 +90,7 @@ def _run(*command: str) -> None:
 
 
 def _reachable(package: Path) -> None:
-    """Its generator looks for its templates where a checkout of acados has them."""
+    """Link the templates to the place in which the generator expects them, as in a checkout of acados."""
     place = package / "install" / "interfaces" / "acados_template"
     place.mkdir(parents=True, exist_ok=True)
     if not (place / "acados_template").exists():

@@ -55,20 +55,20 @@ class Subject:
     ) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self._folder = folder
-        self._connection, other = Pipe()
+        self._connection, child_end = Pipe()
         with (folder / "output.txt").open("wb") as output:
             self._process = subprocess.Popen(
-                [python, str(_WORKER), str(other.fileno()), kind, str(_PACKAGES)],
-                pass_fds=[other.fileno()],
+                [python, str(_WORKER), str(child_end.fileno()), kind, str(_PACKAGES)],
+                pass_fds=[child_end.fileno()],
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 env={**os.environ, **_ONE_THREAD, **(variables or {})},
             )
-        other.close()
+        child_end.close()
 
     def __enter__(self) -> Self:
-        """Nothing to do: the process starts with the object."""
+        """Return the object, whose process is already running."""
         return self
 
     def __exit__(
@@ -97,27 +97,27 @@ class Subject:
     def run(self, ticks: list[tuple[Any, ...]]) -> tuple[list[TimedStep], Effort]:
         """Step through ticks, and what they took of the process."""
         answers, effort = self._ask("run", *ticks)
-        return [TimedStep(*answer) for answer in answers], Effort(*effort)
+        return [TimedStep(*step) for step in answers], Effort(*effort)
 
     def memory(self) -> float:
-        """The largest memory it had so far [bytes]."""
+        """Return the maximum memory so far [bytes]."""
         return float(self._ask("memory"))
 
-    def _ask(self, what: str, *arguments: object) -> Any:  # noqa: ANN401 - depends on what is asked
+    def _ask(self, request: str, *arguments: object) -> Any:  # noqa: ANN401 - depends on what is asked
         try:
-            self._connection.send((what, arguments))
+            self._connection.send((request, arguments))
         except OSError as error:
             raise SubjectError(self._last_words()) from error
         return self._answer()
 
     def _answer(self) -> Any:  # noqa: ANN401 - see above
         try:
-            answer = self._connection.recv()
+            reply = self._connection.recv()
         except (EOFError, OSError) as error:
             raise SubjectError(self._last_words()) from error
-        if isinstance(answer, Exception):
-            raise SubjectError(" ".join(str(answer).split()))
-        return answer
+        if isinstance(reply, Exception):
+            raise SubjectError(" ".join(str(reply).split()))
+        return reply
 
     def _last_words(self) -> str:
         lines = (self._folder / "output.txt").read_text(encoding="utf-8", errors="replace").split("\n")

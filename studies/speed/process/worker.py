@@ -25,7 +25,7 @@ KINDS = {
 """Module and class behind each kind of subject."""
 
 Answer = tuple[list[float], float, float, int, bool]
-"""Of a step: command, time of the whole step and inside the solver [s], iterations, solved."""
+"""Result of a step: command, time of the whole step and inside the solver [s], iterations, solved."""
 
 
 class Worker:
@@ -66,12 +66,12 @@ class Worker:
         return (command.tolist(), whole, *self._subject.report())
 
     def memory(self) -> float:
-        """The largest memory that this process had [bytes]."""
+        """Return the maximum memory of this process [bytes]."""
         return _resident("VmHWM")
 
 
 def _resident(field: str) -> float:
-    """A memory of this process [bytes]; NaN where the system does not say."""
+    """Return a memory figure of this process [bytes]; NaN if the system does not provide it."""
     status = Path("/proc/self/status")
     lines = status.read_text(encoding="utf-8").splitlines() if status.is_file() else []
     return next((1024.0 * float(line.split()[1]) for line in lines if line.startswith(field)), float("nan"))
@@ -84,9 +84,9 @@ def main() -> None:
         worker = Worker(sys.argv[2])
         connection.send(None)
         while True:
-            what, arguments = connection.recv()
+            request, arguments = connection.recv()
             try:
-                connection.send(getattr(worker, what)(*arguments))
+                connection.send(getattr(worker, request)(*arguments))
             except Exception as error:
                 connection.send(RuntimeError(f"{type(error).__name__}: {error}"))
     except (EOFError, BrokenPipeError):

@@ -1,4 +1,4 @@
-"""Who solves the problem: our controller, and peers that get it stage by stage."""
+"""Solvers of the problem: our controller, and peers that get it stage by stage."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class SolveReport(NamedTuple):
-    """Of the last solve: time inside the solver by its own clock [s], its iterations, whether it found a solution."""
+    """Report of the last solve: time by the solver's clock [s], iterations, and True with a solution."""
 
     inside: float
     iterations: int

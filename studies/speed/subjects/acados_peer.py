@@ -65,7 +65,7 @@ class AcadosPeer:
         self._solver.set(self._horizon, "x", z)
 
     def solve(self, state: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-        """The command (2,) for the first state and the parameters of all stages."""
+        """Compute the command (2,) for the first state and the parameters of all stages."""
         data = self._data
         split = 1 + len(state)
         data[1:split] = state
@@ -76,7 +76,7 @@ class AcadosPeer:
         return np.asarray(self._solver.get(0, "u"))
 
     def report(self) -> SolveReport:
-        """Of the last solve."""
+        """Report the last solve."""
         iterations = int(np.sum(self._solver.get_stats("qp_iter")))
         return SolveReport(float(np.ravel(self._solver.get_stats("time_tot"))[0]), iterations, self._status == 0)
 

@@ -71,13 +71,13 @@ class DoMpcPeer:
         mpc.set_initial_guess()
 
     def solve(self, state: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-        """The command (2,) for the first state and the parameters of all stages."""
+        """Compute the command (2,) for the first state and the parameters of all stages."""
         after = np.vstack([parameters[1:], parameters[-1:]])
         self._data.master = ca.DM(np.hstack([parameters, after]).ravel())
         return np.asarray(self._mpc.make_step(state)[:2, 0])
 
     def report(self) -> SolveReport:
-        """Of the last solve."""
+        """Report the last solve."""
         stats = self._mpc.solver_stats
         return SolveReport(float(stats["t_wall_total"]), int(stats["iter_count"]), bool(stats["success"]))
 

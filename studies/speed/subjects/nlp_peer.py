@@ -43,7 +43,7 @@ class NlpPeer:
         self._guess = {"x0": self._program.guess(np.array(states), commands)}
 
     def solve(self, state: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-        """The command (2,) for the first state and the parameters of all stages."""
+        """Compute the command (2,) for the first state and the parameters of all stages."""
         data = np.concatenate([state, parameters.ravel()])
         solution = self._solver(p=data, **self._guess, **self._program.bounds)
         x = np.array(solution["x"]).ravel()
@@ -52,6 +52,6 @@ class NlpPeer:
         return self._program.command(x)
 
     def report(self) -> SolveReport:
-        """Of the last solve."""
+        """Report the last solve."""
         stats = self._solver.stats()
         return SolveReport(float(stats["t_wall_total"]), int(stats["iter_count"]), bool(stats["success"]))

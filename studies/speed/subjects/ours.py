@@ -32,18 +32,18 @@ class OurSubject:
         self._step: StepResult | None = None
 
     def reset(self, t: float, measurement: Measurement) -> None:
-        """Be as new at the first tick, which is at `t`."""
+        """Reset to a new controller at the first tick, which is at `t`."""
         del measurement
         self._controller.reset()
         self._controller.start(self._reference, t)
 
     def solve(self, t: float, measurement: Measurement) -> FloatArray:
-        """The command (2,) for the measurement at `t` [s]."""
+        """Compute the command (2,) for the measurement at `t` [s]."""
         self._step = self._controller.step(t, measurement)
         return self._step.command
 
     def report(self) -> SolveReport:
-        """Of the last step."""
+        """Report the last step."""
         step = self._step
         assert step is not None
         return SolveReport(step.solve_time, step.solver.iterations, step.mode is Mode.TRACKING)

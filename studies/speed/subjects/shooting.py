@@ -38,16 +38,16 @@ class ShootingProgram:
     states: int
 
     def guess(self, states: np.ndarray, commands: np.ndarray) -> np.ndarray:
-        """X for states (N + 1, z) and commands (N, 2), no soft limit exceeded."""
+        """Stack states (N + 1, z) and commands (N, 2) to x, with no soft limit exceeded."""
         slack = np.zeros((len(commands), SOFT))
         return np.concatenate([np.column_stack([states[:-1], commands, slack]).ravel(), states[-1]])
 
     def shifted(self, x: np.ndarray) -> np.ndarray:
-        """X one stage later, its last stage repeated."""
+        """Shift x by one stage, with its last stage repeated."""
         return np.concatenate([x[self.stride :], x[-self.stride :]])
 
     def command(self, x: np.ndarray) -> np.ndarray:
-        """(2,) the first command."""
+        """Extract the first command (2,)."""
         return np.asarray(x[self.states : self.states + 2])
 
 
@@ -91,14 +91,14 @@ def shooting_program(problem: dict[str, Any]) -> ShootingProgram:
 
 
 def _stage(problem: dict[str, Any]) -> ca.Function:
-    """((z, u, s) of a stage, z of the next, their parameters) to the rows of g, and the cost from z to the next z."""
+    """Build the function from ((z, u, s) of a stage, z of the next, parameters) to the rows of g and the cost."""
     size, soft_limit = problem["states"], slice(problem["parameters"] - SOFT, problem["parameters"])
     step, tracking, effort, soft = (
         ca.Function.deserialize(problem[name]) for name in ("step", "tracking", "effort", "soft_values")
     )
-    here, after = ca.SX.sym("here", size + 2 + SOFT), ca.SX.sym("after", size)
+    stage, after = ca.SX.sym("here", size + 2 + SOFT), ca.SX.sym("after", size)
     p, p_after = (ca.SX.sym(name, problem["parameters"]) for name in ("p", "p_after"))
-    z, u, s = here[:size], here[size : size + 2], here[size + 2 :]
+    z, u, s = stage[:size], stage[size : size + 2], stage[size + 2 :]
     end = step(z, u, p)
     # Of `end`, not of `after`: a stage's inequalities may know that stage only.
     values, limits = soft(end, p_after), p_after[soft_limit]
@@ -106,4 +106,4 @@ def _stage(problem: dict[str, Any]) -> ca.Function:
     cost = ca.dot(problem["effort_weights"], effort(z, u, p) ** 2) / 2
     cost += ca.dot(problem["tracking_weights"], tracking(after, p_after) ** 2) / 2
     cost += problem["soft"] * ca.sum1(s) + problem["soft_quadratic"] * ca.sumsqr(s) / 2
-    return ca.Function("stage", [here, after, p, p_after], [rows, cost])
+    return ca.Function("stage", [stage, after, p, p_after], [rows, cost])

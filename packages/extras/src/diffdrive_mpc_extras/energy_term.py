@@ -1,4 +1,4 @@
-"""What turning costs, attached to a controller: a term of the cost, and the least radius by the motors' torque."""
+"""Energy of turns in a controller: a term of the cost, and the least radius by the motors' torque."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class Energy(FeatureGroup):
-    """What turns cost this robot on its floor, and what the plan makes of it."""
+    """Settings of the energy of turns on a floor, and its use in the plan."""
 
     weight: NotNegative = Field(
         0.0, description="electrical power that turning takes, summed over the steps of the horizon; 0: no matter [1/W]"
@@ -68,7 +68,7 @@ def energy_of(config: ControllerConfig) -> Energy:
 
 
 NAME = "energy"
-"""Of the term; its one stage parameter is the weight [1/W]."""
+"""Name of the term; its one stage parameter is the weight [1/W]."""
 
 # Power [W] and yaw rate [rad/s] over which the residual goes through zero where the robot drives straight on: the root
 # of a power would have a kink there.
@@ -76,7 +76,7 @@ _SOFT_POWER, _SOFT_YAW_RATE = 0.05, 0.02
 
 
 def turning_power(costs: TurnCosts, v: ca.SX, omega: ca.SX) -> ca.SX:
-    """What the battery gives for a command beyond what the same speed takes straight on [W].
+    """Compute the battery power of a command beyond that of straight motion at the same speed [W].
 
     That rest, drag over the length of the path, is not saved by another curve.
     """
@@ -84,7 +84,7 @@ def turning_power(costs: TurnCosts, v: ca.SX, omega: ca.SX) -> ca.SX:
 
 
 def energy_function(costs: TurnCosts) -> ca.Function:
-    """The residual of a command (2) and the weight [1/W]: its square is the weight times the power of turning.
+    """Build the residual of a command (2) and the weight [1/W]: its square is the weight times the turning power.
 
     It has the sign of the yaw rate, and is smooth and increasing where that is small: so the Gauss-Newton step sees the
     true gradient of the power, and a curvature that is never negative.
@@ -98,7 +98,7 @@ def energy_function(costs: TurnCosts) -> ca.Function:
 
 
 def energy_terms(config: ControllerConfig) -> tuple[Term, ...]:
-    """The term of a configuration; none with a weight of zero."""
+    """Build the term of a configuration; none with a weight of zero."""
     if not energy_of(config).weight:
         return ()
     function = energy_function(_load(config))
@@ -106,7 +106,7 @@ def energy_terms(config: ControllerConfig) -> tuple[Term, ...]:
 
 
 def with_least_radius(config: ControllerConfig) -> ControllerConfig:
-    """The configuration with the least commanded radius of its turn costs, where it asks for that and gives none.
+    """Return the configuration with the least commanded radius of its turn costs, if it requests and lacks one.
 
     Raises
     ------
@@ -141,10 +141,10 @@ class EnergyFeature(Feature):
 
     @classmethod
     def prepare(cls, config: ControllerConfig) -> ControllerConfig:
-        """See `Feature`: with the least radius of the turn costs."""
+        """Prepare the configuration as `Feature` describes, with the least radius of the turn costs."""
         return with_least_radius(config)
 
     @classmethod
     def terms(cls, config: ControllerConfig) -> tuple[Term, ...]:
-        """See `Feature`."""
+        """Build the terms as `Feature` describes."""
         return energy_terms(config)

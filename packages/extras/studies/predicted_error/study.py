@@ -78,7 +78,7 @@ class PredictedErrorStudy(Study[dict[str, list[PlannedDrive]], Driven]):
                 if len(driven[name]) != len(drives):
                     raise ConfigError(f"{file}: {len(driven[name])} drives in place of {len(drives)}; remove it")
                 continue
-            bar.begin(f"driving {name}", len(drives))
+            bar.start_stage(f"driving {name}", len(drives))
             driven[name] = run_tasks([partial(drive, self._study, one) for one in drives], jobs, bar.advance)
             if file is not None:
                 file.parent.mkdir(parents=True, exist_ok=True)

@@ -52,7 +52,7 @@ class Pool:
         self._arrays: list[FloatArray] = []
 
     def add(self, array: FloatArray) -> int:
-        """The place of an array."""
+        """Add an array; return its place."""
         key = np.ascontiguousarray(array, dtype=float).tobytes()
         if key not in self._places:
             self._places[key] = len(self._arrays)
@@ -61,7 +61,7 @@ class Pool:
 
     @property
     def lengths(self) -> list[int]:
-        """Of each array, in the order of `numbers`."""
+        """Return the length of each array, in the order of `numbers`."""
         return [array.size for array in self._arrays]
 
     @property
@@ -71,7 +71,7 @@ class Pool:
 
 
 def page_data() -> tuple[dict[str, Any], bytes]:
-    """The index and the numbers.
+    """Build the index and the numbers.
 
     Raises
     ------
@@ -110,13 +110,13 @@ def page_data() -> tuple[dict[str, Any], bytes]:
 
 
 def experiments() -> list[dict[str, Any]]:
-    """The guided experiments, `experiments.yaml`."""
+    """Load the guided experiments, `experiments.yaml`."""
     guided: list[dict[str, Any]] = read_yaml(Path(__file__).with_name("experiments.yaml"))["experiments"]
     return guided
 
 
 def _described(choice: Mapping[str, Any]) -> dict[str, Any]:
-    """A choice with the key, the help and the unit that the configuration's schema has for it."""
+    """Describe a choice with the key, the help and the unit of the configuration's schema."""
     rows = {row.key: row for row in schema_rows()}
     row = rows.get(shown_key(choice.get("key", "")))
     helped = {} if row is None else {"shown": row.key, "help": row.help, "unit": row.unit}
@@ -136,29 +136,29 @@ def _bases() -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def _controller(pool: Pool, choices: dict[str, Any]) -> dict[str, Any]:
-    """Sizes and fields of a base, and by choice and value the fields that change: place in the field, and number."""
+    """Collect sizes and fields of a base, and by choice and value the changed fields: place, and number."""
     model, rest = choices["model"], {name: choices[name] for name in BASES if name != "model"}
     base = numbers.controller(numbers.configuration(model, rest))
     changed: dict[str, dict[str, list[Any]]] = {}
     touched: set[tuple[int, int]] = set()
     for name in VARIED:
-        by_value, own = {}, set()
+        by_value, fields_of_choice = {}, set()
         for value in values_of(name):
             varied = numbers.controller(numbers.configuration(model, rest | {name: value}))
             by_value[str(value)] = [
                 [field, places, pool.add(list(varied.fields.values())[field][places])]
                 for field, places in _differences(base, varied)
             ]
-            own |= {(field, place) for field, places in _differences(base, varied) for place in places}
-        if own & touched:
+            fields_of_choice |= {(field, place) for field, places in _differences(base, varied) for place in places}
+        if fields_of_choice & touched:
             raise ValueError(f"{name}: it changes constants that another choice changes; leave one of them out")
-        touched |= own
+        touched |= fields_of_choice
         changed[name] = by_value
     return {"sizes": pool.add(base.sizes), "fields": [pool.add(f) for f in base.fields.values()], "changed": changed}
 
 
 def _differences(base: Constants, varied: Constants) -> Iterator[tuple[int, list[int]]]:
-    """The fields of `varied` that are not those of `base`, and where in the field."""
+    """Yield the fields of `varied` that differ from `base`, and the places in the field."""
     for field, (before, after) in enumerate(zip(base.fields.values(), varied.fields.values(), strict=True)):
         places = np.flatnonzero(~((before == after) | (np.isnan(before) & np.isnan(after)))).tolist()
         if places:
@@ -174,17 +174,17 @@ _FLAGS = (
     *("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-DDDMPC_NOW=lab_now"),
 )
 _LONGEST = 300.0
-"""How long the compiler may take [s]; its first call of a machine compiles a C library, too."""
+"""Time limit of the compiler [s]; its first call on a machine compiles a C library, too."""
 SCRIPTS = ("engine.js", "settings.js", "view.js", "page.js")
 
 
 def has_compiler() -> bool:
-    """Whether Zig is installed beside this Python."""
+    """Return True if Zig is installed for this Python."""
     return importlib.util.find_spec("ziglang") is not None
 
 
 def texts() -> dict[str, str]:
-    """Every C file and header by name."""
+    """Return every C file and header by name."""
     plant = generate_plant()
     written = {path.name: path.read_text(encoding="utf-8") for path in sorted(FOLDER.glob("*.[ch]"))}
     generated = {f"{plant.stem}.c": plant.source, f"{plant.stem}.h": plant.header}
@@ -192,7 +192,7 @@ def texts() -> dict[str, str]:
 
 
 def compile_module() -> bytes:
-    """The WebAssembly module.
+    """Compile the WebAssembly module.
 
     Raises
     ------
@@ -215,7 +215,7 @@ def compile_module() -> bytes:
 
 
 def page_text() -> str:
-    """The page; raises NotCompiledError as `compile_module`."""
+    """Build the page; raise NotCompiledError as `compile_module`."""
     module = compile_module()
     index, numbers = page_data()
     index["report"] = report_fields((FOLDER / "lab.h").read_text(encoding="utf-8"))

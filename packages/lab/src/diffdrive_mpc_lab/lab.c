@@ -1,4 +1,4 @@
-/* What the page calls: numbers go in by kind, ticks are driven, and a report and the plan come out. */
+/* Functions called by the page: set numbers by kind, run ticks, and read a report and the plan. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -71,7 +71,7 @@ void CALLED(lab_set_noise)(const double *numbers)
     world.noise = noise;
 }
 
-/* How many patches of ice, and x, y and radius of each. */
+/* Set the number of patches of ice, and x, y and radius of each. */
 void CALLED(lab_set_patches)(const double *numbers)
 {
     world.patch_count = (int)fmin(numbers[0], LAB_PATCHES);
@@ -108,7 +108,7 @@ static void take_reference(const ddmpc_trajectory *taken)
     report.duration = trajectory.duration;
 }
 
-/* Whether it is cubic, pieces, breaks, duration, then the breaks and the table. */
+/* Numbers: 1 for cubics, pieces, breaks, duration, then the breaks and the table. */
 void CALLED(lab_set_reference)(const double *numbers)
 {
     const int breaks = (int)numbers[2];
@@ -143,9 +143,9 @@ static int evened(const double *points, int count, double even[DRAWN_PIECES][2])
         for (int axis = 0; axis < 2; axis++) {
             double before = even[0][axis];
             for (int i = 1; i + 1 < laid; i++) {
-                const double here = even[i][axis];
-                even[i][axis] = 0.25 * before + 0.5 * here + 0.25 * even[i + 1][axis];
-                before = here;
+                const double value = even[i][axis];
+                even[i][axis] = 0.25 * before + 0.5 * value + 0.25 * even[i + 1][axis];
+                before = value;
             }
         }
     return laid;

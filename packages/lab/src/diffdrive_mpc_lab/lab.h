@@ -26,7 +26,7 @@ typedef struct {
     double x, y, radius;
 } lab_patch;
 
-/* What is around both robots. */
+/* World of both robots. */
 typedef struct {
     lab_model model;
     lab_noise noise;
@@ -41,7 +41,7 @@ typedef struct {
     double arrival, stamp, value[3];
 } lab_late_pose;
 
-/* A robot: its motion, and its sensors with what they have not delivered yet. */
+/* State of a robot: its motion, and its sensors with pending measurements. */
 typedef struct {
     long tick, next_pose;
     double pose[3], state[LAB_STATES], past[LAB_PAST][2]; /* past commands, newest first */
@@ -54,7 +54,7 @@ typedef struct {
 } lab_robot_state;
 
 void robot_reset(lab_robot_state *robot, const lab_world *world, const double pose[3]);
-/* What the sensors delivered since the last call. */
+/* Collect the sensor data since the last call. */
 void robot_measure(lab_robot_state *robot, const lab_world *world, ddmpc_input *input);
 /* Send a command, and let one sample pass. */
 void robot_advance(lab_robot_state *robot, const lab_world *world, const double command[2]);
@@ -63,7 +63,7 @@ void robot_advance(lab_robot_state *robot, const lab_world *world, const double 
 enum { RPP_POSES = 8192 };
 typedef struct {
     const lab_rpp *parameters;
-    int count, here, near_goal, finished, has_pose;
+    int count, nearest, near_goal, finished, has_pose;
     double path[RPP_POSES][3], along[RPP_POSES];
     double pose[3], twist[2], wish[2], last[2], next;
 } rpp_peer;
@@ -71,17 +71,17 @@ typedef struct {
 void rpp_start(rpp_peer *peer, const lab_rpp *parameters, const ddmpc_reference *reference);
 /* The command for the tick at `t`, inside range and slew of the peer's limits. */
 void rpp_step(rpp_peer *peer, double t, double sample_time, const ddmpc_input *input);
-/* How far a pose is from the path. */
+/* Return the distance of a pose from the path. */
 double rpp_distance(const rpp_peer *peer, const double pose[3]);
 
-/* What the page reads after each tick; numbers by the names of these fields. */
+/* Report for the page after each tick, by the names of these fields. */
 typedef struct {
     double time;
     double pose[3], estimate[3], reference[3], peer[3];
     double command[2], twist[3], peer_command[2], peer_twist[3];
     double mode, reasons, has_estimate, has_plan, iterations, peer_finished;
     double error, peer_error; /* to the reference at that time; the peer, which keeps no times: to its path */
-    double counted, square_sum, largest; /* of the error, up to the end of the reference */
+    double counted, square_sum, largest; /* statistics of the error up to the end of the reference */
     double controller_seconds, ticks;
     double duration;
 } lab_report;

@@ -36,17 +36,17 @@ FLOOR = ("longitudinal_gain", "yaw_gain", "wheel_yaw_gain", "side_slip")
 
 
 def generate_plant() -> GeneratedC:
-    """C of the functions `lab_f_floor` and `lab_f_move`."""
+    """Generate C of the functions `lab_f_floor` and `lab_f_move`."""
     return generate(plant_functions(), "lab_plant", "diffdrive_mpc_lab/numbers.py")
 
 
 def plant_functions() -> tuple[ca.Function, ca.Function]:
-    """`lab_f_floor`: twist by model and floor to those of body and wheels; `lab_f_move`: a pose after a while."""
+    """Build `lab_f_floor`: twist by model and floor to those of body and wheels; `lab_f_move`: a pose after a time."""
     return _floor(), _move()
 
 
 def _floor() -> ca.Function:
-    """Twist of the model (2) and floor (4) to the twist of the body (3) and that of the wheels (2)."""
+    """Map the twist of the model (2) and floor (4) to the twist of the body (3) and that of the wheels (2)."""
     output, floor = ca.SX.sym("output", 2), ca.SX.sym("floor", len(FLOOR))
     symbols: dict[str, Any] = dict(zip(FLOOR, ca.vertsplit(floor), strict=True))
     slip = BodySlip.model_construct(**symbols)
@@ -62,7 +62,7 @@ def _floor() -> ca.Function:
 
 
 def _move() -> ca.Function:
-    """Pose (3), twist of the body (3) and duration (1) to the pose (3) after it."""
+    """Map pose (3), twist of the body (3) and duration (1) to the pose (3) after it."""
     pose, body, duration = ca.SX.sym("pose", 3), ca.SX.sym("body", 3), ca.SX.sym("duration")
     after = pose + arc_displacement(pose[2], body[0], body[2], duration, body[1])
     return ca.Function("lab_f_move", [pose, body, duration], [after], ["pose", "body", "duration"], ["after"])
@@ -74,18 +74,18 @@ Struct = dict[str, FloatArray]
 
 @cache
 def lab_settings() -> dict[str, Any]:
-    """What can be chosen in the page, `settings.yaml`."""
+    """Load the choices of the page, `settings.yaml`."""
     settings: dict[str, Any] = read_yaml(Path(__file__).with_name("settings.yaml"))
     return settings
 
 
 def values_of(name: str) -> list[Any]:
-    """The values of a choice."""
+    """Return the values of a choice."""
     return list(lab_settings()["choices"][name]["values"])
 
 
 def default_of(name: str) -> Any:  # noqa: ANN401 - a name or a number
-    """The value of a choice that is not made."""
+    """Return the default of a choice."""
     return lab_settings()["choices"][name]["default"]
 
 
@@ -93,13 +93,13 @@ def default_of(name: str) -> Any:  # noqa: ANN401 - a name or a number
 
 
 def robot() -> Struct:
-    """Of `lab_robot`: sample time [s], and limits of the link [m/s, rad/s]."""
+    """Return `lab_robot`: sample time [s], and limits of the link [m/s, rad/s]."""
     parameters = load_robot()
     return _struct(sample_time=parameters.sample_time, limits=[parameters.limits.v, parameters.limits.omega])
 
 
 def floor(surface: str) -> Struct:
-    """Of `lab_floor`; raises ConfigError for a floor with one of the papers' laws, which C does not have."""
+    """Return `lab_floor`; raise ConfigError for a floor with one of the papers' laws, which C lacks."""
     slip = load_surface(surface).slip
     if slip.polynomial is not None or slip.virtual_track is not None:
         raise ConfigError(f"surface '{surface}': the laboratory has floors of gains and side-slip alone; take another")
@@ -107,7 +107,7 @@ def floor(surface: str) -> Struct:
 
 
 def sensors(name: str) -> Struct:
-    """Of `lab_sensors`; covariances are those that the plant's measurements state, zero where they state none."""
+    """Return `lab_sensors`; covariances are those of the plant's measurements, zero without any."""
     parameters, wheels = load_sensor_set(name), WheelKinematics(load_robot().wheel_radius, load_robot().track)
     pose, gyro = parameters.pose, parameters.gyro
     first = _first_measurement(name)
@@ -134,7 +134,7 @@ def sensors(name: str) -> Struct:
 
 
 def _first_measurement(sensor_set: str) -> Measurement:
-    """The first measurement with a pose, of a robot that stands."""
+    """Return the first measurement with a pose, of a robot at rest."""
     plant = make_plant("model:ssm", sensors=sensor_set)
     while (measurement := plant.measure()).pose is None:
         plant.advance(np.zeros(2))
@@ -142,7 +142,7 @@ def _first_measurement(sensor_set: str) -> Measurement:
 
 
 def peer() -> Struct:
-    """Of `lab_rpp`: the parameters of regulated pure pursuit, and the limits that the bench gives it."""
+    """Return `lab_rpp`: the parameters of regulated pure pursuit, and the limits in the bench."""
     config = load_config(MODEL)
     step = slew_step(config.limits, config.sample_time)
     return _struct(
@@ -155,7 +155,7 @@ def peer() -> Struct:
 
 
 def drawing() -> Struct:
-    """Of `lab_drawing`: how a drawn line becomes a path, and how fast that is driven."""
+    """Return `lab_drawing`: conversion of a drawn line to a path, and its speed."""
     shape, limits = lab_settings()["drawing"], load_robot()
     return _struct(
         spacing=shape["spacing"],
@@ -171,7 +171,7 @@ def _struct(**values: Any) -> Struct:  # noqa: ANN401 - a number or an array
 
 
 def flat(struct: Struct) -> FloatArray:
-    """The numbers of a struct as they lie in memory."""
+    """Flatten a struct to its numbers in memory order."""
     return np.concatenate(list(struct.values()))
 
 
@@ -179,7 +179,7 @@ def flat(struct: Struct) -> FloatArray:
 
 
 def plant_model(name: str, dead_time: float) -> FloatArray:
-    """For `lab_set_model`: the velocity model `name` with more dead time [s]."""
+    """Return the velocity model `name` with more dead time [s] for `lab_set_model`."""
     late = load_linear_model(name).with_extra_dead_time([dead_time, dead_time])
     sampled = late.discretise(load_robot().sample_time)
     matrices = (np.ravel(matrix) for matrix in (sampled.A, sampled.B0, sampled.B1, sampled.C))
@@ -187,7 +187,7 @@ def plant_model(name: str, dead_time: float) -> FloatArray:
 
 
 def noise(seed: int) -> FloatArray:
-    """For `lab_set_noise`: what the streams of `sim.sensing.sensors.Sensors` draw from `seed`."""
+    """Draw the noise of `sim.sensing.sensors.Sensors` with `seed` for `lab_set_noise`."""
     rows = lab_settings()["noise_rows"]
     pose, gyro, encoders, losses = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(4))
     drawn = [pose.standard_normal((rows, 3)), gyro.standard_normal(rows), encoders.standard_normal((rows, 4))]
@@ -195,7 +195,7 @@ def noise(seed: int) -> FloatArray:
 
 
 def reference(path: str, speed: float) -> FloatArray | None:
-    """For `lab_set_reference`: a shipped path, at its own speed where `speed` is 0; None if it is too fast."""
+    """Return a shipped path for `lab_set_reference`, at its own speed if `speed` is 0; None if it is too fast."""
     try:
         laid = load_reference(Case(trajectory=path, top_speed=speed or None))
     except ConfigError:
@@ -211,7 +211,7 @@ def reference(path: str, speed: float) -> FloatArray | None:
 
 
 def configuration(model: str, choices: Mapping[str, Any]) -> ControllerConfig:
-    """The configuration of the page's controller: the shipped one of `model`, with `choices` by name, without re-entry.
+    """Build the configuration of the page's controller: the shipped one of `model`, with `choices`, without re-entry.
 
     Weights on increments are stated, so that no choice changes those that follow from others. Delays are not learned:
     the page shows what an unknown one costs.
@@ -242,7 +242,7 @@ class Constants(NamedTuple):
 
 
 def controller(config: ControllerConfig) -> Constants:
-    """The numbers of `ddmpc_sizes` and `ddmpc_constants` for a configuration; a pointer's count comes before it."""
+    """Return `ddmpc_sizes` and `ddmpc_constants` for a configuration; the count of a pointer comes before it."""
     problem = build_problem(config, chosen_model(config, None), ())
     fields = {}
     for name, value in constant_fields(problem.sizes, problem.constants()):
@@ -252,7 +252,7 @@ def controller(config: ControllerConfig) -> Constants:
 
 
 def structs() -> dict[str, Struct]:
-    """Every struct that is generated, by its name in C, with an example of its numbers."""
+    """Return every generated struct by its name in C, with an example of its numbers."""
     return {
         "lab_robot": robot(),
         "lab_floor": floor("default"),
@@ -286,7 +286,7 @@ void lab_read_controller(const double *at, ddmpc_sizes *sizes, ddmpc_constants *
 
 
 def generated_texts() -> dict[str, str]:
-    """Texts of lab_numbers.h and lab_numbers.c."""
+    """Generate lab_numbers.h and lab_numbers.c."""
     declared = "\n".join(
         f"typedef struct {{\n{''.join(_member(*item) for item in struct.items())}}} {name};\n"
         for name, struct in structs().items()

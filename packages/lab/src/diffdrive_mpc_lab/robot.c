@@ -97,7 +97,7 @@ static void see_motion(lab_robot_state *robot, const lab_world *world, const dou
     robot->yaw_rate = yaw_rate + (robot->gyro_bias + noise);
 }
 
-/* Whether the pose sensor looks at a time up to `until`, and when. */
+/* Return 1 if the pose sensor measures at a time up to `until`, and that time. */
 static int pose_is_due(lab_robot_state *robot, const lab_world *world, double until, double *look)
 {
     *look = (double)robot->next_pose * world->sensors.period;
@@ -157,7 +157,7 @@ static double clipped(double value, double limit) { return fmin(fmax(value, -lim
 
 void robot_advance(lab_robot_state *robot, const lab_world *world, const double command[2])
 {
-    const double sample_time = world->robot.sample_time, begin = (double)robot->tick * sample_time;
+    const double sample_time = world->robot.sample_time, since = (double)robot->tick * sample_time;
     const lab_floor *floor = floor_under(world, robot->pose);
     double before[2], after[2], mean[2], twist[3], wheels[2], start[3], end, look;
     robot->has_sent = 1;
@@ -174,9 +174,9 @@ void robot_advance(lab_robot_state *robot, const lab_world *world, const double 
     robot->tick++;
     end = (double)robot->tick * sample_time;
     while (pose_is_due(robot, world, end, &look)) {
-        double seen[3];
-        moved(start, twist, look - begin, seen);
-        see_pose(robot, world, look, look == end ? robot->pose : seen);
+        double sensed[3];
+        moved(start, twist, look - since, sensed);
+        see_pose(robot, world, look, look == end ? robot->pose : sensed);
     }
     slipped(floor, after, robot->body, wheels);
     see_motion(robot, world, wheels, robot->body[2]);

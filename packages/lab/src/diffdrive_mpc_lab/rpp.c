@@ -51,11 +51,11 @@ void rpp_start(rpp_peer *peer, const lab_rpp *parameters, const ddmpc_reference 
     lay_path(peer, reference);
 }
 
-/* The end of the path that is looked at from its pose `here` on. */
+/* End of the examined part of the path, from its pose `nearest` on. */
 static int reach_of(const rpp_peer *peer)
 {
-    int end = peer->here;
-    while (end < peer->count && peer->along[end] - peer->along[peer->here] <= peer->parameters->search_dist)
+    int end = peer->nearest;
+    while (end < peer->count && peer->along[end] - peer->along[peer->nearest] <= peer->parameters->search_dist)
         end++;
     return end;
 }
@@ -65,33 +65,33 @@ static void prune(rpp_peer *peer)
 {
     const int end = reach_of(peer);
     double nearest = INFINITY;
-    for (int i = peer->here; i < end; i++) {
+    for (int i = peer->nearest; i < end; i++) {
         const double distance = hypot(peer->path[i][0] - peer->pose[0], peer->path[i][1] - peer->pose[1]);
         if (distance < nearest) {
             nearest = distance;
-            peer->here = i;
+            peer->nearest = i;
         }
     }
 }
 
-static void seen_from(const double pose[3], const double point[3], double seen[2])
+static void seen_from(const double pose[3], const double point[3], double relative[2])
 {
     const double dx = point[0] - pose[0], dy = point[1] - pose[1], c = cos(pose[2]), s = sin(pose[2]);
-    seen[0] = c * dx + s * dy;
-    seen[1] = -s * dx + c * dy;
+    relative[0] = c * dx + s * dy;
+    relative[1] = -s * dx + c * dy;
 }
 
-/* Where the path, in the robot's frame, first leaves the circle of radius `distance`; its end where it does not. */
+/* Find the first exit of the path, in the robot's frame, from the circle of radius `distance`, or its end. */
 static void carrot_of(const rpp_peer *peer, double distance, double carrot[2])
 {
     const int end = reach_of(peer);
     double last[2] = {0.0, 0.0}, point[2] = {0.0, 0.0};
-    for (int i = peer->here; i < end; i++) {
+    for (int i = peer->nearest; i < end; i++) {
         memcpy(last, point, sizeof last);
         seen_from(peer->pose, peer->path[i], point);
         if (hypot(point[0], point[1]) < distance)
             continue;
-        if (i > peer->here) {
+        if (i > peer->nearest) {
             const double dx = point[0] - last[0], dy = point[1] - last[1];
             const double a = dx * dx + dy * dy, b = last[0] * dx + last[1] * dy;
             const double c = last[0] * last[0] + last[1] * last[1] - distance * distance;
@@ -112,7 +112,7 @@ static double speed_of(const rpp_peer *peer, double curvature, double to_goal)
     if (p->use_regulated_linear_velocity_scaling != 0.0 && tight > 1.0)
         v *= 1.0 / tight;
     v = fmax(v, p->regulated_linear_scaling_min_speed);
-    if (peer->along[peer->count - 1] - peer->along[peer->here] < p->approach_velocity_scaling_dist) {
+    if (peer->along[peer->count - 1] - peer->along[peer->nearest] < p->approach_velocity_scaling_dist) {
         const double approach = v * to_goal / p->approach_velocity_scaling_dist;
         v = fmin(v, fmax(approach, p->min_approach_linear_velocity));
     }
@@ -139,7 +139,7 @@ static void decide(rpp_peer *peer)
     prune(peer);
     const double heading = ddmpc_wrap(goal[2] - peer->pose[2]);
     const double to_goal = hypot(goal[0] - peer->pose[0], goal[1] - peer->pose[1]);
-    const int half = peer->along[peer->here] >= 0.5 * peer->along[peer->count - 1];
+    const int half = peer->along[peer->nearest] >= 0.5 * peer->along[peer->count - 1];
     peer->near_goal = peer->near_goal || (half && to_goal <= p->xy_goal_tolerance);
     if (peer->near_goal && fabs(heading) <= p->yaw_goal_tolerance) {
         peer->finished = 1;

@@ -34,7 +34,7 @@ def export_judge(rules: Rules, folder: Path) -> list[Path]:
 
 
 def rules_texts(rules: Rules) -> dict[str, str]:
-    """Texts of rules.c and rules.h."""
+    """Generate rules.c and rules.h."""
     members = ",\n".join(f"    .{name} = {value!r}" for name, value in rules.numbers.items())
     about = "".join("_" if letter in '*/\\?"' else letter for letter in plain_line(rules.name, longest=80))
     header = (

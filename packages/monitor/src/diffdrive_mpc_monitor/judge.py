@@ -27,7 +27,7 @@ _FLAGS = ("-ffp-contract=off",)
 
 @cache
 def load_judge() -> tuple[cffi.FFI, Any]:
-    """The judge: cffi's declarations of `judge.h`, and the library.
+    """Load the judge: cffi's declarations of `judge.h`, and the library.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def write_packaged(folder: Path) -> list[Path]:
 
 
 def source_texts() -> dict[str, str]:
-    """Text of each source by its name."""
+    """Return the text of each source by its name."""
     return {name: (CORE / name).read_text(encoding="utf-8") for name in SOURCES}
 
 
@@ -65,7 +65,7 @@ _SIZES = ("DDMON_RULES", "DDMON_COMMANDS", "DDMON_TRACK", "DDMON_POSES")
 
 
 class MonitorVerdict(NamedTuple):
-    """Which rule was broken first, when, and what was found.
+    """Verdict: the first broken rule, its time and its figures.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class MonitorVerdict(NamedTuple):
     words: str
 
     def __bool__(self) -> bool:
-        """Whether something is wrong."""
+        """Return True if a rule is broken."""
         return bool(self.rule)
 
 
@@ -145,7 +145,7 @@ class Judge:
         self._lib.ddmon_outside(self._judge, now, wrong)
 
     def command(self, now: float, stamp: float, v: float, omega: float) -> tuple[float, float]:
-        """What the base is to get for a command v [m/s], omega [rad/s]; `stamp` [s] is 0 where it has none."""
+        """Judge a command v [m/s], omega [rad/s] and return the one for the base; `stamp` [s] is 0 without one."""
         self._lib.ddmon_command(self._judge, now, stamp, v, omega, self._out)
         return self._out[0], self._out[1]
 
@@ -156,19 +156,19 @@ class Judge:
         return self._out[0], self._out[1]
 
     def reset(self, now: float) -> MonitorVerdict:
-        """Go on, if nothing is wrong any more, the robot stands and nobody moves it; else what is still wrong.
+        """Resume if all rules hold, the robot stands and nobody moves it; return the verdict.
 
         A robot that is off its path goes on without a reference: the controller has to begin anew.
         """
         return self._said(self._lib.ddmon_reset(self._judge, now))
 
     def _said(self, verdict: object) -> MonitorVerdict:
-        number, at, value, limit = (getattr(verdict, name) for name in ("rule", "at", "value", "limit"))
+        number, time, value, limit = (getattr(verdict, name) for name in ("rule", "at", "value", "limit"))
         if not number:
-            return MonitorVerdict("", at, "")
+            return MonitorVerdict("", time, "")
         words, unit = (self._text(function, number) for function in ("ddmon_words", "ddmon_unit"))
         figures = f": {value:.3g} {unit}, the limit is {limit:.3g} {unit}" if unit else ""
-        return MonitorVerdict(rule_names()[number], at, f"{words}{figures}")
+        return MonitorVerdict(rule_names()[number], time, f"{words}{figures}")
 
     def _text(self, function: str, number: int) -> str:
         return bytes(self._ffi.string(getattr(self._lib, function)(number))).decode("ascii")
@@ -176,7 +176,7 @@ class Judge:
 
 @cache
 def rule_names() -> tuple[str, ...]:
-    """Names of the rules by their number; the first is empty."""
+    """Return the names of the rules by number; the first is empty."""
     _, lib = load_judge()
     names = [name for name in dir(lib) if name.startswith("DDMON_") and name.isupper()]
     numbers = {getattr(lib, name): name for name in names if name not in _SIZES}

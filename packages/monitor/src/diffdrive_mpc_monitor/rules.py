@@ -58,7 +58,7 @@ class CommandRules(StrictModel):
 
 
 class OnPath(StrictModel):
-    """Where the robot may be: near the stretch of path that the reference covers around now."""
+    """Bounds of the robot's place: near the stretch of path around the present reference."""
 
     distance: Positive = Field(description="largest distance from the stretch of path around the reference [m]")
     lasting: NotNegative = Field(description="longest time for which the distance may be larger [s]")
@@ -74,7 +74,7 @@ class OnPath(StrictModel):
 
 
 class Returning(StrictModel):
-    """Where a robot may be while it returns: something moved it, it stood, or its reference begins elsewhere."""
+    """Bounds of a robot that returns after it was moved, has stood, or got a reference that starts elsewhere."""
 
     within: NotNegative = Field(description="longest time away from the stretch while the robot returns [s]")
     distance: Positive = Field(
@@ -140,8 +140,8 @@ class Rules(StrictModel):
     answer: ResponseBounds = Field(description="bounds of the response to commands")
 
     def with_sensors(self, *, pose: bool, gyro: bool) -> Self:
-        """The same for a robot that may have no pose sensor or no gyro."""
-        absent = {name: 0.0 for name, there in (("pose_age", pose), ("gyro_age", gyro)) if not there}
+        """Return the rules for a robot that may lack a pose sensor or a gyro."""
+        absent = {name: 0.0 for name, present in (("pose_age", pose), ("gyro_age", gyro)) if not present}
         return self.model_copy(update={"sensors": self.sensors.model_copy(update=absent)})
 
     @property

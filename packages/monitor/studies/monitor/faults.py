@@ -43,39 +43,39 @@ class Fault:
         self._last: Sent | None = None
 
     def start(self, reference: Reference) -> None:
-        """A drive along `reference` begins at time 0."""
+        """Start a drive along `reference` at time 0."""
         self._end = reference.duration
 
     def followed(self, reference: Reference) -> Reference:
-        """What the controller follows of what it was given."""
+        """Return the reference that the controller follows instead of the given one."""
         return reference
 
-    def told(self, points: FloatArray) -> FloatArray:
-        """(n, 4) when, x, y, theta: the reference as it is told to others."""
+    def published(self, points: FloatArray) -> FloatArray:
+        """Return time, x, y, theta (n, 4) of the reference as published to others."""
         return points
 
     def measures(self, measurement: Measurement) -> Measurement:
-        """What the sensors say from `begins` on, to controller and monitor alike."""
+        """Return the measurement of the sensors from `begins` on, for controller and monitor."""
         return measurement
 
     def sees(self, measurement: Measurement) -> Measurement:
-        """What the controller makes of that."""
+        """Return the measurement as the controller reads it."""
         return measurement
 
     def sends(self, command: Sent) -> list[Sent]:
-        """What it sends at a tick instead of `command`."""
+        """Return the commands sent at a tick instead of `command`."""
         return [command]
 
     def says(self, mode: str) -> str:
-        """What it says that it does."""
+        """Return the reported mode."""
         return mode
 
     def obeys(self, command: tuple[float, float]) -> tuple[float, float]:
-        """What the robot does of what it is told."""
+        """Return the motion of the robot for a command."""
         return command
 
     def smooth(self, stamp: float, v: float, omega: float) -> list[Sent]:
-        """A wrong command that keeps range and slew, as one that went through a limiter."""
+        """Build a wrong command within range and slew, as after a limiter."""
         before = self._last or Sent(stamp, 0.0, 0.0)
         wanted, sent = (v, omega), []
         for value, old, slew, most in zip(wanted, before[1:], _SLEW, _FASTEST, strict=True):
@@ -84,12 +84,12 @@ class Fault:
         return [Sent(stamp, *sent)]
 
     def went(self, sent: list[Sent]) -> None:
-        """What left the controller, sound or not."""
+        """Record the sent commands, sound or not."""
         if sent:
             self._last = sent[-1]
 
     def active(self, t: float) -> bool:
-        """Whether something is wrong at `t` [s]."""
+        """Return True if the fault is active at `t` [s]."""
         return t >= self.begins
 
 
@@ -98,10 +98,10 @@ class _Late(Fault):
 
     def __init__(self, begins: float, ticks: int) -> None:
         super().__init__(begins)
-        self.kept: deque[Sent] = deque(maxlen=ticks + 1)
+        self.pending: deque[Sent] = deque(maxlen=ticks + 1)
 
     def went(self, sent: list[Sent]) -> None:
-        """Nothing is remembered of what was late itself."""
+        """Record nothing, since late commands must not be delayed again."""
 
 
 class WrongSign(Fault):
@@ -157,7 +157,7 @@ class Races(Fault):
 
 
 class LimitsCreep(Fault):
-    """What it takes for its limits grows, and it uses it."""
+    """Limits that grow, and are used by the controller."""
 
     def sends(self, command: Sent) -> list[Sent]:
         v = (self._last or command).v
@@ -175,19 +175,19 @@ class LateAndStamped(_Late):
     """Its commands are half a second old when they leave, and say so."""
 
     def went(self, sent: list[Sent]) -> None:
-        self.kept.extend(sent if len(self.kept) < 25 else ())
+        self.pending.extend(sent if len(self.pending) < 25 else ())
 
     def sends(self, command: Sent) -> list[Sent]:
-        self.kept.append(command)
-        return [self.kept.popleft()]
+        self.pending.append(command)
+        return [self.pending.popleft()]
 
 
 class LateUnsaid(_Late):
     """Its commands are 0.6 s late, with fresh stamps."""
 
     def sends(self, command: Sent) -> list[Sent]:
-        self.kept.append(command)
-        return [self.kept[0]._replace(stamp=command.stamp)]
+        self.pending.append(command)
+        return [self.pending[0]._replace(stamp=command.stamp)]
 
 
 class Alternates(Fault):
@@ -295,10 +295,10 @@ class ReplaysStamped(_Late):
     """Sends the commands of three seconds ago, as they were."""
 
     def went(self, sent: list[Sent]) -> None:
-        self.kept.extend(sent)
+        self.pending.extend(sent)
 
     def sends(self, command: Sent) -> list[Sent]:
-        return [self.kept[0]]
+        return [self.pending[0]]
 
 
 class Replays(Fault):
@@ -334,13 +334,13 @@ class Silent(Fault):
 class SeesThePast(Fault):
     """Takes what its sensors said for what they say, for ever."""
 
-    seen: Measurement | None = None
+    last: Measurement | None = None
 
     def sees(self, measurement: Measurement) -> Measurement:
-        if self.seen is None or self.seen.pose is None:
-            self.seen = measurement
+        if self.last is None or self.last.pose is None:
+            self.last = measurement
         names = ("pose", "wheel_twist", "yaw_rate")
-        old = {name: getattr(self.seen, name) for name in names}
+        old = {name: getattr(self.last, name) for name in names}
         new = {name: getattr(measurement, name) for name in names}
         fresh = {
             name: None if new[name] is None or old[name] is None else replace(old[name], time=new[name].time)
@@ -359,7 +359,7 @@ class WrongFrame(Fault):
 class JumpingReference(Fault):
     """Its reference jumps by a metre."""
 
-    def told(self, points: FloatArray) -> FloatArray:
+    def published(self, points: FloatArray) -> FloatArray:
         jumped = points.copy()
         jumped[len(jumped) // 2 :, 1] += 1.0
         return jumped
@@ -368,7 +368,7 @@ class JumpingReference(Fault):
 class NoReference(Fault):
     """Drives without telling anybody where."""
 
-    def told(self, points: FloatArray) -> FloatArray:
+    def published(self, points: FloatArray) -> FloatArray:
         return points[:0]
 
 
@@ -468,7 +468,7 @@ class NoOdometry(Fault):
 
 @dataclass(frozen=True)
 class FaultBounds:
-    """What the monitor is held to for a fault.
+    """Requirements on the monitor for a fault.
 
     Attributes
     ----------

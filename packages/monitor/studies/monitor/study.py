@@ -30,21 +30,20 @@ from diffdrive_mpc_monitor.rules import Rules, load_rules
 
 Task = partial[list[MonitorTrial]]
 FIRST_SEED = {True: (0, 0), False: (30_000, 40_000)}
-"""Of faulty and of nominal drives: those that rules were tuned on, and those that are reported. Those from 10,000 and
-20,000 on were reported before, and looked at."""
+"""First seeds of faulty and of nominal drives: for tuning of the rules, and for reports; earlier ones are used up."""
 _TOGETHER = 8
 
 
 @dataclass(frozen=True)
 class MonitorStudyResult:
-    """What came of all drives."""
+    """Results of all drives."""
 
     faulty: dict[str, list[MonitorTrial]]
     nominal: list[MonitorTrial]
 
     @property
     def hours(self) -> float:
-        """Of nominal driving [h]."""
+        """Return the hours of nominal driving [h]."""
         return sum(trial.driven for trial in self.nominal) / 3600.0
 
     @property
@@ -79,7 +78,7 @@ class MonitorStudy(Study[list[Task], MonitorStudyResult]):
         self._rules, self._seeds, self._hours, self._first = rules, seeds, hours, FIRST_SEED[tuning]
 
     def plan(self) -> list[Task]:
-        """Every drive, some to a task; raises ConfigError if there are no such rules."""
+        """Plan every drive, some per task; raise ConfigError for unknown rules."""
         rules = load_rules(self._rules)
         seeds = range(self._first[0], self._first[0] + self._seeds)
         faulty = [partial(_each, partial(faulty_trial, name), seeds, rules) for name in FAULTS]
@@ -88,7 +87,7 @@ class MonitorStudy(Study[list[Task], MonitorStudyResult]):
         return [*faulty, *(partial(_each, nominal_trial, chunk, rules) for chunk in chunks)]
 
     def _nominal_seeds(self) -> list[int]:
-        """As many as it takes to drive for so long."""
+        """Return as many seeds as the configured driving time needs."""
         left = 3600.0 * self._hours
         nominal: list[int] = []
         for seed in count(self._first[1]):
@@ -100,13 +99,13 @@ class MonitorStudy(Study[list[Task], MonitorStudyResult]):
 
     def run(self, plan: list[Task], jobs: int, bar: ProgressBar) -> MonitorStudyResult:
         """Drive them all."""
-        bar.begin("driving", len(plan))
+        bar.start_stage("driving", len(plan))
         done = [trial for trials in run_tasks(plan, jobs, bar.advance) for trial in trials]
         faulty = {name: [trial for trial in done if trial.fault == name] for name in FAULTS}
         return MonitorStudyResult(faulty, [trial for trial in done if not trial.fault])
 
     def report(self, results: MonitorStudyResult, seconds: float) -> Report:
-        """A row for each fault, and what the nominal drives were."""
+        """Report a row for each fault, and the nominal drives."""
         rows = [_row(name, held, results.faulty[name]) for name, held in FAULTS.items()]
         columns = ("fault", "of", "stopped by", "stated [s]", "median [s]", "latest [s]", "farthest [m]", "caught")
         note = (
@@ -133,7 +132,7 @@ class MonitorStudy(Study[list[Task], MonitorStudyResult]):
 
 
 def complaint(results: MonitorStudyResult) -> str:
-    """What is not as it should be; empty where everything is."""
+    """Describe unmet requirements; empty if all are met."""
     late = Counter(
         trial.fault for some in results.faulty.values() for trial in some if not _is_caught(FAULTS[trial.fault], trial)
     )
@@ -147,7 +146,7 @@ def _each(drive: Callable[[int, Rules], MonitorTrial], seeds: Sequence[int], rul
 
 
 def _is_caught(held: FaultBounds, trial: MonitorTrial) -> bool:
-    """In time, and before harm."""
+    """Return True if the fault was detected in time, and before harm."""
     in_time = bool(trial.rule) and trial.after <= held.stated
     return in_time and (not held.stoppable or (trial.farthest <= HARM and trial.at_rest))
 
@@ -169,7 +168,7 @@ def _row(name: str, held: FaultBounds, trials: Sequence[MonitorTrial]) -> tuple[
 
 
 def _nominal_table(results: MonitorStudyResult) -> Table:
-    """Hours and alarms by controller, place and sensors."""
+    """Tabulate hours and alarms by controller, place and sensors."""
     rows = []
     for name in ("controller", "model", "surface", "scenario", "sensors"):
         for value in sorted({getattr(trial.case, name) for trial in results.nominal}):
@@ -193,5 +192,5 @@ def _alarm_table(alarms: Sequence[MonitorTrial]) -> Table:
 
 
 def _plain_trial(trial: MonitorTrial) -> dict[str, object]:
-    kept = {name: value for name, value in vars(trial).items() if name != "case"}
-    return plain(trial.case.as_row() | kept)  # type: ignore[no-any-return]
+    fields = {name: value for name, value in vars(trial).items() if name != "case"}
+    return plain(trial.case.as_row() | fields)  # type: ignore[no-any-return]

@@ -29,7 +29,7 @@ _BEFORE = 1000.0
 
 
 class WatchedStep(NamedTuple):
-    """What came out of a tick, as `models.interface.ControlStep` has it: the command is that of the monitor."""
+    """Result of a tick as in `models.interface.ControlStep`: the command is that of the monitor."""
 
     command: FloatArray
     mode: str
@@ -58,12 +58,12 @@ class MonitoredController:
 
     @property
     def verdict(self) -> MonitorVerdict:
-        """What stopped the robot, on the clock of the plant; nothing while all is well."""
+        """Return the verdict that stopped the robot, on the clock of the plant; empty if all is well."""
         verdict = self._judge.verdict
         return verdict._replace(at=verdict.at - _BEFORE) if verdict else verdict
 
     def start(self, reference: Reference, t0: float) -> None:
-        """Begin to track; the monitor is told of the reference as by the node."""
+        """Start to track; publish the reference to the monitor as the node does."""
         self._fault.start(reference)
         self._inner.start(self._fault.followed(reference), t0)
         self._judge = Judge(self._rules, t0 + _BEFORE)
@@ -86,8 +86,11 @@ class MonitoredController:
         if mode not in _STANDING and abs(planned - self._planned) >= _TOLD_AGAIN:
             self._tell_reference(t, planned)
         self._judge.says(now, drives=(fault.says(mode) if broken else mode) not in _STANDING)
-        for one in sent:
-            self._base, self._base_at = self._judge.command(now, one.stamp + _BEFORE, one.v, one.omega), t
+        for sent_command in sent:
+            self._base, self._base_at = (
+                self._judge.command(now, sent_command.stamp + _BEFORE, sent_command.v, sent_command.omega),
+                t,
+            )
         stopped = self._judge.tick(now)
         if stopped is not None:
             self._base, self._base_at = stopped, t
@@ -97,14 +100,14 @@ class MonitoredController:
         return WatchedStep(np.array(driven), mode, step.message, step.step_time)
 
     def _tell_reference(self, t: float, delay: float) -> None:
-        """Tell the judge of the reference, which is due so late [s]."""
+        """Pass the reference, delayed by `delay` [s], to the judge."""
         times = path_times(self._reference.duration)
         points = np.column_stack([times + self._t0 + delay + _BEFORE, self._reference.sample(times).pose])
-        self._judge.reference(t + _BEFORE, self._fault.told(points).tolist())
+        self._judge.reference(t + _BEFORE, self._fault.published(points).tolist())
         self._planned = delay
 
     def _tell(self, t: float, measurement: Measurement) -> None:
-        """What base and sensors say, as on their topics."""
+        """Pass the data of base and sensors, as on their topics."""
         now, judge = t + _BEFORE, self._judge
         if measurement.yaw_rate is not None:
             judge.gyro(now, measurement.yaw_rate.time + _BEFORE, float(np.asarray(measurement.yaw_rate.value)))
@@ -149,7 +152,7 @@ SENSORS = (
 
 
 def nominal_case(seed: int) -> Case:
-    """The drive of a seed."""
+    """Build the drive of a seed."""
     draw = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1971,)))
 
     def one_of(values: tuple[Any, ...]) -> Any:  # noqa: ANN401 - of what is given
@@ -189,7 +192,7 @@ _NEAR = (6.0, 1.0)
 
 @dataclass(frozen=True)
 class MonitorTrial:
-    """What came of one drive.
+    """Result of one drive.
 
     Attributes
     ----------
@@ -227,12 +230,12 @@ class MonitorTrial:
 
 
 def nominal_trial(seed: int, rules: Rules) -> MonitorTrial:
-    """A drive in which nothing is wrong."""
+    """Run a drive without a fault."""
     return _drive(nominal_case(seed), "", 0.0, rules)
 
 
 def faulty_trial(fault: str, seed: int, rules: Rules) -> MonitorTrial:
-    """A drive of the MPC that breaks on its way; path and instant are drawn."""
+    """Run a drive of the MPC with a fault; path and time are drawn."""
     draw = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1972,)))
     path = FAULTY_PATHS[int(draw.integers(len(FAULTY_PATHS)))]
     begins = 0.0 if fault in AT_START else float(draw.uniform(_FIRST, _LAST))
@@ -264,13 +267,13 @@ def _drive(case: Case, fault: str, begins: float, rules: Rules) -> MonitorTrial:
 
 
 def _rests_for_good(run: Run) -> NDArray[np.bool_]:
-    """(n,) whether the robot stands from an instant on; the reference may go on alone."""
+    """Return (n,) True from the time on at which the robot stands for good; the reference may move on."""
     moves = np.abs(run.true_twist[:, [0, 2]]).max(axis=1) > _AT_REST
     return ~np.logical_or.accumulate(moves[::-1])[::-1]
 
 
 def distances(run: Run, near: tuple[float, float] = _NEAR) -> FloatArray:
-    """(n,) from the true position to the nearest place of the reference from `near[0]` ago to `near[1]` ahead [m]."""
+    """Compute distances (n,) of the true position from the reference between `near[0]` ago and `near[1]` ahead [m]."""
     times = np.arange(-near[0], run.time[-1] + near[1], 0.05)
     places = run.reference.sample(times).pose[:, :2]
     first = np.searchsorted(times, run.time - near[0])
@@ -287,5 +290,5 @@ ON_TIME = 0.5
 
 
 def _largest_distance(run: Run) -> float:
-    """From the stretch that the reference covers around each instant [m]."""
+    """Compute the maximum distance from the stretch around the reference at each time [m]."""
     return float(distances(run, (ON_TIME, ON_TIME)).max())

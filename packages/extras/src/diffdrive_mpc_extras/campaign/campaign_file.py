@@ -21,7 +21,7 @@ from diffdrive_mpc_extras.campaign.draws import Draw, Value, read_factor
 
 
 class Condition(StrictModel):
-    """Where a controller is tried, and what it is told of it; what is left out is as usual."""
+    """Condition of a trial, and its description to the controller; omitted values are defaults."""
 
     plant: str = Field("mujoco", description="as --plant")
     surface: str = Field("default", description="as --surface")
@@ -32,7 +32,7 @@ class Condition(StrictModel):
     )
 
     def case(self, controller: str, model: str, trajectory: str, seed: int) -> Case:
-        """One run under this condition; a peer has no model, and settings where it acts on the same estimate."""
+        """Build one run under this condition; a peer has no model, and settings only if it uses the same estimate."""
         peer = controller in PEERS
         return Case(
             controller=controller,
@@ -60,7 +60,7 @@ class Conditions(StrictModel):
         return self
 
     def chosen(self, names: Sequence[str] | None, where: str = "--only") -> dict[str, Condition]:
-        """Conditions by name, all without names; raises ConfigError where there is none of a name."""
+        """Select conditions by name, by default all; raise ConfigError for an unknown name."""
         unknown = [name for name in names or () if name not in self.conditions]
         if unknown:
             raise ConfigError(f"{where}: unknown condition '{unknown[0]}'; known: {', '.join(self.conditions)}")
@@ -114,7 +114,7 @@ class Campaign(StrictModel):
         return {name: draw for name, draw in self.draws.items() if isinstance(draw, Draw)}
 
     def definitions(self, runs: int | None = None) -> list[Definition]:
-        """The runs in order, `runs` of them or as many as the file says.
+        """List the runs in order: the first `runs`, or as many as the file states.
 
         Raises ConfigError if there are too many, two factors contradict each other, or a value is of another kind than
         its factor.
@@ -127,17 +127,17 @@ class Campaign(StrictModel):
         points = spread_points(self.sampler, count, len(sampled), self.draw_seed)
         definitions = []
         for index, row in enumerate(points):
-            at = dict(zip(sampled, row.tolist(), strict=True))
+            sampled_points = dict(zip(sampled, row.tolist(), strict=True))
             values = {
-                name: draw.value(at.get(name, math.nan), index) if isinstance(draw, Draw) else draw
+                name: draw.value(sampled_points.get(name, math.nan), index) if isinstance(draw, Draw) else draw
                 for name, draw in self.draws.items()
             }
-            definitions.append(Definition.of(_with_condition(values, conditions), f"run {index}"))
+            definitions.append(Definition.from_factors(_with_condition(values, conditions), f"run {index}"))
         return definitions
 
 
 def spread_points(sampler: str, count: int, dimensions: int, seed: int) -> FloatArray:
-    """(count, dimensions) points in (0, 1), evenly spread by `sampler`."""
+    """Spread (count, dimensions) points evenly over (0, 1) by `sampler`."""
     if not dimensions:
         return np.zeros((count, 0))
     if sampler == "sobol":
@@ -162,12 +162,12 @@ def load_campaign(path: str | Path) -> Campaign:
 
 
 def files_beside(campaign: Campaign, path: Path) -> dict[str, object]:
-    """Factors and conditions of a campaign whose file is `path`, with whole paths for files that stand beside it."""
+    """Return factors and conditions of a campaign file at `path`, with full paths of files next to it."""
     return {name: whole_paths(getattr(campaign, name), path.parent) for name in ("factors", "conditions")}
 
 
 def whole_paths(value: object, folder: Path) -> object:
-    """Plain data with whole paths in place of names of files in `folder`."""
+    """Replace names of files in `folder` by full paths in plain data."""
     if isinstance(value, Mapping):
         return {whole_paths(key, folder): whole_paths(inner, folder) for key, inner in value.items()}
     if isinstance(value, (list, tuple)):
@@ -180,18 +180,18 @@ def whole_paths(value: object, folder: Path) -> object:
 
 
 def _with_condition(values: dict[str, Value], conditions: Conditions) -> dict[str, Value]:
-    """The values with what a condition stands for in its place."""
+    """Replace a condition in the values by its own values."""
     name = values.pop(CONDITION, None)
     if name is None:
         return values
-    one = conditions.chosen([str(name)], f"factors.{CONDITION}")[str(name)]
+    condition = conditions.chosen([str(name)], f"factors.{CONDITION}")[str(name)]
     places: dict[str, Value] = {
-        "plant": one.plant,
-        "surface": one.surface,
-        "sensors": one.sensors,
-        "scenario": one.scenario,
+        "plant": condition.plant,
+        "surface": condition.surface,
+        "sensors": condition.sensors,
+        "scenario": condition.scenario,
     }
     twice = [place for place in places if place in values]
     if twice:
         raise ConfigError(f"factors.{twice[0]}: a condition says that already; give one of them")
-    return places | {f"config.{key}": value for key, value in one.settings.items()} | values
+    return places | {f"config.{key}": value for key, value in condition.settings.items()} | values

@@ -160,7 +160,7 @@ def _keeps_step(mode: str, last: NDArray[np.float64], now: NDArray[np.float64], 
 
 
 def _turns_tighter(commands: NDArray[np.float64], modes: Sequence[str], limits: StatedLimits) -> NDArray[np.bool_]:
-    """(n,) whether a command turns tighter than it may."""
+    """Return (n,) True for a command that turns more tightly than allowed."""
     v, omega = np.abs(commands).T
     tighter = omega * limits.least_radius > v + _ROUNDING
     while_braking = limits.least_radius * limits.braking[1] >= limits.braking[0]
@@ -170,7 +170,7 @@ def _turns_tighter(commands: NDArray[np.float64], modes: Sequence[str], limits: 
 def _moves_blind(
     times: NDArray[np.float64], commands: NDArray[np.float64], pose_came: NDArray[np.bool_], limits: StatedLimits
 ) -> NDArray[np.bool_]:
-    """(n,) whether a command is larger than a ramp allows that begins when poses have been away for too long."""
+    """Return (n,) True for a command above the ramp that starts when poses have been missing for too long."""
     blind = np.zeros(len(times), dtype=bool)
     last_pose, ramp = -np.inf, np.zeros(2)
     # A tick may come just before the age is reached, and the ramp begins with the one after it.

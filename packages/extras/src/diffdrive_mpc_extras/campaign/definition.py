@@ -1,4 +1,4 @@
-"""What defines a run of a campaign: a case, and values that replace those of the files it names."""
+"""Definition of a run of a campaign: a case, and values that replace those of its files."""
 
 from __future__ import annotations
 
@@ -59,9 +59,9 @@ class Definition:
     sensors: Overrides = ()
 
     @classmethod
-    def of(cls, factors: Mapping[str, Value], where: str = "run") -> Definition:
-        """The run with these values by name of their factors; raises ConfigError where there is no such factor."""
-        own: dict[str, Any] = {}
+    def from_factors(cls, factors: Mapping[str, Value], where: str = "run") -> Definition:
+        """Build the run with these values by name of their factors; raise ConfigError for an unknown factor."""
+        fields_of_case: dict[str, Any] = {}
         groups: dict[str, dict[str, object]] = {name: {} for name in GROUPS}
         for name, value in factors.items():
             check_factor(name, where)
@@ -72,16 +72,16 @@ class Definition:
             kinds = _TYPES[name]
             if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
                 raise ConfigError(f"{where}: {name}: {value!r} is of another kind; give {_said(kinds)}")
-            own[name] = value
-        peer = own.get("controller") in PEERS
+            fields_of_case[name] = value
+        peer = fields_of_case.get("controller") in PEERS
         if peer and groups["config"]:
             # A peer has no configuration: what varies there varies for the predictive controller only.
             groups["config"] = {}
         if peer:
-            own |= {"model": NO_MODEL, "config": None}
-        elif "config" in own and "model" not in own:
-            own["model"] = _model_of(own["config"])
-        case = Case(**own, overrides=_sorted(groups["config"]))
+            fields_of_case |= {"model": NO_MODEL, "config": None}
+        elif "config" in fields_of_case and "model" not in fields_of_case:
+            fields_of_case["model"] = _model_of(fields_of_case["config"])
+        case = Case(**fields_of_case, overrides=_sorted(groups["config"]))
         if case.controller not in CONTROLLERS:
             raise ConfigError(f"{where}: unknown controller '{case.controller}'; known: {', '.join(CONTROLLERS)}")
         return cls(case, *(_sorted(groups[name]) for name in GROUPS[1:]))
@@ -99,12 +99,12 @@ class Definition:
         return {name: label(value) if isinstance(value, str) else value for name, value in self.factors.items()}
 
     def changed(self, changes: Mapping[str, Value]) -> Definition:
-        """The same with other values by name of their factors; raises ConfigError as `of`."""
+        """Return the run with other values by name of their factors; raise ConfigError as `from_factors`."""
         known = {name: value for name, value in self.factors.items() if value is not None}
-        return Definition.of(known | dict(changes))
+        return Definition.from_factors(known | dict(changes))
 
     def with_seed(self, seed: int) -> Definition:
-        """The same run with another seed."""
+        """Return the same run with another seed."""
         return replace(self, case=replace(self.case, seed=seed))
 
     def _group(self, name: str) -> Overrides:
@@ -139,7 +139,7 @@ def _said(kinds: tuple[type, ...]) -> str:
 
 
 def stated(key: str, factors: Mapping[str, object]) -> float:
-    """The number behind a dotted key of robot, floor or sensors, as the files that `factors` name have it.
+    """Return the number behind a dotted key of robot, floor or sensors in the files that `factors` name.
 
     Raises ConfigError if there is none.
     """
@@ -171,13 +171,13 @@ _KINDS = frozenset({".py", ".c", ".h", ".yaml", ".csv", ".npz", ".xml"})
 
 @lru_cache(maxsize=1)
 def product_hash() -> str:
-    """Hash of the code and the parameter files that a run goes through; what only reports of runs is no part of it.
+    """Hash the code and the parameter files that affect a run, without code that only reports.
 
     The content counts, not the revision: two states of a checkout in which files were changed are told apart, and a
     wheel has the hash of the checkout that it was built from.
     """
     rooms = [_folder(room) for room in (models, mpc, sim, peers, diffdrive_mpc_extras)]
-    single = [Path(str(one.__file__)) for one in (case, controllers, run_row)]
+    single = [Path(str(module.__file__)) for module in (case, controllers, run_row)]
     sources = [(path.relative_to(room.parent), path) for room in rooms for path in room.rglob("*")]
     named = {str(name): path for name, path in sources if path.suffix in _KINDS and path.is_file()}
     named |= {path.name: path for path in single}
@@ -189,26 +189,26 @@ def product_hash() -> str:
 
 @lru_cache(maxsize=1)
 def environment() -> dict[str, str]:
-    """What a run depends on beside its definition: the product, numerical libraries, Python, kind of processor."""
+    """Describe the environment of a run: product, numerical libraries, Python, kind of processor."""
     libraries = {name: package_version(name) for name in LIBRARIES}
     python = ".".join(platform.python_version_tuple()[:2])
     return {"product": product_hash(), "python": python, "machine": platform.machine(), **libraries}
 
 
 def identify(definition: Definition) -> dict[str, object]:
-    """Everything that the hash of a run covers, as plain data: files by their content, not by their place."""
+    """Collect everything that the hash of a run covers as plain data: files by content, not by path."""
     factors = {name: _by_content(name, value) for name, value in definition.factors.items()}
     return {"run": factors, "environment": environment()}
 
 
 def key_of(definition: Definition) -> str:
-    """The hash (64 hexadecimal digits) under which a run is stored."""
+    """Compute the hash (64 hexadecimal digits) under which a run is stored."""
     text = json.dumps(identify(definition), sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _by_content(name: str, value: object) -> object:
-    """A path of a file as the hash of its content and of all files that it names in turn."""
+    """Replace a path by the hash of the file and of all files that it names in turn."""
     if not isinstance(value, str) or name in ("controller", "timing", "seed"):
         return value
     kind, colon, rest = value.rpartition(":")
@@ -217,12 +217,12 @@ def _by_content(name: str, value: object) -> object:
         path, plus, more = rest.rpartition("+")
     if not _is_file(path):
         return value
-    contents = {_digest(one) for one in _with_named(Path(path).resolve(), set())}
+    contents = {_digest(file) for file in _with_named(Path(path).resolve(), set())}
     return f"{kind}{colon}files {' '.join(sorted(contents))}{plus}{more}"
 
 
 def _with_named(path: Path, visited: set[Path]) -> Iterator[Path]:
-    """A file, the weights beside it, and the files that its text names."""
+    """Yield a file, its weights, and the files that its text names."""
     if path in visited:
         return
     visited.add(path)

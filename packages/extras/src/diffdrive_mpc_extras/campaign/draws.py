@@ -1,4 +1,4 @@
-"""What a factor of a campaign may be: a value, a choice or a distribution, which turns a point of (0, 1) into one."""
+"""Factors of a campaign: a value, a choice or a distribution, which maps a point of (0, 1) to a value."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from diffdrive_mpc.sim.plants.names import DRAWN
 from diffdrive_mpc_extras.campaign.drivable_robots import driving_seeds
 
 Value = bool | int | float | str
-"""Of a factor in one run."""
+"""Value of a factor in one run."""
 Range = tuple[float, float]
 
 # Logarithms and quantiles differ in the last bits from one machine to the next, and would give a run another hash.
@@ -29,11 +29,11 @@ class Draw(StrictModel, ABC):
 
     @abstractmethod
     def value(self, point: float, index: int) -> Value:
-        """The value of run `index` whose coordinate in (0, 1) is `point`."""
+        """Return the value of run `index` whose coordinate in (0, 1) is `point`."""
 
     @property
     def sampled(self) -> bool:
-        """Whether it needs a coordinate."""
+        """True if the factor needs a coordinate."""
         return True
 
 
@@ -48,7 +48,7 @@ class Uniform(Draw):
         return self
 
     def value(self, point: float, index: int) -> Value:  # noqa: ARG002
-        """The quantile."""
+        """Compute the quantile."""
         low, high = self.uniform
         return _rounded(low + point * (high - low))
 
@@ -66,7 +66,7 @@ class LogUniform(Draw):
         return self
 
     def value(self, point: float, index: int) -> Value:  # noqa: ARG002
-        """The quantile."""
+        """Compute the quantile."""
         low, high = map(math.log, self.log_uniform)
         return _rounded(math.exp(low + point * (high - low)))
 
@@ -101,12 +101,14 @@ class Normal(Draw):
     normal: NormalValues
 
     def value(self, point: float, index: int) -> Value:  # noqa: ARG002
-        """The quantile."""
-        of = self.normal
-        low, high = of.shares
-        drawn = _rounded(of.mean + of.sd * float(ndtri(low + point * (high - low))))
+        """Compute the quantile."""
+        normal = self.normal
+        low, high = normal.shares
+        drawn = _rounded(normal.mean + normal.sd * float(ndtri(low + point * (high - low))))
         # Rounding must not lead beyond.
-        return min(max(drawn, drawn if of.low is None else of.low), drawn if of.high is None else of.high)
+        return min(
+            max(drawn, drawn if normal.low is None else normal.low), drawn if normal.high is None else normal.high
+        )
 
 
 class OneOf(Draw):
@@ -121,7 +123,7 @@ class OneOf(Draw):
         return self
 
     def value(self, point: float, index: int) -> Value:  # noqa: ARG002
-        """The value in whose share `point` lies."""
+        """Return the value whose share contains `point`."""
         values = list(self.one_of)
         weights = [*self.one_of.values()] if isinstance(self.one_of, dict) else [1.0] * len(values)
         upper = list(itertools.accumulate(weights))
@@ -140,7 +142,7 @@ class Integers(Draw):
         return self
 
     def value(self, point: float, index: int) -> Value:  # noqa: ARG002
-        """The number in whose share `point` lies."""
+        """Return the number whose share contains `point`."""
         low, high = self.integers
         return min(low + int(point * (high - low + 1)), high)
 
@@ -160,7 +162,7 @@ class Each(Counted):
     each: Annotated[int, Field(ge=0)] = Field(description="number of the first run")
 
     def value(self, point: float, index: int) -> Value:  # noqa: ARG002
-        """Its number."""
+        """Return its number."""
         return self.each + index
 
 
@@ -170,7 +172,7 @@ class MarketDraw(Counted):
     market: Annotated[int, Field(ge=0)] = Field(description="number of the first run's, for the factor `plant`")
 
     def value(self, point: float, index: int) -> Value:  # noqa: ARG002
-        """The name of its plant."""
+        """Return the name of its plant."""
         number = self.market + index
         return f"{DRAWN}:{driving_seeds(number + 1, spot_turns=True)[number]}"
 
@@ -187,7 +189,7 @@ KINDS: dict[str, type[Draw]] = {
 
 
 def read_factor(data: object, where: str) -> Draw | Value:
-    """A factor as its file states it; raises ConfigError when it is none. `where` names its place."""
+    """Read a factor of a file; raise ConfigError if it is none. `where` names its place."""
     if isinstance(data, (bool, int, str)) or (isinstance(data, float) and math.isfinite(data)):
         return data
     if isinstance(data, Mapping) and len(data) == 1 and next(iter(data)) in KINDS:

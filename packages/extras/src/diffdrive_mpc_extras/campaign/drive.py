@@ -46,7 +46,7 @@ Row = dict[str, bool | int | float | str | None]
 
 
 def row_of(run: Run | None, unsafe: Unsafe | None, error: str, processor: float, wall: float) -> Row:
-    """The row of one run.
+    """Build the row of one run.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ class RecordedController:
         return step
 
     def unsafe(self, definition: Definition) -> Unsafe | None:
-        """What the checker counts; None for a peer, which states no limits."""
+        """Count violations by the checker; None for a peer, which states no limits."""
         case = definition.case
         if case.controller in PEERS or not self.times:
             return None
@@ -112,7 +112,7 @@ class RecordedController:
 
 @contextmanager
 def built(definition: Definition) -> Iterator[tuple[TrackingController, Plant, Reference]]:
-    """Controller, plant and reference of a run.
+    """Yield controller, plant and reference of a run.
 
     Raises ConfigError or ValueError if a name is unknown, or a file or a value that replaces one has a mistake.
     """
@@ -128,7 +128,7 @@ def drive(definition: Definition) -> Row:
 def drive_whole(
     definition: Definition, on_tick: OnTick | None = None, *, keep_plans: bool = False
 ) -> tuple[Run | None, Row]:
-    """The same, with the run, where there is one; `on_tick` and `keep_plans` are those of `sim.simulate`."""
+    """Drive a run; return it with its row. `on_tick` and `keep_plans` are those of `sim.simulate`."""
     began, processor = time.perf_counter(), time.process_time()
     run: Run | None = None
     watched: RecordedController | None = None
@@ -148,7 +148,7 @@ def drive_whole(
 
 
 def _with_files(definition: Definition, folder: Path) -> Any:  # noqa: ANN401 - a Case
-    """The case, with files in `folder` in place of those of which single values are replaced."""
+    """Return the case with files in `folder` in place of those with replaced values."""
     case = definition.case
     if definition.robot:
         kind, _, name = case.plant.partition(":")
@@ -161,16 +161,16 @@ def _with_files(definition: Definition, folder: Path) -> Any:  # noqa: ANN401 - 
         case = replace(case, plant=f"{_PHYSICS}:{_written(changed, folder / 'robot.yaml')}")
     # A robot file may have a floor and sensors of its own in place of the default ones: they are what is changed.
     kind, _, name = case.plant.partition(":")
-    own = load_simulated_robot(name) if kind == _PHYSICS and name else None
+    robot = load_simulated_robot(name) if kind == _PHYSICS and name else None
     if definition.surface:
         base = SURFACES.read(case.surface)[0]
-        if own and own.friction and case.surface == DEFAULT:
-            base = base | {"friction": own.friction}
+        if robot and robot.friction and case.surface == DEFAULT:
+            base = base | {"friction": robot.friction}
         case = replace(case, surface=_written(_changed(base, definition.surface), folder / "surface.yaml"))
     if definition.sensors:
         base = SENSOR_SETS.read(case.sensors)[0]
-        if own and case.sensors == DEFAULT:
-            base = own.sensors.model_dump(mode="json")
+        if robot and case.sensors == DEFAULT:
+            base = robot.sensors.model_dump(mode="json")
         case = replace(case, sensors=_written(_changed(base, definition.sensors), folder / "sensors.yaml"))
     return case
 

@@ -51,7 +51,7 @@ def check_definitions(definitions: Sequence[Definition]) -> None:
 
 
 def _telling(definitions: Sequence[Definition]) -> dict[int, str]:
-    """Runs to build, each with the factor for which."""
+    """Return runs to build, each with its factor for messages."""
     named: dict[tuple[str, object], int] = {}
     least: dict[str, tuple[float, int]] = {}
     largest: dict[str, tuple[float, int]] = {}
@@ -71,7 +71,7 @@ def _telling(definitions: Sequence[Definition]) -> dict[int, str]:
 
 
 class OtherVersionError(StudyFailedError):
-    """Who drives a run has other code, libraries or files than who asked for it."""
+    """Error for code, libraries or files that differ from those of the request."""
 
 
 @dataclass(frozen=True)
@@ -82,13 +82,13 @@ class CampaignTask:
     key: str
 
     @classmethod
-    def of(cls, definition: Definition) -> CampaignTask:
-        """The task for a run."""
+    def for_run(cls, definition: Definition) -> CampaignTask:
+        """Build the task for a run."""
         return cls(definition, key_of(definition))
 
     @property
     def identity(self) -> dict[str, object]:
-        """What the key is the hash of."""
+        """Data behind the hash in the key."""
         return identify(self.definition)
 
 
@@ -131,7 +131,7 @@ class Store:
                     shutil.rmtree(draft, ignore_errors=True)
 
     def keys(self) -> set[str]:
-        """Of all runs that are there."""
+        """Return the keys of all stored runs."""
         return {path.stem for path in self._folder.glob("*/*.json")}
 
     def save(self, key: str, identity: dict[str, object], row: Row) -> None:
@@ -141,7 +141,7 @@ class Store:
             draft.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
     def load(self, key: str) -> Row | None:
-        """The row of a run; None where there is none, or a file that holds none (cut off by a disk that was full).
+        """Load the row of a run; None if it is missing or damaged, as by a full disk.
 
         Raises ConfigError if a figure of the row is not the one that was saved.
         """
@@ -196,8 +196,8 @@ def drive_here(tasks: Iterable[CampaignTask], folder: Path, jobs: int, on_done: 
             run_tasks([partial(_keep, task, folder) for task in left], processes, on_done)
             return
         except WorkerDiedError:
-            kept = Store(folder).keys()
-            fewer = [task for task in left if task.key not in kept]
+            stored = Store(folder).keys()
+            fewer = [task for task in left if task.key not in stored]
             tries = 0 if len(fewer) < len(left) else tries + 1
             if tries == _TRIES:
                 raise
@@ -228,7 +228,7 @@ class CampaignRun:
     row: Row
 
     def number(self, column: str) -> float:
-        """A figure of the row; NaN where it could not be computed."""
+        """Return a figure of the row; NaN if it is missing."""
         value = self.row.get(column)
         return float("nan") if value is None or isinstance(value, str) else float(value)
 
@@ -240,7 +240,7 @@ class CampaignRun:
 
 @dataclass(frozen=True)
 class CampaignPlace:
-    """Where runs are driven, and where their rows are kept.
+    """Place of the runs and of their rows.
 
     Attributes
     ----------
@@ -277,14 +277,14 @@ def drive_all(
     anything is driven;
     StudyFailedError where runs could not be driven.
     """
-    tasks = list({task.key: task for task in map(CampaignTask.of, definitions)}.values())
+    tasks = list({task.key: task for task in map(CampaignTask.for_run, definitions)}.values())
     store = Store(place.folder)
     store.clear_drafts()
-    kept = store.keys()
-    missing = [task for task in tasks if task.key not in kept or store.load(task.key) is None]
+    stored = store.keys()
+    missing = [task for task in tasks if task.key not in stored or store.load(task.key) is None]
     check_definitions([task.definition for task in missing])
     jobs = place.jobs or available_cores()
-    bar.begin(f"{text}, {jobs} at a time", len(missing))
+    bar.start_stage(f"{text}, {jobs} at a time", len(missing))
     if missing:
         drive_here(missing, place.folder, jobs, bar.advance)
     driven = []
@@ -297,7 +297,7 @@ def drive_all(
 
 
 def failed(driven: Sequence[CampaignRun]) -> str:
-    """How many runs ended in an error, and the first of them, in one line; empty without any."""
+    """Describe the number of runs with an error, and the first error, in one line; empty without any."""
     errors = [run for run in driven if run.row["error"]]
     if not errors:
         return ""

@@ -23,18 +23,18 @@ class Rate:
     high: float
 
     @classmethod
-    def of_runs(cls, count: int, of: int) -> Rate:
-        """So many of so many runs; raises ValueError without runs."""
-        interval = binomtest(count, of).proportion_ci(CONFIDENCE, method="exact")
-        return cls(count, of, float(interval.low), float(interval.high))
+    def of_runs(cls, count: int, total: int) -> Rate:
+        """Compute the rate of `count` in `total` runs; raise ValueError without runs."""
+        interval = binomtest(count, total).proportion_ci(CONFIDENCE, method="exact")
+        return cls(count, total, float(interval.low), float(interval.high))
 
     @property
     def share(self) -> float:
-        """What was seen."""
+        """Observed share."""
         return self.count / self.of
 
     def at_least(self, confidence: float) -> float:
-        """No smaller, with this confidence on this one side."""
+        """Compute the one-sided lower bound with this confidence."""
         return float(betaincinv(self.count, self.of - self.count + 1, 1.0 - confidence)) if self.count else 0.0
 
     @property

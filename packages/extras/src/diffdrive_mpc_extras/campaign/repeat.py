@@ -27,7 +27,7 @@ _HEAD = "# A run: drive it again with `diffdrive-mpc repeat FILE`. Units are tho
 
 
 class RunFile(StrictModel):
-    """What stands in the file."""
+    """Content of the file of a run."""
 
     run: str = Field(description="hash of the run")
     factors: dict[str, Value] = Field(description="what defines it; what is left out has its default")
@@ -37,12 +37,12 @@ class RunFile(StrictModel):
     @property
     def definition(self) -> Definition:
         """The run."""
-        return Definition.of(self.factors)
+        return Definition.from_factors(self.factors)
 
 
 def write_run(driven: CampaignRun, path: Path) -> None:
     """Write a run; raises ConfigError if `path` cannot be written to."""
-    usual = Definition.of({}).factors
+    usual = Definition.from_factors({}).factors
     factors = {
         name: value
         for name, value in driven.definition.factors.items()
@@ -61,14 +61,14 @@ def load_run(path: str | Path) -> RunFile:
 
 
 def compared(stored: RunFile, row: Row) -> tuple[bool, str]:
-    """Whether a row has the figures of the file, and a sentence on it."""
+    """Compare the figures of a row with those of the file; return the result and a sentence about it."""
     again = {name: value for name, value in row.items() if not name.startswith(TIME)}
-    other = [name for name in stored.figures if stored.figures[name] != again.get(name)]
-    if not other:
+    differing = [name for name in stored.figures if stored.figures[name] != again.get(name)]
+    if not differing:
         return True, f"all {len(stored.figures)} figures are those of the file, to the last bit"
-    name = other[0]
+    name = differing[0]
     first = f"{name} is {again.get(name)}, was {stored.figures[name]}"
-    return False, f"{len(other)} of {len(stored.figures)} figures are other ones: {first}; {_why(stored)}"
+    return False, f"{len(differing)} of {len(stored.figures)} figures are other ones: {first}; {_why(stored)}"
 
 
 def _why(stored: RunFile) -> str:
@@ -115,7 +115,7 @@ def _drive_again(file: Path, out: Path | None, log: Path | None, details: bool) 
         folder = None if out is None else stack.enter_context(staged(out, owner="repeat"))
         began = time.perf_counter()
         with ProgressBar("simulating") as bar:
-            run, row = drive_whole(definition, bar.at, keep_plans=folder is not None or holds_plans(log))
+            run, row = drive_whole(definition, bar.show, keep_plans=folder is not None or holds_plans(log))
         if run is not None:
             write_log(run, definition.case, ["repeat", str(file)])
         if run is not None and folder is not None:

@@ -76,15 +76,15 @@ class Part:
     """The `number`-th of `of` parts of a campaign, counted from 1: every `of`-th run."""
 
     number: int = 1
-    of: int = 1
+    total: int = 1
 
     @classmethod
     def read(cls, text: str) -> Part:
         """Read `2/8`; raises ConfigError on anything else."""
-        number, slash, of = text.partition("/")
-        if not (slash and number.isdecimal() and of.isdecimal() and 1 <= int(number) <= int(of)):
+        number, slash, total = text.partition("/")
+        if not (slash and number.isdecimal() and total.isdecimal() and 1 <= int(number) <= int(total)):
             raise ConfigError(f"--part {text}: give the number of the part and of how many, such as 2/8")
-        return cls(int(number), int(of))
+        return cls(int(number), int(total))
 
 
 def run_campaign(
@@ -109,16 +109,16 @@ def run_campaign(
     needs_arrow()
     chosen = part or Part()
     campaign = load_campaign(file)
-    definitions = campaign.definitions(runs)[chosen.number - 1 :: chosen.of]
+    definitions = campaign.definitions(runs)[chosen.number - 1 :: chosen.total]
     if not definitions:
-        raise ConfigError(f"--part {chosen.number}/{chosen.of}: the campaign has no run for it; give fewer parts")
+        raise ConfigError(f"--part {chosen.number}/{chosen.total}: the campaign has no run for it; give fewer parts")
     began = time.perf_counter()
     with ProgressBar("preparing") as bar:
         driven = drive_all(definitions, place, bar)
     write_table([run.columns for run in driven], place.folder / RESULTS, {"description": campaign.description})
-    kept = place.folder / CAMPAIGN
-    if not (kept.exists() and kept.samefile(file)):
-        with whole_file(kept) as draft:
+    copy_of_file = place.folder / CAMPAIGN
+    if not (copy_of_file.exists() and copy_of_file.samefile(file)):
+        with whole_file(copy_of_file) as draft:
             shutil.copyfile(file, draft)
     console = output_console()
     console.print(_sentence(driven, time.perf_counter() - began), highlight=False, markup=False)

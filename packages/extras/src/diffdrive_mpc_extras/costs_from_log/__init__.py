@@ -1,1 +1,1 @@
-"""What a turn costs a robot, from a log of it."""
+"""Costs of turns of a robot, identified from its log."""

@@ -42,28 +42,28 @@ _EVERY = 0.1
 
 
 class LogOutcome(NamedTuple):
-    """What the log told."""
+    """Result from the log."""
 
     log: Log
     vehicle: Vehicle
     drive: DriveConstants
     """By which currents are torques"""
-    found: IdentifiedConstants | None
-    """How the constants were found; None where they are those given"""
+    identified: IdentifiedConstants | None
+    """Identification of the constants; None if the given ones are used."""
     prior: DriveConstants
     note: str
-    """Why the constants are those given; empty where they were found"""
+    """Reason for the given constants; empty after an identification."""
     samples: FloatArray
     """(n, 3) commanded radius at the speed of the curves [m], torque of the outer and of the inner side [N m]"""
     curves: TorqueCurves
     slip: IdentifiedSlip | None
     slip_from: str
-    """What told the slip law, or why nothing did"""
+    """Source of the slip law, or the reason for its absence."""
     costs: TurnCosts
     measured: float
-    """What the battery gave in turns no sharper than the least radius, and at rest [J]; NaN without a battery"""
+    """Energy of the battery in turns no sharper than the least radius, and at rest [J]; NaN without a battery."""
     predicted: float
-    """What the turn costs say of the commands then [J]"""
+    """Energy predicted by the turn costs for the same commands [J]."""
 
 
 def learn_log(log: str | Path, mapping: str | Path | None, vehicle: str | Path, drive: str | Path | None) -> LogOutcome:
@@ -129,7 +129,7 @@ def learn_log(log: str | Path, mapping: str | Path | None, vehicle: str | Path, 
 
 
 def settled(commands: FloatArray, dt: float, settling: float) -> BoolArray:
-    """(n,) whether a command (n, 2) has been held for `settling` [s], but for some hundredths, as controllers do."""
+    """Return (n,) True if a command (n, 2) has been held for `settling` [s], apart from small changes."""
     from scipy.ndimage import maximum_filter1d, minimum_filter1d  # noqa: PLC0415 - loads slowly
 
     count = max(1, round(settling / dt))
@@ -144,10 +144,10 @@ def settled(commands: FloatArray, dt: float, settling: float) -> BoolArray:
 def _learn(curves: TorqueCurves, record: Record, drive: DriveConstants) -> FloatArray:
     """Take in a record; the samples that were used, as `LogOutcome.samples`."""
     assert record.motor_current is not None
-    asked, rows = load_torque_settings().curves, record.command
+    curve_settings, rows = load_torque_settings().curves, record.command
     torques = drive.torque_per_current * record.motor_current
     # Backward, at rest and on the spot no radius is learned.
-    keep = settled(rows, record.dt, asked.settling) & (rows[:, 0] > 0) & np.isfinite(torques).all(axis=1)
+    keep = settled(rows, record.dt, curve_settings.settling) & (rows[:, 0] > 0) & np.isfinite(torques).all(axis=1)
     keep &= rows[:, 1] != 0
     curves.learn_drive(rows, torques[:, 0], torques[:, 1], record.dt, settled=keep)
     v, omega = rows[keep].T
@@ -157,13 +157,13 @@ def _learn(curves: TorqueCurves, record: Record, drive: DriveConstants) -> Float
 
 
 def _same(v: FloatArray, omega: FloatArray) -> FloatArray:
-    """Radius at the speed of the curves [m] that asks as much as these commands."""
-    asked = load_torque_settings().curves
-    return np.abs(v / omega) * (asked.speed / np.abs(v)) ** asked.speed_exponent
+    """Compute the radius at the speed of the curves [m] with the same demand as these commands."""
+    curve_settings = load_torque_settings().curves
+    return np.abs(v / omega) * (curve_settings.speed / np.abs(v)) ** curve_settings.speed_exponent
 
 
 def _slip(records: Sequence[Record], curves: TorqueCurves) -> tuple[IdentifiedSlip | None, str]:
-    """The slip law from poses, or the yaw rate's from the gyro, of turns no sharper than the least radius."""
+    """Identify the slip law from poses, or that of the yaw rate from the gyro, in turns above the least radius."""
     commands, twists, source = [], [], ""
     for record in records:
         step, every = (max(1, round(time / record.dt)) for time in (_BETWEEN_POSES, _EVERY))
@@ -187,21 +187,21 @@ def _slip(records: Sequence[Record], curves: TorqueCurves) -> tuple[IdentifiedSl
         commands.append(rows)
     rows, measured = np.concatenate(commands), np.concatenate(twists)
     with np.errstate(divide="ignore", invalid="ignore"):
-        kept = _same(rows[:, 0], rows[:, 1]) >= curves.least_radius()
+        gentle = _same(rows[:, 0], rows[:, 1]) >= curves.least_radius()
     try:
-        return identify_slip(rows, measured, used=kept), source
+        return identify_slip(rows, measured, used=gentle), source
     except ConfigError as error:
         return None, f"no slip law: {error}"
 
 
 def _energies(record: Record, costs: TurnCosts, least: float) -> tuple[float, float]:
-    """Measured and predicted, of the samples with a battery reading in turns no sharper than the `least` radius [J]."""
+    """Compute measured and predicted energy in samples with a battery reading in turns above the `least` radius [J]."""
     v, omega = record.command.T
     with np.errstate(divide="ignore", invalid="ignore"):
-        kept = ~(_same(v, omega) < least)
+        gentle = ~(_same(v, omega) < least)
     predicted = costs.power(record.command)
     if record.battery is None:
-        return math.nan, float(predicted[kept].sum() * record.dt)
-    given = record.battery.prod(axis=1)
-    kept &= np.isfinite(given)
-    return float(given[kept].sum() * record.dt), float(predicted[kept].sum() * record.dt)
+        return math.nan, float(predicted[gentle].sum() * record.dt)
+    battery_power = record.battery.prod(axis=1)
+    gentle &= np.isfinite(battery_power)
+    return float(battery_power[gentle].sum() * record.dt), float(predicted[gentle].sum() * record.dt)

@@ -1,4 +1,4 @@
-"""What a turn costs a robot, from a log of it: `diffdrive-mpc torque`."""
+"""Costs of turns of a robot, identified from its log: `diffdrive-mpc torque`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _CURVE_RADII = np.geomspace(0.3, 300.0, 80)
 
 
 def draw_log(outcome: LogOutcome, path: Path) -> None:
-    """Torques by the currents of a log, and the curves learned from them."""
+    """Draw torques by the currents of a log, and the curves learned from them."""
     with new_figure(path, 6.4, 3.8) as figure:
         axes = figure.subplots()
         radii, outer, inner = outcome.samples.T
@@ -71,16 +71,16 @@ class TorqueLogStudy(Study[None, LogOutcome]):
         self._asked = log, mapping, vehicle, drive
 
     def plan(self) -> None:
-        """Everything is in the files."""
+        """Return no plan: everything is in the files."""
 
     def run(self, plan: None, jobs: int, bar: ProgressBar) -> LogOutcome:
         """Read and learn; raises ConfigError as `learn_log`."""
         del plan, jobs
-        bar.begin("learning", 1)
+        bar.start_stage("learning", 1)
         return learn_log(*self._asked)
 
     def report(self, results: LogOutcome, seconds: float) -> Report:
-        """Tables, the figure and the two files."""
+        """Report tables, the figure and the two files."""
         least = results.costs.least_radius()
         shown = "none" if least == 0 else f"{number(least, 2)} m"
         source = f"Drive constants as given: {results.note}." if results.note else "Drive constants from the log."
@@ -90,7 +90,7 @@ class TorqueLogStudy(Study[None, LogOutcome]):
             meta={"log": results.log.name, "vehicle": results.vehicle.name},
             content={
                 "constants": {name: getattr(results.drive, name) for name, _, _ in _CONSTANTS},
-                "deviations": None if results.found is None else results.found.deviation,
+                "deviations": None if results.identified is None else results.identified.deviation,
                 "slip": None if results.slip is None else results.slip.named(),
                 "least_radius_m": least,
                 "measured_j": results.measured,
@@ -118,7 +118,7 @@ class TorqueLogStudy(Study[None, LogOutcome]):
 
 
 def _tables(results: LogOutcome) -> list[Table]:
-    identified, speed = results.found, results.costs.curve.speed
+    identified, speed = results.identified, results.costs.curve.speed
     constants = Table(
         "Drive constants",
         ("constant", "found", "standard deviation", "before"),

@@ -26,47 +26,47 @@ class DriveFunctions(Protocol):
     """The functions of which the equations of a drive are made."""
 
     def limited(self, x: ca.SX) -> ca.SX:
-        """X within -1 to 1."""
+        """Clip x to -1 to 1."""
         ...
 
     def size(self, x: ca.SX, width: float) -> ca.SX:
-        """|x|; `width` is over how much it may be rounded."""
+        """Compute |x|, rounded over `width`."""
         ...
 
     def sign(self, x: ca.SX, width: float) -> ca.SX:
-        """Sign of x."""
+        """Compute the sign of x."""
         ...
 
     def positive(self, x: ca.SX) -> ca.SX:
-        """Whether a number in -1 to 1 is positive: its size where it is, else 0."""
+        """Return the positive part of a number in -1 to 1."""
         ...
 
     def exceeds(self, x: ca.SX, width: float) -> ca.SX:
-        """1 where x is positive, else 0."""
+        """Return 1 for positive x, and 0 otherwise."""
         ...
 
 
 class Sharp:
-    """As they are; for plants."""
+    """Exact functions, for plants."""
 
     def limited(self, x: ca.SX) -> ca.SX:
-        """See `DriveFunctions`."""
+        """Clip as in `DriveFunctions`."""
         return ca.fmin(1, ca.fmax(-1, x))
 
     def size(self, x: ca.SX, width: float) -> ca.SX:  # noqa: ARG002 - nothing is rounded here
-        """See `DriveFunctions`."""
+        """Compute the size as in `DriveFunctions`."""
         return ca.fabs(x)
 
     def sign(self, x: ca.SX, width: float) -> ca.SX:  # noqa: ARG002
-        """See `DriveFunctions`."""
+        """Compute the sign as in `DriveFunctions`."""
         return ca.sign(x)
 
     def positive(self, x: ca.SX) -> ca.SX:
-        """See `DriveFunctions`."""
+        """Return the positive part as in `DriveFunctions`."""
         return ca.fmax(x, 0)
 
     def exceeds(self, x: ca.SX, width: float) -> ca.SX:  # noqa: ARG002
-        """See `DriveFunctions`."""
+        """Compare as in `DriveFunctions`."""
         return ca.if_else(x > 0, 1, 0)
 
 
@@ -77,24 +77,24 @@ class Smooth:
     """
 
     def limited(self, x: ca.SX) -> ca.SX:
-        """See `DriveFunctions`."""
+        """Clip as in `DriveFunctions`."""
         return x * (1 + x**_CORNER) ** (-1 / _CORNER)
 
     def size(self, x: ca.SX, width: float) -> ca.SX:
-        """See `DriveFunctions`."""
+        """Compute the size as in `DriveFunctions`."""
         return ca.sqrt(x**2 + width**2) - width
 
     def sign(self, x: ca.SX, width: float) -> ca.SX:
-        """See `DriveFunctions`."""
+        """Compute the sign as in `DriveFunctions`."""
         return ca.tanh(x / width)
 
     def positive(self, x: ca.SX) -> ca.SX:
-        """See `DriveFunctions`."""
+        """Return the positive part as in `DriveFunctions`."""
         small = 0.05
         return (ca.sqrt(x**2 + small**2) + x - small) / 2
 
     def exceeds(self, x: ca.SX, width: float) -> ca.SX:
-        """See `DriveFunctions`."""
+        """Compare as in `DriveFunctions`."""
         return (1 + ca.tanh(x / width)) / 2
 
 
@@ -102,7 +102,7 @@ class Smooth:
 
 
 STATES = 4
-"""Of a channel: both models have the slope-limited reference first and the speed second."""
+"""Number of states of a channel: both models start with slope-limited reference and speed."""
 SLOPE_LAG = 0.1
 """Time constant with which the slope of the reference is told [s]: the sample time of the paper."""
 FORGETTING = 10.0
@@ -110,7 +110,7 @@ FORGETTING = 10.0
 
 
 class Channel(NamedTuple):
-    """What both models need of a channel besides their own numbers."""
+    """Constants of a channel besides the numbers of its model."""
 
     dt: float
     """[s]"""
@@ -119,7 +119,7 @@ class Channel(NamedTuple):
 
 
 def experimental_step(channel: Channel, *, sharp: bool) -> ca.Function:
-    """x, u, c -> x one sample later, by section 2.2 and Figure 8.
+    """Build x, u, c -> x one sample later, by section 2.2 and Figure 8.
 
     x: slope-limited reference, speed, slope of the reference, last direction of travel (-1 to 1). u: command after the
     dead time. c: gain [-], largest slope when speeding up and when slowing down, lag [s], threshold without slope and
@@ -148,7 +148,7 @@ def experimental_step(channel: Channel, *, sharp: bool) -> ca.Function:
 
 
 def physical_step(channel: Channel, *, sharp: bool) -> ca.Function:
-    """x, u, c -> x one sample later, by equations 14 to 17 with PI control and the lag of the actuator.
+    """Build x, u, c -> x one sample later, by equations 14 to 17 with PI control and the lag of the actuator.
 
     x: slope-limited reference, speed, torque and integral of the error of `wheel_response`. u: command after the dead
     time. c: gain [-], largest slope when speeding up and when slowing down, then the response by columns (3, 4).
@@ -164,7 +164,7 @@ def physical_step(channel: Channel, *, sharp: bool) -> ca.Function:
 def wheel_response(
     stiffness: float, friction: float, integral_time: float, actuator_lag: float, dt: float
 ) -> FloatArray:
-    """(3, 4) one sample of both wheels together or against each other: columns state (3), reference held meanwhile.
+    """Compute (3, 4) one sample of both wheels in common or differential mode: columns state (3), held reference.
 
     Equations 14 and 15 added and subtracted: (A + B) and (A - B) are the inertias that both wheels have together
     and against each other, so speed' = torque - friction speed, with everything divided by that inertia.
@@ -198,7 +198,7 @@ def wheel_response(
 def _ramped(
     shapes: DriveFunctions, channel: Channel, reference: ca.SX, u: ca.SX, quicker: ca.SX, slower: ca.SX
 ) -> ca.SX:
-    """The reference one sample later, on its way to `u`, with slopes up to `quicker` and, towards zero, `slower`."""
+    """Ramp the reference towards `u` for one sample, with slopes up to `quicker` and, towards zero, `slower`."""
     dt, still = channel
     towards = (1 - shapes.sign(reference, still) * shapes.sign(u - reference, still)) / 2
     most = dt * (quicker + (slower - quicker) * towards)
@@ -245,7 +245,7 @@ def drive_model(
     coefficients: Sequence[FloatArray],
     provenance: Mapping[str, object] | None = None,
 ) -> DriveModel:
-    """The velocity model of two channels.
+    """Build the velocity model of two channels.
 
     Parameters
     ----------
@@ -275,7 +275,7 @@ def drive_model(
 
 
 def settled_state(kind: Kind, speed: float, coefficients: FloatArray) -> FloatArray:
-    """(4,) state of a channel that has been going at `speed` for long."""
+    """Compute the steady state (4,) of a channel at `speed`."""
     reference = speed / coefficients[0]
     if kind == "drive_experimental":
         return np.array([reference, speed, 0.0, np.sign(speed)])
@@ -294,7 +294,7 @@ Samples = Annotated[int, Field(ge=0, le=100)]
 
 
 class DriveChannel(StrictModel):
-    """What both models say of a channel; lengths in m for v, angles in rad for omega."""
+    """Parameters of a channel in both models; lengths in m for v, angles in rad for omega."""
 
     gain: Positive = Field(description="speed over reference; the paper has none [-]")
     dead_samples: Samples = Field(description="dead time in samples [-]")
@@ -322,12 +322,12 @@ class DriveChassis(StrictModel):
     wheel_inertia: NotNegative = Field(description="I_0, of a wheel with its rotor [kg m^2]")
 
     @property
-    def own(self) -> float:
+    def direct(self) -> float:
         """A of equation 16 [kg m^2]."""
         return self._forward + self._turning + self.wheel_inertia
 
     @property
-    def other(self) -> float:
+    def cross(self) -> float:
         """B of equation 17 [kg m^2]."""
         return self._forward - self._turning
 
@@ -357,10 +357,19 @@ class ExperimentalFile(FunctionFile):
     omega: ExperimentalChannel
 
     def coefficients(self) -> list[FloatArray]:
-        """What the steps of both channels take."""
+        """Return the coefficients of the steps of both channels."""
         return [
-            np.array([one.gain, one.quicker, one.slower, one.lag, one.threshold, one.threshold_by_slope])
-            for one in (self.v, self.omega)
+            np.array(
+                [
+                    channel.gain,
+                    channel.quicker,
+                    channel.slower,
+                    channel.lag,
+                    channel.threshold,
+                    channel.threshold_by_slope,
+                ]
+            )
+            for channel in (self.v, self.omega)
         ]
 
 
@@ -374,12 +383,12 @@ class PhysicalFile(FunctionFile):
     omega: DriveChannel
 
     def coefficients(self) -> list[FloatArray]:
-        """What the steps of both channels take."""
-        drive, own, other = self.wheel_drive, self.chassis.own, self.chassis.other
+        """Return the coefficients of the steps of both channels."""
+        drive, direct, cross = self.wheel_drive, self.chassis.direct, self.chassis.cross
         return [
             np.concatenate(
                 [
-                    [one.gain, one.quicker, one.slower],
+                    [channel.gain, channel.quicker, channel.slower],
                     wheel_response(
                         drive.proportional_gain / inertia,
                         drive.friction / inertia,
@@ -389,7 +398,7 @@ class PhysicalFile(FunctionFile):
                     ).T.ravel(),
                 ]
             )
-            for one, inertia in ((self.v, own + other), (self.omega, own - other))
+            for channel, inertia in ((self.v, direct + cross), (self.omega, direct - cross))
         ]
 
 
@@ -401,7 +410,7 @@ DRIVE_FILES: dict[str, type[ExperimentalFile] | type[PhysicalFile]] = {
 
 
 def load_drive(path: Path, data: Any) -> DriveModel:  # noqa: ANN401 - what a YAML file may hold
-    """The model of the parameter file at `path`, whose content is `data`.
+    """Load the model of the parameter file at `path` with the content `data`.
 
     Raises
     ------
@@ -414,7 +423,7 @@ def load_drive(path: Path, data: Any) -> DriveModel:  # noqa: ANN401 - what a YA
 
 
 def drive_of(content: ExperimentalFile | PhysicalFile) -> DriveModel:
-    """The model that a parameter file describes; raises ModelError if it cannot be a robot's."""
+    """Build the model of a parameter file; raise ModelError if it cannot be a robot's."""
     channels: tuple[DriveChannel, DriveChannel] = (content.v, content.omega)
     return drive_model(
         content.name,

@@ -50,7 +50,7 @@ from diffdrive_mpc_extras.drives.fitting import (
 def drive_content(
     fit: DriveFit, fields: Mapping[str, Any], geometry: WheelGeometry | None = None
 ) -> ExperimentalFile | PhysicalFile:
-    """What the parameter file of `fit` says.
+    """Build the content of the parameter file of `fit`.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def drive_content(
 
 
 def _channel(fit: DriveFit, row: int) -> dict[str, float]:
-    """What a file says of a channel: not what belongs to both, nor to the sensor."""
+    """Return the numbers of one channel in a file, without shared ones and those of the sensor."""
     keys = set(fit.values[row]) - {"offset", "stiffness", "integral_time"}
     return {
         "dead_samples": fit.dead_samples[row],
@@ -85,7 +85,7 @@ def _channel(fit: DriveFit, row: int) -> dict[str, float]:
 
 
 def _physical(fit: DriveFit, geometry: WheelGeometry | None) -> dict[str, dict[str, float]]:
-    """Chassis and drive whose ratios are those that were found, without inertia of wheels and rotors."""
+    """Return chassis and drive with the identified ratios, without inertia of wheels and rotors."""
     robot = load_robot()
     radius, track = geometry or (robot.wheel_radius, robot.track)
     forward, turning = fit.values[0]["stiffness"], fit.values[1]["stiffness"]
@@ -100,7 +100,7 @@ def _physical(fit: DriveFit, geometry: WheelGeometry | None) -> dict[str, dict[s
         wheel_inertia=0.0,
     )
     drive = {
-        "proportional_gain": rounded(forward * (chassis.own + chassis.other)),
+        "proportional_gain": rounded(forward * (chassis.direct + chassis.cross)),
         "integral_time": rounded(fit.values[0]["integral_time"]),
         "actuator_lag": fit_settings().actuator_lag,
         "friction": fit_settings().friction,
@@ -112,9 +112,9 @@ def _physical(fit: DriveFit, geometry: WheelGeometry | None) -> dict[str, dict[s
 
 
 _SHARED = "integral_time"
-"""Of both channels of the physical model: each wheel has one controller."""
+"""Number shared by both channels of the physical model: each wheel has one controller."""
 _STEP = 1e-3
-"""Of a derivative, in usual changes of a number."""
+"""Step of numerical derivatives, in usual changes of a number."""
 _SETTLED = 1e-4
 _NEVER_SEEN = 1e12
 """Variance of a number that moves nothing."""
@@ -138,7 +138,7 @@ class ToldDrive:
 
     fit: DriveFit
     estimate: ParameterEstimate
-    kept: tuple[str, ...]
+    identified: tuple[str, ...]
     at_bound: tuple[str, ...]
 
 
@@ -149,17 +149,17 @@ def told_by(fit: DriveFit, records: Sequence[Record], yaw: YawSource = "gyro") -
     standard deviation is larger than itself and than a usual change of it.
     """
     numbers = _Numbers(fit, joined(twist_experiments(records, yaw)))
-    point, free, kept = numbers.begin, list(numbers.names), []
+    point, free, identified = numbers.start, list(numbers.names), []
     for name in numbers.names:
         prior = fit_settings().priors.get(name.rpartition(".")[2])
         if prior is None:
             continue
-        without = [other for other in free if other != name]
+        without = [remaining for remaining in free if remaining != name]
         tried = numbers.fitted({**point, name: prior}, without)
         worse = numbers.cost(tried) / numbers.cost(point) - 1.0
         if worse < fit_settings().min_gain or not _is_known(numbers, point, free, name):
             point, free = tried, without
-            kept.append(name)
+            identified.append(name)
     point = numbers.fitted(point, free)
     covariance = numbers.covariance(point, free)
     values = np.array([point[name] for name in free] + [dead * fit.dt for dead in fit.dead_samples])
@@ -169,23 +169,23 @@ def told_by(fit: DriveFit, records: Sequence[Record], yaw: YawSource = "gyro") -
     whole[len(free) :, len(free) :] = np.eye(2) * fit.dt**2 / 12
     names = (*free, *(f"{channel}.dead_time" for channel in CHANNELS))
     parameters = numbers.apart(point)
-    determined = {name.replace(".", " ") for name in kept} | {
-        f"{channel} {name}" for channel in CHANNELS for name in kept
+    determined = {name.replace(".", " ") for name in identified} | {
+        f"{channel} {name}" for channel in CHANNELS for name in identified
     }
     at_bound = tuple(name for name in numbers_at_bounds(parameters) if name not in determined)
     return ToldDrive(
         replace(fit, values=parameters, at_bound=at_bound),
         ParameterEstimate(names, values, whole),
-        tuple(kept),
+        tuple(identified),
         at_bound,
     )
 
 
 def refitted(determined: ToldDrive, records: Sequence[Record], yaw: YawSource = "gyro") -> DriveFit:
-    """The numbers that the log told, as other records have them; dead times and priors stay."""
+    """Refit the numbers that the log determined to other records; dead times and priors stay."""
     numbers = _Numbers(determined.fit, joined(twist_experiments(records, yaw)))
-    free = [name for name in numbers.names if name not in determined.kept]
-    return replace(determined.fit, values=numbers.apart(numbers.fitted(numbers.begin, free)))
+    free = [name for name in numbers.names if name not in determined.identified]
+    return replace(determined.fit, values=numbers.apart(numbers.fitted(numbers.start, free)))
 
 
 def _is_known(numbers: _Numbers, point: dict[str, float], free: list[str], name: str) -> bool:
@@ -200,20 +200,20 @@ class _Numbers:
         self._fit = fit
         self._runs = [[run.channel(row, row) for run in runs] for row in (0, 1)]
         self._errors = lru_cache(maxsize=64)(self._channel)
-        self.begin = {
+        self.start = {
             self._name(row, name): fit.values[row][name] for row in (0, 1) for name in parameter_names(fit.kind, row)
         }
-        self.names = tuple(self.begin)
+        self.names = tuple(self.start)
 
     def _name(self, row: int, name: str) -> str:
         return name if name == _SHARED else f"{CHANNELS[row]}.{name}"
 
     def size(self, name: str) -> float:
-        """A usual change of a number."""
+        """Return the usual change of a number."""
         return fit_settings().bounds[name.rpartition(".")[2]].size
 
     def apart(self, point: dict[str, float]) -> tuple[dict[str, float], dict[str, float]]:
-        """Numbers of v and of omega."""
+        """Split into numbers of v and of omega."""
         v, omega = (
             {name: point[self._name(row, name)] for name in parameter_names(self._fit.kind, row)} for row in (0, 1)
         )
@@ -227,11 +227,11 @@ class _Numbers:
         """Errors of both channels count by what each leaves."""
         return [
             float(np.sqrt(np.mean(np.concatenate(self._errors(row, tuple(values.items()))) ** 2)))
-            for row, values in enumerate(self.apart(self.begin))
+            for row, values in enumerate(self.apart(self.start))
         ]
 
     def errors(self, point: dict[str, float]) -> list[FloatArray]:
-        """Of every run, v first: (K,) simulated less measured, over the scale of the channel."""
+        """Compute simulated less measured values (K,) of every run, v first, over the scale of the channel."""
         return [
             part / self._scale[row]
             for row, values in enumerate(self.apart(point))
@@ -239,40 +239,40 @@ class _Numbers:
         ]
 
     def cost(self, point: dict[str, float]) -> float:
-        """Sum of squares."""
+        """Sum the squared errors."""
         return float(sum(np.sum(part**2) for part in self.errors(point)))
 
     def fitted(self, point: dict[str, float], free: Sequence[str]) -> dict[str, float]:
-        """`point` with the numbers `free` where they explain the records best."""
+        """Return `point` with the numbers `free` fitted to the records."""
         bounds = [fit_settings().bounds[name.rpartition(".")[2]] for name in free]
         size = np.array([bound.size for bound in bounds])
         low, high = np.array([[bound.low, bound.high] for bound in bounds]).T
 
-        def at(x: FloatArray) -> dict[str, float]:
+        def point_at(x: FloatArray) -> dict[str, float]:
             return {**point, **dict(zip(free, (x * size).tolist(), strict=True))}
 
-        begin = np.clip([point[name] for name in free], low + 1e-6 * size, high - 1e-6 * size)
+        start_values = np.clip([point[name] for name in free], low + 1e-6 * size, high - 1e-6 * size)
         solution = least_squares(
-            lambda x: np.concatenate(self.errors(at(x))),
-            begin / size,
+            lambda x: np.concatenate(self.errors(point_at(x))),
+            start_values / size,
             bounds=(low / size, high / size),
             diff_step=1e-4,
             xtol=_SETTLED,
             ftol=_SETTLED,
             max_nfev=fit_settings().most_steps,
         )
-        return at(solution.x)
+        return point_at(solution.x)
 
     def covariance(self, point: dict[str, float], free: Sequence[str]) -> FloatArray:
-        """(q, q) of the numbers `free`, residual correlation taken into account; huge where nothing shows one."""
-        here, slopes = self.errors(point), []
+        """Compute the covariance (q, q) of the numbers `free`; huge for unidentifiable ones."""
+        residuals, slopes = self.errors(point), []
         for name in free:
             step = _STEP * self.size(name)
             moved = [self.errors({**point, name: point[name] + way * step}) for way in (-1.0, 1.0)]
             slopes.append([(more - less) / (2 * step) for less, more in zip(*moved, strict=True)])
-        jacobians = [np.column_stack(one)[:, None, :] for one in zip(*slopes, strict=True)]
+        jacobians = [np.column_stack(part_slopes)[:, None, :] for part_slopes in zip(*slopes, strict=True)]
         shows = np.sum([(jacobian**2).sum(axis=(0, 1)) for jacobian in jacobians], axis=0) > 0
-        covariance_matrix = sandwich(jacobians, [part[:, None] for part in here]).covariance
+        covariance_matrix = sandwich(jacobians, [part[:, None] for part in residuals]).covariance
         covariance_matrix[~shows, :], covariance_matrix[:, ~shows] = 0.0, 0.0
         covariance_matrix[~shows, ~shows] = _NEVER_SEEN
         return covariance_matrix
@@ -301,14 +301,14 @@ class FoundDrive:
     ----------
     structure
         As `models list` calls it.
-    told
+    determined
         The model, and what the log says of it.
     geometry
         Of the log's wheels; None without any.
     """
 
     structure: str
-    told: ToldDrive
+    determined: ToldDrive
     geometry: WheelGeometry | None
     title: str = "a drive"
     method: str = _METHOD
@@ -317,22 +317,22 @@ class FoundDrive:
     @property
     def offset(self) -> FloatArray:
         """See `Predictor`."""
-        return np.array([values.get("offset", 0.0) for values in self.told.fit.values])
+        return np.array([values.get("offset", 0.0) for values in self.determined.fit.values])
 
     @property
     def estimate(self) -> ParameterEstimate:
         """See `Predictor`."""
-        return self.told.estimate
+        return self.determined.estimate
 
     @property
     def doubts(self) -> tuple[Doubt, ...]:
         """See `Predictor`."""
         doubts = []
-        for name in self.told.kept:
+        for name in self.determined.identified:
             channel, _, last = name.rpartition(".")
             doubt = Doubt("prior kept", _UNTOLD[last])
             doubts.append(doubt.of(channel) if channel else doubt)
-        for name in self.told.at_bound:
+        for name in self.determined.at_bound:
             doubts.append(Doubt("effect", f"{name} lies on a bound of the search: the data do not determine it"))
         # A dead time or an offset may be near zero; what has a prior is known, or it would be kept.
         sized = [name for name in self.estimate.names if name.rpartition(".")[2] in _KINDS]
@@ -341,29 +341,29 @@ class FoundDrive:
         return tuple(doubts)
 
     def simulate(self, records: Sequence[Record], yaw: YawSource) -> list[FloatArray]:
-        """See `Predictor`."""
-        return self.told.fit.simulate(records, yaw)
+        """Simulate as `Predictor` describes."""
+        return self.determined.fit.simulate(records, yaw)
 
     def refitted(self, records: Sequence[Record], yaw: YawSource) -> DriveModel:
-        """See `Predictor`: dead times and priors as they were."""
+        """Refit as `Predictor` describes, with the same dead times and priors."""
         records = most_informative(records, identification_settings().most_rows["effects"])
-        return refitted(self.told, records, yaw).model(f"{self.structure} of the data held out")
+        return refitted(self.determined, records, yaw).model(f"{self.structure} of the data held out")
 
     def content(self, fields: Mapping[str, Any]) -> ExperimentalFile | PhysicalFile:
-        """See `Predictor`."""
-        return drive_content(self.told.fit, fields, self.geometry)
+        """Build the content as `Predictor` describes."""
+        return drive_content(self.determined.fit, fields, self.geometry)
 
     def model(self, content: ExperimentalFile | PhysicalFile) -> DriveModel:
-        """See `Predictor`."""
+        """Build the model as `Predictor` describes."""
         return drive_of(content)
 
     def write(self, path: Path, content: ExperimentalFile | PhysicalFile) -> None:
-        """See `Predictor`."""
+        """Write the files as `Predictor` describes."""
         write_drive(path, content)
 
 
 def drive_finder(name: str, kind: Kind) -> Finder:
-    """What fits the drive that `models list` calls `name` to training records: of long ones a part, as effects."""
+    """Return a finder for the drive that `models list` calls `name`; of long records it uses a part, as for effects."""
 
     def find(data: LogData, fitted: Fitted) -> FoundDrive:
         records = most_informative(data.train, identification_settings().most_rows["effects"])

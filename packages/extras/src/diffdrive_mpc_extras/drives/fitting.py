@@ -33,7 +33,7 @@ from diffdrive_mpc_extras.drives.drive_model import (
 
 
 class ParameterRange(StrictModel):
-    """Where a number is looked for."""
+    """Range of the search for a number."""
 
     low: float
     high: float
@@ -66,7 +66,7 @@ _COARSE, _CLOSE = 1e-3, 1e-4
 
 @dataclass(frozen=True)
 class DriveFit:
-    """What was found for both channels.
+    """Fit of both channels.
 
     Attributes
     ----------
@@ -88,15 +88,15 @@ class DriveFit:
 
     @property
     def coefficients(self) -> list[FloatArray]:
-        """What the steps of both channels take."""
+        """Return the coefficients of the steps of both channels."""
         return [step_coefficients(self.kind, values, self.dt) for values in self.values]
 
     def model(self, name: str) -> DriveModel:
-        """The velocity model, without sensor offsets."""
+        """Build the velocity model without sensor offsets."""
         return drive_model(name, self.kind, self.dt, self.dead_samples, fit_settings().still, self.coefficients)
 
     def simulate(self, records: Sequence[Record], yaw: YawSource = "gyro", *, sharp: bool = False) -> list[FloatArray]:
-        """For each record v [m/s] and omega [rad/s] (K, 2) from its commands alone, sensor offsets included."""
+        """Simulate v [m/s] and omega [rad/s] (K, 2) of each record from its commands alone, sensor offsets included."""
         experiments = twist_experiments(records, yaw)
         runs = joined(experiments)
         columns = []
@@ -112,7 +112,7 @@ class DriveFit:
 
 
 def step_coefficients(kind: Kind, values: dict[str, float], dt: float) -> FloatArray:
-    """What a channel's step takes for its numbers."""
+    """Compute the coefficients of a channel's step from its numbers."""
     shared = [values["gain"], values["quicker"], values["slower"]]
     if kind == "drive_experimental":
         return np.array([*shared, values["lag"], values["threshold"], values["threshold_by_slope"]])
@@ -144,7 +144,7 @@ def fit_drive(kind: Kind, records: Sequence[Record], yaw: YawSource = "gyro") ->
 
 
 def numbers_at_bounds(values: Sequence[dict[str, float]]) -> tuple[str, ...]:
-    """Names "v gain" and so on of numbers that lie on a bound of the search."""
+    """List the names "v gain" and so on of numbers at a bound of the search."""
     bounds = fit_settings().bounds
     return tuple(
         f"{channel} {name}"
@@ -155,24 +155,24 @@ def numbers_at_bounds(values: Sequence[dict[str, float]]) -> tuple[str, ...]:
 
 
 def parameter_names(kind: Kind, row: int) -> list[str]:
-    """Of v (`row` 0) or omega."""
-    own = {
+    """List the parameters of v (`row` 0) or omega."""
+    names_of_kind = {
         "drive_experimental": ["lag", "threshold", "threshold_by_slope"],
         "drive_physical": ["stiffness", "integral_time"],
     }[kind]
-    return ["gain", "quicker", "slower", *own, *(["offset"] if row == 1 else [])]
+    return ["gain", "quicker", "slower", *names_of_kind, *(["offset"] if row == 1 else [])]
 
 
 def _fit_channel(kind: Kind, row: int, runs: Sequence[SampledExperiment]) -> tuple[dict[str, float], int]:
-    """Numbers and dead time of one channel."""
+    """Fit numbers and dead time of one channel."""
     names, starts = parameter_names(kind, row), fit_settings().starts
     known: dict[int, tuple[float, FloatArray]] = {}
 
-    def solved(dead: int, begin: FloatArray, close: float = _COARSE) -> tuple[float, FloatArray]:
+    def solved(dead: int, start: FloatArray, close: float = _COARSE) -> tuple[float, FloatArray]:
         def residuals(values: FloatArray) -> FloatArray:
             return _errors(kind, row, runs, dict(zip(names, values, strict=True)), dead)
 
-        return _least(residuals, names, begin, close)
+        return _least(residuals, names, start, close)
 
     first = _plain_delay(runs)
     tried = [solved(first, np.array([start[name] for name in names])) for start in starts]
@@ -193,7 +193,7 @@ def _share_integral_time(
     values: Sequence[dict[str, float]], dead: Sequence[int], runs: Sequence[SampledExperiment]
 ) -> list[dict[str, float]]:
     names = [parameter_names("drive_physical", row) for row in (0, 1)]
-    own = [[name for name in group if name != "integral_time"] for group in names]
+    separate_names = [[name for name in group if name != "integral_time"] for group in names]
     channels = [[run.channel(row, row) for run in runs] for row in (0, 1)]
     # Errors of both channels count by what each left on its own.
     scale = [
@@ -201,12 +201,13 @@ def _share_integral_time(
     ]
 
     def apart(flat: FloatArray) -> list[dict[str, float]]:
-        cut = len(own[0])
+        cut = len(separate_names[0])
         pair = [
-            dict(zip(group, part, strict=True)) for group, part in zip(own, (flat[:cut], flat[cut:-1]), strict=True)
+            dict(zip(group, part, strict=True))
+            for group, part in zip(separate_names, (flat[:cut], flat[cut:-1]), strict=True)
         ]
         return [
-            {name: float(value) for name, value in one.items()} | {"integral_time": float(flat[-1])} for one in pair
+            {name: float(value) for name, value in named.items()} | {"integral_time": float(flat[-1])} for named in pair
         ]
 
     def residuals(flat: FloatArray) -> FloatArray:
@@ -215,24 +216,29 @@ def _share_integral_time(
             [_errors("drive_physical", row, channels[row], pair[row], dead[row]) / scale[row] for row in (0, 1)]
         )
 
-    begin = [values[row][name] for row in (0, 1) for name in own[row]]
+    start = [values[row][name] for row in (0, 1) for name in separate_names[row]]
     tried = [
-        _least(residuals, [*own[0], *own[1], "integral_time"], np.array([*begin, values[row]["integral_time"]]), _CLOSE)
+        _least(
+            residuals,
+            [*separate_names[0], *separate_names[1], "integral_time"],
+            np.array([*start, values[row]["integral_time"]]),
+            _CLOSE,
+        )
         for row in (0, 1)
     ]
     return apart(min(tried, key=lambda row: row[0])[1])
 
 
 def _least(
-    residuals: Callable[[FloatArray], FloatArray], names: Sequence[str], begin: FloatArray, close: float
+    residuals: Callable[[FloatArray], FloatArray], names: Sequence[str], start: FloatArray, close: float
 ) -> tuple[float, FloatArray]:
-    """Cost and numbers within their bounds."""
+    """Minimise; return cost and numbers within their bounds."""
     bounds = fit_settings().bounds
     low, high = np.array([[bounds[name].low, bounds[name].high] for name in names]).T
     size = np.array([bounds[name].size for name in names])
     solution = least_squares(
         lambda x: residuals(x * size),
-        np.clip(begin, low + 1e-6 * size, high - 1e-6 * size) / size,
+        np.clip(start, low + 1e-6 * size, high - 1e-6 * size) / size,
         bounds=(low / size, high / size),
         diff_step=1e-4,
         xtol=close,
@@ -253,7 +259,7 @@ def _errors(kind: Kind, row: int, runs: Sequence[SampledExperiment], values: dic
 def channel_errors(
     kind: Kind, row: int, runs: Sequence[SampledExperiment], values: dict[str, float], dead: int
 ) -> list[FloatArray]:
-    """For each run of one channel (K,) simulated less measured, at its readings."""
+    """Compute simulated less measured values (K,) at the readings of each run of one channel."""
     offset = values.get("offset", 0.0)
     parts = []
     for run in runs:
@@ -266,7 +272,7 @@ def channel_errors(
 def _free_run(
     kind: Kind, row: int, run: SampledExperiment, coefficients: FloatArray, dead: int, *, sharp: bool = False
 ) -> FloatArray:
-    """(K,) speed from the commands (K, 1) alone, after a time at the first reading's speed."""
+    """Simulate the speed (K,) from the commands (K, 1) alone, after a time at the first reading's speed."""
     start = settled_state(kind, float(run.outputs[np.argmax(run.counts[:, 0]), 0]), coefficients)
     late = np.concatenate([np.full(dead, start[0]), run.inputs[:, 0]])[: run.samples]
     simulation = _simulation(kind, Channel(run.dt, fit_settings().still[row]), run.samples, sharp=sharp)
@@ -275,7 +281,7 @@ def _free_run(
 
 @lru_cache(maxsize=64)
 def _simulation(kind: Kind, channel: Channel, samples: int, *, sharp: bool) -> ca.Function:
-    """x, u (1, K), c -> speed (1, K) at samples 0 to K - 1."""
+    """Build x, u (1, K), c -> speed (1, K) at samples 0 to K - 1."""
     step = STEPS[kind](channel, sharp=sharp)
     x, u, c = ca.MX.sym("x", step.size1_in(0)), ca.MX.sym("u", 1, samples), ca.MX.sym("c", step.size1_in(2))
     later = step.mapaccum(samples)(x, u, ca.repmat(c, 1, samples))
@@ -283,7 +289,7 @@ def _simulation(kind: Kind, channel: Channel, samples: int, *, sharp: bool) -> c
 
 
 def _plain_delay(runs: Sequence[SampledExperiment]) -> int:
-    """The delay in samples after which commands, scaled and lagged, fit best: where the search begins."""
+    """Find the delay in samples of the best scaled and lagged commands, at which the search starts."""
     longest = round(fit_settings().most_dead_time / runs[0].dt)
     costs = []
     for dead in range(longest + 1):

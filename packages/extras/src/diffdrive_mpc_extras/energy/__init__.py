@@ -1,4 +1,4 @@
-"""What driving costs: motor constants from a log, and their energy."""
+"""Energy of driving: motor constants from a log, and predictions from them."""
 
 from diffdrive_mpc_extras.energy.identification import IdentifiedConstants, identify_constants, logged_energy
 

@@ -30,20 +30,20 @@ _PASSES = 4
 
 
 class IdentifiedConstants(NamedTuple):
-    """What was found."""
+    """Identified constants."""
 
     constants: DriveConstants
     """With torque constant, resistance and idle power of the log; regeneration and efficiency are those given"""
     deviation: dict[str, float]
     """Standard deviation of each value found"""
     rms: float
-    """What remains of the battery's power, means over 0.3 s [W]"""
+    """RMS residual of the battery's power, means over 0.3 s [W]."""
     rows: int
-    """How many samples told it"""
+    """Number of samples used."""
 
 
 def identify_constants(records: Sequence[Record], prior: DriveConstants) -> IdentifiedConstants:
-    """Torque constant, resistance and idle power, by least squares on the power of the battery.
+    """Identify torque constant, resistance and idle power by least squares on the power of the battery.
 
     The battery gives V I = sum over the motors of k (wheel speed times current) + R_e current^2, + idle power:
     k = K_T g eta turns current into torque by equations 25 and 26 of P4, so the three are linear in what is logged. Of
@@ -107,7 +107,7 @@ def identify_constants(records: Sequence[Record], prior: DriveConstants) -> Iden
 
 
 def logged_energy(records: Sequence[Record]) -> float:
-    """What the battery gave over the records [J]; raises ConfigError where they do not tell voltage and current."""
+    """Integrate the energy of the battery over the records [J]; raise ConfigError without voltage and current."""
     total = 0.0
     for record in records:
         if record.battery is None:
@@ -135,7 +135,7 @@ class _Blocks(NamedTuple):
 
 
 class _Fit(NamedTuple):
-    """Of k, R_e over the motors of a current, and the idle power."""
+    """Fit of k, of R_e over the motors of a current, and of the idle power."""
 
     values: FloatArray
     deviation: FloatArray
@@ -143,13 +143,13 @@ class _Fit(NamedTuple):
 
 
 def _weights(power: FloatArray, prior: DriveConstants) -> FloatArray:
-    """(n, m) what the battery gives for each watt of a motor."""
+    """Compute battery power (n, m) for each watt of a motor."""
     back = prior.driver_efficiency if prior.regeneration else 0.0
     return np.where(power > 0, 1 / prior.driver_efficiency, back)
 
 
 def _fit(blocks: _Blocks, weight: FloatArray) -> _Fit:
-    """With the columns beside the three that the log can tell apart."""
+    """Fit with the columns, besides the three, that the log can distinguish."""
     wanted = [(weight * blocks.work).sum(axis=1), (weight * blocks.square).sum(axis=1), np.ones(len(blocks.power))]
     moving, ripple = blocks.moving.astype(float), (weight * blocks.ripple).sum(axis=1)
     if not _apart(wanted):
@@ -167,14 +167,14 @@ def _fit(blocks: _Blocks, weight: FloatArray) -> _Fit:
 
 
 def _apart(columns: Sequence[FloatArray]) -> bool:
-    """Whether the columns can be told apart."""
+    """Return True if the columns are distinguishable."""
     rows = np.stack(columns, axis=-1)
     scale = np.linalg.norm(rows, axis=0)
     return bool((scale > 0).all() and np.linalg.cond(rows / scale) < _ALIKE)
 
 
 def _solved(rows: FloatArray, power: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Least squares: values, their variances (sandwich estimate, by single blocks and by runs of them), RMS."""
+    """Solve by least squares: values, their variances (sandwich estimate, by blocks and runs of them), RMS."""
     scale = np.linalg.norm(rows, axis=0)
     scaled = rows / scale
     values, *_ = np.linalg.lstsq(scaled, power, rcond=None)
@@ -198,20 +198,20 @@ def _blocks(records: Sequence[Record]) -> _Blocks:
     for power, current, speed, dt in map(_columns, records):
         length = max(_LEAST_SAMPLES, round(_BLOCK / dt))
         count = len(power) // length
-        given, currents, speeds = (
-            one[: count * length].reshape(count, length, -1) for one in (power[:, None], current, speed)
+        battery_power, currents, speeds = (
+            array[: count * length].reshape(count, length, -1) for array in (power[:, None], current, speed)
         )
-        whole = np.all([np.isfinite(one).all(axis=(1, 2)) for one in (given, currents, speeds)], axis=0)
-        given, currents, speeds = given[whole], currents[whole], speeds[whole]
+        whole = np.all([np.isfinite(array).all(axis=(1, 2)) for array in (battery_power, currents, speeds)], axis=0)
+        battery_power, currents, speeds = battery_power[whole], currents[whole], speeds[whole]
         samples += length * int(whole.sum())
         steps = np.arange(length) - 0.5 * (length - 1)
         steps /= np.sqrt(np.mean(steps**2))
-        means = [one.mean(axis=1) for one in (currents, speeds)]
-        trends = [np.einsum("nbm,b->nm", one, steps) / length for one in (currents, speeds)]
+        means = [array.mean(axis=1) for array in (currents, speeds)]
+        trends = [np.einsum("nbm,b->nm", array, steps) / length for array in (currents, speeds)]
         square = means[0] ** 2 + trends[0] ** 2
         parts.append(
             (
-                given.mean(axis=(1, 2)),
+                battery_power.mean(axis=(1, 2)),
                 means[0] * means[1] + trends[0] * trends[1],
                 square,
                 np.maximum((currents**2).mean(axis=1) - square, 0.0),
@@ -228,7 +228,7 @@ def _blocks(records: Sequence[Record]) -> _Blocks:
 
 
 def _columns(record: Record) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-    """Power of the battery (n,) [W], currents [A] and wheel speeds [rad/s] (n, m) of motors or sides, sample time."""
+    """Return battery power (n,) [W], currents [A] and wheel speeds [rad/s] (n, m), and the sample time."""
     needed = (("battery", record.battery), ("motors", record.motor_current), ("encoders", record.wheels))
     absent = [key for key, value in needed if value is None]
     if record.battery is None or record.motor_current is None or record.wheels is None:

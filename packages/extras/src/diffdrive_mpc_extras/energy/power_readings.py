@@ -29,7 +29,7 @@ class Battery(StrictModel):
     resistance: NotNegative = Field(default=0.05, description="of cells and leads [ohm]")
 
     def loaded(self, power: float) -> tuple[float, float]:
-        """Voltage [V] and current [A] while it gives `power` [W], negative where it is charged.
+        """Compute voltage [V] and current [A] at an output of `power` [W], negative while charging.
 
         What is more than it can give counts as the most: half of its voltage is left then.
         """
@@ -153,8 +153,8 @@ class PowerKind:
 
     def make_part(self, sensor: object, robot: object, seed: int) -> PowerReadings:
         """Make the sensors; raises ConfigError if a value cannot be used."""
-        of = _checked_power(robot, "robot: parts.power")
-        return PowerReadings(check(PowerSensor, sensor, "sensors: parts.power"), of.battery, of.drive, seed)
+        power = _checked_power(robot, "robot: parts.power")
+        return PowerReadings(check(PowerSensor, sensor, "sensors: parts.power"), power.battery, power.drive, seed)
 
 
 POWER, COLUMNS = PowerKind(), PowerRunColumns()
@@ -183,7 +183,7 @@ class PowerReadings:
         self.reset()
 
     def reset(self) -> None:
-        """At rest since ever, at time 0."""
+        """Reset to a robot that has always been at rest, at time 0."""
         self._noise = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(_KEY,)))
         self.take(np.zeros((1, 2, 4)))
 

@@ -64,9 +64,9 @@ def excite(
     if purpose not in (_SLIP, _MODEL):
         raise ConfigError(f"--for {purpose}: give {_SLIP} or {_MODEL}")
     others = {"--side": side} if purpose == _MODEL else {"CONFIG": config, "--inside": inside, "--log": log}
-    given = [name for name, value in others.items() if value is not None]
-    if given:
-        raise ConfigError(f"{given[0]} does not go with --for {purpose}; leave it out")
+    unsuitable = [name for name, value in others.items() if value is not None]
+    if unsuitable:
+        raise ConfigError(f"{unsuitable[0]} does not go with --for {purpose}; leave it out")
     if purpose == _SLIP:
         from diffdrive_mpc_extras.excitation.slip_excitation import slip_excitation, write_slip_drive  # noqa: PLC0415
 

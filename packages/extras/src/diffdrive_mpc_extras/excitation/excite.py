@@ -64,14 +64,14 @@ class Excitation:
         write_model_drive(path, self.drive, model_excitation_settings().tick)
 
     def on(self, plant: str, seed: int, trajectory: Path) -> Case:
-        """The written trajectory on a plant, in the fence."""
+        """Build the case of the written trajectory on a plant, in the fence."""
         return replace(self.case, plant=plant, seed=seed, trajectory=str(trajectory))
 
     def lines(self, out: Path) -> list[str]:
-        """What was found, and what goes into the configuration of the node, in words."""
+        """Describe the result, and the values for the configuration of the node."""
         seconds = len(self.drive.twists) * model_excitation_settings().tick
-        other = min(self.drive.worth.values())
-        better = np.exp((max(self.drive.worth.values()) - other) / (2 * len(CHANNELS) * len(TOLD)))
+        least_worth = min(self.drive.worth.values())
+        better = np.exp((max(self.drive.worth.values()) - least_worth) / (2 * len(CHANNELS) * len(TOLD)))
         return [
             f"{out}: {self.drive.family}, {seconds:.0f} s. With the other family deviations are {better:.2f} times as "
             "large, in the geometric mean.",
@@ -80,7 +80,7 @@ class Excitation:
         ]
 
     def table(self) -> Table:
-        """How well the parameters will be known."""
+        """Tabulate the expected accuracy of the parameters."""
         shown = self.expected.derived(
             [f"{channel}.{name}" for channel in CHANNELS for name in (*TOLD, _LATE)],
             lambda values: np.concatenate([[*levels, levels[1] + levels[2]] for levels in values.reshape(2, -1)]),
@@ -89,7 +89,7 @@ class Excitation:
         for name, *numbers in shown.rows:
             channel, parameter = name.split(".")
             unit, scale, digits = ("-", 1.0, 4) if parameter == "gain" else ("ms", 1e3, 2)
-            cells = (number(scale * float(one), digits) for one in numbers)
+            cells = (number(scale * float(value), digits) for value in numbers)
             rows.append((channel, f"{parameter.replace('_', ' ')} [{unit}]", *cells))
         return Table(
             "What the drive will tell",
@@ -184,14 +184,14 @@ def excite_into(
     with ExitStack() as stack:
         write_log = stack.enter_context(run_log(log))
         with ProgressBar("looking for the drive") as bar:
-            excitation = excite_model(config, room, seed=seed, on_drive=bar.at, **options)
+            excitation = excite_model(config, room, seed=seed, on_drive=bar.show, **options)
             drive = excitation.on(plant, seed, out)
             if log is not None:
                 build_plant(drive)
             excitation.write(out)
             if log is not None:
-                bar.begin("driving", 1)
-                run = driven(drive, out, bar.at, keep_plans=holds_plans(log))
+                bar.start_stage("driving", 1)
+                run = driven(drive, out, bar.show, keep_plans=holds_plans(log))
                 check_drive(run, room)
                 write_log(run, drive)
     console.print(excitation.table().rich())
@@ -201,7 +201,7 @@ def excite_into(
 
 
 def in_room(config: str, room: Room) -> Case:
-    """The controller of a configuration in the fence of a room; raises ConfigError if there is none."""
+    """Build the controller of a configuration in the fence of a room; raise ConfigError if there is none."""
     case = case_of(config)
     fence = {"enabled": True, "length": room.length, "width": room.width, "frame": "start", "x": 0.0, "y": 0.0}
     changes = tuple((f"fence.{key}", value) for key, value in (fence | {"heading": 0.0}).items())
@@ -211,7 +211,7 @@ def in_room(config: str, room: Room) -> Case:
 def driven(
     case: Case, trajectory: Path, on_tick: Callable[[int, int], None] | None = None, *, keep_plans: bool = False
 ) -> Run:
-    """One run along a trajectory file; raises ConfigError if it or the plant cannot be used."""
+    """Run a case along a trajectory file; raise ConfigError if it or the plant is unusable."""
     limits = controller_config(case.model, case.config, case.overrides)
     parts = make_controller(case), build_plant(case), load_trajectory(trajectory, limits)
     return simulate(*parts, keep_plans=keep_plans, on_tick=on_tick)
@@ -231,7 +231,7 @@ def check_drive(run: Run, room: Room) -> None:
 
 
 def case_of(config: str) -> Case:
-    """The case with this configuration: a file, or the shipped one of a model; raises ConfigError if there is none."""
+    """Build the case with this configuration: a file, or the shipped one of a model; raise ConfigError without one."""
     if is_shipped(config):
         load_config(config)
         return Case(model=config)
@@ -244,15 +244,15 @@ def _believed(config: ControllerConfig) -> VelocityModel:
 
 
 def _limits(config: ControllerConfig, speed: float, yaw_rate: float) -> TrajectoryLimits:
-    """Of the reference: a share of the limits of the command is left to tracking, as for paths that are scaled."""
+    """Compute limits of the reference: a share of the command limits is left to tracking, as for scaled paths."""
     settings, limits = load_settings(), config.limits
-    for name, asked, unit in (("v", speed, "m/s"), ("omega", yaw_rate, "rad/s")):
+    for name, wanted, unit in (("v", speed, "m/s"), ("omega", yaw_rate, "rad/s")):
         most = settings.reach_share * getattr(limits, name)
-        if not (np.isfinite(asked) and 0 < asked <= most):
+        if not (np.isfinite(wanted) and 0 < wanted <= most):
             option = "--speed" if name == "v" else "--yaw-rate"
             limit = getattr(limits, name)
             raise ConfigError(
-                f"{option} {asked:g}: with limits.{name} = {limit:g} {unit} give up to {most:g} {unit}; the rest is "
+                f"{option} {wanted:g}: with limits.{name} = {limit:g} {unit} give up to {most:g} {unit}; the rest is "
                 "for tracking"
             )
     slew = model_excitation_settings().slew_share

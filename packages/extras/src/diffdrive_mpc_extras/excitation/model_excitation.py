@@ -28,14 +28,14 @@ from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits, load_settings
 
 Worth = Callable[[FloatArray], float]
-"""Of twists (K, 2), one a tick: the more, the better."""
+"""Worth of twists (K, 2), one a tick: higher is better."""
 
 # A twist that changes by less than this from one tick to the next, m/s and rad/s, is the same.
 _SAME = 1e-9
 
 
 class ModelExcitationSettings(StrictModel):
-    """How a drive is looked for."""
+    """Settings of the search for a drive."""
 
     tick: Positive
     margin: Positive
@@ -160,13 +160,13 @@ def model_excitation(room: Room, seconds: float, limits: TrajectoryLimits, worth
 
 
 def drives_tried() -> int:
-    """How many drives a search asks the worth of."""
+    """Number of drives that a search evaluates."""
     settings = model_excitation_settings()
     return 2 * (settings.population * (settings.generations + 1) + 1)
 
 
 def path_of(twists: FloatArray, tick: float) -> FloatArray:
-    """(K + 1, 3) poses from (0, 0, 0), each of twists (K, 2) held for `tick` [s]: exact arcs."""
+    """Integrate twists (K, 2), each held for `tick` [s], to (K + 1, 3) poses from (0, 0, 0) by exact arcs."""
     theta = np.concatenate([[0.0], np.cumsum(twists[:, 1]) * tick])
     ahead = integrate_pose(np.column_stack([np.zeros((len(twists), 2)), theta[:-1]]), twists[:, 0], twists[:, 1], tick)
     return np.column_stack([np.vstack([np.zeros(2), np.cumsum(ahead[:, :2], axis=0)]), theta])
@@ -188,13 +188,13 @@ def write_model_drive(path: str | Path, drive: ModelDrive, tick: float) -> None:
 
 
 def _held(twists: FloatArray) -> list[tuple[tuple[float, float], int]]:
-    """Twists and for how many ticks they hold."""
+    """Return twists and the number of ticks for which they hold."""
     rows = [tuple(map(float, np.round(row, 4))) for row in twists]
     return [((row[0], row[1]), len(list(group))) for row, group in itertools.groupby(rows)]
 
 
 def _best(family: _Steps | _Sines, worth: Worth, seed: int) -> FloatArray:
-    """The twists of the family's best member."""
+    """Search the best member of the family; return its twists."""
     from scipy import optimize  # noqa: PLC0415 - loads slowly
 
     settings = model_excitation_settings()
@@ -231,7 +231,7 @@ class _Sines:
         self.genes = 6 * settings.sines
 
     def twists(self, genes: FloatArray) -> FloatArray:
-        """(K, 2)."""
+        """Build twists (K, 2)."""
         frequency, amplitude, phase = genes.reshape(3, 2, self._sines)
         angle = 2 * np.pi * np.exp(self._low + (self._high - self._low) * frequency)[..., None] * self._times
         rows = np.sum(amplitude[..., None] * np.sin(angle + 2 * np.pi * phase[..., None]), axis=1) * self._swell
@@ -257,7 +257,7 @@ class _Steps:
         self.genes = 3 * settings.moves
 
     def twists(self, genes: FloatArray) -> FloatArray:
-        """(K, 2)."""
+        """Build twists (K, 2)."""
         levels = (2 * genes.reshape(3, self._moves)[:2].T - 1) * self._most
         shortest, longest = self._holds
         holds = shortest * (longest / shortest) ** genes.reshape(3, self._moves)[2]
@@ -277,7 +277,7 @@ class _Steps:
         return np.vstack(rows)
 
     def _move(self, pose: FloatArray, twist: FloatArray, level: FloatArray, ticks: int, stop: int) -> FloatArray:
-        """Twists of the first way to drive a move from which the robot can still stop inside."""
+        """Return twists of the first variant of a move that lets the robot stop inside."""
         v, omega = level
         for target in ((v, omega), (-v, omega), (v, -omega), (-v, -omega)):
             move = self._ramp(twist, np.array(target), ticks)
@@ -288,12 +288,12 @@ class _Steps:
         return self._ramp(twist, np.array([0.0, 0.0]), max(ticks, 1))
 
     def _ramp(self, twist: FloatArray, target: FloatArray, ticks: int) -> FloatArray:
-        """(ticks, 2) from a twist to another within the accelerations, and held there."""
+        """Ramp from a twist to another within the accelerations, and hold it: (ticks, 2)."""
         steps = np.arange(1, ticks + 1)[:, None] * self._step
         return np.asarray(twist + np.clip(target - twist, -steps, steps))
 
     def _way(self, pose: FloatArray, twists: FloatArray) -> FloatArray:
-        """Poses along twists (K, 2) from `pose`."""
+        """Integrate twists (K, 2) from `pose`."""
         path = path_of(twists, self._tick)
         c, s = math.cos(pose[2]), math.sin(pose[2])
         points = pose[:2] + path[:, :2] @ np.array([[c, s], [-s, c]])

@@ -28,7 +28,7 @@ _REVERSAL = 1.1
 def slip_excitation(
     side: float, seconds: float, speed: float, yaw_rate: float, hold: float = 2.5, margin: float = 0.3
 ) -> list[Segment]:
-    """Twists, each held, that tell most of nine slip terms, the robot beginning in the middle of a square.
+    """Design twists, each held, that identify nine slip terms best, for a robot in the middle of a square.
 
     All three rows of slip have the terms v, w and v w (see `models.slip_laws.polynomial_twist`), so what a drive tells
     of them is the matrix M of their products, summed over time. The next twist is the one that lets det M grow most (a
@@ -75,7 +75,7 @@ def slip_excitation(
         best, most = None, -math.inf
         for twist in twists:
             end = _end(pose, twist, hold, reach)
-            if end is None or not any(_end(end, other, hold, reach) is not None for other in twists):
+            if end is None or not any(_end(end, following, hold, reach) is not None for following in twists):
                 continue
             z = np.array([twist[0], twist[1], twist[0] * twist[1]]) / scale
             gain = 1 + hold * float(z @ np.linalg.solve(information, z))
@@ -92,7 +92,7 @@ def slip_excitation(
 
 
 def told_apart(segments: Sequence[Segment]) -> float:
-    """Largest correlation between the terms v, omega and v omega over a drive, without its sign: 1 hides one."""
+    """Compute the maximum absolute correlation of the terms v, omega and v omega over a drive: 1 hides one."""
     terms = np.array([[segment.v, segment.omega, segment.v * segment.omega] for segment in segments])
     weights = np.array([segment.duration for segment in segments])
     products = (terms * weights[:, None]).T @ terms
@@ -121,6 +121,6 @@ def write_slip_drive(path: str | Path, segments: Sequence[Segment]) -> str:
 
 
 def _end(pose: FloatArray, twist: FloatArray, hold: float, reach: float) -> FloatArray | None:
-    """Where `twist` leads; None if out of the square."""
+    """Compute the end of `twist`; None if it is outside the square."""
     way = integrate_pose(pose, twist[0], twist[1], np.linspace(0.0, hold, 11)[1:])
     return way[-1] if np.abs(way[:, :2]).max() <= reach else None

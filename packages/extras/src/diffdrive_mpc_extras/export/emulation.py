@@ -1,4 +1,4 @@
-"""What one closed loop on the emulated microcontroller took, and how it tracked."""
+"""Cost and tracking of one closed loop on the emulated microcontroller."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ REPLY_BYTES = 9 * 8
 
 
 class Reply(NamedTuple):
-    """What comes back of one tick; `cycles` counts those of its step, where the other end counts."""
+    """Reply for one tick; `cycles` counts those of its step, if the other side counts."""
 
     command: FloatArray
     mode: Mode
@@ -49,7 +49,7 @@ class Reply(NamedTuple):
 
 
 def request_bytes(t: float, measurement: Measurement, hold: Hold | None = None, *, anew: bool = False) -> bytes:
-    """The tick at `t` [s]; `anew` starts the reference there."""
+    """Encode the tick at `t` [s]; `anew` starts the reference there."""
     numbers = [t, float(anew), 0.0 if hold is None else 1.0 + hold.failure]
     numbers += [0.0, 0.0, 0.0] if measurement.sent is None else [1.0, *measurement.sent]
     numbers += _stamped(measurement.pose, 3)
@@ -104,10 +104,12 @@ class EmulatedController:
         self._per_tick = 1e6 / float(memoryview(greeting).cast("d")[0])
 
     def __enter__(self) -> EmulatedController:
-        """Itself."""
+        """Return the controller itself."""
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
         """End the emulator."""
         self._process.kill()
         self._process.communicate()
@@ -172,7 +174,7 @@ class Emulation:
     difference: float
 
     def as_json(self) -> dict[str, object]:
-        """For export.json."""
+        """Convert to JSON values for export.json."""
         p50, p95, p99 = np.percentile(self.instructions, [50, 95, 99]).round().tolist()
         return {
             "machine": f"qemu {MACHINE}",

@@ -25,7 +25,7 @@ from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 
 
 def sizes_text(problem: Problem, *, single: bool) -> str:
-    """Text of ddmpc_sizes.h: what makes the core one of fixed sizes, and how much memory that takes."""
+    """Format ddmpc_sizes.h, which fixes the sizes and the memory of the core."""
     ffi, lib = load_core()
     sizes = _sizes(problem)
     c_sizes = ffi.new("ddmpc_sizes *", sizes)
@@ -38,19 +38,19 @@ def sizes_text(problem: Problem, *, single: bool) -> str:
 
 
 def operations_bound(problem: Problem) -> int:
-    """Operations of the active set that no tick of the exported controller exceeds."""
+    """Compute the upper bound of the active set's operations in a tick of the exported controller."""
     _, lib = load_core()
     sizes = _sizes(problem)
     return int(lib.ddmpc_operations_bound(sizes["steps"], HARD_KINDS + sizes["soft"], sizes["pressing"]))
 
 
 def _sizes(problem: Problem) -> dict[str, int]:
-    """Those of the problem, with less room for limits that press at once: it takes most of the memory."""
+    """Return the sizes of the problem with less room for active limits, which take most of the memory."""
     return problem.sizes | {"pressing": 2 * problem.config.horizon + 32}
 
 
 def constants_text(problem: Problem, functions: str | None) -> str:
-    """Text of constants.c; `functions` is the stem of the file with the user's functions, if there are any."""
+    """Format constants.c; `functions` is the stem of the file with the user's functions, if there are any."""
     tables, constants = [], []
     for name, value in constant_fields(_sizes(problem), problem.constants()):
         if not isinstance(value, np.ndarray):
@@ -83,7 +83,7 @@ def constants_text(problem: Problem, functions: str | None) -> str:
 
 
 def trajectory_texts(reference: Reference, spacing: float) -> dict[str, str]:
-    """Texts of trajectory.[ch]: `reference` in closed form; where it is none, cubic pieces `spacing` [s] long.
+    """Format trajectory.[ch]: `reference` in closed form, or else cubic pieces `spacing` [s] long.
 
     Raises
     ------
@@ -144,9 +144,9 @@ def _members(members: Iterable[tuple[str, str]]) -> str:
 
 
 def _table(kind: str, name: str, numbers: FloatArray, *, static: str = "static ") -> str:
-    """The compiler rounds decimals to the precision of `kind`."""
+    """Format numbers as decimals, which the compiler rounds to the precision of `kind`."""
     written = [_number(value) for value in numbers.tolist()]
-    lines = [", ".join(written[begin : begin + 8]) for begin in range(0, len(written), 8)]
+    lines = [", ".join(written[start : start + 8]) for start in range(0, len(written), 8)]
     return f"{static}const {kind} {name}[] = {{\n    " + ",\n    ".join(lines) + "\n};"
 
 
@@ -163,7 +163,7 @@ def _number(value: float) -> str:
 
 
 def _comment(text: str) -> str:
-    """`text` without what ends a comment, joins lines, or a compiler warns of."""
+    """Remove from `text` the end of a comment, line joins, and anything that compilers warn about."""
     return re.sub(r"[*/\\?]", "_", plain_line(text, longest=80))
 
 

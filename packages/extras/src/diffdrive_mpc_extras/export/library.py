@@ -38,7 +38,7 @@ class Precision(StrEnum):
 
 @dataclass(frozen=True)
 class ExportedLibrary:
-    """What was written.
+    """Exported files.
 
     Attributes
     ----------

@@ -72,7 +72,7 @@ class Size:
     stack: int
 
     def as_json(self) -> dict[str, object]:
-        """For export.json."""
+        """Convert to JSON values for export.json."""
         named = asdict(self)
         return {key if isinstance(value, str) else f"{key}_bytes": value for key, value in named.items()}
 
@@ -111,7 +111,7 @@ def _size(target: str, folder: Path) -> Size | None:
 
 
 def _sizer(compiler: str) -> str:
-    """The program of binutils that lists the sections of what `compiler` has linked."""
+    """Return the program of binutils that lists the sections of a file linked by `compiler`."""
     return compiler.removesuffix("gcc") + "size"
 
 
@@ -199,8 +199,8 @@ def _emulate(folder: Path, config: ControllerConfig, reference: Reference, bar: 
         image = Path(scratch) / "program.elf"
         if not link_stm32f4(folder, image):
             raise ConfigError("--emulate: the program does not fit into an STM32F4; export float, or a shorter horizon")
-        bar.begin("emulating", 1)
-        return emulate(image, config, reference, bar.at).as_json()
+        bar.start_stage("emulating", 1)
+        return emulate(image, config, reference, bar.show).as_json()
 
 
 def emulation_table(facts: Mapping[str, Any]) -> Table:
@@ -218,7 +218,7 @@ def emulation_table(facts: Mapping[str, Any]) -> Table:
 
 
 def size_table(sizes: Sequence[Size]) -> Table:
-    """Static sizes: what the linker reserves; nothing is allocated later."""
+    """Tabulate the static sizes that the linker reserves; nothing is allocated later."""
     rows = [(size.target, size.compiler, f"{size.flash:,}", f"{size.ram:,}", f"{size.stack:,}") for size in sizes]
     missing = [name for name in TARGETS if name not in [size.target for size in sizes]]
     return Table(

@@ -1,4 +1,4 @@
-"""Where the robot may drive: what lies around it, its outline, a way round things, and the check of its way to rest."""
+"""Free space: surroundings, outline of the robot, paths around obstacles, and the check of the stopping path."""
 
 from diffdrive_mpc_extras.free_space.polygons import Footprint
 from diffdrive_mpc_extras.free_space.surroundings import (

@@ -76,7 +76,7 @@ class FreeSpace(FeatureGroup):
     @field_validator("footprint", mode="before")
     @classmethod
     def _written(cls, value: object) -> object:
-        """A list means the same as its text."""
+        """Convert a list to its text, which means the same."""
         return json.dumps(value) if isinstance(value, list) else value
 
     @model_validator(mode="after")

@@ -1,4 +1,4 @@
-"""Whether a moving disc crosses the robot's way, and where the robot has to wait for it."""
+"""Moving discs that cross the robot's path, and the place to wait for them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _STEP = 0.15  # between two instants at which a place to wait is compared with t
 
 
 class Crossing(NamedTuple):
-    """Where the way ends for now.
+    """Temporary end of the path.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ def crossing(
     since: float,
     keeps: float,
 ) -> Crossing | None:
-    """Where to wait for what moves; None where the way can be driven on.
+    """Find the place to wait for moving discs; None if the path is free.
 
     The robot is taken to go on along its way, gaining speed up to the reference's. Where a disc would then come nearer
     than `keeps` and what is not known of its speed, the robot waits at the last place before that which no disc passes.
@@ -59,12 +59,12 @@ def crossing(
     """
     arc, v, wanted = motion
     spacing = guide.table.spacing
-    begin = guide.node(arc)
-    end = min(begin + int(settings.look_ahead / spacing), len(guide.table) - 1)
-    nodes: NDArray[np.intp] = np.arange(begin, end + 1, _STRIDE)
+    start = guide.node(arc)
+    end = min(start + int(settings.look_ahead / spacing), len(guide.table) - 1)
+    nodes: NDArray[np.intp] = np.arange(start, end + 1, _STRIDE)
     poses = guide.poses(nodes)
     times = _arrivals(
-        np.maximum(nodes * spacing - arc, 0.0), v, max(wanted, float(guide.table.speed[begin]), 0.05), settings
+        np.maximum(nodes * spacing - arc, 0.0), v, max(wanted, float(guide.table.speed[start]), 0.05), settings
     )
     within = times <= settings.disc_horizon
     nodes, poses, times = nodes[within], poses[within], times[within]
@@ -91,12 +91,12 @@ def crossing(
     # One that it can stop at in time.
     stopping = 0.5 * v * v / settings.deceleration
     reachable = [i for i in places.tolist() if nodes[i] * spacing - arc >= stopping - spacing] or places.tolist()
-    at = nodes[max(reachable)] * spacing if reachable else arc
-    return Crossing(float(at) if math.isfinite(at) else arc, int(pieces[first]))
+    place = nodes[max(reachable)] * spacing if reachable else arc
+    return Crossing(float(place) if math.isfinite(place) else arc, int(pieces[first]))
 
 
 def _arrivals(distance: FloatArray, v: float, wanted: float, settings: FreeSpace) -> FloatArray:
-    """When a robot with speed `v` [m/s] that gains speed up to `wanted` has gone each `distance` (k,) [m]."""
+    """Compute the times (k,) at which an accelerating robot has covered each `distance` (k,) [m]."""
     a = settings.deceleration
     top = max(v, wanted)
     gaining = (top * top - v * v) / (2.0 * a)

@@ -44,16 +44,16 @@ class KeepClear(Feature):
 
     @classmethod
     def terms(cls, config: ControllerConfig) -> tuple[Term, ...]:
-        """See `Feature`."""
+        """Build the terms as `Feature` describes."""
         return half_space_terms(free_space_of(config))
 
     def attach(self, host: Host) -> None:
-        """See `Feature`."""
+        """Attach as `Feature` describes."""
         super().attach(host)
         self._keeper = FreeSpaceKeeper(host.config, host.tick, parameter_places(host.terms)["free_space_0"].start)
 
     def configure(self) -> None:
-        """See `Feature`."""
+        """Configure as `Feature` describes."""
         self._keeper.configure(self.host.config)
 
     def set_obstacles(self, surroundings: Surroundings | None) -> None:
@@ -61,11 +61,11 @@ class KeepClear(Feature):
         self._keeper.set_obstacles(surroundings)
 
     def lay(self, reference: Reference) -> Reference:
-        """See `Feature`: moved aside where something is in its way."""
+        """Lay the reference as `Feature` describes, moved aside around obstacles."""
         return self._keeper.start(reference)
 
     def forget(self) -> None:
-        """See `Feature`."""
+        """Forget as `Feature` describes."""
         self._keeper.forget()
 
     def before_step(self, t: float) -> Hold | None:
@@ -87,7 +87,7 @@ class KeepClear(Feature):
             return result
         if not self.host.is_new_tick():
             return self._keeper.again(result)
-        kept = self._keeper.after(t, result, self._sent)
-        if kept.mode is not result.mode:
+        checked = self._keeper.after(t, result, self._sent)
+        if checked.mode is not result.mode:
             self.host.pursuit.stand()
-        return kept
+        return checked

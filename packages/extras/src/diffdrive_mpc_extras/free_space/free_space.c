@@ -1,4 +1,4 @@
-/* Distances between convex pieces, the planes between them, and the robot's way to rest. */
+/* Distances between convex pieces, the planes between them, and the robot's stopping path. */
 #include <string.h>
 
 #include "free_space.h"
@@ -14,54 +14,54 @@ typedef struct {
     real widening;
 } placed;
 
-static void place(const ddmpc_footprint *footprint, const real *pose, placed *at)
+static void place(const ddmpc_footprint *footprint, const real *pose, placed *shape)
 {
     const real cosine = ddmpc_cos(pose[2]), sine = ddmpc_sin(pose[2]);
-    at->corners = footprint->corners;
-    at->widening = footprint->widening;
+    shape->corners = footprint->corners;
+    shape->widening = footprint->widening;
     for (int i = 0; i < footprint->corners; i++) {
         const real *d = footprint->corner + 2 * i;
-        at->corner[i][0] = pose[0] + cosine * d[0] - sine * d[1];
-        at->corner[i][1] = pose[1] + sine * d[0] + cosine * d[1];
+        shape->corner[i][0] = pose[0] + cosine * d[0] - sine * d[1];
+        shape->corner[i][1] = pose[1] + sine * d[0] + cosine * d[1];
     }
 }
 
-static void fetch(const ddmpc_surroundings *around, int piece, real time, placed *at)
+static void fetch(const ddmpc_surroundings *around, int piece, real time, placed *shape)
 {
     const int first = around->first[piece];
     const real *v = around->velocity + 2 * piece;
-    at->corners = around->first[piece + 1] - first;
-    at->widening = around->widening[piece];
-    for (int i = 0; i < at->corners; i++)
+    shape->corners = around->first[piece + 1] - first;
+    shape->widening = around->widening[piece];
+    for (int i = 0; i < shape->corners; i++)
         for (int k = 0; k < 2; k++)
-            at->corner[i][k] = around->corner[2 * (first + i) + k] + v[k] * time;
+            shape->corner[i][k] = around->corner[2 * (first + i) + k] + v[k] * time;
 }
 
 static real dot2(const real *a, const real *b) { return a[0] * b[0] + a[1] * b[1]; }
 
-/* The least of a . corner. */
-static real lowest(const placed *of, const real *a)
+/* Minimum of a . corner. */
+static real lowest(const placed *shape, const real *a)
 {
-    real least = dot2(a, of->corner[0]);
-    for (int i = 1; i < of->corners; i++)
-        least = ddmpc_min(least, dot2(a, of->corner[i]));
+    real least = dot2(a, shape->corner[0]);
+    for (int i = 1; i < shape->corners; i++)
+        least = ddmpc_min(least, dot2(a, shape->corner[i]));
     return least;
 }
 
-/* The gap along the outward normals of one, from which `sign` leads to the other. */
-static void try_edges(const placed *one, const placed *other, real sign, real *best, real *normal)
+/* Maximise the gap along the outward normals of `shape`, from which `sign` leads to `opposite`. */
+static void try_edges(const placed *shape, const placed *opposite, real sign, real *best, real *normal)
 {
-    if (one->corners < 2)
+    if (shape->corners < 2)
         return;
-    for (int i = 0; i < one->corners; i++) {
-        const real *from = one->corner[i], *to = one->corner[i + 1 < one->corners ? i + 1 : 0];
+    for (int i = 0; i < shape->corners; i++) {
+        const real *from = shape->corner[i], *to = shape->corner[i + 1 < shape->corners ? i + 1 : 0];
         real a[2] = {to[1] - from[1], from[0] - to[0]};
         const real length = ddmpc_hypot(a[0], a[1]);
         if (!(length > R(0.0)))
             continue;
         a[0] /= length;
         a[1] /= length;
-        const real gap = lowest(other, a) - dot2(a, from);
+        const real gap = lowest(opposite, a) - dot2(a, from);
         if (gap > *best) {
             *best = gap;
             normal[0] = sign * a[0];
@@ -105,7 +105,7 @@ static real gap_between(const placed *robot, const placed *piece, real *normal)
     return best - robot->widening - piece->widening;
 }
 
-/* No gap to this piece is less than this. */
+/* Lower bound of the gap to a piece, by its circle. */
 static real least_gap_to(const ddmpc_footprint *footprint, const ddmpc_surroundings *around, int piece, const real *pose,
                          real time)
 {
@@ -117,17 +117,17 @@ static real least_gap_to(const ddmpc_footprint *footprint, const ddmpc_surroundi
 real ddmpc_gap(const ddmpc_footprint *footprint, const ddmpc_surroundings *around, int piece, const real *pose, real time,
                real *normal)
 {
-    placed robot, other;
+    placed robot, obstacle;
     place(footprint, pose, &robot);
-    fetch(around, piece, time, &other);
-    return gap_between(&robot, &other, normal);
+    fetch(around, piece, time, &obstacle);
+    return gap_between(&robot, &obstacle, normal);
 }
 
 void ddmpc_clearances(const ddmpc_footprint *footprint, const ddmpc_surroundings *around, int count, const real *poses,
                       const real *times, real enough, real *gaps, int *pieces)
 {
     for (int k = 0; k < count; k++) {
-        placed robot, other;
+        placed robot, obstacle;
         real normal[2];
         place(footprint, poses + 3 * k, &robot);
         gaps[k] = enough;
@@ -135,8 +135,8 @@ void ddmpc_clearances(const ddmpc_footprint *footprint, const ddmpc_surroundings
         for (int i = 0; i < around->pieces; i++) {
             if (least_gap_to(footprint, around, i, poses + 3 * k, times[k]) >= gaps[k])
                 continue;
-            fetch(around, i, times[k], &other);
-            const real gap = gap_between(&robot, &other, normal);
+            fetch(around, i, times[k], &obstacle);
+            const real gap = gap_between(&robot, &obstacle, normal);
             if (gap < gaps[k]) {
                 gaps[k] = gap;
                 pieces[k] = i;
@@ -167,11 +167,11 @@ static real speed_of(const ddmpc_surroundings *around, int piece)
 static real farthest(const ddmpc_footprint *footprint, const real *a, real heading, int but, int *which)
 {
     const real cosine = ddmpc_cos(heading), sine = ddmpc_sin(heading);
-    const real own[2] = {cosine * a[0] + sine * a[1], cosine * a[1] - sine * a[0]};
+    const real direction[2] = {cosine * a[0] + sine * a[1], cosine * a[1] - sine * a[0]};
     real most = -FAR;
     *which = -1;
     for (int i = 0; i < footprint->corners; i++) {
-        const real along = dot2(own, footprint->corner + 2 * i);
+        const real along = dot2(direction, footprint->corner + 2 * i);
         if (i != but && along > most) {
             most = along;
             *which = i;
@@ -189,37 +189,37 @@ typedef struct {
 
 /* The nearest pieces within reach, nearest first. */
 static int find_near(const ddmpc_footprint *footprint, const ddmpc_surroundings *around, real reach, const real *pose,
-                     real time, near_piece *found)
+                     real time, near_piece *nearest)
 {
-    placed robot, other;
+    placed robot, obstacle;
     int count = 0;
     place(footprint, pose, &robot);
     for (int i = 0; i < around->pieces; i++) {
-        near_piece one;
-        const real most = count < MOST_NEAR ? reach : found[MOST_NEAR - 1].gap;
+        near_piece candidate;
+        const real most = count < MOST_NEAR ? reach : nearest[MOST_NEAR - 1].gap;
         if (least_gap_to(footprint, around, i, pose, time) >= most)
             continue;
-        fetch(around, i, time, &other);
-        one.gap = gap_between(&robot, &other, one.normal);
-        one.piece = i;
-        if (!(one.gap < most))
+        fetch(around, i, time, &obstacle);
+        candidate.gap = gap_between(&robot, &obstacle, candidate.normal);
+        candidate.piece = i;
+        if (!(candidate.gap < most))
             continue;
-        int at = count < MOST_NEAR ? count++ : MOST_NEAR - 1;
-        for (; at > 0 && found[at - 1].gap > one.gap; at--)
-            found[at] = found[at - 1];
-        found[at] = one;
+        int place_in_order = count < MOST_NEAR ? count++ : MOST_NEAR - 1;
+        for (; place_in_order > 0 && nearest[place_in_order - 1].gap > candidate.gap; place_in_order--)
+            nearest[place_in_order] = nearest[place_in_order - 1];
+        nearest[place_in_order] = candidate;
     }
     return count;
 }
 
-/* What is not known of where a piece is by then. */
+/* Uncertainty of the position of a piece at `time`. */
 static real unknown_of(const ddmpc_surroundings *around, int piece, const ddmpc_keeping *keeping, real time)
 {
     return speed_of(around, piece) > R(0.0) ? keeping->moving + keeping->doubt * time : R(0.0);
 }
 
 void ddmpc_half_spaces(const ddmpc_footprint *footprint, const ddmpc_surroundings *around, const ddmpc_keeping *keeping,
-                       int count, const real *guess, const real *guide, const real *here, const real *times,
+                       int count, const real *guess, const real *guide, const real *origin, const real *times,
                        const real *spread, int rows, int stride, real *table, int *owner)
 {
     near_piece near[MOST_NEAR];
@@ -227,21 +227,21 @@ void ddmpc_half_spaces(const ddmpc_footprint *footprint, const ddmpc_surrounding
     for (int k = 0; k < count; k++) {
         const real *pose = guess + 3 * k;
         real *row = table + k * stride;
-        int used = 0, found = find_near(footprint, around, keeping->reach, pose, times[k], near);
+        int used = 0, near_count = find_near(footprint, around, keeping->reach, pose, times[k], near);
         for (int i = 0; i < rows * DDMPC_HALF_SPACE; i++)
             row[i] = i % DDMPC_HALF_SPACE == DDMPC_HALF_SPACE - 1 ? R(1.0) : R(0.0);
         for (int i = 0; i < rows; i++)
             owner[k * rows + i] = -1;
-        for (int i = 0; i < found && used + each <= rows; i++) {
-            placed other;
+        for (int i = 0; i < near_count && used + each <= rows; i++) {
+            placed obstacle;
             real *a = near[i].normal;
             int first, second, piece = near[i].piece;
             if (piece < 0)
                 continue;
             if (near[i].gap <= R(0.0) && ddmpc_gap(footprint, around, piece, guide + 3 * k, times[k], a) <= R(0.0))
-                ddmpc_gap(footprint, around, piece, here, times[k], a);
-            fetch(around, piece, times[k], &other);
-            const real plane = lowest(&other, a) - other.widening;
+                ddmpc_gap(footprint, around, piece, origin, times[k], a);
+            fetch(around, piece, times[k], &obstacle);
+            const real plane = lowest(&obstacle, a) - obstacle.widening;
             farthest(footprint, a, pose[2], -1, &first);
             farthest(footprint, a, pose[2], first, &second);
             for (int j = 0; j < each; j++) {
@@ -257,12 +257,12 @@ void ddmpc_half_spaces(const ddmpc_footprint *footprint, const ddmpc_surrounding
                 owner[k * rows + used++] = piece;
                 row += DDMPC_HALF_SPACE;
             }
-            /* What lies beyond the plane needs none of its own. */
-            for (int j = i + 1; j < found; j++) {
+            /* Pieces beyond the plane need no plane of their own. */
+            for (int j = i + 1; j < near_count; j++) {
                 if (near[j].piece < 0)
                     continue;
-                fetch(around, near[j].piece, times[k], &other);
-                if (lowest(&other, a) - other.widening >= plane - CUT_OFF)
+                fetch(around, near[j].piece, times[k], &obstacle);
+                if (lowest(&obstacle, a) - obstacle.widening >= plane - CUT_OFF)
                     near[j].piece = -1;
             }
         }
@@ -274,7 +274,7 @@ ddmpc_contact ddmpc_sweep(const ddmpc_footprint *footprint, const ddmpc_surround
                           real slow, real play, real least_gap)
 {
     ddmpc_contact contact = {-1, -1, keeping->reach, keeping->reach};
-    placed robot, other;
+    placed robot, obstacle;
     real normal[2];
     for (int i = 0; i < around->pieces && count > 0; i++) {
         const int moves = speed_of(around, i) > R(0.0);
@@ -285,8 +285,8 @@ ddmpc_contact ddmpc_sweep(const ddmpc_footprint *footprint, const ddmpc_surround
             if (k > 0 && least_gap_to(footprint, around, i, pose, times[k]) >= keeping->reach)
                 continue;
             place(footprint, pose, &robot);
-            fetch(around, i, times[k], &other);
-            const real gap = gap_between(&robot, &other, normal);
+            fetch(around, i, times[k], &obstacle);
+            const real gap = gap_between(&robot, &obstacle, normal);
             if (k == 0)
                 now = gap;
             contact.least = ddmpc_min(contact.least, gap);
@@ -334,7 +334,7 @@ static real gap_beside(const ddmpc_footprint *footprint, const ddmpc_surrounding
     return gap;
 }
 
-/* What one search knows of the gaps; `known` (stations, cells, slopes) is less than -FAR where nobody has looked yet. */
+/* Data of one search; `known` (stations, cells, slopes) caches gaps, and is less than -FAR before their computation. */
 typedef struct {
     const ddmpc_footprint *footprint;
     const ddmpc_surroundings *around;
@@ -386,14 +386,14 @@ int ddmpc_way_round(const ddmpc_footprint *footprint, const ddmpc_surroundings *
             for (int k = 0; k < SLOPES; k++) {
                 const int change = k - STRAIGHT, behind = j - change;
                 real least = FAR, gap;
-                int at = -1;
+                int predecessor = -1;
                 for (int b = k - 1; b <= k + 1; b++) {
                     if (behind < 0 || behind >= wide || b < 0 || b >= SLOPES)
                         continue;
                     const real way = last[behind * SLOPES + b] + BEND * (real)((k - b) * (k - b));
                     if (way < least) {
                         least = way;
-                        at = behind * SLOPES + b;
+                        predecessor = behind * SLOPES + b;
                     }
                 }
                 if (!(least < FAR))
@@ -405,10 +405,10 @@ int ddmpc_way_round(const ddmpc_footprint *footprint, const ddmpc_surroundings *
                 if (gap < round->least)
                     continue;
                 const real lacks = gap < round->comfort ? (round->comfort - gap) / (round->comfort - round->least) : R(0.0);
-                const real other = offset - before[i];
-                cost[i * layer + j * SLOPES + k] = least + OFFSET * offset * offset + OTHER * other * other +
+                const real change_of_path = offset - before[i];
+                cost[i * layer + j * SLOPES + k] = least + OFFSET * offset * offset + OTHER * change_of_path * change_of_path +
                                                    SLOPE * (real)(change * change) + NARROW * lacks * lacks;
-                from[i * layer + j * SLOPES + k] = at;
+                from[i * layer + j * SLOPES + k] = predecessor;
                 any = 1;
             }
         }
@@ -442,48 +442,48 @@ static void go_on(const ddmpc_controller *c, const real *newest, real *commands)
     memcpy(commands + 2 * WINDOW(c), newest, sizeof(real) * 2);
 }
 
-int ddmpc_roll(const ddmpc_controller *c, const real *given, int count, real *poses, real *twists)
+int ddmpc_roll(const ddmpc_controller *c, const real *planned, int count, real *poses, real *twists)
 {
     real commands[2 * (DDMPC_MOST_WINDOW + 1)], means[2][MOST_BELIEF];
-    real *here = means[0], *next = means[1];
+    real *now = means[0], *next = means[1];
     if (!c->result.has_estimate || count < 1)
         return 0;
-    memcpy(here, c->result.estimate.mean, sizeof(real) * (size_t)BELIEF(c));
-    window_of(c, given, commands);
+    memcpy(now, c->result.estimate.mean, sizeof(real) * (size_t)BELIEF(c));
+    window_of(c, planned, commands);
     for (int i = 0; i <= count; i++) {
-        memcpy(poses + 3 * i, here + STATES(c) + POSE(c), sizeof(real) * 3);
-        ddmpc_filter_twist(c, here, twists + 2 * i);
+        memcpy(poses + 3 * i, now + STATES(c) + POSE(c), sizeof(real) * 3);
+        ddmpc_filter_twist(c, now, twists + 2 * i);
         if (i == count)
             break;
         if (i > 0)
-            go_on(c, given + 2 * i, commands);
-        ddmpc_filter_carry(c, here, commands + 2 * WINDOW(c), next);
-        real *swapped = here;
-        here = next;
+            go_on(c, planned + 2 * i, commands);
+        ddmpc_filter_carry(c, now, commands + 2 * WINDOW(c), next);
+        real *swapped = now;
+        now = next;
         next = swapped;
     }
     return 1;
 }
 
-int ddmpc_spread(const ddmpc_controller *c, const real *given, int count, real *covariance)
+int ddmpc_spread(const ddmpc_controller *c, const real *planned, int count, real *covariance)
 {
     static const int most = MOST_BELIEF;
     real commands[2 * (DDMPC_MOST_WINDOW + 1)], means[2][MOST_BELIEF], covariances[2][MOST_BELIEF * MOST_BELIEF];
-    real on_their_way[2 * DDMPC_MOST_WINDOW];
+    real pending[2 * DDMPC_MOST_WINDOW];
     ddmpc_belief beliefs[2] = {{means[0], covariances[0], {0}}, {means[1], covariances[1], {0}}};
-    const int Z = BELIEF(c), at = STATES(c) + POSE(c);
-    if (Z > most || count < 1 || !ddmpc_believed(c, means[0], covariances[0], on_their_way))
+    const int Z = BELIEF(c), first = STATES(c) + POSE(c);
+    if (Z > most || count < 1 || !ddmpc_newest_belief(c, means[0], covariances[0], pending))
         return 0;
-    window_of(c, given, commands);
+    window_of(c, planned, commands);
     for (int i = 0; i <= count; i++) {
         const ddmpc_belief *now = beliefs + i % 2;
         for (int j = 0; j < 3; j++)
             for (int k = 0; k < 3; k++)
-                covariance[9 * i + 3 * j + k] = now->covariance[(at + j) * Z + at + k];
+                covariance[9 * i + 3 * j + k] = now->covariance[(first + j) * Z + first + k];
         if (i == count)
             break;
         if (i > 0)
-            go_on(c, given + 2 * i, commands);
+            go_on(c, planned + 2 * i, commands);
         ddmpc_filter_predict(c, now, commands + 2 * WINDOW(c), beliefs + (i + 1) % 2);
     }
     return 1;

@@ -1,7 +1,7 @@
-/* What the robot keeps clear of: convex pieces around it, half-spaces between them and its plan, and its way to rest.
+/* Free space of the robot: convex pieces around it, half-spaces between them and its plan, and its stopping path.
  *
- * It is compiled together with the core into a library of its own, see half_space.py. As core.h it is read by Python, too:
- * no field and no function here has a name or a shape anywhere else. */
+ * The code is compiled together with the core into a separate library, see half_space.py. Python parses this file like
+ * core.h, so names and shapes need no second declaration there. */
 #ifndef DDMPC_FREE_SPACE_H
 #define DDMPC_FREE_SPACE_H
 
@@ -12,7 +12,7 @@ enum { DDMPC_MOST_CORNERS = 32, DDMPC_HALF_SPACE = 5 };
 /* Convex pieces, each the hull of its corners (counter-clockwise) widened all round, moving straight on. */
 typedef struct {
     int pieces;
-    const int *first;     /* [pieces+1] where the corners of each begin */
+    const int *first;     /* [pieces+1] index of the first corner of each */
     const real *corner;   /* [first[pieces]][2] at time 0 [m] */
     const real *widening; /* [pieces] [m] */
     const real *velocity; /* [pieces][2] [m/s] */
@@ -24,7 +24,7 @@ typedef struct {
     int corners;
     const real *corner; /* [corners][2] [m] */
     real widening;      /* [m] */
-    real reach;         /* of the farthest point from the origin [m] */
+    real reach;         /* distance of the farthest point from the origin [m] */
 } ddmpc_footprint;
 
 /* Signed distance [m] from the footprint at `pose` (3) to one piece at `time` [s]: the gap, or less than zero by how far one
@@ -35,28 +35,28 @@ real ddmpc_gap(const ddmpc_footprint *footprint, const ddmpc_surroundings *aroun
 void ddmpc_clearances(const ddmpc_footprint *footprint, const ddmpc_surroundings *around, int count, const real *poses,
                       const real *times, real enough, real *gaps, int *pieces);
 
-/* How far the plan keeps away. */
+/* Distance that the plan keeps from pieces. */
 typedef struct {
     real margin;  /* [m] */
-    real factor;  /* standard deviations of where a corner is, beside it [-] */
-    real moving;  /* beside it from what moves [m] */
-    real doubt;   /* what is not known of the speed of moving pieces [m/s] */
+    real factor;  /* additional standard deviations of a corner's position [-] */
+    real moving;  /* additional distance from moving pieces [m] */
+    real doubt;   /* uncertainty of the speed of moving pieces [m/s] */
     real reach;   /* pieces further away than this get no half-space [m] */
     real scale;   /* unit of a row by metres [1/m] */
 } ddmpc_keeping;
 /* Rows of half-spaces, for each of `count` stages: scale a (2), corner d (2), scale b of a . (position + R(heading) d) <= b,
    where a is a unit vector towards a piece. Planes part the footprint at `guess` (count, 3), where it is inside a piece at
-   `guide` (count, 3), or where that is so, too, at `here` (3), from the nearest piece that no plane before has cut off.
+   `guide` (count, 3), or at `pose` (3) if that is inside, too, from the nearest piece that no plane before has cut off.
    `spread` (count, 9) is the covariance of the poses; `table` has `stride` numbers a stage; `owner` (count, rows) becomes the
    piece of each row, or -1. */
 void ddmpc_half_spaces(const ddmpc_footprint *footprint, const ddmpc_surroundings *around, const ddmpc_keeping *keeping,
-                       int count, const real *guess, const real *guide, const real *here, const real *times,
+                       int count, const real *guess, const real *guide, const real *pose, const real *times,
                        const real *spread, int rows, int stride, real *table, int *owner);
 
-/* What a way comes too close to first. */
+/* First contact along a path that is too close to a piece. */
 typedef struct {
     int sample, piece; /* -1: none */
-    real gap;          /* there [m] */
+    real gap;          /* gap at this sample [m] */
     real least;        /* least gap along it, or `reach` of keeping [m] */
 } ddmpc_contact;
 /* Follow `poses` (count, 3) at `times` while the speed (count) there is more than `slow` [m/s]. What stands nearer than
@@ -66,12 +66,12 @@ ddmpc_contact ddmpc_sweep(const ddmpc_footprint *footprint, const ddmpc_surround
                           int count, const real *poses, const real *times, const real *speeds, const real *spread,
                           real slow, real play, real least_gap);
 
-/* A way round things: how far to the left of the path, station by station. */
+/* Path around obstacles: its offset to the left of the reference path at each station. */
 typedef struct {
     int stations, cells; /* offsets are `cells` to either side, `step` [m] apart */
     real step, spacing;  /* and stations `spacing` [m] */
-    real least, comfort; /* gap that it needs, and the one that it would like [m] */
-    int cell, slope;     /* where it begins, and by how many cells it changed to there */
+    real least, comfort; /* minimum gap, and comfortable gap [m] */
+    int cell, slope;     /* cell at the start, and the change of cells to there */
 } ddmpc_round;
 /* The cheapest way from the first station on, by dynamic programming over offsets and their slopes: `path` (stations, 3) poses
    and `travel` (stations) 1 or -1, `most` (stations) the largest offset [m], `before` (stations) the way of before, which it
@@ -81,10 +81,10 @@ int ddmpc_way_round(const ddmpc_footprint *footprint, const ddmpc_surroundings *
                     const real *path, const real *travel, const real *most, const real *before, real *cost,
                     real *known, int *from, real *offsets);
 
-/* The way of `commands` (count, 2) from the estimate on, the first in place of the last sent: poses (count + 1, 3) and
-   twists (count + 1, 2) of the body. Only after a step with an estimate; returns 0 without. */
+/* Predict the path under `commands` (count, 2) from the estimate on, the first replacing the last one sent: poses
+   (count + 1, 3) and twists (count + 1, 2) of the body. Returns 0 without an estimate. */
 int ddmpc_roll(const ddmpc_controller *controller, const real *commands, int count, real *poses, real *twists);
-/* The same with the covariance (count + 1, 9) of the poses. */
+/* Predict the covariance (count + 1, 9) of these poses. */
 int ddmpc_spread(const ddmpc_controller *controller, const real *commands, int count, real *covariance);
 
 /* Half-space as a term: see half_space.py. */

@@ -55,8 +55,8 @@ class PathTable:
     fixed: FloatArray
 
     @classmethod
-    def of(cls, reference: Reference) -> PathTable:
-        """The table of a reference."""
+    def build(cls, reference: Reference) -> PathTable:
+        """Build the table of a reference."""
         times = np.linspace(0.0, reference.duration, min(int(reference.duration / 0.02) + 2, _MOST_SAMPLES))
         sample = reference.sample(times)
         arc, v, omega = sample.arc_length, sample.twist[:, 0], sample.twist[:, 1]
@@ -78,7 +78,7 @@ class PathTable:
         return cls(spacing, pose, travel, curvature, speed, fixed.astype(float))
 
     def __len__(self) -> int:
-        """How many nodes there are."""
+        """Return the number of nodes."""
         return len(self.pose)
 
 
@@ -131,7 +131,7 @@ class Guide:
         self.bent = False
 
     def poses(self, nodes: NDArray[np.intp] | slice) -> FloatArray:
-        """(k, 3) the moved path at some nodes."""
+        """Return poses (k, 3) of the moved path at some nodes."""
         table, offset = self.table, self.offset
         pose, travel = table.pose[nodes], table.travel[nodes]
         if not self.bent:
@@ -148,7 +148,7 @@ class Guide:
         )
 
     def node(self, arc: float) -> int:
-        """The node at or before an arc length [m]."""
+        """Return the node at or before an arc length [m]."""
         return min(max(int(arc / self.table.spacing), 0), len(self.table) - 1)
 
     def update(
@@ -159,25 +159,25 @@ class Guide:
         gap: tuple[float, float],
         top: tuple[float, float, float],
     ) -> None:
-        """Seek the way anew for a robot at arc length `arc` [m] with speed `v` [m/s].
+        """Search the path again for a robot at arc length `arc` [m] with speed `v` [m/s].
 
         `pieces` stand; `gap` is what the way needs, and the least where it is in a narrow place [m]; `top` are the
         largest yaw rate [rad/s], lateral acceleration [m/s^2] and speed [m/s] of the robot.
         """
         table, settings, (keeps, least) = self.table, self._settings, gap
-        begin = self.node(arc)
-        end = min(begin + int(settings.look_ahead / table.spacing), len(table) - 1)
-        window = slice(begin, end + 1)
+        start = self.node(arc)
+        end = min(start + int(settings.look_ahead / table.spacing), len(table) - 1)
+        window = slice(start, end + 1)
         comfort = max(settings.comfort, keeps + 0.01)
         gaps, nearest = self._gaps_along(window, pieces, comfort)
         if gaps[0] < keeps:
             # Where it is in a narrow place already it may go on through it, as near as it is.
             keeps = max(least, float(gaps[0]) - 2.0 * _ROUNDING)
         if self.bent or gaps.min() < comfort:
-            kept = min(begin + _KEPT + int(abs(v) * _AHEAD / table.spacing), end)
-            if end - kept >= 2 * _STRIDE:
+            fixed = min(start + _KEPT + int(abs(v) * _AHEAD / table.spacing), end)
+            if end - fixed >= 2 * _STRIDE:
                 before = self.offset, self.slope, self.bent, gaps, nearest
-                self._seek(kept, end, pieces, keeps, comfort)
+                self._seek(fixed, end, pieces, keeps, comfort)
                 gaps, nearest = self._gaps_along(window, pieces, comfort)
                 if gaps.min() < keeps - _ROUNDING <= before[3].min():
                     # The way that it had is free; the one that was found, made smooth, is not.
@@ -185,9 +185,9 @@ class Guide:
         short = np.flatnonzero(gaps < keeps - _ROUNDING)
         self.ends, self.blocked_by = math.inf, -1
         if short.size:
-            self.ends = float((begin + short[0] - 1) * table.spacing)
+            self.ends = float((start + short[0] - 1) * table.spacing)
             self.blocked_by = int(nearest[short[0]])
-        self._first, self._gaps = begin, gaps
+        self._first, self._gaps = start, gaps
         self._speeds = self._allowed(window, gaps, keeps, comfort, top)
 
     def _gaps_along(self, window: slice, pieces: Pieces, enough: float) -> tuple[FloatArray, FloatArray]:
@@ -195,13 +195,13 @@ class Guide:
         gaps, nearest = least_gaps(self._footprint, pieces, poses, np.zeros(len(poses)), enough)
         return gaps, nearest.astype(float)
 
-    def _seek(self, kept: int, end: int, pieces: Pieces, keeps: float, comfort: float) -> None:
-        """The way from node `kept` to `end`."""
+    def _seek(self, fixed: int, end: int, pieces: Pieces, keeps: float, comfort: float) -> None:
+        """Search the path from node `fixed` to `end`."""
         table, settings = self.table, self._settings
-        stations = np.arange(kept, end + 1, _STRIDE)
+        stations = np.arange(fixed, end + 1, _STRIDE)
         cells = max(1, round(settings.swerve / _STEP))
-        begins = self.offset[kept]
-        slope = self.slope[kept] * _STRIDE * table.spacing / _STEP
+        begins = self.offset[fixed]
+        slope = self.slope[fixed] * _STRIDE * table.spacing / _STEP
         path = np.ascontiguousarray(table.pose[stations])
         travel = np.ascontiguousarray(table.travel[stations])
         most = np.where(table.fixed[stations] > 0.0, 0.0, settings.swerve)
@@ -240,19 +240,19 @@ class Guide:
         )
         if reached < 2:
             return
-        nodes = np.arange(kept, stations[reached - 1] + 1)
+        nodes = np.arange(fixed, stations[reached - 1] + 1)
         wanted = np.interp(nodes, stations[:reached], offsets[:reached])
-        self._take_smooth(kept, wanted, pieces, keeps)
+        self._take_smooth(fixed, wanted, pieces, keeps)
 
-    def _take_smooth(self, kept: int, wanted: FloatArray, pieces: Pieces, keeps: float) -> None:
+    def _take_smooth(self, fixed: int, wanted: FloatArray, pieces: Pieces, keeps: float) -> None:
         """Take the smoothest of some ways near `wanted` (k,), from node `kept` on, along which there is room."""
-        offset, first = self.offset.copy(), max(kept - _KEPT + 1, 0)
-        pinned = offset[first : kept + 1]
+        offset, first = self.offset.copy(), max(fixed - _KEPT + 1, 0)
+        pinned = offset[first : fixed + 1]
         self.bent = bool(np.any(offset) or np.any(wanted))
-        last = kept + len(wanted)
+        last = fixed + len(wanted)
         for trust in _TRUST:
             new = offset.copy()
-            new[kept + 1 : last] = _smooth(pinned, wanted[1:], trust)
+            new[fixed + 1 : last] = _smooth(pinned, wanted[1:], trust)
             new[last:] = new[last - 1]
             new[np.abs(new) < 1e-4] = 0.0
             self.offset = new
@@ -260,7 +260,7 @@ class Guide:
             self.slope = self.slope.copy()
             self.slope[part] = np.gradient(new[part], self.table.spacing)
             self.slope[last:] = 0.0
-            gaps, _ = self._gaps_along(slice(kept + 1, last), pieces, keeps)
+            gaps, _ = self._gaps_along(slice(fixed + 1, last), pieces, keeps)
             if gaps.min(initial=math.inf) >= keeps - _ROUNDING:
                 break
         self.bent = bool(np.any(self.offset[first:]))
@@ -268,7 +268,7 @@ class Guide:
     def _allowed(
         self, window: slice, gaps: FloatArray, keeps: float, comfort: float, top: tuple[float, float, float]
     ) -> FloatArray:
-        """(k,) speed that is right at each node of the window [m/s]."""
+        """Compute the permitted speed (k,) at each node of the window [m/s]."""
         settings, (turn, lateral, fastest) = self._settings, top
         room = np.clip((gaps - keeps) / (comfort - keeps), 0.0, 1.0)
         slow = min(settings.narrow_speed, fastest)
@@ -283,7 +283,7 @@ class Guide:
         return np.asarray(speeds)
 
     def speed_now(self, arc: float, ends: float) -> float:
-        """Speed along the path that lets it come to rest at arc length `ends`, and pass narrow places slowly [m/s]."""
+        """Compute the speed along the path for a stop at arc length `ends` and slow passage of narrow places [m/s]."""
         a = self._settings.deceleration
         nodes = (self._first + np.arange(len(self._speeds))) * self.table.spacing
         ahead = np.maximum(nodes - arc, 0.0)
@@ -297,14 +297,14 @@ class Guide:
 
 
 def _smooth(pinned: FloatArray, wanted: FloatArray, trust: float) -> FloatArray:
-    """(k,) numbers after `pinned` (p,), near `wanted` (k,) and with small second and third differences."""
+    """Smooth (k,) numbers after `pinned` (p,): near `wanted` (k,), with small second and third differences."""
     by_wanted, by_pinned = _smoother(len(pinned), len(wanted), trust)
     return np.asarray(by_wanted @ wanted + by_pinned @ pinned)
 
 
 @cache
 def _smoother(pinned: int, free: int, trust: float) -> tuple[FloatArray, FloatArray]:
-    """Matrices of the least squares in `_smooth`."""
+    """Compute the matrices of the least squares in `_smooth`."""
     count = pinned + free
     second, third = np.diff(np.eye(count), 2, axis=0), np.diff(np.eye(count), 3, axis=0)
     # Differences in units of nodes: of numbers that bend over some ten nodes.
@@ -359,12 +359,12 @@ class BentReference:
 
 
 def _cubic(
-    values: FloatArray, slopes: FloatArray, spacing: float, at: FloatArray
+    values: FloatArray, slopes: FloatArray, spacing: float, arc_length: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Value, slope and second derivative (n,) at `at` of the cubics through `values` with `slopes` every `spacing`."""
+    """Evaluate cubics through `values` with `slopes` every `spacing`: value, slope and second derivative (n,)."""
     if len(values) < 2:
-        return np.full(at.shape, values[0]), np.zeros(at.shape), np.zeros(at.shape)
-    place = np.clip(at / spacing, 0.0, len(values) - 1.0)
+        return np.full(arc_length.shape, values[0]), np.zeros(arc_length.shape), np.zeros(arc_length.shape)
+    place = np.clip(arc_length / spacing, 0.0, len(values) - 1.0)
     i = np.minimum(place.astype(int), len(values) - 2)
     u = place - i
     a, b, m, n = values[i], values[i + 1], spacing * slopes[i], spacing * slopes[i + 1]

@@ -54,7 +54,7 @@ _TOUCHES = 0.002
 
 
 class FreeSpaceKeeper:
-    """What one controller sees, and what it makes of it.
+    """Free space of one controller: its surroundings, and its effect on the tick.
 
     Parameters
     ----------
@@ -129,9 +129,9 @@ class FreeSpaceKeeper:
             self._moving = None if stands.all() else pieces.chosen(~stands)
 
     def start(self, reference: Reference) -> Reference:
-        """Another reference; returns it as it will be driven, moved aside where something is in its way."""
+        """Start another reference; return it as it will be driven, moved aside around obstacles."""
         self._reference, self._last = reference, None
-        table = PathTable.of(reference)
+        table = PathTable.build(reference)
         self._guide = Guide(table, self._footprint, self._settings)
         self._since_search, self.pace, self._crossing = _EVERY, math.inf, None
         if self._around is not None and self._around.corridor is not None:
@@ -139,7 +139,7 @@ class FreeSpaceKeeper:
         return BentReference(reference, self._guide)
 
     def forget(self) -> None:
-        """Begin anew."""
+        """Reset."""
         self._last = None
 
     def before(self, t: float, time: float, tracked: Reference) -> Hold | None:
@@ -160,7 +160,7 @@ class FreeSpaceKeeper:
         return None
 
     def _find_way(self, t: float, time: float) -> str:
-        """Seek a way, and decide how fast the reference goes; returns why it must not go on, if so."""
+        """Search a path and choose the speed of the reference; return the reason to stop, if any."""
         guide, reference = self._guide, self._reference
         assert guide is not None and reference is not None and self._standing is not None
         sample = reference.sample([time])
@@ -194,7 +194,7 @@ class FreeSpaceKeeper:
         return self._why_not()
 
     def _right_beside(self, t: float) -> str:
-        """Which moving thing a standing robot lets pass before it stirs, in words; empty if none."""
+        """Describe the moving object that a standing robot lets pass; empty without one."""
         last = self._last
         if last is None or last.estimate is None or self._moving is None:
             return ""
@@ -207,7 +207,7 @@ class FreeSpaceKeeper:
         return f"waits for {self._moving.names[piece]}, which is {max(gap, 0.0):.2f} m beside it" if piece >= 0 else ""
 
     def _why_not(self) -> str:
-        """Why the way ends here, in words."""
+        """Describe why the path ends."""
         assert self._guide is not None
         crosses, ends = self._crossing, self._guide.ends
         if crosses is not None and crosses.ends <= ends and self._moving is not None:
@@ -215,12 +215,12 @@ class FreeSpaceKeeper:
         return f"no way: blocked by {self._closed_by}; waits for other surroundings or another path"
 
     def _keeps(self) -> float:
-        """Gap that a way needs [m]: the plan's, with how uncertain the robot is of its place now."""
+        """Compute the gap that a path needs [m]: the plan's, plus the uncertainty of the present position."""
         spread = self._spread[0]
         return float(self._planning.margin + self._planning.factor * math.sqrt(max(spread[0], spread[4], 0.0)))
 
     def _top(self) -> tuple[float, float, float]:
-        """Yaw rate [rad/s], lateral acceleration [m/s^2] and speed [m/s] that a way may ask for."""
+        """Return maximum yaw rate [rad/s], lateral acceleration [m/s^2] and speed [m/s] of a path."""
         config = self._config
         effort = config.reentry.effort
         return effort * config.limits.omega, load_robot().reference_acceleration.lateral, config.limits.v
@@ -260,14 +260,14 @@ class FreeSpaceKeeper:
         return self._last
 
     def again(self, result: StepResult) -> StepResult:
-        """A call that was no new tick: where it would repeat a command that was braked instead, it repeats that."""
+        """Handle a repeated call: if it would repeat a command that was braked instead, repeat the braked one."""
         last = self._last
         if last is None or not self._braked or result.mode in (Mode.BRAKING, Mode.STOPPED):
             return result
         return replace(result, command=last.command, mode=last.mode, _planned=None)
 
     def room(self, poses: FloatArray) -> NDArray[np.bool_]:
-        """(k,) whether there is room at poses (k, 3) for a way back, beside what stands."""
+        """Return (k,) True if there is room at poses (k, 3) for a path back, next to standing obstacles."""
         if self._standing is None:
             return np.ones(len(poses), dtype=bool)
         keeps = self._keeps()
@@ -279,7 +279,7 @@ class FreeSpaceKeeper:
         return gaps >= keeps
 
     def _stale(self, t: float) -> str:
-        """Why what is seen is not driven by; empty where it is."""
+        """Describe why the surroundings are unusable; empty if they are usable."""
         assert self._around is not None
         time = self._around.time
         if time is None or abs(t - time) <= self._settings.max_age:
@@ -301,16 +301,16 @@ class FreeSpaceKeeper:
         self._owner[:] = -1
 
     def _set_rows(self, t: float, guide: FloatArray) -> None:
-        """Half-spaces around the plan of the last tick, or the target without one."""
+        """Set half-spaces around the plan of the last tick, or around the target without one."""
         assert self._pieces is not None
-        guess, here = guide, guide[0]
+        guess, start = guide, guide[0]
         plan = None if self._last is None else self._last.plan
         if plan is not None:
             guess = np.vstack([plan[1:], 2.0 * plan[-1] - plan[-2]])
-            here = plan[0]
+            start = plan[0]
         elif self._last is not None and self._last.estimate is not None:
-            here = self._last.estimate.pose
-        guess, guide, here = (np.ascontiguousarray(array, dtype=float) for array in (guess, guide, here))
+            start = self._last.estimate.pose
+        guess, guide, start = (np.ascontiguousarray(array, dtype=float) for array in (guess, guide, start))
         times = self._since(t) + self._stages
         self._lib.ddmpc_half_spaces(
             self._footprint.struct,
@@ -319,7 +319,7 @@ class FreeSpaceKeeper:
             len(times),
             address(guess),
             address(guide),
-            address(here),
+            address(start),
             address(times),
             address(self._spread),
             self._settings.rows,
@@ -330,7 +330,7 @@ class FreeSpaceKeeper:
         self._tick.parameters[:, self._first : self._first + self._table.shape[1]] = self._table
 
     def _find_spread(self, result: StepResult) -> None:
-        """Covariances (N + 1, 9) of the poses to come, as the estimator foresees them along the plan."""
+        """Compute covariances (N + 1, 9) of the predicted poses along the plan."""
         planned = result.planned_commands
         commands = np.tile(result.command, (len(self._spread) - 1, 1)) if planned is None else np.array(planned)
         commands[0] = result.command
@@ -338,7 +338,7 @@ class FreeSpaceKeeper:
         self._lib.ddmpc_spread(self._tick.c, address(commands), len(commands), address(self._spread, "real *"))
 
     def _ramp(self, sent: FloatArray) -> FloatArray:
-        """The command (2,) next to zero that braking reaches in a sample."""
+        """Compute the command (2,) after one sample of braking."""
         limits, dt = self._config.limits, self._config.sample_time
         step = np.array([limits.v_braking, limits.omega_braking]) * dt
         command = np.sign(sent) * np.maximum(np.abs(sent) - step, 0.0)
@@ -346,7 +346,7 @@ class FreeSpaceKeeper:
         return np.asarray(command, dtype=float)
 
     def _way_to_rest(self, command: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Poses (k + 1, 3) and twists (k + 1, 2) where `command` is sent now, and from the next tick on it brakes."""
+        """Compute poses (k + 1, 3) and twists (k + 1, 2) for `command` now, and braking from the next tick on."""
         limits, dt = self._config.limits, self._config.sample_time
         step = np.array([limits.v_braking, limits.omega_braking]) * dt
         from_range = np.ceil((np.array([max(limits.v.sides), max(limits.omega.sides)]) / step).max())
@@ -361,7 +361,7 @@ class FreeSpaceKeeper:
         return poses, twists
 
     def _sweep(self, t: float, poses: FloatArray, twists: FloatArray) -> Any:  # noqa: ANN401 - cffi has no types
-        """What the way to rest comes too close to: the fields of `ddmpc_contact`."""
+        """Check the stopping path for contacts; return a `ddmpc_contact`."""
         assert self._pieces is not None
         count = len(poses)
         times = self._since(t) + np.arange(count) * self._config.sample_time
@@ -381,17 +381,17 @@ class FreeSpaceKeeper:
             _LEAST_SHARE * self._settings.margin,
         )
 
-    def _clearances(self, t: float, here: FloatArray, plan: FloatArray | None) -> tuple[float, float]:
-        """Gap now, and the least gap along the plan; infinity where nothing is near."""
+    def _clearances(self, t: float, pose: FloatArray, plan: FloatArray | None) -> tuple[float, float]:
+        """Compute the present gap, and the least gap along the plan; infinity without obstacles nearby."""
         assert self._pieces is not None
-        poses = np.ascontiguousarray(here if plan is None else np.vstack([here, plan[1:]]))
+        poses = np.ascontiguousarray(pose if plan is None else np.vstack([pose, plan[1:]]))
         times = self._since(t) + self._stages[: len(poses)]
         gaps, pieces = least_gaps(self._footprint, self._pieces, poses, times, self._keeping.reach)
         gaps[pieces < 0] = math.inf
         return float(gaps[0]), float(gaps.min())
 
     def _pressed(self, plan: FloatArray | None) -> tuple[str, ...]:
-        """What the plan lies against, in words."""
+        """Name the obstacles that limit the plan."""
         if plan is None or self._pieces is None or (self._owner < 0).all():
             return ()
         rows = self._table.reshape(len(self._table), -1, PARAMETERS)

@@ -153,31 +153,31 @@ class Pieces:
             away = np.hypot(*(corner[:-1] - np.repeat(circle[:-1, :2], np.diff(ends), axis=0)).T)
             circle[:-1, 2] = np.maximum.reduceat(away, begins) + self.widening
         widening, velocity = np.append(self.widening, 0.0), np.vstack([self.velocity.reshape(-1, 2), np.zeros((1, 2))])
-        kept = (ends, corner, widening, velocity, circle)
+        arrays = (ends, corner, widening, velocity, circle)
 
-        def at(array: NDArray[Any], kind: str = "const real *") -> Any:  # noqa: ANN401 - cffi has no types
+        def pointer(array: NDArray[Any], kind: str = "const real *") -> Any:  # noqa: ANN401 - cffi has no types
             return ffi.cast(kind, array.ctypes.data)
 
         struct = ffi.new(
             "ddmpc_surroundings *",
             {
                 "pieces": count,
-                "first": at(ends, "const int *"),
-                "corner": at(corner),
-                "widening": at(widening),
-                "velocity": at(velocity),
-                "circle": at(circle),
+                "first": pointer(ends, "const int *"),
+                "corner": pointer(corner),
+                "widening": pointer(widening),
+                "velocity": pointer(velocity),
+                "circle": pointer(circle),
             },
         )
         object.__setattr__(self, "struct", struct)
-        object.__setattr__(self, "_kept", kept)
+        object.__setattr__(self, "_kept", arrays)
 
     def __len__(self) -> int:
-        """How many there are."""
+        """Return the number of pieces."""
         return len(self.corners)
 
     def chosen(self, which: NDArray[np.bool_]) -> Pieces:
-        """Some of them."""
+        """Select some of the pieces."""
         places = np.flatnonzero(which).tolist()
         return Pieces(
             [self.corners[i] for i in places],
@@ -198,28 +198,28 @@ class PlacedFootprint:
     def __post_init__(self) -> None:
         """Lay it out."""
         ffi, _ = load_free_space()
-        kept = np.ascontiguousarray(self.footprint.corners)
+        corners = np.ascontiguousarray(self.footprint.corners)
         struct = ffi.new(
             "ddmpc_footprint *",
             {
-                "corners": len(kept),
-                "corner": ffi.cast("const real *", kept.ctypes.data),
+                "corners": len(corners),
+                "corner": ffi.cast("const real *", corners.ctypes.data),
                 "widening": self.footprint.radius,
                 "reach": self.footprint.reach,
             },
         )
         object.__setattr__(self, "struct", struct)
-        object.__setattr__(self, "_kept", kept)
+        object.__setattr__(self, "_kept", corners)
 
 
 Known = dict[int, tuple[object, list[FloatArray]]]
-"""What was made of a polygon or a grid, by its identity."""
+"""Results for polygons and grids, by identity."""
 
 
 def pieces_of(
     around: Surroundings, config: FreeSpace, reference: Reference | None = None, known: Known | None = None
 ) -> Pieces:
-    """The convex pieces of `around`; a corridor needs the reference that it lies along.
+    """Build the convex pieces of `around`; a corridor needs its reference.
 
     What is the same object as in the last call with `known` is not worked out again.
 
@@ -245,8 +245,8 @@ def pieces_of(
     before, now = dict(known or {}), Known()
 
     def once(source: object, make: Callable[[], list[FloatArray]]) -> list[FloatArray]:
-        kept = before.get(id(source))
-        now[id(source)] = kept if kept is not None and kept[0] is source else (source, make())
+        former = before.get(id(source))
+        now[id(source)] = former if former is not None and former[0] is source else (source, make())
         return now[id(source)][1]
 
     for index, polygon in enumerate(around.polygons):
@@ -293,7 +293,7 @@ class PreparedGrid(OccupancyGrid):
 
 
 def prepared_grid(grid: OccupancyGrid, config: FreeSpace) -> PreparedGrid:
-    """`grid` with its rectangles worked out, and without its cells: for another process.
+    """Compute the rectangles of `grid` and drop its cells: for another process.
 
     Raises
     ------
@@ -306,7 +306,7 @@ def prepared_grid(grid: OccupancyGrid, config: FreeSpace) -> PreparedGrid:
 
 
 def _of_grid(grid: OccupancyGrid, config: FreeSpace) -> list[FloatArray]:
-    """Rectangles that cover just the occupied cells."""
+    """Build rectangles that cover exactly the occupied cells."""
     if isinstance(grid, PreparedGrid):
         return list(grid.boxes)
     cells = checked_grid(grid, config.max_cells)
@@ -335,7 +335,7 @@ def _of_grid(grid: OccupancyGrid, config: FreeSpace) -> list[FloatArray]:
 
 
 def rectangles(occupied: NDArray[np.bool_], most: int = 2**31) -> NDArray[np.int64]:
-    """(n, 4) row, column, and the row and column after the last, of rectangles that tile the occupied cells.
+    """Tile the occupied cells by rectangles: (n, 4) row, column, and the row and column after the last.
 
     Runs of a row that are the same in the next rows are one rectangle.
 
@@ -345,14 +345,14 @@ def rectangles(occupied: NDArray[np.bool_], most: int = 2**31) -> NDArray[np.int
         If there are more than `most`.
     """
     edges = np.diff(np.pad(occupied.astype(np.int8), ((0, 0), (1, 1))), axis=1)
-    row, begin = np.nonzero(edges == 1)
+    row, start = np.nonzero(edges == 1)
     end = np.nonzero(edges == -1)[1]
     if len(row) == 0:
         return np.zeros((0, 4), dtype=np.int64)
     # In the order of their columns, runs that go on lie one after the other.
-    order = np.lexsort((row, end, begin))
-    row, begin, end = row[order], begin[order], end[order]
-    goes_on = (begin[1:] == begin[:-1]) & (end[1:] == end[:-1]) & (row[1:] == row[:-1] + 1)
+    order = np.lexsort((row, end, start))
+    row, start, end = row[order], start[order], end[order]
+    goes_on = (start[1:] == start[:-1]) & (end[1:] == end[:-1]) & (row[1:] == row[:-1] + 1)
     first = np.flatnonzero(np.concatenate([[True], ~goes_on]))
     last = np.append(first[1:], len(row)) - 1
     if len(first) > most:
@@ -360,23 +360,23 @@ def rectangles(occupied: NDArray[np.bool_], most: int = 2**31) -> NDArray[np.int
             f"grid: its occupied cells are {len(first)} rectangles, at most {most} are taken; give a smaller window "
             "or a coarser grid, or raise free_space.max_pieces"
         )
-    return np.stack([row[first], begin[first], row[last] + 1, end[first]], axis=1).astype(np.int64)
+    return np.stack([row[first], start[first], row[last] + 1, end[first]], axis=1).astype(np.int64)
 
 
 def _of_corridor(corridor: Corridor, reference: Reference) -> tuple[list[FloatArray], str]:
-    """Its walls, as pieces of straight lines."""
+    """Build its walls as pieces of straight lines."""
     arc, left, right = checked_corridor(corridor)
     # Lengths as large as numbers go overflow here; there is a bound anyway.
     times = np.linspace(0.0, reference.duration, int(min(reference.duration / 0.02 + 2, 20_000)))
     sample = reference.sample(times)
     count = int(min(float(arc[-1] - arc[0]) / _WALL_STEP + 2, _MOST_WALLS))
-    at = np.unique(np.concatenate([np.linspace(arc[0], arc[-1], count), arc[:_MOST_WALLS]]))
+    arc_lengths = np.unique(np.concatenate([np.linspace(arc[0], arc[-1], count), arc[:_MOST_WALLS]]))
     # Where the reference stands or turns it has one arc length at many times: any of them.
-    pose = np.stack([np.interp(at, sample.arc_length, column) for column in sample.pose.T], axis=1)
+    pose = np.stack([np.interp(arc_lengths, sample.arc_length, column) for column in sample.pose.T], axis=1)
     side = np.stack([-np.sin(pose[:, 2]), np.cos(pose[:, 2])], axis=1)
     walls = []
     for width, sign in ((left, 1.0), (right, -1.0)):
-        line = pose[:, :2] + sign * np.interp(at, arc, width)[:, None] * side
+        line = pose[:, :2] + sign * np.interp(arc_lengths, arc, width)[:, None] * side
         apart = np.hypot(*np.diff(line, axis=0).T) > 1e-6
         walls += [line[i : i + 2] for i in np.flatnonzero(apart)]
     return walls, "the corridor's edge"
@@ -386,14 +386,14 @@ def _of_corridor(corridor: Corridor, reference: Reference) -> tuple[list[FloatAr
 
 
 def address(array: NDArray[Any], kind: str = "const real *") -> Any:  # noqa: ANN401 - cffi has no types
-    """Where an array lies, for C."""
+    """Return the address of an array for C."""
     return load_free_space()[0].cast(kind, array.ctypes.data)
 
 
 def least_gaps(
     footprint: PlacedFootprint, pieces: Pieces, poses: FloatArray, times: FloatArray, enough: float
 ) -> tuple[FloatArray, NDArray[np.intc]]:
-    """(k,) least gaps at poses (k, 3), at most `enough` [m], and the nearest pieces; -1 where there is none so near."""
+    """Compute least gaps (k,) at poses (k, 3), at most `enough` [m], and the nearest pieces; -1 without one."""
     placed, instants = np.ascontiguousarray(poses, dtype=float), np.ascontiguousarray(times, dtype=float)
     gaps, nearest = np.empty(len(placed)), np.empty(len(placed), dtype=np.intc)
     load_free_space()[1].ddmpc_clearances(

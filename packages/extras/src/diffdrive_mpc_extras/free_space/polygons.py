@@ -14,13 +14,13 @@ _SAME = 1e-9
 
 
 def area(corners: FloatArray) -> float:
-    """Signed area of a polygon (k, 2) [m^2]; positive where it runs counter-clockwise."""
+    """Compute the signed area of a polygon (k, 2) [m^2]; positive for counter-clockwise order."""
     x, y = corners.T
     return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
 
 
 def hull(points: FloatArray) -> FloatArray:
-    """(k, 2) corners of the convex hull of points (n, 2), counter-clockwise; of points in a line its two ends.
+    """Compute corners (k, 2) of the convex hull of points (n, 2), counter-clockwise; two ends for points in a line.
 
     Source: Andrew, Information Processing Letters 9(5), 1979.
     """
@@ -29,12 +29,12 @@ def hull(points: FloatArray) -> FloatArray:
         return np.array(ordered, dtype=float).reshape(-1, 2)
 
     def chain(line: list[tuple[float, float]]) -> list[tuple[float, float]]:
-        kept: list[tuple[float, float]] = []
+        corners: list[tuple[float, float]] = []
         for point in line:
-            while len(kept) > 1 and _turn(kept[-2], kept[-1], point) <= 0.0:
-                kept.pop()
-            kept.append(point)
-        return kept[:-1]
+            while len(corners) > 1 and _turn(corners[-2], corners[-1], point) <= 0.0:
+                corners.pop()
+            corners.append(point)
+        return corners[:-1]
 
     return np.array(chain(ordered) + chain(ordered[::-1]), dtype=float)
 
@@ -44,17 +44,17 @@ def _turn(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]
 
 
 def cleaned(corners: FloatArray) -> FloatArray:
-    """The polygon without corners that lie on the one before."""
+    """Remove corners that coincide with the previous one."""
     return np.asarray(corners[np.hypot(*(corners - np.roll(corners, 1, axis=0)).T) > _SAME], dtype=float)
 
 
 def crosses_itself(corners: FloatArray) -> bool:
-    """Whether two edges of a polygon (k, 2) that are no neighbours meet."""
+    """Return True if two edges of a polygon (k, 2) that are no neighbours meet."""
     a, b = corners, np.roll(corners, -1, axis=0)
     along = b - a
 
     def side(point: FloatArray) -> FloatArray:
-        """[i, j]: on which side of edge i point j lies."""
+        """Return [i, j]: the side of edge i on which point j lies."""
         d = point[None, :, :] - a[:, None, :]
         return np.asarray(np.sign(along[:, None, 0] * d[..., 1] - along[:, None, 1] * d[..., 0]))
 
@@ -71,7 +71,7 @@ def crosses_itself(corners: FloatArray) -> bool:
 
 
 def convex_pieces(corners: FloatArray) -> list[FloatArray]:
-    """Convex polygons, counter-clockwise, that cover a simple one (k, 2): itself where it is convex, else triangles.
+    """Split a simple polygon (k, 2) into convex ones, counter-clockwise: itself if it is convex, or triangles.
 
     Ear clipping: Meisters, The American Mathematical Monthly 82(6), 1975.
     """
@@ -81,12 +81,12 @@ def convex_pieces(corners: FloatArray) -> list[FloatArray]:
         return [hull(np.array(ring))]
     pieces = []
     while len(ring) > 3:
-        at = next((i for i in range(len(ring)) if _is_ear(ring, i)), None)
-        if at is None:
+        ear = next((i for i in range(len(ring)) if _is_ear(ring, i)), None)
+        if ear is None:
             # Rounding has left no ear: what remains is covered by its hull.
             break
-        pieces.append(np.array([ring[at - 1], ring[at], ring[(at + 1) % len(ring)]]))
-        del ring[at]
+        pieces.append(np.array([ring[ear - 1], ring[ear], ring[(ear + 1) % len(ring)]]))
+        del ring[ear]
     pieces.append(hull(np.array(ring)))
     return [piece for piece in pieces if len(piece) > 1]
 
@@ -143,13 +143,13 @@ class Footprint:
 
     @classmethod
     def rectangle(cls, length: float, width: float, ahead: float = 0.0) -> Footprint:
-        """A rectangle [m] whose middle lies `ahead` [m] of the base point."""
+        """Build a rectangle [m] whose middle lies `ahead` [m] of the base point."""
         x, y = 0.5 * length, 0.5 * width
         return cls(((ahead + x, y), (ahead - x, y), (ahead - x, -y), (ahead + x, -y)))
 
     @classmethod
     def discs(cls, discs: Sequence[tuple[float, float, float]]) -> Footprint:
-        """What covers discs x, y, radius [m]: the hull of their middles, widened by the largest radius."""
+        """Cover discs x, y, radius [m]: the hull of their middles, widened by the largest radius."""
         return cls([disc[:2] for disc in discs], max(disc[2] for disc in discs))
 
     @property

@@ -1,4 +1,4 @@
-"""What lies around the robot, as a map, a costmap or somebody's sensors tell it."""
+"""Surroundings of the robot by a map, a costmap or other sensors."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ class Surroundings:
 
 
 def checked_polygon(corners: ArrayLike, name: str) -> FloatArray:
-    """The polygon (k, 2) as numbers.
+    """Return the polygon (k, 2) as numbers.
 
     Raises
     ------
@@ -146,7 +146,7 @@ def check_disc(disc: MovingDisc, name: str, *, timed: bool) -> None:
 
 
 def checked_grid(grid: OccupancyGrid, max_cells: int) -> NDArray[np.int8]:
-    """The cells.
+    """Return the cells.
 
     Raises
     ------
@@ -177,7 +177,7 @@ def checked_grid(grid: OccupancyGrid, max_cells: int) -> NDArray[np.int8]:
 
 
 def checked_corridor(corridor: Corridor) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Its three columns (n,).
+    """Return the three columns (n,) of a corridor.
 
     Raises
     ------

@@ -88,14 +88,14 @@ class FoundHybrid:
         return (Doubt("network left out", words),)
 
     def simulate(self, records: Sequence[Record], yaw: YawSource) -> list[FloatArray]:
-        """See `Predictor`."""
+        """Simulate as `Predictor` describes."""
         model = hybrid_model(_NAME, self.identified.model.discretise(self.dt), self.correction)
         experiments = twist_experiments(records, yaw)
         runs = runs_of(model.linear, self.identified.system, joined(experiments))
-        return parted([run.answer(model) + self.offset for run in runs], experiments)
+        return parted([run.simulate(model) + self.offset for run in runs], experiments)
 
     def refitted(self, records: Sequence[Record], yaw: YawSource) -> HybridModel | None:
-        """See `Predictor`: another network on the same linear model; None where there is none."""
+        """Refit as `Predictor` describes: another network on the same linear model; None without a network."""
         if self.decay is None:
             return None
         linear = self.identified.model.discretise(self.dt)
@@ -104,23 +104,27 @@ class FoundHybrid:
         return hybrid_model(f"{self.structure} of the data held out", linear, network)
 
     def content(self, fields: Mapping[str, Any]) -> HybridFile:
-        """See `Predictor`."""
-        own = {"origin": "identified", "source": fields["provenance"]["source"], "method": self.identified.method}
+        """Build the content as `Predictor` describes."""
+        provenance = {
+            "origin": "identified",
+            "source": fields["provenance"]["source"],
+            "method": self.identified.method,
+        }
         return HybridFile.model_validate(
             {
                 **fields,
                 "structure": "hybrid",
-                "linear": self.identified.file(f"linear model of {fields['name']}", own),
+                "linear": self.identified.file(f"linear model of {fields['name']}", provenance),
                 "correction": correction_content(self.correction),
             }
         )
 
     def model(self, content: HybridFile) -> HybridModel:
-        """See `Predictor`."""
+        """Build the model as `Predictor` describes."""
         return hybrid_of(content)
 
     def write(self, path: Path, content: HybridFile) -> None:
-        """See `Predictor`."""
+        """Write the files as `Predictor` describes."""
         write_hybrid(path, content)
 
 
@@ -158,13 +162,13 @@ def _part(records: Sequence[Record]) -> list[Record]:
 
 
 def _log_power(linear: DiscreteModel, correction: Correction, runs: Sequence[TrainingRun]) -> float:
-    """Logarithm of the squared errors over those of the linear model, mean over v and omega."""
+    """Compute the logarithm of the squared errors over those of the linear model, mean over v and omega."""
     try:
         model = hybrid_model(_NAME, linear, correction)
     except ModelError:  # what cannot be a robot is not chosen
         return float("inf")
     errors, alone = (
         np.concatenate([(predicted - run.outputs) * run.counts for run, predicted in zip(runs, rows, strict=True)])
-        for rows in ([run.answer(model) for run in runs], [run.states @ linear.C.T for run in runs])
+        for rows in ([run.simulate(model) for run in runs], [run.states @ linear.C.T for run in runs])
     )
     return float(np.mean(np.log((errors**2).sum(axis=0) / (alone**2).sum(axis=0))))

@@ -25,7 +25,7 @@ from diffdrive_mpc.models.velocity_model import ModelError
 
 
 def network(m: Any, z: Any, inward: Any, outward: Any) -> Any:  # noqa: ANN401 - arrays and symbols of any library
-    """(n,) one layer of tanh without offsets: it is odd, so it rests, and answers backwards as forwards.
+    """Evaluate one layer (n,) of tanh without offsets: it is odd, so it is zero at rest, and symmetric in direction.
 
     z (f,) features, inward (f, units), outward (units, n).
     """
@@ -33,7 +33,7 @@ def network(m: Any, z: Any, inward: Any, outward: Any) -> Any:  # noqa: ANN401 -
 
 
 def gate(m: Any, z: Any, shape: Any, full: float, least: float) -> Any:  # noqa: ANN401
-    """Between 0 and 1: 1 where the squared distance z' shape z is at most `full`, exactly 0 from `least` on.
+    """Compute the gate: 1 if the squared distance z' shape z is at most `full`, exactly 0 from `least` on.
 
     `shape` (f, f) is the inverse covariance of the features of the data, so that this is Mahalanobis' distance from
     rest. Its slope is continuous.
@@ -95,7 +95,7 @@ class HybridModel(NonlinearModel):
 def hybrid_model(
     name: str, linear: DiscreteModel, correction: Correction, provenance: Mapping[str, object] | None = None
 ) -> HybridModel:
-    """The velocity model of a linear model and a network.
+    """Build the velocity model of a linear model and a network.
 
     Raises
     ------
@@ -173,7 +173,7 @@ class CorrectionContent(StrictModel):
 
 
 class HybridFile(FunctionFile):
-    """What the parameter file of a hybrid says."""
+    """Content of the parameter file of a hybrid."""
 
     structure: Literal["hybrid"]
     linear: SmFile
@@ -181,7 +181,7 @@ class HybridFile(FunctionFile):
 
 
 def load_hybrid(path: Path, data: Any) -> HybridModel:  # noqa: ANN401 - what a YAML file may hold
-    """The model of the parameter file at `path`, whose content is `data`.
+    """Load the model of the parameter file at `path` with the content `data`.
 
     Raises
     ------
@@ -194,13 +194,13 @@ def load_hybrid(path: Path, data: Any) -> HybridModel:  # noqa: ANN401 - what a 
 
 
 def hybrid_of(content: HybridFile) -> HybridModel:
-    """The model that a parameter file describes; raises ModelError if it cannot be a robot's."""
+    """Build the model of a parameter file; raise ModelError if it cannot be a robot's."""
     linear = build_model(content.linear).discretise(content.sample_time)
     return hybrid_model(content.name, linear, content.correction.arrays, content.origins)
 
 
 def correction_content(correction: Correction) -> dict[str, Any]:
-    """A correction as a file holds it."""
+    """Convert a correction to its content in a file."""
     return {name: rounded(getattr(correction, name)) for name in CorrectionContent.model_fields}
 
 

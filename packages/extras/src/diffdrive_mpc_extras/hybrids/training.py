@@ -53,7 +53,7 @@ def hybrid_settings() -> HybridSettings:
 
 
 _FORGOTTEN = 0.01
-"""What is left of a start by the linear model when errors of a segment begin to count [-]."""
+"""Rest of an initial error of the linear model when errors of a segment start to count [-]."""
 _SEGMENT = 4
 """Length of a segment over the time in which its start is forgotten."""
 _MULTIPLE = 16
@@ -77,8 +77,8 @@ class TrainingRun(NamedTuple):
     before: FloatArray
     """(memory, 2) commands before them"""
 
-    def answer(self, model: NonlinearModel) -> FloatArray:
-        """(K, 2) v and omega by a model with the same states, from the commands alone."""
+    def simulate(self, model: NonlinearModel) -> FloatArray:
+        """Simulate (K, 2) v and omega by a model with the same states, from the commands alone."""
         return model.simulate(self.sent, self.states[0], self.before)
 
 
@@ -98,7 +98,7 @@ class Segments(NamedTuple):
 
 
 def runs_of(linear: DiscreteModel, system: LinearSystem, experiments: Sequence[SampledExperiment]) -> list[TrainingRun]:
-    """The experiments, each after rest in the settled state that gives its first readings; `linear` is of `system`."""
+    """Convert experiments to runs that start in the steady state of their first readings; `linear` is of `system`."""
     runs = []
     for experiment in experiments:
         start, held = settled_start(system, experiment.first_readings)
@@ -116,7 +116,7 @@ def runs_of(linear: DiscreteModel, system: LinearSystem, experiments: Sequence[S
 
 
 def silent(runs: Sequence[TrainingRun], settings: HybridSettings) -> Correction:
-    """A correction that is silent yet, for the features of `runs`.
+    """Build a correction of zero for the features of `runs`.
 
     Their covariance is about rest: as the network is odd, what was seen in one direction is known in the other.
     """
@@ -134,7 +134,7 @@ def silent(runs: Sequence[TrainingRun], settings: HybridSettings) -> Correction:
 def trained(
     linear: DiscreteModel, runs: Sequence[TrainingRun], decays: Sequence[float], settings: HybridSettings
 ) -> list[Correction]:
-    """The network with which the mean squared error is least, for each penalty of squared weights in turn.
+    """Train the network for the least mean squared error, for each penalty of squared weights in turn.
 
     Errors count by what the linear model leaves of each output. Each search (L-BFGS, scipy) goes on from the last.
 
@@ -143,7 +143,7 @@ def trained(
     models.errors.MissingPackageError
         If JAX is not installed.
     """
-    jax, start, given = libraries(), silent(runs, settings), segments(linear, runs)
+    jax, start, data = libraries(), silent(runs, settings), segments(linear, runs)
     fixed = (start.scale, start.shape, start.full, start.least)
     cut, networks = start.inward.size, []
 
@@ -151,7 +151,7 @@ def trained(
         return p[:cut].reshape(start.inward.shape), p[cut:].reshape(start.outward.shape)
 
     def cost(p: FloatArray, decay: float) -> tuple[float, FloatArray]:
-        value, gradient = _compiled()(apart(p), decay, given, linear.A, linear.C, fixed)
+        value, gradient = _compiled()(apart(p), decay, data, linear.A, linear.C, fixed)
         return float(value), np.concatenate([np.ravel(np.asarray(part)) for part in gradient])
 
     p = np.concatenate([start.inward.ravel(), start.outward.ravel()])
@@ -165,7 +165,7 @@ def trained(
 
 
 def segments(linear: DiscreteModel, runs: Sequence[TrainingRun]) -> Segments:
-    """Runs cut into segments of equal length, each with a time before it in which its start is forgotten.
+    """Cut runs into segments of equal length, each preceded by a time in which its initial state decays.
 
     Length and number are whole multiples, the last segments weighing nothing: what is compiled for one serves others.
     """
@@ -181,14 +181,14 @@ def segments(linear: DiscreteModel, runs: Sequence[TrainingRun]) -> Segments:
         for first in range(0, count, _SEGMENT * before):
             rows = np.arange(first - before, first + _SEGMENT * before)
             inside = np.clip(rows, 0, count - 1)
-            here = (rows >= first) & (rows < count)
+            inside_run = (rows >= first) & (rows < count)
             parts.append(
                 (
                     run.states[inside[0]],
                     run.commands[inside],
                     np.where((rows >= 0)[:, None], drive[inside], settled),
                     run.outputs[inside],
-                    run.counts[inside] * here[:, None] / power / 2.0,
+                    run.counts[inside] * inside_run[:, None] / power / 2.0,
                 )
             )
     parts += [(*parts[0][:-1], np.zeros_like(parts[0][-1]))] * (_whole(len(parts)) - len(parts))
@@ -196,12 +196,12 @@ def segments(linear: DiscreteModel, runs: Sequence[TrainingRun]) -> Segments:
 
 
 def _whole(count: float) -> int:
-    """The next multiple."""
+    """Round up to the next multiple."""
     return _MULTIPLE * max(1, int(np.ceil(count / _MULTIPLE)))
 
 
 def libraries() -> Any:  # noqa: ANN401 - JAX is optional
-    """JAX; raises MissingPackageError where it is not installed."""
+    """Import JAX; raise MissingPackageError without it."""
     try:
         import jax  # noqa: PLC0415 - only training needs it
         import jax.experimental  # noqa: PLC0415
@@ -212,11 +212,11 @@ def libraries() -> Any:  # noqa: ANN401 - JAX is optional
 
 @cache
 def _compiled() -> Callable[..., Any]:
-    """Cost and its gradient by the weights in and out, for penalty, segments, linear model and gate."""
+    """Compile cost and gradient by the weights in and out, for penalty, segments, linear model and gate."""
     jax = libraries()
     jnp = jax.numpy
 
-    def cost(weights: Any, decay: Any, given: Segments, A: Any, C: Any, fixed: Any) -> Any:  # noqa: ANN401
+    def cost(weights: Any, decay: Any, data: Segments, A: Any, C: Any, fixed: Any) -> Any:  # noqa: ANN401
         (inward, outward), (scale, shape, full, least) = weights, fixed
 
         def advance(x: Any, sample: Any) -> Any:  # noqa: ANN401 - arrays of JAX
@@ -228,6 +228,6 @@ def _compiled() -> Callable[..., Any]:
         def error(segments: Segments) -> Any:  # noqa: ANN401
             return jnp.sum(jax.lax.scan(advance, segments.starts, segments[1:])[1])
 
-        return jnp.sum(jax.vmap(error)(given)) + decay * (jnp.sum(inward**2) + jnp.sum(outward**2))
+        return jnp.sum(jax.vmap(error)(data)) + decay * (jnp.sum(inward**2) + jnp.sum(outward**2))
 
     return jax.jit(jax.value_and_grad(cost))  # type: ignore[no-any-return]

@@ -53,7 +53,7 @@ def compare(
 
         def show_progress(text: str, share: float) -> None:
             left = (time.monotonic() - begun) * (1.0 - share) / share if share else math.nan
-            bar.begin(f"{text}, {remaining(left)}", 100, round(100 * share))
+            bar.start_stage(f"{text}, {remaining(left)}", 100, round(100 * share))
 
         def show_score(comparison: ModelComparison) -> None:
             so_far.append(comparison)
@@ -73,7 +73,7 @@ def compare(
 
 
 def remaining(seconds: float) -> str:
-    """A time that is left [s] in words; NaN where it is not known."""
+    """Format the remaining time [s] in words; NaN if it is unknown."""
     if not math.isfinite(seconds):
         return "time left not known yet"
     return f"about {seconds:.0f} s left" if seconds < _TWO_MINUTES else f"about {seconds / 60:.0f} min left"

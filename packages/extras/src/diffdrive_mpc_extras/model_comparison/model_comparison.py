@@ -1,4 +1,4 @@
-"""Which kind of model a log supports: each identified without a part of it, and held against that part."""
+"""Comparison of the kinds of model that a log supports, by cross-validation on parts of it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Kind(NamedTuple):
     structure: str = "sm"
     effects: bool = False
     predictor: str = ""
-    """Of `predictor.finders`: what predicts in place of the structure's model"""
+    """Name in `predictor.finders` of the predictor in place of the structure's model."""
     slow: bool = False
     """Compared only where it is named, or all are asked for"""
     effort: float = 1.0
@@ -46,9 +46,9 @@ _SSM, _EFFECTS, _SLOW = 5.0, 10.0, 20.0
 
 
 def _functions(*, slow: bool) -> Iterator[Kind]:
-    for one in function_structures().values():
-        if one.slow == slow:
-            yield Kind(one.name, predictor=one.name, slow=slow, effort=_SLOW if slow else 1.0)
+    for structure in function_structures().values():
+        if structure.slow == slow:
+            yield Kind(structure.name, predictor=structure.name, slow=slow, effort=_SLOW if slow else 1.0)
 
 
 KINDS = (
@@ -59,7 +59,7 @@ KINDS = (
     Kind("sm+effects", effects=True, effort=_EFFECTS),
     *_functions(slow=True),
 )
-"""What is compared, the simplest first. A later one has to predict better by more than chance."""
+"""Compared kinds, the simplest first. A later one must predict better by more than chance."""
 ALL = "all"
 """In place of names: the slow ones, too."""
 NO_MODEL = "no model"
@@ -118,7 +118,7 @@ class ModelComparison:
     horizon: float
 
     def fits(self, scored: Scored, draw: FloatArray | None = None) -> FloatArray:
-        """(..., 2) pooled FIT of v and omega [%]; of blocks that are drawn (..., B) so often."""
+        """Compute (..., 2) pooled FIT of v and omega [%], or of resampled blocks (..., B)."""
         return pooled_fit(scored.powers, self.weights, self.spread, draw)
 
     @property
@@ -126,19 +126,19 @@ class ModelComparison:
         """The simplest kind that no more elaborate one beats by more than its uncertainty, in mean FIT."""
         able = [score for score in self.scores if not score.failure]
         best = able[0]
-        for one in able[1:]:
-            if self.gain(one, best)[0] > 0.0:
-                best = one
+        for candidate in able[1:]:
+            if self.gain(candidate, best)[0] > 0.0:
+                best = candidate
         return best
 
-    def gain(self, scored: Scored, other: Scored) -> FloatArray:
-        """(2,) 95 % interval of the mean FIT of v and omega over that of `other` [points], blocks drawn anew."""
+    def gain(self, scored: Scored, reference: Scored) -> FloatArray:
+        """Compute the 95 % interval (2,) of the mean FIT over that of `reference` [points], by resampling blocks."""
         draws = drawn_blocks(len(self.weights))
-        difference = (self.fits(scored, draws) - self.fits(other, draws)).mean(axis=1)
+        difference = (self.fits(scored, draws) - self.fits(reference, draws)).mean(axis=1)
         return np.asarray(np.quantile(difference, INTERVAL))
 
     def table(self) -> TextTable:
-        """One row for each kind."""
+        """Tabulate one row for each kind."""
         chosen = self.recommended
         rows = []
         for score in self.scores:
@@ -170,28 +170,28 @@ class ModelComparison:
         return TextTable("Which model for this robot", columns, tuple(rows), note=note)
 
     def line(self, scored: Scored) -> str:
-        """The score of one kind, before there is a table."""
+        """Format the score of one kind, before there is a table."""
         if scored.failure:
             return f"{scored.kind}: not found: {scored.failure}"
         v, omega = self.fits(scored)
         return f"{scored.kind}: FIT v {v:.2f} %, omega {omega:.2f} %, found in {scored.seconds:.0f} s"
 
     def sentence(self) -> str:
-        """The recommendation with its margin."""
+        """Format the recommendation with its margin."""
         chosen = self.recommended
         others = [
             score for score in self.scores if score is not chosen and not score.failure and score.kind != NO_MODEL
         ]
         words = []
-        for other in others:
-            low, high = self.gain(other, chosen)
+        for rival in others:
+            low, high = self.gain(rival, chosen)
             if high < 0.0:
-                words.append(f"{other.kind} is worse by {-high:.1f} to {-low:.1f} points")
+                words.append(f"{rival.kind} is worse by {-high:.1f} to {-low:.1f} points")
             else:
                 words.append(
-                    f"{other.kind} is no better by more than its uncertainty ({low:+.1f} to {high:+.1f} points)"
+                    f"{rival.kind} is no better by more than its uncertainty ({low:+.1f} to {high:+.1f} points)"
                 )
-        words += [f"{one.kind} was not found: {one.failure}" for one in self.scores if one.failure]
+        words += [f"{failed.kind} was not found: {failed.failure}" for failed in self.scores if failed.failure]
         return f"{chosen.kind}: " + "; ".join(words) if words else f"{chosen.kind}: nothing to hold it against"
 
 
@@ -253,12 +253,14 @@ def compare_models(
 
 
 def _folds(records: Sequence[Record], parts: int) -> Sequence[tuple[list[Record], list[Record]]]:
-    """For each part the rest and the part; short ends of stretches are left out."""
+    """Return for each part the rest and the part, without short ends of stretches."""
     folds, fewest = [], 2 * identification_settings().fewest_readings
     for k in range(parts):
         before, behind = divide(records, k / parts)
         part, after = divide(behind, 1.0 / (parts - k))
-        rest, part = ([one for one in some if len(one.command) >= fewest] for some in ([*before, *after], part))
+        rest, part = (
+            [record for record in some if len(record.command) >= fewest] for some in ([*before, *after], part)
+        )
         if not (rest and part):
             raise ConfigError(f"too few rows to hold {parts} parts out in turn; give a longer log, or fewer parts")
         folds.append((rest, part))
@@ -274,7 +276,7 @@ def _score(
     horizon: float,
     announce: Callable[[int], None],
 ) -> Scored:
-    """`linear` holds the linear models that were found, by structure, effects and part, as several kinds need them."""
+    """Score one kind; `linear` caches linear models by structure, effects and part, as several kinds need them."""
     simulated: list[FloatArray] = []
     states, seconds = 0, 0.0
     errors: list[float] = []

@@ -44,22 +44,22 @@ class TrainedNetwork:
         return self.network.at_rest
 
     def simulate(self, records: Sequence[Record], yaw: YawSource) -> list[FloatArray]:
-        """See `Predictor`."""
+        """Simulate as `Predictor` describes."""
         return simulate_records(self.network, records, yaw)
 
     def refitted(self, records: Sequence[Record], yaw: YawSource) -> None:
-        """See `Predictor`: the part held out is too short to train with."""
+        """Return None as `Predictor` describes: the held-out part is too short for training."""
 
     def content(self, fields: Mapping[str, Any]) -> NetworkFile:
-        """See `Predictor`."""
+        """Build the content as `Predictor` describes."""
         return network_content(self.network, **fields)
 
     def model(self, content: NetworkFile) -> NetworkModel:
-        """See `Predictor`."""
+        """Build the model as `Predictor` describes."""
         return network_model(content.name, self.network, content.sample_time, content.provenance.model_dump())
 
     def write(self, path: Path, content: NetworkFile) -> None:
-        """See `Predictor`; the weights beside it."""
+        """Write the files as `Predictor` describes, with the weights next to them."""
         write_network(path, self.network, content)
 
 
@@ -101,7 +101,7 @@ def find_network(
 
 
 def simulate_records(network: Network, records: Sequence[Record], yaw: YawSource) -> list[FloatArray]:
-    """For each record v [m/s] and omega [rad/s] (K, 2) from its commands alone; before them, the first one held."""
+    """Simulate v [m/s] and omega [rad/s] (K, 2) of each record from its commands; the first one is held before them."""
     experiments, window = twist_experiments(records, yaw), network.architecture.window
     runs = joined(experiments)
     rows = [network.simulate(run.inputs, np.tile(run.inputs[0], (window, 1))) for run in runs]

@@ -50,9 +50,9 @@ class Architecture(StrictModel):
         """Shapes of the weights by name; columns of gates lie in the order of `GATES`, a block of `units` for each."""
         shapes: dict[str, tuple[int, ...]] = {}
         for layer in range(self.layers):
-            given = 2 if layer == 0 else self.units
+            width = 2 if layer == 0 else self.units
             shapes |= {
-                f"input_{layer}": (given, 4 * self.units),
+                f"input_{layer}": (width, 4 * self.units),
                 f"recurrent_{layer}": (self.units, 4 * self.units),
                 f"gate_offset_{layer}": (4 * self.units,),
             }
@@ -84,16 +84,16 @@ class Network:
         odd = set(shapes) ^ set(self.weights)
         if odd:
             raise ValueError(f"weights {', '.join(sorted(odd))} are missing or unknown; train the network again")
-        kept = {name: np.asarray(self.weights[name], dtype=float) for name in shapes}
+        arrays = {name: np.asarray(self.weights[name], dtype=float) for name in shapes}
         for name, shape in shapes.items():
-            if kept[name].shape != shape:
-                raise ValueError(f"weights {name} have shape {kept[name].shape}, expected {shape}")
-            if not np.isfinite(kept[name]).all():
+            if arrays[name].shape != shape:
+                raise ValueError(f"weights {name} have shape {arrays[name].shape}, expected {shape}")
+            if not np.isfinite(arrays[name]).all():
                 raise ValueError(f"weights {name} hold a value that is not finite; train the network again")
-        object.__setattr__(self, "weights", kept)
+        object.__setattr__(self, "weights", arrays)
 
     def __call__(self, windows: ArrayLike) -> FloatArray:
-        """Outputs (K, 2) after windows (K, window, 2) of commands, oldest first."""
+        """Compute outputs (K, 2) after windows (K, window, 2) of commands, oldest first."""
         windows = np.asarray(windows, dtype=float)
         chunks = [self._evaluated(windows[k : k + _CHUNK]) for k in range(0, len(windows), _CHUNK)]
         return np.vstack(chunks) if chunks else np.zeros((0, 2))
@@ -103,8 +103,8 @@ class Network:
         inputs = [windows[:, t] for t in range(windows.shape[1])]
         for layer in range(self.architecture.layers):
             out = cell = np.zeros((len(windows), units))
-            for t, given in enumerate(inputs):
-                sums = given @ w[f"input_{layer}"] + out @ w[f"recurrent_{layer}"] + w[f"gate_offset_{layer}"]
+            for t, layer_input in enumerate(inputs):
+                sums = layer_input @ w[f"input_{layer}"] + out @ w[f"recurrent_{layer}"] + w[f"gate_offset_{layer}"]
                 enter, keep, candidate, leave = np.split(sums, 4, axis=1)
                 cell = next_cell(enter, keep, candidate, cell, np.tanh)
                 out = inputs[t] = hidden(leave, cell, np.tanh)
@@ -118,7 +118,7 @@ class Network:
         return np.asarray(self(np.zeros((1, self.architecture.window, 2)))[0])
 
     def simulate(self, commands: ArrayLike, past: ArrayLike | None = None) -> FloatArray:
-        """Outputs (K, 2) at the samples 0 to K - 1 under `commands` (K, 2), after `past` (window, 2), else zero."""
+        """Simulate outputs (K, 2) at samples 0 to K - 1 under `commands` (K, 2), after `past` (window, 2) or zeros."""
         window = self.architecture.window
         before = np.zeros((window, 2)) if past is None else np.asarray(past, dtype=float)
         line = np.vstack([before, np.asarray(commands, dtype=float)])
@@ -127,7 +127,7 @@ class Network:
 
 
 def gate_blocks(columns: FloatArray) -> Iterator[FloatArray]:
-    """The columns (..., 4 units) of each gate."""
+    """Yield the columns (..., 4 units) of each gate."""
     yield from np.split(columns, 4, axis=-1)
 
 
@@ -135,7 +135,7 @@ def gate_blocks(columns: FloatArray) -> Iterator[FloatArray]:
 
 
 BLOCK, KEPT = 32, 6
-"""DDMPC_BLOCK and DDMPC_KEPT of `mpc/core/network.h`."""
+"""DDMPC_BLOCK and DDMPC_STORED of `mpc/core/network.h`."""
 
 
 def _padded(count: int) -> int:
@@ -143,7 +143,7 @@ def _padded(count: int) -> int:
 
 
 def packed(network: Network) -> FloatArray:
-    """(Q,) the parameters. What the network says at rest is taken off its offsets."""
+    """Pack the parameters (Q,). The output of the network at rest is subtracted from its offsets."""
     kind, w = network.architecture, network.weights
     unit_row, dense_row, in_row = _padded(kind.units), _padded(kind.dense), _padded(kind.units + 2)
 
@@ -169,7 +169,7 @@ def packed(network: Network) -> FloatArray:
 
 
 def work(network: Network) -> int:
-    """Reals of memory that the step needs."""
+    """Compute the reals of memory that the step needs."""
     kind = network.architecture
     unit_row, dense_row, in_row = _padded(kind.units), _padded(kind.dense), _padded(kind.units + 2)
     forward = in_row + unit_row + len(GATES) * unit_row + 2 * dense_row
@@ -188,16 +188,16 @@ class Windows:
     twists: FloatArray
 
     def __len__(self) -> int:
-        """Number of windows."""
+        """Return the number of windows."""
         return len(self.twists)
 
     def part(self, first: int, stop: int) -> Windows:
-        """The windows from `first` up to, and without, `stop`."""
+        """Return the windows from `first` up to, and without, `stop`."""
         return Windows(self.commands[first:stop], self.twists[first:stop])
 
 
 def windows_of(experiments: Sequence[SampledExperiment], window: int) -> Windows:
-    """Every window whose next sample has a reading of both outputs, in the order of time.
+    """Return every window whose next sample has a reading of both outputs, in order of time.
 
     Raises
     ------
@@ -218,17 +218,17 @@ def windows_of(experiments: Sequence[SampledExperiment], window: int) -> Windows
 
 
 def fit_percent(network: Callable[[FloatArray], FloatArray], windows: Windows) -> FloatArray:
-    """(2,) FIT of v and omega over windows [%], 100 (1 - |y - yhat| / |y - mean(y)|)."""
+    """Compute FIT (2,) of v and omega over windows [%], 100 (1 - |y - yhat| / |y - mean(y)|)."""
     error = np.linalg.norm(windows.twists - network(windows.commands), axis=0)
     return np.asarray(100.0 * (1.0 - error / np.linalg.norm(windows.twists - windows.twists.mean(axis=0), axis=0)))
 
 
 def rmse(network: Callable[[FloatArray], FloatArray], windows: Windows) -> FloatArray:
-    """(2,) root mean square error of v [m/s] and omega [rad/s] over windows."""
+    """Compute the root mean square error (2,) of v [m/s] and omega [rad/s] over windows."""
     return np.asarray(np.sqrt(np.mean((windows.twists - network(windows.commands)) ** 2, axis=0)))
 
 
 def divided(windows: Windows, shares: Sequence[float]) -> tuple[Windows, ...]:
-    """Parts of these shares, one after the other in time: neighbouring windows share their commands."""
+    """Divide windows into consecutive parts of these shares, since neighbouring windows share their commands."""
     cuts = [0, *np.rint(np.cumsum(shares) * len(windows)).astype(int).tolist()]
     return tuple(windows.part(first, stop) for first, stop in pairwise(cuts))

@@ -89,7 +89,7 @@ class NetworkModel(NonlinearModel):
 def network_model(
     name: str, network: Network, dt: float, provenance: Mapping[str, object] | None = None
 ) -> NetworkModel:
-    """The velocity model of a network for samples `dt` [s] apart.
+    """Build the velocity model of a network for samples `dt` [s] apart.
 
     Raises
     ------
@@ -110,14 +110,14 @@ def network_model(
 
 
 def _graph(network: Network, window: ca.MX) -> ca.MX:
-    """Output (2) of a network for a window (2 W)."""
+    """Build the output (2) of a network for a window (2 W)."""
     architecture, w = network.architecture, {name: ca.DM(value.T) for name, value in network.weights.items()}
     inputs = ca.vertsplit(window, 2)
     for layer in range(architecture.layers):
         out = cell = ca.MX(architecture.units, 1)
         offset = ca.DM(network.weights[f"gate_offset_{layer}"])
-        for t, given in enumerate(inputs):
-            sums = w[f"input_{layer}"] @ given + w[f"recurrent_{layer}"] @ out + offset
+        for t, layer_input in enumerate(inputs):
+            sums = w[f"input_{layer}"] @ layer_input + w[f"recurrent_{layer}"] @ out + offset
             enter, keep, candidate, leave = ca.vertsplit(sums, architecture.units)
             cell = next_cell(enter, keep, candidate, cell, ca.tanh)
             out = inputs[t] = hidden(leave, cell, ca.tanh)
@@ -142,7 +142,7 @@ _SHOWN = 10
 
 
 class NetworkFile(FunctionFile):
-    """What the parameter file of a network says."""
+    """Content of the parameter file of a network."""
 
     structure: Literal["lstm"]
     architecture: Architecture
@@ -152,14 +152,14 @@ class NetworkFile(FunctionFile):
     @field_validator("weights")
     @classmethod
     def _beside(cls, name: str) -> str:
-        """A log may hold this text: it must lead to no other folder."""
+        """Check that the name is that of a file in the same folder: a log may hold this text."""
         if Path(name).name != name:
             raise ValueError("give the name of a file beside this one, without its folder")
         return name
 
 
 def load_network(path: Path, data: Any) -> NetworkModel:  # noqa: ANN401 - what a YAML file may hold
-    """The model of the network's parameter file at `path`, whose content is `data`.
+    """Load the model of the network's parameter file at `path` with the content `data`.
 
     Raises
     ------
@@ -187,7 +187,7 @@ def load_network(path: Path, data: Any) -> NetworkModel:  # noqa: ANN401 - what 
 
 
 def _unpacked(packed: bytes, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, FloatArray]:
-    """The arrays of an npz archive, which has to hold numbers in these shapes and nothing else.
+    """Unpack the arrays of an npz archive, which must contain numbers in these shapes and nothing else.
 
     NumPy would allocate and unpack what the archive says: here sizes are counted from its directory first.
     """
@@ -200,7 +200,7 @@ def _unpacked(packed: bytes, shapes: Mapping[str, tuple[int, ...]]) -> dict[str,
 
 
 def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str, shape: tuple[int, ...]) -> FloatArray:
-    """One array of an archive; never more is unpacked than its shape takes."""
+    """Read one array of an archive; never unpack more than its shape needs."""
     count = math.prod(shape)
     if entry.flag_bits & _ENCRYPTED:
         raise ValueError(f"{name} is encrypted")
@@ -220,7 +220,7 @@ def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str, shape: t
 
 
 def network_content(network: Network, **fields: Any) -> NetworkFile:  # noqa: ANN401 - fields of NetworkFile
-    """What the parameter file of a network says, but for the name of the file with its weights.
+    """Build the content of a network's parameter file, except for the name of the file with its weights.
 
     Raises
     ------
@@ -246,11 +246,11 @@ def write_network(path: Path, network: Network, content: NetworkFile) -> None:
 
 
 def _packed(network: Network) -> bytes:
-    """The weights as an npz archive, in single precision, as they were trained; without the day that it was written."""
+    """Pack the weights as an npz archive in single precision, without a date."""
     whole = io.BytesIO()
     with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, value in network.weights.items():
-            one = io.BytesIO()
-            np.save(one, value.astype(np.float32), allow_pickle=False)
-            archive.writestr(zipfile.ZipInfo(f"{name}.npy", _FIRST_DAY), one.getvalue())
+            buffer = io.BytesIO()
+            np.save(buffer, value.astype(np.float32), allow_pickle=False)
+            archive.writestr(zipfile.ZipInfo(f"{name}.npy", _FIRST_DAY), buffer.getvalue())
     return whole.getvalue()

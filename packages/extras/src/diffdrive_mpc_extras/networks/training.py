@@ -41,7 +41,7 @@ class TrainingSettings(StrictModel):
 
 @cache
 def training_settings() -> TrainingSettings:
-    """The shipped settings; raises ConfigError when their file has a mistake."""
+    """Load the shipped settings; raise ConfigError for a mistake in their file."""
     return load_checked(TrainingSettings, Path(__file__).parent / "training.yaml")
 
 
@@ -51,7 +51,7 @@ Parameters = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Training:
-    """What a training came to.
+    """Result of a training.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ def train(
     parameters = {name: jax.numpy.asarray(value, "float32") for name, value in _start(architecture, random).items()}
     rule, run, look = _compiled(architecture, s.optimiser, s.rate, s.dropout, s.decay)
     state, key = rule.init(parameters), jax.random.PRNGKey(s.seed)
-    given, wanted = training.commands.astype("float32"), training.twists.astype("float32")
+    inputs, wanted = training.commands.astype("float32"), training.twists.astype("float32")
     held = validation.commands.astype("float32"), validation.twists.astype("float32")
     best, losses = parameters, [float(look(parameters, *held))]
     for count in range(s.most_epochs * (len(training) // every)):
@@ -121,7 +121,7 @@ def train(
             order = random.permutation(len(training))
         place = count % (len(training) // every) * every
         rows = order[place : place + every].reshape(s.validation_every, s.batch)
-        parameters, state, key = run(parameters, state, key, given[rows], wanted[rows])
+        parameters, state, key = run(parameters, state, key, inputs[rows], wanted[rows])
         losses.append(float(look(parameters, *held)))
         if on_look:
             on_look(s.validation_every * (count + 1), losses[-1])
@@ -135,7 +135,7 @@ def train(
 
 
 def method(architecture: Architecture, settings: TrainingSettings, training: Training) -> str:
-    """How a network was trained, in words for its file."""
+    """Describe the training of a network, for its file."""
     s, a = settings, architecture
     shares = ", ".join(f"{share:.0%}" for share in s.shares)
     return (
@@ -165,7 +165,7 @@ def _libraries() -> tuple[Any, Any]:
 
 
 def _start(architecture: Architecture, random: np.random.Generator) -> dict[str, FloatArray]:
-    """First weights: Glorot's uniform ones, recurrent ones orthogonal, and gates that keep what the cell holds."""
+    """Draw initial weights: Glorot's uniform ones, recurrent ones orthogonal, and gates that preserve the cell."""
     start: dict[str, FloatArray] = {}
     for name, shape in architecture.shapes.items():
         if len(shape) == 1:
@@ -185,7 +185,7 @@ def _start(architecture: Architecture, random: np.random.Generator) -> dict[str,
 def _compiled(
     architecture: Architecture, optimiser: str, rate: float, dropout: float, decay: float
 ) -> tuple[Any, Callable[..., Any], Callable[..., Any]]:
-    """The optimiser's rule, some steps of training at once, and the loss on windows that are held out."""
+    """Compile the optimiser's rule, some steps of training at once, and the loss on held-out windows."""
     jax, optax = _libraries()
     rule = optax.adam(rate) if optimiser == "adam" else optax.rmsprop(rate)
     jnp = jax.numpy
@@ -196,9 +196,9 @@ def _compiled(
         for layer in range(architecture.layers):
             recurrent = p[f"recurrent_{layer}"]
 
-            def advance(carried: Any, given: Any, recurrent: Any = recurrent) -> Any:  # noqa: ANN401
+            def advance(carried: Any, layer_input: Any, recurrent: Any = recurrent) -> Any:  # noqa: ANN401
                 out, cell = carried
-                enter, keep, candidate, leave = jnp.split(given + out @ recurrent, 4, axis=1)
+                enter, keep, candidate, leave = jnp.split(layer_input + out @ recurrent, 4, axis=1)
                 cell = next_cell(enter, keep, candidate, cell, jnp.tanh)
                 out = hidden(leave, cell, jnp.tanh)
                 return (out, cell), out
@@ -221,8 +221,8 @@ def _compiled(
 
     def step(carried: Any, batch: Any) -> Any:  # noqa: ANN401
         p, state, key = carried
-        key, own = jax.random.split(key)
-        change, state = rule.update(jax.grad(loss)(p, *batch, own), state)
+        key, dropout_key = jax.random.split(key)
+        change, state = rule.update(jax.grad(loss)(p, *batch, dropout_key), state)
         return (optax.apply_updates(p, change), state, key), None
 
     def run(p: Parameters, state: Any, key: Any, windows: Any, twists: Any) -> Any:  # noqa: ANN401

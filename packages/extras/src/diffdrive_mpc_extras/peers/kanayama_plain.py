@@ -41,7 +41,7 @@ class KanayamaController:
         self._reference: Reference | None = None
 
     def start(self, reference: Reference, t0: float) -> None:
-        """Begin to track `reference`, whose time 0 is `t0` [s]."""
+        """Start to track `reference`, whose time 0 is `t0` [s]."""
         self._reference, self._t0 = reference, t0
         self._error, self._last_command, self._last_time = np.zeros(3), np.zeros(2), None
 
@@ -64,7 +64,7 @@ class KanayamaController:
         return PeerStep(command, mode, message, time.perf_counter() - began)
 
     def _take_error(self, reference: Reference, measurement: Measurement) -> str:
-        """Error in the robot's frame at the pose's stamp: ahead [m], to the left [m], turned left [rad]."""
+        """Compute the error in the robot's frame at the pose's stamp: ahead [m], to the left [m], turned left [rad]."""
         if measurement.pose is None:
             return ""
         pose = np.asarray(measurement.pose.value, dtype=float)
@@ -75,7 +75,7 @@ class KanayamaController:
         return ""
 
     def _limited(self, wish: FloatArray, t: float) -> FloatArray:
-        """Nearest command inside the robot's limits and within reach of the last one."""
+        """Return the nearest command inside the robot's limits and within reach of the last one."""
         dt = self._robot.sample_time if self._last_time is None else max(0.0, t - self._last_time)
         bound = np.array([self._robot.limits.v, self._robot.limits.omega])
         reach = dt * np.array([self._robot.command_slew.v, self._robot.command_slew.omega])

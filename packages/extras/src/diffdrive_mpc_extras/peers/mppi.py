@@ -26,7 +26,7 @@ _SEED = 0
 
 
 class MppiGains(Gains):
-    """What is tuned; costs are relative to the temperature, which is 1."""
+    """Tuned gains; costs are relative to the temperature, which is 1."""
 
     position: AboveZero = Field(description="squared distance from the reference, each step [1/m^2]")
     across: NotNegative = Field(description="the same again for the part across the path [1/m^2]")
@@ -55,12 +55,12 @@ class MppiLaw:
         self._response = response.transpose(0, 2, 1).astype(np.float32)
 
     def start(self, reference: Reference) -> None:
-        """Begin to track `reference`."""
+        """Start to track `reference`."""
         self._reference, self._random = reference, np.random.default_rng(_SEED)
         self._plan = np.zeros((2, self._steps), dtype=np.float32)
 
     def decide(self, sight: LawInput) -> FloatArray:
-        """(2,) wanted v [m/s] and omega [rad/s]."""
+        """Compute the wanted v [m/s] and omega [rad/s] (2,)."""
         dt = self._dt
         ahead = self._reference.sample(sight.time + dt * np.arange(1, self._steps + 1))
         wanted = self._feed_forward(sight)
@@ -77,7 +77,7 @@ class MppiLaw:
         return np.asarray(best[:, 0], dtype=float)
 
     def _feed_forward(self, sight: LawInput) -> Floats32:
-        """(2, N) commands without a deviation: the reference's twist, one lag ahead."""
+        """Compute commands (2, N) without a deviation: the reference's twist, one lag ahead."""
         times = sight.time + self._dt * np.arange(self._steps)
         later = self._reference.sample(np.concatenate([times + lag for lag in self._lag])).twist
         wanted = np.stack([later[: self._steps, 0], later[self._steps :, 1]]).astype(np.float32)
@@ -85,7 +85,7 @@ class MppiLaw:
         return wanted
 
     def _cost(self, sight: LawInput, reference: FloatArray, commands: Floats32, wanted: Floats32) -> Floats32:
-        """(S,) cost of each plan."""
+        """Compute the cost (S,) of each plan."""
         gains, dt = self._gains, np.float32(self._dt)
         first = sight.motion.twist.astype(np.float32)
         twist = commands @ self._response + (first[:, None] * self._left)[:, None]
@@ -94,8 +94,10 @@ class MppiLaw:
         # In the robot's frame of now, in which single precision is plenty.
         middle = turned - 0.5 * dt * omega
         x, y = np.cumsum(v * np.cos(middle) * dt, axis=1), np.cumsum(v * np.sin(middle) * dt, axis=1)
-        here, heading = sight.motion.pose, sight.motion.pose[2]
-        goal_x, goal_y = (one.astype(np.float32) for one in ahead_and_left(reference[:, :2] - here[:2], heading))
+        present, heading = sight.motion.pose, sight.motion.pose[2]
+        goal_x, goal_y = (
+            offset.astype(np.float32) for offset in ahead_and_left(reference[:, :2] - present[:2], heading)
+        )
         unwrapped = reference[:, 2] + 2 * np.pi * np.round((sight.reference[2] - reference[0, 2]) / (2 * np.pi))
         goal = (unwrapped - heading).astype(np.float32)
         dx, dy = x - goal_x, y - goal_y
@@ -109,7 +111,7 @@ class MppiLaw:
         return np.asarray(cost if beside is None else cost + beside, dtype=np.float32)
 
     def _beside(self, sight: LawInput, x: Floats32, y: Floats32, turned: Floats32) -> Floats32 | None:
-        """(S,) what else a plan costs, by its poses (S, N) in the robot's frame of now; None for nothing."""
+        """Compute the additional cost (S,) of a plan by its poses (S, N) in the present frame of the robot, if any."""
         del sight, x, y, turned
         return None
 

@@ -80,7 +80,7 @@ class PurePursuit:
         self._here, self._near_goal = 0, False
 
     def decide(self, pose: FloatArray, twist: FloatArray) -> FloatArray | None:
-        """(2,) v [m/s], omega [rad/s]; None where the goal is reached."""
+        """Compute v [m/s], omega [rad/s] (2,); None at the goal."""
         p = self._parameters
         ahead = self._prune(pose)
         x, y = ahead_and_left(ahead[:, :2] - pose[:2], pose[2])
@@ -106,7 +106,7 @@ class PurePursuit:
         return np.array([v, v * curvature])
 
     def _prune(self, pose: FloatArray) -> FloatArray:
-        """The path from its pose nearest to the robot on; what lies behind is forgotten."""
+        """Return the path from its pose nearest to the robot on, and drop the rest."""
         reach = self._along - self._along[self._here]
         last = int(np.searchsorted(reach, self._parameters.search_dist, side="right"))
         gap = self._path[self._here : last, :2] - pose[:2]
@@ -126,7 +126,7 @@ class PurePursuit:
         return min(v, p.desired_linear_vel)
 
     def _turn(self, angle: float, omega: float) -> FloatArray:
-        """On the spot, as fast as it can be stopped from at that angle."""
+        """Turn on the spot, as fast as it can be stopped from at that angle."""
         p = self._parameters
         wanted = math.copysign(p.rotate_to_heading_angular_vel, angle)
         change = p.max_angular_accel * self._period
@@ -179,7 +179,7 @@ class RegulatedPurePursuit:
 
 
 def path_of(reference: Reference, spacing: float) -> FloatArray:
-    """(n, 3) poses along `reference`, `spacing` [m] apart; the last is its end."""
+    """Sample poses (n, 3) along `reference`, `spacing` [m] apart; the last is its end."""
     sampled = reference.sample(np.arange(0.0, reference.duration, _FINEST).tolist() + [reference.duration])
     travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(sampled.pose[:, :2], axis=0).T))])
     wanted = np.append(np.arange(0.0, travelled[-1], spacing), travelled[-1])
@@ -191,7 +191,7 @@ def path_of(reference: Reference, spacing: float) -> FloatArray:
 
 
 def _at_distance(x: FloatArray, y: FloatArray, distance: float) -> tuple[float, float]:
-    """Where the path, in the robot's frame, first leaves the circle of that radius; its end where it does not."""
+    """Find the first exit of the path, in the robot's frame, from the circle of that radius, or its end."""
     far = np.flatnonzero(np.hypot(x, y) >= distance)
     if not far.size:
         return float(x[-1]), float(y[-1])

@@ -34,7 +34,7 @@ _FINE = 0.025
 """Cells that shapes are drawn into [m]."""
 _PACES = 200
 _HALF_SIDE = 2.5
-"""Of the square around the robot that they are drawn in [m]."""
+"""Half side of the square around the robot in which obstacles are drawn [m]."""
 
 
 class StoppingPursuit(StrictModel):
@@ -70,7 +70,7 @@ class SeeingSettings(StrictModel):
 
 @cache
 def seeing_settings() -> SeeingSettings:
-    """The shipped settings."""
+    """Load the shipped settings."""
     return load_checked(SeeingSettings, Path(__file__).parent / "seeing.yaml")
 
 
@@ -85,7 +85,7 @@ class SeenDistanceField:
         (2,) the robot [m]: shapes are drawn into a square around it.
     """
 
-    def __init__(self, obstacles: Seen, here: FloatArray) -> None:
+    def __init__(self, obstacles: Seen, position: FloatArray) -> None:
         discs = np.array([[disc.x, disc.y, disc.radius] for disc in obstacles.discs]).reshape(-1, 3)
         if obstacles.grid is not None:
             self._resolution, self._origin = obstacles.grid.resolution, np.array(obstacles.grid.origin[:2])
@@ -95,20 +95,20 @@ class SeenDistanceField:
             self._field = np.where(occupied, 0.0, field) if occupied.any() else np.full(occupied.shape, _FAR)
         else:
             count = round(2 * _HALF_SIDE / _FINE)
-            self._resolution, self._origin = _FINE, here - _HALF_SIDE
+            self._resolution, self._origin = _FINE, position - _HALF_SIDE
             self._field = np.full((count, count), _FAR)
         shapes = Shapes(obstacles.polygons, discs)
         if len(discs) or obstacles.polygons:
             rows, columns = self._field.shape
             x = self._origin[0] + self._resolution * (np.arange(columns) + 0.5)
             y = self._origin[1] + self._resolution * (np.arange(rows) + 0.5)
-            points = np.column_stack([one.ravel() for one in np.meshgrid(x, y)])
+            points = np.column_stack([axis.ravel() for axis in np.meshgrid(x, y)])
             self._field = np.minimum(self._field, shapes.distance(points).reshape(rows, columns))
         self._field = np.pad(self._field, 1, constant_values=_FAR).astype(np.float32)
         self._most = np.array(self._field.shape)[::-1] - 1
 
-    def at(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> Floats32:
-        """Distance [m] at points in the frame of the poses, of their shape; far away outside of the field."""
+    def distances(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> Floats32:
+        """Return the distance [m] at points in the frame of the poses, of their shape; far away outside the field."""
         column = np.clip(((x - self._origin[0]) / self._resolution + 1).astype(np.int32), 0, self._most[0])
         row = np.clip(((y - self._origin[1]) / self._resolution + 1).astype(np.int32), 0, self._most[1])
         distances: Floats32 = self._field[row, column]
@@ -125,7 +125,7 @@ class SeeingPeer(TrackingPeer):
         self._around: SeenDistanceField | None = None
 
     def start(self, reference: Reference, t0: float) -> None:
-        """As every tracking peer; nothing has been seen yet."""
+        """Start as every tracking peer, without obstacles."""
         super().start(reference, t0)
         self._progress, self._last_time = 0.0, t0
         self._look, self._around = None, None
@@ -165,7 +165,7 @@ class PursuitThatStops(SeeingPeer):
         c, s = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
         x = poses[:, :1] + c * self._outline[:, 0] - s * self._outline[:, 1]
         y = poses[:, 1:2] + s * self._outline[:, 0] + c * self._outline[:, 1]
-        touching = (self._around.at(x, y) <= 0).any(axis=1)
+        touching = (self._around.distances(x, y) <= 0).any(axis=1)
         if not touching.any():
             return twist, ""
         return np.zeros(2), f"its command would touch something in {times[int(np.argmax(touching))]:.1f} s"
@@ -186,7 +186,7 @@ class GridMppiLaw(MppiLaw):
         self._robot_v = robot.limits.v
 
     def start(self, reference: Reference) -> None:
-        """Begin to track `reference`."""
+        """Start to track `reference`."""
         super().start(reference)
         self._waited, self._kept, self.around = 0, np.zeros(2), None
         # As Nav2's vx_max, which is the speed that is wanted: else it rushes through narrow places.
@@ -194,7 +194,7 @@ class GridMppiLaw(MppiLaw):
         self._most[0] = min(self._robot_v, self._settings.pace * pace)
 
     def decide(self, sight: LawInput) -> FloatArray:
-        """(2,) wanted v [m/s] and omega [rad/s]; a new plan every so many ticks."""
+        """Compute the wanted v [m/s] and omega [rad/s] (2,), with a new plan at intervals."""
         if self._waited == 0:
             self._kept = super().decide(sight)
         self._waited = (self._waited + 1) % self._settings.ticks
@@ -210,10 +210,10 @@ class GridMppiLaw(MppiLaw):
         middle_x, middle_y = np.float32(here_x) + c * x - s * y, np.float32(here_y) + s * x + c * y
         gap = np.full(x.shape, _FAR, dtype=np.float32)
         for ahead, left in self._discs.astype(np.float32):
-            there = self.around.at(middle_x + ahead * cos - left * sin, middle_y + ahead * sin + left * cos)
-            np.minimum(gap, there - np.float32(self._radius), out=gap)
-        of = self._settings
-        cost = np.where(gap <= 0, of.collision, of.repulsion * np.exp(-np.maximum(gap, 0) / of.reach))
+            distance = self.around.distances(middle_x + ahead * cos - left * sin, middle_y + ahead * sin + left * cos)
+            np.minimum(gap, distance - np.float32(self._radius), out=gap)
+        settings = self._settings
+        cost = np.where(gap <= 0, settings.collision, settings.repulsion * np.exp(-np.maximum(gap, 0) / settings.reach))
         return np.asarray(cost.sum(axis=1), dtype=np.float32)
 
 

@@ -1,4 +1,4 @@
-"""What the robot has to keep clear of: exact distances, a map of them for the search, half-planes for the polish."""
+"""Clearance of the robot: exact distances, a map of them for the search, half-planes for the polish."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _EIGHT = 1.0824
 
 
 def outline(vehicle: Vehicle) -> Footprint:
-    """The rectangle over wheels and tyres."""
+    """Return the rectangle over wheels and tyres."""
     return Footprint.rectangle(
         vehicle.wheel_base + 2 * vehicle.wheel_radius, vehicle.track + vehicle.patch_width, ahead=0.0
     )
 
 
 def covering_discs(footprint: Footprint) -> FloatArray:
-    """(k, 3) x, y, radius [m] of discs of one radius in a row along the longer side that cover a footprint."""
+    """Cover a footprint by discs (k, 3) x, y, radius [m] of one radius in a row along the longer side."""
     low, high = footprint.corners.min(axis=0), footprint.corners.max(axis=0)
     size, middle = high - low, 0.5 * (low + high)
     axis = int(size[1] > size[0])
@@ -70,7 +70,7 @@ class Clearance:
 
     @property
     def empty(self) -> bool:
-        """Whether there is nothing."""
+        """True if there are no obstacles."""
         return not (len(self._discs) or self._polygons)
 
     @property
@@ -81,7 +81,7 @@ class Clearance:
         return np.concatenate(parts)
 
     def nearest(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Of n points (n, 2) and k obstacles: signed distances (n, k) [m] and unit vectors (n, k, 2) away from each."""
+        """Compute signed distances (n, k) [m] of points (n, 2) from obstacles, and unit vectors (n, k, 2) away."""
         gaps, away = [], []
         for x, y, radius in self._discs:
             gap = points - (x, y)
@@ -95,13 +95,13 @@ class Clearance:
         return np.stack(gaps, axis=1), np.stack(away, axis=1)
 
     def centres(self, poses: FloatArray) -> FloatArray:
-        """(..., k, 2) middles of the robot's discs at poses (..., 3) [m]."""
+        """Compute middles (..., k, 2) of the robot's discs at poses (..., 3) [m]."""
         c, s = np.cos(poses[..., 2, None]), np.sin(poses[..., 2, None])
         x, y = self.robot[:, 0], self.robot[:, 1]
         return np.stack([poses[..., 0, None] + c * x - s * y, poses[..., 1, None] + s * x + c * y], axis=-1)
 
     def of_poses(self, poses: FloatArray) -> FloatArray:
-        """(n,) clearance of the robot at poses (n, 3) [m]; negative where it overlaps."""
+        """Compute the clearance (n,) of the robot at poses (n, 3) [m]; negative for an overlap."""
         if self.empty:
             return np.full(len(poses), np.inf)
         points = self.centres(poses)
@@ -135,7 +135,7 @@ class ClearanceMap:
         self._clearance = clearance
 
     def free(self, poses: FloatArray, margin: float) -> NDArray[np.bool_]:
-        """(...) of bool: the robot at poses (..., 3) keeps `margin` [m] and is on the map."""
+        """Return (...) True if the robot at poses (..., 3) keeps `margin` [m] and is on the map."""
         cells = np.rint((self._clearance.centres(poses) - self._low) / self._cell).astype(int)
         rows, columns = self._gaps.shape
         column, row = cells[..., 0], cells[..., 1]
@@ -144,7 +144,7 @@ class ClearanceMap:
         return np.asarray((inside & (gaps - self._clearance.robot[:, 2] >= margin)).all(axis=-1))
 
     def distances(self, target: Sequence[float], margin: float) -> WayLowerBound:
-        """How far it is to a point around everything, for a disc as narrow as the robot's narrowest."""
+        """Compute path lengths to a point around all obstacles, for a disc as narrow as the robot."""
         every = max(1, round(0.15 / self._cell))
         gaps = self._gaps[::every, ::every]
         # What is narrower than the way between two cells is let pass: the field must not say more than the truth.
@@ -173,7 +173,7 @@ class WayLowerBound:
         self._far = dijkstra(graph.tocsr(), directed=False, indices=int(index[row[0], column[0]]))
 
     def __call__(self, points: FloatArray) -> FloatArray:
-        """(n,) [m] for points (n, 2); infinity where none leads."""
+        """Return lengths (n,) [m] for points (n, 2); infinity without a path."""
         row, column = self._cells(points)
         pieces = self._far[row * self._shape[1] + column]
         return np.asarray(np.maximum(pieces / _EIGHT - 1.5 * self._cell, 0.0))
@@ -184,7 +184,7 @@ class WayLowerBound:
 
 
 def _from_polygon(points: FloatArray, corners: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Signed distance (n,) of points (n, 2) from a convex polygon, counter-clockwise, and the way out of it (n, 2)."""
+    """Compute the signed distance (n,) of points (n, 2) from a convex polygon, and the direction away (n, 2)."""
     edges = np.roll(corners, -1, axis=0) - corners
     lengths = np.hypot(*edges.T)
     outward = np.stack([edges[:, 1], -edges[:, 0]], -1) / lengths[:, None]
@@ -223,27 +223,27 @@ def checked(
     if not (math.isfinite(dt) and dt > 0):
         raise PlanError(f"sample time {dt} s: give a positive number")
     poses = []
-    for name, given in (("start", start), ("goal", goal)):
-        pose = np.asarray(given, dtype=float)
+    for name, value in (("start", start), ("goal", goal)):
+        pose = np.asarray(value, dtype=float)
         if pose.shape != (3,) or not np.isfinite(pose).all() or np.abs(pose).max() > _FARTHEST:
             raise PlanError(f"{name} {np.ravel(pose).tolist()}: give x, y [m] and theta [rad], finite numbers")
         poses.append(pose)
     points = np.asarray(via, dtype=float).reshape(-1, 2) if np.size(via) % 2 == 0 else np.full((1, 2), np.nan)
     if not np.isfinite(points).all() or (points.size and np.abs(points).max() > _FARTHEST):
         raise PlanError("via: give x, y [m] of each point, finite numbers")
-    begin, end = poses
-    turn = math.remainder(float(end[2] - begin[2]), 2 * math.pi)
-    if not len(points) and math.dist(begin[:2], end[:2]) < _SAME_PLACE and abs(turn) < _SAME_HEADING:
-        raise PlanError(f"start and goal are the same, {words_of(begin)}: there is nothing to drive")
-    stops = np.concatenate([begin[None, :2], points, end[None, :2]])
+    start_pose, end = poses
+    turn = math.remainder(float(end[2] - start_pose[2]), 2 * math.pi)
+    if not len(points) and math.dist(start_pose[:2], end[:2]) < _SAME_PLACE and abs(turn) < _SAME_HEADING:
+        raise PlanError(f"start and goal are the same, {words_of(start_pose)}: there is nothing to drive")
+    stops = np.concatenate([start_pose[None, :2], points, end[None, :2]])
     close = np.hypot(*np.diff(stops, axis=0).T) < _SAME_PLACE
     if len(points) and close.any():
         raise PlanError(f"via: point {int(np.argmax(close)) + 1} is where the one before it is; leave one out")
-    return begin, end, points
+    return start_pose, end, points
 
 
 def allowed_radius(costs: TurnCosts, speed: float, settings: PlanSettings) -> float:
-    """Least radius [m]; raises PlanError where the robot cannot turn, or not even drive, so fast."""
+    """Return the least radius [m]; raise PlanError if the robot cannot turn, or even drive, at this speed."""
     if speed > settings.motion.top_speed:
         raise PlanError(
             f"speed {speed:g} m/s: at most {settings.motion.top_speed:g} m/s (motion.top_speed); go slower, or give "
@@ -259,13 +259,13 @@ def allowed_radius(costs: TurnCosts, speed: float, settings: PlanSettings) -> fl
 
 
 def free_map(
-    clearance: Clearance | None, begin: FloatArray, end: FloatArray, via: FloatArray, settings: PlanSettings
+    clearance: Clearance | None, start_pose: FloatArray, end: FloatArray, via: FloatArray, settings: PlanSettings
 ) -> tuple[ClearanceMap, float] | None:
-    """The map for the search; raises PlanError where start, goal or a via point is not free."""
+    """Build the map for the search; raise PlanError if start, goal or a via point is not free."""
     if clearance is None:
         return None
     margin = settings.motion.margin
-    for name, pose in (("start", begin), ("goal", end)):
+    for name, pose in (("start", start_pose), ("goal", end)):
         room = float(clearance.of_poses(pose[None])[0])
         if room < margin:
             where = "overlaps an obstacle" if room < 0 else f"is {room:.2f} m from an obstacle"
@@ -280,11 +280,11 @@ def free_map(
                 f"via {i + 1} ({point[0]:g}, {point[1]:g}): the robot is less than {margin:g} m from an obstacle there "
                 "in every heading; move the point, or take a smaller margin"
             )
-    points = np.concatenate([begin[None, :2], via, end[None, :2]])
-    asked = settings.search
-    return ClearanceMap(clearance, points, asked.map_room, asked.map_cell), margin
+    points = np.concatenate([start_pose[None, :2], via, end[None, :2]])
+    search_settings = settings.search
+    return ClearanceMap(clearance, points, search_settings.map_room, search_settings.map_cell), margin
 
 
 def words_of(pose: Sequence[float] | FloatArray) -> str:
-    """A pose for a sentence."""
+    """Format a pose for a sentence."""
     return f"({pose[0]:g}, {pose[1]:g}, {math.degrees(pose[2]):.0f} deg)"

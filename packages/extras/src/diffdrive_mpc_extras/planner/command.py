@@ -62,7 +62,7 @@ def plan(
     from diffdrive_mpc_extras.turn_costs import load_turn_costs  # noqa: PLC0415
     from diffdrive_mpc_extras.worlds.world import load_world  # noqa: PLC0415
 
-    objective = next((one for one in OBJECTIVES if one == minimise), None)
+    objective = next((word for word in OBJECTIVES if word == minimise), None)
     if objective is None:
         raise PlanError(f"--minimise '{minimise}': give {', '.join(OBJECTIVES[:-1])} or {OBJECTIVES[-1]}")
     turn_costs, plan_settings = load_turn_costs(costs), load_plan_settings(settings)
@@ -78,7 +78,7 @@ def plan(
                 costs=turn_costs,
                 start=np.array(_pose(begin, "--from")),
                 goal=np.array(_pose(end, "--to")),
-                via=np.array([_numbers(one, 2, "--via", "X,Y") for one in via or ()]).reshape(-1, 2),
+                via=np.array([_numbers(word, 2, "--via", "X,Y") for word in via or ()]).reshape(-1, 2),
                 minimise=objective,
                 speed=turn_costs.curve.speed if speed is None else speed,
                 world=None if world is None else load_world(world),
@@ -105,7 +105,7 @@ def _pose(text: str, option: str) -> tuple[float, float, float]:
 
 
 def _numbers(text: str, count: int, option: str, form: str) -> list[float]:
-    """Numbers with commas between; raises typer.BadParameter where they are not."""
+    """Parse numbers separated by commas; raise typer.BadParameter for anything else."""
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:

@@ -56,7 +56,7 @@ class Inputs(NamedTuple):
         return np.hypot(self.twists[:, 0], self.twists[:, 1])
 
     def moved(self, index: Index, times: FloatArray) -> FloatArray:
-        """(..., 3) displacement in the frame of the start under inputs `index` (...) for `times` (...) [s]."""
+        """Compute displacements (..., 3) in the frame of the start under inputs `index` (...) for `times` (...) [s]."""
         v, lateral, omega = np.moveaxis(self.twists[index], -1, 0)
         half = 0.5 * omega * times
         reach = times * np.sinc(half / np.pi)
@@ -64,11 +64,11 @@ class Inputs(NamedTuple):
         return np.stack([reach * (v * c - lateral * s), reach * (v * s + lateral * c), omega * times], axis=-1)
 
     def chosen(self, rows: Index) -> Inputs:
-        """Some of them."""
+        """Select some of the inputs."""
         return Inputs(self.commands[rows], self.twists[rows], self.rates[rows], self.straight[rows])
 
     def multipliers(self) -> tuple[FloatArray, FloatArray]:
-        """Prices (k,) of a metre and of a radian such that no input is cheaper than what it gains.
+        """Compute prices (k,) of a metre and of a radian at which no input costs less than its gain.
 
         For distance s and turning b, price_s s + price_b b is then a lower bound of what any sequence of inputs costs:
         the dual of the linear program that mixes inputs.
@@ -84,7 +84,7 @@ class Inputs(NamedTuple):
 
 
 def sharpest_radius(costs: TurnCosts, speed: float, settings: PlanSettings) -> float:
-    """Least commanded radius of the plan [m]: that of the motors, and no sharper than half the track.
+    """Compute the least commanded radius of the plan [m]: that of the motors, but at least half the track.
 
     At half the track the inner wheels stand; sharper turns cost as much and do not come on.
     """
@@ -93,13 +93,13 @@ def sharpest_radius(costs: TurnCosts, speed: float, settings: PlanSettings) -> f
 
 
 def straight_command(costs: TurnCosts, v: float) -> FloatArray:
-    """(2,) command of this v [m/s] under which the body does not turn."""
+    """Return the command (2,) of this v [m/s] under which the body does not turn."""
     (_, _, _), _, (a31, a32, a33) = costs.slip.rows
     return np.array([v, -a31 * v / (1 + a32 + a33 * v)])
 
 
 def spot_rate(costs: TurnCosts, most: float) -> float:
-    """Fastest commanded yaw rate on the spot that the motors can [rad/s]; 0 where they cannot."""
+    """Compute the maximum commanded yaw rate on the spot within motor limits [rad/s]; 0 if it is impossible."""
     rates = np.geomspace(_SLOWEST_SPOT, most, 60)
     torque = np.abs(costs.torques(np.stack([np.zeros_like(rates), rates], -1))).max(axis=1)
     can = rates[torque < _SPOT_SHARE * costs.vehicle.torque_limit]
@@ -109,10 +109,10 @@ def spot_rate(costs: TurnCosts, most: float) -> float:
 def make_inputs(
     costs: TurnCosts, minimise: Objective, speed: float, settings: PlanSettings, *, reverse: bool, spot: bool
 ) -> Inputs:
-    """Straight on, sampled yaw rates, the sharpest arc, and turning on the spot; backward, too, if asked."""
-    asked, sharp = settings.search, sharpest_radius(costs, speed, settings)
-    drawn = Halton(1, scramble=False).random(asked.yaw_rates + 1)[1:, 0]
-    curvatures = np.append(drawn**asked.concentration, 1.0) / sharp
+    """Build inputs: straight, sampled yaw rates, the sharpest arc, and turns on the spot; optionally in reverse."""
+    search_settings, sharp = settings.search, sharpest_radius(costs, speed, settings)
+    drawn = Halton(1, scramble=False).random(search_settings.yaw_rates + 1)[1:, 0]
+    curvatures = np.append(drawn**search_settings.concentration, 1.0) / sharp
     rows: list[FloatArray] = []
     for sense in (1.0, -1.0) if reverse else (1.0,):
         rows.append(straight_command(costs, sense * speed))
@@ -131,7 +131,7 @@ def make_inputs(
 
 
 def rates_of(costs: TurnCosts, minimise: Objective, commands: FloatArray, twists: FloatArray) -> FloatArray:
-    """(n,) of the objective per second: W, s/s or m/s."""
+    """Compute the objective per second (n,): W, s/s or m/s."""
     if minimise == "energy":
         return costs.power(commands)
     return np.ones(len(commands)) if minimise == "time" else np.hypot(twists[:, 0], twists[:, 1])
@@ -155,9 +155,9 @@ class Words(NamedTuple):
 
 
 def arc_straight_arc(inputs: Inputs, poses: FloatArray, goal: FloatArray) -> Words:
-    """Every pair of arcs with straight on between, from poses (n, 3) to one goal (3,)."""
+    """Combine every pair of arcs with a straight line in between, from poses (n, 3) to one goal (3,)."""
     arcs, lines = np.flatnonzero(~inputs.straight), np.flatnonzero(inputs.straight)
-    first, line, last = (one.ravel() for one in np.meshgrid(arcs, lines, arcs, indexing="ij"))
+    first, line, last = (indices.ravel() for indices in np.meshgrid(arcs, lines, arcs, indexing="ij"))
     centres = inputs.centres
     drift, speed = inputs.twists[line, :2], inputs.speeds[line]
     along, gap = drift / speed[:, None], centres[last] - centres[first]
@@ -179,22 +179,22 @@ def arc_straight_arc(inputs: Inputs, poses: FloatArray, goal: FloatArray) -> Wor
 
 
 def arc_arc_arc(inputs: Inputs, poses: FloatArray, goal: FloatArray) -> Words:
-    """Every three arcs that differ from their neighbours, from poses (n, 3) to one goal (3,)."""
+    """Combine every three arcs that differ from their neighbours, from poses (n, 3) to one goal (3,)."""
     arcs = np.flatnonzero(~inputs.straight & (inputs.speeds > _SAME))
-    first, middle, last = (one.ravel() for one in np.meshgrid(arcs, arcs, arcs, indexing="ij"))
+    first, middle, last = (indices.ravel() for indices in np.meshgrid(arcs, arcs, arcs, indexing="ij"))
     differ = (first != middle) & (middle != last)
     first, middle, last = first[differ], middle[differ], last[differ]
     centres = inputs.centres
     near, far = centres[middle] - centres[first], centres[last] - centres[middle]
     between = _placed(goal, centres[last])[None] - _placed(poses[:, None], centres[first])
-    one, two = np.hypot(*near.T), np.hypot(*far.T)
+    upper, lower = np.hypot(*near.T), np.hypot(*far.T)
     with np.errstate(divide="ignore", invalid="ignore"):
-        bent = ((between**2).sum(-1) - one**2 - two**2) / (2 * one * two)
+        bent = ((between**2).sum(-1) - upper**2 - lower**2) / (2 * upper * lower)
     fits, paths = np.abs(bent) <= 1, []
     for side in (1.0, -1.0):
         elbow = side * np.arccos(np.clip(bent, -1, 1))
         shoulder = np.arctan2(between[..., 1], between[..., 0]) - np.arctan2(
-            two * np.sin(elbow), one + two * np.cos(elbow)
+            lower * np.sin(elbow), upper + lower * np.cos(elbow)
         )
         a = shoulder - np.arctan2(near[:, 1], near[:, 0])
         b = shoulder + elbow - np.arctan2(far[:, 1], far[:, 0])
@@ -211,9 +211,9 @@ def arc_arc_arc(inputs: Inputs, poses: FloatArray, goal: FloatArray) -> Words:
 
 
 def arc_straight(inputs: Inputs, poses: FloatArray, point: FloatArray) -> Words:
-    """Every arc with straight on to a point (2,) behind it, from poses (n, 3); the third piece lasts no time."""
+    """Combine every arc with a straight line to a point (2,), from poses (n, 3); the third piece has no duration."""
     arcs, lines = np.flatnonzero(~inputs.straight), np.flatnonzero(inputs.straight)
-    first, line = (one.ravel() for one in np.meshgrid(arcs, lines, indexing="ij"))
+    first, line = (indices.ravel() for indices in np.meshgrid(arcs, lines, indexing="ij"))
     centre = inputs.centres[first]
     speed = inputs.speeds[line]
     along = inputs.twists[line, :2] / speed[:, None]
@@ -229,7 +229,7 @@ def arc_straight(inputs: Inputs, poses: FloatArray, point: FloatArray) -> Words:
 
 
 def placed(poses: FloatArray, moved: FloatArray) -> FloatArray:
-    """(..., 3) poses after displacements (..., 3) in their own frames; headings are not wrapped."""
+    """Compute poses (..., 3) after displacements (..., 3) in their own frames; headings are not wrapped."""
     return np.concatenate([_placed(poses, moved[..., :2]), poses[..., 2:] + moved[..., 2:]], axis=-1)
 
 

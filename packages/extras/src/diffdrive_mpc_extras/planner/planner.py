@@ -29,7 +29,7 @@ def plan(
     sample_time: float | None = None,
     settings: PlanSettings | None = None,
 ) -> Plan:
-    """The reference from `start` to `goal` that takes the least energy, time or distance.
+    """Plan the reference from `start` to `goal` with the least energy, time or distance.
 
     Sampling-based A* over inputs finds the shape, IPOPT makes it smooth and as cheap as its neighbourhood allows, and
     forward integration of the sampled commands proves end, limits and clearance. The same plan comes out on every
@@ -88,7 +88,7 @@ def plan_each(
     sample_time: float | None = None,
     settings: PlanSettings | None = None,
 ) -> dict[Objective, Plan]:
-    """What `plan` gives for every objective, in the time of little more than one; parameters and errors as there."""
+    """Plan for every objective, in little more time than for one; parameters and errors as in `plan`."""
     task = _task(
         costs, start, goal, via, "energy", speed, obstacles, footprint, reverse, on_the_spot, sample_time, settings
     )
@@ -111,13 +111,15 @@ def _task(
     sample_time: float | None,
     settings: PlanSettings | None,
 ) -> Task:
-    asked = settings or load_plan_settings()
+    plan_settings = settings or load_plan_settings()
     dt = load_robot().sample_time if sample_time is None else sample_time
-    at = costs.curve.speed if speed is None else speed
-    begin, end, between = checked(start, goal, via, minimise, at, dt)
-    sharp = allowed_radius(costs, at, asked)
+    cruise = costs.curve.speed if speed is None else speed
+    start_pose, end, between = checked(start, goal, via, minimise, cruise, dt)
+    sharp = allowed_radius(costs, cruise, plan_settings)
     clearance = None if obstacles is None else Clearance(obstacles, footprint or outline(costs.vehicle))
     if clearance is not None and clearance.empty:
         clearance = None
-    free = free_map(clearance, begin, end, between, asked)
-    return Task(costs, begin, end, between, at, sharp, clearance, free, reverse, on_the_spot, dt, asked)
+    free = free_map(clearance, start_pose, end, between, plan_settings)
+    return Task(
+        costs, start_pose, end, between, cruise, sharp, clearance, free, reverse, on_the_spot, dt, plan_settings
+    )

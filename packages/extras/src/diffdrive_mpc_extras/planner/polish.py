@@ -23,14 +23,14 @@ _SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 
 
 class Polished(NamedTuple):
-    """What IPOPT says."""
+    """Result of IPOPT."""
 
     durations: FloatArray
     """(phases,) [s]"""
     yaw_rates: FloatArray
     """(n + 1,) commanded at the nodes [rad/s]"""
     status: str
-    """of IPOPT, its own words"""
+    """Status text of IPOPT."""
     solved: bool
 
 
@@ -44,7 +44,7 @@ def polish(
     settings: PlanSettings,
     clearance: Clearance | None,
 ) -> Polished:
-    """The best durations and yaw rates near those of the search.
+    """Optimise durations and yaw rates near those of the search.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def polish(
     clearance
         What has to be kept clear of; None for nothing.
     """
-    asked, motion, count = settings.polish, settings.motion, len(schedule.phase)
+    polish_settings, motion, count = settings.polish, settings.motion, len(schedule.phase)
     x, w, d = ca.MX.sym("x", 3, count + 1), ca.MX.sym("w", 1, count + 1), ca.MX.sym("d", len(schedule.durations))
     share = np.zeros((len(schedule.durations), count))
     share[schedule.phase, np.arange(count)] = 1.0 / schedule.counts[schedule.phase]
@@ -88,12 +88,12 @@ def polish(
     halves = _half_planes(x, clearance, count) if clearance is not None else None
     planes: Any = ca.MX(0, 1)
     if halves is not None:
-        planes, kept = halves
-        constraints.append(kept)
+        planes, clearances = halves
+        constraints.append(clearances)
     g = ca.vertcat(*constraints)
     unknown = ca.vertcat(ca.vec(x), ca.vec(w), d)
-    nlp = {"x": unknown, "f": ca.sum2(price) / size + asked.smoothness * rough, "g": g, "p": planes}
-    solver = ca.nlpsol("polish", "ipopt", nlp, _options(asked.iterations))
+    nlp = {"x": unknown, "f": ca.sum2(price) / size + polish_settings.smoothness * rough, "g": g, "p": planes}
+    solver = ca.nlpsol("polish", "ipopt", nlp, _options(polish_settings.iterations))
     lowest = np.where(schedule.free, _SHORTEST_PHASE, schedule.durations)
     highest = np.where(schedule.free, _LONGER * schedule.durations + 3.0, schedule.durations)
     lower = np.concatenate([np.full(3 * (count + 1), -np.inf), -schedule.most, lowest])
@@ -102,7 +102,7 @@ def polish(
     lbg = np.zeros(g.shape[0])
     ubg = np.concatenate([np.zeros(zeros), np.full(g.shape[0] - zeros, np.inf)])
     status, solved = "", False
-    for _ in range(asked.rounds if clearance is not None else 1):
+    for _ in range(polish_settings.rounds if clearance is not None else 1):
         poses = guess[: 3 * (count + 1)].reshape(-1, 3)
         p = np.zeros(0) if clearance is None else _planes_at(clearance, poses, settings)
         solution = solver(x0=guess, lbx=lower, ubx=upper, lbg=lbg, ubg=ubg, p=p)
@@ -134,7 +134,7 @@ def _options(iterations: int) -> dict[str, Any]:
 
 
 def _interval(costs: TurnCosts) -> ca.Function:
-    """The pose from node to node, by one step of Runge and Kutta's fourth order."""
+    """Build the step of the pose from node to node, by Runge and Kutta's fourth-order method."""
     x, step = ca.SX.sym("x", 3), ca.SX.sym("h")
     v0, v1, w0, w1 = (ca.SX.sym(name) for name in ("v0", "v1", "w0", "w1"))
 
@@ -154,7 +154,7 @@ def _interval(costs: TurnCosts) -> ca.Function:
 
 
 def _rate(costs: TurnCosts, minimise: Objective) -> ca.Function:
-    """What a second costs under a command."""
+    """Build the cost of a second under a command."""
     v, w = ca.SX.sym("v"), ca.SX.sym("w")
     along, left, _ = polynomial_terms(costs.slip.rows, v, w)
     rate = ca.SX(1.0)
@@ -166,7 +166,7 @@ def _rate(costs: TurnCosts, minimise: Objective) -> ca.Function:
 
 
 def _objective_of(costs: TurnCosts, minimise: Objective, schedule: Schedule) -> float:
-    """Its size by the search, so that the solver's numbers are near one."""
+    """Compute the objective of the search, which scales the solver's numbers to about one."""
     if minimise == "time":
         return float(schedule.durations.sum())
     commands = np.stack([schedule.speeds, schedule.yaw_rates], -1)[1:]
@@ -175,20 +175,20 @@ def _objective_of(costs: TurnCosts, minimise: Objective, schedule: Schedule) -> 
 
 
 def _half_planes(x: Any, clearance: Clearance, count: int) -> tuple[Any, Any]:  # noqa: ANN401 - CasADi's symbols
-    """Parameters and values: how far each disc at each node lies beyond planes n . p >= b."""
+    """Build parameters and values of planes n . p >= b: the distance of each disc at each node beyond them."""
     rows = len(clearance.robot) * _NEAREST
     planes = ca.MX.sym("planes", 3 * rows, count + 1)
     c, s = ca.cos(x[2, :]), ca.sin(x[2, :])
-    kept = []
+    values = []
     for i in range(rows):
         ahead, left, _ = clearance.robot[i // _NEAREST]
         px, py = x[0, :] + c * ahead - s * left, x[1, :] + s * ahead + c * left
-        kept.append(planes[3 * i, :] * px + planes[3 * i + 1, :] * py - planes[3 * i + 2, :])
-    return ca.vec(planes), ca.vec(ca.vertcat(*kept))
+        values.append(planes[3 * i, :] * px + planes[3 * i + 1, :] * py - planes[3 * i + 2, :])
+    return ca.vec(planes), ca.vec(ca.vertcat(*values))
 
 
 def _planes_at(clearance: Clearance, poses: FloatArray, settings: PlanSettings) -> FloatArray:
-    """Numbers of the half-planes that touch the nearest obstacles as seen from poses (n + 1, 3)."""
+    """Compute the half-planes that touch the nearest obstacles as seen from poses (n + 1, 3)."""
     points = clearance.centres(poses)
     nodes, discs = points.shape[:2]
     gaps, away = clearance.nearest(points.reshape(-1, 2))

@@ -78,11 +78,11 @@ class Plan:
         return np.column_stack([self.sample_time * np.arange(len(self.poses)), self.poses])
 
     def amount(self, objective: Objective) -> float:
-        """Energy [J], duration [s] or length [m]."""
+        """Return energy [J], duration [s] or length [m]."""
         return {"energy": self.energy, "time": self.duration, "distance": self.length}[objective]
 
-    def of(self, minimise: Objective, search: PlanSearchResult) -> Plan:
-        """The same, as what was found for `minimise`."""
+    def for_objective(self, minimise: Objective, search: PlanSearchResult) -> Plan:
+        """Return the plan as a result for `minimise`."""
         return replace(self, minimise=minimise, search=search)
 
 
@@ -94,22 +94,22 @@ _EXACT = 1e-9
 
 
 def sampled(schedule: Schedule, durations: FloatArray, rates: FloatArray, dt: float) -> FloatArray:
-    """(n, 2) commands: the mean of what lies between the nodes over each sample, at rest at the end."""
+    """Sample commands (n, 2): the mean over each sample between the nodes, at rest at the end."""
     times = np.concatenate([[0.0], np.cumsum(schedule.steps(durations))])
     edges = dt * np.arange(int(np.ceil(times[-1] / dt - 1e-9)) + 1)
     values = np.stack([schedule.speeds, rates], -1)
     # Integrals of straight pieces are exact: their means over samples cover what the nodes cover.
     whole = np.concatenate([np.zeros((1, 2)), np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(times)[:, None], 0)])
-    at = np.clip(np.searchsorted(times, edges, side="right") - 1, 0, len(times) - 2)
-    span = np.diff(times)[at]
-    into = np.clip(edges - times[at], 0.0, span)
-    slope = (values[at + 1] - values[at]) / np.maximum(span, 1e-12)[:, None]
-    area = whole[at] + values[at] * into[:, None] + 0.5 * slope * into[:, None] ** 2
+    interval = np.clip(np.searchsorted(times, edges, side="right") - 1, 0, len(times) - 2)
+    span = np.diff(times)[interval]
+    into = np.clip(edges - times[interval], 0.0, span)
+    slope = (values[interval + 1] - values[interval]) / np.maximum(span, 1e-12)[:, None]
+    area = whole[interval] + values[interval] * into[:, None] + 0.5 * slope * into[:, None] ** 2
     return np.asarray(np.diff(area, axis=0) / dt)
 
 
 def driven(costs: TurnCosts, commands: FloatArray, start: FloatArray, dt: float) -> FloatArray:
-    """(..., n + 1, 3) poses of commands (..., n, 2) held for `dt` [s] each, by exact arcs; theta is not wrapped."""
+    """Integrate commands (..., n, 2) held for `dt` [s] to poses (..., n + 1, 3) by exact arcs; theta is not wrapped."""
     v, lateral, omega = np.moveaxis(costs.twist(commands), -1, 0)
     turned = np.cumsum(omega * dt, axis=-1)
     middle = start[2] + turned - 0.5 * omega * dt
@@ -117,8 +117,8 @@ def driven(costs: TurnCosts, commands: FloatArray, start: FloatArray, dt: float)
     c, s = np.cos(middle), np.sin(middle)
     x, y = np.cumsum(reach * (v * c - lateral * s), -1), np.cumsum(reach * (v * s + lateral * c), -1)
     moved = np.stack([x, y, turned], axis=-1)
-    begin = np.zeros((*moved.shape[:-2], 1, 3))
-    return np.asarray(start + np.concatenate([begin, moved], axis=-2))
+    origin = np.zeros((*moved.shape[:-2], 1, 3))
+    return np.asarray(start + np.concatenate([origin, moved], axis=-2))
 
 
 def made_exact(
@@ -130,7 +130,7 @@ def made_exact(
     goal: FloatArray,
     dt: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Yaw rates (nodes,) and durations (phases,), moved as little as can be so that the sampled commands end at `goal`.
+    """Adjust yaw rates (nodes,) and durations (phases,) minimally so that the sampled commands end at `goal`.
 
     Newton's method on the end pose with the smallest change, each unknown over its own size.
     """
@@ -149,9 +149,9 @@ def made_exact(
             moved = exact.copy()
             moved[node] += step
             columns.append((driven(costs, sampled(schedule, lasting, moved, dt), start, dt)[-1] - end) / step)
-        for one in free:
+        for unknown in free:
             changed = lasting.copy()
-            changed[one] += step
+            changed[unknown] += step
             columns.append((driven(costs, sampled(schedule, changed, exact, dt), start, dt)[-1] - end) / step)
         # A node at its limit may go back only a little: it is moved less than those with room.
         room = 0.02 + (bound[loose] - np.abs(exact[loose])) / bound[loose]

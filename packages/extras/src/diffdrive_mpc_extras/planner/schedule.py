@@ -60,7 +60,7 @@ class Schedule:
         return np.bincount(self.phase, minlength=len(self.durations))
 
     def steps(self, durations: FloatArray) -> FloatArray:
-        """(n,) duration of each interval [s]."""
+        """Return the duration (n,) of each interval [s]."""
         return np.asarray((durations / self.counts)[self.phase])
 
 
@@ -74,7 +74,7 @@ def laid_out(
     *,
     stop_at_corners: bool = False,
 ) -> Schedule:
-    """Phases of the pieces, at rest at both ends.
+    """Lay out phases of the pieces, at rest at both ends.
 
     Parameters
     ----------
@@ -92,21 +92,21 @@ def laid_out(
         Whether it comes to rest between any two pieces, so that each is driven as the search has it; then the yaw rate
         is that of the piece's curvature all along.
     """
-    kept = [piece for piece in pieces if piece.duration > _SHORTEST] or list(pieces)
-    kept = slowed(kept, settings.motion.acceleration, each=stop_at_corners)
-    laid = _Layer(costs, start, kept, sharpest, spot, settings)
-    for i, piece in enumerate(kept):
+    long_pieces = [piece for piece in pieces if piece.duration > _SHORTEST] or list(pieces)
+    long_pieces = slowed(long_pieces, settings.motion.acceleration, each=stop_at_corners)
+    laid = _Layer(costs, start, long_pieces, sharpest, spot, settings)
+    for i, piece in enumerate(long_pieces):
         laid.ramp(piece.v, i)
-        after = 0.0 if i == len(kept) - 1 or stop_at_corners else kept[i + 1].v
+        after = 0.0 if i == len(long_pieces) - 1 or stop_at_corners else long_pieces[i + 1].v
         laid.hold(i, after, from_rest=i == 0 or stop_at_corners)
         if stop_at_corners:
             laid.ramp(0.0, i)
-    laid.ramp(0.0, len(kept) - 1)
+    laid.ramp(0.0, len(long_pieces) - 1)
     return laid.schedule()
 
 
 def slowed(pieces: Sequence[Piece], acceleration: float, *, each: bool = False) -> list[Piece]:
-    """The pieces, slower where they are too short to reach their speed and stop again; `each` stops after each."""
+    """Slow down pieces that are too short to reach their speed and stop again; `each` stops after each."""
     runs: list[list[Piece]] = []
     for piece in pieces:
         follows = runs and not each and abs(piece.v) > _SAME_SPEED and runs[-1][-1].v * piece.v > 0
@@ -116,11 +116,11 @@ def slowed(pieces: Sequence[Piece], acceleration: float, *, each: bool = False) 
             runs.append([piece])
     phases = []
     for run in runs:
-        length = sum(abs(one.v) * one.duration for one in run)
+        length = sum(abs(part.v) * part.duration for part in run)
         most = math.sqrt(_SHARE_OF_RAMPS * acceleration * length)
-        for one in run:
-            slower = min(1.0, most / abs(one.v)) if abs(one.v) > _SAME_SPEED else 1.0
-            phases.append(one._replace(v=one.v * slower, omega=one.omega * slower, duration=one.duration / slower))
+        for part in run:
+            slower = min(1.0, most / abs(part.v)) if abs(part.v) > _SAME_SPEED else 1.0
+            phases.append(part._replace(v=part.v * slower, omega=part.omega * slower, duration=part.duration / slower))
     return phases
 
 
@@ -150,8 +150,8 @@ class _Layer:
         self._curvature = 0.0
 
     def ramp(self, after: float, piece: int) -> None:
-        """From the speed that it has to another, through rest where the direction changes."""
-        before, one = self._speeds[-1], self._pieces[piece]
+        """Ramp from the present speed to another, through rest where the direction changes."""
+        before, current = self._speeds[-1], self._pieces[piece]
         if abs(after - before) < _SAME_SPEED:
             return
         if before * after < 0:
@@ -159,31 +159,31 @@ class _Layer:
             self.ramp(after, piece)
             return
         count, lasting = self._asked.ramp_intervals, abs(after - before) / self._motion.acceleration
-        curvature = 0.0 if abs(one.v) < _SAME_SPEED else one.omega / one.v
+        curvature = 0.0 if abs(current.v) < _SAME_SPEED else current.omega / current.v
         for k in range(1, count + 1):
             v = before + (after - before) * k / count
-            self._node(v, v * curvature, self._limit(v), one.leg, lasting / count)
+            self._node(v, v * curvature, self._limit(v), current.leg, lasting / count)
         self._close(lasting, free=False)
 
     def hold(self, piece: int, after: float, *, from_rest: bool) -> None:
-        """A piece, less what ramps cover of it."""
-        one = self._pieces[piece]
-        on_spot = abs(one.v) < _SAME_SPEED
+        """Hold a piece, except for the part that ramps cover."""
+        current = self._pieces[piece]
+        on_spot = abs(current.v) < _SAME_SPEED
         if on_spot:
             # The yaw rate rises from zero and falls to it again.
-            lasting = one.duration + abs(one.omega) / self._motion.yaw_acceleration
+            lasting = current.duration + abs(current.omega) / self._motion.yaw_acceleration
         else:
-            change = (abs(one.v) if from_rest else 0.0) + max(0.0, abs(one.v) - abs(after))
-            lasting = max(one.duration - 0.5 * change / self._motion.acceleration, 0.2 * min(one.duration, 1.0))
+            change = (abs(current.v) if from_rest else 0.0) + max(0.0, abs(current.v) - abs(after))
+            lasting = max(current.duration - 0.5 * change / self._motion.acceleration, 0.2 * min(current.duration, 1.0))
         count = max(4 if on_spot else 2, math.ceil(lasting / self._interval))
         for k in range(1, count + 1):
             ends = on_spot and k == count
-            most = self._spot if on_spot else self._limit(one.v)
-            self._node(one.v, 0.0 if ends else one.omega, 0.0 if ends else most, one.leg, lasting / count)
+            most = self._spot if on_spot else self._limit(current.v)
+            self._node(current.v, 0.0 if ends else current.omega, 0.0 if ends else most, current.leg, lasting / count)
         self._close(lasting, free=True)
 
     def schedule(self) -> Schedule:
-        """What was laid."""
+        """Return the result."""
         return Schedule(
             speeds=np.array(self._speeds),
             yaw_rates=np.array(self._rates),

@@ -57,17 +57,17 @@ class Piece(NamedTuple):
 
 
 class PlanSearchResult(NamedTuple):
-    """What the search has to say."""
+    """Result of the search."""
 
     pieces: tuple[Piece, ...]
     cost: float
-    """of the objective, without speeding up and slowing down"""
+    """Value of the objective, without acceleration and braking."""
     bound: float
     """no sequence of the sampled inputs is cheaper"""
     states: int
     """that were taken up"""
     complete: bool
-    """whether it ended because nothing can be better by more than the gap"""
+    """True if the search ended because nothing can be better by more than the gap."""
 
 
 Held = tuple[tuple[int, float], ...]
@@ -93,16 +93,16 @@ class _Tree:
 
     @property
     def enough(self) -> float:
-        """What estimates this much or more is not worth it."""
+        """Estimate from which a state is not worth adding."""
         return self.least * (1 - self._settings.gap)
 
     @property
     def open_bound(self) -> float:
-        """How cheap what is still open could be at best."""
+        """Return the lower bound of the cost of open states."""
         return min((self._estimates[node] for _, node in self._heap), default=self.least)
 
     def add(self, parent: int, held: Held, pose: FloatArray, leg: int, cost: float, left: float) -> None:
-        """A state, if it is worth it."""
+        """Add a state if it is worth it."""
         if cost + left >= self.enough:
             return
         key = self._key(pose, leg)
@@ -117,7 +117,7 @@ class _Tree:
         heapq.heappush(self._heap, (cost + self._eager * left, len(self.poses) - 1))
 
     def arrive(self, parent: int, held: Held, cost: float) -> None:
-        """A way to the goal."""
+        """Add a path to the goal."""
         if cost < self.least:
             self.least, self._ending = cost, (parent, held)
             if self._eager > 1.0:
@@ -128,7 +128,7 @@ class _Tree:
                 self._taken.clear()
 
     def batch(self, most: int) -> list[int]:
-        """The cheapest open states."""
+        """Return the cheapest open states."""
         nodes: list[int] = []
         while self._heap and len(nodes) < most and self._heap[0][0] < self.enough:
             _, node = heapq.heappop(self._heap)
@@ -139,7 +139,7 @@ class _Tree:
         return nodes
 
     def way(self) -> list[tuple[Held, int]] | None:
-        """What is held from the start to the goal, and on which leg; None where no way is known."""
+        """Return the inputs from start to goal with their legs; None without a known path."""
         if self._ending is None:
             return None
         node, held = self._ending
@@ -151,9 +151,9 @@ class _Tree:
         return parts[::-1]
 
     def _key(self, pose: FloatArray, leg: int) -> tuple[int, ...]:
-        asked, (x, y, theta) = self._settings, pose.tolist()
-        heading = round(theta / (2 * math.pi) * asked.headings) % asked.headings
-        return leg, round(x / asked.cell), round(y / asked.cell), heading
+        search_settings, (x, y, theta) = self._settings, pose.tolist()
+        heading = round(theta / (2 * math.pi) * search_settings.headings) % search_settings.headings
+        return leg, round(x / search_settings.cell), round(y / search_settings.cell), heading
 
 
 class PlanSearch:
@@ -205,22 +205,22 @@ class PlanSearch:
         self._both_ways = bool((inputs.commands[:, 0] < 0).any())
 
     def reachable(self) -> bool:
-        """Whether there is a way for a point through everything; turns are not looked at."""
+        """Return True if a point can reach the goal, without regard to turns."""
         if self._fields is None:
             return True
         points = np.concatenate([self._start[None, :2], self._via])
         return all(bool(np.isfinite(field(point[None]))[0]) for field, point in zip(self._fields, points, strict=True))
 
     def bound_from(self, pose: FloatArray) -> float:
-        """No way from a pose (3,) on the first leg is cheaper."""
+        """Compute a lower bound of the cost from a pose (3,) on the first leg."""
         return float(self._left(pose[None], 0)[0])
 
     def run(self) -> PlanSearchResult | None:
         """Search; None where no way was found."""
-        asked, count = self._settings, 0
-        tree = _Tree(self._start, self.bound_from(self._start), asked)
-        while count < asked.most_states:
-            batch = tree.batch(asked.batch if count else 1)
+        search_settings, count = self._settings, 0
+        tree = _Tree(self._start, self.bound_from(self._start), search_settings)
+        while count < search_settings.most_states:
+            batch = tree.batch(search_settings.batch if count else 1)
             if not batch:
                 break
             for leg in sorted({tree.legs[node] for node in batch}):
@@ -260,12 +260,19 @@ class PlanSearch:
             way = placed(poses[rows, None], self._inside[used])
             clear = self._free[0].free(way, self._free[1]).all(axis=1)
             rows, used = rows[clear], used[clear]
-        for row, one in zip(rows.tolist(), used.tolist(), strict=True):
-            held = ((one, float(self._times[one])),)
-            tree.add(nodes[row], held, after[row, one], leg, float(reached[row, one]), float(left[row, one]))
+        for row, input_number in zip(rows.tolist(), used.tolist(), strict=True):
+            held = ((input_number, float(self._times[input_number])),)
+            tree.add(
+                nodes[row],
+                held,
+                after[row, input_number],
+                leg,
+                float(reached[row, input_number]),
+                float(left[row, input_number]),
+            )
 
     def _words(self, poses: FloatArray, leg: int, *, whole: bool) -> Words:
-        """Ways to the end of the leg: of every input and three arcs from the start, of few inputs from elsewhere."""
+        """Generate paths to the end of the leg: of every input and three arcs from the start, of few elsewhere."""
         if leg < len(self._via):
             return arc_straight(self._inputs, poses, self._via[leg])
         if whole:
@@ -274,12 +281,12 @@ class PlanSearch:
         return self._of_few(arc_straight_arc, poses)
 
     def _of_few(self, kind: Callable[[Inputs, FloatArray, FloatArray], Words], poses: FloatArray) -> Words:
-        """Ways of few inputs, by the numbers that these have among all."""
+        """Generate paths of few inputs, with their numbers among all inputs."""
         words = kind(self._shots, poses, self._goal)
         return words._replace(inputs=self._shot_rows[words.inputs])
 
     def _few(self) -> Index:
-        """Numbers of few inputs, gentle to sharp, all that go straight on or turn on the spot among them."""
+        """Select few inputs, gentle to sharp, and all that go straight or turn on the spot."""
         inputs = self._inputs
         special = inputs.straight | (inputs.commands[:, 0] == 0)
         turning = np.flatnonzero(~special)
@@ -318,7 +325,7 @@ class PlanSearch:
         return np.minimum(magnitude, np.pi - magnitude) if self._both_ways else magnitude
 
     def _cheapest(self, words: Words, total: FloatArray, poses: FloatArray, least: float, most: int) -> list[int]:
-        """Numbers of the cheapest ways that are free and cheaper than `least`, at most so many."""
+        """Select at most `most` of the cheapest paths that are free and cheaper than `least`."""
         rows = np.flatnonzero(total < least)
         rows = rows[np.argsort(total[rows], kind="stable")]
         if self._free is None:
@@ -328,33 +335,33 @@ class PlanSearch:
         return [int(row) for row in rows[clear][:most]]
 
     def _are_free(self, free: tuple[ClearanceMap, float], poses: FloatArray, held: Index, times: FloatArray) -> Mask:
-        """(k,) whether ways of three pieces (k, 3) from poses (k, 3) keep clear."""
-        clear, at = np.ones(len(held), dtype=bool), poses
+        """Return (k,) True if paths of three pieces (k, 3) from poses (k, 3) keep clear."""
+        clear, ends = np.ones(len(held), dtype=bool), poses
         for piece in range(held.shape[1]):
             inputs, lasting = held[:, piece], times[:, piece]
             speed, omega = self._inputs.speeds[inputs], np.abs(self._inputs.twists[inputs, 2])
             parts = float((lasting * np.maximum(speed / _CHECK, omega / _CHECK_ANGLE)).max(initial=0.0))
             share = np.linspace(0.0, 1.0, max(2, math.ceil(parts) + 1))
-            way = placed(at[:, None], self._inputs.moved(inputs[:, None], lasting[:, None] * share))
+            way = placed(ends[:, None], self._inputs.moved(inputs[:, None], lasting[:, None] * share))
             clear &= free[0].free(way, free[1]).all(axis=1)
-            at = way[:, -1]
+            ends = way[:, -1]
         return clear
 
     def _held(self, words: Words, row: int) -> Held:
         pairs = zip(words.inputs[row].tolist(), words.times[row].tolist(), strict=True)
-        return tuple((one, time) for one, time in pairs if time > 0)
+        return tuple((input_number, time) for input_number, time in pairs if time > 0)
 
     def _end(self, pose: FloatArray, held: Held) -> FloatArray:
-        for one, time in held:
-            pose = placed(pose, self._inputs.moved(np.array(one), np.array(time)))
+        for input_number, time in held:
+            pose = placed(pose, self._inputs.moved(np.array(input_number), np.array(time)))
         return pose
 
     def _pieces(self, way: list[tuple[Held, int]]) -> tuple[Piece, ...]:
-        """Those of one input that follow one another as one."""
+        """Merge consecutive pieces of one input."""
         pieces: list[Piece] = []
         for held, leg in way:
-            for one, time in held:
-                v, omega = self._inputs.commands[one].tolist()
+            for input_number, time in held:
+                v, omega = self._inputs.commands[input_number].tolist()
                 if pieces and pieces[-1][:2] == (v, omega) and pieces[-1].leg == leg:
                     pieces[-1] = pieces[-1]._replace(duration=pieces[-1].duration + time)
                 else:

@@ -12,7 +12,7 @@ from diffdrive_mpc.models.robot import NotNegative, Positive, Share
 
 
 class SearchSettings(StrictModel):
-    """How the shape is found."""
+    """Settings of the search for the shape."""
 
     yaw_rates: int = Field(ge=2, le=200)
     concentration: Positive
@@ -30,7 +30,7 @@ class SearchSettings(StrictModel):
 
 
 class PolishSettings(StrictModel):
-    """How it is made smooth and exact."""
+    """Settings of the smoothing optimisation."""
 
     interval: Positive
     most_nodes: int = Field(ge=20)
@@ -43,7 +43,7 @@ class PolishSettings(StrictModel):
 
 
 class ReferenceMotion(StrictModel):
-    """What the reference keeps to, beside the given speed and the least radius."""
+    """Motion limits of the reference, besides the given speed and the least radius."""
 
     acceleration: Positive = Field(description="of the command [m/s^2]")
     yaw_acceleration: Positive = Field(description="of the command [rad/s^2]")

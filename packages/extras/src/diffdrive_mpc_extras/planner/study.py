@@ -36,7 +36,7 @@ _LONG = 1.5
 
 @dataclass(frozen=True, eq=False)
 class PlanRequest:
-    """What is asked for.
+    """Request for a plan.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class PlanRequest:
 
     @property
     def surroundings(self) -> Surroundings | None:
-        """Of the world."""
+        """Return the surroundings in the world."""
         if self.world is None:
             return None
         shapes = self.world.shapes(0.0)
@@ -97,12 +97,12 @@ class PlanStudy(Study[PlanRequest, Plans]):
         self._request, self._seconds = request, 0.0
 
     def plan(self) -> PlanRequest:
-        """The same; what cannot be planned is told by `run`, before anything is written."""
+        """Return the request; `run` reports impossible plans before anything is written."""
         return self._request
 
     def run(self, plan: PlanRequest, jobs: int, bar: ProgressBar) -> Plans:  # noqa: ARG002 - one alone
         """Plan; raises PlanError where there is no way."""
-        bar.begin("planning", 1)
+        bar.start_stage("planning", 1)
         began = time.process_time()
         plans = plan_each(
             plan.costs,
@@ -120,24 +120,24 @@ class PlanStudy(Study[PlanRequest, Plans]):
         return plans
 
     def report(self, results: Plans, seconds: float) -> Report:  # noqa: ARG002 - planning has its own
-        """Tables, figures and the trajectory."""
-        asked, chosen = self._request, results[self._request.minimise]
+        """Report tables, figures and the trajectory."""
+        request, chosen = self._request, results[self._request.minimise]
         return Report(
             counted=f"{len(results)} plans",
             meta={
-                "costs": asked.costs.name,
-                "provenance": asked.costs.provenance,
-                "speed_m_s": asked.speed,
-                "minimise": asked.minimise,
-                "from": asked.start.tolist(),
-                "to": asked.goal.tolist(),
-                "via": asked.via.tolist(),
+                "costs": request.costs.name,
+                "provenance": request.costs.provenance,
+                "speed_m_s": request.speed,
+                "minimise": request.minimise,
+                "from": request.start.tolist(),
+                "to": request.goal.tolist(),
+                "via": request.via.tolist(),
             },
             content={"plans": [_row(plan) for plan in results.values()], "pieces": _pieces(chosen)},
             facts=[
-                f"'{asked.costs.name}' at {asked.speed:g} m/s, least radius {_radius(asked)}; turns of the plan are no "
-                f"sharper than {chosen.sharpest:.2f} m (commanded).",
-                f"trajectory.csv minimises {asked.minimise}: {number(chosen.energy, 1)} J predicted, "
+                f"'{request.costs.name}' at {request.speed:g} m/s, least radius {_radius(request)}; "
+                f"turns of the plan are no sharper than {chosen.sharpest:.2f} m (commanded).",
+                f"trajectory.csv minimises {request.minimise}: {number(chosen.energy, 1)} J predicted, "
                 f"{number(chosen.duration, 1)} s, {number(chosen.length, 2)} m.",
                 f"Search: {chosen.search.states} states, {number(chosen.search.cost, 2)} without ramps, at least "
                 f"{number(chosen.search.bound, 2)}; polish: {chosen.status} ({chosen.solver}).",
@@ -148,36 +148,36 @@ class PlanStudy(Study[PlanRequest, Plans]):
                 "what speeding up takes is not in it.",
                 *([] if chosen.search.complete else ["The search ended at its most states: a better way may exist."]),
             ],
-            tables=[_table(results, asked.minimise)],
+            tables=[_table(results, request.minimise)],
             figures={
-                "paths.png": partial(draw_paths, asked, results),
-                "power.png": partial(draw_power, asked, results),
+                "paths.png": partial(draw_paths, request, results),
+                "power.png": partial(draw_power, request, results),
             },
-            shown=Shown(key_figures=_key_figures(results, asked.minimise), warnings=_warnings(asked, results)),
+            shown=Shown(key_figures=_key_figures(results, request.minimise), warnings=_warnings(request, results)),
             files={"trajectory.csv": trajectory_text(chosen)},
         )
 
 
 def trajectory_text(plan: Plan) -> str:
-    """Timed poses as `load_trajectory` reads them."""
+    """Format timed poses as `load_trajectory` reads them."""
     rows = [",".join(f"{value:.9g}" for value in row) for row in plan.rows.tolist()]
     return "\n".join(["t,x,y,theta", *rows]) + "\n"
 
 
 def saving(results: Plans) -> float:
-    """Share of energy that the energy-optimal plan saves over the distance-optimal one [-]."""
+    """Compute the share of energy that the energy-optimal plan saves over the distance-optimal one [-]."""
     return 1 - results["energy"].energy / results["distance"].energy
 
 
 def _warnings(request: PlanRequest, results: Plans) -> list[Warned]:
-    """Where nothing is drawn at rest a long way costs no more for its time."""
-    own, shortest = results["energy"].length, results["distance"].length
-    if request.minimise != "energy" or request.costs.drive.idle_power > 0 or own < _LONG * shortest:
+    """Warn about long paths, which cost nothing for their time without idle power."""
+    cheapest, shortest = results["energy"].length, results["distance"].length
+    if request.minimise != "energy" or request.costs.drive.idle_power > 0 or cheapest < _LONG * shortest:
         return []
     return [
         Warned(
-            f"The way of least energy is {own / shortest:.1f} times as long as the shortest: by its drive constants "
-            "the robot draws nothing at rest.",
+            f"The way of least energy is {cheapest / shortest:.1f} times as long as the shortest: by its drive "
+            "constants the robot draws nothing at rest.",
             "Say what computer and sensors draw: --idle-power, or idle_power in the costs.",
         )
     ]
@@ -194,7 +194,7 @@ def _key_figures(results: Plans, minimise: Objective) -> list[KeyFigure]:
 
 
 def _table(results: Plans, minimise: Objective) -> Table:
-    return Table.of(
+    return Table.build(
         "Plans",
         ("optimal in",),
         {
@@ -209,7 +209,7 @@ def _table(results: Plans, minimise: Objective) -> Table:
 
 
 def _sharpest(plan: Plan) -> float:
-    """Least commanded radius at more than half of the speed [m]."""
+    """Compute the least commanded radius at more than half of the speed [m]."""
     v, omega = np.abs(plan.commands.T)
     moving = v > 0.5 * v.max()
     return float((v[moving] / np.maximum(omega[moving], 1e-6)).min())
@@ -249,7 +249,7 @@ _OUTLINES = 12
 
 
 def draw_paths(request: PlanRequest, plans: Plans, path: Path) -> None:
-    """The chosen way by commanded radius, the robot along it, the others dashed."""
+    """Draw the chosen path by commanded radius, the robot along it, the others dashed."""
     chosen = plans[request.minimise]
     with new_figure(path, 6.4, 5.2) as figure:
         axes = figure.subplots()
@@ -277,7 +277,7 @@ def draw_paths(request: PlanRequest, plans: Plans, path: Path) -> None:
 
 
 def draw_power(request: PlanRequest, plans: Plans, path: Path) -> None:
-    """Predicted power of every plan over time."""
+    """Draw the predicted power of every plan over time."""
     with new_figure(path, 6.4, 3.2) as figure:
         axes = figure.subplots()
         for k, (name, plan) in enumerate(plans.items()):
@@ -289,7 +289,7 @@ def draw_power(request: PlanRequest, plans: Plans, path: Path) -> None:
 
 
 def _coloured(axes: Axes, poses: FloatArray, commands: FloatArray, sharpest: float) -> LineCollection:
-    """The way, each sample by its commanded radius; straight on counts as wide."""
+    """Draw the path with each sample coloured by its commanded radius; straight motion counts as wide."""
     v, omega = np.abs(commands.T)
     radius = np.clip(v / np.maximum(omega, 1e-9), 0.8 * sharpest, _WIDEST)
     points = np.stack([poses[:-1, :2], poses[1:, :2]], axis=1)

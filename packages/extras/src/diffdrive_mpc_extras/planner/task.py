@@ -66,7 +66,7 @@ class Task:
     settings: PlanSettings
 
     def searches(self) -> dict[Objective, PlanSearchResult]:
-        """The shape that is best for each objective; raises PlanError where there is none."""
+        """Search the best shape for each objective; raise PlanError if there is none."""
         paths: dict[Objective, PlanSearchResult] = {}
         for objective in OBJECTIVES:
             search = self._search(objective, self.free)
@@ -88,7 +88,7 @@ class Task:
         return paths
 
     def candidates(self, shapes: dict[Objective, PlanSearchResult]) -> list[Plan]:
-        """Each shape, polished for what it is best for; raises PlanError where none of them can be driven."""
+        """Polish each shape for its objective; raise PlanError if none of them can be driven."""
         made, faults = [], []
         for objective, shape in shapes.items():
             try:
@@ -100,15 +100,15 @@ class Task:
         return made
 
     def best(self, minimise: Objective, shapes: dict[Objective, PlanSearchResult], made: list[Plan]) -> Plan:
-        """The best of the candidates; where another shape won, that one polished for `minimise`, if it is better."""
-        least = min(one.amount(minimise) for one in made)
+        """Select the best candidate; if it has another shape, polish that for `minimise` and use the better one."""
+        least = min(candidate.amount(minimise) for candidate in made)
         # Of equals that which was polished for it.
-        equal = [one for one in made if one.amount(minimise) <= least * (1 + _EQUAL)]
-        best = next((one for one in equal if one.minimise == minimise), equal[0])
+        equal = [candidate for candidate in made if candidate.amount(minimise) <= least * (1 + _EQUAL)]
+        best = next((candidate for candidate in equal if candidate.minimise == minimise), equal[0])
         if best.minimise != minimise:
             with suppress(PlanError):
                 best = min(best, self._polished(minimise, shapes[best.minimise]), key=lambda row: row.amount(minimise))
-        return best.of(minimise, shapes.get(minimise, best.search))
+        return best.for_objective(minimise, shapes.get(minimise, best.search))
 
     def _search(self, objective: Objective, free: tuple[ClearanceMap, float] | None) -> PlanSearch:
         inputs = make_inputs(
@@ -132,7 +132,7 @@ class Task:
             )
 
     def _polished(self, minimise: Objective, path: PlanSearchResult) -> Plan:
-        """Polish, sample, prove; where that fails, the search's way with a stop between any two pieces."""
+        """Polish, sample and check; after a failure, use the search's path with a stop between any two pieces."""
         spot = spot_rate(self.costs, self.settings.motion.yaw_rate) if self.on_the_spot else 0.0
         last = np.array([*self.goal[:2], self._unwrapped(path)])
         schedule = laid_out(self.costs, self.start, path.pieces, self.sharpest, spot, self.settings)
@@ -160,7 +160,7 @@ class Task:
         return sampled(schedule, lasting, exact, self.sample_time)
 
     def _fault(self, commands: FloatArray, last: FloatArray) -> str | None:
-        """What is wrong with commands, by forward integration; None if nothing is."""
+        """Describe a fault of commands by forward integration; None without one."""
         motion = self.settings.motion
         poses = driven(self.costs, commands, self.start, self.sample_time)
         off = float(np.abs(poses[-1] - last).max())
@@ -221,7 +221,7 @@ class Task:
         )
 
     def _unwrapped(self, path: PlanSearchResult) -> float:
-        """Heading of the goal with the whole turns that the search makes [rad]."""
+        """Return the heading of the goal with the whole turns of the search [rad]."""
         turned = sum(piece.duration * float(self.costs.twist([piece.v, piece.omega])[2]) for piece in path.pieces)
         whole = round((float(self.start[2]) + turned - float(self.goal[2])) / (2 * math.pi))
         return float(self.goal[2]) + 2 * math.pi * whole

@@ -281,7 +281,7 @@ class PassportStudy(Study[dict[str, list[Definition]], MeasuredSpeeds]):
 
     def _evidence(self, searches: Sequence[SpeedSearch]) -> Table:
         spec = self._proof.passport
-        return Table.of(
+        return Table.build(
             "What stands behind them",
             ("floor", "radius", "tolerance"),
             {

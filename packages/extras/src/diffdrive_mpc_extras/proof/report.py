@@ -142,7 +142,7 @@ def _rates(driven: Sequence[CampaignRun], band: float) -> Table:
         "not completed: it stopped by itself": of.stopped,
         "with an unsafe command": of.unsafe,
     }
-    return Table.of(
+    return Table.build(
         "How often",
         ("runs",),
         {
@@ -156,7 +156,7 @@ def _rates(driven: Sequence[CampaignRun], band: float) -> Table:
 
 
 def _errors(driven: Sequence[CampaignRun]) -> Table:
-    return Table.of(
+    return Table.build(
         "Position error",
         ("figure",),
         {
@@ -176,7 +176,7 @@ def _unsafe(driven: Sequence[CampaignRun]) -> Table:
     def rate(kind: str) -> Rate:
         return Rate.of_runs(sum(bool(run.row.get(f"unsafe_{kind}")) for run in driven), len(driven))
 
-    return Table.of(
+    return Table.build(
         "Unsafe commands",
         ("command",),
         {
@@ -211,7 +211,7 @@ def _by_factor(driven: Sequence[CampaignRun], band: float) -> list[Table]:
                 "omega_ref rate [rad/s^2]": lambda runs: number(_mean(runs, "recovery_command_rate_omega"), 2),
             }
             entries = [((name,), groups[name]) for name in sorted(groups)]
-            made.append(Table.of(f"By {factor}", (factor,), columns, entries, _BY_FACTOR))
+            made.append(Table.build(f"By {factor}", (factor,), columns, entries, _BY_FACTOR))
     return made
 
 
@@ -219,7 +219,7 @@ def _boundaries(boundaries: Sequence[Boundary], seeds: int) -> Table:
     def value(number_: float | None, of: Boundary) -> str:
         return "-" if number_ is None else f"{number_:.4g} {of.search.unit}".strip(" -")
 
-    return Table.of(
+    return Table.build(
         "Boundaries",
         ("factor",),
         {
@@ -239,7 +239,7 @@ def _worst(files: Mapping[str, CampaignRun]) -> Table:
         reason = run.row["error"] or run.row.get("ended") or run.row.get("message") or ""
         return str(reason)
 
-    return Table.of(
+    return Table.build(
         "Worst runs",
         ("file", "what it is"),
         {

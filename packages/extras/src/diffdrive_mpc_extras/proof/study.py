@@ -99,7 +99,7 @@ class ProofStudy(Study[ProofPlan, Proven]):
         if named:
             raise ConfigError(f"factors.{named[0]}: remove it; the controller under test is {self._config}")
         factors = told_of(self._config)
-        probe = Definition.of(dict(self._proof.probe.factors) | dict(factors), "probe")
+        probe = Definition.from_factors(dict(self._proof.probe.factors) | dict(factors), "probe")
         return ProofPlan([definition.changed(factors) for definition in self._proof.definitions(self._runs)], probe)
 
     def cases(self, plan: ProofPlan) -> Iterable[Case]:

@@ -11,7 +11,7 @@ from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 
 class DrivableWeights(Group):
-    """What counts in the path that the middle of the robot can drive nearest to the reference; for rehearsal.by: floor.
+    """Weights of the drivable path nearest to the reference; for rehearsal.by: floor.
 
     The square of a distance from the reference counts over time; the others are how much distance they are worth.
     """
@@ -35,7 +35,7 @@ class DrivableWeights(Group):
 
 
 class Rehearsal(FeatureGroup):
-    """What laps teach when the same reference is started again; see docs/tuning.md."""
+    """Learning from laps when the same reference is started again; see docs/tuning.md."""
 
     enabled: bool = Field(False, description="correct a reference driven again by what its last laps taught [-]")
     by: Literal["laps", "floor"] = Field(

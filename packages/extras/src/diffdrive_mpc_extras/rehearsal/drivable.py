@@ -74,7 +74,7 @@ class Drivable:
         return np.asarray(np.hypot(*(self.pose - self.reference.pose)[:, :2].T))
 
     def as_reference(self, name: str, smoothing: float) -> SplineTrajectory:
-        """What a controller tracks to drive it: turned so that what it aims at is the heading planned here.
+        """Convert to a reference for a controller, rotated so that its aim is the heading planned here.
 
         Where the middle moves aside in a turn on the spot that angle comes and goes; it is averaged over `smoothing`
         [s], for a reference that jerks is tracked worse than one that points a little beside.
@@ -98,7 +98,7 @@ class Drivable:
 
 
 def nearest_drivable(reference: Reference, slip: Slip, config: ControllerConfig, inverse_gain: FloatArray) -> Drivable:
-    """The motion nearest to `reference` that a robot can drive on a floor with `slip`.
+    """Compute the motion nearest to `reference` that a robot can drive on a floor with `slip`.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ class _Problem:
         return np.concatenate([self._given.pose[1:].ravel(), self.wheels[1:-1].ravel()])
 
     def program(self) -> dict[str, Any]:
-        """The program as `casadi.nlpsol` takes it."""
+        """Return the program in the form of `casadi.nlpsol`."""
         N, h, price = self._count, self._step, rehearsal_of(self._config).drivable
         free_poses, free_wheels = ca.MX.sym("poses", 3, N), ca.MX.sym("wheels", 2, N - 1)
         poses = ca.horzcat(self._given.pose[0], free_poses)
@@ -184,13 +184,15 @@ class _Problem:
         return {"x": x, "f": cost, "g": ca.veccat(gaps, self._inverse_gain @ rates, limited)}
 
     def bounds(self) -> dict[str, FloatArray]:
-        """Bounds of the constraints; a reference that speeds up more quickly than the slew allows may do so."""
+        """Return the bounds of the constraints, relaxed for a reference that accelerates beyond the slew."""
         limits, N = self._config.limits, self._count
-        own = np.abs(np.diff(self.wheels, axis=0) @ self._inverse_gain.T) / self._step
+        reference_rates = np.abs(np.diff(self.wheels, axis=0) @ self._inverse_gain.T) / self._step
         # The signs of commands are those of the reference.
         before = (self.wheels @ self._inverse_gain.T)[:-1]
         grows, falls = np.transpose([limits.v_slew.sides, limits.omega_slew.sides])
-        fastest, slowest = (np.maximum(np.where(sense * before < 0.0, falls, grows), own) for sense in (1.0, -1.0))
+        fastest, slowest = (
+            np.maximum(np.where(sense * before < 0.0, falls, grows), reference_rates) for sense in (1.0, -1.0)
+        )
         both = [limits.predicted_v, limits.predicted_omega, limits.wheel_speed, limits.wheel_speed]
         forward, reverse = np.transpose([limits.v.sides, limits.omega.sides])
         turns = 0 if limits.min_turn_radius is None else 2
@@ -203,14 +205,14 @@ class _Problem:
         }
 
     def _moved(self) -> ca.Function:
-        """The pose one interval later, at the mean of y at its ends."""
+        """Build the pose one interval later, at the mean of y at its ends."""
         pose, before, after = ca.SX.sym("pose", 3), ca.SX.sym("before", 2), ca.SX.sym("after", 2)
         acceleration = (after[0] - before[0]) / self._step
         moved = displacement((before + after) / 2, self._slip, pose[2], acceleration, ca.SX(self._step))
         return ca.Function("moved", [pose, before, after], [pose + moved])
 
     def _limited(self) -> ca.Function:
-        """What has limits at one instant, in the order of `bounds`."""
+        """Build the limited values at one time, in the order of `bounds`."""
         wheels, direction = ca.SX.sym("wheels", 2), ca.SX.sym("direction")
         twist, rim = body_twist(wheels, self._slip), 0.5 * self._config.wheels.track * wheels[1]
         rows = [ca.SX(ca.mtimes(self._inverse_gain, wheels)), twist, wheels[0] + rim, wheels[0] - rim]
@@ -220,7 +222,7 @@ class _Problem:
         return ca.Function("limited", [wheels, direction], [ca.vertcat(*rows)])
 
     def _directions(self) -> FloatArray:
-        """(n,) 1 or -1 where the reference drives forwards or backwards; where it rests, as before."""
+        """Return 1 or -1 (n,) for a reference that drives forwards or backwards; at rest, the previous sign."""
         v = self._given.twist[:, 0]
         last = np.maximum.accumulate(np.where(v != 0.0, np.arange(len(v)), 0))
         return np.where(v[last] < 0.0, -1.0, 1.0)

@@ -32,32 +32,32 @@ class Rehearse(Feature):
         super().__init__(config, model)
         self.learned: LapLearner | FloorRehearsal
         if rehearsal_of(config).by == "floor":
-            self.learned = FloorRehearsal(config, FeedForward.of(model, config.sample_time).inverse_gain)
+            self.learned = FloorRehearsal(config, FeedForward.from_model(model, config.sample_time).inverse_gain)
         else:
             self.learned = LapLearner(config)
 
     def configure(self) -> None:
-        """See `Feature`."""
+        """Configure as `Feature` describes."""
         if isinstance(self.learned, FloorRehearsal):
             self.learned.config = self.host.config
         self._begin_with_slip()
 
     def begin(self, reference: Reference, t0: float) -> Reference:
-        """See `Feature`: moved by what was learned."""
-        tracked = self.learned.begin(reference, t0)
+        """Start as `Feature` describes: move the reference by the learned correction."""
+        tracked = self.learned.start(reference, t0)
         self._begin_with_slip()
         return tracked
 
     def forget(self) -> None:
-        """See `Feature`."""
+        """Forget as `Feature` describes."""
         self.learned.forget()
         self._begin_with_slip()
 
     def after_step(self, t: float, measurement: Measurement, result: StepResult) -> StepResult:
-        """See `Feature`: record the tick."""
+        """Record the tick as `Feature` describes."""
         return self.learned.take(t, measurement, result)
 
     def _begin_with_slip(self) -> None:
-        """Slip that was learned of the floor is what the next estimate begins with."""
+        """Start the next estimate with the slip learned of the floor."""
         if isinstance(self.learned, FloorRehearsal):
             self.host.tick.begin_with(astuple(self.learned.slip))

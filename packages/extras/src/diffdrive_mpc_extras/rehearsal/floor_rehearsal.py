@@ -59,14 +59,14 @@ class FloorRehearsal:
         self.forget()
 
     def forget(self) -> None:
-        """Be as new."""
+        """Reset to the initial state."""
         self._reference: Reference | None = None
         self._error_as_given = np.inf
         self._begin_anew("")
         self._begin_lap(0.0)
 
     def _begin_anew(self, why: str) -> None:
-        self.laps, self.slip, self.said = 0, configured_slip(self.config), why
+        self.laps, self.slip, self.message = 0, configured_slip(self.config), why
 
     def _begin_lap(self, t0: float) -> None:
         self._t0, self._told = t0, False
@@ -75,7 +75,7 @@ class FloorRehearsal:
         self._weighted, self._weight = np.zeros(len(SLIPS)), np.zeros(len(SLIPS))
         self._driven: list[tuple[float, ...]] = []
 
-    def begin(self, reference: Reference, t0: float) -> Reference:
+    def start(self, reference: Reference, t0: float) -> Reference:
         """Learn from what was driven since the last start, and prepare the next lap, whose time 0 is `t0` [s].
 
         Returns
@@ -84,7 +84,7 @@ class FloorRehearsal:
             What to track: the motion nearest to `reference` that can be driven, or `reference` itself where nothing is
             known of the floor, where it need not be moved, and where no such motion is found; `said` says which.
         """
-        self.said = ""
+        self.message = ""
         if self._driven and self._reference is not None:
             self._learn(self._reference)
         if self._reference is None or not same_motion(self._reference, reference):
@@ -101,7 +101,7 @@ class FloorRehearsal:
     def take(self, t: float, measurement: Measurement, result: StepResult) -> StepResult:
         """Learn from the tick at `t` [s]; returns `result`, at the first tick with what was prepared in its message."""
         del measurement
-        words = f"rehearsal: {self.said}" if self.said and not self._told else ""
+        words = f"rehearsal: {self.message}" if self.message and not self._told else ""
         self._told = True
         estimate = result.estimate
         if estimate is not None and result.mode in _DRIVING:
@@ -113,7 +113,7 @@ class FloorRehearsal:
         return replace(result, message="; ".join(filter(None, (result.message, words)))) if words else result
 
     def _learn(self, reference: Reference) -> None:
-        """The mean of a lap's slip; as that began with what was learned, the laps before are in it."""
+        """Learn the mean slip of a lap; the lap started from the learned slip, so earlier laps are included."""
         times, *pose = np.array(self._driven).T
         if times[-1] > reference.duration - 2 * self.config.sample_time:
             off = np.array(pose).T - reference.sample(times).pose
@@ -130,20 +130,20 @@ class FloorRehearsal:
         self.laps += 1
 
     def _prepared(self, reference: Reference) -> Drivable | None:
-        """The motion to track instead of `reference`, if there is one; says what was found."""
+        """Compute the motion to track instead of `reference`, if there is one, and describe the result."""
         bounds, learned = rehearsal_of(self.config).drivable, f"slip learned from {self.laps} laps"
         if reference.duration > _LONGEST:
-            self.said = f"{learned}, {_AS_GIVEN}: it is longer than {_LONGEST:g} s"
+            self.message = f"{learned}, {_AS_GIVEN}: it is longer than {_LONGEST:g} s"
             return None
         try:
             drivable = nearest_drivable(reference, self.slip, self.config, self._inverse_gain)
         except NotDrivableError as error:
-            self.said = f"{learned}, {_AS_GIVEN}: {error}"
+            self.message = f"{learned}, {_AS_GIVEN}: {error}"
             return None
         most = float(drivable.distance.max())
         distance = f"{1e3 * np.sqrt(np.mean(drivable.distance**2)):.1f} mm beside it, {1e3 * most:.1f} mm at most"
         if bounds.min_shift < most <= bounds.max_shift:
-            self.said = f"{learned}; the path nearest to the reference that can be driven is tracked: {distance}"
+            self.message = f"{learned}; the path nearest to the reference that can be driven is tracked: {distance}"
             return drivable
-        self.said = f"{learned}, {_AS_GIVEN}: what can be driven lies {distance}"
+        self.message = f"{learned}, {_AS_GIVEN}: what can be driven lies {distance}"
         return None

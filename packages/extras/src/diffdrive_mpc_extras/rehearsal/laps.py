@@ -31,13 +31,13 @@ class LapParts(NamedTuple):
     """Root mean squares of the position error of laps [m]; their squares add up to that of all laps."""
 
     repeating: float
-    """of what is the same at the same time of every lap"""
-    other: float
-    """of the rest, which no correction learned from other laps can remove"""
+    """Part that repeats at the same time of every lap."""
+    varying: float
+    """Rest, which no correction learned from other laps can remove."""
 
 
 def lap_parts(runs: Sequence[Run]) -> LapParts:
-    """Part the position errors of K laps into their mean over the laps and the rest.
+    """Split the position errors of K laps into their mean over the laps and the rest.
 
     Of that rest 1 / K is still in the mean; both parts are without that bias.
 
@@ -51,9 +51,9 @@ def lap_parts(runs: Sequence[Run]) -> LapParts:
         raise ValueError(f"{len(runs)} laps of {len(shapes)} lengths: give two or more that were driven to the end")
     errors = np.array([(run.true_pose - run.reference_pose)[run.counted, :2] for run in runs])
     mean = errors.mean(axis=0)
-    other = np.sum((errors - mean) ** 2) / (len(runs) - 1) / mean.shape[0]
-    repeating = np.sum(mean**2) / mean.shape[0] - other / len(runs)
-    return LapParts(float(np.sqrt(max(repeating, 0.0))), float(np.sqrt(other)))
+    varying = np.sum((errors - mean) ** 2) / (len(runs) - 1) / mean.shape[0]
+    repeating = np.sum(mean**2) / mean.shape[0] - varying / len(runs)
+    return LapParts(float(np.sqrt(max(repeating, 0.0))), float(np.sqrt(varying)))
 
 
 _ENABLED = "expert.rehearsal.enabled"
@@ -151,7 +151,7 @@ class LapsStudy(Study[Case, tuple[Laps, Laps]]):
                 drive_laps(
                     plan.with_override(_ENABLED, value=rehearses),
                     self._laps,
-                    on_tick=_after(part, 2, bar.at),
+                    on_tick=_after(part, 2, bar.show),
                     keep_plans=rehearses and holds_plans(self._log),
                 )
                 for part, rehearses in enumerate((True, False))
@@ -187,12 +187,12 @@ def lap_table(learned: Laps, plain: Laps) -> Table:
     rows = []
     for lap, (run, without) in enumerate(zip(learned.runs, plain.runs, strict=True), start=1):
         position = run.metrics.position_rmse_m
-        repeating = float(np.sqrt(max(position**2 - parts.other**2, 0.0)))
+        repeating = float(np.sqrt(max(position**2 - parts.varying**2, 0.0)))
         shown = position, repeating, run.metrics.lateral_rmse_m, without.metrics.position_rmse_m
         rows.append((str(lap), *(number(1e3 * value, 2) for value in shown)))
     heads = ("lap", "position RMSE [mm]", "repeating part [mm]", "lateral RMSE [mm]", "without rehearsal [mm]")
-    repeats, other = 1e3 * parts.repeating, 1e3 * parts.other
-    note = f"Without rehearsal {repeats:.2f} mm repeat and {other:.2f} mm do not: the lower bound."
+    repeats, varying = 1e3 * parts.repeating, 1e3 * parts.varying
+    note = f"Without rehearsal {repeats:.2f} mm repeat and {varying:.2f} mm do not: the lower bound."
     return Table("Laps", heads, tuple(rows), note=note)
 
 
@@ -209,7 +209,7 @@ def lap_charts(learned: Laps, plain: Laps) -> list[Chart]:
         )
         for i, (name, driven) in enumerate((("with rehearsal", learned), ("without rehearsal", plain)))
     ]
-    level = [Mark(round(1e3 * lap_parts(plain.runs).other, 3), "does not repeat")]
+    level = [Mark(round(1e3 * lap_parts(plain.runs).varying, 3), "does not repeat")]
     charts = [Chart("Error lap by lap", Axis("lap", "category"), Axis("position RMSE [mm]"), errors, marks=level)]
     if learned.rehearsal is None:
         return charts

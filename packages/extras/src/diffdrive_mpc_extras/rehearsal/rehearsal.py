@@ -36,20 +36,20 @@ _POWER, _VARIANCE = 6, 20
 # References count as the same: less than this apart, at instants so far from each other [s].
 _SAME, _INSTANT = 1e-6, 0.02
 LONGEST = 3600.0
-"""Of a reference that takes longer [s] nothing is learned: memory and the time of a start grow with it."""
+"""Maximum duration of a reference for learning [s]: memory and time of a start grow with it."""
 _ON_ITS_WAY = (Mode.TRACKING, Mode.REUSED_PLAN, Mode.FINISHED)
 
 
 @dataclass
 class _Lap:
-    """What was recorded since a start."""
+    """Record since a start."""
 
     motion: list[FloatArray] = field(default_factory=list)
     """(8,) time [s], pose x, y [m], theta [rad], twist [m/s, rad/s] as estimated, both gains of slip"""
     poses: list[FloatArray] = field(default_factory=list)
     """(4,) time of its stamp [s], pose as measured"""
     spoilt: str = ""
-    """why nothing can be learned from it"""
+    """Reason for which nothing can be learned from it."""
 
 
 class LapLearner:
@@ -79,7 +79,7 @@ class LapLearner:
         self.forget()
 
     def forget(self) -> None:
-        """Be as new."""
+        """Reset to the initial state."""
         self._reference: Reference | None = None
         self._lap, self._t0, self._told = _Lap(), 0.0, False
         self.time: FloatArray = np.empty(0)
@@ -87,14 +87,14 @@ class LapLearner:
 
     def _begin_anew(self, why: str) -> None:
         count = len(self.time)
-        self.laps, self.said = 0, why
+        self.laps, self.message = 0, why
         self.correction: FloatArray = np.zeros((count, 3))
         # What repeats, its variance from lap to lap, and the share of that variance that is left in the mean.
         self._repeating, self._spread, self._left = np.zeros((count, 2)), np.zeros((count, 2)), 0.0
         self._gains: FloatArray = np.ones(2)
         self._first_error = np.inf
 
-    def begin(self, reference: Reference, t0: float) -> Reference:
+    def start(self, reference: Reference, t0: float) -> Reference:
         """Learn from the lap that was driven, and begin the next, whose time 0 is `t0` [s].
 
         Returns
@@ -118,7 +118,7 @@ class LapLearner:
     def take(self, t: float, measurement: Measurement, result: StepResult) -> StepResult:
         """Record the tick at `t` [s]; returns `result`, at the first tick with what was learned in its message."""
         lap, now = self._lap, t - self._t0
-        words = f"rehearsal: {self.said}" if self.said and not self._told else ""
+        words = f"rehearsal: {self.message}" if self.message and not self._told else ""
         self._told = True
         # After a reset nothing is recorded until the next start.
         if self.time.size and now <= self.time[-1] + self._dt and not lap.spoilt:
@@ -134,15 +134,15 @@ class LapLearner:
         return replace(result, message="; ".join(filter(None, (result.message, words)))) if words else result
 
     def _is_near(self, believed: FloatArray, measured: FloatArray) -> bool:
-        """Whether a pose is no outlier, which the estimator rejects, too; False where it is not finite."""
+        """Return True if a pose is finite and no outlier, which the estimator rejects, too."""
         distance = measured - believed
         return bool(np.hypot(*distance[:2]) < self._most_jump) and bool(np.isfinite(distance).all())
 
     def _learn(self, reference: Reference) -> None:
-        """One step of the law above, or back to nothing where it did harm or the floor is another one."""
+        """Learn by one step of the law above, or reset after harm or on another floor."""
         settings, lap = self._settings, self._lap
         if lap.spoilt or not lap.poses or not lap.motion or lap.motion[-1][0] < self.time[-1] - 2 * self._dt:
-            self.said = f"nothing learned from the last lap: {lap.spoilt or 'it was not driven to its end'}"
+            self.message = f"nothing learned from the last lap: {lap.spoilt or 'it was not driven to its end'}"
             return
         motion = np.array(lap.motion)
         assert self._reference is not None
@@ -168,10 +168,10 @@ class LapLearner:
         self._repeating = (1 - settings.forgetting) * (self._repeating + share * news)
         self.correction = self._bounded(-self._trust() * self._repeating, reference)
         largest = 1e3 * float(np.hypot(*self.correction.T[:2]).max())
-        self.said = f"learned from {self.laps} laps, {in_words}, correction up to {largest:.1f} mm"
+        self.message = f"learned from {self.laps} laps, {in_words}, correction up to {largest:.1f} mm"
 
     def _trust(self) -> FloatArray:
-        """(n, 2) share of what repeats that stands out of what does not, 0 to 1."""
+        """Compute the share (n, 2) of the repeating part that exceeds the varying part, 0 to 1."""
         if self.laps == 1:
             return np.full_like(self._repeating, _FIRST_TRUST)
         variance = self._smooth(self._spread, _VARIANCE) * self._left / (1 - self._left)
@@ -179,12 +179,12 @@ class LapLearner:
         return np.maximum(0.0, 1 - variance / np.maximum(power, np.finfo(float).tiny))
 
     def _smooth(self, rows: FloatArray, times: float = 1.0) -> FloatArray:
-        """Rows (n, m) averaged over `times` the time of smoothing."""
+        """Average rows (n, m) over `times` the smoothing time."""
         width = times * self._settings.smoothing / self.time[1]
         return np.asarray(gaussian_filter1d(rows, width, axis=0, mode="nearest"))
 
     def _error(self, reference: Reference, motion: FloatArray, poses: FloatArray) -> FloatArray:
-        """(n, 2) error of the lap along and across the reference [m], from the measured poses.
+        """Compute the error (n, 2) of the lap along and across the reference [m], from the measured poses.
 
         The estimated twist, added up, has the shape of the motion but drifts; its distance from the poses, smoothed, is
         the drift.
@@ -192,29 +192,29 @@ class LapLearner:
         expected = reference.sample(self.time).pose
         v, omega = (np.interp(self.time, motion[:, 0], motion[:, 4 + i]) for i in (0, 1))
         poses = poses[(poses[:, 0] >= 0) & (poses[:, 0] <= self.time[-1])]
-        at, measured = poses[:, 0], poses[:, 1:]
-        near = np.interp(at, self.time, expected[:, 2])
-        theta = self._undrifted(omega, at, near + wrap_angle(measured[:, 2] - near))
+        times_of_poses, measured = poses[:, 0], poses[:, 1:]
+        near = np.interp(times_of_poses, self.time, expected[:, 2])
+        theta = self._undrifted(omega, times_of_poses, near + wrap_angle(measured[:, 2] - near))
         moved = [
-            self._undrifted(v * np.cos(theta), at, measured[:, 0]),
-            self._undrifted(v * np.sin(theta), at, measured[:, 1]),
+            self._undrifted(v * np.cos(theta), times_of_poses, measured[:, 0]),
+            self._undrifted(v * np.sin(theta), times_of_poses, measured[:, 1]),
         ]
         return np.column_stack(ahead_and_left(np.column_stack(moved) - expected[:, :2], expected[:, 2]))
 
-    def _undrifted(self, rate: FloatArray, at: FloatArray, measured: FloatArray) -> FloatArray:
-        """The integral of `rate` (n,), moved onto what was `seen` (m,) at the times `at` (m,)."""
+    def _undrifted(self, rate: FloatArray, times: FloatArray, measured: FloatArray) -> FloatArray:
+        """Integrate `rate` (n,), corrected to agree with `measured` (m,) at `times` (m,)."""
         step = float(self.time[1])
         shape = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * step)])
-        place = np.clip(np.rint(at / step).astype(int), 0, len(shape) - 1)
+        place = np.clip(np.rint(times / step).astype(int), 0, len(shape) - 1)
         sums = np.zeros((len(shape), 2))
-        np.add.at(sums, place, np.column_stack([measured - np.interp(at, self.time, shape), np.ones_like(at)]))
+        np.add.at(sums, place, np.column_stack([measured - np.interp(times, self.time, shape), np.ones_like(times)]))
         # Far enough to reach a pose anywhere: its weight is small, but it is the only one.
         width = self._settings.smoothing / step
         distance, count = gaussian_filter1d(sums, width, axis=0, mode="constant", truncate=30.0).T
         return np.asarray(shape + distance / np.maximum(count, np.finfo(float).tiny))
 
     def _bounded(self, moved: FloatArray, reference: Reference) -> FloatArray:
-        """The correction (n, 3) for a motion (n, 2): smooth, inside its bounds, and nothing at the start."""
+        """Compute the correction (n, 3) for a motion (n, 2): smooth, inside its bounds, and zero at the start."""
         settings, step = self._settings, self.time[1]
         moved = self._smooth(moved) * np.minimum(1.0, self.time / (2 * settings.smoothing))[:, None]
         size = np.hypot(*moved.T)[:, None]
@@ -230,7 +230,7 @@ class LapLearner:
 
 
 def same_motion(first: Reference, second: Reference) -> bool:
-    """Whether both are the same motion, be it in another place; not looked at where they are `LONGEST` or more."""
+    """Return True if both are the same motion, even in another place; False for `LONGEST` or more."""
     if abs(first.duration - second.duration) >= _SAME or first.duration > LONGEST:
         return False
     times = np.linspace(0.0, first.duration, max(int(first.duration / _INSTANT), 1) + 1)
@@ -238,7 +238,7 @@ def same_motion(first: Reference, second: Reference) -> bool:
 
 
 def corrected(reference: Reference, time: FloatArray, correction: FloatArray) -> SplineTrajectory:
-    """`reference` moved by `correction` (n, 3) along and across itself [m] and turned [rad] at the times (n,) [s]."""
+    """Move `reference` by `correction` (n, 3) along and across itself [m] and in heading [rad] at times (n,)."""
     plain = reference.sample(time)
     heading, (v, omega) = plain.pose[:, 2], plain.twist.T
     change = np.column_stack([*ahead_and_left(correction, -heading), correction[:, 2]])

@@ -51,14 +51,14 @@ class EnergyMeter:
         self.restart()
 
     def restart(self) -> None:
-        """Begin at zero with the next reading."""
+        """Restart at zero with the next reading."""
         self.energy = self.counted = self.missing = 0.0
         self.gaps = 0
         self.power = math.nan
         self._last: float | None = None
 
     def take(self, time: float, power: float) -> None:
-        """A reading of `power` [W] at `time` [s], later than the one before."""
+        """Add a reading of `power` [W] at `time` [s], later than the previous one."""
         if self._last is not None:
             step = time - self._last
             if step > self._longest:
@@ -136,10 +136,10 @@ class EnergyPart(NodePart):
         measured = self._measured
         if measured.counted < _TELLS_AFTER or measured.energy >= 0:
             return ""
-        other = "false" if self._settings.battery_discharge_negative else "true"
+        opposite = "false" if self._settings.battery_discharge_negative else "true"
         return (
             f"the drive has charged the battery by {-measured.energy:.1f} J: its current has the other sign; "
-            f"set battery_discharge_negative to {other}"
+            f"set battery_discharge_negative to {opposite}"
         )
 
     def take_battery(self, message: BatteryState) -> None:

@@ -77,7 +77,7 @@ class ErrorPredictor:
     calibration: ErrorCalibration
 
     @classmethod
-    def of(cls, controller: Controller, settings: PredictedErrorSettings) -> ErrorPredictor:
+    def build(cls, controller: Controller, settings: PredictedErrorSettings) -> ErrorPredictor:
         """Read the calibration; ConfigError or ValueError where it cannot be used, or not for this model."""
         calibration = load_calibration(settings.error_calibration or None)
         calibration.population(settings.error_population)
@@ -86,16 +86,16 @@ class ErrorPredictor:
         return cls(controller.model.lag, settings.error_population, calibration)
 
     def predict(self, reference: Reference, config: ControllerConfig) -> PredictedError:
-        """The prediction; raises ValueError where the reference lasts no time, or over two hours."""
+        """Predict the error; raise ValueError for a reference of no duration, or over two hours."""
         return predict_tubes(reference, config, self.lag, self.population, self.calibration)
 
     def summary(self, reference: Reference, config: ControllerConfig) -> str:
-        """The prediction in one line of JSON, see `_summary`."""
+        """Summarise the prediction in one line of JSON, see `_summary`."""
         return json.dumps(_summary(self.predict(reference, config), self.population))
 
 
 def _summary(predicted: PredictedError, population: str) -> dict[str, object]:
-    """Widest place of both tubes: half width [m], time [s] and distance since the start [m], reasons, and warnings."""
+    """Describe the widest place of both tubes: half width [m], time [s], distance [m], reasons, warnings."""
 
     def widest(tube: ErrorTube, words: str, index: int) -> dict[str, object]:
         return {
@@ -159,7 +159,7 @@ class ErrorLimit:
 
 
 def _complaint(predicted: PredictedError, limit: float) -> str:
-    """Say why a path is not known to keep to the limit [m]; empty where it is."""
+    """Describe why a path may exceed the limit [m]; empty if it does not."""
     width = float(predicted.lateral.everywhere.max())
     if width > limit:
         return (
@@ -194,7 +194,7 @@ class PredictedErrorPart(NodePart):
         settings = self._settings = tools.part_settings(PredictedErrorSettings)
         self._predictor, self._unpredictable = None, ""
         try:
-            self._predictor = ErrorPredictor.of(tools.controller, settings)
+            self._predictor = ErrorPredictor.build(tools.controller, settings)
         except ConfigError:
             raise
         except ValueError as error:

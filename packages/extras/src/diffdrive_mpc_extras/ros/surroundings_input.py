@@ -1,4 +1,4 @@
-"""What lies around the robot, from topics: a costmap, and things that move.
+"""Surroundings of the robot from topics: a costmap, and moving objects.
 
 `costmap` is a nav_msgs/OccupancyGrid. `obstacles` is a sensor_msgs/PointCloud2 with the fields x, y, radius, and vx, vy
 where they move: of the types with a wheel it is the one that carries named numbers of many things in one block, and
@@ -70,7 +70,7 @@ class SeenDiscs(NamedTuple):
 
 
 def read_costmap(raw: bytes, settings: FreeSpace) -> CostmapMessage:
-    """A serialised OccupancyGrid as rectangles.
+    """Convert a serialised OccupancyGrid to rectangles.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def read_costmap(raw: bytes, settings: FreeSpace) -> CostmapMessage:
 
 
 def read_obstacles(raw: bytes) -> SeenDiscs:
-    """A serialised PointCloud2 as discs.
+    """Convert a serialised PointCloud2 to discs.
 
     Raises
     ------
@@ -191,12 +191,12 @@ class SurroundingsInput:
 
     @property
     def fault(self) -> str:
-        """Which topic is missing or old, in words; empty if none is."""
+        """Name the missing or old topic; empty if there is none."""
         now, limit = self._inbox.now, self._free_space.max_age
         return "; ".join(filter(None, (watch.fault(now, limit) for watch in self.topics)))
 
     def take_costmap(self, raw: bytes) -> None:
-        """A serialised OccupancyGrid has arrived."""
+        """Handle a serialised OccupancyGrid."""
         most = self._free_space.max_cells + _OVERHEAD
         if len(raw) > most:
             self._refuse(self.costmap, too_long(len(raw), most))
@@ -210,7 +210,7 @@ class SurroundingsInput:
         )
 
     def take_obstacles(self, raw: bytes) -> None:
-        """A serialised PointCloud2 has arrived."""
+        """Handle a serialised PointCloud2."""
         if len(raw) > _OBSTACLES_BYTES:
             self._refuse(self.obstacles, too_long(len(raw), _OBSTACLES_BYTES))
             return
@@ -283,12 +283,12 @@ class FreeSpacePart(NodePart):
         if not free_space_of(tools.controller.config).enabled:
             raise RefusedError("use_costmap or use_obstacles is set: set free_space.enabled, too")
         warn = self.node.get_logger().warning
-        seen = SurroundingsInput(settings, tools.controller, tools.inbox, tools.side_process, warn)
-        self.surroundings, self.topics = seen, seen.topics
+        surroundings = SurroundingsInput(settings, tools.controller, tools.inbox, tools.side_process, warn)
+        self.surroundings, self.topics = surroundings, surroundings.topics
         if settings.use_costmap:
-            self.subscribe_raw(GridMessage, "costmap", seen.take_costmap)
+            self.subscribe_raw(GridMessage, "costmap", surroundings.take_costmap)
         if settings.use_obstacles:
-            self.subscribe_raw(PointCloud2, "obstacles", seen.take_obstacles, qos_profile_sensor_data)
+            self.subscribe_raw(PointCloud2, "obstacles", surroundings.take_obstacles, qos_profile_sensor_data)
         tools.side_process.prepare(nothing)
 
     def activate(self) -> None:

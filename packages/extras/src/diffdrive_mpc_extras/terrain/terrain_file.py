@@ -36,7 +36,7 @@ class Terrain(StrictModel):
     published_least_radius: Positive | None = Field(default=None, description="that the source found [m]")
 
     def known_shear(self) -> Shear:
-        """The shear law; raises ConfigError where it is not known."""
+        """Return the shear law; raise ConfigError if it is unknown."""
         if self.shear is None:
             raise ConfigError(
                 f"terrain '{self.description}': its shear law is not known; "
@@ -45,7 +45,7 @@ class Terrain(StrictModel):
         return self.shear
 
     def yaw_rates(self, commands: FloatArray) -> FloatArray | None:
-        """(n,) yaw rates [rad/s] of the body under commands (n, 2), by the slip law; None without one."""
+        """Compute yaw rates (n,) [rad/s] of the body under commands (n, 2), by the slip law; None without one."""
         return None if self.slip is None else polynomial_twist(self.slip, commands)[..., 2]
 
 

@@ -44,7 +44,7 @@ _SLIDING = 40.0
 
 
 class Forces(NamedTuple):
-    """What the floor does to the vehicle, n conditions."""
+    """Forces of the floor on the vehicle for n conditions."""
 
     traction: FloatArray
     """(n, 4) forward force on each tyre [N]"""
@@ -71,7 +71,7 @@ def floor_forces(
     twist: FloatArray,
     nodes: tuple[int, int] = NODES,
 ) -> Forces:
-    """Forces under the tyres.
+    """Compute the forces under the tyres.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def floor_forces(
     nodes
         Gauss points along and across a patch.
     """
-    u, w, omega = (one[:, None, None] for one in np.asarray(twist, dtype=float).T)
+    u, w, omega = (component[:, None, None] for component in np.asarray(twist, dtype=float).T)
     dx, dy, weights = _patch(vehicle.patch_length, vehicle.patch_width, nodes)
     x = vehicle.places[:, :1] + dx  # (4, q)
     y = vehicle.places[:, 1:] + dy
@@ -112,14 +112,14 @@ def floor_forces(
 
 
 def inertial_wrench(vehicle: Vehicle, twist: FloatArray) -> FloatArray:
-    """(n, 3) forces [N] and moment about the middle [N m] that a steady turn with `twist` (n, 3) takes."""
+    """Compute forces [N] and moment about the middle [N m] (n, 3) of a steady turn with `twist` (n, 3)."""
     ahead, left, _ = vehicle.centre_of_mass
     force = vehicle.mass * _acceleration(vehicle, twist)
     return np.stack([force[:, 0], force[:, 1], ahead * force[:, 1] - left * force[:, 0]], axis=-1)
 
 
 def _acceleration(vehicle: Vehicle, twist: FloatArray) -> FloatArray:
-    """(n, 2) of the centre of mass in a steady turn [m/s^2]."""
+    """Compute the acceleration (n, 2) of the centre of mass in a steady turn [m/s^2]."""
     u, w, omega = np.asarray(twist, dtype=float).T
     ahead, left, _ = vehicle.centre_of_mass
     return np.stack([-omega * (w + omega * ahead), omega * (u - omega * left)], axis=-1)
@@ -134,7 +134,7 @@ def _displacement(
     edge: FloatArray,
     duration: FloatArray,
 ) -> FloatArray:
-    """(n, 4, q) how far a point of the tread is from where it met the floor [m]; equations 8 to 10.
+    """Compute the displacement (n, 4, q) of a tread point from its first contact [m]; equations 8 to 10.
 
     The point went from (edge, y) to (x, y) in the frame of the body, which meanwhile moved by the arc of its twist.
     Equations 8 and 9 are this, written about the centre of the turn; this form holds for a straight way, too.
@@ -160,7 +160,7 @@ def _gauss(count: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _patch(length: float, width: float, nodes: tuple[int, int]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(q,) offsets ahead and left [m] of the quadrature points of a patch, and their weights, which add up to one."""
+    """Compute offsets (q,) ahead and left [m] of a patch's quadrature points, and weights, which sum to one."""
     (a, by_a), (b, by_b) = _gauss(nodes[0]), _gauss(nodes[1])
     return np.repeat(length * a, len(b)), np.tile(width * b, len(a)), np.outer(by_a, by_b).ravel()
 
@@ -184,7 +184,7 @@ class SideTorques(NamedTuple):
     twist: FloatArray
     """(n, 3) of the body's middle: ahead, left [m/s], yaw rate [rad/s]"""
     forces: Forces
-    """of the floor"""
+    """Forces of the floor."""
     rolling_loss: FloatArray
     """(n,) power against drag and rolling resistance [W]"""
 
@@ -201,7 +201,7 @@ class SideTorques(NamedTuple):
 
 
 def side_torques(vehicle: Vehicle, terrain: Terrain, radius: ArrayLike, speed: ArrayLike) -> SideTorques:
-    """Torques in steady turns of commanded `radius` (n,) [m], counter-clockwise positive, at commanded `speed` [m/s].
+    """Compute torques in steady turns of commanded `radius` (n,) [m], counter-clockwise positive, at `speed` [m/s].
 
     An infinite radius is straight on.
 
@@ -250,7 +250,7 @@ def _balance(
     commands: FloatArray,
     yaw_rates: FloatArray | None,
 ) -> FloatArray:
-    """(n, 3) twists at which the floor's forces are those that the turn takes; yaw rates given are kept.
+    """Solve for twists (n, 3) at which the floor's forces are those of the turn; given yaw rates are fixed.
 
     Levenberg-Marquardt for all conditions at once. The stress grows with the sliding: the forces are monotone in the
     twist, and what is found is all that there is.

@@ -33,7 +33,7 @@ def load_diagnostic() -> Diagnostic:
 
 
 def diagnostic_commands(radii: Sequence[float], speeds: Sequence[float], hold: int, rest: int = 0) -> FloatArray:
-    """(n, 2) turns held one after the other for `hold` samples, the speeds in turn, with rest before and after."""
+    """Build turns (n, 2) held in sequence for `hold` samples, speeds in turn, with rest before and after."""
     each = np.resize(speeds, len(radii))
     rows = np.repeat(np.stack([each, each / np.array(radii)], axis=-1), hold, axis=0)
     still = np.zeros((rest, 2))

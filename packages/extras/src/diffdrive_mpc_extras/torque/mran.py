@@ -55,7 +55,7 @@ class MranSettings(StrictModel):
 
 
 class CurveSettings(StrictModel):
-    """What the inputs are, and within which bounds a curve speaks."""
+    """Inputs of a curve, and their valid ranges."""
 
     radii: Range = Field(description="turn radii within which a curve is asked [m]")
     speed: Positive = Field(description="at which curves stand [m/s]")
@@ -119,7 +119,7 @@ class MranNetwork:
         return float(self._parameters[0])
 
     def __call__(self, x: ArrayLike) -> FloatArray:
-        """Outputs for inputs x (...)."""
+        """Compute outputs for inputs x (...)."""
         inputs = np.asarray(x, dtype=float)
         amplitude, centre, width = self._parameters[1:].reshape(-1, _PER_UNIT).T
         bells = np.exp(-(((inputs[..., None] - centre) / width) ** 2))
@@ -152,19 +152,19 @@ class MranNetwork:
         return error
 
     def restart_doubt(self) -> None:
-        """Believe less in what was learned: before another terrain, as after a prior that may be wrong."""
+        """Increase the uncertainty of learned parameters: before another terrain, or after a doubtful prior."""
         self._covariance = np.diag(self._doubts(len(self._parameters)))
         self._distance = self._settings.distance[0]
         self._errors.clear()
 
     def _doubts(self, size: int) -> FloatArray:
-        """(size,) variances of parameters of which nothing is known."""
+        """Return variances (size,) of unknown parameters."""
         doubts = np.full(size, self._settings.shape_doubt)
         doubts[0], doubts[1::_PER_UNIT] = self._settings.doubt, self._settings.doubt
         return doubts
 
     def _grow(self, x: float, error: float, nearest: float) -> None:
-        """A unit where the sample is, as wide as it is far from the others, that makes up for its error."""
+        """Add a unit at the sample, as wide as its distance from the others, that compensates its error."""
         settings = self._settings
         width = np.clip(settings.overlap * nearest, *settings.width)
         self._parameters = np.append(self._parameters, [error, x, width])
@@ -176,7 +176,7 @@ class MranNetwork:
     def _adapt(
         self, error: float, amplitude: FloatArray, away: FloatArray, width: FloatArray, bells: FloatArray
     ) -> None:
-        """One update of an extended Kalman filter whose state is all parameters."""
+        """Update all parameters by one step of an extended Kalman filter."""
         settings = self._settings
         slope = amplitude * bells * 2 * away / width**2
         gradient = np.concatenate([[1.0], np.stack([bells, slope, slope * away / width], axis=-1).ravel()])
@@ -196,9 +196,9 @@ class MranNetwork:
         if not amplitude.size:
             return
         output = np.abs(amplitude * np.exp(-(((x - centre) / width) ** 2)))
-        asked = np.abs(x - centre) < width
+        covered = np.abs(x - centre) < width
         small = np.abs(amplitude) <= self._settings.prune_below * max(np.abs(amplitude).max(), output.max())
-        self._idle = np.where(asked, np.where(small, self._idle + 1, 0), self._idle)
+        self._idle = np.where(covered, np.where(small, self._idle + 1, 0), self._idle)
         keep = self._idle < self._settings.prune_after
         if keep.all():
             return

@@ -47,7 +47,7 @@ class TorqueCurves:
 
     @property
     def units(self) -> tuple[int, int]:
-        """How many hidden units the networks of the outer and of the inner side have."""
+        """Return the numbers of hidden units of the networks of the outer and the inner side."""
         return len(self._outer.units), len(self._inner.units)
 
     @property
@@ -58,25 +58,25 @@ class TorqueCurves:
 
     @classmethod
     def from_prior(cls, vehicle: Vehicle, terrain: Terrain, settings: TorqueSettings | None = None) -> TorqueCurves:
-        """Curves that know the triplets (radius, outer, inner) of a terrain driven before; P4, section 4.1.
+        """Build curves that contain the triplets (radius, outer, inner) of a former terrain; P4, section 4.1.
 
         Raises ConfigError if the shear law of the terrain is not known.
         """
         curves = cls(vehicle.torque_limit, settings)
-        asked = curves._settings.curves
-        low = max(asked.radii[0], 0.51 * (vehicle.command_track or vehicle.track))
-        radii = np.geomspace(low, asked.radii[1], asked.prior_radii)
-        torques = side_torques(vehicle, terrain, radii, asked.speed)
+        curve_settings = curves._settings.curves
+        low = max(curve_settings.radii[0], 0.51 * (vehicle.command_track or vehicle.track))
+        radii = np.geomspace(low, curve_settings.radii[1], curve_settings.prior_radii)
+        torques = side_torques(vehicle, terrain, radii, curve_settings.speed)
         rows = np.stack([radii, torques.outer, torques.inner], axis=-1)
-        for turn in range(asked.prior_passes):
+        for turn in range(curve_settings.prior_passes):
             # To and fro, as a drive does, so that no end is the one shown last.
             for radius, outer, inner in rows if turn % 2 else rows[::-1]:
-                curves.learn(radius, asked.speed, outer, inner)
+                curves.learn(radius, curve_settings.speed, outer, inner)
         curves.doubt()
         return curves
 
     def doubt(self) -> None:
-        """Believe less in what was learned so far: another terrain may have begun."""
+        """Increase the uncertainty of learned curves: another terrain may have started."""
         self._outer.restart_doubt()
         self._inner.restart_doubt()
 
@@ -140,15 +140,15 @@ class TorqueCurves:
         return len(used)
 
     def outer(self, radius: ArrayLike, speed: ArrayLike | None = None) -> FloatArray:
-        """Torque of the outer side [N m] at radii (n,) [m] and speeds, by default that of the settings [m/s]."""
+        """Compute the outer side's torque [N m] at radii (n,) [m] and speeds, by default the configured one."""
         return self._say(self._outer, radius, speed)
 
     def inner(self, radius: ArrayLike, speed: ArrayLike | None = None) -> FloatArray:
-        """Torque of the inner side [N m], as `outer`."""
+        """Compute the torque of the inner side [N m], as `outer`."""
         return self._say(self._inner, radius, speed)
 
     def torques(self, commands: ArrayLike) -> FloatArray:
-        """(n, 2) torques left, right [N m] for commands (n, 2) v [m/s], omega [rad/s] held; zero at rest."""
+        """Compute torques left, right (n, 2) [N m] for held commands (n, 2) v [m/s], omega [rad/s]; zero at rest."""
         v, omega = np.moveaxis(np.asarray(commands, dtype=float), -1, 0)
         with np.errstate(divide="ignore", invalid="ignore"):
             radius = np.abs(v / omega)
@@ -161,23 +161,27 @@ class TorqueCurves:
         return np.stack([np.where(left_outer, outer, inner), np.where(left_outer, inner, outer)], axis=-1)
 
     def least_radius(self, speed: float | None = None, share: float = LIMIT_SHARE) -> float:
-        """Largest radius at which the outer side needs more than `share` of its limit [m]; 0 where none does."""
+        """Find the largest radius at which the outer side needs more than `share` of its limit [m]; 0 without one."""
         low, high = self._settings.curves.radii
         return least_radius(lambda radii: self.outer(radii, speed), self.limit, (low, high), share)
 
     def _say(self, network: MranNetwork, radius: ArrayLike, speed: ArrayLike | None) -> FloatArray:
         radii = np.abs(np.asarray(radius, dtype=float))
-        at = np.full_like(radii, self._settings.curves.speed) if speed is None else np.asarray(speed, dtype=float)
+        speeds = np.full_like(radii, self._settings.curves.speed) if speed is None else np.asarray(speed, dtype=float)
         low, high = self._shown
-        x = self._input(radii, at)
+        x = self._input(radii, speeds)
         output = network(np.clip(x, low, high) if low <= high else x)
         bound = self._settings.curves.margin
         return np.asarray(self.limit * np.clip(output, -bound, bound))
 
     def _input(self, radius: FloatArray, speed: FloatArray) -> FloatArray:
-        asked = self._settings.curves
-        same = radius * (asked.speed / speed) ** asked.speed_exponent if asked.speed_exponent else radius
-        return np.asarray(np.log(np.clip(same, *asked.radii)))
+        curve_settings = self._settings.curves
+        same = (
+            radius * (curve_settings.speed / speed) ** curve_settings.speed_exponent
+            if curve_settings.speed_exponent
+            else radius
+        )
+        return np.asarray(np.log(np.clip(same, *curve_settings.radii)))
 
 
 # Turn costs from learned torque curves.
@@ -196,7 +200,7 @@ def costs_of_curves(
     provenance: str,
     radii: tuple[float, float] | None = None,
 ) -> TurnCosts:
-    """The file's content from learned curves and slip (3, 3) or nine coefficients.
+    """Build the file's content from learned curves and slip (3, 3) or nine coefficients.
 
     Parameters
     ----------
@@ -217,11 +221,11 @@ def costs_of_curves(
     if not high > low:
         raise ConfigError(f"turn costs '{name}': the torque curves were shown no two radii; learn a drive first")
     settings = load_torque_settings().curves
-    asked = np.geomspace(low, high, _ROWS)
+    table_radii = np.geomspace(low, high, _ROWS)
     table = TorqueTable(
-        radius=tuple(asked.tolist()),
-        outer=tuple(curves.outer(asked).tolist()),
-        inner=tuple(curves.inner(asked).tolist()),
+        radius=tuple(table_radii.tolist()),
+        outer=tuple(curves.outer(table_radii).tolist()),
+        inner=tuple(curves.inner(table_radii).tolist()),
         speed=settings.speed,
         speed_exponent=settings.speed_exponent,
     )
@@ -229,14 +233,14 @@ def costs_of_curves(
         name=name,
         vehicle=vehicle,
         drive=drive,
-        slip=SlipCoefficients.of(slip),
+        slip=SlipCoefficients.from_rows(slip),
         curve=table,
         provenance=provenance,
     )
 
 
 class PredictedEnergy(NamedTuple):
-    """Of n commands held one after the other."""
+    """Predicted energy of n commands held in sequence."""
 
     torque: FloatArray
     """(n, 2) left, right [N m]"""
@@ -251,7 +255,7 @@ class PredictedEnergy(NamedTuple):
 def predict_energy(
     vehicle: Vehicle, constants: DriveConstants, curves: TorqueCurves, commands: ArrayLike, sample_time: float
 ) -> PredictedEnergy:
-    """Energy of driving `commands` (n, 2) v [m/s], omega [rad/s], each for `sample_time` [s].
+    """Predict the energy of driving `commands` (n, 2) v [m/s], omega [rad/s], each for `sample_time` [s].
 
     Torques are those of steady turns: what speeding up takes and braking gives back is left out, as in P4, which is for
     gentle driving. Wheel speeds are those that the base makes of the commands.

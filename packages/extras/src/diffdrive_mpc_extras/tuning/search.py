@@ -90,7 +90,7 @@ class ConfigurationSearch:
         for number in range(plan.points):
             best = f", best {1e3 * best_of(points).error:.3g} mm" if points else ""
             runs = plan.places * plan.tuning_seeds.count
-            bar.begin(f"point {number + 1} of {plan.points}{best}", runs)
+            bar.start_stage(f"point {number + 1} of {plan.points}{best}", runs)
             trial = study.ask(self._distributions)
             values = {key: self._rounded(key, value) for key, value in trial.params.items()}
             rows = self.drive(values, plan.tuning_seeds.seeds, jobs, bar)
@@ -100,7 +100,7 @@ class ConfigurationSearch:
         return points
 
     def errors(self, rows: DataFrame) -> FloatArray:
-        """Position RMSE of each run [m]; a failed run counts with at least `failure_error`."""
+        """Compute the position RMSE of each run [m]; a failed run counts with at least `failure_error`."""
         measured = rows["position_rmse_m"].to_numpy(dtype=float)
         return np.asarray(np.where(failed(rows), np.fmax(measured, self._plan.failure_error), measured))
 
@@ -127,12 +127,12 @@ def failed(rows: DataFrame) -> FloatArray:
 
 
 def _value(config: ControllerConfig, key: str) -> Any:  # noqa: ANN401 - any value of a configuration
-    found: Any = config.model_dump()
+    value: Any = config.model_dump()
     for name in plain_key(key).split("."):
-        if not isinstance(found, Mapping) or name not in found:
+        if not isinstance(value, Mapping) or name not in value:
             raise ConfigError(f"parameters.{key}: the configuration has no such key; see diffdrive-mpc config schema")
-        found = found[name]
-    return found
+        value = value[name]
+    return value
 
 
 def import_optuna() -> Any:  # noqa: ANN401 - a module

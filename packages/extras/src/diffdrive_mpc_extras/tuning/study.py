@@ -146,7 +146,7 @@ class TuneStudy(Study[ConfigurationSearch, TuningOutcome]):
         with lasting_processes():
             points = plan.run(jobs, bar)
             best = best_of(points)
-            bar.begin("comparing", 2 * self._plan.places * len(seeds))
+            bar.start_stage("comparing", 2 * self._plan.places * len(seeds))
             start_rows = plan.drive(plan.start, seeds, jobs, bar)
             best_rows = plan.drive(best.values, seeds, jobs, bar) if best.values != plan.start else start_rows
         comparison = Comparison(start_rows, best_rows, plan.errors(start_rows), plan.errors(best_rows))

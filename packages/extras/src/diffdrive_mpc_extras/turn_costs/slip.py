@@ -17,7 +17,7 @@ _ALIKE = 1e4
 
 
 class IdentifiedSlip(NamedTuple):
-    """What was found."""
+    """Identified slip law."""
 
     coefficients: FloatArray
     """(3, 3) a11 to a33 of `models.slip_laws.polynomial_twist`, lateral to the left"""
@@ -26,10 +26,10 @@ class IdentifiedSlip(NamedTuple):
     rms: FloatArray
     """(3,) what remains of forward speed, lateral speed [m/s] and yaw rate [rad/s]"""
     rows: int
-    """How many samples told it"""
+    """Number of samples used."""
 
     def named(self) -> dict[str, float]:
-        """The coefficients by name."""
+        """Return the coefficients by name."""
         return dict(zip(POLYNOMIAL, self.coefficients.ravel().tolist(), strict=True))
 
 
@@ -40,7 +40,7 @@ def identify_slip(
     settling: float = 0.0,
     used: ArrayLike | None = None,
 ) -> IdentifiedSlip:
-    """The nine coefficients that take commands to the twist of the body; Ordonez et al., 2017 (P4), section 2.2.
+    """Identify the nine coefficients from commands to the twist of the body; Ordonez et al., 2017 (P4), section 2.2.
 
     Each row of the law is linear in its three coefficients, so this is least squares in closed form, where P4 runs a
     Kalman filter on poses.
@@ -94,7 +94,7 @@ def identify_slip(
 
 
 def body_twists(before: FloatArray, after: FloatArray, time: float) -> FloatArray:
-    """(n, 3) forward, lateral speed [m/s] and yaw rate [rad/s] that take poses (n, 3) to others in `time` [s]."""
+    """Compute forward, lateral speed [m/s] and yaw rate [rad/s] (n, 3) between poses (n, 3) in `time` [s]."""
     moved = after - before
     turn = np.arctan2(np.sin(moved[:, 2]), np.cos(moved[:, 2]))
     middle = before[:, 2] + 0.5 * turn
@@ -106,7 +106,7 @@ def body_twists(before: FloatArray, after: FloatArray, time: float) -> FloatArra
 
 
 def _repeats(rest: FloatArray) -> FloatArray:
-    """(3,) how many rows tell as much as one, by how alike a remainder is to the one before it."""
+    """Compute the number (3,) of rows with the information of one, from the correlation of residuals."""
     power = np.maximum((rest**2).sum(axis=0), np.finfo(float).tiny)
     alike = np.clip((rest[1:] * rest[:-1]).sum(axis=0) / power, 0.0, 0.999)
     return np.asarray((1 + alike) / (1 - alike))

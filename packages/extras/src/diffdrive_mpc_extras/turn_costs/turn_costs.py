@@ -1,4 +1,4 @@
-"""What one robot on one floor does and pays in a turn: a file that planner, controller and studies read.
+"""File of the turns of one robot on one floor, for planner, controller and studies.
 
 Torque of the sides over signed curvature as one smooth curve, the same for numbers and for CasADi.
 
@@ -50,7 +50,7 @@ def least_radius(
     radii: tuple[float, float] = (0.05, 1000.0),
     share: float = LIMIT_SHARE,
 ) -> float:
-    """Largest radius at which the outer side needs more than `share` of its torque limit [m]; 0 where none does.
+    """Find the largest radius at which the outer side needs more than `share` of its limit [m]; 0 without one.
 
     Parameters
     ----------
@@ -131,13 +131,13 @@ class TorqueSpline:
             self._splines.append(make_lsq_spline(dense, whole, knots, k=_DEGREE))
 
     def __call__(self, curvature: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and half difference [N m] at signed curvatures (n,) [1/m]."""
+        """Compute mean and half difference [N m] at signed curvatures (n,) [1/m]."""
         scaled = np.clip(np.arcsinh(curvature / _BEND), -self._most, self._most)
         mean, difference = (np.asarray(spline(scaled)) for spline in self._splines)
         return mean, difference
 
     def symbolic(self, curvature: Any) -> tuple[Any, Any]:  # noqa: ANN401 - SX or MX
-        """The same as CasADi expressions, with continuous second derivatives but at the two ends of the table."""
+        """Build the same CasADi expressions, with continuous second derivatives except at the ends of the table."""
         scaled = ca.fmax(-self._most, ca.fmin(self._most, ca.asinh(curvature / _BEND)))
         # Uniform B-splines as cubes of what lies beyond each knot: no cases, so derivatives hold everywhere.
         binomial = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0
@@ -181,8 +181,8 @@ class SlipCoefficients(StrictModel):
         return np.array([getattr(self, name) for name in POLYNOMIAL]).reshape(3, 3)
 
     @classmethod
-    def of(cls, rows: ArrayLike) -> Self:
-        """From nine numbers row by row; raises ConfigError if there are others."""
+    def from_rows(cls, rows: ArrayLike) -> Self:
+        """Build from nine numbers row by row; raise ConfigError for anything else."""
         values = np.asarray(rows, dtype=float).ravel()
         if values.shape != (9,) or not np.isfinite(values).all():
             raise ConfigError(f"slip of shape {np.shape(rows)}: give nine finite numbers, a11 to a33 row by row")
@@ -229,7 +229,7 @@ class TurnCosts(StrictModel):
     provenance: str = Field(min_length=1, description="where these values come from")
 
     def with_idle_power(self, power: float) -> Self:
-        """The same robot with so much drawn at rest, by computer, sensors and drivers [W], in place of its own.
+        """Return the same robot with `power` [W] drawn at rest by computer, sensors and drivers.
 
         Raises ConfigError if that is no number of watts.
         """
@@ -239,7 +239,7 @@ class TurnCosts(StrictModel):
         return self.model_copy(update={"drive": drive})
 
     def torques(self, commands: ArrayLike) -> FloatArray:
-        """(n, 2) torques left, right [N m] in steady turns under commands (n, 2) v [m/s], omega [rad/s]; zero at rest.
+        """Compute torques left, right (n, 2) [N m] in steady turns under commands (n, 2) v [m/s], omega [rad/s].
 
         Within the torque limit.
         """
@@ -252,16 +252,16 @@ class TurnCosts(StrictModel):
         return np.asarray(np.clip(sides + rolling, -limit, limit))
 
     def power(self, commands: ArrayLike) -> FloatArray:
-        """(n,) power from the battery [W] under commands (n, 2) v [m/s], omega [rad/s], with what is drawn at rest."""
+        """Compute the battery power (n,) [W] under commands (n, 2) v [m/s], omega [rad/s], idle power included."""
         rows = np.asarray(commands, dtype=float)
         return self.drive.robot_power(self.torques(rows), self.vehicle.rims(rows) / self.vehicle.wheel_radius)
 
     def twist(self, commands: ArrayLike) -> FloatArray:
-        """(n, 3) of the body: forward, lateral speed to the left [m/s], yaw rate [rad/s], by the slip law."""
+        """Compute forward, lateral speed to the left [m/s], yaw rate [rad/s] (n, 3) of the body, by the slip law."""
         return polynomial_twist(self.slip.rows, commands)
 
     def command(self, v: ArrayLike, omega: ArrayLike) -> FloatArray:
-        """(..., 2) commands whose body twist has this v [m/s] and omega [rad/s].
+        """Compute commands (..., 2) whose body twist has this v [m/s] and omega [rad/s].
 
         Raises ConfigError where the slip law has no such command.
         """
@@ -278,21 +278,21 @@ class TurnCosts(StrictModel):
         return command
 
     def least_radius(self, speed: float | None = None) -> float:
-        """Largest commanded radius at which the outer side needs more than 95 % of its limit [m] at `speed` [m/s].
+        """Find the largest commanded radius with an outer torque above 95 % of its limit [m] at `speed` [m/s].
 
         By default at the speed of the table. 0: none does; infinity: every turn does.
         """
-        at = self.curve.speed if speed is None else speed
-        if not (np.isfinite(at) and at > 0):
-            raise ConfigError(f"speed {at} m/s: give a positive number")
+        checked_speed = self.curve.speed if speed is None else speed
+        if not (np.isfinite(checked_speed) and checked_speed > 0):
+            raise ConfigError(f"speed {checked_speed} m/s: give a positive number")
 
         def outer(radii: FloatArray) -> FloatArray:
-            return self.torques(np.stack([np.full_like(radii, at), at / radii], axis=-1))[..., 1]
+            return self.torques(np.stack([np.full_like(radii, checked_speed), checked_speed / radii], axis=-1))[..., 1]
 
         return least_radius(outer, self.vehicle.torque_limit, _RADII, LIMIT_SHARE)
 
     def symbolic_power(self, v: Any, omega: Any) -> Any:  # noqa: ANN401 - SX or MX, as it is given
-        """`power` as a CasADi expression of commands v [m/s], omega [rad/s]: smooth, also straight on and at rest."""
+        """Build `power` as a CasADi expression of commands v [m/s], omega [rad/s], smooth everywhere."""
         vehicle, drive = self.vehicle, self.drive
         mean, difference = self._spline.symbolic(self._curvature(v, omega))
         half, total = 0.5 * (vehicle.command_track or vehicle.track), drive.idle_power
@@ -309,7 +309,7 @@ class TurnCosts(StrictModel):
         return total
 
     def _curvature(self, v: Any, omega: Any) -> Any:  # noqa: ANN401 - arrays or expressions
-        """Signed, as it counts at the speed of the table [1/m]."""
+        """Compute the signed curvature, as it counts at the speed of the table [1/m]."""
         exponent = self.curve.speed_exponent
         if exponent == 1.0:
             return omega / self.curve.speed
@@ -336,7 +336,7 @@ def load_turn_costs(name: str | Path) -> TurnCosts:
 
 
 def turn_costs_text(costs: TurnCosts) -> str:
-    """The file that `load_turn_costs` reads, to five digits.
+    """Format the file that `load_turn_costs` reads, to five digits.
 
     Vehicle and drive stand in it by name where they are shipped ones, else whole.
     """

@@ -65,13 +65,13 @@ class Vehicle(StrictModel):
         return self.weight / GRAVITY
 
     def rims(self, twist: FloatArray) -> FloatArray:
-        """(n, 2) rim speeds left, right [m/s] that the base makes of commands (n, 2) v [m/s], omega [rad/s]."""
+        """Compute rim speeds left, right (n, 2) [m/s] of the base for commands (n, 2) v [m/s], omega [rad/s]."""
         half = 0.5 * (self.command_track or self.track)
         v, omega = np.moveaxis(twist, -1, 0)
         return np.stack([v - half * omega, v + half * omega], axis=-1)
 
     def loads(self, acceleration: FloatArray) -> FloatArray:
-        """(n, 4) load of each wheel [N] under accelerations (n, 2) of the centre of mass, ahead and left [m/s^2].
+        """Compute the load of each wheel (n, 4) [N] under accelerations (n, 2) of the centre of mass [m/s^2].
 
         A rigid body on four equal springs: the loads lie in a plane. A wheel that would lift carries nothing, and the
         others then carry more than the weight by what it would pull.
@@ -120,21 +120,21 @@ class DriveConstants(StrictModel):
         return self.resistance / self.motors_per_side / self.torque_per_current**2
 
     def side_power(self, torque: ArrayLike, speed: ArrayLike) -> FloatArray:
-        """Electrical power of a side (...) [W] for its torque [N m] and the speed of its wheels [rad/s]."""
+        """Compute the electrical power of a side (...) [W] for its torque [N m] and the speed of its wheels [rad/s]."""
         torques = np.asarray(torque, dtype=float)
         return self._drawn(torques * np.asarray(speed, dtype=float) + self.side_heating * torques**2)
 
     def motor_power(self, power: ArrayLike, square: ArrayLike) -> FloatArray:
-        """Electrical power of a motor (...) [W] for its mechanical power [W] and its squared torque [N^2 m^2]."""
+        """Compute a motor's electrical power (...) [W] for mechanical power [W] and squared torque [N^2 m^2]."""
         heating = self.resistance / self.torque_per_current**2
         return self._drawn(np.asarray(power, dtype=float) + heating * np.asarray(square, dtype=float))
 
     def robot_power(self, torque: FloatArray, speed: FloatArray) -> FloatArray:
-        """(n,) what the robot takes from its battery [W] for torques (n, 2) and wheel speeds (n, 2) of the sides."""
+        """Compute the battery power (n,) [W] for torques (n, 2) and wheel speeds (n, 2) of the sides."""
         return np.asarray(self.side_power(torque, speed).sum(axis=-1) + self.idle_power)
 
     def _drawn(self, power: FloatArray) -> FloatArray:
-        """What the drivers draw for the motors' power; a braking motor's passes them the other way."""
+        """Compute the power drawn by the drivers; that of a braking motor flows the other way."""
         given_back = power * self.driver_efficiency if self.regeneration else np.zeros_like(power)
         return np.where(power > 0, power / self.driver_efficiency, given_back)
 
@@ -146,7 +146,7 @@ def load_drive_constants(name: str | Path = "default") -> DriveConstants:
 
 @cache
 def papers_drive() -> DriveConstants:
-    """Those of the papers' robot, of a robot that says nothing else."""
+    """Return the drive of the papers' robot, the default."""
     return load_drive_constants()
 
 

@@ -28,7 +28,7 @@ _ENOUGH = 1e-4
 
 @dataclass(frozen=True)
 class FittedParameter:
-    """What is known of one parameter after the fit.
+    """Posterior of one parameter.
 
     Attributes
     ----------
@@ -133,15 +133,17 @@ def fit_twin(problem: TwinProblem, start: Values, on_stage: Callable[[str, int],
     for i, (name, prior) in enumerate(space.priors.items()):
         known_to = float(np.hypot(deviation[i], prior.floor / prior.deviation)) if distinct[i] else 1.0
         reach = settings.interval * known_to
-        begin, end = (float(np.clip(prior.value(z[i] + side * reach), prior.low, prior.high)) for side in (-1, 1))
+        low_end, end = (float(np.clip(prior.value(z[i] + side * reach), prior.low, prior.high)) for side in (-1, 1))
         share = float(deviation[i])
-        known.append(FittedParameter(name, prior.unit, prior.words, values[name], begin, end, share, bool(distinct[i])))
+        known.append(
+            FittedParameter(name, prior.unit, prior.words, values[name], low_end, end, share, bool(distinct[i]))
+        )
     seconds = sum(stretch.experiment.samples * stretch.experiment.dt for stretch in problem.stretches)
     return TwinFit(space, values, tuple(known), search.drives, seconds)
 
 
 def told_apart(information: FloatArray, threshold: float) -> list[bool]:
-    """Which parameters a log tells: those that it tells least go back to their prior one by one, which tells the rest.
+    """Select the identifiable parameters: the least identifiable ones return to their prior one by one.
 
     Of two that it cannot tell apart, one stays: the one that it tells better by a little.
     """
@@ -170,13 +172,13 @@ class _Search:
             self.drives += 1
         return self._motions
 
-    def differences(self, z: FloatArray, free: list[int], here: list[FreeMotion]) -> FloatArray:
-        """`TwinProblem.slopes`, counted."""
+    def differences(self, z: FloatArray, free: list[int], motions: list[FreeMotion]) -> FloatArray:
+        """Compute `TwinProblem.slopes`, and count the call."""
         self.drives += sum(self.problem.drives(free))
-        return self.problem.slopes(z, free, here)
+        return self.problem.slopes(z, free, motions)
 
     def least(self, z: FloatArray, free: list[int], evaluations: int, known: FloatArray | None = None) -> FloatArray:
-        """(q,) the least sum of squares over the parameters `free`.
+        """Minimise the sum of squares over the parameters `free`: (q,).
 
         Slopes are found by differences at every other step, and follow the steps in between (Broyden, Mathematics of
         Computation 1965, 19(92), 577-593); at the first they may be `known` (n, len(free)).
@@ -197,9 +199,9 @@ class _Search:
 
         def slopes(part: FloatArray) -> FloatArray:
             point = whole(part)
-            here = self.motions(point)
-            assert here is not None
-            now, call = problem.rows(problem.errors(point, here)), next(calls)
+            motions = self.motions(point)
+            assert motions is not None
+            now, call = problem.rows(problem.errors(point, motions)), next(calls)
             if last and call % 2:
                 then, before, old = last
                 step = part - before
@@ -207,27 +209,27 @@ class _Search:
             elif known is not None and not last:
                 new = known
             else:
-                new = self.differences(point, free, here)
+                new = self.differences(point, free, motions)
             last[:] = [now, part.copy(), new]
             return np.vstack([new, np.eye(len(free))])
 
-        begin = np.clip(z[free], low[free] + 1e-9, high[free] - 1e-9)
+        start = np.clip(z[free], low[free] + 1e-9, high[free] - 1e-9)
         solution = least_squares(
-            errors, begin, slopes, bounds=(low[free], high[free]), ftol=_ENOUGH, xtol=1e-4, max_nfev=evaluations
+            errors, start, slopes, bounds=(low[free], high[free]), ftol=_ENOUGH, xtol=1e-4, max_nfev=evaluations
         )
         return whole(solution.x)
 
     def posterior(self, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(q,) deviations over the prior's, (q, q) information of readings and priors, and (n, q) slopes.
+        """Compute deviations (q,) over the prior's, information (q, q) of readings and priors, and slopes (n, q).
 
         The deviations are those of the information, or where parts of the log differ by more, those of their scatter.
         """
         problem = self.problem
-        here = self.motions(z)
-        assert here is not None
+        motions = self.motions(z)
+        assert motions is not None
         every = list(range(len(z)))
-        slopes = self.differences(z, every, here)
-        errors = problem.rows(problem.errors(z, here))
+        slopes = self.differences(z, every, motions)
+        errors = problem.rows(problem.errors(z, motions))
         information = slopes.T @ slopes + np.eye(len(z))
         covariance = np.linalg.inv(information)
         scores = np.array([slopes[rows].T @ errors[rows] for rows in problem.blocks()])

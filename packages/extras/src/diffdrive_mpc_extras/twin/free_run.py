@@ -44,7 +44,7 @@ class LogStretch:
 
 
 def stretch(run: SampledExperiment, first: int, stop: int, dc_gain: FloatArray) -> LogStretch:
-    """Rows `first` up to `stop` of a run without gaps; `dc_gain` (2, 2) of the identified model tells its start."""
+    """Cut rows `first` up to `stop` of a run without gaps; `dc_gain` (2, 2) of the identified model gives its start."""
     settings = twin_settings()
     rows = slice(first, stop)
     part = SampledExperiment(run.name, run.dt, run.inputs[rows], run.outputs[rows], run.counts[rows])
@@ -57,7 +57,7 @@ def stretch(run: SampledExperiment, first: int, stop: int, dc_gain: FloatArray) 
 
 
 def most_telling(runs: Sequence[SampledExperiment], dc_gain: FloatArray, seconds: float) -> list[LogStretch]:
-    """At most `seconds` of windows in which the commands change most, in the order of the log."""
+    """Select at most `seconds` of windows in which the commands change most, in the order of the log."""
     commands = np.concatenate([run.inputs for run in runs])
     scale = np.maximum(commands.std(axis=0), 1e-12)
     span = max(2, round(twin_settings().window / runs[0].dt))
@@ -69,8 +69,8 @@ def most_telling(runs: Sequence[SampledExperiment], dc_gain: FloatArray, seconds
     ]
     left = round(seconds / runs[0].dt)
     taken: list[tuple[int, int, int]] = []
-    for at in np.argsort(-np.array(changes), kind="stable").tolist():
-        (i, k), count = places[at], lengths[at]
+    for place in np.argsort(-np.array(changes), kind="stable").tolist():
+        (i, k), count = places[place], lengths[place]
         if (runs[i].counts[k : k + count].sum(axis=0) >= _FEWEST).all() and (count <= left or not taken):
             taken.append((i, k, k + count))
             left -= count
@@ -79,7 +79,7 @@ def most_telling(runs: Sequence[SampledExperiment], dc_gain: FloatArray, seconds
 
 @dataclass(frozen=True)
 class FreeMotion:
-    """What the plant did along one stretch, at `parts` instants a sample.
+    """Motion of the plant along one stretch, at `parts` instants a sample.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class FreeMotion:
     lead: int
 
     def twist(self) -> FloatArray:
-        """(K, 3) of the body at the samples."""
+        """Return the twist (K, 3) of the body at the samples."""
         return self.body[self.lead :: self.parts]
 
 
@@ -126,7 +126,7 @@ def drive(robot: SimulatedRobot, stretches: Sequence[LogStretch]) -> list[FreeMo
         base=robot.base,
         sample_time=dt / parts,
     )
-    return [_drive(plant, one, parts) for one in stretches]
+    return [_drive(plant, stretch_of_log, parts) for stretch_of_log in stretches]
 
 
 def _drive(plant: MujocoPlant, along: LogStretch, parts: int) -> FreeMotion:
@@ -144,7 +144,7 @@ def _drive(plant: MujocoPlant, along: LogStretch, parts: int) -> FreeMotion:
 
 
 def readings(motion: FreeMotion, experiment: SampledExperiment, sensors: Values) -> FloatArray:
-    """(K, p) v and omega of the log's encoders and, where p is 3, omega of its gyro."""
+    """Compute v and omega (K, p) of the log's encoders and, for p = 3, omega of its gyro."""
     step = experiment.dt / motion.parts
     measured = motion.wheels
     if "encoders_lag" in sensors:
@@ -152,8 +152,8 @@ def readings(motion: FreeMotion, experiment: SampledExperiment, sensors: Values)
         half = 0.5 * (1 - keep)
         measured = measured[0] + signal.lfilter([half, half], [1.0, -keep], measured - measured[0], axis=0)
     samples = motion.lead + motion.parts * np.arange(experiment.samples)
-    at, fine = samples - sensors.get("encoders_delay", 0.0) / step, np.arange(len(measured))
-    columns = [np.interp(at, fine, column) for column in measured.T]
+    instants, fine = samples - sensors.get("encoders_delay", 0.0) / step, np.arange(len(measured))
+    columns = [np.interp(instants, fine, column) for column in measured.T]
     if experiment.outputs.shape[1] > len(columns):
         columns.append(motion.body[samples, 2] + sensors.get("gyro_offset", 0.0))
     return np.column_stack(columns)

@@ -38,12 +38,12 @@ from diffdrive_mpc_extras.twin.settings import twin_settings
 from diffdrive_mpc_extras.twin.space import space_of
 
 LEAST_SECONDS = 5.0
-"""Of a log that can be fitted."""
+"""Minimum duration of a log for the fit [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class FittedTwin:
-    """What was made of a log.
+    """Result of the fit to a log.
 
     Attributes
     ----------
@@ -183,7 +183,7 @@ def twin_of(
 
 
 def energy_note(records: Sequence[Record]) -> str:
-    """The caveat on energies of drives with the plant: its motors' losses are the prior's, whatever the log holds."""
+    """Format the caveat on energies of drives with the plant: its motors' losses are those of the prior."""
     silent = all(record.motor_current is None and record.battery is None for record in records)
     why = "the log held no currents" if silent else "the currents of the log are not fitted"
     return (
@@ -193,7 +193,7 @@ def energy_note(records: Sequence[Record]) -> str:
 
 
 def _content(model: str | Path) -> ModelFile:
-    """The file of a linear model; raises ConfigError, or ModelError for a model that is a function."""
+    """Load the file of a linear model; raise ConfigError, or ModelError for a model that is a function."""
     load_linear_model(model)
     path = model_path(model)
     read_yaml(path)
@@ -201,7 +201,7 @@ def _content(model: str | Path) -> ModelFile:
 
 
 def _notes(beside: Identified) -> Sequence[str]:
-    """What of the identified model the plant cannot have."""
+    """List the parts of the identified model that the plant cannot have."""
     notes = []
     if beside.effects.yaw_relaxation is not None:
         notes.append(

@@ -29,7 +29,7 @@ from diffdrive_mpc_extras.twin.settings import twin_settings
 
 
 _LOOP = 0.03
-"""Of a model's lag, what the motors' loops of the plant have of their own [s], about."""
+"""Approximate share of the motors' control loops in a model's lag [s]."""
 _LEAST_LAG = 0.01
 
 
@@ -58,19 +58,19 @@ class Identified:
         return np.asarray(limits_in(self.effects)[:, :2].max(axis=1))
 
     def readings(self, run: SampledExperiment) -> FloatArray:
-        """(K, 2) v of the encoders and omega as the model means it, from the commands and the first readings."""
+        """Simulate v of the encoders and omega as the model defines it (K, 2), from commands and first readings."""
         if self.point:
             return np.asarray(free_run(self.point, run)[:, [0, -1]])
         return np.asarray(self.body(run) + np.array([0.0, self.sensors["gyro.offset"]]))
 
     def body(self, run: SampledExperiment) -> FloatArray:
-        """(K, 2) v [m/s] in metres of the encoders, and true yaw rate [rad/s]."""
+        """Simulate v [m/s] in metres of the encoders, and the true yaw rate [rad/s] (K, 2)."""
         first = np.array([run.outputs[np.argmax(run.counts[:, row]), row] for row in (0, -1)])
         start = np.linalg.solve(self.model.dc_gain, first - np.array([0.0, self.sensors["gyro.offset"]]))
         return respond(self.model, self.effects, run.inputs, run.dt, start).body
 
     def start(self, nominal: Nominal) -> dict[str, float]:
-        """Where the fit of a twin begins, as near to this model as the plant can be by a glance."""
+        """Return the start of a twin's fit, as near to this model as an estimate by hand."""
         gain, dead_time = self.model.dc_gain, float(self.model.dead_time.mean())
         lag = np.maximum(self.model.lag - dead_time - _LOOP, _LEAST_LAG)
         ratio = self.sensors["encoders.yaw_ratio"]
@@ -95,7 +95,7 @@ class Identified:
 
 
 def identified(content: ModelFile, runs: Sequence[SampledExperiment]) -> Identified:
-    """A model file and the sensors of a log, which are found from the `runs` to fit where the file does not say them.
+    """Build the model of a file, with the sensors of a log, identified from `runs` if the file lacks them.
 
     Raises
     ------
@@ -125,7 +125,7 @@ def identified(content: ModelFile, runs: Sequence[SampledExperiment]) -> Identif
 
 
 def _point(content: Mapping[str, Any], effects: BaseEffects, sensors: Mapping[str, float]) -> dict[str, float]:
-    """An SM file with effects, as `models.identification.effects` names its numbers."""
+    """Convert an SM file with effects to the names of `models.identification.effects`."""
     point: dict[str, float] = {"encoders.delay": 0.0, **sensors}
     for channel in CHANNELS:
         linear = content["channels"][channel]
@@ -152,7 +152,7 @@ def _point(content: Mapping[str, Any], effects: BaseEffects, sensors: Mapping[st
 
 
 def _yaw_ratio(runs: Sequence[SampledExperiment]) -> float:
-    """Yaw rate by the encoders over that of the gyro; 1 without a gyro."""
+    """Compute the yaw rate by the encoders over that of the gyro; 1 without a gyro."""
     if runs[0].outputs.shape[1] < _WITH_GYRO:
         return 1.0
     both = np.concatenate([run.outputs[run.counts[:, 1] & run.counts[:, 2]] for run in runs])
@@ -166,7 +166,7 @@ _WITH_GYRO = 3
 
 
 def _offset(model: Identified, runs: Sequence[SampledExperiment]) -> float:
-    """Mean of what the model leaves of omega."""
+    """Compute the mean residual of the model's omega."""
     low, high = (twin_settings().parameters["gyro_offset"].low, twin_settings().parameters["gyro_offset"].high)
     left = [(run.outputs[:, -1] - model.readings(run)[:, 1])[run.counts[:, -1]] for run in runs]
     return float(np.clip(np.mean(np.concatenate(left)), low, high))
@@ -174,7 +174,7 @@ def _offset(model: Identified, runs: Sequence[SampledExperiment]) -> float:
 
 @dataclass(frozen=True, repr=False)
 class HeldOutPrediction(ReadOnlyArrays):
-    """What one of them says of one record.
+    """Prediction of a model or twin for one record.
 
     Attributes
     ----------
@@ -190,7 +190,7 @@ class HeldOutPrediction(ReadOnlyArrays):
 
 @dataclass(frozen=True)
 class HeldOutScore:
-    """How well one of them predicts.
+    """Quality of the prediction of a model or twin.
 
     Attributes
     ----------
@@ -208,7 +208,7 @@ class HeldOutScore:
 
 
 def hold_model(model: Identified, experiments: Sequence[SampledExperiment]) -> list[HeldOutPrediction]:
-    """What the identified model predicts; one free run over each run without gaps."""
+    """Predict with the identified model, in one free run over each run without gaps."""
     runs = joined(experiments)
     predicted = parted([model.readings(run) for run in runs], experiments)
     body = parted([model.body(run) for run in runs], experiments)
@@ -216,7 +216,7 @@ def hold_model(model: Identified, experiments: Sequence[SampledExperiment]) -> l
 
 
 def hold_twin(fit: TwinFit, model: Identified, experiments: Sequence[SampledExperiment]) -> list[HeldOutPrediction]:
-    """What the twin predicts, as `hold_model`."""
+    """Predict with the twin, as `hold_model`."""
     runs = joined(experiments)
     stretches = [stretch(run, 0, run.samples, model.model.dc_gain) for run in runs]
     motions = drive(fit.robot, stretches)
@@ -229,20 +229,20 @@ def hold_twin(fit: TwinFit, model: Identified, experiments: Sequence[SampledExpe
 
 
 def fit_percent(predictions: Sequence[HeldOutPrediction], experiments: Sequence[SampledExperiment]) -> dict[str, float]:
-    """FIT [%] of v and omega, and of omega of the encoders where it is predicted beside the gyro's."""
+    """Compute FIT [%] of v and omega, and of omega of the encoders if it is predicted next to the gyro's."""
     width = experiments[0].outputs.shape[1]
     columns = {"v": (0, 0), "omega": (-1, -1)}
     if predictions[0].readings.shape[1] == width and width > len(columns):
         columns["omega of the encoders"] = (1, 1)
     return {
         name: pooled_fit_percent(
-            [run.outputs[run.counts[:, there], there] for run in experiments],
+            [run.outputs[run.counts[:, output], output] for run in experiments],
             [
-                prediction.readings[run.counts[:, there], here]
+                prediction.readings[run.counts[:, output], column]
                 for prediction, run in zip(predictions, experiments, strict=True)
             ],
         )
-        for name, (here, there) in columns.items()
+        for name, (column, output) in columns.items()
     }
 
 
@@ -254,7 +254,7 @@ def drift_of(
     travel: float,
     on_missing: Callable[[str], None] = lambda _words: None,
 ) -> tuple[PoseDrift, ...]:
-    """Open-loop error of the pose about the centre of rotation; empty without poses.
+    """Compute the open-loop error of the pose about the centre of rotation; empty without poses.
 
     Parameters
     ----------

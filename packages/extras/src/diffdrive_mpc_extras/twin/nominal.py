@@ -34,12 +34,12 @@ _STATED = {
     "top_speed": ("twin", "motor", "no_load_speed"),
     "driver": ("twin", "driver", "proportional_gain"),
 }
-"""Where a robot file says a parameter's number."""
+"""Places of a parameter's number in a robot file."""
 
 
 @dataclass(frozen=True)
 class Nominal:
-    """Where the fit begins.
+    """Start of the fit.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Nominal:
     track_of_encoders: float
 
     def clipping(self, levels: FloatArray) -> Nominal:
-        """The same, with a link that clips v and omega at these levels (2,), infinite where it does not."""
+        """Return the start with a link that clips v and omega at these levels (2,), infinite for no limit."""
         limits = self.robot.robot.limits
         lower = {name: min(getattr(limits, name), float(level)) for name, level in zip(CHANNELS, levels, strict=True)}
         body = self.robot.robot.model_copy(update={"limits": limits.model_copy(update=lower)})
@@ -64,7 +64,7 @@ class Nominal:
 
 
 def nominal_robot(name: str, records: Sequence[Record], file: str | Path | None = None) -> Nominal:
-    """The robot behind some records.
+    """Estimate the robot behind some records.
 
     Parameters
     ----------
@@ -80,19 +80,19 @@ def nominal_robot(name: str, records: Sequence[Record], file: str | Path | None 
     models.checked_yaml.ConfigError
         If the file has a mistake, or neither it nor the records tell track and wheel radius.
     """
-    given: Mapping[str, Any] = {}
+    stated_data: Mapping[str, Any] = {}
     where = name
     if file is not None:
         content, where = ROBOTS.read(file)
         if not isinstance(content, Mapping):
             raise ConfigError(f"{where}: expected keys and values, such as robot: {{mass: 50}} [kg]")
-        given = content
+        stated_data = content
     geometry = wheel_geometry(records)
-    body = given.get("robot") if isinstance(given.get("robot"), Mapping) else {}
+    body = stated_data.get("robot") if isinstance(stated_data.get("robot"), Mapping) else {}
     assert isinstance(body, Mapping)
     track = geometry.track if geometry else body.get("track")
     radius = geometry.radius if geometry else body.get("wheel_radius")
-    if not all(isinstance(one, (int, float)) and one > 0 for one in (track, radius)):
+    if not all(isinstance(length, (int, float)) and length > 0 for length in (track, radius)):
         raise ConfigError(
             f"{where}: the log has no wheel speeds, so nothing tells track and wheel radius; give --robot a file with "
             "robot: {track: ..., wheel_radius: ...} [m]"
@@ -102,13 +102,13 @@ def nominal_robot(name: str, records: Sequence[Record], file: str | Path | None 
     usual = load_robot()
     if not (isinstance(mass, (int, float)) and mass > 0):
         mass = usual.mass * (track / usual.track) ** 3
-    data = laid_over(_scaled(name, records, float(track), float(radius), float(mass)), given)
-    stated = frozenset(key for key, path in _STATED.items() if _holds(given, path))
+    data = laid_over(_scaled(name, records, float(track), float(radius), float(mass)), stated_data)
+    stated = frozenset(key for key, path in _STATED.items() if _holds(stated_data, path))
     return Nominal(check(SimulatedRobot, data, where), stated, float(geometry.track if geometry else track))
 
 
 def _scaled(name: str, records: Sequence[Record], track: float, radius: float, mass: float) -> dict[str, Any]:
-    """The papers' robot made as large, as heavy and as fast as another one."""
+    """Scale the papers' robot to the size, mass and speed of another."""
     settings, usual, twin = twin_settings(), load_robot(), load_twin_parameters().model_dump()
     command = np.abs(np.concatenate([record.command for record in records])).max(axis=0)
     limits = settings.limit_margin * np.maximum(command, 1e-3)
@@ -147,7 +147,7 @@ def _scaled(name: str, records: Sequence[Record], track: float, radius: float, m
 
 
 def _sensors(records: Sequence[Record], radius: float) -> dict[str, Any]:
-    """Noise and rates as the log shows them; what it does not show is as in the default set."""
+    """Estimate noise and rates from the log; values that it does not show are those of the default set."""
     noise, sensors = sensor_noise(records), load_sensor_set(DEFAULT).model_dump()
     if "yaw_rate_noise" in noise:
         sensors["gyro"]["noise_sd"] = noise["yaw_rate_noise"]
@@ -166,8 +166,8 @@ def _sensors(records: Sequence[Record], radius: float) -> dict[str, Any]:
     return sensors
 
 
-def _holds(given: Mapping[str, Any], path: Sequence[str]) -> bool:
-    place: Any = given
+def _holds(stated_data: Mapping[str, Any], path: Sequence[str]) -> bool:
+    place: Any = stated_data
     for key in path:
         if not isinstance(place, Mapping) or key not in place:
             return False

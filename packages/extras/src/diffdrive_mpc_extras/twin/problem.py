@@ -25,7 +25,7 @@ _LOST = 10.0
 
 
 def one_by_one(tasks: Sequence[Task]) -> list[list[FreeMotion] | None]:
-    """In this process."""
+    """Run the tasks in this process."""
     return [task() for task in tasks]
 
 
@@ -61,13 +61,13 @@ class TwinProblem:
     weight: FloatArray | None = None
 
     def motions(self, z: FloatArray) -> list[FreeMotion] | None:
-        """Of the plant at deviations `z` (q,); None where it does not come through."""
+        """Simulate the plant at deviations `z` (q,); None if it fails."""
         motions = _driven(self.space.robot(self.space.values(z)), self.stretches)
         self.on_drive()
         return motions
 
     def errors(self, z: FloatArray, motions: Sequence[FreeMotion] | None) -> list[FloatArray]:
-        """For each stretch (K, p) simulated less measured, NaN without reading."""
+        """Compute simulated less measured readings (K, p) of each stretch, NaN without reading."""
         values = self.space.values(z)
         if motions is None:
             assert self.weight is not None
@@ -90,43 +90,43 @@ class TwinProblem:
         self.weight = 1.0 / np.maximum(size * np.sqrt(used / effective_samples(errors)), 1e-9)
 
     def rows(self, errors: Sequence[FloatArray]) -> FloatArray:
-        """(n,) weighted errors of all readings that count."""
+        """Stack the weighted errors (n,) of all readings that count."""
         assert self.weight is not None
         every = np.concatenate(errors) * self.weight
         return np.asarray(every[np.isfinite(every)])
 
     def drives(self, free: Sequence[int]) -> list[bool]:
-        """For each parameter of `free`, whether another value needs another drive: the log's sensors need none."""
+        """Return True for each parameter of `free` that needs another drive; the log's sensors need none."""
         return [self.space.names[i] not in twin_settings().sensors for i in free]
 
-    def slopes(self, z: FloatArray, free: Sequence[int], here: Sequence[FreeMotion]) -> FloatArray:
-        """(n, len(free)) derivatives of `rows`, by one-sided differences; the sensors' need no drive."""
+    def slopes(self, z: FloatArray, free: Sequence[int], motions_at_z: Sequence[FreeMotion]) -> FloatArray:
+        """Compute derivatives (n, len(free)) of `rows` by one-sided differences; those of the sensors need no drive."""
         _, high = self.space.bounds
         steps = self.space.steps
         moved = []
         for i in free:
-            other = z.copy()
-            other[i] += steps[i] if z[i] + steps[i] < high[i] else -steps[i]
-            moved.append(other)
+            varied = z.copy()
+            varied[i] += steps[i] if z[i] + steps[i] < high[i] else -steps[i]
+            moved.append(varied)
         driven = self.drives(free)
         tasks = [
-            partial(_driven, self.space.robot(self.space.values(other)), self.stretches)
-            for other, new in zip(moved, driven, strict=True)
+            partial(_driven, self.space.robot(self.space.values(varied)), self.stretches)
+            for varied, new in zip(moved, driven, strict=True)
             if new
         ]
         results = iter(self.together(tasks))
-        base = self.rows(self.errors(z, here))
+        base = self.rows(self.errors(z, motions_at_z))
         columns = []
-        for i, other, new in zip(free, moved, driven, strict=True):
-            motions = next(results) if new else list(here)
+        for i, varied, new in zip(free, moved, driven, strict=True):
+            motions = next(results) if new else list(motions_at_z)
             if new:
                 self.on_drive()
-            away = base if motions is None else self.rows(self.errors(other, motions))
-            columns.append((away - base) / (other[i] - z[i]))
+            away = base if motions is None else self.rows(self.errors(varied, motions))
+            columns.append((away - base) / (varied[i] - z[i]))
         return np.column_stack(columns)
 
     def blocks(self) -> list[NDArray[np.int64]]:
-        """Numbers of the rows of `rows` that belong to the same few seconds."""
+        """Return the indices of `rows` by blocks of a few seconds."""
         span = max(1, round(twin_settings().block / self.stretches[0].experiment.dt))
         labels: list[NDArray[np.int64]] = []
         next_label = 0

@@ -32,19 +32,19 @@ class Prior(StrictModel):
     words: str
 
     def z(self, value: float) -> float:
-        """Deviations of `value` from the prior's median."""
+        """Convert `value` to deviations from the prior's median."""
         if self.scale == "log":
             return float(np.log(value / self.prior)) / self.deviation
         return (value - self.prior) / self.deviation
 
     def value(self, z: float) -> float:
-        """The inverse of `z`."""
+        """Invert `z`."""
         if self.scale == "log":
             return self.prior * float(np.exp(self.deviation * z))
         return self.prior + self.deviation * z
 
-    def at(self, prior: float | None = None, *, stated: bool = False) -> Prior:
-        """A copy with another median; `stated` selects the narrower deviation."""
+    def with_median(self, prior: float | None = None, *, stated: bool = False) -> Prior:
+        """Return a copy with another median; `stated` selects the narrower deviation."""
         changes: dict[str, float] = {} if prior is None else {"prior": prior}
         if stated and self.stated is not None:
             changes["deviation"] = self.stated

@@ -16,14 +16,14 @@ from diffdrive_mpc_extras.twin.nominal import Nominal
 from diffdrive_mpc_extras.twin.settings import Prior, twin_settings
 
 Values = Mapping[str, float]
-"""Of every parameter, by name."""
+"""Values of every parameter, by name."""
 _SLEW = ("slew_v", "slew_omega")
 _WITH_GYRO = ("encoders_delay", "encoders_lag", "gyro_offset", "wheel_base", "veer")
 
 
 @dataclass(frozen=True)
 class Space:
-    """Which parameters there are, and what is believed of them.
+    """Space of the parameters, with their priors.
 
     Attributes
     ----------
@@ -44,15 +44,17 @@ class Space:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of all parameters; those of the log's sensors are among them."""
+        """Return the names of all parameters, those of the log's sensors included."""
         return tuple(self.priors)
 
     def values(self, z: FloatArray) -> dict[str, float]:
-        """Values for deviations `z` (q,) from the priors' medians."""
-        return {name: prior.value(float(one)) for (name, prior), one in zip(self.priors.items(), z, strict=True)}
+        """Compute values for deviations `z` (q,) from the priors' medians."""
+        return {
+            name: prior.value(float(deviation)) for (name, prior), deviation in zip(self.priors.items(), z, strict=True)
+        }
 
     def deviations(self, values: Values) -> FloatArray:
-        """The inverse of `values`, kept inside the bounds; (q,), zero for what is not given."""
+        """Invert `values` inside the bounds: (q,), zero for missing ones."""
         z = [prior.z(values[name]) if name in values else 0.0 for name, prior in self.priors.items()]
         low, high = self.bounds
         inside = 1e-3 * (high - low)
@@ -70,38 +72,38 @@ class Space:
         return np.array([prior.step / prior.deviation for prior in self.priors.values()])
 
     def robot(self, values: Values) -> SimulatedRobot:
-        """The plant; parameters that are not among those of this space are at their prior."""
-        at = {name: prior.prior for name, prior in twin_settings().parameters.items()} | dict(values)
+        """Build the plant; parameters outside this space have their prior."""
+        numbers = {name: prior.prior for name, prior in twin_settings().parameters.items()} | dict(values)
         start = self.nominal.robot
         chassis, motor, driver = start.twin.chassis, start.twin.motor, start.twin.driver
-        track = at["track"] * self.nominal.track_of_encoders
+        track = numbers["track"] * self.nominal.track_of_encoders
         length, width, height = chassis.body_size
         changes: dict[str, Any] = {
-            "robot": {"mass": at["mass"] * start.robot.mass},
+            "robot": {"mass": numbers["mass"] * start.robot.mass},
             "twin": {
                 "chassis": {
-                    "wheel_base": at["wheel_base"] * chassis.wheel_base,
-                    "body_size": [at["inertia"] * length, at["inertia"] * width, height],
-                    "wheel_mass": at["mass"] * chassis.wheel_mass,
-                    "rolling_radii": [self.travel * (1 + at["veer"] / 2), self.travel * (1 - at["veer"] / 2)],
+                    "wheel_base": numbers["wheel_base"] * chassis.wheel_base,
+                    "body_size": [numbers["inertia"] * length, numbers["inertia"] * width, height],
+                    "wheel_mass": numbers["mass"] * chassis.wheel_mass,
+                    "rolling_radii": [self.travel * (1 + numbers["veer"] / 2), self.travel * (1 - numbers["veer"] / 2)],
                 },
-                "tyre": {"creep_time": at["creep"] * start.twin.tyre.creep_time},
+                "tyre": {"creep_time": numbers["creep"] * start.twin.tyre.creep_time},
                 "motor": {
-                    "stall_torque": at["torque"] * motor.stall_torque,
-                    "no_load_speed": at["top_speed"] * motor.no_load_speed,
+                    "stall_torque": numbers["torque"] * motor.stall_torque,
+                    "no_load_speed": numbers["top_speed"] * motor.no_load_speed,
                 },
                 "driver": {
-                    "proportional_gain": at["driver"] * driver.proportional_gain,
-                    "integral_gain": at["driver"] * driver.integral_gain,
+                    "proportional_gain": numbers["driver"] * driver.proportional_gain,
+                    "integral_gain": numbers["driver"] * driver.integral_gain,
                 },
-                "link": {"dead_time": at["dead_time"]},
+                "link": {"dead_time": numbers["dead_time"]},
             },
-            "firmware": {name: at[name] for name in ("gain_v", "lag_v", "lag_omega")} | {"track": track},
-            "friction": at["friction"],
+            "firmware": {name: numbers[name] for name in ("gain_v", "lag_v", "lag_omega")} | {"track": track},
+            "friction": numbers["friction"],
         }
         base: dict[str, Any] = {}
         if self.effects.twist_slew is not None:
-            base["twist_slew"] = {"v": at["slew_v"], "omega": at["slew_omega"]}
+            base["twist_slew"] = {"v": numbers["slew_v"], "omega": numbers["slew_omega"]}
         if self.effects.wheel_command is not None:
             base["wheel_command"] = self.effects.wheel_command.model_dump() | {"track": track}
         if base:
@@ -110,7 +112,7 @@ class Space:
 
 
 def space_of(nominal: Nominal, effects: BaseEffects, *, gyro: bool, lagging: bool, travel: float = 1.0) -> Space:
-    """The parameters that a log may tell.
+    """Build the space of the parameters that a log may determine.
 
     Parameters
     ----------
@@ -129,7 +131,7 @@ def space_of(nominal: Nominal, effects: BaseEffects, *, gyro: bool, lagging: boo
     skipped |= set() if gyro else set(_WITH_GYRO)
     skipped |= set() if lagging else {"encoders_lag"}
     priors = {
-        name: prior.at(stated=name in nominal.stated)
+        name: prior.with_median(stated=name in nominal.stated)
         for name, prior in twin_settings().parameters.items()
         if name not in skipped
     }

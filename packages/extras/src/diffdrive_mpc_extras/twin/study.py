@@ -41,7 +41,7 @@ _HEAD = """\
 
 
 def plant_text(twin: FittedTwin, day: datetime.date) -> str:
-    """The plant file."""
+    """Format the plant file."""
     robot = twin.fit.robot
     data: dict[str, Any] = robot.model_dump(exclude_none=True)
     data["firmware"]["provenance"] = {
@@ -61,7 +61,7 @@ def plant_text(twin: FittedTwin, day: datetime.date) -> str:
 
 
 def _plain(value: Any) -> Any:  # noqa: ANN401 - numbers in any nesting
-    """Numbers with the digits that a file carries; words and truth values as they are."""
+    """Round numbers to the digits of a file; keep words and truth values."""
     if isinstance(value, Mapping):
         return {key: _plain(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
@@ -72,7 +72,7 @@ def _plain(value: Any) -> Any:  # noqa: ANN401 - numbers in any nesting
 
 
 def fit_table(twin: FittedTwin) -> Table:
-    """FIT and drift of both, on the same rows."""
+    """Tabulate FIT and drift of both, on the same rows."""
     names = list(dict.fromkeys([*twin.model_held.fit_percent, *twin.twin_held.fit_percent]))
     horizons = [drift.horizon for drift in twin.twin_held.drift]
     rows = []
@@ -90,7 +90,7 @@ def fit_table(twin: FittedTwin) -> Table:
 
 
 def parameter_table(twin: FittedTwin) -> Table:
-    """What the log told."""
+    """Tabulate the parameters that the log determined."""
     rows = tuple(
         (
             parameter.name,
@@ -158,7 +158,7 @@ def draw_held_out(twin: FittedTwin, path: Path) -> None:
 
 
 def _busiest(commands: FloatArray, window: int) -> int:
-    """First row of the window in which the commands, each over its own spread, change most."""
+    """Find the first row of the window in which the commands, each over its own spread, change most."""
     if len(commands) <= window:
         return 0
     change = np.abs(np.diff(commands, axis=0, prepend=commands[:1]))
@@ -181,7 +181,7 @@ class TwinStudy(Study[None, FittedTwin]):
     def run(self, plan: None, jobs: int, bar: ProgressBar) -> FittedTwin:
         """Fit; raises ConfigError, ValueError or OSError if an option or a log cannot be used."""
         del plan
-        bar.begin("reading", 1)
+        bar.start_stage("reading", 1)
         with Parallel(n_jobs=jobs) as pool:
 
             def together(tasks: Sequence[Task]) -> list[list[FreeMotion] | None]:
@@ -191,7 +191,7 @@ class TwinStudy(Study[None, FittedTwin]):
                 return twin_of(
                     self._logs,
                     together=one_by_one if jobs == 1 else together,
-                    on_stage=bar.begin,
+                    on_stage=bar.start_stage,
                     on_drive=bar.advance,
                     on_findings=_print_findings,
                     **self._options,

@@ -47,4 +47,4 @@ def world_table(rows: DataFrame) -> Table:
         "least clearance [m]": lambda part: number(part["passage_clearance_m"].mean(skipna=False), 3),
         "stood [s]": lambda part: number(part["passage_standing_s"].mean(skipna=False), 1),
     }
-    return Table.of("World", ("plant", "controller"), columns, entries, _NOTE)
+    return Table.build("World", ("plant", "controller"), columns, entries, _NOTE)

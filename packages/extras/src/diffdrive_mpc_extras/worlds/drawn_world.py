@@ -48,15 +48,15 @@ class ObstacleDistanceGrid:
     clearance: FloatArray
 
     @classmethod
-    def of(cls, shapes: Shapes, low: FloatArray, high: FloatArray, resolution: float) -> ObstacleDistanceGrid:
-        """Of a rectangle from `low` to `high` (2,) [m]; exact at the middles of the cells."""
+    def build(cls, shapes: Shapes, low: FloatArray, high: FloatArray, resolution: float) -> ObstacleDistanceGrid:
+        """Build the grid of a rectangle from `low` to `high` (2,) [m]; it is exact at the middles of the cells."""
         columns, rows = (np.ceil((high - low) / resolution).astype(int) + 1).tolist()
         x, y = low[0] + resolution * np.arange(columns), low[1] + resolution * np.arange(rows)
-        points = np.column_stack([one.ravel() for one in np.meshgrid(x, y)])
+        points = np.column_stack([axis.ravel() for axis in np.meshgrid(x, y)])
         return cls(np.asarray(low, dtype=float), resolution, shapes.distance(points).reshape(rows, columns))
 
     def cell(self, point: FloatArray) -> tuple[int, int]:
-        """Row and column of the nearest cell."""
+        """Return row and column of the nearest cell."""
         column, row = np.rint((np.asarray(point) - self.origin) / self.resolution).astype(int).tolist()
         rows, columns = self.clearance.shape
         return min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)
@@ -70,7 +70,7 @@ class ObstacleDistanceGrid:
         comfort: float = 0.0,
         only: NDArray[np.bool_] | None = None,
     ) -> FloatArray | None:
-        """The best way (n, 2) [m] for a disc of `radius` [m], or None where there is none.
+        """Find the best path (n, 2) [m] for a disc of `radius` [m]; None without one.
 
         Parameters
         ----------
@@ -95,18 +95,18 @@ class ObstacleDistanceGrid:
         return self.origin + self.resolution * np.array(cells, dtype=float)[:, ::-1]
 
 
-def near(of: ObstacleDistanceGrid, way: FloatArray, distance: float) -> NDArray[np.bool_]:
-    """(rows, columns) cells within `distance` [m] of the points of a way."""
-    away = np.ones(of.clearance.shape, dtype=bool)
+def near(grid: ObstacleDistanceGrid, way: FloatArray, distance: float) -> NDArray[np.bool_]:
+    """Mark the cells (rows, columns) within `distance` [m] of the points of a path."""
+    away = np.ones(grid.clearance.shape, dtype=bool)
     for point in way:
-        away[of.cell(point)] = False
-    return np.asarray(distance_transform_edt(away) * of.resolution <= distance)
+        away[grid.cell(point)] = False
+    return np.asarray(distance_transform_edt(away) * grid.resolution <= distance)
 
 
 def _astar(
     free: NDArray[np.bool_], cost: FloatArray, start: tuple[int, int], goal: tuple[int, int]
 ) -> list[tuple[int, int]] | None:
-    """Cells from start to goal over eight neighbours, or None."""
+    """Find cells from start to goal over eight neighbours; None without a path."""
     if not (free[start] and free[goal]):
         return None
     rows, columns = free.shape
@@ -115,26 +115,26 @@ def _astar(
     done: set[tuple[int, int]] = set()
     waiting = [(0.0, start)]
     while waiting:
-        _, here = heapq.heappop(waiting)
-        if here == goal:
-            cells = [here]
-            while here in came:
-                here = came[here]
-                cells.append(here)
+        _, cell = heapq.heappop(waiting)
+        if cell == goal:
+            cells = [cell]
+            while cell in came:
+                cell = came[cell]
+                cells.append(cell)
             return cells[::-1]
-        if here in done:
+        if cell in done:
             continue
-        done.add(here)
+        done.add(cell)
         for i, j, length in _STEPS:
-            row, column = here[0] + i, here[1] + j
+            row, column = cell[0] + i, cell[1] + j
             if not (0 <= row < rows and 0 <= column < columns and free[row, column]):
                 continue
-            there = (row, column)
-            spent = best[here] + length * float(cost[there])
-            if spent < best.get(there, math.inf):
-                best[there] = spent
-                came[there] = here
-                heapq.heappush(waiting, (spent + math.hypot(goal[0] - row, goal[1] - column), there))
+            following = (row, column)
+            spent = best[cell] + length * float(cost[following])
+            if spent < best.get(following, math.inf):
+                best[following] = spent
+                came[following] = cell
+                heapq.heappush(waiting, (spent + math.hypot(goal[0] - row, goal[1] - column), following))
     return None
 
 
@@ -155,7 +155,7 @@ class Surprise(StrictModel):
 
 
 class Drawing(StrictModel):
-    """What drawn worlds are made of; units in `drawn_world.yaml`."""
+    """Settings of drawn worlds; units in `drawn_world.yaml`."""
 
     length: AboveZero
     width: AboveZero
@@ -177,13 +177,13 @@ class Drawing(StrictModel):
 
 @cache
 def drawing() -> Drawing:
-    """The shipped settings."""
+    """Load the shipped settings."""
     return load_checked(Drawing, Path(__file__).parent / "drawn_world.yaml")
 
 
 @lru_cache(maxsize=64)
 def drawn_world(seed: int, *, through: bool = False) -> World:
-    """The world of a seed, the same bit for bit at each call.
+    """Draw the world of a seed, the same bit for bit at each call.
 
     Parameters
     ----------
@@ -197,17 +197,17 @@ def drawn_world(seed: int, *, through: bool = False) -> World:
     models.checked_yaml.ConfigError
         If no world with a way was found in the number of attempts that the settings allow.
     """
-    of = drawing()
+    settings = drawing()
     random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(3_002,)))
-    fill = float(random.uniform(*of.fill))
-    for _ in range(of.attempts):
-        posts = _field(of, fill, random)
-        world = _plan(of, posts)
+    fill = float(random.uniform(*settings.fill))
+    for _ in range(settings.attempts):
+        posts = _field(settings, fill, random)
+        world = _plan(settings, posts)
         if world is None:
             continue
         planned, points = world
         if through:
-            surprises = _surprises(of, posts, points, planned, random)
+            surprises = _surprises(settings, posts, points, planned, random)
             if surprises is None:
                 continue
             posts = np.vstack([posts, surprises])
@@ -215,96 +215,101 @@ def drawn_world(seed: int, *, through: bool = False) -> World:
         return World(
             description=f"field of {len(posts)} posts, {100 * fill:.0f} % of the cells drawn, "
             + ("posts on the planned way" if through else "the planned way is free"),
-            way=Way(waypoints=tuple((float(x), float(y)) for x, y in points), speed=of.speed),
-            time_limit=round(of.slack * length / of.speed + 8.0, 1),
+            way=Way(waypoints=tuple((float(x), float(y)) for x, y in points), speed=settings.speed),
+            time_limit=round(settings.slack * length / settings.speed + 8.0, 1),
             posts=tuple(Post(at=(float(x), float(y)), radius=float(r)) for x, y, r in posts),
         )
-    raise ConfigError(f"drawn:{seed}: no way in {of.attempts} attempts; take another seed")
+    raise ConfigError(f"drawn:{seed}: no way in {settings.attempts} attempts; take another seed")
 
 
-def _field(of: Drawing, fill: float, random: np.random.Generator) -> FloatArray:
-    """(n, 3) posts x, y, radius [m]: the field begins behind the apron and is centred on y = 0."""
-    rows, columns = round(of.width / of.cell), round(of.length / of.cell)
+def _field(settings: Drawing, fill: float, random: np.random.Generator) -> FloatArray:
+    """Draw posts (n, 3) x, y, radius [m]: the field begins behind the apron and is centred on y = 0."""
+    rows, columns = round(settings.width / settings.cell), round(settings.length / settings.cell)
     full = random.random((rows, columns)) < fill
-    for _ in range(of.rounds):
+    for _ in range(settings.rounds):
         around = convolve(full.astype(int), _AROUND, mode="constant")
         lonely = (around == 0) & (random.random(full.shape) < 0.5)
         full = (full & ~lonely) | (around >= _CROWDED)
     row, column = np.nonzero(full)
     # Off the raster a little: rows of posts in line are no field.
-    shift = random.uniform(-0.25, 0.25, (2, len(row))) * of.cell
-    x = of.apron + (column + 0.5) * of.cell + shift[0]
-    y = (row + 0.5) * of.cell - of.width / 2 + shift[1]
-    return np.column_stack([x, y, np.full(len(row), of.post_radius)])
+    shift = random.uniform(-0.25, 0.25, (2, len(row))) * settings.cell
+    x = settings.apron + (column + 0.5) * settings.cell + shift[0]
+    y = (row + 0.5) * settings.cell - settings.width / 2 + shift[1]
+    return np.column_stack([x, y, np.full(len(row), settings.post_radius)])
 
 
 def _shapes(posts: FloatArray) -> Shapes:
     return Shapes((), posts)
 
 
-def _map(of: Drawing, posts: FloatArray) -> ObstacleDistanceGrid:
+def _map(settings: Drawing, posts: FloatArray) -> ObstacleDistanceGrid:
     # Half a metre beside the field is free, so that the way round it is one, too.
-    low = np.array([-0.3, -of.width / 2 - 0.0])
-    return ObstacleDistanceGrid.of(
-        _shapes(posts), low, np.array([of.length + 2 * of.apron + 0.3, of.width / 2]), of.resolution
+    low = np.array([-0.3, -settings.width / 2 - 0.0])
+    return ObstacleDistanceGrid.build(
+        _shapes(posts),
+        low,
+        np.array([settings.length + 2 * settings.apron + 0.3, settings.width / 2]),
+        settings.resolution,
     )
 
 
-def _ends(of: Drawing) -> tuple[FloatArray, FloatArray]:
-    return np.zeros(2), np.array([of.length + 2 * of.apron, 0.0])
+def _ends(settings: Drawing) -> tuple[FloatArray, FloatArray]:
+    return np.zeros(2), np.array([settings.length + 2 * settings.apron, 0.0])
 
 
-def _plan(of: Drawing, posts: FloatArray) -> tuple[ObstacleDistanceGrid, FloatArray] | None:
-    """The map and waypoints (k, 2) of a smooth path that the disc around the robot can follow; None without one."""
-    grid = _map(of, posts)
-    way = grid.way(*_ends(of), of.disc_radius + of.spare, comfort=of.comfort)
+def _plan(settings: Drawing, posts: FloatArray) -> tuple[ObstacleDistanceGrid, FloatArray] | None:
+    """Plan the map and waypoints (k, 2) of a smooth path for the disc around the robot; None without one."""
+    grid = _map(settings, posts)
+    way = grid.way(*_ends(settings), settings.disc_radius + settings.spare, comfort=settings.comfort)
     if way is None:
         return None
-    points = _waypoints(way, of.spacing)
+    points = _waypoints(way, settings.spacing)
     dense, bend = _smooth(points)
-    if _shapes(posts).distance(dense).min() < of.disc_radius + 0.5 * of.spare or bend * _LEAST_TURN > 1:
+    if _shapes(posts).distance(dense).min() < settings.disc_radius + 0.5 * settings.spare or bend * _LEAST_TURN > 1:
         return None
     return grid, points
 
 
 def _waypoints(way: FloatArray, spacing: float) -> FloatArray:
-    """Points of an A* way at about equal distances, corners rounded by a moving mean."""
+    """Space the points of an A* path about evenly, with corners rounded by a moving mean."""
     window = 9
     padded = np.vstack([np.repeat(way[:1], window // 2, axis=0), way, np.repeat(way[-1:], window // 2, axis=0)])
     kernel = np.ones(window) / window
     rounded = np.column_stack([np.convolve(padded[:, i], kernel, mode="valid") for i in (0, 1)])
     rounded[0], rounded[-1] = way[0], way[-1]
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rounded, axis=0).T))])
-    at = np.linspace(0.0, arc[-1], max(2, round(arc[-1] / spacing) + 1))
-    return np.column_stack([np.interp(at, arc, rounded[:, i]) for i in (0, 1)])
+    arc_lengths = np.linspace(0.0, arc[-1], max(2, round(arc[-1] / spacing) + 1))
+    return np.column_stack([np.interp(arc_lengths, arc, rounded[:, i]) for i in (0, 1)])
 
 
 def _smooth(points: FloatArray) -> tuple[FloatArray, float]:
-    """Points (n, 2) of the cubic spline that a reference lays through waypoints, and its largest curvature [1/m]."""
+    """Compute points (n, 2) of the cubic spline of a reference through waypoints, and its maximum curvature [1/m]."""
     chord = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     spline = CubicSpline(chord, points, bc_type="natural")
-    at = np.linspace(0.0, chord[-1], max(2, round(chord[-1] / 0.02)))
-    first, second = spline(at, 1), spline(at, 2)
+    parameters = np.linspace(0.0, chord[-1], max(2, round(chord[-1] / 0.02)))
+    first, second = spline(parameters, 1), spline(parameters, 2)
     bend = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / np.hypot(*first.T) ** 3
-    return spline(at), float(bend.max())
+    return spline(parameters), float(bend.max())
 
 
 def _surprises(
-    of: Drawing, posts: FloatArray, points: FloatArray, planned: ObstacleDistanceGrid, random: np.random.Generator
+    settings: Drawing, posts: FloatArray, points: FloatArray, planned: ObstacleDistanceGrid, random: np.random.Generator
 ) -> FloatArray | None:
-    """(n, 3) posts on the way, around which there is another one; None where none was found."""
+    """Draw posts (n, 3) on the path with another path around them; None without success."""
     dense, _ = _smooth(points)
-    corridor: NDArray[np.bool_] = near(planned, dense, of.surprise.around)
-    inside = np.flatnonzero((dense[:, 0] > of.apron + 0.5) & (dense[:, 0] < of.length + of.apron - 0.5))
+    corridor: NDArray[np.bool_] = near(planned, dense, settings.surprise.around)
+    inside = np.flatnonzero(
+        (dense[:, 0] > settings.apron + 0.5) & (dense[:, 0] < settings.length + settings.apron - 0.5)
+    )
     for _ in range(20):
-        count = int(random.integers(of.surprise.count[0], of.surprise.count[1] + 1))
-        at = random.choice(inside, count, replace=False)
-        tangent = np.gradient(dense, axis=0)[at]
+        count = int(random.integers(settings.surprise.count[0], settings.surprise.count[1] + 1))
+        indices = random.choice(inside, count, replace=False)
+        tangent = np.gradient(dense, axis=0)[indices]
         tangent /= np.hypot(*tangent.T)[:, None]
-        offset = random.uniform(-of.surprise.offset, of.surprise.offset, count)
-        middle = dense[at] + offset[:, None] * np.column_stack([-tangent[:, 1], tangent[:, 0]])
-        placed = np.column_stack([middle, random.uniform(*of.surprise.radius, count)])
-        grid = _map(of, np.vstack([posts, placed]))
-        if grid.way(*_ends(of), of.disc_radius + of.spare, only=corridor) is not None:
+        offset = random.uniform(-settings.surprise.offset, settings.surprise.offset, count)
+        middle = dense[indices] + offset[:, None] * np.column_stack([-tangent[:, 1], tangent[:, 0]])
+        placed = np.column_stack([middle, random.uniform(*settings.surprise.radius, count)])
+        grid = _map(settings, np.vstack([posts, placed]))
+        if grid.way(*_ends(settings), settings.disc_radius + settings.spare, only=corridor) is not None:
             return placed
     return None

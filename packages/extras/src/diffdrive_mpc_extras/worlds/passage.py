@@ -1,4 +1,4 @@
-"""How a run went through its world: whether and when it arrived, what it touched, how near it came to things."""
+"""Passage of a run through its world: arrival, contacts and clearance."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Contact:
 
     @property
     def sentence(self) -> str:
-        """What happened, in words."""
+        """Describe the result in words."""
         return (
             f"t = {self.time:.2f} s: it touched {self.obstacle} at x = {self.x:.2f} m, y = {self.y:.2f} m "
             f"with {self.fastest:.2f} m/s"
@@ -70,10 +70,10 @@ class ContactLog:
 
     def touched(self, time: float, obstacle: str, x: float, y: float, speed: float) -> None:
         """Enter one contact at `time` [s] and place [m], where the hull moves at `speed` [m/s]."""
-        at = self._last.get(obstacle)
-        if at is not None and time - self._events[at].until <= self._gap:
-            event = self._events[at]
-            self._events[at] = replace(event, until=time, fastest=max(event.fastest, speed))
+        index = self._last.get(obstacle)
+        if index is not None and time - self._events[index].until <= self._gap:
+            event = self._events[index]
+            self._events[index] = replace(event, until=time, fastest=max(event.fastest, speed))
             return
         self._last[obstacle] = len(self._events)
         self._events.append(Contact(time, time, obstacle, x, y, speed, speed))
@@ -87,7 +87,7 @@ _OUTLINE_STEP = 0.03
 
 @dataclass(frozen=True, slots=True)
 class Passage:
-    """What came of a run in a world.
+    """Passage of a run through a world.
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ def passage_of(
     pose: FloatArray,
     twist: FloatArray,
 ) -> Passage:
-    """What came of a run of n ticks.
+    """Evaluate the passage of a run of n ticks.
 
     Parameters
     ----------
@@ -141,24 +141,24 @@ def passage_of(
     moving = [contact for contact in contacts if contact.fastest > rules.contact.moving_speed]
     speed = np.hypot(twist[:, 0], twist[:, 1])
     near = np.hypot(*(pose[:, :2] - goal[:2]).T) <= rules.goal.distance
-    there = np.flatnonzero(near & (speed <= rules.goal.speed) & (time <= world.time_limit))
-    arrived = bool(there.size) and not moving
-    until = there[0] if arrived else len(time) - 1
+    arrivals = np.flatnonzero(near & (speed <= rules.goal.speed) & (time <= world.time_limit))
+    arrived = bool(arrivals.size) and not moving
+    until = arrivals[0] if arrived else len(time) - 1
     stood = (speed[: until + 1] <= rules.contact.moving_speed).sum()
     tick = float(time[1] - time[0]) if len(time) > 1 else 0.0
     return Passage(
         arrived=arrived,
-        time_s=float(time[there[0]]) if arrived else float("nan"),
+        time_s=float(time[arrivals[0]]) if arrived else float("nan"),
         contacts=len(moving),
         walked_into=len(contacts) - len(moving),
-        contact_speed_m_s=max((one.fastest for one in moving), default=float("nan")),
+        contact_speed_m_s=max((event.fastest for event in moving), default=float("nan")),
         clearance_m=0.0 if contacts else least_clearance(world, outline, time, pose),
         standing_s=float(stood) * tick,
     )
 
 
 def least_clearance(world: World, outline: tuple[float, float], time: FloatArray, pose: FloatArray) -> float:
-    """Least distance [m] of the robot's outline from anything over the ticks of a run, as `Passage` has it."""
+    """Compute the least distance [m] of the robot's outline from any obstacle over a run, as in `Passage`."""
     around, clearance = outline_points(outline), np.inf
     for t, (x, y, theta) in zip(time[::_LOOKED_AT], pose[::_LOOKED_AT], strict=True):
         c, s = np.cos(theta), np.sin(theta)
@@ -172,7 +172,7 @@ def least_clearance(world: World, outline: tuple[float, float], time: FloatArray
 
 
 def outline_points(outline: tuple[float, float]) -> FloatArray:
-    """(n, 2) points along the outline of the robot in its own frame [m]."""
+    """Compute points (n, 2) along the outline of the robot in its own frame [m]."""
     length, width = outline
     corners = 0.5 * np.array([[length, width], [-length, width], [-length, -width], [length, -width]])
     edges = np.roll(corners, -1, axis=0) - corners

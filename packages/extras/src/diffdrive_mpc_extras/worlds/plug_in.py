@@ -81,9 +81,9 @@ class WorldColumns(RunColumns):
 
     def summary(self, run: Run) -> str:
         """Return arrival, contacts and clearance."""
-        of = passage(run)
-        arrived = "arrived" if of.arrived else "not arrived"
-        return f"world: {arrived}, {of.contacts} contacts, least clearance {of.clearance_m:.3f} m"
+        result = passage(run)
+        arrived = "arrived" if result.arrived else "not arrived"
+        return f"world: {arrived}, {result.contacts} contacts, least clearance {result.clearance_m:.3f} m"
 
     def table(self, rows: DataFrame) -> Table:
         """Return the table of passages by plant and controller."""
@@ -114,9 +114,9 @@ def world_record(run: Run) -> WorldRecord:
 
 def passage(run: Run) -> Passage:
     """Return the passage of a run in a world; raises KeyError for other runs."""
-    of = world_record(run)
+    record = world_record(run)
     goal = run.reference.sample([run.reference.duration]).pose[0]
-    return passage_of(of.world, of.outline, of.contacts, goal, run.time, run.true_pose, run.true_twist)
+    return passage_of(record.world, record.outline, record.contacts, goal, run.time, run.true_pose, run.true_twist)
 
 
 WORLD, COLUMNS = WorldKind(), WorldColumns()

@@ -17,11 +17,11 @@ _OBSTACLE_BIT = 2
 # A mover is felt by nobody: who walks into a robot does not push it through a wall. MuJoCo's least impedance, and slow.
 _UNFELT = 'solref="1000 1" solimp="0.0001 0.0001 0.001" priority="1"'
 _CLEARANCE = 0.02
-"""Of the hull above the floor [m]."""
+"""Clearance of the hull above the floor [m]."""
 
 
 class WorldScene:
-    """What a world adds to the model of the robot, and the contacts with it.
+    """Obstacles that a world adds to the model of the robot, and the contacts with them.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class WorldScene:
     @property
     def obstacles(self) -> str:
         """MJCF of everything in the world, for the world's body."""
-        parts = [_prism(name, one.corners, self._height) for name, one in self.world.outlines]
+        parts = [_prism(name, outline.corners, self._height) for name, outline in self.world.outlines]
         bits = f'contype="0" conaffinity="{_OBSTACLE_BIT}"'
         half = 0.5 * self._height
         parts += [
@@ -61,14 +61,14 @@ class WorldScene:
         return (
             "<asset>"
             + "".join(
-                f'<mesh name="{name}" vertex="{_vertices(one.corners, self._height)}"/>'
-                for name, one in self.world.outlines
+                f'<mesh name="{name}" vertex="{_vertices(outline.corners, self._height)}"/>'
+                for name, outline in self.world.outlines
             )
             + "</asset>"
         )
 
     def hull(self, axle_height: float) -> str:
-        """MJCF of the robot's hull, without mass, for its body, whose origin is `axle_height` above the floor [m]."""
+        """Format the MJCF of the massless hull for the body, whose origin is `axle_height` above the floor [m]."""
         half = 0.5 * (self._height - _CLEARANCE)
         z = _CLEARANCE + half - axle_height
         return (
@@ -86,10 +86,12 @@ class WorldScene:
         standing = [*self.world.outlines, *((f"post {i}", post) for i, post in enumerate(self.world.posts))]
         self._names = {int(model.geom(name).id): name for name, _ in standing}
         self._names |= {int(model.geom(f"mover {i}").id): f"mover {i}" for i in range(len(self.world.movers))}
-        self._leaving = [(one, int(model.geom(name).id)) for name, one in standing if one.until is not None]
+        self._leaving = [
+            (obstacle, int(model.geom(name).id)) for name, obstacle in standing if obstacle.until is not None
+        ]
 
     def restart(self) -> None:
-        """A new run begins: everything stands where it did."""
+        """Restart: all obstacles return to their places."""
         self.log.clear()
         self._model.geom_contype[self._hull] = _OBSTACLE_BIT
         for _, geom in self._leaving:
@@ -97,7 +99,7 @@ class WorldScene:
         self._lead(0.0)
 
     def step(self) -> None:
-        """One step of the physics, movers led and contacts noted."""
+        """Advance movers by one step of the physics, and record contacts."""
         data = self._data
         time = data.time
         self._lead(time)
@@ -117,7 +119,7 @@ class WorldScene:
         pairs = self._data.contact.geom
         for i in np.flatnonzero((pairs == self._hull).any(axis=1)):
             touched = int(pairs[i].sum()) - self._hull
-            x, y = (float(one) for one in self._data.contact.pos[i, :2])
+            x, y = (float(coordinate) for coordinate in self._data.contact.pos[i, :2])
             # The hull's own speed at that place; its body turns about the vertical.
             vx = velocity[0] - velocity[5] * (y - place[1])
             vy = velocity[1] + velocity[5] * (x - place[0])
@@ -125,7 +127,7 @@ class WorldScene:
 
 
 def _vertices(corners: FloatArray, height: float) -> str:
-    """Corners of a prism around the middle of its base."""
+    """Format the corners of a prism around the middle of its base."""
     around = corners - corners.mean(axis=0)
     return " ".join(f"{float(x)!r} {float(y)!r} {z!r}" for z in (-height / 2, height / 2) for x, y in around)
 

@@ -1,4 +1,4 @@
-"""What all worlds share: size of the hull, when the goal is reached, and what is seen."""
+"""Common settings of all worlds: hull, arrival at the goal, and sight."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ NotNegative = Annotated[float, Field(ge=0, le=1e3)]
 
 
 class BodyOutline(StrictModel):
-    """What the robot's file does not say of its outline."""
+    """Outline data that the robot's file lacks."""
 
     tyre_width: NotNegative = Field(description="width of a tyre, whose middle is at half the track [m]")
     height: AboveZero = Field(description="height of hull and obstacles [m]")
@@ -31,14 +31,14 @@ class Goal(StrictModel):
 
 
 class ContactRules(StrictModel):
-    """What counts as a contact."""
+    """Definition of a contact."""
 
     moving_speed: AboveZero = Field(description="a robot that is slower stands [m/s]")
     gap: AboveZero = Field(description="time without contact after which the next one counts anew [s]")
 
 
 class Sight(StrictModel):
-    """What the robot's eyes can do."""
+    """Range and quality of the robot's sight."""
 
     range: AboveZero = Field(description="how far it sees [m]")
     field_of_view: Annotated[float, Field(gt=0, le=2 * math.pi)] = Field(
@@ -72,5 +72,5 @@ class WorldSettings(StrictModel):
 
 @cache
 def world_settings() -> WorldSettings:
-    """The shipped settings; raises ConfigError when the file has a mistake."""
+    """Load the shipped settings; raise ConfigError for a mistake in the file."""
     return load_checked(WorldSettings, Path(__file__).parent / "settings.yaml")

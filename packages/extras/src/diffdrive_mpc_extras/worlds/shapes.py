@@ -21,7 +21,7 @@ _LEAST_AREA = 1e-6
 
 
 class StandingObstacle(StrictModel):
-    """What every obstacle that stands has."""
+    """Base class of standing obstacles."""
 
     until: Annotated[float, Field(gt=0, le=1e5)] | None = Field(
         default=None, description="it is taken away at this time [s]; null: it stays"
@@ -111,7 +111,7 @@ class Mover(StrictModel):
         return self.speed * np.array([math.cos(self.direction), math.sin(self.direction)])
 
     def position(self, time: float) -> FloatArray:
-        """(2,) x, y [m] at `time` [s]."""
+        """Compute the position (2,) x, y [m] at `time` [s]."""
         return np.array([self.x, self.y]) + (time - self.time) * self.velocity
 
 
@@ -131,7 +131,7 @@ class Shapes:
     discs: FloatArray
 
     def distance(self, points: FloatArray) -> FloatArray:
-        """(m,) distance of points (m, 2) from the nearest obstacle [m]; negative inside a disc, zero in a polygon."""
+        """Compute distances (m,) of points (m, 2) from the nearest obstacle [m]; negative inside a disc."""
         distances = np.full(len(points), np.inf)
         if len(self.discs):
             gaps = np.hypot(*(points[:, None] - self.discs[None, :, :2]).transpose(2, 0, 1)) - self.discs[:, 2]
@@ -142,7 +142,7 @@ class Shapes:
 
 
 def distance_to_polygon(points: FloatArray, corners: FloatArray) -> FloatArray:
-    """(m,) distance of points (m, 2) from a convex polygon (k, 2), counter-clockwise [m]; zero inside."""
+    """Compute distances (m,) of points (m, 2) from a convex polygon (k, 2), counter-clockwise [m]; zero inside."""
     edges = np.roll(corners, -1, axis=0) - corners
     gaps = points[:, None] - corners
     share = np.clip((gaps * edges).sum(-1) / (edges * edges).sum(-1), 0.0, 1.0)

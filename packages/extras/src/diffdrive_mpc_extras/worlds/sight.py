@@ -1,4 +1,4 @@
-"""What the robot sees of a world: rays to the first obstacle, a costmap of them, persons and how they seem to walk.
+"""Sight of the robot: rays to the first obstacle, a costmap of them, persons and their apparent motion.
 
 Everything comes from the truth through a model of the sensors: what is hidden is not seen, what is seen is late and
 noisy, and the costmap remembers what was seen before, as one that is marked and cleared does. The frame is that of the
@@ -61,7 +61,7 @@ class SeenDisc:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What arrived of one look.
+    """Result of one look.
 
     Attributes
     ----------
@@ -134,17 +134,17 @@ class Eyes:
     def _outlines(
         self, pose: FloatArray, shapes: Shapes, distances: FloatArray, bearings: FloatArray
     ) -> tuple[tuple[FloatArray, ...], list[SeenDisc]]:
-        """Obstacles that stand and that some ray has met so far."""
+        """Return standing obstacles that a ray has met so far."""
         met = np.isfinite(distances)
         ends = pose[:2] + distances[met, None] * np.column_stack([np.cos(bearings[met]), np.sin(bearings[met])])
         nothing = np.zeros((0, 3))
         single = [Shapes((polygon,), nothing) for polygon in shapes.polygons] + [
             Shapes((), disc[None]) for disc in shapes.discs
         ]
-        keys = [one.tobytes() for one in (*shapes.polygons, *shapes.discs)]
+        keys = [shape.tobytes() for shape in (*shapes.polygons, *shapes.discs)]
         self._known &= set(keys)  # what has been taken away is forgotten
         if len(ends):
-            new = (key for key, one in zip(keys, single, strict=True) if key not in self._known and _met(one, ends))
+            new = (key for key, shape in zip(keys, single, strict=True) if key not in self._known and _met(shape, ends))
             self._known.update(new)
         polygons = tuple(polygon for polygon in shapes.polygons if polygon.tobytes() in self._known)
         return polygons, [SeenDisc(*disc.tolist()) for disc in shapes.discs if disc.tobytes() in self._known]
@@ -160,7 +160,7 @@ class Eyes:
                     self._tracks.pop(i, None)
                     continue
                 # Who was there a moment ago is believed to walk on.
-                state = track.at(time)
+                state = track.predict(time)
             else:
                 state = self._update(i, time, mover.position(time) + noise)
             (x, vx), (y, vy) = state.T
@@ -168,7 +168,7 @@ class Eyes:
         return tuple(persons)
 
     def _update(self, i: int, time: float, place: FloatArray) -> FloatArray:
-        """(2, 2) what is believed of a person in view: place [m], and velocity [m/s]."""
+        """Update the estimate (2, 2) of a person in view: place [m], and velocity [m/s]."""
         track = self._tracks.get(i)
         if track is None:
             track = self._tracks[i] = _Track(time, place, self._sight)
@@ -182,7 +182,7 @@ def _met(obstacle: Shapes, ends: FloatArray) -> bool:
 
 
 def in_view(mover: Mover, time: float, pose: FloatArray, shapes: Shapes, sight: Sight) -> bool:
-    """Whether a mover is within range and field of view of a robot at `pose` (3,), and not hidden at `time` [s].
+    """Return True if a mover is within range and field of view of a robot at `pose` (3,), and not hidden at `time` [s].
 
     It is seen where its middle or one of its two flanks can be.
     """
@@ -206,7 +206,7 @@ def in_view(mover: Mover, time: float, pose: FloatArray, shapes: Shapes, sight: 
 
 
 def cast_rays(pose: FloatArray, shapes: Shapes, sight: Sight) -> tuple[FloatArray, FloatArray]:
-    """(rays,) distances [m], infinite beyond the range, and (rays,) directions [rad] in the frame of the poses."""
+    """Cast rays; return distances (rays,) [m], infinite beyond the range, and directions (rays,) [rad]."""
     half = 0.5 * sight.field_of_view
     bearings = pose[2] + np.linspace(-half, half, sight.rays)
     distances = _first_hits(pose[:2], bearings, shapes)
@@ -214,7 +214,7 @@ def cast_rays(pose: FloatArray, shapes: Shapes, sight: Sight) -> tuple[FloatArra
 
 
 def _first_hits(eye: FloatArray, bearings: FloatArray, shapes: Shapes) -> FloatArray:
-    """(rays,) distance of the first obstacle in each direction [m], infinite without one."""
+    """Compute the distance (rays,) of the first obstacle in each direction [m], infinite without one."""
     along = np.column_stack([np.cos(bearings), np.sin(bearings)])
     ranges = np.full(len(bearings), np.inf)
     if len(shapes.discs):
@@ -258,7 +258,7 @@ class _RollingMap:
         self._write(pose[:2] + (distances[met, None] + 0.1 * resolution) * along[met], OCCUPIED)
 
     def grid(self, random: np.random.Generator) -> SeenGrid:
-        """The square as it is now, with wrong cells."""
+        """Return the present square, with wrong cells."""
         cells = self._cells.copy()
         if self._sight.flipped > 0:
             wrong = random.random(cells.shape) < self._sight.flipped
@@ -270,8 +270,8 @@ class _RollingMap:
     def _write(self, points: FloatArray, value: int) -> None:
         assert self._corner is not None
         columns, rows = (np.floor(points / self._sight.resolution).astype(np.int64) - self._corner).T
-        there = (columns >= 0) & (columns < self._side) & (rows >= 0) & (rows < self._side)
-        self._cells[rows[there], columns[there]] = value
+        inside = (columns >= 0) & (columns < self._side) & (rows >= 0) & (rows < self._side)
+        self._cells[rows[inside], columns[inside]] = value
 
     def _move(self, middle: FloatArray) -> None:
         corner = np.floor(middle / self._sight.resolution).astype(np.int64) - self._side // 2
@@ -282,8 +282,8 @@ class _RollingMap:
         fresh = np.full_like(self._cells, UNKNOWN)
         if abs(columns) < self._side and abs(rows) < self._side:
             to = [slice(max(0, -k), self._side - max(0, k)) for k in (rows, columns)]
-            of = [slice(max(0, k), self._side - max(0, -k)) for k in (rows, columns)]
-            fresh[to[0], to[1]] = self._cells[of[0], of[1]]
+            source = [slice(max(0, k), self._side - max(0, -k)) for k in (rows, columns)]
+            fresh[to[0], to[1]] = self._cells[source[0], source[1]]
         self._cells, self._corner = fresh, corner
 
 
@@ -296,8 +296,8 @@ class _Track:
         self.state = np.array([place, np.zeros(2)])
         self._covariance = np.diag([self._noise, 1.0])
 
-    def at(self, time: float) -> FloatArray:
-        """(2, 2) place [m] and velocity [m/s] by then if nothing is seen meanwhile."""
+    def predict(self, time: float) -> FloatArray:
+        """Predict place [m] and velocity [m/s] (2, 2) for `time` without further sightings."""
         return np.asarray(np.array([[1.0, time - self.time], [0.0, 1.0]]) @ self.state)
 
     def update(self, time: float, place: FloatArray) -> None:

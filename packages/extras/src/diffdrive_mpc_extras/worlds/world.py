@@ -18,7 +18,7 @@ from diffdrive_mpc_extras.worlds.shapes import Box, Mover, Point, Polygon, Post,
 
 
 class Way(StrictModel):
-    """What the robot is to drive along."""
+    """Path of the robot."""
 
     waypoints: tuple[Point, ...] = Field(min_length=2, max_length=5000, description="points x, y [m] in turn")
     speed: Annotated[float, Field(gt=0, le=10)] = Field(description="cruise speed [m/s]")
@@ -59,31 +59,31 @@ class World(StrictModel):
 
     @property
     def changes(self) -> bool:
-        """Whether anything moves or is taken away."""
+        """True if anything moves or disappears."""
         standing = (*self.walls, *self.boxes, *self.polygons, *self.posts)
         return bool(self.movers) or any(obstacle.until is not None for obstacle in standing)
 
     def shapes(self, time: float) -> Shapes:
-        """What stands at `time` [s]; movers are not among it."""
-        there = [one.corners for _, one in self.outlines if stands(one, time)]
+        """Return the standing obstacles at `time` [s], without movers."""
+        corners = [outline.corners for _, outline in self.outlines if stands(outline, time)]
         discs = [(*post.at, post.radius) for post in self.posts if stands(post, time)]
-        return Shapes(tuple(there), np.array(discs, dtype=float).reshape(-1, 3))
+        return Shapes(tuple(corners), np.array(discs, dtype=float).reshape(-1, 3))
 
 
 def stands(obstacle: StandingObstacle, time: float) -> bool:
-    """Whether an obstacle is still there at `time` [s]."""
+    """Return True if an obstacle is still present at `time` [s]."""
     return obstacle.until is None or time < obstacle.until
 
 
 SHIPPED = Path(__file__).parent / "shipped"
 PATTERN = "drawn:SEED, drawn:SEED:through"
-"""How the names of drawn worlds look."""
+"""Pattern of the names of drawn worlds."""
 # Spawn keys of sensors, encoders and scenarios are 0 to 2, 1000 and 2080: a world changes none of their draws.
 _SPAWN_KEY = 3_001
 
 
 def load_world(name: str | Path, seed: int = 0) -> World:
-    """The world of a run.
+    """Load the world of a run.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def load_world(name: str | Path, seed: int = 0) -> World:
 
 
 def _with_movers(data: Any, seed: int, where: str) -> World:  # noqa: ANN401 - what stands in a file
-    """Ranges are read among the movers only: elsewhere two numbers are a point."""
+    """Build the world with ranges for movers only, since two numbers elsewhere are a point."""
     movers = data.get("movers") if isinstance(data, Mapping) else None
     if not isinstance(movers, list):
         return check(World, data, where)

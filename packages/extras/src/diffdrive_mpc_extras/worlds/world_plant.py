@@ -65,7 +65,7 @@ class WorldPlant(PlantAround):
 
     @property
     def world(self) -> World:
-        """What there is."""
+        """Return the world."""
         return self._scene.world
 
     @property
@@ -80,7 +80,7 @@ class WorldPlant(PlantAround):
 
     @property
     def disturbance(self) -> Span | None:
-        """As of the plant inside."""
+        """Return the disturbance of the plant inside."""
         return self._plant.disturbance if isinstance(self._plant, DisturbedPlant) else None
 
     base_topics = ("scan",)
@@ -98,12 +98,12 @@ class WorldPlant(PlantAround):
 
     def show(self, controller: TrackingController) -> None:
         """Pass the newest observation, if any, to a peer's `set_obstacles` or to the feature `free_space`."""
-        seen = self.look()
+        sighting = self.look()
         if self._observer is None or self._observer[0] is not controller:
             self._observer = controller, _observer_of(controller)
         observe = self._observer[1]
-        if seen is not None and observe is not None:
-            observe(seen)
+        if sighting is not None and observe is not None:
+            observe(sighting)
 
     def is_over(self, goal: FloatArray) -> bool:
         """Return True if the robot stands at `goal`, a pose (3,), or has stood too long where nothing changes."""
@@ -117,21 +117,21 @@ class WorldPlant(PlantAround):
         return bool(near) and math.hypot(v, lateral) <= self._rules.goal.speed
 
     def look(self) -> Seen | None:
-        """What was seen and has arrived by now; None for nothing new. To be called once a tick."""
+        """Return the sighting that has arrived by now; None without a new one. Call it once a tick."""
         return self._eyes.look(self.time, self.true_pose)
 
     def reset(self, pose: ArrayLike) -> None:
-        """As the plant inside; eyes and contacts begin anew."""
+        """Reset the plant inside, sight and contacts."""
         self._plant.reset(pose)
         self._eyes.reset()
         self._moved_at = 0.0
 
     def measure(self) -> Measurement:
-        """As the plant inside."""
+        """Measure as the plant inside."""
         return self._plant.measure()
 
     def advance(self, command: ArrayLike) -> None:
-        """As the plant inside; raises TouchedError where the robot moved onto something and that ends the run."""
+        """Advance the plant inside; raise TouchedError for a collision that ends the run."""
         self._plant.advance(command)
         if math.hypot(*self.true_twist) > self._rules.contact.moving_speed:
             self._moved_at = self.time

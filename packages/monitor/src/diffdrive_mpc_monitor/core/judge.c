@@ -66,7 +66,7 @@ static void judge_rule(ddmon_judge *j, int rule, double value, double limit, int
 
 static void at_most(ddmon_judge *j, int rule, double value, double limit, double lasting)
 {
-    /* What is no number is broken, too. */
+    /* Values that are not finite break the rule, too. */
     judge_rule(j, rule, value, limit, !(value <= limit), lasting);
 }
 
@@ -139,10 +139,10 @@ static void carry(double pose[3], double length, double turn)
     pose[THETA] += turn;
 }
 
-/* What a first-order filter takes over of a value in a step. */
+/* Share of a new value in one step of a first-order filter. */
 static double share_of(double step, double time) { return step / (time + step); }
 
-/* What wheels and gyro make of the motion since the last odometry. */
+/* Integrate the motion since the last odometry by wheels and gyro. */
 static void sum_up(ddmon_judge *j, double stamp, double step, double v, double omega)
 {
     double *sum = j->summed;
@@ -181,8 +181,8 @@ static int summed_at(const ddmon_judge *j, double t, double sum[3])
     return 0;
 }
 
-/* Bounds of the answer: they rise with the commands on their way at once, and fall with the slowest lag. */
-static void answer(ddmon_judge *j, int channel, int by, double found, int rule)
+/* Judge the response to commands. Its bounds rise with pending commands at once, and fall with the slowest lag. */
+static void judge_response(ddmon_judge *j, int channel, int by, double measured, int rule)
 {
     const ddmon_rules *rules = j->rules;
     double lag = channel == V ? rules->answer_lag_v : rules->answer_lag_omega;
@@ -199,8 +199,8 @@ static void answer(ddmon_judge *j, int channel, int by, double found, int rule)
     double *high = &j->high[by][channel], *low = &j->low[by][channel], fall = share_of(step, lag);
     *high = most > *high ? most : *high + fall * (most - *high);
     *low = least < *low ? least : *low + fall * (least - *low);
-    int above = found > *high + margin, below = found < *low - margin;
-    judge_rule(j, rule, found, above ? *high + margin : *low - margin, above || below, rules->answer_lasting);
+    int above = measured > *high + margin, below = measured < *low - margin;
+    judge_rule(j, rule, measured, above ? *high + margin : *low - margin, above || below, rules->answer_lasting);
 }
 
 static void judge_answer(ddmon_judge *j)
@@ -209,12 +209,12 @@ static void judge_answer(ddmon_judge *j)
     double standing = j->rules->commands_standing_v;
     if (!j->sent || absolute(j->output[V]) <= standing || absolute(j->wheels[V]) > standing)
         j->free_at = j->now;
-    answer(j, V, BY_WHEELS, j->wheels[V], DDMON_ANSWER_V);
-    answer(j, OMEGA, gyro ? BY_GYRO : BY_WHEELS, gyro ? j->gyro : j->wheels[OMEGA], DDMON_ANSWER_OMEGA);
+    judge_response(j, V, BY_WHEELS, j->wheels[V], DDMON_ANSWER_V);
+    judge_response(j, OMEGA, gyro ? BY_GYRO : BY_WHEELS, gyro ? j->gyro : j->wheels[OMEGA], DDMON_ANSWER_OMEGA);
     j->answered = j->now;
 }
 
-/* Whether a stamp can be used: it is not from the future, and newer than the last. */
+/* Return 1 for a usable stamp: it is not in the future, and newer than the last. */
 static int usable(const ddmon_judge *j, double stamp, int known, double last)
 {
     return is_finite(stamp) && stamp <= j->now + j->rules->sensors_ahead && (!known || stamp > last);
@@ -237,8 +237,8 @@ static void compare_gyro(ddmon_judge *j, double step)
                rules->agreement_lasting);
 }
 
-/* Where the robot is: wheels and gyro carry it on, and poses correct it. What they correct within the window neither wheels
-   nor gyro explain: something else moved the robot, or they contradict the poses. */
+/* Update the place of the robot: wheels and gyro move it, and poses correct it. Corrections within the window are motion
+   that wheels and gyro do not explain: something else moved the robot, or they contradict the poses. */
 static void correct_place(ddmon_judge *j, double step)
 {
     const ddmon_rules *rules = j->rules;
@@ -331,7 +331,7 @@ void ddmon_says(ddmon_judge *j, double now, int drives)
     go_on(j, now);
     if (j->may_move != drives)
         j->may_move_since = j->now;
-    /* Where it stood its reference went on, until the controller sends it anew. */
+    /* The reference moved on while the robot stood, until the controller publishes it again. */
     if (j->may_move == 0 && drives)
         let_return(j);
     /* A robot that has not driven yet may be pushed to its place. */
@@ -346,47 +346,47 @@ void ddmon_outside(ddmon_judge *j, double now, int wrong)
     judge_rule(j, DDMON_OUTSIDE, 0.0, 0.0, wrong, 0.0);
 }
 
-/* How far a pose is from the stretch of path that the reference covers from `begin` to `end`, and how far it is turned from
-   the headings of what of it lies within `close`. */
-static void compare_stretch(const ddmon_judge *j, const double at[3], double begin, double end, double close, double away[2])
+/* Compute the distance of a pose from the stretch of path that the reference covers from `start` to `end`, and its angle to
+   the headings of the part within `close`. */
+static void compare_stretch(const ddmon_judge *j, const double pose[3], double start, double end, double close, double away[2])
 {
     const ddmon_point *path = j->path;
     int last = j->points - 1;
     double heading = HUGE_VAL;
     away[DISTANCE] = HUGE_VAL;
     /* Before its first and after its last pose the reference rests there. */
-    begin = smaller(begin, path[last].t);
+    start = smaller(start, path[last].t);
     end = larger(end, path[0].t);
     for (int k = 0; k <= last; k++) {
         const ddmon_point *p = path + k, *q = path + (k < last ? k + 1 : k);
-        if (q->t < begin || p->t > end)
+        if (q->t < start || p->t > end)
             continue;
-        /* of the two ends that part which is due in the time */
-        double time = larger(q->t - p->t, TINY), from = larger((begin - p->t) / time, 0.0);
+        /* the part between both ends that is due in that time */
+        double time = larger(q->t - p->t, TINY), from = larger((start - p->t) / time, 0.0);
         double to = smaller((end - p->t) / time, 1.0), dx = q->x - p->x, dy = q->y - p->y;
         double length = dx * dx + dy * dy, turn = wrapped(q->theta - p->theta) * (to - from);
-        double share = length > 0.0 ? ((at[X] - p->x) * dx + (at[Y] - p->y) * dy) / length : 0.0;
+        double share = length > 0.0 ? ((pose[X] - p->x) * dx + (pose[Y] - p->y) * dy) / length : 0.0;
         share = smaller(larger(share, from), to);
-        double distance = hypot(at[X] - p->x - share * dx, at[Y] - p->y - share * dy);
+        double distance = hypot(pose[X] - p->x - share * dx, pose[Y] - p->y - share * dy);
         away[DISTANCE] = smaller(away[DISTANCE], distance);
         if (distance <= close) {
             /* from the arc of headings between the two */
-            double off = wrapped(at[THETA] - p->theta - wrapped(q->theta - p->theta) * 0.5 * (from + to));
+            double off = wrapped(pose[THETA] - p->theta - wrapped(q->theta - p->theta) * 0.5 * (from + to));
             heading = smaller(heading, larger(absolute(off) - 0.5 * absolute(turn), 0.0));
         }
     }
     away[HEADING] = heading < HUGE_VAL ? heading : 0.0;
 }
 
-/* Where the robot would stand if it braked now; it may still speed up to what was sent. Returns the time in which it
-   would come there at its present speed, braking nothing: by so much later the reference may be there, too. */
-static double place_at_rest(const ddmon_judge *j, double at[3])
+/* Predict the place of rest if the robot braked now; it may still accelerate to the sent command. Returns the time to that
+   place at the present speed without braking, by which the reference may be late there. */
+static double place_at_rest(const ddmon_judge *j, double rest[3])
 {
     int gyro = j->has_gyro && j->rules->sensors_gyro_age > 0.0;
     double sent = j->sent ? j->output[V] : 0.0, v = absolute(sent) > absolute(j->wheels[V]) ? sent : j->wheels[V];
     double time = j->rules->path_reaction + 0.5 * absolute(v) / j->rules->commands_v_braking;
-    memcpy(at, j->place, sizeof j->place);
-    carry(at, v * time, time * (gyro ? j->gyro : j->wheels[OMEGA]));
+    memcpy(rest, j->place, sizeof j->place);
+    carry(rest, v * time, time * (gyro ? j->gyro : j->wheels[OMEGA]));
     return time;
 }
 
@@ -397,7 +397,7 @@ static void judge_path(ddmon_judge *j)
 {
     const ddmon_rules *rules = j->rules;
     int moved = j->sent && moves(rules, j->output), bound = j->path && j->placed && (moved || j->may_move == 1);
-    double away[2] = {0.0, 0.0}, ahead[2] = {0.0, 0.0}, at[3], step = smaller(j->now - j->path_at, LONGEST_STEP);
+    double away[2] = {0.0, 0.0}, ahead[2] = {0.0, 0.0}, rest[3], step = smaller(j->now - j->path_at, LONGEST_STEP);
     double unexplained = hypot(j->unexplained[X], j->unexplained[Y]);
     j->path_at = j->now;
     judge_rule(j, DDMON_NO_REFERENCE, 0.0, 0.0, moved && !j->path, rules->path_grace);
@@ -415,9 +415,9 @@ static void judge_path(ddmon_judge *j)
             j->away_for = larger(j->away_for + (elsewhere ? step : -step), 0.0);
         if (j->now - j->away_at >= rules->path_lasting || j->away_for > rules->returning_within)
             j->returning = 0;
-        double time = place_at_rest(j, at), late = j->returning ? rules->returning_late : rules->path_late;
+        double time = place_at_rest(j, rest), late = j->returning ? rules->returning_late : rules->path_late;
         double early = j->returning ? rules->returning_early : rules->path_early;
-        compare_stretch(j, at, j->now - late, j->now + time + early, HUGE_VAL, ahead);
+        compare_stretch(j, rest, j->now - late, j->now + time + early, HUGE_VAL, ahead);
     }
     int strict = bound && !j->returning;
     double far = strict ? rules->path_far + unexplained : rules->returning_distance;
@@ -446,13 +446,13 @@ static void judge_time(ddmon_judge *j)
     if (latched)
         moved = 0;
     at_most(j, DDMON_SILENT, moved ? j->now - j->command_at : 0.0, rules->commands_silence, 0.0);
-    int told = j->may_move == 0 && j->now - j->may_move_since > rules->commands_stop_within;
-    judge_rule(j, DDMON_NOT_TO_MOVE, j->now - j->may_move_since, rules->commands_stop_within, moved && told, rules->path_grace);
+    int must_stand = j->may_move == 0 && j->now - j->may_move_since > rules->commands_stop_within;
+    judge_rule(j, DDMON_NOT_TO_MOVE, j->now - j->may_move_since, rules->commands_stop_within, moved && must_stand, rules->path_grace);
     judge_ages(j);
     judge_path(j);
 }
 
-/* What the base gets after a violation: zero, at the braking limits where commands still mean what they say. */
+/* Compute the command after a violation: zero, at the braking limits if commands still have their normal effect. */
 static void brake(ddmon_judge *j)
 {
     const ddmon_rules *rules = j->rules;
@@ -468,7 +468,7 @@ static void brake(ddmon_judge *j)
     j->output_at = j->now;
 }
 
-/* What is sent is on its way to the robot until the longest dead time has passed. */
+/* Send a command; it stays pending until the longest dead time has passed. */
 static void send(ddmon_judge *j, const double twist[2])
 {
     int k = j->way;
@@ -507,7 +507,7 @@ static void judge_slew(ddmon_judge *j, const double twist[2], double step)
     }
 }
 
-/* How commands come: often enough while the robot is moved, and never in floods. */
+/* Judge the rate of commands: high enough while the robot moves, and never a flood. */
 static void judge_pace(ddmon_judge *j, int moved)
 {
     const ddmon_rules *rules = j->rules;
@@ -542,8 +542,8 @@ void ddmon_command(ddmon_judge *j, double now, double stamp, double v, double om
     judge_rule(j, DDMON_NOT_FINITE, 0.0, 0.0, !finite, 0.0);
     if (finite) {
         int moved = moves(rules, twist);
-        int told = stamp != 0.0 && j->stamped && is_finite(stamp);
-        double step = told ? stamp - j->command_stamp : j->now - j->command_at;
+        int has_stamp = stamp != 0.0 && j->stamped && is_finite(stamp);
+        double step = has_stamp ? stamp - j->command_stamp : j->now - j->command_at;
         step = j->commanded ? smaller(larger(step, 0.0), LONGEST_STEP) : 0.0;
         double speed = v < 0.0 && rules->commands_v_reverse > 0.0 ? rules->commands_v_reverse : rules->commands_v;
         double turn = omega < 0.0 && rules->commands_omega_right > 0.0 ? rules->commands_omega_right : rules->commands_omega;
@@ -593,7 +593,7 @@ ddmon_verdict ddmon_reset(ddmon_judge *j, double now)
     double away[2] = {0.0, 0.0};
     go_on(j, now);
     wrong.at = j->now;
-    /* What only a command tells is over with commands of zero; the rest has to be well as it is measured now. */
+    /* Violations by commands end with commands of zero; all other rules must hold for the present measurements. */
     if (j->commanded && moves(j->rules, j->command) && j->now - j->command_at <= j->rules->commands_silence) {
         wrong.rule = DDMON_STILL_MOVED;
         return wrong;

@@ -67,7 +67,7 @@ typedef struct {
     double answer_lasting;           /* longest time for which the robot may be outside the bounds [s] */
 } ddmon_rules;
 
-/* Which rule was broken; `ddmon_words` has a sentence for each. */
+/* Rules; `ddmon_words` has a sentence for each. */
 enum {
     DDMON_NOTHING,
     DDMON_NOT_FINITE,
@@ -130,7 +130,7 @@ typedef struct {
     double command[2], command_at, command_stamp, followed[2], pace, output[2], output_at;
     double way_at[DDMON_COMMANDS], way_most[2][DDMON_COMMANDS], way_least[2][DDMON_COMMANDS];
     int way, ways;
-    /* what the controller says of itself: 1 it drives, 0 it stands, -1 it has said nothing */
+    /* reported state of the controller: 1 drives, 0 stands, -1 no report */
     int may_move;
     double may_move_since;
     /* since it stands after a drive: motion of the wheels; and when the last command that moves the robot was passed on */

@@ -41,12 +41,12 @@ Message = Any
 
 
 def seconds(stamp: Message) -> float:
-    """A stamp [s]."""
+    """Convert a stamp to seconds."""
     return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
 
 
 def planar(pose: Message) -> tuple[float, float, float]:
-    """(3,) x [m], y [m], yaw [rad] of a pose; NaN where its orientation is none."""
+    """Extract x [m], y [m], yaw [rad] (3,) of a pose; NaN for an invalid orientation."""
     q = pose.orientation
     norm = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
     if not abs(norm - 1.0) < 0.02:
@@ -56,7 +56,7 @@ def planar(pose: Message) -> tuple[float, float, float]:
 
 
 def command(twist: tuple[float, float], stamp: Message, frame: str, *, stamped: bool) -> Message:
-    """A command v [m/s], omega [rad/s]."""
+    """Build a command v [m/s], omega [rad/s]."""
     plain = Twist()
     plain.linear.x, plain.angular.z = twist
     if not stamped:
@@ -93,7 +93,7 @@ class MonitorSettings(StrictModel, strict=True):
 UNCHECKED, CHECKED = "cmd_vel_unchecked", "cmd_vel"
 """Topics of commands: what the controller sends, and what the base gets."""
 PASSING, STOPPED = "PASSING", "STOPPED"
-"""What the monitor says on `~/state`; why follows after a colon."""
+"""States on `~/state`; the reason follows after a colon."""
 _PERIOD = 0.02
 # Who else publishes commands is looked up so often, and diagnostics are sent [s].
 _LOOK_PERIOD, _DIAGNOSTICS_PERIOD = 0.5, 1.0
@@ -258,7 +258,7 @@ class MonitorNode(Node):
         self._announce()
 
     def _look_around(self) -> None:
-        """Whether somebody else can command the base, or an input has two publishers."""
+        """Check for other publishers of commands, and for two publishers of an input."""
         # A publisher that was killed is in the graph for a while, and one that restarts is alone there later on.
         self._shared = {name for name in self._shared if self.count_publishers(name) > 1}
         checked = self.resolve_topic_name(CHECKED)
@@ -268,7 +268,7 @@ class MonitorNode(Node):
         self._judge.outside(self._now, wrong=self._settings.exclusive and bool(shared))
 
     def _reset(self, _: Message, response: Message) -> Message:
-        """A person says that the robot may drive again."""
+        """Handle a person's request to drive again."""
         self._look_around()
         wrong = self._judge.reset(self._now)
         response.success = not wrong
@@ -292,7 +292,7 @@ class MonitorNode(Node):
         return f"{STOPPED}: {verdict.words}{rivals}; call {self._name}/reset" if verdict else PASSING
 
     def _announce(self) -> None:
-        """Say what it does when that changes."""
+        """Publish the state when it changes."""
         words = self._words
         if words == self._told:
             return

@@ -12,7 +12,7 @@ int main(void)
     static ddmon_judge judge; /* some kilobytes: not on a small stack */
     static ddmon_point line[101];
     double now = 1000.0, v = 0.0, omega = 0.0, x = 0.0, y = 0.0, theta = 0.0, out[2] = {0.0, 0.0};
-    int told = 0;
+    int reported = 0;
     for (int k = 0; k <= 100; k++) {
         const ddmon_point point = {now + 0.1 * k, 0.1 * SPEED * k, 0.0, 0.0};
         line[k] = point;
@@ -27,8 +27,8 @@ int main(void)
         ddmon_pose(&judge, now, now, x, y, theta);
         ddmon_command(&judge, now, now, command[0], command[1], out);
         ddmon_tick(&judge, now, out);
-        if (judge.verdict.rule != DDMON_NOTHING && !told) {
-            told = 1;
+        if (judge.verdict.rule != DDMON_NOTHING && !reported) {
+            reported = 1;
             printf("%.2f s: %s: %.3f %s, the limit is %.3f %s\n", judge.verdict.at - 1000.0,
                    ddmon_words(judge.verdict.rule), judge.verdict.value, ddmon_unit(judge.verdict.rule),
                    judge.verdict.limit, ddmon_unit(judge.verdict.rule));
@@ -41,5 +41,5 @@ int main(void)
         theta += SAMPLE * omega;
     }
     printf("it stands at %.2f m, %.2f m\n", x, y);
-    return !told;
+    return !reported;
 }

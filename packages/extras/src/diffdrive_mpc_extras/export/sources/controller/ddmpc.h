@@ -5,7 +5,7 @@
 
 #include "core.h"
 
-/* What was generated for this controller: its numbers, the user's functions, and the defaults of their parameters. */
+/* Generated data of this controller: its numbers, the user's functions, and the defaults of their parameters. */
 extern const ddmpc_sizes ddmpc_this_sizes;
 extern const ddmpc_constants ddmpc_this_constants;
 extern const ddmpc_functions ddmpc_this_functions;

@@ -15,7 +15,7 @@ enum {
 /* Put what came in where ddmpc_step looks for it; whether to start anew. */
 int frame_read(const double in[FRAME_IN], ddmpc_input *input);
 
-/* What goes out, but for the cycles. */
+/* Output without the cycles. */
 void frame_write(const ddmpc_result *result, double out[FRAME_OUT]);
 
 #endif
