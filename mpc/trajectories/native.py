@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -10,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
 from diffdrive_mpc.mpc.core.library import load_core
 from diffdrive_mpc.mpc.trajectories.trajectory import Trajectory
@@ -144,33 +142,6 @@ class TableTrajectory(Trajectory):
     def __getstate__(self) -> dict[str, object]:
         """Without the memory of C."""
         return {name: value for name, value in self.__dict__.items() if name != "native"}
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class TabledTrajectory(Trajectory):
-    """A trajectory from a table.
-
-    Attributes
-    ----------
-    native
-        The table in the compiled core.
-    """
-
-    native: NativeTrajectory
-
-    @classmethod
-    def of(cls, data: Mapping[str, Any]) -> TabledTrajectory:
-        """The trajectory of what `table_of` gave; raises ConfigError where it is something else."""
-        try:
-            breaks, table = (np.array(data[name], dtype=float) for name in ("breaks", "table"))
-            native = NativeTrajectory(breaks, table, float(data["duration"]), data["motion"])
-            return cls(str(data["name"]), float(data["duration"]), native)
-        except (KeyError, TypeError, ValueError) as error:
-            raise ConfigError(f"the recorded reference cannot be read ({error})") from error
-
-    def sample(self, times: ArrayLike) -> ReferenceSample:
-        """Evaluate at `times` (n,) [s]; see `Trajectory.sample`."""
-        return self.native.sample(times)
 
 
 def table_of(reference: Reference) -> dict[str, Any] | None:
