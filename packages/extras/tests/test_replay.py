@@ -42,6 +42,7 @@ CASES = {
     "late poses": Case(sensors="slam"),
     "rare poses": Case(sensors="poses_2hz"),
     "late commands": Case(late=3),
+    "start after a rest": Case(overrides=(("start_delay", 0.2),)),
 }
 
 

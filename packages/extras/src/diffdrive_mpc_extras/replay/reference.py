@@ -73,9 +73,8 @@ def _shipped(
     pose: FloatArray, twist: FloatArray, time: FloatArray, config: ControllerConfig | None
 ) -> Trajectory | None:
     """Find the shipped trajectory with these poses (m, 3) and twists (m, 2) at `time` (m,) [s]."""
-    default = TrajectoryLimits.of_robot()
-    configured = default if config is None else TrajectoryLimits.of_controller(config.limits)
-    for limits, name, timing in itertools.product(dict.fromkeys((configured, default)), BUILT_IN, (None, *TIMINGS)):
+    limits_tried = (TrajectoryLimits.of_robot(), *(() if config is None else (config,)))[::-1]
+    for limits, name, timing in itertools.product(limits_tried, BUILT_IN, (None, *TIMINGS)):
         try:
             trajectory = load_trajectory(name, limits, timing)
         except BeyondLimitError:
