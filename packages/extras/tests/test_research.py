@@ -5,11 +5,12 @@ import sys
 import numpy as np
 import pytest
 
-from diffdrive_mpc import Controller, MissingPackageError, load_config, load_trajectory, make_plant
+from diffdrive_mpc import ConfigError, Controller, MissingPackageError, load_config, load_trajectory, make_plant
 from diffdrive_mpc.bench.drive import plant_settings
 from diffdrive_mpc.bench.run_row import statistics_of
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc_extras.research.environment import make_env
+from diffdrive_mpc_extras.research.many_drives import drive_many
 
 TRACKING_ENV = "diffdrive_mpc_extras.research.tracking_env"
 
@@ -60,8 +61,8 @@ def solver_columns(metrics):
 def test_same_seed_repeats_an_episode_and_the_next_episode_has_other_noise():
     pytest.importorskip("gymnasium")
     env, commands = make_env(plant="model:ssm"), np.tile([0.3, 0.3], (40, 1))
-    first, again, other = (drive(env, commands, seed)[0] for seed in (1, 1, None))
-    assert np.array_equal(first, again) and not np.array_equal(first, other)
+    first, repeated, following = (drive(env, commands, seed)[0] for seed in (1, 1, None))
+    assert np.array_equal(first, repeated) and not np.array_equal(first, following)
 
 
 def test_episode_terminates_beyond_the_maximum_error():
@@ -93,3 +94,27 @@ def test_missing_gymnasium_is_one_line_with_the_remedy(monkeypatch):
         MissingPackageError, match=r"^make_env needs gymnasium: pip install 'diffdrive-mpc-extras\[gym\]'$"
     ):
         make_env()
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_rows_of_many_drives_equal_single_runs(jobs):
+    short = load_config("ssm", {"horizon": 10})
+    table = drive_many(
+        {"long": "ssm", "short": short}, ["s", load_trajectory("cane")], (3, 4), plant="model:sm", jobs=jobs
+    )
+    assert len(table) == 8 and (table["ended"] == "").all()
+    assert table[["config", "trajectory", "seed"]].drop_duplicates().shape == (8, 3)
+    run = simulate(
+        Controller(short), make_plant("model:sm", seed=4, **plant_settings(short)), load_trajectory("s", short)
+    )
+    (row,) = table.query("config == 'short' and trajectory == 's' and seed == 4").to_dict("records")
+    expected = statistics_of(run, timed=False)
+    assert {name: row[name] for name in expected} == pytest.approx(expected, nan_ok=True)
+
+
+def test_many_drives_with_a_mistake_drive_nothing():
+    done = []
+    for change in ({"configs": ["ssm", "smm"]}, {"trajectories": "cirle"}, {"plant": "mujco"}):
+        with pytest.raises(ConfigError, match="unknown|did you mean"):
+            drive_many(**{"seeds": [0], "on_done": lambda: done.append(1), **change})
+    assert not done

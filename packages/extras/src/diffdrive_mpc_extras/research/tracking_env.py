@@ -62,7 +62,7 @@ class TrackingEnv(gym.Env[FloatArray, FloatArray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[FloatArray, dict[str, Any]]:
-        """Begin an episode at rest at the start of the reference; return observation and info."""
+        """Start an episode at rest at the start of the reference; return observation and info."""
         super().reset(seed=seed, options=options)
         self._plant = self._new_plant(int(self.np_random.integers(_SEEDS)))
         start = self.reference.sample([0.0]).pose[0]
@@ -129,5 +129,5 @@ class TrackingEnv(gym.Env[FloatArray, FloatArray]):
         sample = self.reference.sample(self._plant.time + self._preview)
         gap = sample.pose - self._pose
         ahead, left = ahead_and_left(gap, self._pose[2])
-        seen = np.column_stack([ahead, left, wrap_angle(gap[:, 2]), sample.twist])
-        return np.concatenate([seen[0, :3], self._sensed, self._command, seen[1:].ravel()])
+        rows = np.column_stack([ahead, left, wrap_angle(gap[:, 2]), sample.twist])
+        return np.concatenate([rows[0, :3], self._sensed, self._command, rows[1:].ravel()])
