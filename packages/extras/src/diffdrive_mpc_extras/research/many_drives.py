@@ -65,7 +65,9 @@ def drive_many(
     """
     pandas = load_pandas("drive_many")
     named = (
-        dict(configs) if isinstance(configs, Mapping) else {_name(i, one): one for i, one in enumerate(_each(configs))}
+        dict(configs)
+        if isinstance(configs, Mapping)
+        else {_name(number, config): config for number, config in enumerate(_each(configs))}
     )
     loaded = {name: load_config(config) for name, config in named.items()}
     drawn = [int(seed) for seed in seeds]
