@@ -10,7 +10,7 @@ PROVE_OUT ?= out/prove
 TUNE_OUT ?= out/tune
 REPORTS_OUT ?= out/reports
 SITE_OUT ?= out/site
-LAB_OUT ?= out/lab.html
+LAB_OUT ?= docs/laboratory/index.html
 BILL_OUT ?= out/bill.json
 # Which study, and options of it: make study NAME=tracking OPTIONS=--quick
 NAME ?=
@@ -175,7 +175,7 @@ site: $(READY) ## the documents as a site: out/site
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --site-dir $(SITE_OUT)
 	@echo "$(SITE_OUT)/index.html"
 
-lab: $(LAB_READY) ## the laboratory, one page for a browser that needs nothing else: out/lab.html
+lab: $(LAB_READY) ## the laboratory, one page for a browser that needs nothing else: docs/laboratory/index.html
 	$(BIN)/diffdrive-mpc lab --out $(LAB_OUT)
 
 notebooks: $(READY) ## notebooks and pictures of the tutorials, from their pages

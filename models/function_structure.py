@@ -45,6 +45,8 @@ class FunctionStructure:
         The parameter file of its shipped model, if there is one.
     config
         The configuration of a controller with that model, if there is one; `load_config` reads it by `name`.
+    robots
+        Parameter files of named robots; a model is loaded by the stem of its file.
     slow
         Whether a comparison leaves it out unless it is named.
     """
@@ -60,6 +62,7 @@ class FunctionStructure:
     check: str = ""
     shipped: Path | None = None
     config: Path | None = None
+    robots: tuple[Path, ...] = ()
     slow: bool = False
 
     def load(self, path: Path, data: Any) -> NonlinearModel:  # noqa: ANN401 - what a YAML file may hold

@@ -100,8 +100,9 @@ def model_path(name: str | Path) -> Path:
     if str(name) in _LINEAR:
         return _LINEAR[str(name)]
     shipped = _shipped()
-    if str(name) in shipped:
-        return shipped[str(name)]
+    robots = {path.stem: path for kind in function_structures().values() for path in kind.robots}
+    if path := (shipped | robots).get(str(name)):
+        return path
     check_package("models", name)
     return named_file("model", PARAMETERS, name, tuple(shipped))
 

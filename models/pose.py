@@ -31,7 +31,11 @@ class _Functions(NamedTuple):
 
 
 def _numeric_sinc(x: Any) -> Any:  # noqa: ANN401 - numbers or arrays
-    return np.sinc(x / np.pi)
+    if not isinstance(x, float):
+        return np.sinc(x / np.pi)
+    # The same for a single number, ten times as fast.
+    product = np.pi * (x / np.pi) or np.finfo(float).eps
+    return np.sin(product) / product
 
 
 def _symbolic_sinc(x: ca.SX) -> ca.SX:
@@ -108,7 +112,10 @@ def integrate_pose(
         raise ValueError(f"pose: shape {pose.shape}; give x, y and theta in the last axis")
     v, omega, dt, side_slip = (np.asarray(argument, dtype=float) for argument in (v, omega, dt, side_slip))
     dx, dy, dtheta = _displacement(_NUMERIC, pose[..., 2], v, omega, dt, -side_slip * v * omega)
-    return np.stack(np.broadcast_arrays(pose[..., 0] + dx, pose[..., 1] + dy, pose[..., 2] + dtheta), axis=-1)
+    moved = pose[..., 0] + dx, pose[..., 1] + dy, pose[..., 2] + dtheta
+    if all(isinstance(value, float) for value in moved):
+        return np.array(moved)
+    return np.stack(np.broadcast_arrays(*moved), axis=-1)
 
 
 def wrap_angle(angle: ArrayLike) -> FloatArray:

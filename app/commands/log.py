@@ -1,4 +1,4 @@
-"""`diffdrive-mpc log`: check and replay logs of drives."""
+"""`diffdrive-mpc log`: check logs of drives."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import typer
 from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.app.command_line.groups import PackagedGroup
 from diffdrive_mpc.app.command_line.one_line_errors import FAILED
-from diffdrive_mpc.app.commands.options import ConfigFile, Mapping, Settings, TrustedFolders
+from diffdrive_mpc.app.commands.options import Mapping
 
 log_app = typer.Typer(
     cls=PackagedGroup, no_args_is_help=True, rich_markup_mode=None, help="Check and replay logs of drives."
@@ -45,29 +45,3 @@ def check(
     echo(stated.rstrip() if corrections.settings else otherwise)
     if content.errors:
         raise typer.Exit(FAILED)
-
-
-@log_app.command(epilog="Example: diffdrive-mpc log replay drive.mcap --set weights.across=300")
-def replay(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="MCAP log of simulate or of the node.")],
-    *,
-    config: ConfigFile = None,
-    model: Annotated[
-        str | None,
-        typer.Option(
-            help="Velocity model in place of the configuration's.", show_default="that of --config, or of the log"
-        ),
-    ] = None,
-    settings: Settings = None,
-    trajectory: Annotated[
-        str | None, typer.Option(metavar="NAME|FILE", help="Tracked reference.", show_default="the one in the log")
-    ] = None,
-    trust_terms: TrustedFolders = None,
-) -> None:
-    """Repeat every tick of a recorded drive, and print the largest difference of the commands [m/s, rad/s].
-
-    The controller gets the recorded measurements, and believes that the recorded commands went out.
-    """
-    from diffdrive_mpc.app.replay.replay import ReplayRequest, replay_log  # noqa: PLC0415 - --help does without it
-
-    replay_log(ReplayRequest(log, config, model, settings or (), trajectory, trust_terms or ()))

@@ -194,6 +194,8 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
         [Case(model=model, config=settings.config, scaled=settings.scaled) for model in models] if settings.ours else []
     )
     drivers = [replace(case, overrides=values) for case in ours for values in settings.settings]
+    if any(controller_config(case.model, case.config, case.overrides).start_delay for case in drivers):
+        raise ConfigError("start_delay: bench compares starts without it; leave it out, or use simulate")
     peers = {
         name: [Case(controller=name, model=NO_MODEL, scaled=settings.scaled)] for name in controllers if name in PEERS
     }

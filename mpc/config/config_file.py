@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
-from diffdrive_mpc.models.checked_yaml import ConfigError, check, parse_yaml, read_yaml
+from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
 from diffdrive_mpc.models.errors import wrong_type
 from diffdrive_mpc.models.function_structure import function_structures
-from diffdrive_mpc.models.load import is_shipped, model_path
+from diffdrive_mpc.models.load import is_shipped
 from diffdrive_mpc.models.named_file import is_file, named_file, shipped_names
 from diffdrive_mpc.models.plug_ins import check_package
-from diffdrive_mpc.models.trust import check_trusted, only_trusted
 from diffdrive_mpc.models.two_sided import SIDES
 from diffdrive_mpc.mpc.config.former_keys import with_present_names
 from diffdrive_mpc.mpc.config.rooms import plain_key, shown_key, side_by_side
@@ -88,46 +86,6 @@ def config_path(name: str | Path) -> Path:
         return plugged[str(name)]
     check_package("models", name)
     return named_file("configuration", PARAMETERS, name, (*ours, *plugged))
-
-
-def values_from_log(text: str, log: str | Path) -> Mapping[str, Any]:
-    """Return the keys and values in `text`, a configuration stored in a `log`; raise ConfigError if it has none."""
-    try:
-        values = parse_yaml(text)
-    except yaml.YAMLError as error:
-        raise ConfigError(f"{log}: configuration: not valid YAML ({' '.join(str(error).split())})") from error
-    if not isinstance(values, Mapping):
-        raise ConfigError(f"{log}: configuration: expected keys and values")
-    return values
-
-
-def config_from_log(values: Mapping[str, object], log: str | Path, trusted: Sequence[Path] = ()) -> ControllerConfig:
-    """Build the configuration that a log contains, without opening or running any file on its behalf.
-
-    Parameters
-    ----------
-    values
-        Keys and values.
-    log
-        Where they stand, for messages.
-    trusted
-        Folders whose files it may name.
-
-    Raises
-    ------
-    models.trust.UntrustedFileError
-        If it names a model, a term or a feature's file, other than shipped ones or those of the folders.
-    models.checked_yaml.ConfigError
-        As `load_config`.
-    """
-    config = _checked(side_by_side(values), f"{log}: configuration")
-    with only_trusted(log, trusted):
-        model_path(config.model)
-        for group in config.features.values():
-            group.check_files()
-        for term in config.terms:
-            check_trusted(term.file)
-    return config
 
 
 def replace_values(config: ControllerConfig, overrides: Mapping[str, object]) -> ControllerConfig:

@@ -22,6 +22,7 @@ USER = (
     "sample_time",
     "horizon",
     "extra_dead_time",
+    "start_delay",
     "weights.along",
     "weights.across",
     "weights.heading",

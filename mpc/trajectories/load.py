@@ -12,6 +12,7 @@ from diffdrive_mpc.models.errors import wrong_type
 from diffdrive_mpc.models.named_file import named_file, shipped_names
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits, load_settings
+from diffdrive_mpc.mpc.trajectories.native import TableTrajectory
 from diffdrive_mpc.mpc.trajectories.segments import Segment, SegmentFile, lay_commanded, lay_segments
 from diffdrive_mpc.mpc.trajectories.speed_passport import PassportUse, SpeedCaps, load_speed_caps
 from diffdrive_mpc.mpc.trajectories.timing import TIMINGS, Timing
@@ -40,7 +41,7 @@ def load_trajectory(
         with the columns t [s], x, y [m], theta [rad].
     limits
         Speeds and accelerations to respect, or the configuration whose limits they are; by default those of the robot
-        of the papers.
+        of the papers. A configuration also states the rest before the start, `start_delay`.
     timing
         "stop", "commanded" or "smooth" (see `timing.Timing`) in place of what the file says.
 
@@ -63,7 +64,9 @@ def load_trajectory(
     if timing is not None and way is None:
         raise ConfigError(f"timing '{timing}': give {', '.join(TIMINGS[:-1])} or {TIMINGS[-1]}")
     if isinstance(limits, ControllerConfig):
-        limits = TrajectoryLimits.of_controller(limits.limits)
+        loaded = load_trajectory(name_or_path, TrajectoryLimits.of_controller(limits.limits), timing)
+        assert isinstance(loaded, TableTrajectory)
+        return loaded.delayed(limits.start_delay) if limits.start_delay else loaded
     if random := re.fullmatch(r"spline-(\d{1,1000})", str(name_or_path), re.ASCII):
         from diffdrive_mpc.mpc.trajectories.random_spline import lay_random_spline  # noqa: PLC0415 - see _read
 

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
 from diffdrive_mpc.mpc.core.library import load_core
 from diffdrive_mpc.mpc.trajectories.trajectory import Trajectory
+
+_ARC_ROWS, _CUBIC_ROWS = 10, 16
 
 
 class NativeTrajectory:
@@ -34,7 +34,7 @@ class NativeTrajectory:
         self._ffi = ffi
         self._kept = np.ascontiguousarray(breaks, dtype=float), np.ascontiguousarray(table, dtype=float)
         rows, pieces = table.shape
-        if rows not in (10, 16) or len(breaks) not in (pieces, pieces + 1) or pieces < 1:
+        if rows not in (_ARC_ROWS, _CUBIC_ROWS) or len(breaks) not in (pieces, pieces + 1) or pieces < 1:
             raise ValueError(f"a table of shape {table.shape} with {len(breaks)} breaks is no trajectory")
         self.struct = ffi.new(
             "ddmpc_trajectory *",
@@ -42,7 +42,7 @@ class NativeTrajectory:
                 "breaks": ffi.cast("const double *", self._kept[0].ctypes.data),
                 "table": ffi.cast("const real *", self._kept[1].ctypes.data),
                 "pieces": pieces,
-                "cubic": rows == 16,
+                "cubic": rows == _CUBIC_ROWS,
                 "duration": float(duration),
                 "motion": np.asarray(motion, dtype=float).tolist(),
             },
@@ -120,7 +120,7 @@ def _native(reference: Reference) -> NativeTrajectory | None:
 
 def _rest(reference: Reference) -> NativeTrajectory:
     """Build a trajectory that stands at the end of a reference."""
-    table = np.zeros((10, 1))
+    table = np.zeros((_ARC_ROWS, 1))
     table[1:4, 0] = reference.sample([reference.duration]).pose[0]
     return NativeTrajectory(np.zeros(1), table, reference.duration)
 
@@ -141,36 +141,16 @@ class TableTrajectory(Trajectory):
         """Evaluate at `times` (n,) [s]; see `Trajectory.sample`."""
         return self.native.sample(times)
 
+    def delayed(self, seconds: float) -> Self:
+        """Return the trajectory after a rest of `seconds` [s] at its start pose."""
+        rest, pose = np.zeros((len(self.table), 1)), slice(1, 4) if len(self.table) == _ARC_ROWS else slice(12, 15)
+        rest[pose] = self.table[pose, :1]
+        breaks, table = np.append(0.0, seconds + self.breaks), np.hstack([rest, self.table])
+        return replace(self, duration=seconds + self.duration, breaks=breaks, table=table)
+
     def __getstate__(self) -> dict[str, object]:
         """Copy the state without the memory of C."""
         return {name: value for name, value in self.__dict__.items() if name != "native"}
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class TabledTrajectory(Trajectory):
-    """A trajectory from a table.
-
-    Attributes
-    ----------
-    native
-        The table in the compiled core.
-    """
-
-    native: NativeTrajectory
-
-    @classmethod
-    def from_table(cls, data: Mapping[str, Any]) -> TabledTrajectory:
-        """Build the trajectory from the result of `table_of`; raise ConfigError for anything else."""
-        try:
-            breaks, table = (np.array(data[name], dtype=float) for name in ("breaks", "table"))
-            native = NativeTrajectory(breaks, table, float(data["duration"]), data["motion"])
-            return cls(str(data["name"]), float(data["duration"]), native)
-        except (KeyError, TypeError, ValueError) as error:
-            raise ConfigError(f"the recorded reference cannot be read ({error})") from error
-
-    def sample(self, times: ArrayLike) -> ReferenceSample:
-        """Evaluate at `times` (n,) [s]; see `Trajectory.sample`."""
-        return self.native.sample(times)
 
 
 def table_of(reference: Reference) -> dict[str, Any] | None:

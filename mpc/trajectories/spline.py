@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -54,6 +55,11 @@ class SplineTrajectory(TableTrajectory):
         coefficients = np.concatenate([motion, arc_length], axis=-1)
         table = np.ascontiguousarray(coefficients.transpose(0, 2, 1).reshape(16, -1))
         return cls(name, float(times[-1]), times, table, drawn)
+
+    def delayed(self, seconds: float) -> Self:
+        """Return the trajectory after a rest of `seconds` [s], see `TableTrajectory.delayed`."""
+        late = super().delayed(seconds)
+        return late if self.drawn is None else replace(late, drawn=np.append(self.drawn[:1], self.drawn))
 
     def drawn_distance(self, times: ArrayLike) -> FloatArray:
         """Compute the distance as in `Trajectory.drawn_distance`."""

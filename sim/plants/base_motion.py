@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterator
 from typing import NamedTuple, Protocol
 
@@ -49,19 +50,22 @@ class _Dynamics(Protocol):
 class _Linear:
     def __init__(self, model: DiscreteModel) -> None:
         self._model = model
+        # Places of the newest commands that act, in the last `memory` + 1 commands.
+        self._v, self._omega = (model.memory - model.delay).tolist()
         self.reset()
 
-    @property
-    def output(self) -> FloatArray:
-        return np.asarray(self._model.C @ self._state)
-
     def reset(self) -> None:
-        self._state, self._past = np.zeros(self._model.order), np.zeros((self._model.memory, 2))
+        self._state = np.zeros(self._model.order)
+        self._commands = deque([(0.0, 0.0)] * (self._model.memory + 1), self._model.memory + 1)
+        self.output = np.asarray(self._model.C @ self._state)
 
     def advance(self, command: FloatArray) -> None:
-        (recent,), (older,) = self._model.effective_inputs(command[None], self._past)
-        self._state = self._model.A @ self._state + self._model.B0 @ recent + self._model.B1 @ older
-        self._past = np.vstack([self._past[1:], command])
+        model, commands = self._model, self._commands
+        commands.append((command[0], command[1]))
+        recent = np.array([commands[self._v][0], commands[self._omega][1]])
+        older = np.array([commands[self._v - 1][0], commands[self._omega - 1][1]])
+        self._state = model.A @ self._state + model.B0 @ recent + model.B1 @ older
+        self.output = np.asarray(model.C @ self._state)
 
 
 class _Function:

@@ -131,7 +131,7 @@ class ModelPlant:
 
     def _moved(self, pose: FloatArray, twist: FloatArray, duration: float) -> FloatArray:
         """Move `pose` (3,) for `duration` [s] with constant body `twist` (3,)."""
-        v, lateral, omega = twist
+        v, lateral, omega = twist.tolist()
         # A body that crabs moves along the same arc as one that points in the direction of travel.
         forward = math.copysign(1.0, v)
         crab = math.atan2(forward * lateral, abs(v))

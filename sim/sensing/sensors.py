@@ -54,6 +54,13 @@ class Sensors:
         if pose.stated_position_sd is not None:
             stated_sd[:2] = pose.stated_position_sd
         self._pose_covariance = _stated(np.diag(stated_sd**2))
+        self._pose_signs = np.array([1.0, -1.0 if pose.mirrored else 1.0, pose.theta_sign])
+        wired = parameters.encoders
+        # Front left, front right, rear left, rear right.
+        self._wheels, self._wheel_signs = (
+            [1, 0, 3, 2] if wired.swapped else [0, 1, 2, 3],
+            np.array([wired.left, wired.right] * 2),
+        )
         self._gyro_covariance = _stated(np.array([[gyro.noise_sd**2]]))
         self._speed_covariance = _stated(speed_sd**2 * np.eye(4))
         self._twist_covariance = _stated(speed_sd**2 * (to_body @ to_body.T))
@@ -85,7 +92,7 @@ class Sensors:
         """Measure the true `pose` (3,) at `time` [s] with the pose sensor."""
         wired = self._parameters.pose
         value = np.asarray(pose, dtype=float) + next(self._pose_noise)
-        value *= [1.0, -1.0 if wired.mirrored else 1.0, wired.theta_sign]
+        value *= self._pose_signs
         value[2] += wired.turned
         value[2] = -wrap_angle(-value[2])  # into (-pi, pi], as SLAM reports it
         loss = self._parameters.pose.loss
@@ -97,10 +104,9 @@ class Sensors:
 
     def see_motion(self, time: float, wheel_speeds: ArrayLike, yaw_rate: float) -> None:
         """Measure wheel speeds (4,) [rad/s] and the true yaw rate [rad/s] with encoders and gyro at `time` [s]."""
-        wired, gyro = self._parameters.encoders, self._parameters.gyro
+        gyro = self._parameters.gyro
         speeds = np.asarray(wheel_speeds, dtype=float) + next(self._encoder_noise)
-        # Front left, front right, rear left, rear right.
-        speeds = speeds[[1, 0, 3, 2] if wired.swapped else slice(None)] * ([wired.left, wired.right] * 2)
+        speeds = speeds[self._wheels] * self._wheel_signs
         noise = self._gyro_bias + gyro.noise_sd * float(next(self._gyro_noise)[0])
         rate = min(max(gyro.scale * yaw_rate + noise, -gyro.largest), gyro.largest)
         self._wheel_speeds: Stamped | None = Stamped(speeds, time, self._speed_covariance)

@@ -5,7 +5,6 @@ Run as ``python -m studies.site.staging OUT``, from the top of the repository.
 
 from __future__ import annotations
 
-import logging
 import posixpath
 import re
 import shutil
@@ -16,7 +15,6 @@ from pathlib import Path
 from latex2mathml.converter import convert
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc_lab.build import has_compiler, page_text
 from studies.site.notebooks import with_notebooks
 from studies.site.reference import reference_pages
 
@@ -105,12 +103,11 @@ def _mathml(match: re.Match[str]) -> str:
     return made.replace("*", "&#42;").replace("_", "&#95;")
 
 
-_LABORATORY = "lab.html"
-_NO_COMPILER = "the laboratory is not on this site: its compiler is not installed (make lab installs it)"
+_LABORATORY = "laboratory/index.html"
 
 
 def stage(root: Path, out: Path) -> None:
-    """Write the documents of the repository at `root`, the pages made from its code, and the laboratory to `out`.
+    """Write the documents of the repository at `root`, the laboratory, and the pages made from its code to `out`.
 
     What was in `out` before is removed. Links lead to pages of the site, and formulas are MathML.
 
@@ -129,16 +126,6 @@ def stage(root: Path, out: Path) -> None:
         page = out / place
         page.parent.mkdir(parents=True, exist_ok=True)
         page.write_text(with_mathml(text), encoding="utf-8")
-    (out / _LABORATORY).write_text(laboratory_page(), encoding="utf-8")
-
-
-def laboratory_page() -> str:
-    """Build the page of the laboratory, or a line in its place without its compiler."""
-    if has_compiler():
-        return page_text()
-    logging.getLogger(__name__).warning(_NO_COMPILER)
-    head = "<!DOCTYPE html><html lang=en><meta name=viewport content=width=device-width><title>Laboratory</title>"
-    return f"{head}<p>{_NO_COMPILER}</p></html>"
 
 
 if __name__ == "__main__":

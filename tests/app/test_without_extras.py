@@ -38,6 +38,7 @@ def test_the_models_that_are_left_are_listed(tmp_path):
     [
         (("plan", "--from", "0,0,0"), "command 'plan'", "extras"),
         (("models", "compare", "drive.csv"), "command 'models compare'", "extras"),
+        (("log", "replay", "drive.mcap"), "command 'log replay'", "extras"),
         (("monitor", "--ros-args"), "command 'monitor'", "monitor"),
         (("identify", "drive.csv", "--for", "nav2"), "parameter writer 'nav2'", "extras"),
         (("simulate", "--model", "lstm"), "model 'lstm'", "extras"),

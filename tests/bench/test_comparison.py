@@ -76,6 +76,7 @@ def test_a_peer_has_no_model_and_no_settings() -> None:
         ({"controllers": ("foo",)}, "unknown controller"),
         ({"plants": ("foo",)}, "unknown plant"),
         ({"settings": ((("horizn", 5),),)}, "did you mean 'horizon'"),
+        ({"settings": ((("start_delay", 0.2),),)}, "start_delay: bench compares starts without it"),
     ],
 )
 def test_what_cannot_be_run_is_refused_before_anything_runs(change: dict[str, object], message: str) -> None:

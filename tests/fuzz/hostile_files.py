@@ -42,11 +42,11 @@ MAKERS: dict[str, Maker] = {**BAGS, **TEXTS}
 
 def doors() -> dict[str, Callable[[Path], object]]:
     """Return the readers by the name of their door."""
-    from diffdrive_mpc.app.replay.node_log import LoggedConfigs
-    from diffdrive_mpc.app.replay.own_log import read_recording
     from diffdrive_mpc.bench.report_folder import staged
     from diffdrive_mpc.models.logs.reading import read_log
     from diffdrive_mpc.models.logs.tick_record import DriveRecord
+    from diffdrive_mpc_extras.replay.node_log import LoggedConfigs
+    from diffdrive_mpc_extras.replay.own_log import read_recording
     from fuzz.yaml_files import DOORS
 
     def log(path: Path) -> object:

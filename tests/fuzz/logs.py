@@ -12,9 +12,6 @@ from random import Random
 
 import numpy as np
 
-from diffdrive_mpc.app.replay.node_log import LoggedConfigs
-from diffdrive_mpc.app.replay.own_log import read_recording
-from diffdrive_mpc.app.replay.replay import replay
 from diffdrive_mpc.models.logs.reading import read_log
 from diffdrive_mpc.mpc import load_config
 from fuzz import mutation
@@ -54,6 +51,11 @@ class ReplayFuzzer:
 
     def check(self, case: Case) -> None:
         """Read the ticks; replay them after a single change."""
+        # Packages whose tests fuzz other readers are installed without this one.
+        from diffdrive_mpc_extras.replay.node_log import LoggedConfigs
+        from diffdrive_mpc_extras.replay.own_log import read_recording
+        from diffdrive_mpc_extras.replay.replay import replay
+
         with tempfile.TemporaryDirectory() as folder:
             path, _ = changed_file(case, Path(folder))
             scratch = Path(folder, "scratch")

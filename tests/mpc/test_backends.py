@@ -14,13 +14,13 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from diffdrive_mpc import Controller, Measurement, Stamped, load_config, load_trajectory, make_plant, simulate
-from diffdrive_mpc.app.replay.node_log import LoggedConfigs, recorded_drive
-from diffdrive_mpc.app.replay.replay import replay
 from diffdrive_mpc.mpc import Mode
 from diffdrive_mpc.mpc.ros.control_loop import ControlLoop
 from diffdrive_mpc.mpc.ros.recording import TickRecords
 from diffdrive_mpc.mpc.solver.backend import BACKENDS, SetUpTime, ask, load_backend
 from diffdrive_mpc.mpc.solver.report import SolverStatus
+from diffdrive_mpc_extras.replay.node_log import LoggedConfigs, recorded_drive
+from diffdrive_mpc_extras.replay.replay import replay
 
 STEPS, HARD, KINDS = 6, 4, 9
 # Cheap enough that some soft limits are exceeded, dear enough that others are kept.

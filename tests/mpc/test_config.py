@@ -11,7 +11,7 @@ from diffdrive_mpc import ConfigError, ControllerConfig, load_config
 from diffdrive_mpc.models.errors import FormerNameWarning
 from diffdrive_mpc.models.logs.mapping import LogMapping
 from diffdrive_mpc.models.suggestions import SYNONYMS, suggestion
-from diffdrive_mpc.mpc.config.config_file import config_from_log, replace_values
+from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.described import commented_yaml, schema_rows
 from diffdrive_mpc.mpc.config.fixed_values import fixed_values
 from diffdrive_mpc.mpc.config.former_keys import former_keys, present_place
@@ -123,14 +123,6 @@ def test_key_of_a_removed_group_is_refused_with_the_remedy(tmp_path):
     for key in ("memory", "least_rate_v"):
         with pytest.raises(ConfigError, match=line.format(key)):
             load_config("sm", {f"online_dead_time.{key}": 1.0})
-
-
-def test_configuration_is_read_if_it_does_not_enable_a_removed_group():
-    values = ControllerConfig().model_dump(mode="json")
-    unused = values | {"online_dead_time": {"enabled": False, "apply": True}}
-    assert config_from_log(unused, "drive.mcap") == config_from_log(values, "drive.mcap")
-    with pytest.raises(ConfigError, match=r"online_dead_time\.enabled was removed"):
-        config_from_log(values | {"online_dead_time": {"enabled": True}}, "drive.mcap")
 
 
 def test_curved_slip_is_a_list_that_former_keys_fill():

@@ -2,12 +2,8 @@
 
 import numpy as np
 import pytest
-from rclpy.parameter import Parameter
 from ros_parts import DT, stack
 
-from diffdrive_mpc.app.replay.node_log import LoggedConfigs
-from diffdrive_mpc.app.replay.own_log import read_recording
-from diffdrive_mpc.app.replay.replay import replay
 from diffdrive_mpc.models.logs.bag_topics import COMMANDS, TopicRequest, opened, read_topics
 from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
 from diffdrive_mpc.models.logs.drive_log.topics import DIAGNOSTICS, PLAN, REFERENCE, TRUE_POSE
@@ -73,36 +69,3 @@ def test_unwritable_folder_gives_a_warning_and_the_robot_drives(tmp_path, capfd)
         assert s.loop.last.command[0] > 0.1
         assert s.node.parts["recording"].recording.incomplete
     assert "recording has ended: " in capfd.readouterr().err
-
-
-def test_replay_of_an_eventful_drive_reproduces_its_commands(tmp_path):
-    """Along a path laid to the robot: paused, with other limits, without odometry for a while, and begun anew."""
-    folder = tmp_path / "drives"
-    with stack(drive=True, record=True, record_folder=str(folder), trajectory="k_turn", start_at_robot=True) as s:
-        s.base.run(40)
-        s.loop.pause()
-        s.base.run(30)
-        s.loop.start()
-        s.base.run(30)
-        s.node.set_parameters([Parameter("limits.v_slew", value=0.6), Parameter("weights.across", value=90.0)])
-        s.base.run(30)
-        tamper, s.base.tamper = s.base.tamper, lambda odometry: None
-        s.base.run(20)
-        s.base.tamper = tamper
-        s.base.run(30)
-        s.loop.pause()
-        s.base.run(60)
-        s.loop.reset()
-        s.base.run(5)
-        s.loop.start()
-        s.base.run(60)
-    (path,) = folder.iterdir()
-    recording = read_recording(path, LoggedConfigs(path, tmp_path))
-    assert not recording.notes
-    assert {"TRACKING", "BRAKING", "STOPPED"} <= {tick.mode for tick in recording.ticks}
-    assert len([tick for tick in recording.ticks if tick.start is not None]) == 2
-    assert any(tick.hold is not None for tick in recording.ticks) and any(tick.config for tick in recording.ticks)
-    again = replay(recording, recording.config, recording.references, as_recorded=True)
-    # A path that was laid somewhere is sampled in Python and in C, which round otherwise.
-    assert np.abs(again.command - recording.command).max() < 1e-12
-    assert again.messages == tuple(tick.message for tick in recording.ticks)

@@ -344,3 +344,13 @@ def test_wrong_waypoints_are_reported_in_one_sentence(points, settings, message)
 def test_reference_beyond_the_limits_is_rejected_at_start():
     with pytest.raises(ValueError, match="reference 'arrays': v = 4 at .* is more than limits.v"):
         Controller("ssm").start(Trajectory.from_arrays(TIMES, 4.0 * TIMES, 0 * TIMES), 0.0)
+
+
+@pytest.mark.parametrize("name", ["circle", "slalom"])
+def test_start_delay_puts_a_rest_before_the_trajectory(name):
+    plain, late = (load_trajectory(name, load_config("ssm", {"start_delay": delay})) for delay in (0.0, 0.3))
+    assert late.duration == plain.duration + 0.3
+    times = np.linspace(-0.5, late.duration + 0.5, 500)
+    for before, after in zip(plain.sample(times - 0.3), late.sample(times), strict=True):
+        assert np.allclose(before, after, rtol=0, atol=1e-12)
+    assert np.allclose(plain.drawn_distance(times - 0.3), late.drawn_distance(times), atol=1e-12)

@@ -9,7 +9,7 @@ from identification_parts import check_written, differences
 from log_parts import drive, write_csv, write_mapping
 from scipy.integrate import solve_ivp
 
-from diffdrive_mpc import ConfigError, identify, load_model
+from diffdrive_mpc import ConfigError, ModelError, identify, load_config, load_model, simulate
 from diffdrive_mpc.models.checked_yaml import check, read_yaml
 from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.logs import Record
@@ -231,3 +231,25 @@ def test_from_a_log_to_a_drive_that_a_controller_loads(log, structure, tmp_path)
     answer = model.simulate(np.full((100, 2), 0.5)) / 0.5
     risen = LOG_DT * np.argmax(answer > 1 - np.exp(-1), axis=0)
     assert risen == pytest.approx([0.1, 0.1], abs=LOG_DT)
+
+
+def test_printed_pioneer_has_the_printed_numbers_and_damping():
+    content = check(PhysicalFile, read_yaml(model_path("p2_pioneer")), "p2_pioneer")
+    # Tables 1 and 2 in mm and kg mm^2, section 3.1.
+    chassis = {"mass": 28.05, "wheel_radius": 95e-3, "track": 320e-3, "centre_ahead": 57.8e-3}
+    assert content.chassis.model_dump() == chassis | {"yaw_inertia": 175e3 * 1e-6, "wheel_inertia": 9.24e-2 * 1e-6}
+    drive, forward = content.wheel_drive, content.chassis.own + content.chassis.other
+    assert (drive.integral_time, drive.actuator_lag, drive.friction) == (4.58, 1.1e-3, 35e-7)
+    assert (content.sample_time, content.v.dead_samples, content.omega.dead_samples) == (0.1, 3, 3)
+    # Of the loop without the slow integral: inertia speed' = torque, lag torque' = gain error - torque.
+    poles = np.roots([drive.actuator_lag, 1.0, drive.proportional_gain / forward])
+    assert -poles[0].real / abs(poles[0]) == pytest.approx(0.9, abs=1e-4)
+
+
+def test_printed_pioneer_is_driven_at_its_sample_time():
+    settings = {"model": "p2_pioneer", "sample_time": 0.1, "horizon": 15, "start_delay": 0.3}
+    settings |= {"wheels.track": 0.32, "wheels.encoder_track": 0.32}
+    run = simulate(load_config("p2_physical", settings), "model:p2_pioneer", "s")
+    assert set(run.modes) == {"TRACKING"} and run.metrics.position_rmse_m < 0.02
+    with pytest.raises(ModelError, match=r"samples of 0\.1 s"):
+        make_plant("model:p2_pioneer")

@@ -2,6 +2,7 @@
 
 import fcntl
 import importlib.util
+import re
 import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,9 +22,11 @@ from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc_extras.peers.rpp import RegulatedPurePursuit
-from diffdrive_mpc_lab.build import experiments, page_text
+from diffdrive_mpc_lab import build
+from diffdrive_mpc_lab.build import experiments, page_text, sources_digest
 from diffdrive_mpc_lab.numbers import FLOOR, configuration, default_of, lab_settings, plant_functions, values_of
 
+COMMITTED = Path(__file__).parents[3] / "docs" / "laboratory" / "index.html"
 in_browser = pytest.mark.system("browser")
 PATHS = ("circle", "square", "s", "cane")
 # Of commands [m/s, rad/s] and poses [m, rad]: WebAssembly has no fused multiplication and another libm than Python.
@@ -39,6 +42,21 @@ def page_file(tmp_path_factory: pytest.TempPathFactory, testrun_uid: str) -> Pat
         if not page.exists():
             page.write_text(page_text(), encoding="utf-8")
     return page
+
+
+def test_page_of_the_repository_is_made_of_the_present_sources() -> None:
+    (digest,) = re.findall(r'<meta name="sources" content="(\w+)">', COMMITTED.read_text(encoding="utf-8"))
+    assert digest == sources_digest(), "docs/laboratory/index.html is out of date: run make lab and commit it"
+
+
+def test_digest_names_changed_numbers_and_ignores_rounding(monkeypatch: pytest.MonkeyPatch) -> None:
+    index, data = build._data_of_page()
+    numbers, digests = np.frombuffer(data, "<f8"), [sources_digest()]
+    for factor in (1.0 + 1e-15, 1.0 + 1e-4):
+        changed = np.where(np.arange(len(numbers)) < 50, factor, 1.0) * numbers
+        monkeypatch.setattr(build, "_data_of_page", lambda bound=changed: (index, bound.tobytes()))
+        digests.append(sources_digest())
+    assert digests[0] == digests[1] != digests[2]
 
 
 @contextmanager

@@ -18,6 +18,7 @@ PHYSICAL = FunctionStructure(
     finder_function="finding:find_physical",
     shipped=_DRIVES / "p2_physical.yaml",
     config=_DRIVES / "configurations" / "p2_physical.yaml",
+    robots=(_DRIVES / "p2_pioneer.yaml",),
 )
 EXPERIMENTAL = FunctionStructure(
     structure="drive_experimental",

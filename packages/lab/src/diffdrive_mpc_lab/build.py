@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import base64
 import gzip
+import hashlib
 import importlib.util
 import json
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
+from functools import cache
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -175,6 +177,8 @@ _FLAGS = (
 )
 _LONGEST = 300.0
 """Time limit of the compiler [s]; its first call on a machine compiles a C library, too."""
+_ZERO = 1e-12
+"""Numbers below this are rounding errors, which differ between machines."""
 SCRIPTS = ("engine.js", "settings.js", "view.js", "page.js")
 
 
@@ -217,14 +221,36 @@ def compile_module() -> bytes:
 def page_text() -> str:
     """Build the page; raise NotCompiledError as `compile_module`."""
     module = compile_module()
-    index, numbers = page_data()
-    index["report"] = report_fields((FOLDER / "lab.h").read_text(encoding="utf-8"))
-    parts = {"module": module, "numbers": numbers, "index": json.dumps(index, allow_nan=False).encode()}
+    index, numbers = _data_of_page()
+    parts = {"module": module, "numbers": numbers, "index": index}
     held = {name: base64.b64encode(gzip.compress(part, 9, mtime=0)).decode() for name, part in parts.items()}
-    script = "\n".join((FOLDER / "page" / name).read_text(encoding="utf-8") for name in SCRIPTS)
-    page = (FOLDER / "page" / "page.html").read_text(encoding="utf-8")
-    style = (FOLDER / "page" / "page.css").read_text(encoding="utf-8")
     held_text = "".join(f'<script type="text/plain" id="held-{name}">{text}</script>' for name, text in held.items())
-    for mark, text in (("STYLE", style), ("HELD", held_text), ("SCRIPT", script)):
+    marks = _marked_texts()
+    page = marks.pop("PAGE")
+    for mark, text in {**marks, "HELD": held_text, "SOURCES": sources_digest()}.items():
         page = page.replace(f"<!--{mark}-->", text)
     return page
+
+
+def sources_digest() -> str:
+    """Return the SHA-256 of everything that the page is made of: C sources, flags, scripts, and data to six digits."""
+    index, data = _data_of_page()
+    rounded = [f"{number:.5e}" if abs(number) > _ZERO else "0" for number in np.frombuffer(data, "<f8").tolist()]
+    texts_of_page = {**texts(), **_marked_texts(), "flags": " ".join(_FLAGS), "index": index.decode()}
+    return hashlib.sha256(json.dumps([texts_of_page, rounded], sort_keys=True).encode()).hexdigest()
+
+
+@cache
+def _data_of_page() -> tuple[bytes, bytes]:
+    """Index and numbers as bytes."""
+    index, data = page_data()
+    index["report"] = report_fields((FOLDER / "lab.h").read_text(encoding="utf-8"))
+    return json.dumps(index, allow_nan=False).encode(), data
+
+
+def _marked_texts() -> dict[str, str]:
+    """Return page, style and script, by their marks in the page."""
+    folder = FOLDER / "page"
+    script = "\n".join((folder / name).read_text(encoding="utf-8") for name in SCRIPTS)
+    files = {"PAGE": "page.html", "STYLE": "page.css"}
+    return {mark: (folder / name).read_text(encoding="utf-8") for mark, name in files.items()} | {"SCRIPT": script}

@@ -1,16 +1,21 @@
-"""The reference of a drive, from its samples at the ticks."""
+"""The reference of a drive, from its table or from its samples at the ticks."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
 from diffdrive_mpc.mpc import ControllerConfig, Trajectory, load_trajectory
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.load import BUILT_IN
+from diffdrive_mpc.mpc.trajectories.native import NativeTrajectory
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 from diffdrive_mpc.mpc.trajectories.timing import TIMINGS
 
@@ -18,6 +23,33 @@ _POSE = ("reference_x_m", "reference_y_m", "reference_theta_rad")
 _TWIST = ("reference_v_m_s", "reference_omega_rad_s")
 _TOLERANCE = 1e-9
 """Two references are equal if they agree to this at every tick [m, rad, m/s, rad/s]."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TabledTrajectory(Trajectory):
+    """A trajectory from a table.
+
+    Attributes
+    ----------
+    native
+        The table in the compiled core.
+    """
+
+    native: NativeTrajectory
+
+    @classmethod
+    def read(cls, data: Mapping[str, Any]) -> TabledTrajectory:
+        """Return the trajectory of a result of `table_of`; raise ConfigError if it is something else."""
+        try:
+            breaks, table = (np.array(data[name], dtype=float) for name in ("breaks", "table"))
+            native = NativeTrajectory(breaks, table, float(data["duration"]), data["motion"])
+            return cls(str(data["name"]), float(data["duration"]), native)
+        except (KeyError, TypeError, ValueError) as error:
+            raise ConfigError(f"the recorded reference cannot be read ({error})") from error
+
+    def sample(self, times: ArrayLike) -> ReferenceSample:
+        """Evaluate at `times` (n,) [s]; see `Trajectory.sample`."""
+        return self.native.sample(times)
 
 
 def logged_reference(
@@ -41,9 +73,8 @@ def _shipped(
     pose: FloatArray, twist: FloatArray, time: FloatArray, config: ControllerConfig | None
 ) -> Trajectory | None:
     """Find the shipped trajectory with these poses (m, 3) and twists (m, 2) at `time` (m,) [s]."""
-    default = TrajectoryLimits.of_robot()
-    configured = default if config is None else TrajectoryLimits.of_controller(config.limits)
-    for limits, name, timing in itertools.product(dict.fromkeys((configured, default)), BUILT_IN, (None, *TIMINGS)):
+    limits_tried = (TrajectoryLimits.of_robot(), *(() if config is None else (config,)))[::-1]
+    for limits, name, timing in itertools.product(limits_tried, BUILT_IN, (None, *TIMINGS)):
         try:
             trajectory = load_trajectory(name, limits, timing)
         except BeyondLimitError:

@@ -10,9 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diffdrive_mpc.app.replay.node_log import LoggedConfigs
-from diffdrive_mpc.app.replay.own_log import read_recording
-from diffdrive_mpc.app.replay.recording import Recording
 from diffdrive_mpc.bench.controllers import chosen_model, controller_config
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.table import Table, number
@@ -22,6 +19,9 @@ from diffdrive_mpc.mpc import Controller, ControllerConfig, load_trajectory
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.typed_settings import single_settings
 from diffdrive_mpc.mpc.step_result import StepResult
+from diffdrive_mpc_extras.replay.node_log import LoggedConfigs
+from diffdrive_mpc_extras.replay.own_log import read_recording
+from diffdrive_mpc_extras.replay.recording import Recording
 
 _EQUAL = 1e-9
 """Largest difference of two commands that counts as rounding [m/s, rad/s]."""

@@ -5,18 +5,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rclpy.parameter import Parameter
+from ros_parts import stack
 from two_processes import drive_over_dds
 
 from commands import call
-from diffdrive_mpc import ConfigError, load_config, load_trajectory
-from diffdrive_mpc.app.replay.node_log import LoggedConfigs
-from diffdrive_mpc.app.replay.own_log import read_recording
-from diffdrive_mpc.app.replay.replay import replay
+from diffdrive_mpc import ConfigError, ControllerConfig, load_config, load_trajectory
 from diffdrive_mpc.app.run_log import run_log
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import build
+from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.log_mcap import write_log
+from diffdrive_mpc_extras.replay.logged_config import config_from_log
+from diffdrive_mpc_extras.replay.node_log import LoggedConfigs
+from diffdrive_mpc_extras.replay.own_log import read_recording
+from diffdrive_mpc_extras.replay.replay import replay
 
 DT = 0.0202
 EQUAL = "recorded and replayed commands are equal at every tick"
@@ -38,6 +42,7 @@ CASES = {
     "late poses": Case(sensors="slam"),
     "rare poses": Case(sensors="poses_2hz"),
     "late commands": Case(late=3),
+    "start after a rest": Case(overrides=(("start_delay", 0.2),)),
 }
 
 
@@ -100,7 +105,7 @@ def mcap(tmp_path_factory):
     """Log of a drive whose model and configuration files are gone."""
     folder = tmp_path_factory.mktemp("mcap")
     model, config, log = folder / "mine.yaml", folder / "config.yaml", folder / "drive.mcap"
-    model.write_text((Path(__file__).parents[2] / "models" / "parameters" / "sm.yaml").read_text())
+    model.write_text(model_path("sm").read_text())
     config.write_text("model: mine.yaml\nhorizon: 20\nweights: {across: 90.0}\n")
     call("simulate", "--config", config, "--trajectory", "cane", "--plant", "model:sm", "--log", log)
     model.unlink()
@@ -185,3 +190,44 @@ def test_mcap_bag_of_the_node_replays_to_the_last_bit(lock_step, tmp_path):
     assert np.array_equal(replayed.command, recording.command)
     assert replayed.modes == tuple(tick.mode for tick in recording.ticks)
     assert "commands are equal at every tick" in log_replay(bag)
+
+
+def test_replay_of_an_eventful_drive_reproduces_its_commands(tmp_path):
+    """Along a path laid to the robot: paused, with other limits, without odometry for a while, and begun anew."""
+    folder = tmp_path / "drives"
+    with stack(drive=True, record=True, record_folder=str(folder), trajectory="k_turn", start_at_robot=True) as s:
+        s.base.run(40)
+        s.loop.pause()
+        s.base.run(30)
+        s.loop.start()
+        s.base.run(30)
+        s.node.set_parameters([Parameter("limits.v_slew", value=0.6), Parameter("weights.across", value=90.0)])
+        s.base.run(30)
+        tamper, s.base.tamper = s.base.tamper, lambda odometry: None
+        s.base.run(20)
+        s.base.tamper = tamper
+        s.base.run(30)
+        s.loop.pause()
+        s.base.run(60)
+        s.loop.reset()
+        s.base.run(5)
+        s.loop.start()
+        s.base.run(60)
+    (path,) = folder.iterdir()
+    recording = read_recording(path, LoggedConfigs(path, tmp_path))
+    assert not recording.notes
+    assert {"TRACKING", "BRAKING", "STOPPED"} <= {tick.mode for tick in recording.ticks}
+    assert len([tick for tick in recording.ticks if tick.start is not None]) == 2
+    assert any(tick.hold is not None for tick in recording.ticks) and any(tick.config for tick in recording.ticks)
+    again = replay(recording, recording.config, recording.references, as_recorded=True)
+    # A path that was laid somewhere is sampled in Python and in C, which round otherwise.
+    assert np.abs(again.command - recording.command).max() < 1e-12
+    assert again.messages == tuple(tick.message for tick in recording.ticks)
+
+
+def test_configuration_is_read_if_it_does_not_enable_a_removed_group():
+    values = ControllerConfig().model_dump(mode="json")
+    unused = values | {"online_dead_time": {"enabled": False, "apply": True}}
+    assert config_from_log(unused, "drive.mcap") == config_from_log(values, "drive.mcap")
+    with pytest.raises(ConfigError, match=r"online_dead_time\.enabled was removed"):
+        config_from_log(values | {"online_dead_time": {"enabled": True}}, "drive.mcap")

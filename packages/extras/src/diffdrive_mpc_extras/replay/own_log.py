@@ -8,9 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from diffdrive_mpc.app.replay.node_log import LoggedConfigs, recorded_drive
-from diffdrive_mpc.app.replay.recording import RecordedTick, Recording, Start
-from diffdrive_mpc.app.replay.reference import logged_reference
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.models.load import is_shipped
@@ -18,7 +15,10 @@ from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log, messages, r
 from diffdrive_mpc.models.logs.drive_log.ros_messages import decoded
 from diffdrive_mpc.models.logs.drive_log.topics import DRIVE, TICK
 from diffdrive_mpc.mpc import ControllerConfig
-from diffdrive_mpc.mpc.config.config_file import values_from_log
+from diffdrive_mpc_extras.replay.logged_config import values_from_log
+from diffdrive_mpc_extras.replay.node_log import LoggedConfigs, recorded_drive
+from diffdrive_mpc_extras.replay.recording import RecordedTick, Recording, Start
+from diffdrive_mpc_extras.replay.reference import logged_reference
 
 _MIN_TICKS = 10
 _INTERPOLATED = (

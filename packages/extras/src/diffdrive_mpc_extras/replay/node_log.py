@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from diffdrive_mpc.app.replay.recording import RecordedTick, Recording, Start
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.logs.tick_record import DriveRecord, TickRecord, TickRecordError
 from diffdrive_mpc.models.trust import UntrustedFileError
 from diffdrive_mpc.mpc import ControllerConfig
-from diffdrive_mpc.mpc.config.config_file import config_from_log
 from diffdrive_mpc.mpc.hold import Hold
-from diffdrive_mpc.mpc.trajectories.native import TabledTrajectory
+from diffdrive_mpc_extras.replay.logged_config import config_from_log
+from diffdrive_mpc_extras.replay.recording import RecordedTick, Recording, Start
+from diffdrive_mpc_extras.replay.reference import TabledTrajectory
 
 _LATE_START = 1.5
 """Delay of the first tick after the start, in samples, above which ticks are missing."""
@@ -104,14 +104,14 @@ def _start(
             f"The log begins {time - drive.t0:.1f} s after the start of the drive, without the estimate at that time: "
             "commands may differ for some seconds."
         )
-    reference = None if drive.reference is None else TabledTrajectory.from_table(drive.reference)
+    reference = None if drive.reference is None else TabledTrajectory.read(drive.reference)
     # A recording that starts mid-drive has no state to resume from.
     start = Start(reference, drive.t0, drive.reset, goes_on=drive.goes_on and not is_first)
     return start, None if drive.starts else config
 
 
 def _numbered(records: Sequence[Any]) -> list[tuple[tuple[int, int], Any]]:
-    """Pair each record with its activation of the node and its drive; numbers begin anew with an activation."""
+    """Add activation of the node and drive to each record; numbers begin anew with an activation."""
     activation, previous, numbered = 0, 0, []
     for record in records:
         number = record.number if isinstance(record, DriveRecord) else record.drive

@@ -1,0 +1,39 @@
+"""`diffdrive-mpc log replay`: repeat a recorded drive tick by tick."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from diffdrive_mpc.app.command_line.options import PluggedCommand
+from diffdrive_mpc.app.commands.options import ConfigFile, Settings, TrustedFolders
+
+
+def replay(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="MCAP log of simulate or of the node.")],
+    *,
+    config: ConfigFile = None,
+    model: Annotated[
+        str | None,
+        typer.Option(
+            help="Velocity model in place of the configuration's.", show_default="that of --config, or of the log"
+        ),
+    ] = None,
+    settings: Settings = None,
+    trajectory: Annotated[
+        str | None, typer.Option(metavar="NAME|FILE", help="Tracked reference.", show_default="the one in the log")
+    ] = None,
+    trust_terms: TrustedFolders = None,
+) -> None:
+    """Repeat every tick of a recorded drive, and print the largest difference of the commands [m/s, rad/s].
+
+    The controller gets the recorded measurements, and the recorded commands count as sent.
+    """
+    from diffdrive_mpc_extras.replay.replay import ReplayRequest, replay_log  # noqa: PLC0415 - --help does not need it
+
+    replay_log(ReplayRequest(log, config, model, settings or (), trajectory, trust_terms or ()))
+
+
+REPLAY = PluggedCommand("Files", replay, "Example: diffdrive-mpc log replay drive.mcap --set weights.across=300")
