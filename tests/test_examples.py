@@ -93,3 +93,30 @@ def test_own_cost(tmp_path):
     without, aware = map(float, re.findall(r"(0\.\d+) m", run("own_cost.py", tmp_path)))
     assert without < 0.1
     assert aware > 0.35
+
+
+def test_own_path(tmp_path):
+    said = run("own_path.py", tmp_path)
+    assert [float(error) < 4.0 for error in re.findall(r"RMSE (\S+) mm, completed: True", said)] == [True, True]
+    assert "ends at x = 5.00 m, y = 2.00 m" in said
+
+
+def test_osqp_directly(tmp_path):
+    active, difference = re.search(r"to (\d+) active .* command (\S+)", run("osqp_directly.py", tmp_path)).groups()
+    assert int(active) > 0
+    assert float(difference) < 1e-9
+
+
+def test_horizon_sweep(tmp_path):
+    said = run("horizon_sweep.py", tmp_path)
+    errors = {int(row[0]): float(row[1]) for row in map(str.split, said.splitlines()[2:6])}
+    assert errors[5] > 1.5 * errors[20]
+    assert "enough: horizon 20" in said
+
+
+def test_own_structure(tmp_path):
+    said = run("own_structure.py", tmp_path)
+    limits = re.search(r"limit (\S+) m/s\^2, (\S+) rad/s\^2", said).groups()
+    assert [float(limit) for limit in limits] == pytest.approx([0.3, 1.5], rel=0.03)
+    shipped, own = map(float, re.findall(r"RMSE (\S+) mm", said))
+    assert own < 0.5 * shipped
