@@ -68,8 +68,3 @@ def test_rows_and_variables_are_named_by_kind_and_step():
     increment = values[qp.rows.index("omega_increment[2]")]
     assert increment == pytest.approx(step.planned_commands[2, 1] - step.planned_commands[1, 1])
     assert {"soft turn right[0]", "soft near.0[7]", "under soft across[0]"} <= set(qp.rows)
-
-
-def test_a_program_that_no_tick_has_stated_is_refused():
-    with pytest.raises(RuntimeError, match="call start and step first"):
-        Controller("ssm").quadratic_program()

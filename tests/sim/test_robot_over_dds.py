@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from ros_driver import BOUND, Driver, own_domain, recorded, recorded_truth
 
-from commands import invoke, refusal
+from commands import invoke
 from diffdrive_mpc import ConfigError, RobotLostError, make_plant
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.logs import read_log
@@ -239,19 +239,6 @@ def test_in_real_time_stamps_stand_on_the_samples(tmp_path):
     assert np.array_equal(np.diff(stamps), np.full(24, 20_200_000))
     assert before < stamps[0] < stamps[-1] < time.time_ns()
     assert np.array_equal(recorded_truth(tmp_path / "bag"), np.zeros((25, 3)))
-
-
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        (["--command-timeout", "0"], "base settings: command_timeout: Input should be greater than 0"),
-        (["--sed", "3"], "unknown argument '--sed'"),
-        (["--ros-args", "--foo"], "ROS cannot start with the arguments '--ros-args --foo'"),
-    ],
-)
-def test_bad_input_ends_in_one_line(words, line, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert line in refusal("sim-robot", *words)
 
 
 def test_it_ticks_at_the_period_of_the_node_s_configuration(tmp_path):
