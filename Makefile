@@ -138,7 +138,7 @@ test: $(READY) ## all tests but those of `make test-system` and of `.ci/long tes
 test-packages: $(READY) ## tests of the packages, each on built wheels in an environment of its own; PACKAGE=monitor for one
 	VENV=$(VENV) .ci/test_package $(PACKAGE) -- -n 2 --dist worksteal -m "$(MARKED)" $(TEST)
 
-test-system: $(LAB_READY) ## tests of many drawn robots, and those that need Debian packages: a browser, cross compilers, an emulator, an X server
+test-system: $(LAB_READY) ## tests of several processes, many drives and documents, and those that need Debian packages: browser, emulator, X server
 	$(BIN)/pytest -n 2 --dist worksteal -m system $(TEST)
 
 fuzz: $(READY) ## odd input at every door: FUZZ=long for minutes, FUZZ="live" for the node over DDS; see CONTRIBUTING.md

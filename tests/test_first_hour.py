@@ -99,6 +99,7 @@ def test_a_path_at_the_speed_of_the_robot_is_driven(session):
     assert position_rmse(typed(f"diffdrive-mpc simulate {own} --trajectory fast.yaml")) < 0.05
 
 
+@pytest.mark.system
 def test_node_and_simulated_robot_drive_it_as_one_process_does(session, tmp_path):
     own = ["--config", "mine/config.yaml", "--trajectory", "mine/first_circle.yaml"]
     plant = ["--plant", "model:mine/model.yaml", "--surface", "mine/surface.yaml"]

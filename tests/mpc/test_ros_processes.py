@@ -19,6 +19,8 @@ from diffdrive_mpc import load_trajectory
 from diffdrive_mpc.mpc.ros.node import TrackingNode
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
+pytestmark = pytest.mark.system
+
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 
 

@@ -22,6 +22,8 @@ from diffdrive_mpc.sim.ros.run_robot import run_robot
 from diffdrive_mpc.sim.ros.simulated_base import load_base_settings
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 
+pytestmark = pytest.mark.system
+
 DT = load_robot().sample_time
 TICKS = 60
 
@@ -219,7 +221,6 @@ def test_a_signal_ends_it_cleanly(number, mode, says, tmp_path):
     assert (tmp_path / "bag" / "metadata.yaml").exists()
 
 
-@pytest.mark.long
 def test_in_real_time_stamps_stand_on_the_samples(tmp_path):
     """However late the machine is: this much time is not given up here."""
     shipped = (Path(__file__).parents[2] / "sim" / "ros" / "base.yaml").read_text()
