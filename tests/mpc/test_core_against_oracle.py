@@ -289,7 +289,7 @@ def test_what_may_happen_on_a_drive(name):
     model, plant = ("ssm", "mujoco") if len(name) % 2 else ("mbm", "model:sm")
     both = pair(model, BY_DAQP if name in ("updated", "along its limits") else 1e-9, **{"horizon": 15} | changes)
     # Events that change the mode are driven to their end; of the others the first second says all.
-    longer = {"no pose for long": 190, "blocked": 160, "along its limits": 160, "along limits with two sides": 100}
+    longer = {"no pose for long": 190, "blocked": 160, "along its limits": 160, "along limits with two sides": 190}
     ticks = longer.get(name, 70 if modes == ["TRACKING"] else 160)
     both.drive(make_plant(plant, seed=4), load_trajectory("circle"), ticks, event)
     assert words in both.words
