@@ -67,21 +67,21 @@ def test_data_frames_give_the_model_of_their_files(folder, identification):
     assert model.A.tolist() == identification.model.A.tolist()
 
 
-def test_one_path_is_a_log_and_progress_is_told(folder):
-    told, findings = [], []
-    one = identify(
+def test_one_path_is_a_log_and_progress_is_reported(folder):
+    stages, findings = [], []
+    result = identify(
         str(folder / "one.csv"),
         str(folder / "map.yaml"),
         fit_share=0.5,
         name="mine",
-        on_progress=told.append,
+        on_progress=stages.append,
         on_findings=findings.extend,
     )
-    assert isinstance(one, Identification)
-    assert one.model.name == "mine"
-    assert told[0] == "reading"
-    assert told[1].startswith("identification")
-    assert "the last 50 %" in one.content.provenance.notes
+    assert isinstance(result, Identification)
+    assert result.model.name == "mine"
+    assert stages[0] == "reading"
+    assert stages[1].startswith("identification")
+    assert "the last 50 %" in result.content.provenance.notes
 
 
 # How records are divided, and what is read off their wheels.
@@ -105,10 +105,10 @@ def test_dividing_keeps_every_row_once_and_in_order(counts, share):
 
 
 def driven(radius, track, effective, firmware, gyro=True):
-    """A robot whose wheels obey at once: `firmware` on the way in, `effective` on the way out."""
+    """Return a drive of wheels without lag: `firmware` is the track of commands, `effective` that of the body."""
     command = np.random.default_rng(0).uniform([-1.0, -1.5], [1.0, 1.5], (200, 2))
-    asked = WheelKinematics(radius, firmware).body_to_wheels @ command.T
-    wheels = np.column_stack([asked[[0, 2]].mean(axis=0), asked[[1, 3]].mean(axis=0)])
+    requested = WheelKinematics(radius, firmware).body_to_wheels @ command.T
+    wheels = np.column_stack([requested[[0, 2]].mean(axis=0), requested[[1, 3]].mean(axis=0)])
     difference = radius * (wheels[:, 1] - wheels[:, 0])
     twist = np.column_stack([radius * wheels.mean(axis=1), difference / track])
     yaw_rate = difference / effective if gyro else None

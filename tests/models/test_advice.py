@@ -96,7 +96,20 @@ MENDED = {
 }
 
 
-@pytest.mark.parametrize("name", MENDED)
+QUICK_CASES = {
+    "commands late",
+    "encoders in rpm",
+    "gyro upside down",
+    "gyro held",
+    "milliseconds",
+    "gyro in deg/s, sides swapped",
+}
+"""Mended logs of each kind of change that `make test` tries; the system suite tries all."""
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name in QUICK_CASES else pytest.mark.system) for name in MENDED]
+)
 def test_what_is_advised_predicts_better_and_mends_the_log(tmp_path, name):
     case, expected = MENDED[name]
     advice = advice_on(case, tmp_path)

@@ -114,9 +114,9 @@ def quick_parts(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("quick_parts")
 def test_every_identification_is_announced_against_the_right_total(tmp_path: Path) -> None:
-    seen: list[tuple[int, int]] = []
-    fit_models(tmp_path, on_progress=lambda done, total: seen.append((done, total)))
+    counts: list[tuple[int, int]] = []
+    fit_models(tmp_path, on_progress=lambda done, total: counts.append((done, total)))
     assert IDENTIFICATIONS == 10
-    assert seen == [(k, IDENTIFICATIONS) for k in range(IDENTIFICATIONS + 1)]
+    assert counts == [(k, IDENTIFICATIONS) for k in range(IDENTIFICATIONS + 1)]
     assert load_model(tmp_path / "sm.yaml").order == 4
     assert load_model(tmp_path / "mbm.yaml").order == 8

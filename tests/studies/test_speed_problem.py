@@ -150,7 +150,7 @@ def test_a_peers_solution_is_that_of_the_controllers_problem(plugin, options, na
 
 
 def oracle_tick(program, estimate, past):
-    """The oracle's tick for a controller's `program` and `estimate`, with `past` (memory, 2) on its way; a copy."""
+    """Return the oracle's tick for a controller's `program` and `estimate`, a copy; `past` (memory, 2) is under way."""
     return Tick(
         pose=estimate.pose.copy(),
         state=estimate.state.copy(),
