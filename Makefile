@@ -50,7 +50,7 @@ LOCKED := --no-deps --require-hashes -r
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: help bench bench-full results edge goals study robustness market prove tune screenshots wheel test test-packages test-system fuzz mutants lab lint types format models calibrate readme schemas site notebooks pictures requirements bill audit clean
+.PHONY: help bench bench-full results edge goals study robustness market prove tune screenshots wheel wheels test test-packages test-system fuzz mutants lab lint types format models calibrate readme schemas site notebooks pictures requirements bill audit clean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-14s %s\n", $$1, $$2}'
@@ -123,13 +123,22 @@ screenshots: $(READY) ## reports of small real runs, and their pictures for docs
 wheel: $(READY) ## a wheel for this machine and a source archive, both in dist/: it needs neither the clone nor a compiler any more
 	$(BIN)/uv build --python $(BIN)/python --out-dir dist
 
+wheels: $(READY) ## wheels of root and packages for this kind of machine as a release has them, tried on each Python: dist/; needs Docker
+	$(BIN)/uv build --python $(BIN)/python --sdist --out-dir dist
+	$(BIN)/cibuildwheel --output-dir dist
+	for package in $(patsubst %/setup.py,%,$(wildcard packages/*/setup.py)); do \
+		CIBW_BUILD="cp311-manylinux*" CIBW_BUILD_FRONTEND="build[uv]" CIBW_ENVIRONMENT=UV_FIND_LINKS=/project/dist \
+			$(BIN)/cibuildwheel --output-dir dist $$package || exit 1; \
+	done
+	$(BIN)/uv build --python $(BIN)/python --wheel --out-dir dist packages/lab
+
 test: $(READY) ## all tests but those of `make test-system` and of `.ci/long tests`
 	$(BIN)/pytest -n 2 --dist worksteal -m "$(MARKED)" $(TEST)
 
 test-packages: $(READY) ## tests of the packages, each on built wheels in an environment of its own; PACKAGE=monitor for one
 	VENV=$(VENV) .ci/test_package $(PACKAGE) -- -n 2 --dist worksteal -m "$(MARKED)" $(TEST)
 
-test-system: $(LAB_READY) ## tests of many drawn robots, and those that need Debian packages: a browser, cross compilers, an emulator, an X server
+test-system: $(LAB_READY) ## tests of several processes, many drives and documents, and those that need Debian packages: browser, emulator, X server
 	$(BIN)/pytest -n 2 --dist worksteal -m system $(TEST)
 
 fuzz: $(READY) ## odd input at every door: FUZZ=long for minutes, FUZZ="live" for the node over DDS; see CONTRIBUTING.md
@@ -138,10 +147,11 @@ fuzz: $(READY) ## odd input at every door: FUZZ=long for minutes, FUZZ="live" fo
 mutants: $(READY) ## change the core in 200 small ways, and list those that no test notices: an hour; MUTANTS="--count 40 --seed 7"
 	$(BIN)/python tests/mutants.py $(MUTANTS)
 
-lint: $(READY) ## style, format and language
+lint: $(READY) ## style, format, language and shell scripts
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/python .ci/language.py
+	$(BIN)/shellcheck --severity=warning .ci/long .ci/run .ci/test_package docker/*.sh ros/security/*.sh
 
 types: $(READY) ## strict type check
 	$(BIN)/mypy

@@ -31,7 +31,7 @@ LONG_TESTS |= {"reproduce_experiments", "tutorials"}
 """Files with a test or a fixture of five seconds or more: they begin first, so that no core waits at the end."""
 LOGS = os.environ.get("DIFFDRIVE_MPC_DATA")
 LEFT_OUT = {
-    "system": f"drive many robots or need Debian packages ({', '.join(SYSTEM_PACKAGES)}): make test-system",
+    "system": f"need processes, many drives or Debian packages ({', '.join(SYSTEM_PACKAGES)}): make test-system",
     "long": "take long: .ci/long tests",
     "real_logs": (
         "need real logs: set DIFFDRIVE_MPC_DATA to a folder with norlab_husky_tile/ and norlab_warthog_terrains/ "

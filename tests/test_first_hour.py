@@ -17,6 +17,8 @@ from typer.testing import CliRunner
 from diffdrive_mpc import load_config, load_trajectory
 from diffdrive_mpc.app.cli import app
 
+pytestmark = pytest.mark.system
+
 PERIOD, TRUTH_STEP = 0.05, 0.005
 DEAD_TIME, LAG_V, LAG_OMEGA, YAW_GAIN = 0.12, 0.22, 0.18, 0.7
 TOP_SPEED = 3.0

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.system
+
 ROOT = Path(__file__).parents[1]
 
 
@@ -30,7 +32,7 @@ def test_a_run_without_it_ends_with_its_size(tmp_path):
         done = run_pytest(*words, PATH=str(tmp_path), HOME=str(tmp_path))
         assert done.returncode == 0, done.stdout
         last = done.stdout.rstrip().splitlines()[-1]
-        assert last.startswith("1 more tests drive many robots or need Debian packages (")
+        assert last.startswith("1 more tests need processes, many drives or Debian packages (")
         assert last.endswith("): make test-system")
 
 

@@ -15,6 +15,7 @@ JACKAL = "from-bag-to-robot"
 TUTORIALS = sorted(path for path in FOLDER.glob("*.md") if path.stem != "index")
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
 def test_notebook_draws_the_pictures_of_its_page(page, tmp_path, monkeypatch):
     markdown = page.read_text(encoding="utf-8")

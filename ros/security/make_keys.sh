@@ -3,7 +3,7 @@
 # Keys hold for the ROS_DOMAIN_ID of now. They are secrets: none is ever made inside a git work tree.
 set -eu
 umask 077
-here=$(CDPATH= cd -- "$(dirname -- "$0")" && pwd)
+here=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd)
 if [ $# -eq 0 ]; then
     echo "error: no folder for the keys: make_keys.sh KEYSTORE [POLICY.xml ...]" >&2
     exit 2

@@ -102,7 +102,7 @@ def one_path(monkeypatch):
 
 
 @pytest.mark.usefixtures("one_path")
-@pytest.mark.parametrize("share", [0.3, 0.2])
+@pytest.mark.parametrize("share", [pytest.param(0.3, marks=pytest.mark.system), 0.2])
 def test_limits_are_lowered_until_the_drives_pass(identification, share, monkeypatch):
     monkeypatch.setattr(verdicts, "stand_ins", lambda _: clips(identification, share))
     verdict = judge_by_drives(identification)
@@ -126,7 +126,10 @@ def test_where_nothing_drives_nothing_is_written(tmp_path, monkeypatch):
     # Drives that fail take long: of the lowered limits only the least.
     slowest = trial_drives.trial_settings().model_copy(update={"shares": trial_drives.trial_settings().shares[-1:]})
     monkeypatch.setattr(verdicts, "trial_settings", lambda: slowest)
-    log, mapping = write_csv(tmp_path / "a.csv", drive()), write_mapping(tmp_path / "m.yaml", MAPPING + TRACK)
+    log, mapping = (
+        write_csv(tmp_path / "a.csv", drive(seconds=20.0)),
+        write_mapping(tmp_path / "m.yaml", MAPPING + TRACK),
+    )
     words = ["identify", str(log), "--mapping", str(mapping), "--out", str(tmp_path / "out")]
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 2 and "does not drive 'circle'" in result.stderr and result.stderr.count("\n") == 1

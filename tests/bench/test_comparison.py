@@ -70,20 +70,6 @@ def test_a_peer_has_no_model_and_no_settings() -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"controllers": ("foo",)}, "unknown controller"),
-        ({"plants": ("foo",)}, "unknown plant"),
-        ({"settings": ((("horizn", 5),),)}, "did you mean 'horizon'"),
-        ({"settings": ((("start_delay", 0.2),),)}, "start_delay: bench compares starts without it"),
-    ],
-)
-def test_what_cannot_be_run_is_refused_before_anything_runs(change: dict[str, object], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        plan_cases(experiment(horizons=(), seeds=(0,), **change))
-
-
 def test_a_file_with_the_label_of_a_shipped_model_or_a_peer_is_refused(tmp_path: Path) -> None:
     for name in ("SSM", "kanayama"):
         path = tmp_path / f"{name}.yaml"

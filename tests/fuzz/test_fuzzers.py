@@ -29,6 +29,7 @@ def test_corrected_finding_stays_corrected(fuzzer, mark):
     assert runner.judged(FUZZERS[fuzzer], FOUND[fuzzer, mark]) is None
 
 
+@pytest.mark.system
 def test_core_stays_inside_its_arrays_and_limits(tmp_path):
     """`make fuzz` drives longer."""
     words = [str(build_core(tmp_path)), "2", "6"]

@@ -279,7 +279,7 @@ def test_a_limit_that_the_plain_model_found_lives_on():
 
 def test_effects_stay_only_where_they_predict_better_than_the_plain_model(found):
     records = [record_of(TRUE, 7, 150.0, yaw_ratio=RATIO)]
-    plain = identify_sm(records)
+    plain = identify_sm(records, limits=False)
     assert loses(found, plain, records) is None
     spoilt = replace(found, points=tuple({**point, "gain.omega": 0.5 * point["gain.omega"]} for point in found.points))
     assert "no better than the plain model" in loses(spoilt, plain, records)

@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-from collections.abc import Callable
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -12,37 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic_core import SchemaError
 
-from diffdrive_mpc import load_model, load_trajectory
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, parse_yaml, read_yaml
 from diffdrive_mpc.models.identification.deliver.configuration import IdentifiedConfiguration, Setting
 from diffdrive_mpc.models.logs.mapping import LogMapping
 from diffdrive_mpc.models.named_file import named_file, shipped_names
 from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.mpc.config.config_file import load_config
-from diffdrive_mpc.sim.disturbances.scenario import load_scenario
-from diffdrive_mpc.sim.plants.surface import load_surface
-from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
-from refusals import one_line_error
 
 BOMB = "\n".join(["a0: &a0 [x, x]"] + [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 30)])
-UNFIT = [
-    "!!bool z",
-    "a: !!int ''",
-    "!!float x",
-    "!!timestamp q",
-    "!!set [1]",
-    "!!binary zzz",
-    "2020-13-40",
-    "? {a: 1}\n: 2",
-]
-
-
-@pytest.mark.parametrize("text", UNFIT)
-def test_a_value_that_does_not_fit_its_type_is_one_line(text, tmp_path):
-    file = tmp_path / "bad.yaml"
-    file.write_text(text, encoding="utf-8")
-    with one_line_error(ConfigError, str(file)):
-        read_yaml(file)
 
 
 @pytest.mark.parametrize(
@@ -134,24 +110,6 @@ def test_what_is_harmless_stays(text):
 def test_no_name_puts_keys_into_a_configuration(name):
     found = IdentifiedConfiguration(name, (Setting("sample_time", 0.02, f"from {name}"),), (), ())
     assert set(yaml.safe_load(found.text())) == {"sample_time", "limits"}
-
-
-@pytest.mark.parametrize(
-    ("load", "kind", "near"),
-    [
-        (load_model, "model", "ssm"),
-        (load_config, "configuration", "ssm"),
-        (load_trajectory, "trajectory", "circle"),
-        (load_scenario, "scenario", "push"),
-        (load_surface, "surface", "slippery"),
-        (load_sensor_set, "sensor set", "slam"),
-    ],
-)
-def test_every_loader_refuses_in_the_same_words(load: Callable[[str], object], kind: str, near: str) -> None:
-    wrong = near + near[-1]
-    end = f" or the path of a {kind} file; did you mean '{near}'?"
-    with one_line_error(ConfigError, end, match=f"^unknown {kind} '{wrong}': give one of "):
-        load(wrong)
 
 
 def test_a_shipped_name_comes_before_a_file_of_that_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,8 +4,7 @@ import control
 import numpy as np
 import pytest
 
-from diffdrive_mpc import ArgumentError, ModelError, VelocityModel, load_model
-from refusals import one_line_error
+from diffdrive_mpc import VelocityModel, load_model
 
 DT = 0.0202
 FREQUENCIES = np.logspace(-2, 2, 40)
@@ -85,31 +84,3 @@ def test_powers_of_z_in_the_denominator_are_dead_time():
     model = VelocityModel.from_control((discrete([0.1], [1, -0.9, 0, 0]), discrete([0.2], [1, -0.8])), dead_time=0.01)
     np.testing.assert_allclose(model.dead_time, [0.05, 0.01], atol=1e-15)
     np.testing.assert_allclose(np.sort(model.poles.real), np.log([0.8, 0.9]) / 0.02, rtol=1e-12)
-
-
-OTHER = discrete([0.2], [1, -0.8])
-
-
-@pytest.mark.parametrize(
-    ("system", "message"),
-    [
-        (LAG, "1 outputs and 1 inputs; give a 2x2 control.TransferFunction or control.StateSpace, or two"),
-        ((LAG, OTHER), "sample times 0 and 0.02 s differ"),
-        ((discrete([1.3], [1, 0.3]), OTHER), "pole at z = -0.3; no continuous system has a negative one"),
-        ((discrete([0.1], [1, -1.1]), OTHER), "unstable, pole at z = 1.1"),
-        ((control.tf([1.0], [1.0, -1.0]), LAG), "unstable, pole at 1 rad/s"),
-        (
-            load_model("ssm").with_extra_dead_time(0.03).to_control(DT),
-            "its poles at or near z = 0 are no delay of whole samples, .* give the continuous system, and dead_time=",
-        ),
-    ],
-)
-def test_what_is_no_robot_is_one_sentence(system, message):
-    with one_line_error(ModelError, match=f"^(system|model) '.*': {message}"):
-        VelocityModel.from_control(system)
-
-
-@pytest.mark.parametrize("system", ["ssm", np.eye(2), (LAG, LAG, LAG), [1, 2], None])
-def test_what_is_no_system_is_one_sentence(system):
-    with pytest.raises(ArgumentError, match=r"expected a linear system of python-control, got .*; give a 2x2 control"):
-        VelocityModel.from_control(system)

@@ -31,7 +31,9 @@ def test_twist_of_an_arc_is_exact(v, omega, every):
     fresh = np.arange(count) % every == 0
     (record,) = with_twist_of_poses([Record("arc", 0.0, dt, np.zeros((count, 2)), pose=pose, fresh_pose=fresh)])
     assert record.fresh_twist.sum() > 5
-    assert record.twist[record.fresh_twist] == pytest.approx(np.tile([v, omega], (record.fresh_twist.sum(), 1)), abs=1e-9)
+    assert record.twist[record.fresh_twist] == pytest.approx(
+        np.tile([v, omega], (record.fresh_twist.sum(), 1)), abs=1e-9
+    )
 
 
 @pytest.mark.parametrize("every", [1, 3])

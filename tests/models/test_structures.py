@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from log_parts import drive, write_csv, write_mapping
 from scipy.integrate import solve_ivp
 
-from diffdrive_mpc import ConfigError, ModelError, identify, load_model
+from diffdrive_mpc import ConfigError, identify, load_model
 from diffdrive_mpc.models.checked_yaml import StrictModel
 from diffdrive_mpc.models.load import is_shipped
 from diffdrive_mpc.models.logs.record import Record
@@ -258,9 +258,3 @@ def test_a_settled_robot_stays_settled(dead_time):
     past = np.tile(command, (discrete.memory, 1))
     outputs = discrete.simulate(np.tile(command, (30, 1)), discrete.settled_state(command), past)
     assert outputs == pytest.approx(np.tile(SSM.dc_gain @ command, (30, 1)), abs=1e-12)
-
-
-@pytest.mark.parametrize("dt", [0.0, -0.02, float("nan"), float("inf")])
-def test_a_sample_time_that_is_none_is_refused(dt):
-    with pytest.raises(ModelError, match="sample time"):
-        SSM.discretise(dt)

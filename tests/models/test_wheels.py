@@ -30,14 +30,6 @@ def test_pulses_per_second_follow_the_papers_equation(twist):
     assert pulses == pytest.approx([left, right, left, right], abs=1e-9)
 
 
-@pytest.mark.parametrize("bad", [0.0, -0.1, float("nan")])
-def test_lengths_must_be_lengths(bad):
-    with pytest.raises(ValueError, match="radius"):
-        WheelKinematics(bad, 0.33)
-    with pytest.raises(ValueError, match="track"):
-        WheelKinematics(0.07, bad)
-
-
 COLUMNS = drive(seconds=6.0)
 T = COLUMNS["t"] + 1.0
 RNG = np.random.default_rng(3)

@@ -371,6 +371,7 @@ def wheel(tmp_path_factory):
     return path
 
 
+@pytest.mark.system
 def test_core_of_the_wheel_runs_without_compiler(wheel, tmp_path):
     installed = tmp_path / "installed"
     zipfile.ZipFile(wheel).extractall(installed)

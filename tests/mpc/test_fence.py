@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from ideal_robot import IdealRobot
 
-from diffdrive_mpc import ConfigError, Controller, load_config, load_model, make_plant, simulate
+from diffdrive_mpc import Controller, load_config, load_model, make_plant, simulate
 from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.mpc.step_result import Mode
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
@@ -118,8 +118,3 @@ def test_a_fence_that_is_not_reached_or_not_enabled_changes_nothing():
     ]
     assert all(run.modes[-1] == "TRACKING" for run in runs)
     assert all(np.array_equal(runs[0].command, run.command) for run in runs)
-
-
-def test_a_margin_that_leaves_no_room_is_refused():
-    with pytest.raises(ConfigError, match=r"fence.*a margin of 0.5 m leaves nothing of 4 by 1 m"):
-        load_config("ssm", {"fence.width": 1.0, "fence.margin": 0.5})

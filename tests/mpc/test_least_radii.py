@@ -139,13 +139,6 @@ def test_cusps_keep_the_radius_forwards_and_backwards(radius):
     assert run.metrics.position_rmse_m < (0.02 if radius < 0.6 else 0.12)
 
 
-def test_reference_with_a_turn_on_the_spot_raises_error():
-    with pytest.raises(
-        ValueError, match=r"^reference 'square': at 2\.\d+ s it turns on the spot by 1\.6 rad, which lim"
-    ):
-        Controller(load_config("ssm", {KEY: 1.0})).start(load_trajectory("square"), 0.0)
-
-
 @pytest.mark.parametrize("name", ["min_commanded_radius", "min_turn_radius"])
 def test_radius_can_change_while_driving_but_not_be_set_or_unset(name):
     controller = Controller(load_config("ssm", {f"limits.{name}": 1.5}))

@@ -266,9 +266,7 @@ def test_poses_later_than_their_stamps_are_reported_within_5_s_but_not_accused(t
 
     def change(k, m):
         late.append(m.pose.value)
-        return replace(
-            m, pose=Stamped(late[max(0, k - ticks)], m.pose.time), yaw_rate=m.yaw_rate if has_gyro else None
-        )
+        return replace(m, pose=Stamped(late[max(0, k - ticks)], m.pose.time), yaw_rate=m.yaw_rate if has_gyro else None)
 
     results, _ = run(change, trajectory, seconds=7.0)
     assert accused(results) == set()

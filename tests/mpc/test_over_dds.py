@@ -21,6 +21,8 @@ from diffdrive_mpc.models.logs.mapping import Topic
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.ros.simulated_base import SHIPPED
 
+pytestmark = pytest.mark.system
+
 BOUND = 120.0
 CASE = Case(trajectory="s")
 MAGIC = b"\x89MCAP0\r\n"

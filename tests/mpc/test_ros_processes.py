@@ -15,11 +15,11 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.context import Context
 from ros_parts import CONFIG, DT, PATIENCE, FakeBase, in_name_space, stack
 
-from commands import invoke
 from diffdrive_mpc import load_trajectory
-from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.mpc.ros.node import TrackingNode
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
+
+pytestmark = pytest.mark.system
 
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 
@@ -99,20 +99,6 @@ def test_killed_node_sends_no_command(driving):
     process.kill()
     process.wait()
     assert base.silent(5) == 0
-
-
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        (["--trajectory", "circel", "--autostart"], "unknown trajectory 'circel'"),
-        (["--set", "weights.acros=1"], "did you mean 'weights.across'?"),
-        (["--trajectry", "s"], "unknown argument '--trajectry'"),
-        (["--ros-args", "-p", "follow_client_timeout:=1.0"], "set follow_blind_distance [m] instead"),
-    ],
-)
-def test_failed_start_is_reported_in_one_line(words, line):
-    result = invoke(app, "node", *words, code=2)
-    assert line in result.stderr and result.stderr.count("\n") == 1
 
 
 NODE_YAML = Path(__file__).parents[2] / "ros" / "config" / "node.yaml"

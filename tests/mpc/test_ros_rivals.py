@@ -17,6 +17,8 @@ from std_msgs.msg import Empty
 from diffdrive_mpc.mpc.ros.node import TrackingNode
 from diffdrive_mpc.mpc.step_result import Mode
 
+pytestmark = pytest.mark.system
+
 SLEW = np.array([CONFIG.limits.v_slew, CONFIG.limits.omega_slew]) * DT + 1e-9
 
 

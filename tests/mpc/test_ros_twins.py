@@ -31,6 +31,7 @@ class Twin:
         rclpy.shutdown(context=self.context)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("topic", INPUTS)
 def test_activation_with_two_drivers_of_one_name_is_refused(topic):
     with (
@@ -44,6 +45,7 @@ def test_activation_with_two_drivers_of_one_name_is_refused(topic):
         assert SHARED.format(topic) in s.node.failure
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("topic", INPUTS)
 def test_node_brakes_for_the_third_message_of_a_twin(topic):
     with stack(drive=True, pose_topic=True) as s:
@@ -100,7 +102,7 @@ def test_node_brakes_in_time_for_a_twin_of_any_rate(topic, rate, record_property
         assert len(arrivals) <= 3 or now - max(arrivals[0] + 0.3, arrivals[2]) < 2.0 * DT
 
 
-@pytest.mark.parametrize("count", [2, pytest.param(50, marks=pytest.mark.long)])
+@pytest.mark.parametrize("count", [pytest.param(2, marks=pytest.mark.system), pytest.param(50, marks=pytest.mark.long)])
 def test_killed_and_restarted_driver_does_not_stop_the_robot(count):
     """The robot drives by its wheels while the driver of its gyro is killed and started again."""
     with stack(drive=True, sim_time=False, discovery_wait=5.0) as s:
@@ -129,6 +131,7 @@ def test_killed_and_restarted_driver_does_not_stop_the_robot(count):
             assert s.node.trigger_activate() is TransitionCallbackReturn.SUCCESS, s.node.failure
 
 
+@pytest.mark.system
 def test_publisher_of_commands_under_the_name_of_the_node_is_reported():
     with stack(drive=True, exclusive_cmd_vel=True) as s:
         s.base.run(20)

@@ -101,12 +101,6 @@ def test_equal_curvature_is_joined_without_a_stop() -> None:
     assert inside.max() == pytest.approx(1.0, abs=1e-12)
 
 
-@pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf])
-def test_limit_that_is_not_positive_and_finite_raises_error(bad: float) -> None:
-    with pytest.raises(ValueError, match="omega_acceleration"):
-        TrajectoryLimits(v=1.0, omega=1.0, v_acceleration=1.0, omega_acceleration=bad)
-
-
 @st.composite
 def winding_waypoints(draw: st.DrawFn) -> list[tuple[float, float]]:
     """Draw two to six points; each leg turns by at most 1.2 rad against the previous one."""

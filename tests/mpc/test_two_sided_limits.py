@@ -48,22 +48,6 @@ def test_both_forms_of_a_limit_are_read_kept_and_written():
     assert config.model_dump()["limits"]["v_braking"] == 2.0
 
 
-@pytest.mark.parametrize(
-    ("value", "words"),
-    [
-        ({"forward": 1.0}, "limits.v: give one number, or both sides: {forward: ..., reverse: ...}"),
-        ({"accelerate": 1.0, "brake": 1.0}, "give one number, or both sides"),
-        ({"forward": 1.0, "reverse": 0.0}, "limits.v: Input should be greater than 0"),
-        ({"forward": 1e13, "reverse": 1.0}, "limits.v: give zero or a size"),
-        ({"forward": True, "reverse": 1.0}, "limits.v: Input should be a valid number"),
-    ],
-)
-def test_a_limit_of_another_form_is_refused(value, words):
-    with pytest.raises(ConfigError) as error:
-        load_config("ssm", {"limits.v": value})
-    assert words in str(error.value)
-
-
 @pytest.mark.parametrize("method", ["auto", "osqp", "daqp"])
 def test_equal_sides_drive_as_one_number_to_the_last_bit(method):
     runs = []

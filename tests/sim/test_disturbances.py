@@ -348,7 +348,6 @@ def test_a_patch_by_factor_is_a_share_of_the_floor_it_lies_on(friction: float) -
 
 
 SHIPPED = SCENARIOS.names
-PUSH = "pushes: [{force: 10.0, height: 0.09, start: 1.0, duration: 0.5}]"
 
 
 def _written(folder: Path, text: str) -> Path:
@@ -384,19 +383,3 @@ def test_drawn_values_lie_in_their_ranges_and_choices(
     assert low <= push.force <= low + width
     assert 1.0 <= abs(push.yaw_torque) <= 2.0
     assert file.draw(seed) == file.draw(seed)
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("pushs: []", "unknown key 'pushs'; did you mean 'pushes'?"),
-        (PUSH.replace("10.0", "-1.0"), "pushes.0.force: Input should be greater than or equal to 0 (found -1.0)"),
-        (PUSH.replace("10.0", "[3.0, 1.0]"), "pushes.0.force: a range goes from low to high (found [3.0, 1.0])"),
-        (PUSH.replace("10.0", "[1.0, .nan]"), "pushes.0.force: a range goes from low to high"),
-        (PUSH.replace(", duration: 0.5", ""), "key 'pushes.0.duration' is missing"),
-        ("weak_motors: [{wheel: front, factor: 0.5, start: 1.0}]", "Input should be 'front_left', 'front_right'"),
-    ],
-)
-def test_a_mistake_gives_one_line_that_names_the_place(text: str, message: str, tmp_path: Path) -> None:
-    with one_line_error(ConfigError, message, "mine.yaml"):
-        load_scenario(_written(tmp_path, text))

@@ -1,12 +1,11 @@
 """The physics plant against what mechanics says."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from diffdrive_mpc import ConfigError, make_plant
+from diffdrive_mpc import make_plant
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim.disturbances.disturbance_types import Slope
 from diffdrive_mpc.sim.disturbances.scenario import load_scenario
@@ -295,12 +294,3 @@ def test_a_patch_on_a_carpet_keeps_the_ratio_of_its_directions() -> None:
 def _coefficients(plant: MujocoPlant) -> tuple[float, float]:
     across, along = plant.chassis._model.pair_friction[0, :2]
     return float(across), float(along)
-
-
-def test_a_floor_without_friction_has_none_sideways_either(tmp_path: Path) -> None:
-    path = tmp_path / "mine.yaml"
-    path.write_text(
-        "sideways_friction: 0.5\nslip: {yaw_gain: 1, wheel_yaw_gain: 1, longitudinal_gain: 1, side_slip: 0}\n"
-    )
-    with pytest.raises(ConfigError, match=r"mine\.yaml: sideways_friction: give friction, along the rolling direction"):
-        load_surface(path)

@@ -11,13 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from loop_parts import trace
 
-from diffdrive_mpc import ConfigError, integrate_pose, load_model, make_plant
+from diffdrive_mpc import integrate_pose, load_model, make_plant
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim.plants.model_plant import ModelPlant
 from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop, load_command_parameters, random_commands
 from diffdrive_mpc.sim.plants.surface import BodySlip, load_surface
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
-from refusals import one_line_error
 
 DT = load_robot().sample_time
 PLANTS = ["mujoco", "model:ssm"]
@@ -56,23 +55,6 @@ def test_bad_command_is_refused(name: str, command: list[float]) -> None:
     with pytest.raises(ValueError, match="give two finite numbers"):
         plant.advance(command)
     assert plant.time == 0.0
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"name": "gazebo"}, "unknown plant 'gazebo': give 'mujoco', 'mujoco:NAME'"),
-        ({"name": "mujoco", "surface": "slipery"}, "did you mean 'slippery'"),
-        ({"name": "mujoco", "surface": "ideal"}, "surface 'ideal' has no friction"),
-        ({"name": "mujoco", "seed": -1}, "seed -1"),
-        ({"name": "mujoco", "extra_dead_time": 0.1}, "extra_dead_time is for 'model:' plants"),
-        ({"name": "model:sm+fast"}, "'fast' is no dead time; write model:NAME+SECONDS, such as model:sm+0.04"),
-        ({"name": "model:sm+nan"}, "'nan' is no dead time"),
-    ],
-)
-def test_bad_arguments_give_one_clear_line(arguments: dict[str, object], message: str) -> None:
-    with one_line_error(ConfigError, message):
-        make_plant(**arguments)  # type: ignore[arg-type]
 
 
 def _simulated(extra_dead_time: float, commands: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from ros_driver import BOUND, Driver, own_domain, recorded, recorded_truth
 
-from commands import invoke, refusal
+from commands import invoke
 from diffdrive_mpc import ConfigError, RobotLostError, make_plant
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.logs import read_log
@@ -21,6 +21,8 @@ from diffdrive_mpc.sim.plants.open_loop import drive_open_loop
 from diffdrive_mpc.sim.ros.run_robot import run_robot
 from diffdrive_mpc.sim.ros.simulated_base import load_base_settings
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
+
+pytestmark = pytest.mark.system
 
 DT = load_robot().sample_time
 TICKS = 60
@@ -219,7 +221,6 @@ def test_a_signal_ends_it_cleanly(number, mode, says, tmp_path):
     assert (tmp_path / "bag" / "metadata.yaml").exists()
 
 
-@pytest.mark.long
 def test_in_real_time_stamps_stand_on_the_samples(tmp_path):
     """However late the machine is: this much time is not given up here."""
     shipped = (Path(__file__).parents[2] / "sim" / "ros" / "base.yaml").read_text()
@@ -239,19 +240,6 @@ def test_in_real_time_stamps_stand_on_the_samples(tmp_path):
     assert np.array_equal(np.diff(stamps), np.full(24, 20_200_000))
     assert before < stamps[0] < stamps[-1] < time.time_ns()
     assert np.array_equal(recorded_truth(tmp_path / "bag"), np.zeros((25, 3)))
-
-
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        (["--command-timeout", "0"], "base settings: command_timeout: Input should be greater than 0"),
-        (["--sed", "3"], "unknown argument '--sed'"),
-        (["--ros-args", "--foo"], "ROS cannot start with the arguments '--ros-args --foo'"),
-    ],
-)
-def test_bad_input_ends_in_one_line(words, line, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert line in refusal("sim-robot", *words)
 
 
 def test_it_ticks_at_the_period_of_the_node_s_configuration(tmp_path):

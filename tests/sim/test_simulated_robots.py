@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from diffdrive_mpc import (
-    ConfigError,
     Controller,
     Measurement,
     Stamped,
@@ -29,7 +28,6 @@ from diffdrive_mpc.sim.plants.simulated_robot import ROBOTS, load_simulated_robo
 from diffdrive_mpc.sim.ros import messages
 from diffdrive_mpc.sim.ros.simulated_base import STOP, CommandInbox
 from diffdrive_mpc.sim.sensing.odometry import Odometry
-from refusals import one_line_error
 
 SHIPPED = ROBOTS.names
 GRAVITY = 9.81
@@ -92,24 +90,6 @@ def test_another_build_turns_on_the_spot_as_coulomb_friction_and_its_firmware_sa
     turned = _hold(name, 0.0, 0.8).true_twist[75:, 2].mean() / 0.8
     assert turned == pytest.approx(told, abs=0.03)
     assert (abs(turned - 1.0) < 0.03) == (not name.endswith("naive"))
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (
-            "twin: {chassis: {wheelbase: 0.2}}",
-            "unknown key 'twin.chassis.wheelbase'; did you mean 'twin.chassis.wheel_base'?",
-        ),
-        ("robot: {mass: -1.0}", "robot.mass: Input should be greater than 0 (found -1.0)"),
-        ("twin: {chassis: {centre_of_mass: [0.1, 0.0]}}", "it must lie between the wheels, 0.07 m ahead and 0.165 m"),
-    ],
-)
-def test_a_mistake_gives_one_line_that_names_the_place(text: str, message: str, tmp_path: Path) -> None:
-    path = tmp_path / "mine.yaml"
-    path.write_text(f"description: mine\n{text}\n")
-    with one_line_error(ConfigError, message, "mine.yaml"):
-        make_plant(f"mujoco:{path}")
 
 
 MANY = [draw_robot(seed) for seed in range(300)]

@@ -4,12 +4,8 @@ import re
 import textwrap
 from pathlib import Path
 
-import pytest
-
-from commands import invoke
 from diffdrive_mpc.bench.spec import SpecStudy, load_experiment
 from diffdrive_mpc.bench.study import carry_out
-from studies.cli import app
 
 RECIPES = (Path(__file__).parents[2] / "docs" / "recipes.md").read_text(encoding="utf-8")
 
@@ -52,23 +48,3 @@ def test_the_backend_is_asked(monkeypatch):
     driven = Controller(load_config("sm", {"solver.method": "daqp"}))
     run = simulate(driven, make_plant("model:sm"), load_trajectory("s"))
     assert run.metrics.completed and run.solver_methods.count("daqp") > 100
-
-
-KNOWN = "mbm_sm, ssm, lstm, cost, virtual_track, drive_models"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ("monitor --rules defalt", "did you mean 'default'"),
-        ("reproduce --only ssm,costs", f"error: --only: unknown part 'costs'; known: {KNOWN}\n"),
-        ("robustness --quick --only nowhere", "--only: unknown condition 'nowhere'; known: default, heavy"),
-        ("speed --peers nobody", "nobody"),
-        ("tracking --quick --study mine.yaml", "give one of them"),
-    ],
-)
-def test_bad_input_is_one_line_and_nothing_is_made(arguments: str, message: str, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    result = invoke(app, *arguments.split(), "--out", out, code=2)
-    assert result.stderr.startswith("error: ") and result.stderr.count("\n") == 1 and message in result.stderr
-    assert not out.exists()

@@ -172,6 +172,7 @@ def test_log_without_a_configuration_is_refused_with_one_line(tmp_path):
 CASE = Case(trajectory="cane", sensors="slam", overrides=(("weights.across", 90.0),))
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("lock_step", [True, False])
 def test_mcap_bag_of_the_node_replays_to_the_last_bit(lock_step, tmp_path):
     _, _, reference = build(CASE)

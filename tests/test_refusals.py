@@ -1,0 +1,115 @@
+"""Bad input at every door ends in one line that names the place and the remedy: the rows of refusals.yaml."""
+
+import re
+import shlex
+from pathlib import Path
+
+import control
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+
+import diffdrive_mpc
+from commands import invoke
+from diffdrive_mpc import Controller
+from diffdrive_mpc.app.cli import app as product
+from diffdrive_mpc.bench.case import Case, parse_seeds
+from diffdrive_mpc.bench.comparison.plan import default_settings, plan_cases
+from diffdrive_mpc.bench.controllers import check_cases
+from diffdrive_mpc.bench.sweep import sweep_settings
+from diffdrive_mpc.models.checked_yaml import read_yaml
+from diffdrive_mpc.models.load import model_path
+from diffdrive_mpc.models.wheels import WheelKinematics
+from diffdrive_mpc.mpc.config.typed_settings import single_settings
+from diffdrive_mpc.mpc.trajectories import TrajectoryLimits
+from diffdrive_mpc.sim.disturbances.scenario import load_scenario
+from diffdrive_mpc.sim.plants.surface import load_surface
+from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
+from refusals import one_line_error
+from studies.cli import app as studies
+
+DOORS = yaml.safe_load(Path(__file__).with_name("refusals.yaml").read_text(encoding="utf-8"))
+PROGRAMS = {"diffdrive-mpc ": product, "python -m studies ": studies}
+SSM = yaml.safe_load(model_path("ssm").read_text(encoding="utf-8"))
+TIMES = np.linspace(0.0, 10.0, 101)
+
+
+def saved(model):
+    """Write a model file to the working directory and return its name."""
+    Path("model.yaml").write_text(yaml.safe_dump(model), encoding="utf-8")
+    return "model.yaml"
+
+
+def scaled(name, factors):
+    """Return a matrix of the SSM times a factor, or a factor for each row."""
+    return (np.array(SSM[name]) * np.reshape(factors, (-1, 1))).tolist()
+
+
+def started():
+    """Return a controller that has a reference."""
+    controller = Controller("ssm")
+    controller.start("s", 0.0)
+    return controller
+
+
+NAMES = {name: getattr(diffdrive_mpc, name) for name in diffdrive_mpc.__all__} | {
+    "Case": Case,
+    "SSM": SSM,
+    "SYSTEM": control.tf([1.0], [0.1, 1.0]),
+    "T": TIMES,
+    "TrajectoryLimits": TrajectoryLimits,
+    "WheelKinematics": WheelKinematics,
+    "X": np.sin(0.5 * TIMES),
+    "Y": 1.0 - np.cos(0.5 * TIMES),
+    "check_cases": check_cases,
+    "default_settings": default_settings,
+    "load_scenario": load_scenario,
+    "load_sensor_set": load_sensor_set,
+    "load_surface": load_surface,
+    "np": np,
+    "parse_seeds": parse_seeds,
+    "pd": pd,
+    "plan_cases": plan_cases,
+    "read_yaml": read_yaml,
+    "saved": saved,
+    "scaled": scaled,
+    "single_settings": single_settings,
+    "started": started,
+    "sweep_settings": sweep_settings,
+    "tf": control.tf,
+}
+"""Names that the expressions of doors use."""
+
+
+def expected(message):
+    """Return a message of the table as a regular expression."""
+    start = "^" if message.startswith("^") else ""
+    return start + ".*".join(map(re.escape, message.removeprefix("^").split(" ... ")))
+
+
+@pytest.mark.parametrize(
+    ("door", "row"),
+    [pytest.param(door, row, id=f"{door['door']}: {row[0]}"[:60]) for door in DOORS for row in door["inputs"]],
+)
+def test_bad_input_ends_in_one_line(door, row, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    place, (text, message, *more) = door["door"], row
+    files = dict(more and (more[0] if isinstance(more[0], dict) else {"mine.yaml": more[0]}))
+    if "INPUT" not in place:
+        files[re.search(r"mine\.\w+", place)[0]] = text
+    for name, content in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(content, encoding="latin-1")
+    for program, app in PROGRAMS.items():
+        if place.startswith(program):
+            before = sorted(tmp_path.rglob("*"))
+            words = shlex.split(place.removeprefix(program).replace("INPUT", text))
+            result = invoke(app, *words, code=2)
+            (line,) = result.stderr.splitlines()
+            assert line.startswith("error: ") and result.stdout == ""
+            assert re.search(expected(message), line), line
+            assert sorted(tmp_path.rglob("*")) == before
+            return
+    with one_line_error(eval(door.get("error", "ConfigError"), NAMES), match=expected(message)):
+        eval(place.replace("INPUT", text), NAMES)
