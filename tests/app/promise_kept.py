@@ -23,12 +23,14 @@ from diffdrive_mpc.app.identification.trial_drives import (
     trial_drives,
     trial_settings,
 )
-from diffdrive_mpc.app.identification.unexplained_motion import drawn_motion, unexplained_motion
+from diffdrive_mpc.app.identification.unexplained_motion import unexplained_motion
 from diffdrive_mpc.app.identification.verdict import TrialVerdict, judge_by_drives
 from diffdrive_mpc.models.identification import Identification
 from diffdrive_mpc.models.identification.fit.fitting import fit
+from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.mpc import ControllerConfig
+from diffdrive_mpc.sim.plants.identified_robot import SERIES, drawn_motion
 from studies.reproduce.real_logs import RealLog, load_protocol
 
 
@@ -98,7 +100,8 @@ def _variations(identification: Identification, config: ControllerConfig, seed: 
     rng = np.random.default_rng(seed)
     for _ in count():
         system = estimate.layout.system(rng.multivariate_normal(estimate.parameters, estimate.covariance))
-        disturbance = drawn_motion(motion, 60.0, (data.train[0].dt, config.sample_time), rng)
+        rate, block = (data.train[0].dt, config.sample_time), identification_settings().block_time
+        disturbance = drawn_motion(motion, SERIES, rate, block, rng)
         try:
             model = VelocityModel("drawn", "ssm", system.A, system.B, system.C, system.dead_time)
         except ModelError:
