@@ -28,7 +28,6 @@ from diffdrive_mpc_extras.predicted_error.calibration import ErrorCalibration, l
 from diffdrive_mpc_extras.predicted_error.predicted_error import (
     ErrorTube,
     PredictedError,
-    check_lag,
     check_origin,
     predict_tubes,
 )
@@ -82,7 +81,6 @@ class ErrorPredictor:
         calibration = load_calibration(settings.error_calibration or None)
         calibration.population(settings.error_population)
         check_origin(controller.model)
-        check_lag(controller.model.lag, calibration.calibrated)
         return cls(controller.model.lag, settings.error_population, calibration)
 
     def predict(self, reference: Reference, config: ControllerConfig) -> PredictedError:
