@@ -211,16 +211,15 @@ def predict_error(
     check_origin(controller.model)
     checked = controller.checked_reference(reference)
     calibrated = load_calibration(calibration)
-    predicted = predict_tubes(checked, controller.config, controller.model.lag, population, calibrated)
-    return replace(
-        predicted, warnings=(*predicted.warnings, *_lag_warnings(controller.model.lag, calibrated.calibrated))
-    )
+    lag = controller.model.lag
+    predicted = predict_tubes(checked, controller.config, lag, population, calibrated)
+    return replace(predicted, warnings=(*predicted.warnings, *_lag_warnings(lag, calibrated.calibrated)))
 
 
 def _lag_warnings(lag: FloatArray, calibrated: CalibratedRanges) -> tuple[str, ...]:
     return tuple(
-        f"dead time plus lag of {channel} is {value:.3g} s, in the calibration {low:g} to {high:g} s: the tubes may be too "
-        "narrow"
+        f"dead time plus lag of {channel} is {value:.3g} s, in the calibration {low:g} to {high:g} s: the tubes may be "
+        "too narrow"
         for channel, value, (low, high) in zip(CHANNELS, lag, (calibrated.lag_v, calibrated.lag_omega), strict=True)
         if value > high
     )

@@ -50,11 +50,9 @@ class PredictedErrorSettings(PartSettings):
         "refuse: it is refused [-]",
     )
     error_population: str = Field(
-        "drawn", min_length=1, description="drives that a predicted error is for: drawn or own [-]"
+        "drawn", min_length=1, description="population of the calibration that a predicted error is for [-]"
     )
-    error_calibration: str = Field(
-        "", description="calibration file of predicted errors, for a twin of your own; empty: the shipped one [-]"
-    )
+    error_calibration: str = Field("", description="calibration file of predicted errors; empty: the shipped one [-]")
 
 
 @dataclass(frozen=True)
