@@ -83,9 +83,7 @@ def _deviations(estimate: ParameterEstimate | None, names: Sequence[str]) -> tup
 
 def write_robot(robot: IdentifiedRobot, path: Path) -> None:
     """Write a robot file; raises OSError if it cannot be written."""
-    text = yaml.safe_dump(
-        robot.model_dump(mode="json", exclude_none=True), sort_keys=False, default_flow_style=None, width=120
-    )
+    text = yaml.safe_dump(robot.model_dump(mode="json"), sort_keys=False, default_flow_style=None, width=120)
     path.write_text(f"{_HEAD}{text}", encoding="utf-8")
 
 
