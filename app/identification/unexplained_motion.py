@@ -6,9 +6,11 @@ import itertools
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
+from scipy.optimize import nnls
 
 from diffdrive_mpc.app.identification.trial_drives import log_sensors, log_slip, trial_settings
 from diffdrive_mpc.models.identification import Identification
@@ -19,12 +21,14 @@ from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.velocity_model import CHANNELS
 from diffdrive_mpc.mpc import ControllerConfig
-from diffdrive_mpc.sim.plants.identified_robot import IdentifiedRobot, intervals
+from diffdrive_mpc.sim.plants.identified_robot import IdentifiedRobot, intensity_features, intervals
 
 _FEWEST_POSES = 4
+_LEAST_SHARE = 0.1
+"""Share of the mean variance that a standing robot has at least [-]: logs hold few straight and steady parts."""
 _HEAD = (
-    "# Robot of the log, for `--plant model:FILE`, `predict-error` and `prove`: model, surface, sensors, and\n"
-    "# intervals of motion beyond the model: samples, forward and lateral speed [m/s], yaw rate [rad/s].\n"
+    "# Robot of the log, for `--plant model:FILE`, `predict-error` and `prove`: model, surface, sensors, and motion\n"
+    "# beyond the model: its variance by speeds and rates, and intervals of samples and multiples of its deviation.\n"
 )
 
 
@@ -57,11 +61,27 @@ def unexplained_motion(identification: Identification) -> list[FloatArray]:
 
 
 def identified_robot(identification: Identification, config: ControllerConfig) -> IdentifiedRobot | None:
-    """Return the robot of the log for simulation with the poses of the log; None if no motion is known."""
-    motion = [interval for rows in unexplained_motion(identification) if (interval := intervals(rows))]
+    """Return the robot of the log for simulation with the poses of the log; None if no motion is known.
+
+    The variance of the motion is a sum over squares of speeds and rates with coefficients that are not negative (least
+    squares): straight and steady driving is not credited with the motion of sharp turns.
+    """
+    report = identification.report
+    motion = [rows for rows in unexplained_motion(identification) if len(rows)]
     if not motion:
         return None
-    identified = identification.report.fitted.identified
+    identified = report.fitted.identified
+    features = []
+    for record, outputs in zip(report.data.validation, report.fitted.simulated, strict=True):
+        twist = np.nan_to_num(outputs - report.fitted.offset)
+        steps = max(1, round(trial_settings().window / record.dt))
+        squares = intensity_features(twist, np.gradient(twist, record.dt, axis=0))
+        features.append(_means(squares, np.r_[np.arange(0, len(squares), steps), len(squares)]))
+    known, rows = np.concatenate(features), np.concatenate(motion)
+    variance = np.array([nnls(known, column**2)[0] for column in rows.T])
+    variance[:, 0] = np.maximum(variance[:, 0], _LEAST_SHARE * (rows**2).mean(axis=0))
+    variance = np.maximum(variance, [[np.finfo(float).eps, 0, 0, 0, 0, 0]])
+    scaled = [row / np.sqrt(of @ variance.T) for row, of in zip(motion, features, strict=True)]
     return IdentifiedRobot(
         model=MODEL_FILE,
         slip=log_slip(identification, pose_point=True),
@@ -70,8 +90,15 @@ def identified_robot(identification: Identification, config: ControllerConfig) -
         block_time=identification_settings().block_time,
         gain_deviation=_deviations(identified.parameters, ("{0}.gain", "gain.{0}_ref_to_{0}")),
         delay_deviation=_deviations(identified.delays, ("{0}.sum",)),
-        motion=motion,
+        variance=_rounded(variance),
+        largest=_rounded(known.max(axis=0)),
+        motion=[intervals(row) for row in scaled],
     )
+
+
+def _rounded(values: FloatArray) -> Any:  # noqa: ANN401 - tuples of the schema
+    """Return numbers with the digits of a robot file."""
+    return [_rounded(row) for row in values] if values.ndim > 1 else [float(f"{value:.4g}") for value in values]
 
 
 def _deviations(estimate: ParameterEstimate | None, names: Sequence[str]) -> tuple[float, float]:

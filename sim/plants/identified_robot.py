@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -24,7 +24,46 @@ SERIES = 60.0
 """Duration of the motion that is drawn for a run, after which it repeats [s]."""
 Model = VelocityModel | NonlinearModel
 _Deviations = tuple[NotNegative, NotNegative]
+_Variances = tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, NotNegative]
 _Interval = tuple[Annotated[int, Field(ge=1)], float, float, float]
+
+
+def intensity_features(output: FloatArray, rate: FloatArray) -> FloatArray:
+    """Return (..., 6) squares on which the variance of unexplained motion depends: 1, v, omega, v omega and both rates.
+
+    Parameters
+    ----------
+    output
+        (..., 2) v [m/s], omega [rad/s] of the model.
+    rate
+        (..., 2) their time derivatives.
+    """
+    v, omega = output[..., 0], output[..., 1]
+    return np.asarray(np.stack([np.ones_like(v), v, omega, v * omega, rate[..., 0], rate[..., 1]], axis=-1) ** 2)
+
+
+@dataclass(frozen=True)
+class UnexplainedMotion:
+    """Motion of the body beyond its model, which the encoders do not measure.
+
+    Attributes
+    ----------
+    rows
+        (K, 3) multiples of the standard deviation, sample by sample, then from the first again.
+    variance
+        (3, 6) variance of forward and lateral speed [m/s] and yaw rate [rad/s] for each unit of `intensity_features`.
+    largest
+        (6,) features of the log, beyond which the variance does not grow.
+    """
+
+    rows: FloatArray
+    variance: FloatArray
+    largest: FloatArray
+
+    def twist(self, tick: int, output: FloatArray, rate: FloatArray) -> FloatArray:
+        """Return the twist (3,) of sample `tick` for output (2,) of the model and its derivative (2,)."""
+        features = np.minimum(intensity_features(output, rate), self.largest)
+        return np.asarray(self.rows[tick % len(self.rows)] * np.sqrt(self.variance @ features))
 
 
 class IdentifiedRobot(StrictModel):
@@ -37,15 +76,20 @@ class IdentifiedRobot(StrictModel):
     block_time: Positive = Field(description="duration of the blocks of motion that a run draws [s]")
     gain_deviation: _Deviations = Field(description="standard deviation of the gains of v and omega, relative [-]")
     delay_deviation: _Deviations = Field(description="standard deviation of dead time plus lag of v and omega [s]")
+    variance: tuple[_Variances, _Variances, _Variances] = Field(
+        description="of forward and lateral speed and yaw rate beyond the model, for each unit of 1, v^2, omega^2, "
+        "(v omega)^2 and the squared rates of v and omega, SI units"
+    )
+    largest: _Variances = Field(description="these six of the log; the variance grows no further")
     motion: list[list[_Interval]] = Field(
         min_length=1,
-        description="for each held-out record intervals of constant motion beyond the model: samples, forward and "
-        "lateral speed [m/s], yaw rate [rad/s]",
+        description="for each held-out record intervals of constant motion: samples, and forward speed, lateral speed "
+        "and yaw rate as multiples of their standard deviation [-]",
     )
 
     @property
     def records(self) -> list[FloatArray]:
-        """Motion (K, 3) of each record, sample by sample."""
+        """Multiples (K, 3) of each record, sample by sample."""
         tables = [np.array(record, dtype=float).reshape(-1, 4) for record in self.motion]
         return [np.repeat(table[:, 1:], table[:, 0].astype(int), axis=0) for table in tables]
 
@@ -57,9 +101,10 @@ class IdentifiedRobot(StrictModel):
         late = np.maximum(model.dead_time + delays, 0.0)
         return replace(model, C=gains[:, None] * model.C, dead_time=late)
 
-    def disturbance(self, sample_time: float, rng: np.random.Generator) -> FloatArray:
-        """Draw motion (K, 3) for `ModelPlant`, whose samples are `sample_time` [s] apart."""
-        return drawn_motion(self.records, SERIES, (self.sample_time, sample_time), self.block_time, rng)
+    def disturbance(self, sample_time: float, rng: np.random.Generator) -> UnexplainedMotion:
+        """Draw motion for `ModelPlant`, whose samples are `sample_time` [s] apart."""
+        rows = drawn_motion(self.records, SERIES, (self.sample_time, sample_time), self.block_time, rng)
+        return UnexplainedMotion(rows, np.array(self.variance), np.array(self.largest))
 
 
 def load_identified_robot(path: str | Path) -> IdentifiedRobot | None:
@@ -72,7 +117,7 @@ def load_identified_robot(path: str | Path) -> IdentifiedRobot | None:
 
 def intervals(rows: FloatArray) -> list[_Interval]:
     """Return the intervals of constant motion in `rows` (K, 3), rounded as `robot.yaml` holds them."""
-    rows = np.round(rows, 5)
+    rows = np.round(rows, 3)
     starts = np.flatnonzero(np.r_[True, (np.diff(rows, axis=0) != 0.0).any(axis=1)])
     lengths = np.diff(np.r_[starts, len(rows)])
     return [(int(n), *map(float, rows[start])) for n, start in zip(lengths, starts, strict=True)]  # type: ignore[misc]
@@ -85,12 +130,12 @@ def drawn_motion(
     block_time: float,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Return twists (K, 3) of blocks of the motion, drawn with equal probability.
+    """Return rows (K, 3) of blocks of the motion, drawn with equal probability.
 
     Parameters
     ----------
     motion
-        Twists (K, 3) of each record.
+        Rows (K, 3) of each record.
     duration
         Duration of the result [s].
     rate

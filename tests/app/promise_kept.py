@@ -23,14 +23,12 @@ from diffdrive_mpc.app.identification.trial_drives import (
     trial_drives,
     trial_settings,
 )
-from diffdrive_mpc.app.identification.unexplained_motion import unexplained_motion
+from diffdrive_mpc.app.identification.unexplained_motion import identified_robot
 from diffdrive_mpc.app.identification.verdict import TrialVerdict, judge_by_drives
 from diffdrive_mpc.models.identification import Identification
 from diffdrive_mpc.models.identification.fit.fitting import fit
-from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.mpc import ControllerConfig
-from diffdrive_mpc.sim.plants.identified_robot import SERIES, drawn_motion
 from studies.reproduce.real_logs import RealLog, load_protocol
 
 
@@ -92,16 +90,15 @@ def _variations(identification: Identification, config: ControllerConfig, seed: 
     data = identification.report.data
     held_out = replace(data, train=data.validation, validation=data.train)
     fitted = fit(held_out, STRUCTURES["ssm"], trial_settings().stand_in_order)
-    motion = unexplained_motion(
-        replace(identification, report=replace(identification.report, data=held_out, fitted=fitted))
-    )
+    other = replace(identification, report=replace(identification.report, data=held_out, fitted=fitted))
+    robot = identified_robot(other, config)
+    assert robot is not None
     slip, sensors = log_slip(identification, pose_point=True), log_sensors(identification, config)
     (estimate,) = fitted.identified.fits
     rng = np.random.default_rng(seed)
     for _ in count():
         system = estimate.layout.system(rng.multivariate_normal(estimate.parameters, estimate.covariance))
-        rate, block = (data.train[0].dt, config.sample_time), identification_settings().block_time
-        disturbance = drawn_motion(motion, SERIES, rate, block, rng)
+        disturbance = robot.disturbance(config.sample_time, rng)
         try:
             model = VelocityModel("drawn", "ssm", system.A, system.B, system.C, system.dead_time)
         except ModelError:

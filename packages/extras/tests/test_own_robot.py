@@ -29,7 +29,7 @@ segments: [{v: 0.4, omega: 0.5, duration: 1.0}, {v: 0.4, omega: 0.0, duration: 1
 
 def robot(size=0.01):
     """A robot whose motion beyond its model has this standard deviation [m/s, rad/s]."""
-    rows = size * np.repeat(np.random.default_rng(3).normal(size=(60, 3)), 25, axis=0)
+    rows = np.repeat(np.random.default_rng(3).normal(size=(60, 3)), 25, axis=0)
     return IdentifiedRobot(
         model="model.yaml",
         slip=load_surface("default").slip,
@@ -38,6 +38,8 @@ def robot(size=0.01):
         block_time=10.0,
         gain_deviation=(0.002, 0.01),
         delay_deviation=(0.002, 0.002),
+        variance=[(size**2, 0.0, 0.0, 0.0, 0.0, 0.0)] * 3,
+        largest=(1.0,) * 6,
         motion=[intervals(rows)],
     )
 
