@@ -6,7 +6,7 @@ from diffdrive_mpc.bench import progress
 def test_a_pipe_gets_a_line_per_period(capsys, monkeypatch):
     now = [100.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
-    with progress.ProgressBar("driving", 40) as bar:
+    with progress.ProgressBar("driving", 40, lines=True) as bar:
         for _ in range(25):
             now[0] += 1.0
             bar.advance()

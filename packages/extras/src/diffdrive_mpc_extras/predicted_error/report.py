@@ -33,7 +33,7 @@ def predict_robot_into(
     """
     checked_reference(config, trajectory)
     plant = plant or own_plant(config)
-    with ProgressBar("driving", draws) as bar:
+    with ProgressBar("driving", draws, lines=True) as bar:
         predicted = predict_by_drives(config, trajectory, plant, draws, jobs or available_cores(), bar.advance)
     return write_prediction(predicted, out)
 
