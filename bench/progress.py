@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import time
 from collections.abc import Iterator
 from types import TracebackType
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     from typing import Self
 
 _REFRESH_PERIOD = 0.2
+_LINE_PERIOD = 10.0
+"""Time between two lines of progress where stderr is no terminal, such as a pipe or a build log [s]."""
 
 
 class _PlainConsole(Console):
@@ -38,16 +41,19 @@ class ProgressBar:
         What is going on.
     total
         How many steps there will be; it may become known later.
+    lines
+        Write a line now and then if stderr is no terminal.
     """
 
-    def __init__(self, text: str, total: int | None = None) -> None:
+    def __init__(self, text: str, total: int | None = None, *, lines: bool = False) -> None:
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
         console = _PlainConsole(stderr=True)
         self._progress = Progress(
             *columns, console=console, auto_refresh=False, transient=True, disable=not console.is_terminal
         )
         self._task = self._progress.add_task(text, total=total)
-        self._drawn = 0.0
+        self._lines = lines and not console.is_terminal
+        self._drawn, self._written = 0.0, time.monotonic()
 
     def __enter__(self) -> Self:
         """Show the bar."""
@@ -80,6 +86,11 @@ class ProgressBar:
         if now - self._drawn >= _REFRESH_PERIOD:
             self._drawn = now
             self._progress.refresh()
+        if self._lines and now - self._written >= _LINE_PERIOD:
+            self._written, task = now, self._progress.tasks[0]
+            of = "" if task.total is None else f" of {task.total:g}"
+            sys.stderr.write(f"{plain_text(task.description)}: {task.completed:g}{of}\n")
+            sys.stderr.flush()
 
 
 def output_console(width_elsewhere: int = 140) -> Console:

@@ -145,7 +145,7 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
     files = (REPORT, f"{study.name}.json", f"{study.name}.md")
     with (
         staged(out, files, (FIGURES,), owner=study.name, shared=study.shared) as folder,
-        ProgressBar("preparing") as bar,
+        ProgressBar("preparing", lines=True) as bar,
     ):
         for sentence in (*other_robots(study.cases(plan)), *reference_remarks(study.driven(plan))):
             output_console().print(f"note: {sentence}", markup=False, highlight=False, soft_wrap=True)

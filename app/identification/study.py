@@ -19,6 +19,7 @@ from diffdrive_mpc.app.identification.trial_drives import (
     trial_doubts,
     trial_table,
 )
+from diffdrive_mpc.app.identification.unexplained_motion import write_robot
 from diffdrive_mpc.app.identification.verdict import DRIVES, TrialVerdict, judge_by_drives
 from diffdrive_mpc.bench.html_report.document import write_page
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
@@ -39,6 +40,7 @@ from diffdrive_mpc.models.logs.record import counted
 from diffdrive_mpc.models.plug_ins import plug_in
 from diffdrive_mpc.models.stated_robot import load_stated_robot
 from diffdrive_mpc.models.table import TextTable, plain_line
+from diffdrive_mpc.sim.plants.identified_robot import ROBOT_FILE
 
 
 class ParameterWriter(Protocol):
@@ -94,7 +96,7 @@ def _identify_into(
     logs: Sequence[Path], out: Path, writers: Mapping[str, ParameterWriter], force: bool, options: Mapping[str, Any]
 ) -> None:
     began = time.perf_counter()
-    files = (*FILES, FIRST_CIRCLE, *(f"{package}.yaml" for package in writers), REPORT)
+    files = (*FILES, FIRST_CIRCLE, ROBOT_FILE, *(f"{package}.yaml" for package in writers), REPORT)
     table = None
     with staged(out, files=files, folders=(FOLDER,), owner="identify") as folder, ProgressBar("reading", 1) as bar:
         verdict = _proven(_identified(logs, bar, force, options), bar, force)
@@ -167,6 +169,8 @@ def _write(verdict: TrialVerdict, folder: Path, bar: ProgressBar, force: bool) -
     if drives and verdict.config is not None:
         circle = first_circle(verdict.config, identification.model)
         (folder / FIRST_CIRCLE).write_text(circle.text(), encoding="utf-8")
+        if verdict.robot is not None:
+            write_robot(verdict.robot, folder / ROBOT_FILE)
         parts.append(recipe(circle, verdict.config, verdict.drives, report.data.topics))
     (folder / "report.md").write_text("\n".join(part for part in parts if part), encoding="utf-8")
     numbers = report.as_json() | {"verdict": verdict.as_json()}

@@ -19,7 +19,6 @@ from diffdrive_mpc.models.identification import Identification
 from diffdrive_mpc.models.identification.deliver.configuration import node_arguments
 from diffdrive_mpc.models.identification.fit.fitting import fit
 from diffdrive_mpc.models.identification.log_data import LogData, most_informative
-from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Topics
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.robot import Positive, load_robot
@@ -31,6 +30,7 @@ from diffdrive_mpc.models.velocity_model import CHANNELS, ModelError, VelocityMo
 from diffdrive_mpc.mpc import Controller, ControllerConfig
 from diffdrive_mpc.mpc.trajectories.moved import scaled_to_robot
 from diffdrive_mpc.sim import Metrics, Run, simulate
+from diffdrive_mpc.sim.plants.identified_robot import UnexplainedMotion
 from diffdrive_mpc.sim.plants.model_plant import ModelPlant
 from diffdrive_mpc.sim.plants.surface import BodySlip, Polynomial, Surface
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
@@ -127,7 +127,7 @@ class StandIn:
     name: str
     model: VelocityModel | NonlinearModel
     base: BaseEffects
-    disturbance: FloatArray | None = None
+    disturbance: UnexplainedMotion | None = None
     slip: BodySlip | None = None
     sensors: SensorSet | None = None
 

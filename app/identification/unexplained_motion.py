@@ -5,16 +5,31 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import yaml
+from scipy.optimize import nnls
 
-from diffdrive_mpc.app.identification.trial_drives import log_slip, trial_settings
+from diffdrive_mpc.app.identification.trial_drives import log_sensors, log_slip, trial_settings
 from diffdrive_mpc.models.identification import Identification
+from diffdrive_mpc.models.identification.deliver.configuration import MODEL_FILE
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import AnyArray, FloatArray
 from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
+from diffdrive_mpc.models.velocity_model import CHANNELS
+from diffdrive_mpc.mpc import ControllerConfig
+from diffdrive_mpc.sim.plants.identified_robot import IdentifiedRobot, intensity_features, intervals
 
 _FEWEST_POSES = 4
+_LEAST_SHARE = 0.1
+"""Share of the mean variance that a standing robot has at least [-]: logs hold few straight and steady parts."""
+_HEAD = (
+    "# Robot of the log, for `--plant model:FILE`, `predict-error` and `prove`: model, surface, sensors, and motion\n"
+    "# beyond the model: its variance by speeds and rates, and intervals of samples and multiples of its deviation.\n"
+)
 
 
 def unexplained_motion(identification: Identification) -> list[FloatArray]:
@@ -24,7 +39,7 @@ def unexplained_motion(identification: Identification) -> list[FloatArray]:
     by the poses where the record has them, else by encoders and gyro, which see no lateral speed.
     """
     report = identification.report
-    slip = log_slip(identification)
+    slip, load_shift = log_slip(identification), identification.config["estimator"]["load_shift"]
     motion = []
     for record, outputs in zip(report.data.validation, report.fitted.simulated, strict=True):
         assert record.twist is not None
@@ -36,6 +51,7 @@ def unexplained_motion(identification: Identification) -> list[FloatArray]:
         rows = _means(np.nan_to_num(rows), np.arange(0, len(rows) + 1, steps))
         if record.pose is not None:
             predicted = slip.body((outputs - report.fitted.offset).T).T
+            predicted[:, 1] += load_shift * np.gradient(predicted[:, 0], record.dt) * predicted[:, 2]
             turning = predicted[:, 2] if yaw_rate is None else np.nan_to_num(yaw_rate - report.fitted.offset[1])
             by_poses = _by_poses(report.poses.centred([record])[0], predicted, turning)
             if by_poses is not None:
@@ -44,30 +60,58 @@ def unexplained_motion(identification: Identification) -> list[FloatArray]:
     return motion
 
 
-def drawn_motion(
-    motion: Sequence[FloatArray], duration: float, rate: tuple[float, float], rng: np.random.Generator
-) -> FloatArray:
-    """Return twists (K, 3) of blocks of the motion, drawn with equal probability.
+def identified_robot(identification: Identification, config: ControllerConfig) -> IdentifiedRobot | None:
+    """Return the robot of the log for simulation with the poses of the log; None if no motion is known.
 
-    Parameters
-    ----------
-    motion
-        By `unexplained_motion`.
-    duration
-        Of what is returned [s].
-    rate
-        Sample times of the motion and of what is returned [s].
-    rng
-        What draws.
+    The variance of the motion is a sum over squares of speeds and rates with coefficients that are not negative (least
+    squares): straight and steady driving is not credited with the motion of sharp turns.
     """
-    measured, dt = rate
-    block = round(identification_settings().block_time / measured)
-    begins = [(i, first) for i, rows in enumerate(motion) for first in range(max(1, len(rows) - block + 1))]
-    parts: list[FloatArray] = []
-    while sum(map(len, parts)) * measured < duration:
-        i, first = begins[rng.integers(len(begins))]
-        parts.append(motion[i][first : first + block])
-    return np.asarray(np.concatenate(parts)[(np.arange(round(duration / dt)) * dt / measured).astype(int)])
+    report = identification.report
+    motion = [rows for rows in unexplained_motion(identification) if len(rows)]
+    if not motion:
+        return None
+    identified = report.fitted.identified
+    features = []
+    for record, outputs in zip(report.data.validation, report.fitted.simulated, strict=True):
+        twist = np.nan_to_num(outputs - report.fitted.offset)
+        steps = max(1, round(trial_settings().window / record.dt))
+        squares = intensity_features(twist, np.gradient(twist, record.dt, axis=0))
+        features.append(_means(squares, np.r_[np.arange(0, len(squares), steps), len(squares)]))
+    known, rows = np.concatenate(features), np.concatenate(motion)
+    variance = np.array([nnls(known, column**2)[0] for column in rows.T])
+    variance[:, 0] = np.maximum(variance[:, 0], _LEAST_SHARE * (rows**2).mean(axis=0))
+    variance = np.maximum(variance, [[np.finfo(float).eps, 0, 0, 0, 0, 0]])
+    scaled = [row / np.sqrt(of @ variance.T) for row, of in zip(motion, features, strict=True)]
+    return IdentifiedRobot(
+        model=MODEL_FILE,
+        slip=log_slip(identification, pose_point=True),
+        sensors=log_sensors(identification, config),
+        sample_time=identification.report.data.validation[0].dt,
+        block_time=identification_settings().block_time,
+        gain_deviation=_deviations(identified.parameters, ("{0}.gain", "gain.{0}_ref_to_{0}")),
+        delay_deviation=_deviations(identified.delays, ("{0}.sum",)),
+        variance=_rounded(variance),
+        largest=_rounded(known.max(axis=0)),
+        motion=[intervals(row) for row in scaled],
+    )
+
+
+def _rounded(values: FloatArray) -> Any:  # noqa: ANN401 - tuples of the schema
+    """Return numbers with the digits of a robot file."""
+    return [_rounded(row) for row in values] if values.ndim > 1 else [float(f"{value:.4g}") for value in values]
+
+
+def _deviations(estimate: ParameterEstimate | None, names: Sequence[str]) -> tuple[float, float]:
+    """Return the standard deviations of v and omega under the first known name; zero if none is known."""
+    rows = {} if estimate is None else {name: deviation for name, _, deviation in estimate.rows}
+    v, omega = (next((rows[name.format(c)] for name in names if name.format(c) in rows), 0.0) for c in CHANNELS)
+    return float(f"{v:.3g}"), float(f"{omega:.3g}")
+
+
+def write_robot(robot: IdentifiedRobot, path: Path) -> None:
+    """Write a robot file; raises OSError if it cannot be written."""
+    text = yaml.safe_dump(robot.model_dump(mode="json"), sort_keys=False, default_flow_style=None, width=120)
+    path.write_text(f"{_HEAD}{text}", encoding="utf-8")
 
 
 def _means(rows: FloatArray, ends: AnyArray) -> FloatArray:

@@ -20,15 +20,13 @@ from diffdrive_mpc.app.identification.trial_drives import (
     UNEXPLAINED,
     StandIn,
     TrialDrive,
-    log_sensors,
-    log_slip,
     model_itself,
     stand_ins,
     trial_doubts,
     trial_drives,
     trial_settings,
 )
-from diffdrive_mpc.app.identification.unexplained_motion import drawn_motion, unexplained_motion
+from diffdrive_mpc.app.identification.unexplained_motion import identified_robot
 from diffdrive_mpc.models.identification import Identification
 from diffdrive_mpc.models.identification.deliver.configuration import CONFIG_FILE, MODEL_FILE
 from diffdrive_mpc.models.identification.deliver.trust import Grade
@@ -37,6 +35,7 @@ from diffdrive_mpc.models.identification.from_logs import identify_data
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.velocity_model import CHANNELS
 from diffdrive_mpc.mpc import ControllerConfig, load_config
+from diffdrive_mpc.sim.plants.identified_robot import IdentifiedRobot
 
 SIMPLEST = "sm"
 _WIDTH = 80
@@ -45,8 +44,6 @@ DRIVES = 2 * len(PATHS)
 """Trial drives of one configuration."""
 _SHARE = 0.95
 """Share of further drives that a promise holds for [-]."""
-_SERIES = 60.0
-"""Length of the motion drawn for a drive, after which it repeats [s]."""
 
 
 class Promise(NamedTuple):
@@ -82,6 +79,8 @@ class TrialVerdict:
         Why nothing drives, in a clause; empty where the drives pass.
     unexplained
         Curved drives with the motion that the model leaves unexplained in the data held out.
+    robot
+        With this motion; None without such drives.
     """
 
     identification: Identification
@@ -90,6 +89,7 @@ class TrialVerdict:
     changed: tuple[str, ...] = ()
     against: str = ""
     unexplained: tuple[TrialDrive, ...] = ()
+    robot: IdentifiedRobot | None = None
 
     @property
     def grade(self) -> Grade:
@@ -248,19 +248,17 @@ def judge_by_drives(
 def _with_unexplained(verdict: TrialVerdict, on_try: Callable[[str], None], on_run: Callable[[], None]) -> TrialVerdict:
     """Drive curved paths with the motion that the model leaves unexplained; half of the drives have to arrive."""
     identification, settings, drives = verdict.identification, trial_settings(), list[TrialDrive]()
-    motion = unexplained_motion(identification)
-    if verdict.against or verdict.config is None or not motion:
+    robot = None if verdict.config is None else identified_robot(identification, verdict.config)
+    if verdict.against or verdict.config is None or robot is None:
         return verdict
     on_try("driving with what the model leaves unexplained")
-    rate = identification.report.data.validation[0].dt, verdict.config.sample_time
-    slip, sensors = log_slip(identification, pose_point=True), log_sensors(identification, verdict.config)
-    rough = replace(model_itself(identification), name=UNEXPLAINED, slip=slip, sensors=sensors)
+    rough = replace(model_itself(identification), name=UNEXPLAINED, slip=robot.slip, sensors=robot.sensors)
     for seed in range(settings.unexplained):
-        disturbance = drawn_motion(motion, _SERIES, rate, np.random.default_rng(seed))
+        disturbance = robot.disturbance(verdict.config.sample_time, np.random.default_rng(seed))
         plant = replace(rough, disturbance=disturbance)
         path = settings.curved[seed % len(settings.curved)]
         drives += trial_drives(identification, verdict.config, [plant], on_run, paths=[path], seed=seed)
-    proven = replace(verdict, unexplained=tuple(drives))
+    proven = replace(verdict, unexplained=tuple(drives), robot=robot)
     return replace(proven, against=proven._rough[0]) if 2 * proven._lost > len(drives) else proven
 
 

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from diffdrive_mpc.sim.plants.drawn_robot import DrawnRobot
 
 _MODEL_PREFIX = f"{MODEL}:"
+_IDENTIFIED = 57
+"""Stream of the generator of identified robots, apart from the noise of the same seed."""
 
 
 def make_plant(
@@ -56,6 +58,8 @@ def make_plant(
         "drawn:SEED" is a robot of the market on a floor of its own, which brings its slope, patches and motors along.
         "model:NAME+SECONDS" puts that dead time on top of the model's own, as `extra_dead_time` does: "model:sm+0.04".
         Where a file has the whole of NAME+SECONDS for a path, it is that file. Or a velocity model itself.
+        "model:FOLDER/robot.yaml" is the robot that `identify` wrote: model and unexplained motion are drawn by `seed`,
+        surface and sensors are those of the log.
         "KIND:NAME" and "KIND:NAME@PLANT" are plants of other packages around one of these, see `sim.plants.plug_ins`:
         "world:slalom" has obstacles, "world:slalom@mujoco:heavy" has them around another robot.
     surface
@@ -183,13 +187,21 @@ def _model_plant(
 ) -> Plant:
     """Build a robot that moves as a velocity model: `model`, or the one in the setting's name."""
     from diffdrive_mpc.models.load import load_base_effects, load_model  # noqa: PLC0415 - only this plant needs it
+    from diffdrive_mpc.sim.plants.identified_robot import load_identified_robot  # noqa: PLC0415
     from diffdrive_mpc.sim.plants.model_plant import ModelPlant  # noqa: PLC0415
 
-    effects = BaseEffects()
+    effects, slip, sensors, disturbance = BaseEffects(), setting.surface.slip, setting.sensors, None
     if model is None:
         file, named_dead_time = _split(setting.name.removeprefix(_MODEL_PREFIX))
         extra_dead_time += named_dead_time
-        effects, model = load_base_effects(file), load_model(file)
+        identified = load_identified_robot(file)
+        if identified is not None:
+            rng, file = np.random.default_rng([setting.seed, _IDENTIFIED]), str(Path(file).parent / identified.model)
+            slip = identified.slip if setting.surface_name == DEFAULT else slip
+            sensors = identified.sensors if setting.sensors_name == DEFAULT else sensors
+            model = identified.drawn_model(load_model(file), rng)
+            disturbance = identified.disturbance(robot.sample_time, rng)
+        effects, model = load_base_effects(file), model or load_model(file)
     disturbances = setting.disturbances
     if disturbances.physical:
         raise ConfigError(
@@ -198,12 +210,13 @@ def _model_plant(
         )
     plant = ModelPlant(
         model,
-        setting.surface.slip,
-        setting.sensors,
+        slip,
+        sensors,
         setting.seed,
         extra_dead_time=extra_dead_time,
         effects=effects,
         robot=robot,
+        disturbance=disturbance,
     )
     return DisturbedPlant(plant, disturbances, load_robot()) if disturbances.kinds else plant
 

@@ -16,6 +16,7 @@ from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.models.wheels import WheelKinematics
 from diffdrive_mpc.sim.plants.base_motion import BaseMotion
 from diffdrive_mpc.sim.plants.drivetrain import clip_command
+from diffdrive_mpc.sim.plants.identified_robot import UnexplainedMotion
 from diffdrive_mpc.sim.plants.surface import BodySlip
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 from diffdrive_mpc.sim.sensing.sensors import Sensors
@@ -46,8 +47,7 @@ class ModelPlant:
     robot
         Geometry, sample time and limits; by default the robot of the papers.
     disturbance
-        (K, 3) forward and lateral speed [m/s] and yaw rate [rad/s] by which the body moves beyond that, sample by
-        sample and then from the first again; the encoders do not see it. None by default.
+        Motion of the body beyond that, which the encoders do not measure. None by default.
     """
 
     def __init__(
@@ -60,9 +60,9 @@ class ModelPlant:
         extra_dead_time: float = 0.0,
         effects: BaseEffects | None = None,
         robot: Robot | None = None,
-        disturbance: FloatArray | None = None,
+        disturbance: UnexplainedMotion | None = None,
     ) -> None:
-        self._disturbance = np.zeros((1, 3)) if disturbance is None else disturbance
+        self._disturbance = disturbance
         self._robot, self._name = robot or load_robot(), model.name
         late = model.with_extra_dead_time([extra_dead_time, extra_dead_time])
         self._motion = BaseMotion(late, effects or BaseEffects(), self._robot.sample_time)
@@ -101,6 +101,7 @@ class ModelPlant:
         self._sent: tuple[float, float] | None = None
         self._pose = np.array(pose, dtype=float)
         self._motion.reset()
+        self._rate = np.zeros(2)
         self._sensors.reset(self._pose, np.zeros(4))
 
     def measure(self) -> Measurement:
@@ -111,13 +112,14 @@ class ModelPlant:
         """Send `command` (2,) and let one sample pass; raises ValueError unless it is two finite numbers."""
         sent = clip_command(command, self._robot.limits)
         self._sent = (float(sent[0]), float(sent[1]))
-        arcs = []
+        arcs, before = [], self._motion.body
         for step in range(self._motion.steps):
             motion = self._motion.advance(sent)
             twist = self._body(motion.mean)
             arcs.append((self.time + step * self._motion.step_time, self._pose, twist))
             self._pose = self._moved(self._pose, twist, self._motion.step_time)
         yaw_rate = float(self._body(motion.body)[2])
+        self._rate = (self._motion.body - before) / self.sample_time
         self._tick += 1
         for look in self._sensors.poses_due(self.time):
             start, pose, twist = [arc for arc in arcs if arc[0] <= look][-1]
@@ -127,7 +129,8 @@ class ModelPlant:
 
     def _body(self, output: FloatArray) -> FloatArray:
         """Return the twist (3,) of the body in this sample for the output (2,) of the model."""
-        return np.asarray(self._slip.body(output) + self._disturbance[self._tick % len(self._disturbance)])
+        body = self._slip.body(output)
+        return body if self._disturbance is None else body + self._disturbance.twist(self._tick, output, self._rate)
 
     def _moved(self, pose: FloatArray, twist: FloatArray, duration: float) -> FloatArray:
         """Move `pose` (3,) for `duration` [s] with constant body `twist` (3,)."""

@@ -23,7 +23,7 @@ from diffdrive_mpc.app.identification.trial_drives import (
     trial_drives,
     trial_settings,
 )
-from diffdrive_mpc.app.identification.unexplained_motion import drawn_motion, unexplained_motion
+from diffdrive_mpc.app.identification.unexplained_motion import identified_robot
 from diffdrive_mpc.app.identification.verdict import TrialVerdict, judge_by_drives
 from diffdrive_mpc.models.identification import Identification
 from diffdrive_mpc.models.identification.fit.fitting import fit
@@ -90,15 +90,15 @@ def _variations(identification: Identification, config: ControllerConfig, seed: 
     data = identification.report.data
     held_out = replace(data, train=data.validation, validation=data.train)
     fitted = fit(held_out, STRUCTURES["ssm"], trial_settings().stand_in_order)
-    motion = unexplained_motion(
-        replace(identification, report=replace(identification.report, data=held_out, fitted=fitted))
-    )
+    other = replace(identification, report=replace(identification.report, data=held_out, fitted=fitted))
+    robot = identified_robot(other, config)
+    assert robot is not None
     slip, sensors = log_slip(identification, pose_point=True), log_sensors(identification, config)
     (estimate,) = fitted.identified.fits
     rng = np.random.default_rng(seed)
     for _ in count():
         system = estimate.layout.system(rng.multivariate_normal(estimate.parameters, estimate.covariance))
-        disturbance = drawn_motion(motion, 60.0, (data.train[0].dt, config.sample_time), rng)
+        disturbance = robot.disturbance(config.sample_time, rng)
         try:
             model = VelocityModel("drawn", "ssm", system.A, system.B, system.C, system.dead_time)
         except ModelError:

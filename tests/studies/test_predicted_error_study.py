@@ -62,8 +62,8 @@ def planned_names(study):
 
 def test_a_drive_repeats_and_is_kept_as_it_was(tmp_path):
     study = load_study(None, quick=True)
-    own = study.populations["own"]
-    one = planned(own.fit, own.factors)[0]
+    drawn = study.populations["drawn"]
+    one = planned(drawn.fit, drawn.factors)[0]
     first, second = drive(study, one), drive(study, one)
     assert first.errors["lateral"].tobytes() == second.errors["lateral"].tobytes()
     assert first.features.shape == (len(first.errors["along"]), len(FEATURES))

@@ -7,7 +7,7 @@ from commands import call, refusal
 from diffdrive_mpc import ConfigError, Controller, Trajectory, load_config, load_trajectory
 from diffdrive_mpc.models.interface import ReferenceSample
 from diffdrive_mpc_extras.predicted_error.calibration import FEATURES, load_calibration, path_features
-from diffdrive_mpc_extras.predicted_error.predicted_error import predict_error
+from diffdrive_mpc_extras.predicted_error.predicted_error import predict_error, predict_tubes
 from refusals import one_line_error
 
 POPULATIONS = tuple(load_calibration().populations)
@@ -82,20 +82,35 @@ def test_turns_driven_before_make_a_later_turn_narrower(controller):
         theta = np.cumsum(omega) * (t[1] - t[0])
         x, y = (np.cumsum(0.4 * f(theta)) * (t[1] - t[0]) for f in (np.cos, np.sin))
         path = Trajectory.from_arrays(t, x, y, theta, np.full_like(t, 0.4), omega, name="turns")
-        last.append(predict_error(controller, path, "own").lateral.everywhere[-200:])
+        last.append(predict_error(controller, path).lateral.everywhere[-200:])
     assert (last[1] < last[0]).all()
 
 
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("kinematic", "provenance.origin is assumed"),
-        ("p2_physical", r"lag of v is [\d.]+ s; errors are predicted for 0.108 to 0.368 s"),
-    ],
-)
-def test_a_model_without_its_lag_gets_no_narrow_tube(name, words):
-    with one_line_error(ValueError, match=words):
-        predict_error(Controller(name), "circle")
+def test_an_assumed_model_is_refused():
+    with one_line_error(ValueError, match="provenance.origin is assumed"):
+        predict_error(Controller("kinematic"), "circle")
+
+
+def with_delay(controller, delay):
+    """The controller's model with this dead time plus lag of omega [s]."""
+    model = controller.model
+    return Controller(controller.config, model.with_extra_dead_time([0.0, delay - model.lag[1]]))
+
+
+def test_a_robot_later_than_the_calibration_is_predicted_with_a_warning(controller):
+    late = predict_error(with_delay(controller, 0.309), drive(bend=0.5, change=0.5))
+    (warning,) = late.warnings
+    assert "dead time plus lag of omega is 0.309 s, in the calibration 0.06 to 0.294 s" in warning
+    assert predict_error(with_delay(controller, 0.2), drive(bend=0.5, change=0.5)).warnings == ()
+
+
+def test_a_model_without_its_lag_gets_no_narrower_tube_than_the_least_of_the_calibration(controller):
+    calibrated, path = load_calibration(), drive(change=1.0)
+    none, least = (
+        predict_tubes(path, controller.config, np.array(lag), "drawn", calibrated)
+        for lag in ((0.0, 0.0), (calibrated.calibrated.lag_v[0], calibrated.calibrated.lag_omega[0]))
+    )
+    np.testing.assert_array_equal(none.along.everywhere, least.along.everywhere)
 
 
 @pytest.mark.parametrize(
@@ -138,7 +153,7 @@ def test_a_million_points_end_in_one_line_and_two_hours_are_predicted(controller
 
 
 def test_it_prints_widths_and_reasons_and_writes_figure_and_rows(tmp_path):
-    printed = call("predict-error", "--trajectory", "s", "--population", "own", "--out", tmp_path)
+    printed = call("predict-error", "--trajectory", "s", "--population", "drawn", "--out", tmp_path)
     assert "lateral: worst after" in printed and "along: worst after" in printed
     assert (tmp_path / "predicted-error.png").read_bytes().startswith(b"\x89PNG")
     rows = np.genfromtxt(tmp_path / "predicted-error.csv", delimiter=",", names=True)
@@ -150,7 +165,7 @@ def test_it_prints_widths_and_reasons_and_writes_figure_and_rows(tmp_path):
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        (["--trajectory", "s", "--population", "mine"], "unknown population 'mine': give drawn or own"),
+        (["--trajectory", "s", "--population", "mine"], "unknown population 'mine': give drawn"),
         (["--trajectory", "nan.csv"], "nan.csv"),
     ],
 )

@@ -24,13 +24,13 @@ PART = {"parts.predicted_error.enabled": True}
 
 
 def test_it_answers_what_the_controller_predicts():
-    with stack(trajectory="s", **{"parts.predicted_error.error_population": "own"}) as s:
+    with stack(trajectory="s", **PART) as s:
         answer = s.trigger("predict_error")
         assert answer.success, answer.message
         predicted = json.loads(answer.message)
-        expected = predict_error(Controller("ssm"), "s", "own")
+        expected = predict_error(Controller("ssm"), "s")
         widest = expected.widest("lateral")
-        assert (predicted["reference"], predicted["population"], predicted["warnings"]) == ("s", "own", [])
+        assert (predicted["reference"], predicted["population"], predicted["warnings"]) == ("s", "drawn", [])
         assert predicted["lateral"]["words"] == widest.sentence
         assert predicted["lateral"]["everywhere"] == pytest.approx(expected.lateral.everywhere.max(), abs=1e-5)
         assert predicted["along"]["arc_length"] <= expected.arc_length[-1]
@@ -78,7 +78,7 @@ def test_it_says_why_nothing_is_predicted(parameters, words):
             {"config": "kinematic", "parts.predicted_error.follow_error_limit": 0.05},
             "follow_error_limit is set, and model 'kinematic': its",
         ),
-        ({"parts.predicted_error.error_population": "mine"}, "unknown population 'mine': give drawn or own"),
+        ({"parts.predicted_error.error_population": "mine"}, "unknown population 'mine': give drawn"),
     ],
 )
 def test_what_cannot_be_predicted_with_is_refused_when_the_node_is_configured(parameters, words):
@@ -95,9 +95,9 @@ def error_limit(limit, response="slow", v=0.0):
     """Lay a bent path whose predicted error at full speed is 63 mm, by coefficients that stay as they are."""
     scale = ErrorScale(coefficients={"floor": 0.01, "turning": 0.07}, at_each_place=1.0, everywhere=1.0)
     shipped = load_calibration()
-    population = shipped.populations["own"].model_copy(update={"lateral": scale})
-    calibration = shipped.model_copy(update={"populations": {"own": population}})
-    settings = PredictedErrorSettings(follow_error_limit=limit, follow_error_response=response, error_population="own")
+    population = shipped.populations["drawn"].model_copy(update={"lateral": scale})
+    calibration = shipped.model_copy(update={"populations": {"drawn": population}})
+    settings = PredictedErrorSettings(follow_error_limit=limit, follow_error_response=response)
     predictor = replace(ErrorPredictor.build(Controller("ssm"), settings), calibration=calibration)
     limits = path_limits(CONFIG, np.eye(2), SETTINGS)
     check = ErrorLimit(predictor, settings)
@@ -154,8 +154,8 @@ def test_a_path_whose_predicted_error_exceeds_the_limit_is_refused_or_driven_slo
     controller, settings = Controller("ssm"), NodeSettings()
     limits = path_limits(controller.config, controller.model.dc_gain, settings)
     laid = lay_for_robot(BEND, BEND[0], (0.0, 0.0), limits, settings, controller.config)
-    limit = 0.75 * float(predict_error(controller, laid.reference, "own").lateral.everywhere.max())
-    settings = {"follow_error_limit": limit, "follow_error_response": response, "error_population": "own"}
+    limit = 0.75 * float(predict_error(controller, laid.reference).lateral.everywhere.max())
+    settings = {"follow_error_limit": limit, "follow_error_response": response}
     with following(**{f"parts.predicted_error.{key}": value for key, value in settings.items()}) as follow:
         follow.client.send("a", BEND)
         result = follow.ended("a", pace=0.2 * DT)

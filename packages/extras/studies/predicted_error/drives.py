@@ -137,11 +137,11 @@ def load_study(path: Path | None, *, quick: bool = False) -> PredictedErrorFile:
     study = load_checked(PredictedErrorFile, path or Path(__file__).with_name("study.yaml"))
     if not quick:
         return study
-    own = study.populations["own"]
-    sets = {part: getattr(own, part).model_copy(update={"runs": _QUICK}) for part in PARTS}
+    name, first = next(iter(study.populations.items()))
+    sets = {part: getattr(first, part).model_copy(update={"runs": _QUICK}) for part in PARTS}
     return study.model_copy(
         update={
-            "populations": {"own": own.model_copy(update=sets)},
+            "populations": {name: first.model_copy(update=sets)},
             "others": {"dropouts": study.others["dropouts"].model_copy(update={"runs": 2})},
             "oracle": study.oracle.model_copy(update={"drives": 5}),
         }

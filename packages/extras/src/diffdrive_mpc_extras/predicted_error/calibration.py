@@ -134,8 +134,8 @@ class CalibratedRanges(StrictModel):
 
     v: CalibratedRange = Field(description="top speed of a path; a warning is given above it, not below [m/s]")
     omega: CalibratedRange = Field(description="top yaw rate of a path; a warning is given above it, not below [rad/s]")
-    lag_v: CalibratedRange = Field(description="lag of v of the model, dead time included; else refused [s]")
-    lag_omega: CalibratedRange = Field(description="lag of omega of the model, dead time included; else refused [s]")
+    lag_v: CalibratedRange = Field(description="dead time plus lag of v of the model; a warning is given above it [s]")
+    lag_omega: CalibratedRange = Field(description="the same of omega [s]")
 
 
 class ErrorCalibration(StrictModel):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -86,8 +86,8 @@ class PredictedError:
     lateral, along
         Distance from the path; ahead of the reference or behind it along the path.
     warnings
-        Why the tubes may be too narrow, a sentence each: speeds of the path above those of the calibration. Empty if
-        nothing speaks against them.
+        Why the tubes may be too narrow, a sentence each: speeds of the path or delays of the model above those of the
+        calibration. Empty if nothing speaks against them.
     """
 
     reference: str
@@ -113,7 +113,8 @@ class PredictedError:
         x, y, _ = self.pose[index]
         place = f"after {self.arc_length[index]:.2f} m ({self.time[index]:.2f} s; x {x:.2f} m, y {y:.2f} m)"
         width = f"{1e3 * tube.at_each_place[index]:.1f} mm there, {1e3 * tube.everywhere[index]:.1f} mm everywhere"
-        return WidestPlace(index, reasons, f"{direction}: worst {place}: {width}; made of {why}")
+        made = f"; made of {why}" if why else ""
+        return WidestPlace(index, reasons, f"{direction}: worst {place}: {width}{made}")
 
 
 def check_origin(model: VelocityModel | NonlinearModel) -> None:
@@ -123,16 +124,6 @@ def check_origin(model: VelocityModel | NonlinearModel) -> None:
             f"model '{model.name}': its provenance.origin is assumed, and errors are predicted for published or "
             "identified; identify the model on this robot, or take a configuration whose model was identified"
         )
-
-
-def check_lag(lag: FloatArray, calibrated: CalibratedRanges) -> None:
-    """Raise ValueError for a model whose lag (2,) [s] is outside of that of the drives."""
-    for channel, value, (low, high) in zip(CHANNELS, lag, (calibrated.lag_v, calibrated.lag_omega), strict=True):
-        if not low <= value <= high:
-            raise ValueError(
-                f"the model's lag of {channel} is {value:.3g} s; errors are predicted for {low:g} to {high:g} s. "
-                "Identify the model on this robot, or calibrate on drives with such a lag"
-            )
 
 
 def predict_tubes(
@@ -156,8 +147,7 @@ def predict_tubes(
     Raises
     ------
     ConfigError, ValueError
-        If there is no such population, the lag is outside the calibrated range, or the reference lasts no time or
-        longer than two hours.
+        If there is no such population, or the reference lasts no time or longer than two hours.
     """
     calibration = calibration or load_calibration()
     drives = calibration.population(population)
@@ -166,11 +156,12 @@ def predict_tubes(
             f"reference '{reference.name}': it lasts {reference.duration:g} s; an error is predicted for more than 0 "
             f"and at most {_LONGEST:g} s, so give it in parts"
         )
-    check_lag(lag, calibration.calibrated)
     dt = config.sample_time
     time = np.asarray(np.arange(max(2, int(np.ceil(reference.duration / dt)) + 1)) * dt, dtype=np.float64)
     sample = reference.sample(time)
-    features = path_features(sample.twist, dt, config, lag)
+    # Below the range of the calibration nothing is known of a faster robot: its tube is no narrower.
+    least = [calibration.calibrated.lag_v[0], calibration.calibrated.lag_omega[0]]
+    features = path_features(sample.twist, dt, config, np.maximum(lag, least))
     return PredictedError(
         reference.name,
         calibration.level,
@@ -200,8 +191,8 @@ def predict_error(
     reference
         Trajectory, name or path, as for `Controller.start`.
     population
-        Drives that count: "drawn", robots of the market whose users know what the configuration says; "own", the robot
-        of the configuration, with uncertain load, link, floor and poses.
+        Drives that count: "drawn", robots of the market whose users know what the configuration says; or one of
+        `calibration`.
     calibration
         Calibration file that has the population; by default the shipped one.
 
@@ -209,18 +200,29 @@ def predict_error(
     -------
     PredictedError
         Tubes in which 95 % of the drives stay at each place, and on the whole path; with `warnings` if the path is
-        faster than those of the calibration.
+        faster, or the robot later, than those of the calibration.
 
     Raises
     ------
     ArgumentError, ConfigError, ValueError
-        As `Controller.start`, and if there is no such population, the model's numbers are assumed or its lag is outside
-        the calibrated range, or the reference lasts no time or over two hours.
+        As `Controller.start`, and if there is no such population, the model's numbers are assumed, or the reference
+        lasts no time or over two hours.
     """
     check_origin(controller.model)
     checked = controller.checked_reference(reference)
     calibrated = load_calibration(calibration)
-    return predict_tubes(checked, controller.config, controller.model.lag, population, calibrated)
+    lag = controller.model.lag
+    predicted = predict_tubes(checked, controller.config, lag, population, calibrated)
+    return replace(predicted, warnings=(*predicted.warnings, *_lag_warnings(lag, calibrated.calibrated)))
+
+
+def _lag_warnings(lag: FloatArray, calibrated: CalibratedRanges) -> tuple[str, ...]:
+    return tuple(
+        f"dead time plus lag of {channel} is {value:.3g} s, in the calibration {low:g} to {high:g} s: the tubes may be "
+        "too narrow"
+        for channel, value, (low, high) in zip(CHANNELS, lag, (calibrated.lag_v, calibrated.lag_omega), strict=True)
+        if value > high
+    )
 
 
 def _warnings(twist: FloatArray, calibrated: CalibratedRanges) -> tuple[str, ...]:

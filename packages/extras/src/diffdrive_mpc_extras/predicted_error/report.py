@@ -6,11 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from diffdrive_mpc.bench.progress import output_console
+from diffdrive_mpc.bench.progress import ProgressBar, output_console
+from diffdrive_mpc.bench.runner import available_cores
 from diffdrive_mpc.bench.table import Table, millis
+from diffdrive_mpc.models.interface import Reference
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
+from diffdrive_mpc_extras.campaign.own_plant import own_plant
 from diffdrive_mpc_extras.predicted_error.calibration import Direction
+from diffdrive_mpc_extras.predicted_error.drives import DRAWS, predict_by_drives
 from diffdrive_mpc_extras.predicted_error.predicted_error import PredictedError, predict_error
 
 FIGURE, ROWS = "predicted-error.png", "predicted-error.csv"
@@ -19,17 +23,37 @@ _GREYS = ("0.85", "0.6")
 """Of both tubes: told apart in print."""
 
 
-def predict_into(
+def predict_robot_into(
+    config: str, trajectory: str, plant: str | None, out: Path, draws: int = DRAWS, jobs: int | None = None
+) -> PredictedError:
+    """Predict from simulated drives of the robot, by default of `own_plant`, and write as `write_prediction`.
+
+    Raises ConfigError or ValueError if a name is unknown, a file has a mistake, no plant belongs to the configuration,
+    or the trajectory cannot be driven; OSError if `out` cannot be written to.
+    """
+    checked_reference(config, trajectory)
+    plant = plant or own_plant(config)
+    with ProgressBar("driving", draws, lines=True) as bar:
+        predicted = predict_by_drives(config, trajectory, plant, draws, jobs or available_cores(), bar.advance)
+    return write_prediction(predicted, out)
+
+
+def predict_population_into(
     config: str, trajectory: str, population: str, out: Path, calibration: Path | None = None
 ) -> PredictedError:
-    """Predict, print the widths and where they are largest, and write figure and rows into `out`.
+    """Predict for robots of a population, and write as `write_prediction`; raises as `predict_error` and OSError."""
+    return write_prediction(predict_error(*checked_reference(config, trajectory), population, calibration), out)
 
-    Raises ConfigError or ValueError if a name is unknown, a file has a mistake, the trajectory cannot be driven with
-    the configuration, or tubes were not calibrated for its model; OSError if `out` cannot be written to.
-    """
+
+def checked_reference(config: str, trajectory: str) -> tuple[Controller, Reference]:
+    """Return controller and reference; raises ConfigError or ValueError if the path cannot be driven."""
     loaded = load_config(config)
     controller = Controller(loaded)
-    predicted = predict_error(controller, load_trajectory(trajectory, loaded), population, calibration)
+    return controller, controller.checked_reference(load_trajectory(trajectory, loaded))
+
+
+def write_prediction(predicted: PredictedError, out: Path) -> PredictedError:
+    """Print the widths and where they are largest, and write figure and rows into `out`."""
     out.mkdir(parents=True, exist_ok=True)
     with whole_file(out / ROWS) as draft:
         write_rows(predicted, draft)

@@ -28,6 +28,13 @@ def prove(
             show_default=False,
         ),
     ] = None,
+    plant: Annotated[
+        str | None,
+        typer.Option(
+            help="Robot that is driven, as for simulate.",
+            show_default="that of the campaign; else twin or identified robot in the folder of the configuration",
+        ),
+    ] = None,
     runs: Runs = None,
     worst: Annotated[int, typer.Option(min=0, max=99, help="Worst runs to keep as files.")] = 10,
     tolerance: Annotated[
@@ -46,11 +53,11 @@ def prove(
     """
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415 - --help does not need it
     from diffdrive_mpc_extras.campaign.engine import CampaignPlace, failed  # noqa: PLC0415
-    from diffdrive_mpc_extras.proof.proof_file import load_proof  # noqa: PLC0415
+    from diffdrive_mpc_extras.proof.proof_file import proof_of  # noqa: PLC0415
     from diffdrive_mpc_extras.proof.report import is_unsafe  # noqa: PLC0415
     from diffdrive_mpc_extras.proof.study import ProofStudy, keep  # noqa: PLC0415
 
-    proof, place = load_proof(campaign), CampaignPlace(out, jobs)
+    proof, place = proof_of(config, campaign, plant), CampaignPlace(out, jobs)
     if tolerance:
         from diffdrive_mpc_extras.proof.passport import PassportStudy, read_tolerances  # noqa: PLC0415
 

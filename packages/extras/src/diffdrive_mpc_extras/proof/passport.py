@@ -181,7 +181,7 @@ class PassportStudy(Study[dict[str, list[Definition]], MeasuredSpeeds]):
         factors = {name: data for name, data in proof.factors.items() if name not in _OTHER_PATHS}
         robots = {}
         for name, floor in plan.surfaces.items():
-            changes = {"sampler": "random", "draw_seed": plan.draw_seed, "factors": factors | floor}
+            changes = {"sampler": "random", "draw_seed": plan.draw_seed, "factors": factors | plan.factors | floor}
             drawn = proof.model_copy(update=changes).definitions(plan.search_runs + plan.tries * plan.proof_runs)
             robots[name] = [robot.changed(told_of(self._config)) for robot in drawn]
         return robots

@@ -9,20 +9,24 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import BaseModel, Field, field_validator, model_validator
 
 from diffdrive_mpc.bench.case import check_count
-from diffdrive_mpc.models.checked_yaml import StrictModel, check, load_checked, read_yaml
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked, read_yaml
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.named_file import named_file
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
+from diffdrive_mpc.sim.plants.names import MODEL
 from diffdrive_mpc_extras.campaign.campaign_file import MOST_RUNS, Campaign, files_beside, whole_paths
-from diffdrive_mpc_extras.campaign.definition import Definition, check_factor
+from diffdrive_mpc_extras.campaign.definition import Definition, check_factor, stated
 from diffdrive_mpc_extras.campaign.draws import Value
 from diffdrive_mpc_extras.campaign.engine import CampaignRun
+from diffdrive_mpc_extras.campaign.own_plant import own_plant
 
 PROOFS = Path(__file__).parent
 DEFAULT = PROOFS / "default.yaml"
+IDENTIFIED = PROOFS / "identified.yaml"
+PLANT = "plant"
 
 
 class MapAxis(StrictModel):
@@ -93,6 +97,7 @@ class PassportPlan(StrictModel):
     )
     straight: Annotated[float, Field(gt=0)] = Field(description="before and after the arcs [s]")
     arc: Annotated[float, Field(gt=0)] = Field(description="an arc to the left, and as long a one to the right [s]")
+    factors: dict[str, object] = Field(default_factory=dict, description="besides those of the campaign")
     surfaces: Annotated[dict[str, dict[str, object]], Field(min_length=1)] = Field(
         description="floors by name: factors in place of those of the campaign"
     )
@@ -118,13 +123,18 @@ class Proof(Campaign):
         description="a run holds where it is never further from its path [m]; by default that of sim/metrics",
     )
     passport: PassportPlan = Field(
-        default_factory=lambda: check(PassportPlan, read_yaml(DEFAULT)["passport"], str(DEFAULT)),
-        description="for --tolerance; by default as in the default proof",
+        default_factory=dict, validate_default=True, description="for --tolerance; by default as in the default proof"
     )
     maps: dict[Annotated[str, Field(pattern="^[a-z-]+$")], Map] = Field(
         default_factory=dict, description="two factors at a time, by name, with the first seed of the probe"
     )
     boundaries: dict[str, BoundarySearch] = Field(default_factory=dict, description="by factor")
+
+    @field_validator("passport", mode="before")
+    @classmethod
+    def _over_default(cls, data: object) -> object:
+        """Complete the plan with values of the default proof."""
+        return read_yaml(DEFAULT)["passport"] | data if isinstance(data, Mapping) else data
 
     @model_validator(mode="after")
     def _can_be_driven(self) -> Proof:
@@ -149,6 +159,61 @@ def load_proof(path: Path | None) -> Proof:
     read = load_checked(Proof, file)
     probe = read.probe.model_copy(update={"factors": whole_paths(read.probe.factors, file.parent)})
     return read.model_copy(update=files_beside(read, file) | {"probe": probe})
+
+
+def proof_of(config: str, path: Path | None, plant: str | None) -> Proof:
+    """Return the proof of a configuration on a plant, by default that of the campaign file or `own_plant`.
+
+    Without a campaign file an identified robot has the shipped proof `identified`; other plants have the default one,
+    whose factors, maps and boundaries of the robot are scaled from the papers' robot to the plant.
+
+    Raises ConfigError as `load_proof`, if no plant belongs to the configuration, or if the file names another plant.
+    """
+    proof = load_proof(path)
+    if plant is None and PLANT in proof.factors:
+        return proof
+    if plant is not None and PLANT in proof.factors:
+        raise ConfigError(f"--plant {plant}: {path} names a plant already; give one of them")
+    plant = plant or own_plant(config)
+    if path is None:
+        proof = load_proof(IDENTIFIED) if plant.startswith(f"{MODEL}:") else _scaled_to(plant, proof)
+    probe = proof.probe.model_copy(update={"factors": {PLANT: plant} | dict(proof.probe.factors)})
+    return proof.model_copy(update={"factors": proof.factors | {PLANT: plant}, "probe": probe})
+
+
+def _scaled_to(plant: str, proof: Proof) -> Proof:
+    """Return the proof with all values of `robot.` multiplied by the plant's over those of the papers' robot."""
+
+    def ratio(key: str) -> float:
+        if not key.startswith("robot."):
+            return 1.0
+        # A plant without the quantity, such as one without dead time, keeps the values of the papers' robot.
+        return stated(key, {PLANT: plant}) / stated(key, {}) or 1.0
+
+    def factors(values: Mapping[str, object]) -> dict[str, object]:
+        return {key: _times(value, ratio(key)) for key, value in values.items()}
+
+    def scaled(part: BaseModel, key: str, names: Sequence[str]) -> BaseModel:
+        return part.model_copy(update={name: getattr(part, name) * ratio(key) for name in names})
+
+    axes = {
+        name: Map.model_validate({axis: scaled(of, of.factor, ("low", "high")).model_dump() for axis, of in map_})
+        for name, map_ in proof.maps.items()
+    }
+    boundaries = {key: scaled(of, key, ("holds", "beyond", "within")) for key, of in proof.boundaries.items()}
+    plan = proof.passport.model_copy(update={"factors": factors(proof.passport.factors)})
+    return proof.model_copy(
+        update={"factors": factors(proof.factors), "passport": plan, "maps": axes, "boundaries": boundaries}
+    )
+
+
+def _times(value: object, ratio: float) -> object:
+    """Return a value or distribution with all its numbers multiplied."""
+    if isinstance(value, Mapping):
+        return {key: _times(inner, ratio) for key, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_times(inner, ratio) for inner in value]
+    return value * ratio if isinstance(value, float) and ratio != 1.0 else value
 
 
 Drive = Callable[[list[Definition]], list[CampaignRun]]

@@ -28,7 +28,6 @@ from diffdrive_mpc_extras.predicted_error.calibration import ErrorCalibration, l
 from diffdrive_mpc_extras.predicted_error.predicted_error import (
     ErrorTube,
     PredictedError,
-    check_lag,
     check_origin,
     predict_tubes,
 )
@@ -51,11 +50,9 @@ class PredictedErrorSettings(PartSettings):
         "refuse: it is refused [-]",
     )
     error_population: str = Field(
-        "drawn", min_length=1, description="drives that a predicted error is for: drawn or own [-]"
+        "drawn", min_length=1, description="population of the calibration that a predicted error is for [-]"
     )
-    error_calibration: str = Field(
-        "", description="calibration file of predicted errors, for a twin of your own; empty: the shipped one [-]"
-    )
+    error_calibration: str = Field("", description="calibration file of predicted errors; empty: the shipped one [-]")
 
 
 @dataclass(frozen=True)
@@ -82,7 +79,6 @@ class ErrorPredictor:
         calibration = load_calibration(settings.error_calibration or None)
         calibration.population(settings.error_population)
         check_origin(controller.model)
-        check_lag(controller.model.lag, calibration.calibrated)
         return cls(controller.model.lag, settings.error_population, calibration)
 
     def predict(self, reference: Reference, config: ControllerConfig) -> PredictedError:

@@ -1,0 +1,127 @@
+"""Tubes from simulated drives of the robot itself: draws of its model, its unexplained motion and its sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.controllers import load_reference, run_case
+from diffdrive_mpc.bench.runner import run_tasks
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.load import is_shipped
+from diffdrive_mpc.models.pose import ahead_and_left
+from diffdrive_mpc.mpc import load_config
+from diffdrive_mpc.sim import Run
+from diffdrive_mpc_extras.campaign.rates import conformal_quantile
+from diffdrive_mpc_extras.predicted_error.predicted_error import ErrorTube, PredictedError
+
+DRAWS = 60
+"""Drives of a prediction; the tube everywhere needs at least level / (1 - level) of them."""
+LEVEL = 0.95
+_WINDOW = 1.0
+"""Time over which errors of all drives are averaged for the shape of a tube [s]."""
+_EVEN = 0.3
+"""Share of the mean error of the whole path in the width of each place: a tube never closes on a straight."""
+
+
+def drive_case(config: str, trajectory: str, plant: str, seed: int) -> Case:
+    """Return one drive of the prediction."""
+    shipped = is_shipped(config)
+    model, file = (config, None) if shipped else (load_config(config).model, config)
+    return Case(model=model, config=file, trajectory=trajectory, plant=plant, seed=seed)
+
+
+def absolute_errors(run: Run, count: int) -> tuple[FloatArray, FloatArray]:
+    """Return |lateral| and |along| (count,) [m] at the samples of the reference, infinite after an early end."""
+    along, _ = ahead_and_left(run.true_pose - run.reference_pose, run.reference_pose[:, 2])
+    lateral, ahead = np.full((2, count), np.inf)
+    driven = min(count, len(run.time)) if run.metrics.completed else 0
+    for errors, values in ((lateral, run.errors.lateral), (ahead, along)):
+        errors[:driven] = np.abs(values[:driven])
+        # A run that reaches its goal early stays there.
+        errors[driven:] = errors[driven - 1] if driven else np.inf
+    return lateral, ahead
+
+
+def tube(errors: FloatArray, dt: float, level: float = LEVEL) -> ErrorTube:
+    """Return the tube of drives like those of `errors` (m, n) [m], samples `dt` [s] apart.
+
+    The width is a multiple of the root mean square over drives and neighbouring places. Each drive is compared with the
+    width that the other drives give (jackknife), and the multiples are conformal quantiles of these ratios.
+
+    Raises ConfigError if too few drives arrive for the level.
+    """
+    arrived = errors[np.isfinite(errors).all(axis=1)]
+    squares = uniform_filter1d(arrived**2, max(1, round(_WINDOW / dt)), axis=1, mode="nearest")
+    total = squares.sum(axis=0)
+
+    def width(sums: FloatArray, count: int) -> FloatArray:
+        local = np.sqrt(sums / count)
+        return np.asarray((1.0 - _EVEN) * local + _EVEN * local.mean())
+
+    others = max(1, len(arrived) - 1)
+    ratios = [row / width(total - own, others) for row, own in zip(arrived, squares, strict=True)]
+    ratios += [np.full(errors.shape[1], np.inf)] * (len(errors) - len(arrived))
+    everywhere = conformal_quantile([ratio.max(keepdims=True) for ratio in ratios], level)
+    if not np.isfinite(everywhere):
+        raise ConfigError(
+            f"{len(arrived)} of {len(errors)} simulated drives arrive: too few for {100 * level:g} %; drive slower, or "
+            "give more --draws"
+        )
+    whole = width(total, len(arrived))
+    return ErrorTube(conformal_quantile(ratios, level) * whole, everywhere * whole, {})
+
+
+def predict_by_drives(
+    config: str,
+    trajectory: str,
+    plant: str,
+    draws: int = DRAWS,
+    jobs: int = 1,
+    on_done: Callable[[], None] = lambda: None,
+) -> PredictedError:
+    """Predict the tracking error of a trajectory from simulated drives on the plant of the robot.
+
+    Parameters
+    ----------
+    config, trajectory, plant
+        As for `simulate`.
+    draws
+        Number of drives, with the seeds from 0.
+    jobs
+        Processes.
+    on_done
+        Called after each drive.
+
+    Raises
+    ------
+    ConfigError, ValueError
+        If a name is unknown, a file has a mistake, or too few drives arrive.
+    """
+    reference = load_reference(drive_case(config, trajectory, plant, 0))
+    dt = load_config(config).sample_time
+    time = np.arange(max(2, int(reference.duration / dt) + 1)) * dt
+    cases = [drive_case(config, trajectory, plant, seed) for seed in range(draws)]
+    driven = run_tasks([partial(_driven, case, len(time)) for case in cases], jobs, on_done)
+    lateral, along = (tube(np.array(errors), dt) for errors in zip(*driven, strict=True))
+    sample = reference.sample(time)
+    return PredictedError(
+        reference.name,
+        LEVEL,
+        f"{draws} drives simulated on {plant.rpartition('/')[2] or plant}",
+        time,
+        sample.arc_length,
+        sample.pose,
+        sample.twist,
+        lateral,
+        along,
+    )
+
+
+def _driven(case: Case, count: int) -> Sequence[FloatArray]:
+    return absolute_errors(run_case(case), count)

@@ -1,0 +1,149 @@
+"""The robot of a configuration: its plant, tubes from its simulated drives, and its proof."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+import yaml
+
+from commands import call, refusal
+from diffdrive_mpc.app.identification.unexplained_motion import write_robot
+from diffdrive_mpc.bench.controllers import run_case
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.load import model_path
+from diffdrive_mpc.sim.plants.identified_robot import IdentifiedRobot, intervals
+from diffdrive_mpc.sim.plants.surface import load_surface
+from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
+from diffdrive_mpc_extras.campaign.own_plant import own_plant
+from diffdrive_mpc_extras.predicted_error.drives import absolute_errors, drive_case, tube
+from diffdrive_mpc_extras.proof.proof_file import load_proof, proof_of
+from refusals import one_line_error
+
+SHORT = """
+name: short
+timing: smooth
+segments: [{v: 0.4, omega: 0.5, duration: 1.0}, {v: 0.4, omega: 0.0, duration: 1.0}]
+"""
+
+
+def robot(size=0.01):
+    """A robot whose motion beyond its model has this standard deviation [m/s, rad/s]."""
+    rows = np.repeat(np.random.default_rng(3).normal(size=(60, 3)), 25, axis=0)
+    return IdentifiedRobot(
+        model="model.yaml",
+        slip=load_surface("default").slip,
+        sensors=load_sensor_set("default"),
+        sample_time=0.02,
+        block_time=10.0,
+        gain_deviation=(0.002, 0.01),
+        delay_deviation=(0.002, 0.002),
+        variance=[(size**2, 0.0, 0.0, 0.0, 0.0, 0.0)] * 3,
+        largest=(1.0,) * 6,
+        motion=[intervals(rows)],
+    )
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Files as `identify` writes them."""
+    shutil.copy(model_path("sm"), tmp_path / "model.yaml")
+    (tmp_path / "config.yaml").write_text("model: model.yaml\n", encoding="utf-8")
+    (tmp_path / "short.yaml").write_text(SHORT, encoding="utf-8")
+    write_robot(robot(), tmp_path / "robot.yaml")
+    return tmp_path
+
+
+def test_a_configuration_has_its_twin_or_its_identified_robot_or_a_refusal(folder):
+    config = str(folder / "config.yaml")
+    assert own_plant("ssm") == "mujoco"
+    assert own_plant(config) == f"model:{folder / 'robot.yaml'}"
+    (folder / "plant.yaml").write_text("description: twin\n", encoding="utf-8")
+    assert own_plant(config) == f"mujoco:{folder / 'plant.yaml'}"
+    for name in ("plant.yaml", "robot.yaml"):
+        (folder / name).unlink()
+    with one_line_error(ConfigError, match="no plant belongs to it.*give --plant"):
+        own_plant(config)
+    for words in (["prove", config], ["prove", config, "--tolerance", "0.05"]):
+        assert "no plant belongs to it" in refusal(*words, "--out", folder / "out")
+    assert "give --plant" in refusal("predict-error", "--config", config, "--trajectory", "s", "--out", folder / "out")
+
+
+def test_runs_differ_by_seed_and_repeat_and_grow_with_the_unexplained_motion(folder):
+    config, path = str(folder / "config.yaml"), str(folder / "short.yaml")
+
+    def largest(seed):
+        run = run_case(drive_case(config, path, own_plant(config), seed))
+        return absolute_errors(run, 100)[0].max()
+
+    calm = [largest(seed) for seed in range(4)]
+    assert calm[0] == largest(0) and len(set(calm)) == 4
+    write_robot(robot(0.06), folder / "robot.yaml")
+    assert np.median([largest(seed) for seed in range(4)]) > 1.5 * np.median(calm)
+
+
+def made_up(count, seed):
+    """Errors (count, 300) of drives that are alike: small on a straight, large in a turn."""
+    rng = np.random.default_rng(seed)
+    scale = np.where(np.arange(300) < 150, 0.002, 0.01) * rng.lognormal(sigma=0.4, size=(count, 1))
+    return np.abs(scale * np.cumsum(rng.normal(size=(count, 300)), axis=1) / np.sqrt(np.arange(300) + 1.0))
+
+
+def test_a_tube_holds_the_stated_share_of_other_drives():
+    of = tube(made_up(200, 1), 0.02)
+    inside = (made_up(2000, 2) <= of.everywhere).all(axis=1).mean()
+    assert 0.92 < inside < 0.98
+    assert 0.93 < (made_up(2000, 3) <= of.at_each_place).mean() < 0.97
+    assert of.everywhere[20:130].mean() < 0.6 * of.everywhere[170:280].mean()
+
+
+def test_drives_that_do_not_arrive_widen_a_tube_or_refuse_it():
+    errors = made_up(60, 1)
+    lost = errors.copy()
+    lost[:2, 40:] = np.inf
+    assert tube(lost, 0.02).everywhere.max() >= tube(errors[2:], 0.02).everywhere.max()
+    lost[:10] = np.inf
+    with one_line_error(ConfigError, match="50 of 60 simulated drives arrive: too few for 95 %"):
+        tube(lost, 0.02)
+
+
+def test_the_command_drives_the_identified_robot_without_a_calibration(folder):
+    words = ["--config", folder / "config.yaml", "--trajectory", folder / "short.yaml", "--draws", "20", "--jobs", "1"]
+    printed = call("predict-error", *words, "--out", folder / "out")
+    assert "20 drives simulated on robot.yaml" in " ".join(printed.split())
+    rows = np.genfromtxt(folder / "out" / "predicted-error.csv", delimiter=",", names=True)
+    assert (rows["lateral_everywhere"] >= rows["lateral"]).all() and (rows["lateral"] > 0.0005).all()
+
+
+def test_a_proof_drives_the_identified_robot_and_a_passport_its_surface(folder):
+    proof = proof_of(str(folder / "config.yaml"), None, None)
+    assert {run.case.plant for run in proof.definitions(8)} == {f"model:{folder / 'robot.yaml'}"}
+    plan = proof.passport.model_dump() | {
+        "search_runs": 3,
+        "proof_runs": 4,
+        "tries": 1,
+        "share": 0.5,
+        "confidence": 0.8,
+    }
+    plan |= {"curvatures": [0.0], "speeds": [0.3], "straight": 0.2, "arc": 0.2}
+    (folder / "mine.yaml").write_text(
+        yaml.safe_dump({"description": "mine", "runs": 1, "passport": plan}), encoding="utf-8"
+    )
+    words = ["--campaign", folder / "mine.yaml", "--tolerance", "0.05", "--jobs", "1", "--out", folder / "out"]
+    call("prove", folder / "config.yaml", *words)
+    (row,) = json.loads((folder / "out" / "passport.json").read_text(encoding="utf-8"))["speeds"]
+    assert (row["surface"], sum(rate["of"] for rate in row["fresh"].values())) == ("log", 4)
+    runs = [json.loads(path.read_text(encoding="utf-8")) for path in (folder / "out" / "runs").glob("*/*.json")]
+    assert runs and all(run["run"]["plant"].startswith("model:files ") for run in runs)
+
+
+def test_the_passport_varies_track_wheel_base_and_wheel_servo_and_scales_them_to_a_twin(folder):
+    varied = set(load_proof(None).passport.factors)
+    assert varied == {
+        "robot.robot.track",
+        "robot.twin.chassis.wheel_base",
+        "robot.twin.driver.proportional_gain",
+        "robot.twin.driver.integral_gain",
+    }
+    wide = proof_of("ssm", None, "mujoco:wide").passport.factors["robot.robot.track"]
+    assert wide["uniform"] == pytest.approx([0.52 / 0.33 * 0.30, 0.52 / 0.33 * 0.36])

@@ -1,0 +1,155 @@
+"""Robot of a log for simulation: its identified model, its sensors, and its motion beyond the model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked, read_yaml
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.named_file import is_file
+from diffdrive_mpc.models.nonlinear_model import NonlinearModel
+from diffdrive_mpc.models.robot import NotNegative, Positive, SampleTime
+from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.sim.plants.surface import BodySlip
+from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
+
+ROBOT_FILE = "robot.yaml"
+SERIES = 60.0
+"""Duration of the motion that is drawn for a run, after which it repeats [s]."""
+Model = VelocityModel | NonlinearModel
+_Deviations = tuple[NotNegative, NotNegative]
+_Variances = tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, NotNegative]
+_Interval = tuple[Annotated[int, Field(ge=1)], float, float, float]
+
+
+def intensity_features(output: FloatArray, rate: FloatArray) -> FloatArray:
+    """Return (..., 6) squares on which the variance of unexplained motion depends: 1, v, omega, v omega and both rates.
+
+    Parameters
+    ----------
+    output
+        (..., 2) v [m/s], omega [rad/s] of the model.
+    rate
+        (..., 2) their time derivatives.
+    """
+    v, omega = output[..., 0], output[..., 1]
+    return np.asarray(np.stack([np.ones_like(v), v, omega, v * omega, rate[..., 0], rate[..., 1]], axis=-1) ** 2)
+
+
+@dataclass(frozen=True)
+class UnexplainedMotion:
+    """Motion of the body beyond its model, which the encoders do not measure.
+
+    Attributes
+    ----------
+    rows
+        (K, 3) multiples of the standard deviation, sample by sample, then from the first again.
+    variance
+        (3, 6) variance of forward and lateral speed [m/s] and yaw rate [rad/s] for each unit of `intensity_features`.
+    largest
+        (6,) features of the log, beyond which the variance does not grow.
+    """
+
+    rows: FloatArray
+    variance: FloatArray
+    largest: FloatArray
+
+    def twist(self, tick: int, output: FloatArray, rate: FloatArray) -> FloatArray:
+        """Return the twist (3,) of sample `tick` for output (2,) of the model and its derivative (2,)."""
+        features = np.minimum(intensity_features(output, rate), self.largest)
+        return np.asarray(self.rows[tick % len(self.rows)] * np.sqrt(self.variance @ features))
+
+
+class IdentifiedRobot(StrictModel):
+    """Content of `robot.yaml`, which `identify` writes; `make_plant` reads it as "model:FILE"."""
+
+    model: str = Field(description="parameter file of the model, in the folder of this file")
+    slip: BodySlip = Field(description="of the surface of the log, at the point of its poses")
+    sensors: SensorSet = Field(description="poses as in the log")
+    sample_time: SampleTime = Field(description="of the log, whose samples `motion` counts [s]")
+    block_time: Positive = Field(description="duration of the blocks of motion that a run draws [s]")
+    gain_deviation: _Deviations = Field(description="standard deviation of the gains of v and omega, relative [-]")
+    delay_deviation: _Deviations = Field(description="standard deviation of dead time plus lag of v and omega [s]")
+    variance: tuple[_Variances, _Variances, _Variances] = Field(
+        description="of forward and lateral speed and yaw rate beyond the model, for each unit of 1, v^2, omega^2, "
+        "(v omega)^2 and the squared rates of v and omega, SI units"
+    )
+    largest: _Variances = Field(description="these six of the log; the variance grows no further")
+    motion: list[list[_Interval]] = Field(
+        min_length=1,
+        description="for each held-out record intervals of constant motion: samples, and forward speed, lateral speed "
+        "and yaw rate as multiples of their standard deviation [-]",
+    )
+
+    @property
+    def records(self) -> list[FloatArray]:
+        """Multiples (K, 3) of each record, sample by sample."""
+        tables = [np.array(record, dtype=float).reshape(-1, 4) for record in self.motion]
+        return [np.repeat(table[:, 1:], table[:, 0].astype(int), axis=0) for table in tables]
+
+    def drawn_model(self, model: Model, rng: np.random.Generator) -> Model:
+        """Draw gains and delays about those of a linear model; a function is returned as it is."""
+        gains, delays = 1.0 + rng.normal(0.0, self.gain_deviation), rng.normal(0.0, self.delay_deviation)
+        if isinstance(model, NonlinearModel):
+            return model
+        late = np.maximum(model.dead_time + delays, 0.0)
+        return replace(model, C=gains[:, None] * model.C, dead_time=late)
+
+    def disturbance(self, sample_time: float, rng: np.random.Generator) -> UnexplainedMotion:
+        """Draw motion for `ModelPlant`, whose samples are `sample_time` [s] apart."""
+        rows = drawn_motion(self.records, SERIES, (self.sample_time, sample_time), self.block_time, rng)
+        return UnexplainedMotion(rows, np.array(self.variance), np.array(self.largest))
+
+
+def load_identified_robot(path: str | Path) -> IdentifiedRobot | None:
+    """Read a robot file; None if there is no file of this kind. Raises ConfigError if it has a mistake."""
+    if not is_file(path):
+        return None
+    data = read_yaml(path)
+    return load_checked(IdentifiedRobot, path) if isinstance(data, dict) and "motion" in data else None
+
+
+def intervals(rows: FloatArray) -> list[_Interval]:
+    """Return the intervals of constant motion in `rows` (K, 3), rounded as `robot.yaml` holds them."""
+    rows = np.round(rows, 3)
+    starts = np.flatnonzero(np.r_[True, (np.diff(rows, axis=0) != 0.0).any(axis=1)])
+    lengths = np.diff(np.r_[starts, len(rows)])
+    return [(int(n), *map(float, rows[start])) for n, start in zip(lengths, starts, strict=True)]  # type: ignore[misc]
+
+
+def drawn_motion(
+    motion: Sequence[FloatArray],
+    duration: float,
+    rate: tuple[float, float],
+    block_time: float,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return rows (K, 3) of blocks of the motion, drawn with equal probability.
+
+    Parameters
+    ----------
+    motion
+        Rows (K, 3) of each record.
+    duration
+        Duration of the result [s].
+    rate
+        Sample times of the motion and of the result [s].
+    block_time
+        Duration of a block [s].
+    rng
+        Random generator.
+    """
+    measured, dt = rate
+    block = max(1, round(block_time / measured))
+    begins = [(i, first) for i, rows in enumerate(motion) for first in range(max(1, len(rows) - block + 1))]
+    parts: list[FloatArray] = []
+    while sum(map(len, parts)) * measured < duration:
+        i, first = begins[rng.integers(len(begins))]
+        parts.append(motion[i][first : first + block])
+    return np.asarray(np.concatenate(parts)[(np.arange(round(duration / dt)) * dt / measured).astype(int)])

@@ -1,0 +1,13 @@
+"""Progress of long commands where stderr is no terminal."""
+
+from diffdrive_mpc.bench import progress
+
+
+def test_a_pipe_gets_a_line_per_period(capsys, monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    with progress.ProgressBar("driving", 40, lines=True) as bar:
+        for _ in range(25):
+            now[0] += 1.0
+            bar.advance()
+    assert capsys.readouterr().err.splitlines() == ["driving: 10 of 40", "driving: 20 of 40"]

@@ -1,0 +1,50 @@
+"""Revisions that tracked files quote: each is a commit of this repository."""
+
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+_HEX = r"`?([0-9a-f]{7,40})\+?`?"
+QUOTED = re.compile(rf'\brevisions?"?:?\s+"?{_HEX}\b(?:(?:,| to| and| or)\s+{_HEX}\b)?', re.IGNORECASE)
+
+
+def git(*words: str, text: str = "") -> str:
+    """Return the output of git in the repository; empty if it fails."""
+    try:
+        done = subprocess.run(["git", *words], cwd=ROOT, input=text, capture_output=True, text=True, check=False)
+    except OSError:
+        return ""
+    return done.stdout if done.returncode == 0 else ""
+
+
+def quoted_revisions(text: str) -> set[str]:
+    """Return the revisions that a text quotes."""
+    found = {revision for match in QUOTED.finditer(text) for revision in match.groups() if revision}
+    # A date or another number of decimal digits is none.
+    return {revision for revision in found if re.search("[a-f]", revision) or len(revision) > 8}
+
+
+def test_quoted_revisions_are_recognised():
+    text = 'revisions 1098a12b to fc7c49da; "revision": "b455aaf4fdab"; revision `5c027c3c`, revision 20261129'
+    assert quoted_revisions(text) == {"1098a12b", "fc7c49da", "b455aaf4fdab", "5c027c3c"}
+
+
+def test_every_quoted_revision_is_a_commit_of_this_repository():
+    if not (ROOT / ".git").exists() or git("rev-parse", "--is-shallow-repository").strip() != "false":
+        pytest.skip("needs a clone with its whole history")
+    quoted: dict[str, list[str]] = {}
+    for name in git("ls-files", "-z").split("\0"):
+        path = ROOT / name
+        if not name or path == Path(__file__) or not path.is_file():
+            continue
+        for revision in quoted_revisions(path.read_bytes().decode("utf-8", "replace")):
+            quoted.setdefault(revision, []).append(name)
+    assert quoted
+    checked = git("cat-file", "--batch-check", text="".join(f"{revision}^{{commit}}\n" for revision in quoted))
+    missing = [
+        quoted[revision] for revision, line in zip(quoted, checked.splitlines(), strict=True) if " commit " not in line
+    ]
+    assert not missing
