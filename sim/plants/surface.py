@@ -58,7 +58,7 @@ class BodySlip(StrictModel):
 
     def body(self, output: FloatArray) -> FloatArray:
         """Compute forward and lateral speed [m/s] and yaw rate [rad/s] (3,) of the body for the model's output (2,)."""
-        v, omega = self.gained(*output.tolist())
+        v, omega = self.gained(output[0], output[1])
         if self.virtual_track is not None:
             track = self.virtual_track
             omega = float(virtual_track_yaw_rate(track.p0 * omega, track.p0, track.p1))
@@ -70,7 +70,7 @@ class BodySlip(StrictModel):
 
     def wheels(self, output: FloatArray) -> FloatArray:
         """Compute v [m/s], omega [rad/s] (2,) by encoders and geometric track, which do not depend on the floor."""
-        return np.array(self.turned(*output.tolist()))
+        return np.array(self.turned(output[0], output[1]))
 
     # One text each for numbers and for CasADi's symbols, which a copy of this class may hold as its values.
     def gained(self, v: Any, omega: Any) -> tuple[Any, Any]:  # noqa: ANN401 - numbers or symbols
