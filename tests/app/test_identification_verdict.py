@@ -15,11 +15,12 @@ from diffdrive_mpc import identify
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.identification import trial_drives
 from diffdrive_mpc.app.identification import verdict as verdicts
+from diffdrive_mpc.app.identification.page import remedies
 from diffdrive_mpc.app.identification.trial_drives import HELD_OUT, ITSELF, PATHS, StandIn, trial_settings
 from diffdrive_mpc.app.identification.unexplained_motion import unexplained_motion
 from diffdrive_mpc.app.identification.verdict import judge_by_drives
 from diffdrive_mpc.models.base_effects import BaseEffects
-from diffdrive_mpc.models.doubt import Doubt
+from diffdrive_mpc.models.doubt import VERDICTS, Doubt
 from diffdrive_mpc.models.identification.deliver.trust import judge
 from studies.reproduce.real_logs import load_protocol
 
@@ -179,3 +180,7 @@ def test_what_is_promised_of_the_husky_holds_in_variations_of_a_model_of_other_r
     kept = keep_promise(load_protocol().log("husky"), Path(os.environ["DIFFDRIVE_MPC_DATA"]), 3, 1000)
     assert kept.verdict.grade == "With care" and "pose point" in kept.verdict.reasons[0]
     assert kept.kept == 3 and all(0.0 < beside < 0.05 for beside in kept.beside)
+
+
+def test_every_kind_of_warning_has_a_remedy():
+    assert set(remedies()) == set(VERDICTS)
