@@ -466,10 +466,10 @@ class ControllerConfig(Group):
     )
     sample_time: SampleTime = Field(_ROBOT.sample_time, description="time between two ticks [s]")
     horizon: Annotated[int, Field(ge=1, le=200)] = Field(30, description="steps that the controller looks ahead [-]")
-    extra_dead_time: ExtraDeadTime = ExtraDeadTime()
     start_delay: Annotated[float, Field(ge=0, le=10)] = Field(
         0.0, description="rest before a trajectory by name or file, in which the robot prepares its start [s]"
     )
+    extra_dead_time: ExtraDeadTime = ExtraDeadTime()
     weights: Weights = Weights()
     margin: Margin = Margin()
     limits: Limits = Limits()

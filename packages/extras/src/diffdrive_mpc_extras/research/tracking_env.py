@@ -54,6 +54,7 @@ class TrackingEnv(gym.Env[FloatArray, FloatArray]):
         self._place = {**place, **plant_settings(config)}
         self._preview, self._max_error = np.arange(preview + 1) * config.sample_time, max_error
         self._ticks = math.ceil((self.reference.duration - TIME_TOLERANCE) / config.sample_time) + 1
+        self._driven = self._ticks
         v, omega = (sides_of(limit) for limit in (config.limits.v, config.limits.omega))
         self.action_space = gym.spaces.Box(np.array([-v[1], -omega[1]]), np.array([v[0], omega[0]]), dtype=np.float64)
         self.observation_space = gym.spaces.Box(-np.inf, np.inf, (7 + 5 * preview,), np.float64)
@@ -83,7 +84,7 @@ class TrackingEnv(gym.Env[FloatArray, FloatArray]):
             raise ValueError(
                 f"action {np.asarray(action).tolist()}: give two finite numbers, v [m/s] and omega [rad/s]"
             )
-        if getattr(self, "_driven", self._ticks) >= self._ticks:
+        if self._driven >= self._ticks:
             raise RuntimeError("the episode is over: call reset before step")
         self._command = np.clip(command, self.action_space.low, self.action_space.high)
         self._record.before(self._plant, self._measurement)
