@@ -33,7 +33,7 @@ COMPARED = (
 )
 """Controllers, each with its model, that `bench` compares without options: the one place to name another."""
 OSQP_MODEL, BY_OSQP = "ssm", (("solver.method", "osqp"),)
-"""Model that `bench` without options compares with OSQP at every tick, too, and what asks for it."""
+"""Model that `bench` compares by default with OSQP at every tick, and the value that selects OSQP."""
 HORIZONS = (7, 10, 20, 30, 50)
 """Horizons that `bench` sweeps without options, for each model with the first seed [steps]."""
 
@@ -51,7 +51,7 @@ def split_names(text: str, option: str) -> tuple[str, ...]:
 
 
 def check_count(count: int, most: int = MOST_CASES) -> None:
-    """Raise ValueError where more runs are asked for than one study drives, before they are listed."""
+    """Raise ValueError for more runs than one study drives, before they are listed."""
     if count > most:
         raise ValueError(f"{count:,} runs are asked for, at most {most:,}; give fewer values or seeds, or split it up")
 
@@ -141,7 +141,7 @@ class Case:
     and `overrides`, values that replace those of the configuration. `top_speed` lays the trajectory's segments anew so
     that the fastest of them has this speed [m/s]; `scaled` fits them to size and limits of the configuration's robot;
     `late` is by how many ticks the plant's dead time is longer than the controller was told: that many are added to the
-    plant's; where it is negative, `overrides` tell of more; `gains` replace those of a peer.
+    plant's; if it is negative, `overrides` configure a longer one; `gains` replace those of a peer.
     """
 
     controller: str = _dimension(
@@ -210,7 +210,7 @@ class Case:
 
     @property
     def labels(self) -> dict[str, str]:
-        """Value of each dimension for tables and files; of a path only the stem, which says nothing of the machine."""
+        """Value of each dimension for tables and files; of a path only the stem, which hides the machine."""
         return {dimension.name: label(getattr(self, dimension.name)) for dimension in DIMENSIONS}
 
     def as_row(self, leave_out: Container[str] = ()) -> dict[str, object]:

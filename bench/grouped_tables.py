@@ -1,7 +1,7 @@
 """Tables over groups of runs, with columns such as "mean lateral_max_m mm".
 
-A column is a statistic, the name of a column of `bench.run_row`, and where they are not the usual ones a unit (`mm`,
-`mrad`, `ms`, `percent`) and the number of decimal places.
+A column is a statistic, the name of a column of `bench.run_row`, and optionally a unit (`mm`, `mrad`, `ms`, `percent`)
+and the number of decimal places.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ def figure(text: str, where: str = "figure") -> Figure:
 def cell(text: str, where: str = "column") -> Cell:
     """Parse a cell such as "mean position_rmse_m mm" or "share completed".
 
-    Beside the statistics there are `runs` (how many), `share` (of how many runs a column is true), and `time` or
-    `longest` (mean and maximum of a time, infinite for never).
+    Further statistics are `runs` (their number), `share` (of runs with a true value), and `time` or `longest` (mean and
+    maximum of a time, infinite for never).
 
     Raises ConfigError, naming the place `where`, if it is not understood.
     """

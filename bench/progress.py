@@ -1,4 +1,4 @@
-"""The terminal: a progress bar that does not disturb what it watches, and the console for results."""
+"""The terminal: a progress bar that does not disturb the measured work, and the console for results."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _REFRESH_PERIOD = 0.2
 
 
 class _PlainConsole(Console):
-    """A console whose text steers no terminal: names come from files, and files from anybody."""
+    """Console without control characters in its text: names may come from untrusted files."""
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
-        """Yield what is drawn; colours and moves of the cursor are no text, and stay."""
+        """Yield the drawn parts; colours and moves of the cursor are no text, and stay."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else Segment(plain_text(segment.text), segment.style)
 

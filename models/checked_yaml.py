@@ -19,7 +19,8 @@ from diffdrive_mpc.models.input_file import read_input
 from diffdrive_mpc.models.suggestions import suggestion
 from diffdrive_mpc.models.table import plain_line
 
-# YAML text to plain values, with bounds: what is deep, huge or refers to itself is refused before it is built.
+# Conversion of YAML text to plain values, with bounds: deep, huge or recursive documents are rejected before they are
+# built. what is deep, huge or refers to itself is refused before it is built.
 
 
 try:
@@ -61,7 +62,9 @@ def _refuse_tag(_loader: _UniqueKeyLoader, node: yaml.Node) -> NoReturn:
 
 
 _LONGEST_NUMBER = 1000
-"""Largest number of characters of a number; YAML 1.1 has 1:1:1 for base 60, whose time grows with their square."""
+"""Largest number of characters of a number; YAML 1.1 reads 1:1:1 as base 60, which takes quadratic time for long
+numbers.
+"""
 
 
 def _add_bounded(kind: str) -> None:
@@ -120,7 +123,7 @@ class _Part:
         self.values, self.depth = 1, 1
 
     def take(self, values: int, depth: int) -> None:
-        """Take in what stands inside."""
+        """Include the content of the node."""
         self.values += values
         self.depth = max(self.depth, depth + 1)
 
@@ -239,7 +242,8 @@ def check(schema: type[Schema], data: object, where: str, shown: Callable[[str],
             raise KeyboardInterrupt from error
         raise
     except ValidationError as error:
-        # A sentence takes a search for the key that was meant; nobody reads a thousand of them.
+        # Each sentence needs a search for similar keys, and nobody reads a thousand sentences. nobody reads a thousand
+        # of them.
         details = error.errors()
         sentences = [_sentence(schema, detail, shown) for detail in details[: 3 * _MOST_MISTAKES]]
         raise ConfigError(mistakes(where, sentences, len(details) - len(sentences))) from error

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FunctionStructure:
-    """One structure. Who only asks for names imports none of the modules that it names: they load CasADi or more.
+    """One structure. Listing names imports none of the named modules. they load CasADi or more.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class FunctionStructure:
     title
         For tables.
     rank
-        Place among the others, the simplest first: a later one has to predict better by more than chance.
+        Place among the others, the simplest first: a later one must predict better by more than chance.
     package
         In which the following are, each as "module:name".
     loader

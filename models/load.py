@@ -84,7 +84,7 @@ def load_linear_model(name: str | Path) -> VelocityModel:
 
 
 def load_base_effects(name: str | Path) -> BaseEffects:
-    """Load what a model file says about the base around its model; raises ConfigError as `load_model`."""
+    """Load the effects of the base from a model file: raises ConfigError as `load_model`."""
     path = model_path(name)
     data = read_yaml(path)
     return BaseEffects() if _function(data) else _checked(path, data).base_effects

@@ -1,4 +1,4 @@
-"""Parameter files that are asked for by a short name or by a path."""
+"""Parameter files by a short name or by a path."""
 
 from __future__ import annotations
 

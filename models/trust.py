@@ -25,7 +25,7 @@ _TRUST: ContextVar[_Trust | None] = ContextVar("trust", default=None)
 
 @contextmanager
 def only_trusted(source: str | Path, folders: Sequence[Path] = ()) -> Iterator[None]:
-    """Refuse, while this context is open, every named file that neither ships nor lies in one of `folders`.
+    """Refuse inside this context every named file that neither ships nor is in one of `folders`.
 
     Parameters
     ----------

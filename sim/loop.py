@@ -31,7 +31,7 @@ def simulate(
     keep_plans: bool = False,
     on_tick: Callable[[int, int], None] | None = None,
 ) -> Run:
-    """Drive `plant` along `reference`, starting at rest and on it, unless the plant's scenario says otherwise.
+    """Drive `plant` along `reference`, starting at rest and on it, unless the plant's scenario differs.
 
     Parameters
     ----------
@@ -52,8 +52,8 @@ def simulate(
     -------
     Run
         The ticks from 0 to the first one at or after the end, or to the tick after which the robot was lost; `ended`
-        then says why. A plant with surroundings shows them to the controller; its run continues up to its time limit,
-        or until the plant ends it.
+        then has the reason. A plant with surroundings shows them to the controller; its run continues up to its time
+        limit, or until the plant ends it.
 
     Raises
     ------

@@ -85,7 +85,7 @@ class Run(ReadOnlyArrays):
         [rad/s], mechanical power [W], square of the torque [N^2 m^2]; front left, front right, rear left, rear right.
         NaN for a plant without motors.
     scalars
-        (n, S) what the controller said of itself, in the order of `models.step_scalars`; NaN where it said nothing.
+        (n, S) what the controller said of itself, in the order of `models.step_scalars`; NaN without a report.
     parts
         Records of simulator parts and plants of other packages, by the name that they register.
     """
@@ -121,7 +121,7 @@ class Run(ReadOnlyArrays):
     parts: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Fill in for a controller that tells nothing of solver and estimate."""
+        """Fill in missing reports of solver and estimate."""
         count = len(self.time)
         nothing = {
             "states": self.modes,
@@ -289,7 +289,7 @@ class Run(ReadOnlyArrays):
             if time.shape != self.time.shape:
                 raise ValueError(f"{time.shape} step times for a run of {len(self.time)} ticks")
         timed = replace(self, step_time=times[0], solve_time=times[1])
-        vars(timed)["errors"] = self.errors  # the motion is the same: keep what was worked out
+        vars(timed)["errors"] = self.errors  # the motion is the same, so its results stay valid
         return timed
 
     def _measured(self, values: list[Stamped | None], width: int) -> FloatArray:

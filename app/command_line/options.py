@@ -14,7 +14,7 @@ import typer
 class PluggedCommand:
     """A command that a package registers as an entry point of the group `diffdrive_mpc.commands`.
 
-    Its module is imported for `diffdrive-mpc --help`, so that it imports at its top only what its options need.
+    Its module is imported for `diffdrive-mpc --help`, so its top imports only the dependencies of the options.
 
     Attributes
     ----------

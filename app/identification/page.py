@@ -1,4 +1,4 @@
-"""The page of `identify`: what was found, measured beside simulated, how it drives, and what to do about warnings."""
+"""The page of `identify`: results, measurement and simulation, trial drives, and remedies for warnings."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def trial_settings() -> TrialSettings:
 
 @dataclass(frozen=True)
 class TrialDrive:
-    """One path on one stand-in of the robot.
+    """Drive of one path on one stand-in of the robot.
 
     Attributes
     ----------
@@ -279,7 +279,7 @@ FIRST_CIRCLE = "first_circle.yaml"
 _SHARE = 0.3
 """Share of the attainable speeds [-]: slow enough to walk along, fast enough to leave the dead band."""
 _FASTEST = 0.5
-"""A walk [m/s], whatever the robot could do."""
+"""Walking speed [m/s], which limits faster robots."""
 _ROOM = 2.0
 """Free space over the size of the circle [-]."""
 

@@ -66,7 +66,7 @@ class Promise(NamedTuple):
 
 @dataclass(frozen=True)
 class TrialVerdict:
-    """An identification whose configuration the trial drives were driven with.
+    """Identification with the trial drives of its configuration.
 
     Attributes
     ----------
@@ -246,7 +246,7 @@ def judge_by_drives(
 
 
 def _with_unexplained(verdict: TrialVerdict, on_try: Callable[[str], None], on_run: Callable[[], None]) -> TrialVerdict:
-    """Drive curved paths with the motion that the model leaves unexplained; half of the drives have to arrive."""
+    """Drive curved paths with the motion that the model leaves unexplained; half of the drives must arrive."""
     identification, settings, drives = verdict.identification, trial_settings(), list[TrialDrive]()
     motion = unexplained_motion(identification)
     if verdict.against or verdict.config is None or not motion:

@@ -31,7 +31,7 @@ TIMING = (
 
 
 BEYOND = ("speed", "dead_time", "other_seeds", "population", "dynamics")
-"""Parts of the plan of which rows are kept and no runs."""
+"""Parts of the plan with stored rows, but no runs."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class ComparisonResults:
 
     @property
     def silent(self) -> list[str]:
-        """Dimensions that nobody asked for, and that are left out for it."""
+        """Dimensions that were not requested, and are therefore left out."""
         return [
             dimension.name
             for dimension in DIMENSIONS
@@ -212,7 +212,7 @@ def _configurations(settings: ComparisonSettings) -> list[dict[str, object]]:
             "model": label(model),
             "set": dict(overrides),
             "values": controller_config(model, settings.config, overrides).model_dump(mode="json")
-            | {"model": label(model)},  # a path would tell of the machine
+            | {"model": label(model)},  # a path would identify the machine
         }
         for model in settings.values("models")
         for overrides in settings.settings

@@ -23,7 +23,7 @@ Division = Literal["linear", "log", "category"]
 
 @dataclass(frozen=True)
 class KeyFigure:
-    """A large figure of the summary; `state` says whether it is as it should be, where that can be said."""
+    """A large figure of the summary; `state` is the verdict on it, if there is one."""
 
     label: str
     value: str
@@ -108,7 +108,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Mark:
-    """A level across a chart with what it is; `upright` for one of x."""
+    """Level across a chart with its label; `upright` for one of x."""
 
     value: float
     text: str
@@ -157,7 +157,7 @@ class GridMap:
 
 @dataclass(frozen=True)
 class EmbeddedPicture:
-    """A picture that stands in the page itself; `source` is a data address, see `document.picture`."""
+    """Picture embedded in the page; `source` is a data address, see `document.picture`."""
 
     title: str
     source: str

@@ -22,7 +22,7 @@ _SHOWN = 3
 
 
 class Remedies(StrictModel):
-    """Thresholds of the warnings, and what is to be done about each; see the file."""
+    """Thresholds of the warnings, and the remedy for each; see the file."""
 
     share_at_limit: float
     share_on_backend: float

@@ -1,7 +1,7 @@
 """Estimator of every peer: the predictive controller's own estimate, moved forward over the robot's delay.
 
 A command shows its effect one lag later, so a law that answers to the present pose answers too late. Commands that are
-on their way are known: the velocity model says where they take the robot.
+on their way are known: the velocity model predicts their effect.
 """
 
 from __future__ import annotations

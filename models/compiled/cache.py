@@ -1,7 +1,7 @@
-"""Compiled libraries, kept by what they come from, and never loaded unless they are whole and our own.
+"""Cache of compiled libraries by their sources; only intact libraries of this user are loaded.
 
-The name of a library carries the digest of what it comes from and the digest of its content: one rename puts both in
-place. It is checked before each load, since the loader would run whatever it is given.
+The name of a library contains the digests of its sources and of its content: one rename puts both in place. It is
+checked before each load, since loading runs code.
 """
 
 from __future__ import annotations

@@ -44,7 +44,7 @@ class Packaged:
     origin
         Digest of all that it comes from.
     levels
-        By name, best first; the last is `BASELINE`. The others are for x86-64 alone.
+        By name, best first; the last is `BASELINE`. Higher levels exist for x86-64 only.
     """
 
     name: str

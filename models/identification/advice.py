@@ -2,12 +2,12 @@
 
 The rule, in this one place. A proposal is put into the mapping, the log is read again, an SM is fitted to the thinned
 training rows and predicts the held-out rows, the same ones before and after. FIT is free of units and signs, and a free
-dead time takes up a shift; so the coherence of the streams, whose gains and delays are those of a robot, counts beside
-it. A proposal is good where one of the two gains clearly and neither loses: FIT in no channel, coherence on the whole.
-Neither sees rate and direction of the clock: a clock is changed only where poses confirm it. A proposal that only says
-what the reader does anyway is good where that reader has an error less. The best is taken, the next one is tried on top
-of it, until none is good. A cut of the log is tried on the held-out rows of what it keeps, which the model before is
-not fitted to either.
+dead time takes up a shift; so the coherence of the streams under the gains and delays of a robot counts, too. A
+proposal is good if one of the two gains clearly and neither loses: FIT in no channel, coherence on the whole. Neither
+sees rate and direction of the clock: a clock is changed only where poses confirm it. A proposal that only states what
+the reader does anyway is good if it removes an error of the reader. The best is taken, the next one is tried on top of
+it, until none is good. A cut of the log is tried on the held-out rows of the remaining part, to which the previous
+model is not fitted either.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class Advice:
     changes
         By which it differs from the one the logs were read with.
     before, after
-        How good either is; `before` is None where the logs could not be used at all.
+        How good either is; `before` is None if the logs were unusable.
     """
 
     selection: LogSelection

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 AUTOMATIC = "auto"
 BESIDE = "sm"
-"""The linear model beside a predictor."""
+"""Linear model that accompanies a predictor."""
 FILES = (MODEL_FILE, CONFIG_FILE, SURFACE_FILE, NODE_FILE, "report.json", "report.md")
 """Files of `Identification.write`; the node's parameters for bags only. A network also has a file of weights."""
 
@@ -110,8 +110,8 @@ class Identification:
     def write(self, folder: str | Path, figures: Mapping[str, str] | None = None, *, force: bool = False) -> None:
         """Write `FILES` into `folder`, which is made where missing; files of these names are replaced.
 
-        Where there is a `refusal`, model, configuration and surface are not written unless with `force`. The mapping
-        of an `advice` is written, too.
+        After a `refusal`, model, configuration and surface are written with `force` only. The mapping of an `advice` is
+        written, too.
 
         Parameters
         ----------
@@ -171,7 +171,7 @@ def identify(
     on_findings: Callable[[Sequence[Finding]], None] | None = None,
     on_progress: Callable[[str], None] | None = None,
 ) -> Identification:
-    """Identify a velocity model from logs, and say how far to trust it.
+    """Identify a velocity model from logs, and judge its trustworthiness.
 
     Parameters
     ----------
@@ -227,7 +227,7 @@ def identify(
             raise ConfigError("no logs: give at least one")
         if on_progress:
             on_progress("reading")
-        # What a node recorded has names of its own.
+        # Recordings of a node have their own names.
         of_robot = is_bag(paths[0]) and not is_drive_log(paths[0])
         known = stated.mapping() if stated is not None and mapping is None and of_robot else mapping
         tried = _paths(validate, Path(folder), "validation")
@@ -291,9 +291,10 @@ def identify_data(
     order, effects, on_progress
         As for `identify`; an order of None is chosen.
     predictor
-        Of `finders`, to be found, too, and to predict; limits and tracks come from the structure.
+        Of `finders`, to be found, too, and to predict; limits and tracks come from the structure's model.
     robot
-        What the maker states of the robot; it bounds the configuration, and fills in what the logs do not tell.
+        What the maker states of the robot; it bounds the configuration, and supplies values that the logs cannot
+        determine.
 
     Raises
     ------

@@ -12,7 +12,7 @@ from diffdrive_mpc.models.input_file import MEGABYTE
 MOST_UNPACKED = file_limits().bag_chunk
 """Maximum unpacked size of one chunk or message."""
 MOST_RATIO, ALWAYS = file_limits().bag_ratio, file_limits().bag_always
-"""A file may unpack to so many times its size, and to so much in any case."""
+"""Maximum ratio of unpacked to packed size, and a size that is always permitted."""
 _SMALLER = "record it in smaller chunks, or uncompressed"
 
 
@@ -24,7 +24,7 @@ class Budget:
         self._most = self._left
 
     def take(self, count: int) -> None:
-        """Count what was unpacked; raises ConfigError where it is too much for such a file."""
+        """Count unpacked bytes; raise ConfigError if they are too many for such a file."""
         self._left -= count
         if self._left < 0:
             raise ConfigError(

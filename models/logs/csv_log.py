@@ -163,8 +163,8 @@ class RowReader:
 def fresh_rows(value: FloatArray) -> BoolArray:
     """Mark rows (n,) of held values (n, width) with a new reading: one per period, even if it repeats.
 
-    A changed value is new. So is one that stays for a period, or, where none is clear, for as long as hardly any
-    reading does (95th percentile of the distance between changes): a robot at rest or at one speed is read too.
+    A changed value is new. So is one that stays for a period, or, without a clear period, for longer than 95 % of the
+    readings do: a robot at rest or at one speed is read too.
     """
     changed = np.concatenate([[True], (np.diff(value, axis=0) != 0).any(axis=1)])
     rows = np.flatnonzero(changed)

@@ -1,7 +1,7 @@
 """Record of a tick as one line of JSON, which is enough to repeat the controller's step bit for bit.
 
-The node publishes these lines, so that any recorder of messages keeps them. Numbers are written so that reading gives
-back the same bits; times are seconds on the controller's clock.
+The node publishes these lines, so that any message recorder stores them. Numbers are written so that reading gives back
+the same bits; times are seconds on the controller's clock.
 """
 
 from __future__ import annotations

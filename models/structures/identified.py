@@ -37,7 +37,7 @@ _HEAD = (
 )
 _PERCENT_DIGITS = 2
 _CORRELATION_DIGITS = 4
-# Of a file that is read at once and not kept.
+# For a file that is read at once and not stored.
 _PROVENANCE = {"origin": "identified", "source": ""}
 
 
@@ -120,7 +120,7 @@ class IdentifiedModel:
 
     @property
     def _transfer_functions(self) -> dict[str, type[TransferFunction]]:
-        """Those of which every number was estimated, by the name before the dot."""
+        """Groups with every number estimated, by the name before the dot."""
         every = {group: type(part) for group, part in self.file("identified", _PROVENANCE).transfer_functions().items()}
         return {group: file for group, file in every.items() if set(_fields(group, file)) <= {*self.parameters.names}}
 
@@ -147,7 +147,7 @@ class IdentifiedModel:
 
     @property
     def system(self) -> LinearSystem:
-        """The model with its sensor offsets and the limits of its base, as it is compared with a log."""
+        """Model with its sensor offsets and the limits of its base, for comparison with a log."""
         data = self.file("identified", _PROVENANCE)
         dead_time = np.array([data.dead_time.v, data.dead_time.omega])
         return LinearSystem(*data.matrices(), dead_time, self.offset, limits_in(data.base_effects))

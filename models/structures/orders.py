@@ -76,9 +76,9 @@ def compare_orders(
 ) -> OrderChoice:
     """Choose among models of order 1, 2 and so on.
 
-    The lowest order whose mean FIT on blocks of the records, each predicted by a model made without it, comes within a
-    quarter of a percentage point of the best; of records too short for that, the lowest Schwarz criterion. Order 1 is a
-    floor for the comparison and never chosen; nor is an order whose model cannot be a robot's.
+    The lowest order whose mean FIT on held-out blocks is within a quarter of a percentage point of the best; of records
+    too short for that, the lowest Schwarz criterion. Order 1 is a floor for the comparison and never chosen; nor is an
+    order with a model that cannot be a robot's.
 
     Parameters
     ----------

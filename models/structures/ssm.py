@@ -261,7 +261,7 @@ def _identified(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
 def identify(records: Sequence[Record], conditions: IdentificationConditions) -> StructureFit:
     """Identify as `Structure.identify` describes."""
     order = conditions.order
-    # Order 1 is only a floor to compare with, so at least order 2 is tried beside it.
+    # Order 1 is only a baseline, so at least order 2 is tried, too.
     largest = max(order or LARGEST_ORDER, 2)
     choice = choose_order(records, conditions.validation, largest=largest, yaw=conditions.yaw, requested=order)
     return StructureFit(choice.identified, choice)

@@ -48,7 +48,7 @@ class StructureFit(NamedTuple):
 
 @dataclass(frozen=True)
 class Structure:
-    """A way to fill a velocity model.
+    """Structure of a velocity model, with its identification.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Structure:
     file
         Schema of its parameter file, from which the model is built.
     identify
-        From records to a model; raises ValueError where they do not allow it.
+        From records to a model; it raises ValueError if they do not permit it.
     needs_wheels
         Whether it is identified from wheel speeds, and a gyro beside them.
     largest_order

@@ -1,7 +1,7 @@
 """Recovery of a run after a disturbance: return to the path, and control effort.
 
-Every error is that of the true pose, so it carries no measurement noise; ordinary tracking errors of a few millimetres
-are kept apart by the lateral band (Guffanti et al. 2026, PMC12845739): only what leaves the band is an excursion.
+Every error is that of the true pose, so it carries no measurement noise; the lateral band separates ordinary tracking
+errors of a few millimetres (Guffanti et al. 2026, PMC12845739): only errors beyond the band are an excursion.
 """
 
 from __future__ import annotations
@@ -122,6 +122,7 @@ def _overshoot(time: FloatArray, lateral: FloatArray, outside: NDArray[np.bool_]
         return 0.0
     excursion = int(during[-1]) if during.size else int(after[0])
     beyond = -np.sign(lateral[excursion]) * lateral
-    # Before the path is crossed nothing lies beyond it: the crossing need not be searched for.
+    # There is no overshoot before the path is crossed, so the crossing need not be searched. the crossing need not be
+    # searched for.
     counted = beyond[(np.arange(len(time)) > excursion) & (time >= end)]
     return float(max(0.0, np.max(counted, initial=0.0)))

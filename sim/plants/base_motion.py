@@ -157,7 +157,8 @@ class BaseMotion:
         return body if self._effects.veer is None else self._effects.veer.body(body)
 
 
-# What a base does to its commands before they become set-points: slope limits, steps and coasting of the wheels.
+# Effects of a base on commands before they become set-points: slope limits, steps and coasting of the wheels. slope
+# limits, steps and coasting of the wheels.
 
 
 _HOLD = 0.005
@@ -173,7 +174,7 @@ class BaseCommands(StrictModel):
 
 
 class CommandShaping:
-    """Follows commands as the base does. A dead time may stand before or behind it: neither depends on the clock.
+    """Follows commands as the base does. A dead time may come before or after it: neither depends on the clock.
 
     Parameters
     ----------

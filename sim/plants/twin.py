@@ -11,7 +11,7 @@ from diffdrive_mpc.sim.plants.drivetrain import CommandShaper, DelayLine, SpeedO
 
 
 class Twin:
-    """`twin_advance` of `sim/core/twin.c`, and its halves for what happens between them.
+    """`twin_advance` of `sim/core/twin.c`, and its halves, for actions between them.
 
     Parameters
     ----------

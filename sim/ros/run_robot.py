@@ -1,4 +1,4 @@
-"""Run the simulated robot as a ROS 2 node until it is told to end."""
+"""Run the simulated robot as a ROS 2 node until a signal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The one place where records become a model, whatever its structure."""
+"""Conversion of records to a model, for every structure."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class Fitted:
 
     @property
     def offset(self) -> FloatArray:
-        """(2,) what v [m/s] and omega [rad/s] are said to be at rest: bias of the sensors, as the model has it."""
+        """(2,) readings of v [m/s] and omega [rad/s] at rest: bias of the sensors, as the model has it."""
         return self.identified.offset if self.predictor is None else self.predictor.offset
 
     @property

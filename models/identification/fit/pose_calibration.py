@@ -290,11 +290,11 @@ def calibrate_gyro(records: Sequence[Record], pose_lag: float = 0.0) -> PoseCali
 
 
 def calibrate_lags(records: Sequence[Record]) -> ParameterEstimate:
-    """Find by how much wheels and gyro lag poses, `wheels.lag` and `gyro.lag` [s], and their `wheels.scale` [-].
+    """Find the lags of wheels and gyro against poses, `wheels.lag` and `gyro.lag` [s], and their `wheels.scale` [-].
 
     A reading r that lags by L has the motion s ahead of it: over a window s = (integral of r + L (r_end - r_start)) /
-    scale, plus what a pose point beside the centre adds in turning, or a gyro's bias. The wheels' yaw rate is left out:
-    on a skid-steered robot the body follows it late, by its tyres. Without a gyro there is no `gyro.lag`.
+    scale, plus the effect of a pose point off the centre in turning, or of a gyro's bias. The wheels' yaw rate is left
+    out: on a skid-steered robot the body follows it late, by its tyres. Without a gyro there is no `gyro.lag`.
 
     Raises
     ------
@@ -320,7 +320,7 @@ def calibrate_lags(records: Sequence[Record]) -> ParameterEstimate:
 
 
 def calibrate_delay(records: Sequence[Record]) -> ParameterEstimate:
-    """Find by how much poses are later than the gyro, `pose.delay` [s]; below zero the gyro is later.
+    """Find the delay of poses against the gyro, `pose.delay` [s]; below zero the gyro is later.
 
     The windows are shifted by whole samples to where the rest is less than one, as a lag of the gyro is a shift only
     while its reading changes little.
@@ -343,7 +343,7 @@ def calibrate_delay(records: Sequence[Record]) -> ParameterEstimate:
 def _lag(
     windows: Sequence[PoseWindows], motion: Sequence[FloatArray], beside: Sequence[FloatArray]
 ) -> ParameterEstimate:
-    """Find lag, scale and factor of `beside` of a signal's first column against a motion (n,) in each window."""
+    """Find lag and scale of a signal's first column, and the factor of `beside`, against motions (n,) of windows."""
     signals = [part.signal[..., 0] for part in windows]
     whole = np.concatenate([part.dt * signal.sum(axis=1) for part, signal in zip(windows, signals, strict=True)])
     change = np.concatenate([part.change[:, 0] for part in windows])

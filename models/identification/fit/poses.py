@@ -180,7 +180,7 @@ class PoseResults:
 
     @property
     def mount(self) -> tuple[str, ...]:
-        """Names of the two parameters that say where the pose point is, ahead and left; empty without them."""
+        """Names of the two parameters of the pose point's place, ahead and left; empty without them."""
         pairs = (_LEVER_ARM, ("mount.ahead", "mount.left"))
         return next((pair for pair in pairs if set(pair) <= set(self.parameters.names)), ())
 
@@ -213,7 +213,7 @@ NO_POSES = PoseResults(ParameterEstimate((), np.empty(0), np.empty((0, 0))), (),
 def from_poses(data: LogData, fitted: Fitted) -> PoseResults:
     """Calibrate on the training records that have a pose, and predict the poses of the validation records.
 
-    Where there are too few poses, that part is left out and a warning says why.
+    With too few poses, that part is left out with a warning.
     """
     train, validation = _with_pose(data.train), _with_pose(data.validation)
     if not train and not validation:

@@ -1,4 +1,4 @@
-"""Models that predict in place of the linear one: functions of a log's samples, found beside it.
+"""Models that replace the linear one for prediction: functions of a log's samples, identified together with it.
 
 Limits, tracks and the poses' calibration stay those of the linear model. To add a kind: a
 `models.function_structure.FunctionStructure`, registered as `models.plug_ins` says.
@@ -53,7 +53,7 @@ class Predictor(Protocol):
 
     @property
     def estimate(self) -> ParameterEstimate | None:
-        """Its own parameters, where they are few enough to be read."""
+        """Its own parameters, if they are few enough to be read."""
         ...
 
     @property

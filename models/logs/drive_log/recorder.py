@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from diffdrive_mpc.models.logs.drive_log.writer import DriveWriter
 
-# Writes a drive in a process of its own: what it is handed over a socket, until the other end closes, however it
-# ends.
+# Write a drive in a separate process: data from a socket, until the other end closes for any: what it is handed over a
+# socket, until the other end closes, however it ends.
 
 
 LARGEST = 1 << 18
@@ -31,7 +31,7 @@ _NICENESS = 10
 
 
 def main(descriptor: int) -> None:
-    """Write what comes through the socket `descriptor`, from its first parcel on, which says where to and how."""
+    """Write data from the socket `descriptor`; its first parcel names the target."""
     from diffdrive_mpc.models.logs.drive_log.writer import DriveWriter  # noqa: PLC0415 - the node does not write
 
     # It does not interrupt, on its core, the loop that hands it something.
@@ -82,7 +82,7 @@ def _answer(link: socket.socket, *words: str) -> None:
     try:
         link.send(pickle.dumps(words))
     except OSError:
-        return  # nobody listens any more
+        return  # the other end is closed
 
 
 if __name__ == "__main__":
@@ -90,7 +90,7 @@ if __name__ == "__main__":
 
 
 _BUFFER = 1 << 22
-"""Bytes on their way that are asked for; the system may grant less."""
+"""Maximum pending bytes; the system may grant less."""
 Metadata = Mapping[str, Mapping[str, str]]
 
 
@@ -127,7 +127,7 @@ class DriveRecorder:
         self._link.setblocking(False)
         command = [sys.executable, "-m", "diffdrive_mpc.models.logs.drive_log.recorder", str(theirs.fileno())]
         try:
-            # A session of its own: Ctrl-C is for the robot, and the file is ended after its last command.
+            # A separate session, so that Ctrl-C reaches the robot only, and the file ends after its last command.
             self._process: subprocess.Popen[bytes] | None = subprocess.Popen(
                 command, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, start_new_session=True
             )
@@ -170,7 +170,7 @@ class DriveRecorder:
         except BlockingIOError:
             self.lost += 1
         except OSError as error:
-            # That the other end has gone is what it last said the reason of.
+            # The end of the other process is reported with its last message.
             self._hear(0.0)
             self.fault = self.fault or f"the process that writes has ended ({error.strerror})"
 
