@@ -88,11 +88,12 @@ class Dimension:
     Attributes
     ----------
     several
-        Its name in the plural: the key of what was asked for, in settings and in the `meta` part of a report.
+        The dimension's name in the plural: the key of the requested values, in settings and in the `meta` part of a
+        report.
     default
-        Its value where nothing is asked for.
+        Value where none is requested.
     help
-        Of its option.
+        Help text of the option.
     compared
         Values that `bench` compares without options, by default the default alone.
     list_option, list_help

@@ -49,7 +49,7 @@ def drive_all(
     Parameters
     ----------
     drives
-        What to drive.
+        The drives of the experiment.
     jobs, on_done
         As `run_tasks` takes them.
     measure

@@ -133,7 +133,7 @@ def grouped_table(
     Parameters
     ----------
     title, note
-        Of the table.
+        Title of the table and note below it.
     rows
         One for each run.
     names
@@ -141,7 +141,7 @@ def grouped_table(
     columns
         Cells by heading.
     mean
-        Whether below each block of the last of `names` there is a row for all of it.
+        Whether each block of the last of `names` is followed by a row for all of it.
     """
     entries: list[tuple[tuple[str, ...], DataFrame]] = []
     for outer, block in itertools.groupby(grouped(rows, list(names.values())), key=lambda entry: entry[0][:-1]):

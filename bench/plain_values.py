@@ -17,7 +17,7 @@ def plain(value: object, digits: int | None = None) -> Any:  # noqa: ANN401 - wh
     Parameters
     ----------
     value
-        What is to be written.
+        Value to convert.
     digits
         Significant digits of every number that is not whole; None for all of them.
     """

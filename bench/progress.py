@@ -35,9 +35,9 @@ class ProgressBar:
     Parameters
     ----------
     text
-        What is going on.
+        Description of the current stage.
     total
-        How many steps there will be; it may become known later.
+        Number of steps; it may become known later.
     """
 
     def __init__(self, text: str, total: int | None = None) -> None:

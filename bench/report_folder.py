@@ -83,9 +83,9 @@ def alone_in(folder: Path, shown: object, *, wait: bool = False) -> Iterator[Non
     folder
         The folder, which exists.
     shown
-        Its name for the message.
+        Name of the folder in the message.
     wait
-        Whether to wait until the other one is done, as where several share a folder and each is quickly done.
+        Whether to wait for the other command to finish, as where several share a folder and each is quickly done.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def staged(
     Parameters
     ----------
     target
-        Where the results belong; made where missing.
+        Folder for the results; made where missing.
     files
         Names of files that will be written; they are put in place last, in this order.
     folders
@@ -131,7 +131,7 @@ def staged(
         The command whose results these are. What it wrote there before is replaced, and its page goes by its own
         name where `report.html` is that of another command; where it is empty, neither is looked at.
     shared
-        Whether several processes work in `target` at a time; else a second one is refused.
+        Whether several processes may work in `target` at the same time; else a second one is refused.
 
     Raises
     ------

@@ -73,7 +73,7 @@ class SpecStudy(Study[Drives, DataFrame]):
     Parameters
     ----------
     experiment
-        What is driven and shown.
+        The experiment: its drives and its tables and figures.
     only
         Parts to drive; none for all.
     measure, run_one

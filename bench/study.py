@@ -43,11 +43,11 @@ class Report:
     Attributes
     ----------
     counted
-        How much was run, such as "12 runs".
+        Number of runs, such as "12 runs".
     meta
-        What the `meta` part says beside machine, versions and duration: definitions, and what was asked for.
+        Entries of the `meta` part beside machine, versions and duration: definitions and requested settings.
     content
-        What the JSON file holds beside `meta`: rows of plain values by name.
+        Content of the JSON file beside `meta`: rows of plain values by name.
     facts, notes
         Sentences of the introduction: what was run, and what follows on the machine.
     tables
@@ -55,9 +55,9 @@ class Report:
     figures
         By file name, charts that stand side by side in the file and also in the page; or what draws any other figure.
     figures_first
-        How many figures stand above the tables, the others being below; None for all.
+        Number of figures above the tables, the others being below; None for all.
     shown
-        What the page `report.html` shows beside tables and figures.
+        Content of the page `report.html` beside tables and figures.
     files
         Text of each further file, by name.
     screen
@@ -131,7 +131,7 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
     Parameters
     ----------
     study
-        What to run.
+        The study to run.
     out
         Folder of the report.
     jobs

@@ -96,7 +96,7 @@ def time_outcomes(outcomes: Sequence[RunOutcome], on_done: OnDone) -> tuple[list
         With the new times; NaN for ticks that were disturbed whenever they were measured, unless a controller has no
         others: then those of all controllers are kept.
     timing
-        How the machine was.
+        State of the machine during the timed runs.
 
     Raises NotReproducibleError if a replay commanded something else than the run.
     """

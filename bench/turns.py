@@ -171,7 +171,7 @@ def take_turns(
     Returns
     -------
     times
-        Of each replay of each group.
+        Times of each replay of each group.
     best
         The shortest time of the yardstick [s]; see `bench.counters`.
     """

@@ -24,9 +24,9 @@ class FunctionStructure:
     Attributes
     ----------
     structure
-        What its parameter files say it is.
+        Name of the structure in its parameter files.
     name
-        Of its shipped model, and what `identify --structure` calls it.
+        Name of the shipped model and of the structure in `identify --structure`.
     title
         For tables.
     rank
@@ -36,9 +36,9 @@ class FunctionStructure:
     loader
         A function of the path of a parameter file and its content; returns the model.
     file
-        What parameter files are checked by, a pydantic model.
+        Schema of the parameter files, a pydantic model.
     finder_function
-        What finds one in a log, a `Finder`.
+        Function that identifies such a model from a log, a `Finder`.
     check
         A function that raises MissingPackageError where what the finder needs is not installed; empty for nothing.
     shipped
@@ -46,7 +46,7 @@ class FunctionStructure:
     config
         The configuration of a controller with that model, if there is one; `load_config` reads it by `name`.
     slow
-        Whether a comparison leaves it out unless it is named.
+        Whether it is slow: then a comparison leaves it out unless it is named.
     """
 
     structure: str

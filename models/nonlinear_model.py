@@ -60,7 +60,7 @@ class NonlinearModel:
     known_lag
         (2,) mean delay of each channel [s], if it is known better than from samples; see `lag`.
     provenance
-        Where its numbers come from; empty for a user's functions.
+        Source of the numbers; empty for a user's functions.
     delay
         (2,) zero: no channel's dead time is taken off beforehand.
 

@@ -24,7 +24,7 @@ class TextTable:
     rows
         Cells, as many in each row as there are columns.
     text_columns
-        How many columns from the left hold names; the others contain right-aligned numbers.
+        Number of columns from the left that hold names; the others contain right-aligned numbers.
     note
         One sentence below the table.
     """
@@ -55,7 +55,7 @@ class TextTable:
         Parameters
         ----------
         title, note
-            Of the table.
+            Title of the table and note below it.
         names
             Headings of the columns that hold names.
         columns

@@ -30,7 +30,7 @@ def only_trusted(source: str | Path, folders: Sequence[Path] = ()) -> Iterator[N
     Parameters
     ----------
     source
-        Where the names come from, for the message.
+        Source of the names, for the message.
     folders
         Folders whose files may be opened and run, those below them included.
     """

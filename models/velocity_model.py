@@ -54,7 +54,7 @@ class VelocityModel:
     dead_time
         (2,) dead time of each input [s].
     provenance
-        Where the numbers come from, as the parameter file says it.
+        Source of the numbers, as the parameter file states it.
 
     Raises
     ------

@@ -75,7 +75,7 @@ def whole_file(path: str | Path, *, rewrites: bool = False) -> Iterator[Path]:
     Parameters
     ----------
     path
-        Where the file belongs.
+        Path of the file.
     rewrites
         Whether it may be one that the same command reads.
 

@@ -78,7 +78,7 @@ def with_dimensions(*names: str, several: bool = False) -> Callable[[Command], C
     Parameters
     ----------
     names
-        Which dimensions; by default all of them.
+        Names of the dimensions; by default all of them.
     several
         Whether the options take lists: `values` are texts by the plural, None where one is not given. Otherwise they
         are values by the dimension's name.

@@ -78,11 +78,11 @@ class TrialDrive:
     plant
         `ITSELF`, `HELD_OUT` or `UNEXPLAINED`.
     path
-        Which.
+        Name of the driven path.
     run
-        What happened.
+        The simulated drive.
     radius
-        Of the circle among the paths, scaled to the robot [m].
+        Radius of the circle among the paths, scaled to the robot [m].
     """
 
     plant: str
@@ -115,11 +115,11 @@ class StandIn:
     name
         `ITSELF`, `HELD_OUT` or `UNEXPLAINED`.
     model
-        Of its velocities.
+        Model of the robot's velocities.
     base
-        What its base does around the model.
+        Identified effects of the base around the model.
     disturbance
-        Its motion beyond that, as `ModelPlant` takes it.
+        Motion beyond the model, as `ModelPlant` takes it.
     slip, sensors
         Where they are None, that of the log and the default set.
     """
@@ -291,7 +291,7 @@ class FirstCircle:
     Attributes
     ----------
     radius
-        That of the shipped circle, times the robot's track over that of the papers' robot [m].
+        Radius of the shipped circle, times the robot's track over that of the papers' robot [m].
     v, omega
         Speeds [m/s], [rad/s].
     """

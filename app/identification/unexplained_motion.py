@@ -54,11 +54,11 @@ def drawn_motion(
     motion
         By `unexplained_motion`.
     duration
-        Of what is returned [s].
+        Duration of the returned motion [s].
     rate
         Sample times of the motion and of what is returned [s].
     rng
-        What draws.
+        Random generator.
     """
     measured, dt = rate
     block = round(identification_settings().block_time / measured)

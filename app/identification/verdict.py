@@ -71,13 +71,13 @@ class TrialVerdict:
     Attributes
     ----------
     identification
-        As it was found, or with lower limits or a simpler model where only these pass.
+        The identification, possibly with lower limits or a simpler model where only these pass.
     config
-        Its configuration; None where none can be written.
+        Configuration of the identified robot; None where none can be written.
     drives
         All that were driven with it.
     changed
-        What was lowered or simplified so that they pass, a clause each.
+        Limits that were lowered and parts that were simplified so that the drives pass, a clause each.
     against
         Why nothing drives, in a clause; empty where the drives pass.
     unexplained
@@ -220,7 +220,7 @@ def judge_by_drives(
     Parameters
     ----------
     identification
-        What was found.
+        The identification to judge.
     on_try
         Called before the drives of a configuration, with which it is.
     on_run

@@ -57,9 +57,9 @@ def simulate_one(
     values
         By dimension, `model` being None where it was not given.
     config, settings, out, log, scaled
-        As typed.
+        The arguments of the command as the user gave them.
     details
-        Whether its tables are printed instead of a summary.
+        Whether the tables of the run are printed instead of a summary.
 
     Raises ConfigError, ValueError or OSError if a name, a file, a value or a place to write to cannot be used; before
     the run, and nothing is made then.

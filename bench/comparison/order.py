@@ -27,7 +27,7 @@ class Rank:
     Attributes
     ----------
     name
-        Of the controller.
+        Name of the controller.
     rmse, spread
         Mean position RMSE, and the standard deviation of its means over the trajectories from seed to seed [m].
     behind

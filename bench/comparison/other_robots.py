@@ -40,9 +40,9 @@ class KnownRobot(StrictModel):
     settings
         Configuration values that its user states, or that `identify` wrote.
     gains
-        Of each peer.
+        Gains of each peer.
     weights
-        Of the predictive controller, tuned by the same search.
+        Weights of the predictive controller, tuned by the same search.
     """
 
     models: tuple[str, ...]

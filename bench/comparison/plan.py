@@ -94,7 +94,7 @@ def read_options(
     values
         By the plural of a dimension's name, the text of its option; None where it was not given.
     horizons, config, settings, quick, scaled, sweeps
-        As typed.
+        The arguments of the command as the user gave them.
 
     Raises ConfigError or ValueError if an option cannot be used.
     """

@@ -46,11 +46,11 @@ class Toggle:
     Attributes
     ----------
     name
-        What its values are of.
+        Name of the quantity that the values belong to.
     values
         One button each.
     shown
-        Which of them are on at first.
+        Values that are selected when the page opens.
     styled
         Whether value i is drawn in the style number i.
     """
@@ -79,15 +79,15 @@ class Series:
     name
         In the legend.
     x, y
-        Its points.
+        Coordinates of the points.
     style
         Number of its colour, line and marker.
     kind
-        How it is drawn; rows are horizontal bars, whose names are their y; steps hold each y until the next x.
+        Kind of the drawing; rows are horizontal bars, whose names are their y; steps hold each y until the next x.
     low, high
         Ends of an interval about each y; empty for none.
     text
-        What the pointer shows at each point; empty for its coordinates.
+        Text of the tooltip at each point; empty for the coordinates.
     labels
         Toggles that hide it.
     group
@@ -258,9 +258,9 @@ class Shown:
     warnings
         In order of weight.
     configurations
-        Of the controllers.
+        Configurations of the controllers.
     pictures
-        Whether the pictures of the Markdown report stand in the page, too.
+        Whether the page includes the pictures of the Markdown report, too.
     """
 
     summary: Sequence[str] = ()

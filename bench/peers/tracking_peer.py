@@ -100,7 +100,7 @@ class Delayed:
     Attributes
     ----------
     sample_time
-        Of the ticks [s].
+        Sample time of the controller [s].
     time_constant
         (2,) lag of v and omega behind their commands, without dead time [s].
     limits
@@ -138,9 +138,9 @@ class TrackingPeer:
     law
         The law.
     lead
-        How far ahead it acts [s].
+        Time by which the peer acts ahead of the measured state [s].
     side_slip
-        Whether the estimated side-slip is made up for: the robot then leans into the curve, so that it travels along
+        Whether the estimated side-slip is compensated: the robot then turns into the curve, so that it travels along
         the path.
     config
         Limits, estimator and velocity model; by default those of the shipped configuration of SM, the model that tells

@@ -40,7 +40,7 @@ class Packaged:
     name
         First part of the names of its files.
     folder
-        Where they lie.
+        Folder of the libraries.
     origin
         Digest of all that it comes from.
     levels
@@ -135,9 +135,9 @@ def load_library(
     name
         First part of the names of its files.
     declarations
-        Of its functions and types, in C.
+        Declarations of the functions and types, in C.
     packaged
-        Those that the package brought, best first.
+        Libraries that the package brought, best first.
     made_of
         Texts that it comes from.
     build

@@ -59,9 +59,9 @@ class Score:
     fit
         (2,) FIT of v and omega on held-out rows [%].
     agreement
-        Of the streams, see `coherence` [%].
+        Agreement of the streams, see `coherence` [%].
     errors
-        How many the reader of the logs finds, before streams are held against each other.
+        Number of errors that the reader of the logs finds before it compares the streams.
     """
 
     fit: FloatArray
@@ -93,7 +93,7 @@ class Advice:
     changes
         By which it differs from the one the logs were read with.
     before, after
-        How good either is; `before` is None if the logs were unusable.
+        Quality of the logs before and after the changes; `before` is None if the logs were unusable.
     """
 
     selection: LogSelection
@@ -241,7 +241,7 @@ class _Trial:
     Attributes
     ----------
     selection, mapping, changes
-        As of `Advice`.
+        Selection, mapping and changes, as in `Advice`.
     logs
         All of them, those to try the model on last.
     """

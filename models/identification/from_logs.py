@@ -72,7 +72,7 @@ class Identification:
     report
         Scores, parameters with their uncertainty, warnings: as data, `as_json` and `markdown`; prints as tables.
     content
-        What the model's parameter file says.
+        Content of the model's parameter file.
     configuration
         `config` with a reason beside each value.
     """
@@ -116,7 +116,7 @@ class Identification:
         Parameters
         ----------
         folder
-            Where to.
+            Target folder.
         figures
             Titles and relative paths of figures that the report shows.
         force
@@ -178,13 +178,13 @@ def identify(
     logs
         CSV files, ROS 2 bags or data frames of pandas, all of one robot.
     mapping
-        What their columns or topics are: the name of a shipped mapping or the path of a mapping file; None for logs of
+        Mapping of the columns or topics: the name of a shipped mapping or the path of a mapping file; None for logs of
         `diffdrive-mpc simulate --log`, and for bags with the usual topics.
     structure
         "mbm", "sm", "ssm"; "p2_experimental" or "p2_physical", a drive; "lstm", a network trained on the logs; or
         "hybrid", an sm with a small network on what it leaves: both need the extra `learn` and minutes.
     effects
-        Whether to look for what the base does around an sm: slew, steps, tyres, veer. Takes minutes.
+        Whether to identify the effects of the base around an sm: slew, steps, tyres, veer. Takes minutes.
     robot
         Name of a robot whose maker's statements count where the logs do not tell, or the path of a file of such: its
         topics in bags without a `mapping`, its limits, its track, its footprint. None of it is identified.
@@ -195,9 +195,9 @@ def identify(
     order
         Order of an ssm, or "auto" to choose it.
     name
-        Of the model; by default from the logs.
+        Name of the model; by default from the logs.
     force
-        Whether to go on where the logs speak against it: wrong units, dead wheels, channels that are never driven.
+        Whether to continue with logs that have errors: wrong units, dead wheels, channels that are never driven.
     on_log
         Called with each log once it is read, before anything is fitted.
     on_findings
@@ -285,16 +285,15 @@ def identify_data(
     data
         The records; they become read-only.
     structure
-        Of the registry.
+        Structure of the model.
     name
-        Of the model.
+        Name of the model.
     order, effects, on_progress
         As for `identify`; an order of None is chosen.
     predictor
-        Of `finders`, to be found, too, and to predict; limits and tracks come from the structure's model.
+        One of `finders`: its model is identified, too, and predicts; limits and tracks come from the structure's model.
     robot
-        What the maker states of the robot; it bounds the configuration, and supplies values that the logs cannot
-        determine.
+        Stated robot; it bounds the configuration, and supplies values that the logs cannot determine.
 
     Raises
     ------

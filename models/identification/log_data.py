@@ -29,7 +29,7 @@ class OptionError(ConfigError):
     Attributes
     ----------
     option, rest
-        Its name as an argument, and the rest of the message.
+        Name of the option as an argument, and the rest of the message.
     """
 
     def __init__(self, option: str, rest: str) -> None:
@@ -54,13 +54,13 @@ class LogData:
     logs
         Names of the logs.
     held_out
-        How the validation records were chosen, in words.
+        Selection of the validation records, in words.
     yaw
-        Whether omega is the gyro's or, without one, the encoders'.
+        Sensor of omega: the gyro or, without one, the encoders.
     findings
-        Of all logs, notes and warnings; with `force` errors, too.
+        Findings of all logs, notes and warnings; with `force` errors, too.
     warnings
-        What was left out of the logs.
+        Parts that were left out of the logs.
     stated_track
         Track that the mapping states [m]; None where it states none.
     sensors
@@ -117,7 +117,7 @@ def read_data(
     force
         Whether logs are used although findings of severity "error" speak against it.
     most_rows
-        Of either part that are used, those in which the commands change most; None for all.
+        Largest number of rows that are used of either part, those in which the commands change most; None for all.
 
     Raises
     ------

@@ -41,11 +41,11 @@ def unpacked(path: Path, data: bytes | memoryview, how: str, size: int | None = 
     path
         The file, for messages.
     data
-        As it stands there.
+        The packed data.
     how
         "zstd", "lz4", or "" for what is not packed.
     size
-        What it says that it unpacks to [bytes]; None where it does not say.
+        Declared size of the unpacked data [bytes]; None without one.
 
     Raises
     ------

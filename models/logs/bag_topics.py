@@ -191,7 +191,7 @@ def read_topics(
     reader
         The bag.
     path
-        Its path, for messages.
+        Path of the bag, for messages.
     requests
         By the names under which the rows are returned.
     definitions

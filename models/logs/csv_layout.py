@@ -27,7 +27,7 @@ class CsvLayout:
     Attributes
     ----------
     names
-        Of its columns, without those at the end that have none.
+        Names of the columns, without those at the end that have none.
     separator
         Between two cells.
     first_row

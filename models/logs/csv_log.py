@@ -183,7 +183,7 @@ def read_csv(path: Path, mapping: LogMapping | None) -> RawLog:
     path
         The file.
     mapping
-        Which column is what; None for a log of `diffdrive-mpc simulate --log`.
+        Mapping of the columns; None for a log of `diffdrive-mpc simulate --log`.
 
     Raises
     ------
@@ -209,7 +209,7 @@ def log_of_table(whole: CsvTable, columns: Columns, wheels: MappedWheels | None 
     whole
         The table.
     columns
-        Which column is what.
+        Mapping of the columns.
     wheels
         Lengths of the mapping, where it gives some.
     """

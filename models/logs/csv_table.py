@@ -94,7 +94,7 @@ class CsvTable:
     words
         The words, by their number.
     findings
-        What was wrong with the file as a table.
+        Findings about the file as a table.
     """
 
     path: Path

@@ -23,7 +23,7 @@ def chosen_rows(table: CsvTable, columns: Columns, settings: CheckSettings) -> t
     table
         All rows.
     columns
-        What they are.
+        Mapping of the columns.
     settings
         The thresholds.
     """

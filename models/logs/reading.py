@@ -43,7 +43,7 @@ def read_log(
     sample_time
         Step of the records [s]; None for that of the log.
     diagnosed
-        Whether commands and sensors are held against each other, which takes most of the time.
+        Whether commands and sensors are compared with each other, which takes most of the time.
 
     Returns
     -------

@@ -41,7 +41,7 @@ class Record:
     Attributes
     ----------
     name
-        Of the log and the stretch, for messages: "husky.csv, 12.0 to 660.3 s".
+        Name of the log and the stretch, for messages: "husky.csv, 12.0 to 660.3 s".
     start
         Time of the first sample on the log's clock [s].
     dt
@@ -195,18 +195,18 @@ class Finding:
     Attributes
     ----------
     kind
-        What it is, in a word or two, the same for all findings of its kind: "gap", "wrong sign"; a key of
+        Kind of the finding, in a word or two, the same for all of its kind: "gap", "wrong sign"; a key of
         `models.doubt.VERDICTS` where it is more than a note.
     severity
         "note": it is so; "warning": the model may suffer; "error": a model from this log would be wrong.
     place
-        Where in the log, in words: times, and rows or messages.
+        Place in the log, in words: times, and rows or messages.
     words
-        What was found, in one sentence, and what can be done, unless `changes` say it.
+        One sentence with the finding and with the remedy, unless `changes` are the remedy.
     span
         From and to [s] on the log's clock, where the finding has a place in time.
     changes
-        Of the mapping, all together, that may mend it; empty where no mapping can.
+        Changes of the mapping, all together, that may repair it; empty where no mapping can.
     """
 
     kind: str
@@ -234,17 +234,17 @@ class Log:
     Attributes
     ----------
     name
-        Of the file or bag.
+        Name of the file or bag.
     records
         The stretches that can be used, all with the same sample time, in the order of the log.
     findings
-        What is wrong or worth knowing, in the order found.
+        Errors, warnings and notes in the order found.
     streams
-        What the records hold, side by side, as the diagnosis looks at it.
+        Signals of the records, side by side, for the diagnosis.
     sources
         Columns or topics by stream: "command", "encoders", "gyro", "pose".
     topics
-        Of a bag, with the types of their messages.
+        Topics of a bag, with the types of their messages.
     """
 
     name: str

@@ -164,10 +164,10 @@ def require_one_clock(log: str, late: Mapping[str, FloatArray], remedy: str) -> 
     log
         Name of the log.
     late
-        How much later than its stamp each reading was received or written [s], (n,) by the name of its source; NaN
-        where unknown.
+        Delay of each reading's receipt or record after its stamp [s], (n,) by the name of its source; NaN where
+        unknown.
     remedy
-        What the user can do.
+        Remedy for the user.
     """
     offsets = {source: float(np.nanmedian(values)) for source, values in late.items() if np.isfinite(values).any()}
     if not offsets:

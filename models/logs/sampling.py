@@ -79,15 +79,15 @@ class RawLog:
     Attributes
     ----------
     name
-        Of the file or bag, for messages.
+        Name of the file or bag, for messages.
     stretches
         In the order of the log.
     findings
-        What the reader found wrong.
+        Findings of the reader.
     sample_time
         The log's own [s]; None where it has to be found from the times.
     topics
-        Of a bag, with the types of their messages.
+        Topics of a bag, with the types of their messages.
     """
 
     name: str

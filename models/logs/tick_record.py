@@ -35,17 +35,17 @@ class TickRecord:
     number
         Ticks at which the controller was asked, this one included, since the node is active: one more each time.
     time
-        Of the tick [s].
+        Time of the tick [s].
     drive
         Number of the drive that it belongs to, see `DriveRecord`.
     measurement
-        What the controller was given.
+        Measurement that the controller got.
     hold
         Why it was asked to stand, and whether that counts as a failure; None where it was to drive.
     command
         (2,) v [m/s], omega [rad/s] as decided.
     mode, message, solver_path
-        What the controller said.
+        Mode, message and solver of the controller.
     step_time
         Duration of its step [s].
     stopped_after
@@ -120,7 +120,7 @@ class DriveRecord:
     reset
         Whether it was reset before.
     t0
-        Where the reference's time 0 is on the controller's clock [s].
+        Time of the controller's clock at the reference's time 0 [s].
     reference
         Name, duration, breaks, table and motion of the reference in closed form; None where it has none.
     config
@@ -128,7 +128,7 @@ class DriveRecord:
     model
         Text of the file of the model where that is no shipped one; empty otherwise.
     goes_on
-        Whether a start took the place of another reference in mid-drive, and nothing was forgotten.
+        Whether a start replaced another reference during the drive, and nothing was forgotten.
     """
 
     number: int

@@ -70,13 +70,13 @@ class IdentifiedChannel:
     Attributes
     ----------
     form
-        What its transfer function is.
+        Form of the transfer function.
     parameters
         The fields of the form's file, then dead_time [s], offset and limits, by side, where they were free.
     fit
         The fit behind them.
     warnings
-        What not to trust.
+        Doubts about the result.
     """
 
     form: ChannelForm

@@ -58,19 +58,19 @@ class IdentifiedModel:
     schema
         Schema of the structure's parameter file.
     content
-        Those keys of the parameter file that hold the dynamics, numbers rounded as the file holds them.
+        Keys of the parameter file that hold the dynamics, with their numbers rounded as in the file.
     parameters
-        What was estimated, with covariance; SI units.
+        Estimated parameters, with covariance; SI units.
     offset
         (2,) sensor bias of v [m/s] and omega [rad/s], to be added to the model's outputs when compared with the log.
     yaw
-        Whether omega was the gyro's or the encoders'.
+        Sensor of omega, the gyro or the encoders.
     method
-        How it was done, in words.
+        Method of the identification, in words.
     fits
         The estimates behind it: of each channel, or one.
     warnings
-        What not to trust.
+        Doubts about the result.
     """
 
     schema: type[ModelFile]
@@ -184,13 +184,13 @@ def model_file(
     Parameters
     ----------
     identified
-        What was identified.
+        The identified model.
     name
         Name of the model for tables and messages.
     source
         The log, and the robot where that is known.
     records
-        Which stretches of it the model was identified from.
+        Stretches of the log that the model was identified from.
     date
         Day of the identification.
     train_fit_percent, validation_fit_percent

@@ -34,7 +34,7 @@ class OrderRow:
     identified
         The model.
     parameters
-        How many numbers were free.
+        Number of free parameters.
     train_fit_percent, block_fit_percent, validation_fit_percent
         (2,) of v and omega [%]: of the records identified from; of blocks of them, each by a model made without it,
         None where that was not asked for or they are too short; of records held out, None without any.
@@ -87,7 +87,7 @@ def compare_orders(
     train, validation
         Records identified from, and records held out, which are scored and do not choose.
     yaw
-        Which sensor's omega the models predict.
+        Sensor whose omega the models predict.
     asked
         The order, where nothing is to be chosen.
     floor

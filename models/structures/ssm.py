@@ -114,7 +114,7 @@ def identify_ssm_orders(
     largest
         1 to 5.
     yaw
-        Which sensor's omega the model predicts.
+        Sensor whose omega the model predicts.
     limits
         Whether to look for limits of the base.
 

@@ -24,7 +24,7 @@ class IdentificationConditions:
     validation
         Records held out, for tables; nothing is chosen by them.
     yaw
-        Which sensor's omega the model predicts.
+        Sensor whose omega the model predicts.
     order
         Order of the model, for structures that have a choice; None to choose it.
     wheel_radius
@@ -63,7 +63,7 @@ class Structure:
     largest_order
         The choice of order is 1 to this; None for structures without a choice.
     takes_effects
-        Whether `models.identification.effects` can look for what a base does around it.
+        Whether `models.identification.effects` can identify the effects of a base around it.
     """
 
     name: str

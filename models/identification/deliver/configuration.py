@@ -99,7 +99,7 @@ class Pace:
     sample_time
         Between two commands [s].
     every
-        That in samples of the log.
+        Sample time of the configuration in samples of the log.
     horizon
         Steps that the controller looks ahead.
     settling
@@ -209,11 +209,11 @@ class IdentifiedConfiguration:
     Attributes
     ----------
     name
-        Of the model.
+        Name of the model.
     general, limits, wheels, estimator, reentry, failure, free_space
         Settings without a group, and those of groups; the others may be empty.
     sensors
-        How readings differ from the motion, by input.
+        Errors of the sensors, by input.
     """
 
     name: str
@@ -318,7 +318,7 @@ def configure(
     Parameters
     ----------
     name
-        Of the model.
+        Name of the model.
     identified
         The model, with what its base does around it where that was looked for.
     train
@@ -330,9 +330,9 @@ def configure(
     stated
         Track that the mapping states [m]; it counts where the log has no wheel speeds that tell it.
     every_sample
-        Whether the model that predicts is for samples of the log and no others.
+        Whether the model that predicts works only at the sample time of the log.
     sensors
-        How readings differ from the motion, by input.
+        Errors of the sensors, by input.
 
     Raises
     ------

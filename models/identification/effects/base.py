@@ -56,13 +56,13 @@ class IdentifiedBase:
     effects
         Names of the effects found.
     trials
-        What was tried, in this order.
+        Effects that were tried, in this order.
     point
         Every parameter of the free run, sensors included.
     pose
         Delay of the poses, travel over encoders, and mount; None without enough poses.
     points
-        As `point`, found without each block of the records.
+        Parameters like `point`, found without each block of the records.
     """
 
     identified: IdentifiedModel
@@ -136,7 +136,7 @@ def identify_with_effects(
         Track by which the encoders' yaw rate was computed [m]; by default from the records' wheel speeds. Without
         either, it is identified together with their maximum speed; steps of the wheels are not tried, with a warning.
     limits
-        Of channels whose command the plain model found to be clipped: tried as an effect.
+        Limits of channels whose command the plain model found to be clipped: tried as an effect.
     on_trial
         Called with the name of the effect that is tried next.
 

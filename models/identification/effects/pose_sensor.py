@@ -40,7 +40,7 @@ def pose_sensor(records: Sequence[Record], point: Mapping[str, float]) -> Parame
     records
         Records, some with poses.
     point
-        What was found of encoders and gyro; see `fit_effects`.
+        Parameters found from encoders and gyro; see `fit_effects`.
     """
     used = [record for record in records if record.pose is not None]
     delay = _delay(used, point) if used else None

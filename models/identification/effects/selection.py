@@ -115,9 +115,9 @@ class EffectTrial:
     Attributes
     ----------
     effect
-        Its name.
+        Name of the effect.
     gain
-        Its gain: decrease of the logarithm of the held-out error power, mean over the sensors.
+        Gain of the effect: decrease of the logarithm of the held-out error power, mean over the sensors.
     blocks
         Number of blocks with a better prediction.
     selected
@@ -144,7 +144,7 @@ class Selection:
     effects
         Their names.
     trials
-        What was tried, in this order.
+        Effects that were tried, in this order.
     data
         The readings as weighted in the end.
     points
@@ -182,7 +182,7 @@ def select_effects(
     on_trial
         Called with the name of what is tried next.
     limits
-        Of channels whose command a simpler model found to be clipped.
+        Limits of channels whose command a simpler model found to be clipped.
     only
         Names of the effects that are tried; None for all.
     also

@@ -47,9 +47,10 @@ class Fitted:
     simulated
         For each validation record (K, 2) v [m/s] and omega [rad/s], sensor offsets included.
     seconds
-        How long the estimation took [s], without reading, validation and figures.
+        Duration of the estimation [s], without reading, validation and figures.
     predictor
-        What predicts in place of `identified`, which limits and tracks still come from; None where that does itself.
+        Model that predicts in place of `identified`, which limits and tracks still come from; None where `identified`
+        predicts.
     """
 
     identified: IdentifiedModel
@@ -98,11 +99,11 @@ def fit(
     data
         The records.
     structure
-        Which structure.
+        Structure of the model.
     order
-        Of the model, where the structure has a choice; None to choose it.
+        Order of the model, where the structure has a choice; None to choose it.
     effects
-        Whether to look for what the base does around the model, where the structure allows it.
+        Whether to identify the effects of the base around the model, where the structure allows it.
     on_trial
         Called with the name of each effect that is tried.
 

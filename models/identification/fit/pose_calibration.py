@@ -62,7 +62,7 @@ class ConstantTrack:
     Attributes
     ----------
     wheel_radius, track
-        Of the catalogue, to start from [m].
+        Values of the catalogue, to start from [m].
     """
 
     wheel_radius: float
@@ -170,11 +170,11 @@ def pose_windows(
     records
         Records with a pose.
     signal
-        What to cut out beside the poses.
+        Signal to cut into windows beside the poses.
     pose_lag
-        By how much poses describe the robot earlier than their stamp says, against the signal [s].
+        Time by which the poses are older than their stamp states, relative to the signal [s].
     share
-        Of the settings' length [-].
+        Part of the window length of the settings [-].
 
     Raises
     ------
@@ -219,9 +219,9 @@ class PoseCalibration:
     rmse
         Root mean square error over one window: ahead [m], to the left [m], heading [rad]; of a gyro only heading.
     windows
-        How many windows it was found from.
+        Number of windows of the calibration.
     warnings
-        What not to trust.
+        Doubts about the result.
     """
 
     parameters: ParameterEstimate
@@ -240,7 +240,7 @@ def calibrate_wheels(records: Sequence[Record], law: SlipLaw, pose_lag: float = 
     law
         The slip law.
     pose_lag
-        By how much poses describe the robot earlier than their stamp says, against the wheels [s].
+        Time by which the poses are older than their stamp states, relative to the wheels [s].
 
     Raises
     ------
@@ -272,7 +272,7 @@ def calibrate_gyro(records: Sequence[Record], pose_lag: float = 0.0) -> PoseCali
     records
         Records with gyro and pose.
     pose_lag
-        By how much poses describe the robot earlier than their stamp says, against the gyro [s].
+        Time by which the poses are older than their stamp states, relative to the gyro [s].
 
     Raises
     ------

@@ -52,7 +52,7 @@ class PoseDrift:
     position_mean, heading_mean
         Mean size of the error [m], [rad].
     starts
-        How many predictions it is taken over.
+        Number of predictions of the mean.
     """
 
     horizon: float
@@ -89,7 +89,7 @@ def pose_drift(
     side_slip
         Lateral speed over -v omega [s].
     pose_lag
-        By how much poses describe the robot earlier than their stamp says [s].
+        Time by which the poses are older than their stamp states [s].
     horizons
         [s]; those of the settings by default.
 
@@ -164,13 +164,13 @@ class PoseResults:
     Attributes
     ----------
     parameters
-        Of wheels and gyro, SI units; empty without poses.
+        Parameters of wheels and gyro, SI units; empty without poses.
     laws
         Slip laws compared: name, and its calibration.
     drift
         Open-loop error of the validation records, one entry for each horizon.
     warnings
-        What not to trust.
+        Doubts about the result.
     """
 
     parameters: ParameterEstimate

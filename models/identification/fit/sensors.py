@@ -100,7 +100,7 @@ def find_corrections(
     Parameters
     ----------
     name
-        Of the log, for findings.
+        Name of the log, for findings.
     records
         To be held against each other.
     mapping

@@ -32,9 +32,9 @@ def diagnose(log: str, streams: Streams, settings: CheckSettings) -> list[Findin
     Parameters
     ----------
     log
-        Its name.
+        Name of the log.
     streams
-        Its streams; they are not modified.
+        Streams of the log; they are not modified.
     settings
         The thresholds.
     """

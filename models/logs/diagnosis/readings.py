@@ -113,7 +113,7 @@ def check_stamps(name: str, time: FloatArray, readings: FloatArray, settings: Ch
     Parameters
     ----------
     name
-        Of the log.
+        Name of the log.
     time, readings
         Stamps, and (n,) one measured signal in the order of the rows, by whose smoothness the order is judged.
     settings

@@ -39,7 +39,7 @@ class Streams:
     yaw_rate, pose
         (N,) [rad/s]; (N, 3) x [m], y [m], theta [rad].
     slices
-        Of the stretches.
+        Rows of the stretches.
     reach
         Half the window over which poses become speeds [samples].
     commands_wheels
@@ -222,13 +222,14 @@ class StreamResponse:
     dead_time, deviation
         After which it begins to [s], negative where it comes first, and its standard deviation from parts of the log.
     lag
-        Of each of two equal lags behind that [s].
+        Each of the two equal lags after the dead time [s].
     gain
         (c, m) steady gains from c inputs to m outputs.
     correlation
         (m,) of each output with the best combination of the inputs; with one input its sign is that of the gain.
     size
-        Of one output over one input, rest included: what a drive at one speed tells, where changes say little.
+        Response of one output to one input, constant part included: the information of a drive at one speed, whose
+        changes contain little.
     """
 
     dead_time: float

@@ -40,13 +40,14 @@ class DriveLog:
     path
         The file.
     metadata
-        What it says of the drive, by name of the record: words by key.
+        Information about the drive, by name of the record: words by key.
     rows
         The row of each tick, by the names of tick.schema.json.
     plans
         (N + 1, 3) predicted poses of each tick, None where there is none; none at all where they were not asked for.
     cut
-        Whether the file was cut off: what follows its last whole part is missing.
+        Whether the file was cut off, so that the data after its last whole part is missing: what follows its last whole
+        part is missing.
     """
 
     path: Path

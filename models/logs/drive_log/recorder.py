@@ -102,9 +102,9 @@ class DriveRecorder:
     path
         The file; one of that name that is there already stays, and the new one gets a number.
     metadata
-        What the file says of the drive.
+        Information about the drive for the file.
     patience
-        How long to wait until the file is there [s].
+        Longest time to wait for the file [s].
     **options
         As for `DriveWriter`.
 
