@@ -30,7 +30,7 @@ def write_log(run: Run, path: str | Path, metadata: Mapping[str, Mapping[str, st
     path
         The file.
     metadata
-        What the file says of the run, by name of a record: words by key.
+        Information about the run for the file, by name of a record: words by key.
 
     Raises
     ------

@@ -42,9 +42,9 @@ def simulate(
     reference
         The timed trajectory; its time 0 is the plant's time 0.
     extra_time
-        How long to go on after the end of the reference [s].
+        Time to continue after the end of the reference [s].
     keep_plans
-        Whether the run keeps what the controller predicted at each tick.
+        Whether the run keeps the plan of the controller at each tick.
     on_tick
         Called after each tick with the number of ticks done and their total, for a progress display.
 

@@ -58,16 +58,16 @@ class Run(ReadOnlyArrays):
     states
         The modes, with `LATE` in place of `TRACKING` while the robot cannot keep up with its reference.
     measurements
-        What the controller was given at each tick; enough to replay the run without the plant.
+        Measurements of the controller at each tick; enough to replay the run without the plant.
     disturbance
-        When the first disturbance of the plant began, and when the last one that ends was over [s], infinity where all
-        of them last to the end of the run; None without one.
+        Start of the first disturbance of the plant, and end of the last one that ends [s], infinity where all of them
+        last to the end of the run; None without one.
     ended
         Why the run ended before its time, in one line; empty where it did not.
     solver_statuses
-        How the controller's solver ended at each tick, in words; empty texts for a controller without a solver.
+        Status of the controller's solver at each tick, in words; empty texts for a controller without a solver.
     solver_methods
-        Which method the solver took at each tick: "none", "unlimited", "active_set", "osqp" or "daqp".
+        Method of the solver at each tick: "none", "unlimited", "active_set", "osqp" or "daqp".
     solve_time, solver_iterations
         (n,) how much of the step went into stating and solving the problem [s], and iterations of the solver; NaN where
         nothing was solved.

@@ -109,7 +109,7 @@ def config_from_log(values: Mapping[str, object], log: str | Path, trusted: Sequ
     values
         Keys and values.
     log
-        Where they stand, for messages.
+        Name of the drive log, for messages.
     trusted
         Folders whose files it may name.
 

@@ -97,7 +97,7 @@ class GeneratedC:
     source, header
         The texts. The header includes real.h, which defines `real`, `R(number)`, and DDMPC_FLOAT in single precision.
     names
-        What the functions are called.
+        Names of the functions.
     """
 
     stem: str
@@ -122,11 +122,11 @@ def generate(functions: Sequence[ca.Function], stem: str, origin: str) -> Genera
     Parameters
     ----------
     functions
-        What to write down. Sparse results come out dense.
+        Functions to generate. Sparse results come out dense.
     stem
         Name of the files without their ending.
     origin
-        Where the functions come from, for a reader of the C.
+        Source of the functions, for a reader of the C.
 
     Raises
     ------

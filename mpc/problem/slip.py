@@ -39,12 +39,12 @@ class Slip:
     side_slip
         Lateral speed of the body, outward, over v omega [s].
     turn_ahead, turn_left
-        Where the robot turns about, from the origin of its frame [m]: the load's centre need not be in the middle.
+        Point that the robot turns about, from the origin of its frame [m]: the load's centre need not be in the middle.
     load_shift
-        How far back that point moves for a forward acceleration, which loads the rear axle [s^2].
+        Distance that this point moves back for a forward acceleration, which loads the rear axle [s^2].
     slide_x, slide_y
-        How far the robot slides for each radian that it turns, along x and y of the frame of the poses [m/rad]: all of
-        it across its heading, and a part of it along (`mpc.problem.formulas.sliding`).
+        Distance that the robot slides for each radian that it turns, along x and y of the frame of the poses [m/rad]:
+        all of it across its heading, and a part of it along (`mpc.problem.formulas.sliding`).
     crab
         Lateral speed of the body, to the left, over its forward speed [-]; P4's a21.
     veer

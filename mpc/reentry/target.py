@@ -23,7 +23,7 @@ class Target(NamedTuple):
     message
         In words, what is out of the ordinary; empty when the robot is on its path and on time.
     blocked_for
-        How long the robot has not moved although it is asked to [s]; 0 when it does.
+        Time for which the robot has not moved although it is commanded to [s]; 0 when it moves.
     sample
         The reference from `time` on at the times that were asked for; None where it was not sampled.
     """

@@ -46,7 +46,7 @@ class BondProtocol:
     Attributes
     ----------
     state
-        What it does.
+        State of the bond.
     lost
         Why the sister is gone; empty while it is not.
     """
@@ -100,7 +100,7 @@ class Bond:
     node
         The node.
     period
-        Of the heartbeats [s].
+        Period of the heartbeats [s].
     """
 
     def __init__(self, node: Node, period: float) -> None:

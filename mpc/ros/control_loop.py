@@ -108,13 +108,13 @@ class LoopTick:
     command
         (2,) v [m/s], omega [rad/s] to be sent.
     state
-        What the loop does.
+        State of the loop.
     message
         Why, in words; empty when all is well.
     result
         The controller's, where it was asked.
     request
-        What it was asked.
+        The request.
     """
 
     command: FloatArray
@@ -139,7 +139,7 @@ class ControlLoop:
     settings
         The node's own settings.
     inbox
-        Where measurements come from; its clock is that of the controller.
+        Source of the measurements; its clock is that of the controller.
     trajectory
         Reference to drive along until another one is offered; None: no reference.
     in_sim_time
@@ -158,13 +158,13 @@ class ControlLoop:
     wait_reason
         Why the robot brakes and stands for now, without a failure; the state does not change. Empty: it drives.
     relaid
-        How often the current reference was placed again because its frame had moved.
+        Number of times that the current reference was placed again because its frame had moved.
     warning
         Any other anomaly around the loop, for diagnostics.
     refusal
         Why the last reference or goal was refused, for diagnostics; empty once one is accepted.
     shortfall
-        Where the last accepted reference asks for more than the robot has, in words; empty: nowhere.
+        Limits that the last accepted reference exceeds, in words; empty without any.
     blocked
         Whether it paused because the robot was blocked.
     """
@@ -247,7 +247,7 @@ class ControlLoop:
         reference
             The reference; it is not moved to the robot.
         t0
-            Its time 0 on the controller's clock [s]; None: the tick at which it begins.
+            Time of the controller's clock at the reference's time 0 [s]; None: the tick at which it begins.
 
         Raises
         ------

@@ -99,7 +99,7 @@ class FollowGoal:
     fault
         Why it cannot be driven, as was found before the loop saw it; None if nothing was.
     cancelled
-        Whether it shall end.
+        Whether the goal is to be cancelled.
     clients
         GIDs of the clients that may have sent it.
     heard_at
@@ -109,7 +109,7 @@ class FollowGoal:
     progress
         Distance to the goal along the path [m] and speed [m/s]; None until it is driven.
     end
-        How it ended; None while it goes on.
+        Result of the goal; None while it is active.
     """
 
     poses: FloatArray
@@ -231,7 +231,7 @@ class Following:
     Parameters
     ----------
     loop
-        Of this activation.
+        Control loop of this activation.
     settings
         The node's.
     config

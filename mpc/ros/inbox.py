@@ -36,7 +36,7 @@ class Inbox:
     clock
         The node's clock [ns].
     epoch
-        Where the controller's time begins on that clock [ns].
+        Time of that clock at the controller's time 0 [ns].
     frames
         Transforms, where they are heard.
 

@@ -41,7 +41,7 @@ class Publishers:
     node
         The node.
     settings
-        Its settings.
+        Settings of the node.
     config
         Gives the configuration of the controller as it is now.
     frame
@@ -209,7 +209,7 @@ class EstimateOutput:
     node
         The node.
     settings
-        Its settings.
+        Settings of the node.
     frame
         Frame that control is in.
     """

@@ -57,11 +57,11 @@ class ActivationRecording:
     Parameters
     ----------
     settings, config
-        Of the node and of its controller.
+        Settings of the node and configuration of its controller.
     frame
         Frame that control is in.
     logger
-        Of the node.
+        Logger of the node.
     """
 
     def __init__(self, settings: NodeSettings, config: ControllerConfig, frame: str, logger: Any) -> None:  # noqa: ANN401

@@ -53,7 +53,7 @@ class Rivals:
     node
         The node; it has a publisher on `topic`.
     topic
-        Of the commands, before remapping.
+        Topic of the commands, before remapping.
     """
 
     def __init__(self, node: Node, topic: str) -> None:

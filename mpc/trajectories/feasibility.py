@@ -45,7 +45,7 @@ class Shortfall:
     reference
         Name of the reference.
     time, arc_length
-        Where it begins: time of the reference [s], distance along it [m].
+        Start of the violation: time of the reference [s], distance along it [m].
     key
         Limit that is reached, such as `limits.v.reverse` or `limits.omega_slew.brake`.
     needed, available

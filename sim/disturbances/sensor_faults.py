@@ -26,7 +26,7 @@ class SensorFaults:
     Parameters
     ----------
     scenario
-        What happens when.
+        Faults of the sensors with their times.
     kinematics
         By which wheel speeds became the twist of a measurement.
     """

@@ -151,7 +151,7 @@ def path_polyline(reference: Reference, spacing: float, extension: float) -> Pol
     spacing
         Largest distance between two vertices [m].
     extension
-        How far the path is continued straight beyond its ends [m].
+        Length by which the path is continued straight beyond its ends [m].
     """
     coarse = reference.sample(np.linspace(0.0, reference.duration, 1000))
     # The speed between coarse samples may be a little higher than at them; twice as many vertices cover that.

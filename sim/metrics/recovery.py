@@ -86,10 +86,10 @@ def compute_recovery(
     command
         (n, 2) v [m/s], omega [rad/s].
     sample_time
-        How long each command is held [s].
+        Time for which each command is held [s].
     disturbance
-        When the first disturbance began, and when the last one that ends was over [s], infinity where all of them last
-        to the end of the run; None without one.
+        Start of the first disturbance, and end of the last one that ends [s], infinity where all of them last to the
+        end of the run; None without one.
     band
         Half width of the lateral band [m].
     lost

@@ -90,7 +90,7 @@ class BaseMotion:
     model
         The dynamics; a function is for `sample_time` alone, and no effects stand around it.
     effects
-        What the base does around them; without any, a step is a whole sample, if that is short.
+        Effects of the base around them; without any, a step is a whole sample, if that is short.
     sample_time
         For which a command is held [s].
 

@@ -30,7 +30,7 @@ class DisturbedPlant(PlantAround):
     plant
         The plant, which brings about all other disturbances of the scenario itself.
     scenario
-        What happens when.
+        Disturbances with their times.
     robot
         Commands are clipped to its limits, and `sent` says so; a dead encoder spoils the twist by its wheels.
     crossed
@@ -100,9 +100,9 @@ class DisturbedPhysics:
     Parameters
     ----------
     scenario
-        What happens when.
+        Disturbances with their times.
     chassis, loops
-        What it happens to.
+        Chassis and speed loops that the disturbances change.
     friction
         Sliding friction coefficient of the floor beside the patches.
     wheel_base

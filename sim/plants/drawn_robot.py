@@ -158,7 +158,7 @@ class DrawnRobot:
     Attributes
     ----------
     seed
-        What it was drawn from.
+        Seed of the draw.
     build
         Body, drives, firmware, floor and sensors.
     scenario

@@ -40,9 +40,9 @@ class MujocoPlant:
     robot, twin, firmware
         Other robots than the shipped one.
     base
-        What its base does to commands; nothing by default.
+        Effects of the base on the commands; none by default.
     scenario
-        What happens to chassis and motors; the rest of it is for `sim.plants.disturbed_plant.DisturbedPlant`.
+        Disturbances of chassis and motors; the others are for `sim.plants.disturbed_plant.DisturbedPlant`.
     sideways
         Friction across the rolling direction of the wheels over that along it.
     sample_time

@@ -16,7 +16,7 @@ class Twin:
     Parameters
     ----------
     line, shaper, observer, loops, chassis
-        Its parts.
+        Parts of the plant.
     steps
         Steps of the physics in a control sample.
 

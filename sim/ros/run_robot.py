@@ -58,7 +58,7 @@ def run_robot(
     record, storage
         Folder of a bag to record to, and its kind.
     ros_arguments
-        What follows `--ros-args`, with these words.
+        Arguments from `--ros-args` on.
 
     Raises
     ------

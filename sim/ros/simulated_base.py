@@ -118,9 +118,9 @@ class CommandInbox:
     Parameters
     ----------
     timeout
-        How long a command stays valid, and the maximum age of its stamp [ns].
+        Time for which a command stays valid, and the maximum age of its stamp [ns].
     tolerance
-        How far the stamp of an answer may be from its tick [ns].
+        Largest difference between the stamp of an answer and its tick [ns].
     """
 
     def __init__(self, timeout: int, tolerance: int) -> None:
@@ -135,7 +135,7 @@ class CommandInbox:
         Parameters
         ----------
         stamp
-            Of its header; 0 if it is missing or unset.
+            Stamp of the header; 0 if it is missing or unset.
 
         Returns
         -------

@@ -40,7 +40,7 @@ class ShownReport:
     Attributes
     ----------
     name
-        Of the study.
+        Name of the study.
     figures, records
         Names of figures, and of files that are committed beside them.
     page

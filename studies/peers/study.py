@@ -40,11 +40,11 @@ class GainSearch:
     Attributes
     ----------
     objective
-        What is to be small.
+        Function to minimise.
     ranges
         Lowest and highest value of each.
     evaluations
-        How often `objective` may be called.
+        Largest number of calls of `objective`.
     tried
         Every setting with its objective, in order.
     """
@@ -188,7 +188,7 @@ class PeersStudy(Study[list[str], list[TunedPeer]]):
     Parameters
     ----------
     settings
-        How.
+        Settings of the study.
     only
         Names of peers; by default all whose law has ranges.
     """

@@ -39,9 +39,9 @@ class Cost:
     order
         Number of states.
     simulation_time
-        Of the processor for a whole simulation: sampling the model, and as many steps as the paper's had [s].
+        Processor time of a whole simulation: sampling the model, and as many steps as the paper's had [s].
     time_per_step
-        Of the processor [s].
+        Processor time of a step [s].
     memory
         Most that a run held at a time beyond what was there before it [MB].
     """
@@ -61,7 +61,7 @@ def measure_cost(study: CostStudy, on_done: Callable[[], None] = lambda: None) -
     Parameters
     ----------
     study
-        How many runs of how many steps.
+        Number of runs and of their steps.
     on_done
         Called after each run.
     """

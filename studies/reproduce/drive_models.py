@@ -51,7 +51,7 @@ class DriveModelsResult:
     source
         The simulated robot or a log.
     repetition
-        Of the simulated robot; 0 for a log.
+        Number of the simulated robot's drive; 0 for a log.
     errors
         By model.
     values

@@ -47,7 +47,7 @@ class MbmSmResult:
     Attributes
     ----------
     repetition
-        Its number.
+        Number of the repetition.
     motor_fit
         By data, FIT of the motors front left, front right, rear left, rear right [%].
     sm_fit

@@ -128,7 +128,7 @@ class PaperFinding:
     claim
         The rule, as a sentence that is true or not.
     source
-        Whose finding it is, and where it stands.
+        Paper of the value and place in it.
     published, plant
         The numbers behind it, in the paper and on the simulated robot (means over repetitions).
     holds

@@ -37,7 +37,7 @@ class TrackLine:
     p1_deviation, p0_deviation
         Standard deviation of each; NaN where none is known.
     correlation
-        Of track and yaw rate [-].
+        Correlation of track and yaw rate [-].
     """
 
     p1: float
@@ -61,7 +61,7 @@ class VirtualTrackResult:
         Correlation of the tracks, printed and exchanged, with those that the printed radii imply: without side-slip the
         driven circle is larger than the kinematic one as the virtual track is larger than the true one.
     exchanges, fitting
-        How many double exchanges of tracks there are, and how many give the printed p1 as well.
+        Number of double exchanges of tracks, and of those that give the printed p1 as well.
     """
 
     tests: FloatArray

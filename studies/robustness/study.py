@@ -49,9 +49,9 @@ class RobustnessStudy(Study[Plan, DataFrame]):
     controllers, models, trajectories, seeds
         Names as in `bench.case.Case`.
     robots
-        How many robots of the population to drive beside the conditions, along each trajectory.
+        Number of robots of the population to drive beside the conditions, along each trajectory.
     tuning
-        Whether those are robots to tune on, and not the reserved ones.
+        Whether the robots are those to tune on, and not the reserved ones.
     rates
         False alarms per hour at which the predictive controller drives these robots again [1/h].
     """

@@ -59,13 +59,13 @@ class RecoveredTruth:
     Attributes
     ----------
     seed
-        Of the truth and its noise.
+        Seed of the truth and its noise.
     names
         (q,) parameters, such as "v.gain" or "omega.pole_1.real".
     truth, estimate, deviation
         (q,) each: true value, estimate, stated standard deviation.
     seconds
-        How long the identification took [s].
+        Duration of the identification [s].
     """
 
     seed: int
@@ -95,7 +95,7 @@ def recover_all(
     Parameters
     ----------
     models
-        How many.
+        Number of models.
     on_progress
         Called with the number of truths done and their total.
     """

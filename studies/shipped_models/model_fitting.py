@@ -173,7 +173,7 @@ def fit_models(
     Parameters
     ----------
     folder
-        Where the parameter files go; the shipped ones by default.
+        Folder of the parameter files; the shipped ones by default.
     date
         Date for the provenance; today by default.
     on_progress

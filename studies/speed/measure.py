@@ -72,9 +72,9 @@ class ClosedLoop:
     Attributes
     ----------
     ticks, peer_data
-        What the subject was told at each tick, for a replay; and what a peer would have been told there.
+        Measurements of the subject at each tick, for a replay; and the data of a peer there.
     steps, efforts
-        What it said, and what that took of its process.
+        Results of the steps, and their processor and clock times.
     pose, twist, command
         True pose (3,) and twist (2,) before each tick, and the command sent (2,).
     """
@@ -147,7 +147,7 @@ def closed_loop_cost(
     command
         (n, 2) v_ref [m/s], omega_ref [rad/s] sent at each tick; before the first the robot stood.
     reference
-        What was to be tracked.
+        Reference to track.
     config
         Weights, limits, track and sample time.
     model
@@ -285,9 +285,9 @@ def measure(
     Parameters
     ----------
     settings, problems
-        What to run.
+        Settings and problems of the study.
     environment
-        Of the peers that need their own; or why there is none.
+        Environment of the peers that need their own; or the reason for its absence.
     folder
         For what the subjects generate.
     core

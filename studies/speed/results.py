@@ -24,7 +24,7 @@ class SpeedRecord:
     Attributes
     ----------
     solver, model, horizon
-        Who solved what.
+        Solver, model and horizon of the result.
     step_p50_s, step_p95_s, step_p99_s, step_max_s
         Time of the whole step from Python [s], over all ticks of all repetitions.
     tick_p99_s, tick_max_s

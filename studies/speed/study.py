@@ -24,9 +24,9 @@ class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
     Parameters
     ----------
     settings
-        What to run.
+        Settings of the study.
     peer_folder
-        Where the peers' environment is or will be; by default below the user's cache folder.
+        Folder of the peers' environment; by default below the user's cache folder.
     """
 
     name = "speed"

@@ -107,7 +107,7 @@ class ClairvoyantProgram:
         Parameters
         ----------
         present
-            What is known now.
+            Present state of the plant.
         reference
             The reference at the samples 0 to N.
         feed_forward
@@ -201,7 +201,7 @@ class ClairvoyantController:
     Parameters
     ----------
     known
-        What it knows of the plant.
+        Known properties of the plant.
     config
         Weights, limits and sample time.
     settings

@@ -165,7 +165,7 @@ class ErrorParts:
     along
         Along the path, the same for every seed.
     noise
-        What differs from seed to seed: sensors.
+        Part that differs between the seeds, which the sensors cause.
     """
 
     bias: float

@@ -197,7 +197,7 @@ class Laid:
     reference
         To be tracked.
     length
-        Of the path from the robot on [m].
+        Length of the path from the robot on [m].
     deviation
         Furthest distance of the reference from the planner's line [m], beyond where it leads onto it.
     begins
@@ -239,9 +239,9 @@ def lay_poses(
     robot
         (3,) its pose, in the frame of the poses.
     twist
-        Its forward speed [m/s] and yaw rate [rad/s].
+        Forward speed [m/s] and yaw rate [rad/s] of the robot.
     deviation
-        How far the reference may be from the planner's line [m].
+        Largest distance between the reference and the planner's line [m].
     beside
         A robot that is no further beside the path is led onto it by the path itself [m].
     backwards

@@ -45,7 +45,7 @@ class Subject:
     kind
         See `studies.speed.process.worker.KINDS`.
     folder
-        Its own, for code that it generates and for what it prints.
+        Folder of the subject, for its generated code and its output.
     python
         Interpreter and environment variables, by default our own.
     """

@@ -36,7 +36,7 @@ class AcadosPeer:
         `qp_solver`, `stages_per_block` (of partial condensing), `mode` (HPIPM's), `tolerance`,
         `max_iterations`, `warm_start`, `shift`, `soft_limits`, `flags` (compiler).
     folder
-        Where code is generated and compiled. The current folder must be this one.
+        Folder of the generated and compiled code. The current folder must be this one.
     """
 
     def __init__(self, problem: dict[str, Any], settings: dict[str, Any], folder: Path) -> None:

@@ -70,9 +70,9 @@ class MonitorVerdict(NamedTuple):
     Attributes
     ----------
     rule
-        Its name, such as "off_path"; empty where all is well.
+        Name of the rule, such as "off_path"; empty without a violation.
     at
-        When [s].
+        Time of the verdict [s].
     words
         A sentence for a person; empty where all is well.
     """
@@ -92,9 +92,9 @@ class Judge:
     Parameters
     ----------
     rules
-        What has to hold.
+        Rules to check.
     now
-        When it begins [s].
+        Start time [s].
 
     Raises
     ------

@@ -35,7 +35,7 @@ class Fault:
     Parameters
     ----------
     begins
-        When it begins [s].
+        Time of the fault's start [s].
     """
 
     def __init__(self, begins: float = math.inf) -> None:
@@ -477,11 +477,11 @@ class FaultBounds:
     stated
         So long after that the monitor has stopped the robot [s].
     of
-        What is broken: "controller", or "robot" for robot and sensors.
+        Broken part: "controller", or "robot" for robot and sensors.
     stoppable
         Whether the robot can be stopped by commands.
     controller
-        Who drives. The MPC finds some faults itself and stops; then one drives that has no checks.
+        Controller of the drive. The MPC finds some faults itself and stops; then one drives that has no checks.
     """
 
     make: Callable[[float], Fault]

@@ -46,11 +46,11 @@ class MonitoredController:
     Parameters
     ----------
     inner
-        Who decides.
+        Controller of the robot.
     rules
-        Of the monitor.
+        Rules of the monitor.
     fault
-        What breaks it; None: nothing.
+        Fault of the drive; None without one.
     """
 
     def __init__(self, inner: TrackingController, rules: Rules, fault: Fault | None = None) -> None:
@@ -197,13 +197,13 @@ class MonitorTrial:
     Attributes
     ----------
     case
-        What was driven.
+        Case of the drive.
     fault
         Name of the fault; empty without one.
     driven
-        How long [s].
+        Duration of the drive [s].
     rule, words
-        Of the verdict; empty without one.
+        Rule and words of the verdict; empty without one.
     after
         From the fault, or else the start, to the verdict [s]; NaN without one.
     farthest

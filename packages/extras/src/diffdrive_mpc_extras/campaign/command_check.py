@@ -121,7 +121,7 @@ def check_commands(
     pose_came
         (n,) whether a finite pose was delivered at the tick.
     limits
-        What is stated.
+        Limits of the robot.
     """
     times, commands = np.asarray(time, dtype=float), np.asarray(command, dtype=float)
     finite = np.isfinite(commands).all(axis=1)

@@ -51,13 +51,13 @@ def row_of(run: Run | None, unsafe: Unsafe | None, error: str, processor: float,
     Parameters
     ----------
     run
-        What was driven; None where it ended in an error.
+        The drive; None where it ended in an error.
     unsafe
         Counts by the checker; None where the controller is not this project's.
     error
         Why it could not be driven or driven on, in one line; empty where it could.
     processor, wall
-        What it took of the processor and of the clock [s].
+        Processor time and clock time of the drive [s].
     """
     row: Row = {"completed": run is not None and run.metrics.completed, "error": error}
     row |= {f"unsafe_{name}": count for name, count in (asdict(unsafe) if unsafe else {}).items()}

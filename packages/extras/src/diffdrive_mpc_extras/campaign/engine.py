@@ -216,7 +216,7 @@ class CampaignRun:
     Attributes
     ----------
     definition
-        What was driven.
+        Definition of the run.
     key
         The hash under which it is stored.
     row
@@ -245,7 +245,7 @@ class CampaignPlace:
     Attributes
     ----------
     folder
-        Of the store.
+        Folder of the store.
     jobs
         Processes on this machine; None for one for each core.
     """
@@ -265,13 +265,13 @@ def drive_all(
     Parameters
     ----------
     definitions
-        What to drive.
+        Definitions of the runs.
     place
-        Where.
+        Store and workers of the runs.
     bar
         Shows how far it is.
     text
-        What the bar says.
+        Text of the progress bar.
 
     Raises ConfigError where the store cannot be written to, a stored row was changed, or a run cannot be built, before
     anything is driven;

@@ -97,11 +97,11 @@ def run_campaign(
     file
         The campaign.
     place
-        Where its runs are driven and kept.
+        Store and workers of the runs.
     runs
-        How many of them, in place of what the file says.
+        Number of runs, in place of that of the file.
     part
-        Which of them; None for all.
+        Part of the runs; None for all.
 
     Raises ConfigError or ValueError if the file has a mistake, and MissingPackageError without pyarrow, before anything
     is driven; StudyFailedError if runs could not be driven.

@@ -217,7 +217,7 @@ class DriveModel(NonlinearModel):
     Attributes
     ----------
     kind
-        Which of the paper's two models.
+        One of the paper's two models.
     sharp
         `step` without what rounds it off.
     """

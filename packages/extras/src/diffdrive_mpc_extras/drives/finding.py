@@ -57,7 +57,7 @@ def drive_content(
     fields
         Name, provenance, scores and warnings.
     geometry
-        Of the robot's wheels; by default that of the papers' robot, whose mass it has in any case.
+        Geometry of the robot's wheels; by default that of the papers' robot, whose mass it has in any case.
 
     Raises
     ------
@@ -300,11 +300,11 @@ class FoundDrive:
     Attributes
     ----------
     structure
-        As `models list` calls it.
+        Name of the structure in `models list`.
     determined
         The model, and what the log says of it.
     geometry
-        Of the log's wheels; None without any.
+        Geometry of the log's wheels; None without any.
     """
 
     structure: str

@@ -71,7 +71,7 @@ class DriveFit:
     Attributes
     ----------
     kind, dt
-        Which model, and the sample time [s] that it is for.
+        Kind of the model and its sample time [s].
     values
         Numbers of v and of omega by name, units as in `settings.yaml`.
     dead_samples

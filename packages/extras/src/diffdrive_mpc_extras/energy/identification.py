@@ -62,7 +62,7 @@ def identify_constants(records: Sequence[Record], prior: DriveConstants) -> Iden
     records
         With `battery`, `motor_current` and `wheels`; `motor_currents` and `wheel_speeds` of four motors tell more.
     prior
-        Its gears, efficiencies and number of motors are kept.
+        Model whose gears, efficiencies and number of motors are kept.
 
     Raises
     ------

@@ -168,11 +168,11 @@ class PowerReadings:
     sensor
         Noise and resolution.
     battery
-        What feeds the drive.
+        Battery of the drive.
     drive
         Constants by which torque is current.
     seed
-        Of the noise.
+        Seed of the noise.
     """
 
     def __init__(self, sensor: PowerSensor, battery: Battery, drive: DriveConstants, seed: int) -> None:

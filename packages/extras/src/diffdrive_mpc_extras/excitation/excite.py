@@ -47,7 +47,7 @@ class Excitation:
     case
         The controller, in the fence of the room; its trajectory and its plant are still to be named.
     room
-        Where it stays.
+        Room of the drive.
     drive
         The twists of the reference.
     expected
@@ -118,13 +118,13 @@ def excite_model(
     config
         Configuration of the controller that drives it: a file, or the shipped one of a model.
     room
-        Where the robot stays; it begins in the middle, the length straight ahead.
+        Room of the drive; it begins in the middle, the length straight ahead.
     seconds
-        How long [s].
+        Duration of the drive [s].
     speed, yaw_rate
         Largest ones [m/s, rad/s].
     seed
-        Of the search and of the noise on the believed robot.
+        Seed of the search and of the noise on the assumed robot.
     on_drive
         Called with how many drives were tried, and of how many.
 

@@ -111,7 +111,7 @@ class ModelDrive:
     twists
         (K, 2) v [m/s] and omega [rad/s], each for `tick`; the robot comes from rest and ends at rest.
     worth
-        What the best of each family is worth.
+        Value of the best drive of each family.
     """
 
     family: str
@@ -125,15 +125,15 @@ def model_excitation(room: Room, seconds: float, limits: TrajectoryLimits, worth
     Parameters
     ----------
     room
-        Where they stay, from its middle.
+        Room of the drive, from its middle.
     seconds
-        How long the drive is [s].
+        Duration of the drive [s].
     limits
         Speeds and accelerations of it.
     worth
-        What is made large.
+        Function to maximise.
     seed
-        Of the search; the same seed finds the same drive.
+        Seed of the search; the same seed finds the same drive.
 
     Raises
     ------

@@ -37,15 +37,15 @@ def slip_excitation(
     Parameters
     ----------
     side
-        Of the square [m].
+        Side length of the square [m].
     seconds
-        How long to drive, about [s].
+        Approximate duration of the drive [s].
     speed, yaw_rate
         Largest ones [m/s, rad/s].
     hold
-        How long each twist lasts [s].
+        Duration of each twist [s].
     margin
-        How far from the square's edge the robot's centre stays [m].
+        Least distance of the robot's centre from the square's edge [m].
 
     Raises
     ------

@@ -158,7 +158,7 @@ class Emulation:
     operations
         The most of one step, counted as `mpc.solver.report.SolverReport.operations`.
     modes
-        How often the controller was in each mode.
+        Number of steps in each mode of the controller.
     position_rmse
         Against the true pose [m].
     difference

@@ -54,7 +54,7 @@ class Size:
     Attributes
     ----------
     target
-        What was built.
+        Target of the build.
     compiler
         Name of the compiler.
     flash
@@ -62,7 +62,7 @@ class Size:
     ram
         Variables, the stack that is set aside included.
     stack
-        That stack; 0 where the system provides it.
+        Size of that stack; 0 where the system provides it.
     """
 
     target: str

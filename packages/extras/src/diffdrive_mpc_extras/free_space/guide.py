@@ -105,7 +105,7 @@ class Guide:
     footprint
         The robot's.
     settings
-        How far it looks, and how far it may be moved.
+        Range of the search, and largest shift of a node.
 
     Attributes
     ----------

@@ -113,7 +113,7 @@ class Footprint:
     polygon
         (k, 2) points x, y seen from the base point [m], in any order; one point and a radius are a disc.
     radius
-        By how much their hull is widened [m].
+        Distance by which their hull is widened [m].
 
     Raises
     ------

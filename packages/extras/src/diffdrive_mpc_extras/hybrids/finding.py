@@ -41,9 +41,9 @@ class FoundHybrid:
     Attributes
     ----------
     identified
-        Its linear model.
+        The identified linear model.
     correction
-        Its network.
+        The network.
     dt
         Sample time [s].
     decay

@@ -72,15 +72,15 @@ class Scored:
     Attributes
     ----------
     kind
-        Its name.
+        Name of the kind.
     states
-        Of the model from the last part's rest; 0 without one.
+        States of the model from the last part's rest; 0 without one.
     powers
         (B, 2) mean square error of v [m/s] and omega [rad/s] in each block of time held out.
     pose_error
         Root mean square of the open-loop position error after the longest time measured [m]; NaN without poses.
     seconds
-        How long all its identifications took [s].
+        Duration of all identifications of the kind [s].
     failure
         Why there is none, in a line; empty where there is.
     """
@@ -106,7 +106,7 @@ class ModelComparison:
     spread
         (2,) variance of what was measured, about its mean.
     parts
-        How many parts were held out in turn.
+        Number of parts that were held out in turn.
     horizon
         Time after which `pose_error` is measured [s].
     """
@@ -211,7 +211,7 @@ def compare_models(
     kinds
         Names in `KINDS`, or "all"; by default all that are not slow.
     parts
-        Of equal length in time, at least 2.
+        Number of parts of equal length in time, at least 2.
     on_progress
         Called with what is done next, and the share of the work that is done.
     on_scored

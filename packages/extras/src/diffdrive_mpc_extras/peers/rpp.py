@@ -68,7 +68,7 @@ class PurePursuit:
     path
         (n, 3) x, y [m], heading [rad]; the last pose is the goal.
     parameters
-        As in Nav2.
+        Parameters as in Nav2.
     period
         Between two decisions [s].
     """

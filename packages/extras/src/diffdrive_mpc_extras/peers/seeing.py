@@ -79,10 +79,10 @@ class SeenDistanceField:
 
     Parameters
     ----------
-    seen
-        What arrived of the last look.
-    here
-        (2,) the robot [m]: shapes are drawn into a square around it.
+    obstacles
+        Obstacles of the last look.
+    position
+        (2,) of the robot [m]: shapes are drawn into a square around it.
     """
 
     def __init__(self, obstacles: Seen, position: FloatArray) -> None:

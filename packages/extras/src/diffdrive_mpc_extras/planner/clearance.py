@@ -52,7 +52,7 @@ class Clearance:
     surroundings
         Polygons and discs; discs that move are taken where they are.
     footprint
-        Of the robot.
+        Footprint of the robot.
 
     Raises
     ------
@@ -119,7 +119,7 @@ class ClearanceMap:
     points
         (n, 2) that have to be inside.
     room, cell
-        How far beyond them and the obstacles it reaches, and the edge of its cells [m].
+        Distance that the map extends beyond them and the obstacles, and the edge of its cells [m].
     """
 
     def __init__(self, clearance: Clearance, points: FloatArray, room: float, cell: float) -> None:

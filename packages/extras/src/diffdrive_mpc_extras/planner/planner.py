@@ -56,7 +56,7 @@ def plan(
     on_the_spot
         Whether it may turn on the spot.
     sample_time
-        Of the commands [s]; by default that of the robot of the papers.
+        Sample time of the commands [s]; by default that of the robot of the papers.
     settings
         By default the shipped ones.
 

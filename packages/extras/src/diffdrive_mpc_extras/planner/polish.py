@@ -51,7 +51,7 @@ def polish(
     costs
         Slip law and power.
     minimise
-        What.
+        Quantity to minimise.
     schedule
         Phases of the search.
     start, goal
@@ -61,7 +61,7 @@ def polish(
     settings
         Accelerations, and how it is solved.
     clearance
-        What has to be kept clear of; None for nothing.
+        Distances to the obstacles; None without obstacles.
     """
     polish_settings, motion, count = settings.polish, settings.motion, len(schedule.phase)
     x, w, d = ca.MX.sym("x", 3, count + 1), ca.MX.sym("w", 1, count + 1), ca.MX.sym("d", len(schedule.durations))

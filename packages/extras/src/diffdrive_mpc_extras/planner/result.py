@@ -24,7 +24,7 @@ class Plan:
     Attributes
     ----------
     minimise
-        What it is the least of.
+        Quantity that was minimised.
     trajectory
         The reference.
     poses
@@ -40,15 +40,15 @@ class Plan:
     duration
         [s].
     length
-        Of the way of the body's middle [m].
+        Length of the way of the body's middle [m].
     pieces
-        Of the search: inputs that are held, before they were made smooth.
+        Pieces of the search: inputs that are held, before they were made smooth.
     sharpest
         Least commanded radius that was allowed [m].
     clearance
         Least distance from an obstacle [m]; infinite where there is none.
     search
-        What the search has to say: cost, lower bound, states.
+        Results of the search: cost, lower bound, states.
     status
         "polished"; "unfinished" where IPOPT did not converge and what it has is proven to be a plan all the same;
         "search" where it failed and the search's way stands, at rest between its pieces.

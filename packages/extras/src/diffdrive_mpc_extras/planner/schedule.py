@@ -81,7 +81,7 @@ def laid_out(
     costs, start
         Slip law, and the pose (3,) at the start.
     pieces
-        Of the search.
+        Pieces of the search.
     sharpest
         Least commanded radius [m].
     spot

@@ -168,7 +168,7 @@ class PlanSearch:
     via
         (n, 2) points to pass in this order.
     settings
-        How.
+        Settings of the search.
     free
         Map of clearances and the margin [m]; None where there is nothing to keep clear of.
     """

@@ -47,15 +47,15 @@ class PlanRequest:
     via
         (n, 2) [m].
     minimise
-        What the trajectory is the least of.
+        Quantity to minimise.
     speed
         [m/s].
     world
-        What stands there at the beginning; movers are not looked at.
+        World at the beginning; movers are ignored.
     reverse, on_the_spot
-        What is allowed.
+        Whether the robot may drive backward and turn on the spot.
     settings
-        Of the planner.
+        Settings of the planner.
     """
 
     costs: TurnCosts
@@ -87,7 +87,7 @@ class PlanStudy(Study[PlanRequest, Plans]):
     Parameters
     ----------
     asked
-        What is asked for.
+        The request.
     """
 
     name = "plan"

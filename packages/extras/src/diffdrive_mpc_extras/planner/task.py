@@ -43,13 +43,13 @@ class Task:
     sharpest
         Least commanded radius [m].
     clearance, free
-        What has to be kept clear of, and the map of it for the search; None for nothing.
+        Exact distances to the obstacles, and their map for the search; None without obstacles.
     reverse, on_the_spot
-        What is allowed.
+        Whether the robot may drive backward and turn on the spot.
     sample_time
         [s].
     settings
-        How.
+        Settings of the planner.
     """
 
     costs: TurnCosts

@@ -59,7 +59,7 @@ class Drivable:
     wheels
         (n, 2) what the velocity model has to say for it: v [m/s], omega [rad/s].
     slip
-        What lies between the two; its offset is taken for none of the floor's.
+        Slip between the two; its offset is not used as one of the floor.
     """
 
     reference: ReferenceSample
@@ -105,7 +105,7 @@ def nearest_drivable(reference: Reference, slip: Slip, config: ControllerConfig,
     reference
         From beginning to end.
     slip
-        Of the floor.
+        Slip on the floor.
     config
         Its groups rehearsal.drivable, limits and wheels, and the sample time.
     inverse_gain

@@ -44,14 +44,14 @@ class FloorRehearsal:
     laps
         From how many laps slip was learned.
     slip
-        What was learned, and the next estimate begins with; its offset is not of the floor and stays as configured.
+        Learned slip, with which the next estimate begins; its offset is not of the floor and stays as configured.
     time
         (n,) times of the reference [s] at which the correction is kept.
     correction
         (n, 3) by how much the motion to track lies along and across the given reference [m], and the robot is turned
         against it [rad].
     said
-        What was prepared at the last start, in words.
+        Preparation of the last start, in words.
     """
 
     def __init__(self, config: ControllerConfig, inverse_gain: FloatArray) -> None:

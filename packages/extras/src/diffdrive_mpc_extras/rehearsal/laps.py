@@ -80,7 +80,7 @@ def drive_laps(
     Parameters
     ----------
     case
-        Of the predictive controller.
+        Case of the predictive controller.
     laps
         Number of laps. The first has the noise of the case, each later lap noise of a seed that follows from it.
     on_tick

@@ -70,7 +70,7 @@ class LapLearner:
         (n, 3) by how much the tracked reference lies along and across the given one [m], and is turned against it
         [rad].
     said
-        What was learned or forgotten at the last start, in words.
+        Learned and forgotten corrections of the last start, in words.
     """
 
     def __init__(self, config: ControllerConfig) -> None:

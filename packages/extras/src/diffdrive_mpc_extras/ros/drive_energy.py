@@ -41,7 +41,7 @@ class EnergyMeter:
     counted, missing
         Time that is in it, and that is left out [s].
     gaps
-        How often something was left out.
+        Number of gaps.
     power
         The last reading [W]; NaN before the first.
     """

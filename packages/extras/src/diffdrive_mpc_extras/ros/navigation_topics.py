@@ -124,9 +124,9 @@ class Scanner:
     Parameters
     ----------
     world
-        What there is, and how the scanner sees.
+        World and settings of the scanner.
     seed
-        Of the noise, not negative.
+        Seed of the noise, not negative.
     """
 
     def __init__(self, world: World, seed: int = 0) -> None:

@@ -67,7 +67,7 @@ class ErrorPredictor:
     lag
         (2,) of the model [s].
     population
-        Which drives count; `calibration` has it.
+        Population of drives; `calibration` has it.
     calibration
         Coefficients and quantiles.
     """

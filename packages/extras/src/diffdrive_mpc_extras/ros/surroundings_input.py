@@ -150,9 +150,9 @@ class SurroundingsInput:
     Parameters
     ----------
     settings
-        Which topics are used.
+        Settings of the topics.
     controller
-        Who sees it.
+        Controller that uses the surroundings.
     inbox
         Clock and frame of control.
     aside

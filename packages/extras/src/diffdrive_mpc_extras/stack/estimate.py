@@ -56,9 +56,9 @@ class Quantity:
     interval
         (2,) of 95 %; equal ends where the value is stated, or follows without an error.
     unit
-        Of both.
+        Unit of both.
     reason
-        Where the value comes from, or why there is none.
+        Source of the value, or the reason for its absence.
     """
 
     value: float | None

@@ -76,7 +76,7 @@ def floor_forces(
     Parameters
     ----------
     vehicle
-        Its loads are those of the steady turn, with the transfer by its own acceleration.
+        Vehicle with the loads of the steady turn, with the transfer by its own acceleration.
     friction
         (n, 2) coefficients of friction left, right.
     modulus

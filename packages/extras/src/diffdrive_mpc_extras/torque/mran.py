@@ -96,7 +96,7 @@ class MranNetwork:
     Parameters
     ----------
     settings
-        When it grows and shrinks, and how fast it learns.
+        Settings of growth, pruning and learning.
     """
 
     def __init__(self, settings: MranSettings) -> None:

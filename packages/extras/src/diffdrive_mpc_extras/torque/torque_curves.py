@@ -205,9 +205,9 @@ def costs_of_curves(
     Parameters
     ----------
     curves, slip
-        What was learned.
+        Learned curves and slip.
     name, vehicle, drive, provenance
-        What the file holds besides.
+        Other content of the file.
     radii
         Over which the curves are tabled, from and to, at the speed at which they stand [m]: those of the drive; by
         default all that were shown to the curves, their prior's too.

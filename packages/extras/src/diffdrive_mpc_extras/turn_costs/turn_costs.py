@@ -59,7 +59,7 @@ def least_radius(
     limit
         Largest torque of a side [N m].
     radii
-        Where to look, from and to [m].
+        Smallest and largest radius [m].
     share
         Share of the limit.
 

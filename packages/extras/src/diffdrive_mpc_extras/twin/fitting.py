@@ -33,15 +33,15 @@ class FittedParameter:
     Attributes
     ----------
     name, unit, words
-        What it is.
+        Name, unit and description of the parameter.
     value
         In the plant.
     low, high
-        Its 95 % interval: of the posterior where the log tells it, else of the prior.
+        Bounds of its 95 % interval: of the posterior where the log determines it, else of the prior.
     share
         Posterior deviation over the prior's [-].
     told
-        Whether the log tells it; otherwise `value` is the prior's.
+        Whether the log determines it; otherwise `value` is the prior's.
     """
 
     name: str
@@ -65,11 +65,11 @@ class TwinFit:
     values
         Their values, by name.
     told
-        What is known of each, in the order of the space.
+        Result of each parameter, in the order of the space.
     drives
-        How many sets of parameters were driven.
+        Number of sets of parameters that were driven.
     seconds
-        Of the log that was fitted.
+        Duration of the log that was fitted [s].
     """
 
     space: Space
@@ -90,7 +90,7 @@ def fit_twin(problem: TwinProblem, start: Values, on_stage: Callable[[str, int],
     Parameters
     ----------
     problem
-        What to fit; its weights are found here.
+        Problem to fit; its weights are found here.
     start
         Values to begin with, by name; other parameters begin at their prior.
     on_stage

@@ -42,7 +42,7 @@ class Identified:
     model, effects
         The model, and what its base does around it.
     point
-        Of a model with effects, its parameters by the names of `models.identification.effects.free_run`; else empty.
+        Parameters of a model with effects, by the names of `models.identification.effects.free_run`; else empty.
     sensors
         "encoders.yaw_ratio", "gyro.offset", and where the model's file has them "encoders.delay", "encoders.lag".
     """
@@ -259,7 +259,7 @@ def drift_of(
     Parameters
     ----------
     records
-        Those that were predicted.
+        Records that were predicted.
     predictions
         One for each.
     mount

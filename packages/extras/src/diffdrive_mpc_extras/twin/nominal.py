@@ -69,9 +69,9 @@ def nominal_robot(name: str, records: Sequence[Record], file: str | Path | None 
     Parameters
     ----------
     name
-        What it is, in a line.
+        Description of the robot, in a line.
     records
-        Those to fit.
+        Records to fit.
     file
         Robot file, of which nothing is compulsory where the records have wheel speeds; shipped name or path.
 

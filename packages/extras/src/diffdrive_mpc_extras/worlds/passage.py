@@ -28,7 +28,7 @@ class Contact:
     x, y
         Place of the first contact [m].
     speed
-        Of the robot's own hull at that place, just before [m/s].
+        Speed of the robot's own hull at that place, just before [m/s].
     fastest
         The same, the largest over the whole contact [m/s].
     """
@@ -94,18 +94,18 @@ class Passage:
     arrived
         Whether it stood at the end of its way within the time limit, and had touched nothing while it moved.
     time_s
-        When it came to stand there [s]; NaN where it did not.
+        Time at which it came to stand there [s]; NaN where it did not.
     contacts
-        How many obstacles it touched while it moved.
+        Number of obstacles that it touched while it moved.
     walked_into
-        How many persons touched it while it stood.
+        Number of persons who touched it while it stood.
     contact_speed_m_s
         Fastest of its own hull at a contact; NaN without one.
     clearance_m
         Least distance of its outline from anything, zero at a contact; infinite in an empty world. Taken every five
         ticks at points of the outline 3 cm apart.
     standing_s
-        How long it stood on the way [s].
+        Time for which it stood on the way [s].
     """
 
     arrived: bool

@@ -28,7 +28,7 @@ class WorldScene:
     world
         The obstacles.
     length, width
-        Of the robot's hull [m].
+        Length and width of the robot's hull [m].
     """
 
     def __init__(self, world: World, length: float, width: float) -> None:

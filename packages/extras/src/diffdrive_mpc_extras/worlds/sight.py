@@ -90,9 +90,9 @@ class Eyes:
     Parameters
     ----------
     world
-        What there is.
+        World that is seen.
     seed
-        Of the noise, not negative.
+        Seed of the noise, not negative.
     """
 
     def __init__(self, world: World, seed: int) -> None:

@@ -90,7 +90,7 @@ def load_world(name: str | Path, seed: int = 0) -> World:
     name
         A shipped world, the path of a file, or `drawn:SEED` or `drawn:SEED:through` (see `drawn_world`).
     seed
-        Of the run, not negative: what a file leaves open for its movers is drawn from it.
+        Seed of the run, not negative: values of the movers that a file leaves open are drawn from it.
 
     Raises
     ------

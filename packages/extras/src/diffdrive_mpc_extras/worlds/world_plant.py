@@ -52,7 +52,7 @@ class WorldPlant(PlantAround):
     scene
         The world in it.
     seed
-        Of the noise of what is seen.
+        Seed of the noise of the sensors.
     """
 
     def __init__(self, plant: Plant, scene: WorldScene, seed: int) -> None:
