@@ -63,8 +63,8 @@ def command_line(words: Sequence[str] = ()) -> typer.Typer:
     Parameters
     ----------
     words
-        Start of what was typed. If the first word is a command, only that command is imported; if it is a group, only
-        the commands of that group.
+        First words of the command line. If the first word is a command, only that command is imported; if it is a
+        group, only the commands of that group.
     """
     made = typer.Typer(
         cls=Commands,

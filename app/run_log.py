@@ -35,7 +35,7 @@ def run_log(log: Path | None) -> Iterator[WriteLog]:
     Parameters
     ----------
     log
-        The file, of the kind that its ending says: .mcap, else CSV; None for no log.
+        The file, whose ending selects the format: .mcap, else CSV; None for no log.
 
     Raises
     ------

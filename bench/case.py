@@ -103,7 +103,7 @@ class Dimension:
     read
         Reads the values of the list option; raises ValueError.
     silent
-        Whether rows and introduction leave it out where nothing but the default was asked for.
+        Whether rows and introduction omit it where only the default was requested.
     name
         The field of `Case`: word in tables, key of a run in JSON.
     """
@@ -139,10 +139,10 @@ class Case:
     """Everything that fixes one run bit for bit.
 
     Beside the dimensions it has `config`, the controller's configuration file, None for the shipped one of the model,
-    and `overrides`, values that replace those of the configuration. `top_speed` lays the trajectory's segments anew so
+    and `overrides`, values that replace those of the configuration. `top_speed` rebuilds the trajectory's segments so
     that the fastest of them has this speed [m/s]; `scaled` fits them to size and limits of the configuration's robot;
-    `late` is by how many ticks the plant's dead time is longer than the controller was told: that many are added to the
-    plant's; if it is negative, `overrides` configure a longer one; `gains` replace those of a peer.
+    `late` is the number of ticks by which the plant's dead time exceeds that of the controller: that many are added to
+    the plant's; if it is negative, `overrides` configure a longer one; `gains` replace those of a peer.
     """
 
     controller: str = _dimension(

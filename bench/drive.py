@@ -60,7 +60,7 @@ def simulate(
     Raises
     ------
     ArgumentError
-        If an argument is of another type, or they stand in another order.
+        If an argument has another type, or the order is another one.
     ConfigError, ModelError, ValueError
         If a name is unknown, a file has a mistake, or the arguments do not fit each other.
     """

@@ -128,8 +128,8 @@ def staged(
     folders
         Names of folders that will be written.
     owner
-        The command whose results these are. What it wrote there before is replaced, and its page goes by its own
-        name where `report.html` is that of another command; where it is empty, neither is looked at.
+        The command whose results these are. What it wrote there before is replaced, and its page goes by its own name
+        where `report.html` is that of another command; where it is empty, neither is checked.
     shared
         Whether several processes may work in `target` at the same time; else a second one is refused.
 

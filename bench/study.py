@@ -49,11 +49,12 @@ class Report:
     content
         Content of the JSON file beside `meta`: rows of plain values by name.
     facts, notes
-        Sentences of the introduction: what was run, and what follows on the machine.
+        Sentences of the introduction: the runs and the results of the machine.
     tables
         In order.
     figures
-        By file name, charts that stand side by side in the file and also in the page; or what draws any other figure.
+        By file name, charts that stand side by side in the file and also in the page; or a function that draws another
+        figure.
     figures_first
         Number of figures above the tables, the others being below; None for all.
     shown

@@ -25,7 +25,7 @@ class PluggedCommand:
     example
         Last line of its help.
     passed_on
-        True if it receives the words that are none of its options, such as those after `--ros-args`.
+        True if it receives the words that are not its options, such as those after `--ros-args`.
     """
 
     panel: str

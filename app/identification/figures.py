@@ -97,7 +97,7 @@ def simulation_charts(report: IdentificationReport, points: int = _POINTS) -> li
         series = []
         for name, column, style in zip(("command", "measured", "simulated"), columns, (6, 0, 1), strict=True):
             rows = np.vstack(column)[:, [0, 1 + i]]
-            if name == "measured":  # points, which no gap has to part
+            if name == "measured":  # points, which no gap separates
                 rows = rows[np.isfinite(rows[:, 1])]
             time, values = rows[envelope(rows[:, 1], points)].T
             times = [round(float(value), 3) for value in time]
@@ -248,7 +248,7 @@ def draw_poles(report: IdentificationReport, path: Path) -> None:
             value = f"{pole.real:.3g}{pole.imag:+.3g}j" if pole.imag else f"{pole.real:.3g}"
             axes.annotate(value, (pole.real, level(pole)), (0, 7), textcoords="offset points", ha="center")
         # An interval may be infinite; the poles set the scale, which is logarithmic if they are far apart. the poles
-        # set the scale, which is logarithmic where they lie far apart.
+        # set the scale, which is logarithmic where they are far apart.
         most = float(np.abs(poles).max())
         least = float(np.abs(poles.real[poles.real != 0.0]).min(initial=most))
         if most > _FAR_APART * least:

@@ -144,7 +144,7 @@ def _proven(identification: Identification, bar: ProgressBar, force: bool) -> Tr
 
 
 def _write(verdict: TrialVerdict, folder: Path, bar: ProgressBar, force: bool) -> None:
-    """Write files and figures; model, configuration and first circle only where they drive, or by force."""
+    """Write files and figures; model, configuration and first circle only where the drives pass, or with `force`."""
     identification = verdict.identification
     report = identification.report
     bar.start_stage("figures", len(figures_of(report)))

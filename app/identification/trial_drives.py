@@ -121,7 +121,7 @@ class StandIn:
     disturbance
         Motion beyond the model, as `ModelPlant` takes it.
     slip, sensors
-        Where they are None, that of the log and the default set.
+        Slip and sensors of the drive; by default the slip of the log and the default sensor set.
     """
 
     name: str

@@ -56,7 +56,7 @@ def drawn_motion(
     duration
         Duration of the returned motion [s].
     rate
-        Sample times of the motion and of what is returned [s].
+        Sample times of the given and of the returned motion [s].
     rng
         Random generator.
     """
@@ -82,7 +82,7 @@ def _by_poses(record: Record, predicted: FloatArray, turning: FloatArray) -> Flo
     """Return displacements between poses less those of predicted twists (K, 3), over their time (K, 3); None if few.
 
     The heading is the integral of `turning` (K,) [rad/s], laid over the poses of a window: less noise than a pose's.
-    Windows are so long that noise of the poses hardly moves, and its share of the power is taken off.
+    Windows are so long that the noise of the poses has little effect, and its part of the power is subtracted.
     """
     assert record.pose is not None and record.fresh_pose is not None
     dt, fresh = record.dt, record.fresh_pose

@@ -226,7 +226,7 @@ def judge_by_drives(
     on_run
         Called after each drive.
     force
-        Whether the configuration is kept as it was found, whatever the drives say.
+        Whether the configuration is kept as identified, independent of the drives.
 
     Raises
     ------

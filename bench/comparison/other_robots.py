@@ -1,4 +1,4 @@
-"""Robots other than that of the shipped models: a drawn population, and two whose dynamics matter.
+"""Robots other than that of the shipped models: a drawn population, and two with slow dynamics.
 
 The controllers know a drawn robot by its user's data, which are often wrong. For the other two, models were identified
 from three drives of each, and the peers were tuned on it with the same estimate.
@@ -36,7 +36,7 @@ class KnownRobot(StrictModel):
     Attributes
     ----------
     models
-        Structures, of which there are files in `MODELS`; the peers' estimate is that of the last one.
+        Structures with files in `MODELS`; the peers' estimate is that of the last one.
     settings
         Configuration values that its user states, or that `identify` wrote.
     gains

@@ -57,7 +57,7 @@ SPEEDS = (0.3, 0.6, 0.9, 1.2)
 SPEED_TRAJECTORIES, SPEED_SEEDS = ("circle", "s"), 1
 """Trajectories driven at these speeds, and their number of seeds."""
 SWEPT_TRAJECTORIES = ("s", "cane")
-"""Over which horizons are swept in a bench without options: the others show the same."""
+"""Over which horizons are swept in a bench without options: the others give the same result."""
 LATE_TICKS, LATE_TRAJECTORY = (-2, 0, 2, 4), "s"
 """Excess of the plant's dead time over the configured one [samples], and the trajectory of these runs."""
 OTHER_SEEDS = (10, 11)
@@ -236,7 +236,6 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
     if not settings.robots:
         return plan
     # Other robots are shipped, and a hundred of them take seconds to build, so the request is checked without them.
-    # what is asked for is checked without them.
     population, dynamics = (
         population_cases(whole=settings.beyond),
         dynamics_cases(ROBOT_SEEDS if settings.beyond else None),

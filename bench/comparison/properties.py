@@ -78,7 +78,7 @@ def measure_properties(cases: Sequence[Case], jobs: int, on_done: OnDone = lambd
 
 
 def _property_case(case: Case) -> Case:
-    """Return the case without the values that do not affect the properties: where it is driven, and the solver."""
+    """Return the case without the values that do not affect the properties: the plant, and the solver."""
     plain = {
         dimension.name: dimension.default
         for dimension in DIMENSIONS

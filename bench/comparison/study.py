@@ -115,7 +115,7 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
 
 def _drive(case: Case, *, whole: bool) -> RunOutcome | Row:
     run = run_case(case)
-    _ = run.errors  # worked out where there are several processes to do it
+    _ = run.errors  # computed here, where several processes work
     return RunOutcome(case, run) if whole else row_of(case, run)
 
 

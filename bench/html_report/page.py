@@ -248,13 +248,14 @@ class Shown:
     Attributes
     ----------
     summary, notes
-        Sentences at the top: did it complete, how well, compared with what; and in small letters what words mean.
+        Sentences at the top: whether it completed, its quality, and the comparison; and explanations of terms in small
+        letters.
     key_figures
         The figures of the summary.
     toggles
         Buttons that act on all views.
     views
-        In order; neighbouring charts stand side by side.
+        In order; neighbouring charts are side by side.
     warnings
         In order of weight.
     configurations

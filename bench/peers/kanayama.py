@@ -45,7 +45,7 @@ class KanayamaLaw:
         self._gains = gains
 
     def start(self, reference: Reference) -> None:
-        """Start to track `reference`; nothing has to be prepared."""
+        """Start to track `reference`; no preparation is needed."""
 
     def decide(self, sight: LawInput) -> FloatArray:
         """Compute the wanted v [m/s] and omega [rad/s] (2,)."""

@@ -143,8 +143,8 @@ class TrackingPeer:
         Whether the estimated side-slip is compensated: the robot then turns into the curve, so that it travels along
         the path.
     config
-        Limits, estimator and velocity model; by default those of the shipped configuration of SM, the model that tells
-        dead time and lag apart.
+        Limits, estimator and velocity model; by default those of the shipped configuration of SM, the model with
+        separate dead time and lag.
     """
 
     def __init__(

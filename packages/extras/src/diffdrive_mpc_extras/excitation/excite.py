@@ -1,4 +1,4 @@
-"""A drive that tells a model, for a controller: looked for, driven on what is believed of the robot, and on a plant."""
+"""A drive that determines a model: found by a search, then driven on the controller's robot and on a plant."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _LATE = "lag and dead time"
 
 @dataclass(frozen=True)
 class Excitation:
-    """A drive and what it is expected to tell.
+    """A drive and its expected information.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class Excitation:
     drive
         The twists of the reference.
     expected
-        Parameters as the configuration believes them, and how well they will be known.
+        Parameters of the configuration, and their expected uncertainty after the drive.
     """
 
     case: Case
@@ -111,7 +111,7 @@ def excite_model(
     seed: int = 0,
     on_drive: Callable[[int, int], None] | None = None,
 ) -> Excitation:
-    """Look for the drive that tells most of gains, lags and dead times of the robot that a configuration believes in.
+    """Search for the drive with the most information about gains, lags and dead times of a configuration's robot.
 
     Parameters
     ----------
@@ -176,7 +176,9 @@ def excite_into(
     seed: int = 0,
     **options: float,
 ) -> Excitation:
-    """Write the drive, and its log on a plant where asked, and print what it will tell; otherwise as `excite_model`.
+    """Write the drive, and its log on a plant where requested, and print its expected information.
+
+    The arguments are those of `excite_model`.
 
     Raises ConfigError if a file cannot be written, or the robot did not keep to its room: then there is no log.
     """

@@ -1,10 +1,10 @@
-"""A drive that tells most of a velocity model, inside a room: for `diffdrive-mpc excite --for model`.
+"""A drive with the most information about a velocity model, inside a room: for `diffdrive-mpc excite --for model`.
 
-Two families of twists over time: moves that are held, and sums of sines. Of each, the one that tells most is looked for
-by differential evolution (Storn, Price, Journal of Global Optimization 1997, 11, 341-359; `scipy.optimize`); the better
-of the two is the drive. What "tells" means comes from outside, as a function of commands: see
-`excitation.drive_information`. Every member of a family keeps to the room and to the limits by its construction,
-so the search has no constraints.
+Two families of twists over time: moves that are held, and sums of sines. In each, the drive with the most information
+is searched by differential evolution (Storn, Price, Journal of Global Optimization 1997, 11, 341-359;
+`scipy.optimize`); the better of the two is the drive. The measure of information is a function of the commands:
+see `excitation.drive_information`. Every member of a family is inside the room and the limits by its construction, so
+the search has no constraints.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ class Room:
 
 @dataclass(frozen=True)
 class ModelDrive:
-    """Twists that tell most.
+    """Twists with the most information.
 
     Attributes
     ----------
@@ -120,7 +120,7 @@ class ModelDrive:
 
 
 def model_excitation(room: Room, seconds: float, limits: TrajectoryLimits, worth: Worth, seed: int = 0) -> ModelDrive:
-    """Look for the twists that are worth most.
+    """Search for the twists with the highest value.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def model_excitation(room: Room, seconds: float, limits: TrajectoryLimits, worth
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the time is too short, or no drive of either family tells anything.
+        If the time is too short, or no drive of either family contains information.
     """
     settings = model_excitation_settings()
     least = 2 * settings.holds[1] + 2 * settings.calm
@@ -284,7 +284,7 @@ class _Steps:
             way = self._way(pose, np.vstack([move, self._ramp(move[-1], np.zeros(2), stop)]))
             if (np.abs(way[:, :2]) <= self._reach).all():
                 return move
-        # Slowing down is always inside: what came before made sure of it.
+        # Slowing down is always inside the room: the steps before ensure it.
         return self._ramp(twist, np.array([0.0, 0.0]), max(ticks, 1))
 
     def _ramp(self, twist: FloatArray, target: FloatArray, ticks: int) -> FloatArray:

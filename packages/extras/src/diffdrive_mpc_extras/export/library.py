@@ -26,7 +26,7 @@ core_sources.require(1)
 _SOURCES = Path(__file__).parent / "sources"
 
 FOLDERS, FILES = ("ddmpc", "examples", "stm32f4"), ("CMakeLists.txt",)
-"""Names of what is written."""
+"""Names of the written files and functions."""
 
 
 class Precision(StrEnum):

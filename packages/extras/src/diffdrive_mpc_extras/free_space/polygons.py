@@ -54,7 +54,7 @@ def crosses_itself(corners: FloatArray) -> bool:
     along = b - a
 
     def side(point: FloatArray) -> FloatArray:
-        """Return [i, j]: the side of edge i on which point j lies."""
+        """Return [i, j]: the side of edge i of point j."""
         d = point[None, :, :] - a[:, None, :]
         return np.asarray(np.sign(along[:, None, 0] * d[..., 1] - along[:, None, 1] * d[..., 0]))
 
@@ -83,7 +83,7 @@ def convex_pieces(corners: FloatArray) -> list[FloatArray]:
     while len(ring) > 3:
         ear = next((i for i in range(len(ring)) if _is_ear(ring, i)), None)
         if ear is None:
-            # Rounding has left no ear: what remains is covered by its hull.
+            # Because of rounding there is no ear: the remaining corners are covered by their hull.
             break
         pieces.append(np.array([ring[ear - 1], ring[ear], ring[(ear + 1) % len(ring)]]))
         del ring[ear]

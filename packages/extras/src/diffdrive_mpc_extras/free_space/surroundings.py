@@ -82,7 +82,7 @@ class Corridor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surroundings:
-    """Everything that the robot has to keep clear of; it replaces what was seen before.
+    """All obstacles of the robot; it replaces what was seen before.
 
     Polygons and grids that are the same objects as before are not worked out again: do not change them in place.
 
@@ -91,7 +91,7 @@ class Surroundings:
     polygons
         (k, 2) corners of each obstacle, in either direction [m]; simple polygons, convex or not.
     discs
-        Things that stand or move.
+        Standing or moving obstacles.
     grid
         A costmap, or none.
     corridor

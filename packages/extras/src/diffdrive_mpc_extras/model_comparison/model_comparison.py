@@ -42,7 +42,7 @@ class Kind(NamedTuple):
 
 
 _SSM, _EFFECTS, _SLOW = 5.0, 10.0, 20.0
-# Efforts are rough: what is left is told to the order of size, and better with every kind that is done.
+# Efforts are rough: the remaining time is known to the order of magnitude, and better after every kind.
 
 
 def _functions(*, slow: bool) -> Iterator[Kind]:
@@ -82,7 +82,7 @@ class Scored:
     seconds
         Duration of all identifications of the kind [s].
     failure
-        Why there is none, in a line; empty where there is.
+        Reason for a missing score, in a line; empty where there is.
     """
 
     kind: str
@@ -104,7 +104,7 @@ class ModelComparison:
     weights
         (B, 2) readings behind each block.
     spread
-        (2,) variance of what was measured, about its mean.
+        (2,) variance of the measurements, about their mean.
     parts
         Number of parts that were held out in turn.
     horizon
@@ -213,9 +213,9 @@ def compare_models(
     parts
         Number of parts of equal length in time, at least 2.
     on_progress
-        Called with what is done next, and the share of the work that is done.
+        Called with the next step, and the finished part of the work.
     on_scored
-        Called with what there is so far whenever a kind is scored, the last of its scores.
+        Called with the scores so far whenever a kind is scored, the new one last.
 
     Raises
     ------

@@ -85,7 +85,7 @@ def find_network(
     Raises
     ------
     models.errors.MissingPackageError
-        If what trains is not installed.
+        If the package for training is not installed.
     ValueError
         If the records are too few.
     """

@@ -42,7 +42,7 @@ def plan(
     start, goal
         (3,) x, y [m], theta [rad].
     via
-        (n, 2) x, y [m] to pass in this order, in whatever heading.
+        (n, 2) x, y [m] to pass in this order, with any heading.
     minimise
         "energy", "time" or "distance".
     speed

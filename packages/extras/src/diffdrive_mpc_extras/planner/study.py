@@ -1,4 +1,4 @@
-"""The plan for one objective, with the plans for the others beside it."""
+"""The plan for one objective, compared with the plans for the others."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from diffdrive_mpc_extras.turn_costs import TurnCosts
 from diffdrive_mpc_extras.worlds.drawing import draw_world
 from diffdrive_mpc_extras.worlds.world import World
 
-# A way of least energy that is so many times as long as the shortest is pointed out.
+# A note is given where the way of least energy is longer than the shortest by this factor.
 _LONG = 1.5
 
 
@@ -82,7 +82,7 @@ Plans = dict[Objective, Plan]
 
 
 class PlanStudy(Study[PlanRequest, Plans]):
-    """Plans for every objective, and the trajectory of the one that is asked for.
+    """Plans for every objective, and the trajectory of the requested one.
 
     Parameters
     ----------
