@@ -71,7 +71,7 @@ def reproduce(
     ] = None,
     jobs: Jobs = None,
 ) -> None:
-    """Repeat the papers' experiments on the simulated robot and say which findings hold: minutes on two cores."""
+    """Repeat the papers' experiments on the simulated robot and report the confirmed findings: minutes on two cores."""
     from studies.reproduce.published import PARTS, load_study  # noqa: PLC0415 - --help does without it
     from studies.reproduce.study import ReproduceStudy  # noqa: PLC0415
 

@@ -28,7 +28,7 @@ from diffdrive_mpc.sim.plants.open_loop import random_commands
 
 Range = tuple[Positive, Positive]
 _COVERED = 1.959964
-# A pole pair with a damping above this is taken for real: the same rule for truth and estimate.
+# A pole pair with a damping above this counts as real: the same rule for truth and estimate.
 _REAL = 1.0
 
 
@@ -54,7 +54,7 @@ class TruthSettings(StrictModel):
 
 @dataclass(frozen=True)
 class RecoveredTruth:
-    """One truth and what was made of it.
+    """One truth and its identification.
 
     Attributes
     ----------

@@ -48,7 +48,7 @@ class PeerInput:
         """Compute state of the first stage and parameters of all, see `studies.speed.stage`, at `t` [s]."""
         if not self._started:
             self._controller.start(self._reference, t)
-        # What the subject commanded, not what this controller would have.
+        # The subject's command, not that of this controller.
         sent = (float(self._past[-1, 0]), float(self._past[-1, 1]))
         stamped = replace(measurement, sent=sent) if self._started else measurement
         self._started = True
@@ -67,7 +67,7 @@ class PeerInput:
 
 @dataclass
 class ClosedLoop:
-    """A closed loop that goes on tick by tick.
+    """A closed loop that is continued tick by tick.
 
     Attributes
     ----------
@@ -135,8 +135,8 @@ def closed_loop_cost(
 
     Half the weighted sum of squares of the pose error along and across the reference and in heading, of the command's
     deviation from its feed-forward and of its increments less those of the feed-forward, plus the penalties on soft
-    limits that were exceeded. The
-    terminal weight has no part in it, nor has slip: the feed-forward is that of the model, and no lead is asked for.
+    limits that were exceeded. The terminal weight has no part in it, nor has slip: the feed-forward is that of the
+    model, and no lead is requested.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ def _soft_limits(config: ControllerConfig) -> FloatArray:
 
 T = TypeVar("T")
 _AT_LIMIT = 1e-5
-"""A command this close to a limit stands at it [m/s, rad/s]."""
+"""A command this close to a limit counts as limited [m/s, rad/s]."""
 
 
 @dataclass(frozen=True)
@@ -252,7 +252,7 @@ class _Running:
         return None if result is None else (_times(result[0]), result[1])
 
     def guarded(self, act: Callable[[], T]) -> T | None:
-        """Let the subject act; one that fails drops out with its reason, the others go on."""
+        """Let the subject act; one that fails is removed with its reason, the others continue."""
         try:
             return None if self.lost else act()
         except SubjectError as error:
@@ -289,7 +289,7 @@ def measure(
     environment
         Environment of the peers that need their own; or the reason for its absence.
     folder
-        For what the subjects generate.
+        Folder of the files that the subjects generate.
     core
         The core that everybody runs on; None where a process cannot be bound to one.
     on_tick

@@ -1,4 +1,4 @@
-"""A bound, not a controller to drive with: it knows the plant, its pose and its slip, and may think for long.
+"""A bound, not a controller to drive with: it knows the plant, its pose and its slip, and has no time limit.
 
 It solves the predictive controller's problem (`mpc.problem`) with IPOPT to convergence at every tick: the same weights
 and hard limits, a longer horizon. The model is fitted to the plant itself, poses are true, slip is part of the

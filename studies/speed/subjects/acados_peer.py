@@ -1,6 +1,6 @@
 """acados: one real-time iteration (SQP_RTI) with HPIPM on generated and compiled C; see docs/performance.md.
 
-Runs in an environment of its own (`studies.speed.process.environment`): of ours it knows `StageProblem`'s plain
+Runs in its own environment (`studies.speed.process.environment`): of this project it uses only `StageProblem`'s plain
 values.
 """
 
@@ -53,7 +53,7 @@ class AcadosPeer:
         self._status = 0
 
     def reset(self, state: np.ndarray, parameters: np.ndarray) -> None:
-        """Start anew along the feed-forward."""
+        """Restart along the feed-forward."""
         self._solver.reset()
         self._data[0] = 0.0
         z = state

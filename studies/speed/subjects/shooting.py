@@ -28,7 +28,7 @@ class ShootingProgram:
     equality
         Rows of g that are equations.
     stride, states
-        Length of one stage in x, and of z; u_k stands after z_k.
+        Length of one stage in x, and of z; u_k follows z_k.
     """
 
     nlp: dict[str, ca.SX]

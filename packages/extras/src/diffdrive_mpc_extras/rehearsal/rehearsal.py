@@ -8,8 +8,8 @@ motions of its reference, so a lap's errors are e = d + c with d the repeating p
     d <- (1 - forgetting) (d + max(gain, 1 / k) (e - c - d)),    c = -Q trust d
 
 The 1 / k makes d the mean of all laps at first. `trust` is the reliable part of d, as in a Wiener filter:
-1 - variance of d / local power of d. Q smooths without phase, as the robot does not follow fast changes. The law is iterative learning control with a Q-filter: Bristow, Tharayil, Alleyne, IEEE Control Systems
-Magazine 26(3), 2006.
+1 - variance of d / local power of d. Q smooths without phase, as the robot does not follow fast changes. The law is
+iterative learning control with a Q-filter: Bristow, Tharayil, Alleyne, IEEE Control Systems Magazine 26(3), 2006.
 """
 
 from __future__ import annotations

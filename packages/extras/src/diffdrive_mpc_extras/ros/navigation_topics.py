@@ -27,7 +27,7 @@ from diffdrive_mpc_extras.worlds.world_plant import WorldPlant
 TRANSFORMS, SCAN = "/tf", "scan"
 _TIME_TOLERANCE = 1e-9
 _NEAREST = 0.05
-"""Ranges below are none [m]; the scanner is inside the hull."""
+"""Shorter ranges are invalid [m]; the scanner is inside the hull."""
 
 
 class TransformSender:

@@ -91,16 +91,16 @@ def twin_of(
     on_stage: Callable[[str, int], None] | None = None,
     on_drive: Callable[[], None] | None = None,
 ) -> FittedTwin:
-    """Fit the physics to logs of one robot; the first 60 % of each are fitted, the others score.
+    """Fit the physics to logs of one robot; the first 60 % of each are fitted, the others are for the scores.
 
     Parameters
     ----------
     logs, mapping, force, on_findings
         As `models.identification.identify`.
     robot
-        Robot file with what is known of the robot: mass, wheel base, motors; shipped name or path.
+        Robot file with known values of the robot: mass, wheel base, motors; shipped name or path.
     model
-        Identified model to begin with and to stand beside; by default SM is identified from the same rows.
+        Identified model to begin with and to compare with; by default SM is identified from the same rows.
     effects
         Whether to identify the effects of the base around that SM.
     seconds
@@ -110,7 +110,7 @@ def twin_of(
     together
         Function that runs several drives of the plant.
     on_stage
-        Called with what is done next, and about how many drives it takes.
+        Called with the next step, and the approximate number of its drives.
     on_drive
         Called after each drive.
 

@@ -1,4 +1,4 @@
-"""The robot that a fit begins with: the user's file, and what it leaves out scaled from the papers' robot.
+"""The robot that a fit begins with: the user's file, and missing values scaled from the papers' robot.
 
 Lengths of the body go with the track, wheel masses with the mass, torques with weight times wheel radius, gains of the
 motors' loops with one over their speed. MuJoCo's contact has time constants and ratios alone, so it is as soft for
@@ -78,7 +78,7 @@ def nominal_robot(name: str, records: Sequence[Record], file: str | Path | None 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the file has a mistake, or neither it nor the records tell track and wheel radius.
+        If the file has a mistake, or neither it nor the records determine track and wheel radius.
     """
     stated_data: Mapping[str, Any] = {}
     where = name

@@ -1,4 +1,4 @@
-"""The parameters of a fit, and the robot that their values stand for."""
+"""The parameters of a fit, and the robot that their values describe."""
 
 from __future__ import annotations
 

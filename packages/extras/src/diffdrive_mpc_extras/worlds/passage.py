@@ -12,7 +12,7 @@ from diffdrive_mpc_extras.worlds.settings import world_settings
 from diffdrive_mpc_extras.worlds.shapes import Shapes
 from diffdrive_mpc_extras.worlds.world import World
 
-# What the robot touched: MuJoCo's contacts put together to events.
+# Contacts of the robot: MuJoCo's contacts combined to events.
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,7 @@ class Contact:
     time, until
         First and last instant [s].
     obstacle
-        Name of what was touched: kind and number in the world's file, from zero.
+        Name of the touched object: kind and number in the world's file, from zero.
     x, y
         Place of the first contact [m].
     speed
@@ -80,7 +80,7 @@ class ContactLog:
 
 
 _LOOKED_AT = 5
-"""Every so many ticks the clearance is taken."""
+"""Number of ticks between two measurements of the clearance."""
 _OUTLINE_STEP = 0.03
 """Between points of the outline at which it is taken [m]."""
 

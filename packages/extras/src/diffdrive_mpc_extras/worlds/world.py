@@ -1,4 +1,4 @@
-"""A world: obstacles, persons and the way through them."""
+"""A world: obstacles, persons and the way between them."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class World(StrictModel):
 
     @property
     def outlines(self) -> tuple[tuple[str, Wall | Box | Polygon], ...]:
-        """Every polygon that stands at the beginning, with its name."""
+        """Every polygon at the beginning, with its name."""
         return (
             *((f"wall {i}", wall) for i, wall in enumerate(self.walls)),
             *((f"box {i}", box) for i, box in enumerate(self.boxes)),
