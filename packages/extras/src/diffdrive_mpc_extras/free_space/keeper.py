@@ -291,7 +291,7 @@ class FreeSpaceKeeper:
         return f"the surroundings are {t - time:.2f} s old; {most}"
 
     def _since(self, t: float) -> float:
-        """Age of the surroundings [s]."""
+        """Return the age of the surroundings [s]."""
         assert self._around is not None
         return 0.0 if self._around.time is None else t - self._around.time
 

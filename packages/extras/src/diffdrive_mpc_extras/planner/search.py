@@ -321,7 +321,7 @@ class PlanSearch:
         return np.asarray(np.maximum(bounds.max(axis=1), flat))
 
     def _angle(self, angle: FloatArray) -> FloatArray:
-        """Necessary turn [rad]: less for a robot that goes either way."""
+        """Return the necessary turn [rad]: less for a robot that goes either way."""
         magnitude = np.abs(wrap_angle(angle))
         return np.minimum(magnitude, np.pi - magnitude) if self._both_ways else magnitude
 
