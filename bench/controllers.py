@@ -30,8 +30,7 @@ from diffdrive_mpc.sim.plants.make import drawn_robot, physics_robot
 from diffdrive_mpc.sim.plants.names import split_plant
 from diffdrive_mpc.sim.plants.plant import PlantAround
 
-# Plant that receives every command some ticks later: a dead time unknown to controllers. a dead time that no controller
-# was told of.
+# Plant that receives every command some ticks later: a dead time unknown to controllers.
 
 
 class LatePlant(PlantAround):

@@ -79,7 +79,7 @@ def simulate(
     _check(reference, ("sample", "duration"), "reference", "a trajectory or its name")
     if isinstance(controller, Controller) and (shortfall := controller.find_shortfall(reference)):
         warnings.warn(escaped(str(shortfall)), stacklevel=2)
-    # The arguments are checked above. checked above.
+    # The arguments are checked above.
     return loop.simulate(
         controller,
         plant,  # type: ignore[arg-type]

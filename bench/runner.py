@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from diffdrive_mpc.models.errors import DiffdriveMpcError, FormerNameWarning
 
-# Failures of a study that are no mistakes of the user; each message is one line. each is one line.
+# Failures of a study that are no mistakes of the user; each message is one line.
 
 
 class StudyFailedError(DiffdriveMpcError, RuntimeError):
@@ -99,8 +99,7 @@ def _in_processes(tasks: Sequence[Callable[[], T]], jobs: int) -> Iterator[T]:
     except BrokenProcessPool as error:
         raise WorkerDiedError(f"one of {jobs} processes was ended from outside; try a smaller --jobs") from error
     finally:
-        # Idle workers would disturb the timing that follows; those of a failed study are not waited for. those of a
-        # study that failed are not waited for.
+        # Idle workers would disturb the timing that follows; those of a failed study are not waited for.
         if not (finished and processes_last()):
             _end_processes(at_once=not finished)
 

@@ -136,7 +136,7 @@ class _Track:
         times = np.full((self.repetitions, self.replay.ticks, 2), np.nan)
         clean = np.zeros(times.shape[:2], dtype=bool)
         for first, turns in self.blocks.items():
-            # Too few good ones are completed by disturbed ones, which stay marked. they stay marked as such.
+            # Too few good ones are completed by disturbed ones, which stay marked.
             good = self.clean(first, best)
             bad = [turn for turn in turns if not turn.effort.undisturbed(best)]
             chosen = (good + bad)[: self.repetitions]

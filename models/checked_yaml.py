@@ -20,7 +20,7 @@ from diffdrive_mpc.models.suggestions import suggestion
 from diffdrive_mpc.models.table import plain_line
 
 # Conversion of YAML text to plain values, with bounds: deep, huge or recursive documents are rejected before they are
-# built. what is deep, huge or refers to itself is refused before it is built.
+# built.
 
 
 try:
@@ -242,8 +242,7 @@ def check(schema: type[Schema], data: object, where: str, shown: Callable[[str],
             raise KeyboardInterrupt from error
         raise
     except ValidationError as error:
-        # Each sentence needs a search for similar keys, and nobody reads a thousand sentences. nobody reads a thousand
-        # of them.
+        # Each sentence needs a search for similar keys, and nobody reads a thousand sentences.
         details = error.errors()
         sentences = [_sentence(schema, detail, shown) for detail in details[: 3 * _MOST_MISTAKES]]
         raise ConfigError(mistakes(where, sentences, len(details) - len(sentences))) from error

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FunctionStructure:
-    """One structure. Listing names imports none of the named modules. they load CasADi or more.
+    """One structure. Listing names imports none of the named modules.
 
     Attributes
     ----------

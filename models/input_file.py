@@ -70,8 +70,7 @@ def open_input(path: Path) -> BufferedReader:
     OSError
         If it is no regular file, cannot be opened, or was not fetched by Git LFS.
     """
-    # Open without waiting for a writer of a pipe, and check the opened file itself. what is opened is what is looked
-    # at.
+    # Open without waiting for a writer of a pipe, and check the opened file itself.
     handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0))
     try:
         state = os.fstat(handle)
@@ -100,8 +99,7 @@ def read_input(path: Path, most: int) -> bytes:
         As for `open_input`, or if the file is larger.
     """
     with open_input(path) as file:
-        # Allocate at most the size of the file; special files may report none, and then less is read. then there is
-        # less to read.
+        # Allocate at most the size of the file; special files may report none, and then less is read.
         content = file.read(min(most, os.fstat(file.fileno()).st_size) + 1)
     if len(content) > most:
         raise OSError(errno.EFBIG, f"it is larger than {most / MEGABYTE:g} MB, the most that is read")

@@ -93,7 +93,7 @@ def _markdown_row(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
-# Escapes for untrusted text, such as names in files and of files. it is data wherever it stands.
+# Escapes for untrusted text, such as names in files and of files.
 
 
 LONGEST = 1000

@@ -199,8 +199,7 @@ class Controller:
         for name, feature_state in state["features"].items():
             self._features[name].restore(feature_state)
         if state["reference"] is not None:
-            # The reference was accepted at the start; limits tightened during the drive do not end it. limits that were
-            # tightened while driving do not end it.
+            # The reference was accepted at the start; limits tightened during the drive do not end it.
             self._begin(state["reference"], state["t0"])
 
     @property
@@ -714,8 +713,7 @@ class Controller:
                 return tick.lib.ddmpc_too_far(self._c, target.distance), ""
             self._blocked_for = target.blocked_for
             sample = target.sample or target.reference.sample(target.time + self._ahead)
-            # A blocked base must not receive ever larger commands, or it would lurch once released. once released, it
-            # would lurch.
+            # A blocked base must not receive ever larger commands, or it would lurch once released.
             share = self._config.reentry.blocked_share if target.blocked_for else 1.0
             return tick.track(sample.pose, sample.twist, share), target.message
         except (ArithmeticError, ValueError) as error:

@@ -247,8 +247,7 @@ def draw_poles(report: IdentificationReport, path: Path) -> None:
             axes.plot(pole.real, level(pole), "x", color=colour(0), markersize=8, markeredgewidth=1.8)
             value = f"{pole.real:.3g}{pole.imag:+.3g}j" if pole.imag else f"{pole.real:.3g}"
             axes.annotate(value, (pole.real, level(pole)), (0, 7), textcoords="offset points", ha="center")
-        # An interval may be infinite; the poles set the scale, which is logarithmic if they are far apart. the poles
-        # set the scale, which is logarithmic where they are far apart.
+        # An interval may be infinite; the poles set the scale, which is logarithmic if they are far apart.
         most = float(np.abs(poles).max())
         least = float(np.abs(poles.real[poles.real != 0.0]).min(initial=most))
         if most > _FAR_APART * least:

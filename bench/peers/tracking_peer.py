@@ -25,8 +25,7 @@ from diffdrive_mpc.mpc.estimate import Estimate
 from diffdrive_mpc.mpc.problem.formulas import formula
 from diffdrive_mpc.mpc.problem.slip import Slip
 
-# Command limits of peers: range and slew, as the core applies them for our controller. range and slew, as the core
-# keeps them for our controller.
+# Command limits of peers: range and slew, as the core applies them for our controller.
 
 
 def slew_step(limits: Limits, dt: float) -> FloatArray:

@@ -25,11 +25,9 @@ _FLAGS = (
     "-fno-semantic-interposition",
     "-fPIC",
 )
-# GCC 12 wrongly assumes alignment in loop remainders, which crashes the process: disable that optimisation. it is to
-# leave that alone.
+# GCC 12 wrongly assumes alignment in loop remainders, which crashes the process: disable that optimisation.
 PLAIN_REST = "--param=vect-epilogues-nomask=0"
-# Flags for the fastest instructions of this machine; not every compiler accepts the first ones. not every compiler
-# knows the first ways to ask for them.
+# Flags for the fastest instructions of this machine; not every compiler accepts the first ones.
 NATIVE: tuple[tuple[str, ...], ...] = (
     ("-march=native", "-mprefer-vector-width=512", PLAIN_REST),
     ("-march=native", "-mprefer-vector-width=512"),
@@ -73,8 +71,7 @@ def build_library(texts: Mapping[str, str], folder: Path, tunings: Sequence[Sequ
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         for tuning in tunings:
             command = [compiler, *_FLAGS, *tuning]
-            # Run in the folder with relative names, so that the library contains no paths. the library does not tell
-            # where it was made.
+            # Run in the folder with relative names, so that the library contains no paths.
             compiling = [pool.submit(_complaint, [*command, "-c", source], folder) for source in sources]
             fault = next((complaint.result() for complaint in compiling if complaint.result()), "")
             if not fault:

@@ -60,8 +60,7 @@ POSES: dict[str, Callable[[Any], Reading]] = {
 
 
 BATTERIES: dict[str, Callable[[Any], Reading]] = {
-    # REP 147: a discharging current is negative; in a record the output of the battery is positive. in a record what
-    # the battery gives is positive.
+    # REP 147: a discharging current is negative; in a record the output of the battery is positive.
     "sensor_msgs/msg/BatteryState": lambda message: (float(message.voltage), -float(message.current)),
 }
 """Voltage [V], current that the battery gives [A]."""

@@ -54,7 +54,7 @@ class Growing(Generic[_Scalar]):
         """Append a block."""
         end = self._count + len(block)
         if end > len(self._values):
-            # Memory pages are moved if possible, without a second copy. no second copy beside it.
+            # Memory pages are moved if possible, without a second copy.
             self._values.resize(end + end // _ROOM, refcheck=False)
         self._values[self._count : end] = block
         self._count = end

@@ -121,7 +121,7 @@ def usual_step(times: list[FloatArray]) -> float:
     rows = np.rint(steps / median)
     near = rows <= 3
     mean = float(steps[near].sum() / rows[near].sum())
-    # A sample time has at most six digits; the rest is rounding of the stamps. the rest is rounding of the stamps.
+    # A sample time has at most six digits; the rest is rounding of the stamps.
     return float(f"{median if np.isclose(median, mean, rtol=1e-4) else mean:.6g}")
 
 
@@ -172,8 +172,7 @@ def sample(signal: Signal, grid: FloatArray, dt: float, tolerance: float, reach:
     distance = np.abs(signal.time[nearest] - grid)
     exact = distance <= tolerance
     values[exact] = signal.value[nearest[exact]]
-    # Break ties at half a step consistently along the whole grid. a hair decides such ties the same way along the whole
-    # grid.
+    # Break ties at half a step consistently along the whole grid.
     cells = np.floor((signal.time - grid[0]) / dt + 0.5 + 1e-6).astype(int)
     fresh[cells[(cells >= 0) & (cells < len(grid))]] = True
     return values, fresh & np.isfinite(values).all(axis=1)

@@ -300,7 +300,6 @@ class Pursuit:
         settings = self._settings
         away = float(np.hypot(*(estimate.pose - waiting)[:2]))
         # A displacement without driving is no progress: it counts from `waiting`, the place where the reference waits.
-        # it counts from `waiting`, where the reference waits.
         if self._resumes and away > self._config.failure.max_position_error:
             return TooFar(away)
         window = PathWindow.around(reference, time, settings.window, _WINDOW_STEP * self._config.sample_time)

@@ -59,7 +59,7 @@ class TooFar:
 # Whether the robot moves at all while the reference waits for it.
 
 
-# Displacements below this are noise of the pose: m, rad. m, rad.
+# Displacements below this are noise of the pose: m, rad.
 _STIR = (0.04, 0.1)
 
 

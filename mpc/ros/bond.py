@@ -60,7 +60,7 @@ class BondProtocol:
         """Update the bond; call once per period."""
         passed = self._now() - self._since
         if self.state is BondState.WAITING and passed > CONNECT_TIMEOUT:
-            # No manager is present, so the node continues alone. it goes on alone.
+            # No manager is present, so the node continues alone.
             self.state = BondState.DEAD
         elif self.state is BondState.ALIVE and passed > HEARTBEAT_TIMEOUT:
             self.state, self.lost = BondState.DEAD, f"it was silent for {HEARTBEAT_TIMEOUT:g} s"

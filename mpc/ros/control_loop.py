@@ -525,8 +525,7 @@ class ControlLoop:
             reference = self._laid = MovedReference(reference, self._placement.motion())
         elif self._moves_to_robot and pose is not None:
             reference = starting_at(reference, pose.value)
-        # A planner sends a new path each second, and learned slip outlasts it. what was learned of the floor outlasts
-        # that.
+        # A planner sends a new path each second, and learned slip outlasts it.
         goes_on = self.state is LoopState.DRIVING and self.last is not None and self.last.mode is Mode.TRACKING
         if goes_on:
             self._controller.switch_reference(reference, t0)

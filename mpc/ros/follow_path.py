@@ -213,7 +213,7 @@ class FollowPathServer:
         header = request.path.header
         goal = FollowGoal(poses, header.frame_id, nanoseconds(header.stamp), fault=fault, clients=clients)
         # The handle keeps its request as long as its result, and collecting that many objects would stop the loop for a
-        # second. to collect so many objects stops the loop for a second.
+        # second.
         request.path = Path()
         future = Future(executor=self._executor)
         self._open.append((goal, handle, future))

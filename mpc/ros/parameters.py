@@ -451,8 +451,7 @@ def _groups(changes: Mapping[str, Any], config: ControllerConfig) -> list[dict[s
     ]
 
 
-# Transitions report the reason of a failure, and forbidden ones are rejected, which rclpy does not do. rclpy does
-# neither.
+# Transitions report the reason of a failure, and forbidden ones are rejected, which rclpy does not do.
 
 
 class Managed(Protocol):

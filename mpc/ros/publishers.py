@@ -141,8 +141,7 @@ class Publishers:
         return marker
 
 
-# Peers of the node's topics, in words: wrong message types, or missing peers. the wrong type of message, or nobody at
-# all, in words.
+# Peers of the node's topics, in words: wrong message types, or missing peers.
 
 
 _PACKAGE = "geometry_msgs/msg/"

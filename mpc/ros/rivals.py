@@ -97,7 +97,7 @@ class Rivals:
         names = sorted(map(full_name, self._node.get_publishers_info_by_topic(topic)))
         name = self._node.get_fully_qualified_name()
         # One publisher of that name is this node's; a second one is another node's. If this node has no publisher, the
-        # first is another node's. a second one is another. Without a publisher of its own, the first is another.
+        # first is another node's.
         if has_own and name in names:
             names.remove(name)
         return names

@@ -112,8 +112,7 @@ class SideProcess:
     def _end(self) -> None:
         if self._process is not None:
             self._process.kill()
-            # The process ends as soon as the machine has time for it, so waiting longer is harmless. who waits longer
-            # only waits.
+            # The process ends as soon as the machine has time for it, so waiting longer is harmless.
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(_FAREWELL)
                 self._process = None

@@ -17,8 +17,7 @@ from diffdrive_mpc.models.interface import FloatArray
 CORE = Path(__file__).parent
 """Folder of the C file and its header."""
 
-# No contraction and no tuning to the processor: the same seed must give the same bits everywhere. the same seed has to
-# give the same bits everywhere.
+# No contraction and no tuning to the processor: the same seed must give the same bits everywhere.
 _FLAGS = ("-ffp-contract=off",)
 _STEP = "void mj_step(const void *model, void *data);"
 

@@ -78,8 +78,8 @@ class Polyline:
             ends = np.maximum(last[rows], np.searchsorted(self.arc_start, self.arc_end[before] + by, side="right"))
             return begins, ends
 
-        # Search all at once, and again those whose search range depends on the results. For a lost robot that. Where a
-        # robot is lost that goes from point to point, and so do we.
+        # Search all at once, and again those whose search range depends on the results. For a lost robot that is done
+        # point by point.
         later = np.arange(1, len(points))
         rows = np.arange(len(points))
         for _ in range(_ROUNDS):

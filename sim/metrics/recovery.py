@@ -122,7 +122,6 @@ def _overshoot(time: FloatArray, lateral: FloatArray, outside: NDArray[np.bool_]
         return 0.0
     excursion = int(during[-1]) if during.size else int(after[0])
     beyond = -np.sign(lateral[excursion]) * lateral
-    # There is no overshoot before the path is crossed, so the crossing need not be searched. the crossing need not be
-    # searched for.
+    # There is no overshoot before the path is crossed, so the crossing need not be searched.
     counted = beyond[(np.arange(len(time)) > excursion) & (time >= end)]
     return float(max(0.0, np.max(counted, initial=0.0)))

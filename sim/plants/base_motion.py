@@ -157,8 +157,7 @@ class BaseMotion:
         return body if self._effects.veer is None else self._effects.veer.body(body)
 
 
-# Effects of a base on commands before they become set-points: slope limits, steps and coasting of the wheels. slope
-# limits, steps and coasting of the wheels.
+# Effects of a base on commands before they become set-points: slope limits, steps and coasting of the wheels.
 
 
 _HOLD = 0.005

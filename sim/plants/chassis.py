@@ -66,7 +66,6 @@ class Chassis:
         import mujoco  # noqa: PLC0415 - an optional dependency, needed by this plant only
 
         # MuJoCo would write a log file into the working directory; divergence is detected and reported in `step`.
-        # divergence is found and told in `step`.
         mujoco.set_mju_user_warning(_ignore)
         self._forward = mujoco.mj_forward
         self._restart = mujoco.mj_resetData
@@ -271,16 +270,14 @@ def _mjcf(
         shapes = [f'type="capsule" size="{wheel} {_CAPSULE}" euler="90 0 0"' for wheel in rolling]
         tyre = _of_two(tyre)
     places = [(front, half_track), (front, -half_track), (rear, half_track), (rear, -half_track)]
-    # Without friction loss the joints have no constraint: robots without it move as before, bit for bit. robots that
-    # leave it out move as ever, bit for bit.
+    # Without friction loss the joints have no constraint: robots without it move as before, bit for bit.
     drag = f' frictionloss="{chassis.wheel_drag}"' if chassis.wheel_drag else ""
     wheels = "".join(
         f'<body pos="{x} {y} 0"><joint type="hinge" axis="0 1 0" armature="{twin.motor.rotor_inertia}"{drag}/>'
         f'<geom name="{name}" {shape} mass="{chassis.wheel_mass}"/></body>'
         for name, shape, (x, y) in zip(WHEELS, shapes, places, strict=True)
     )
-    # Friction has a separate time constant: with that of the normal direction, fast skidding lifts the wheels. with
-    # that of the normal direction, fast skidding lifts the wheels.
+    # Friction has a separate time constant: with that of the normal direction, fast skidding lifts the wheels.
     contacts = "".join(
         f'<pair geom1="floor" geom2="{name}" condim="3" friction="1 1 0 0 0"'
         f' solref="{tyre.contact_time} {tyre.contact_damping}" solreffriction="{tyre.creep_time} 1"'
@@ -289,8 +286,7 @@ def _mjcf(
     )
     length, width, height = (size / 2 for size in chassis.body_size)
     body_mass = robot.mass - 4 * chassis.wheel_mass
-    # The wheels stay in place, so the body alone moves the centre of mass of the whole. the body alone has to move the
-    # centre of the whole.
+    # The wheels stay in place, so the body alone moves the centre of mass of the whole.
     ahead, left = (robot.mass / body_mass * offset for offset in chassis.centre_of_mass)
     load = ""
     if payload is not None:

@@ -18,8 +18,7 @@ from diffdrive_mpc.sim.disturbances.scenario import Scenario
 from diffdrive_mpc.sim.plants.chassis import WHEELS
 from diffdrive_mpc.sim.plants.simulated_robot import SimulatedRobot, digital_twin
 
-# Ranges of robots on the market, from which the population is drawn, and requirements of paths. the ranges that a robot
-# of the population is drawn from, and what paths need.
+# Ranges of robots on the market, from which the population is drawn, and requirements of paths.
 
 
 _FILE = Path(__file__).with_name("market.yaml")

@@ -159,7 +159,7 @@ class VelocityLoops:
         return torques
 
 
-# Path of a command from the onboard computer to the firmware: range check, then dead time. range check, then dead time.
+# Path of a command from the onboard computer to the firmware: range check, then dead time.
 
 
 _ROOM = 16
@@ -247,8 +247,7 @@ class DelayLine:
         self.c.room, self.c.first = room, 0
 
 
-# Work of the motors of a plant in a sample: true torques, work, and squared torques, which heat the windings. true
-# torques, work, and what heats their windings.
+# Work of the motors of a plant in a sample: true torques, work, and squared torques, which heat the windings.
 
 
 WHEELS = 4

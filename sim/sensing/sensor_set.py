@@ -23,7 +23,6 @@ class PoseSensor(StrictModel):
     """SLAM, motion capture or the like."""
 
     # The number of pending poses is latency over period: without bounds on both, a typing error could fill the memory.
-    # without both bounds a slip of the pen fills the memory.
     period: float | None = Field(ge=1e-3, description="time between poses [s]; null: every control sample")
     latency: float = Field(ge=0, le=2, description="from the instant a pose describes to its delivery [s]")
     position_sd: Deviation = Field(description="standard deviation of x and of y [m]")

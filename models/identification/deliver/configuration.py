@@ -30,8 +30,7 @@ from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.models.two_sided import SlewLimit, TwoSided, VelocityLimit, YawRateLimit, sides_of
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 
-# Parameters of the ROS node for the robot of a bag: topic names and message types. what its topics are called, and
-# which messages they carry.
+# Parameters of the ROS node for the robot of a bag: topic names and message types.
 
 
 NODE_FILE = "node.yaml"

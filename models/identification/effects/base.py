@@ -254,7 +254,7 @@ def _doubts(fit: EffectFit, parameters: ParameterEstimate) -> list[Doubt]:
     delays = _delays(fit, parameters)
     verdicts = [*doubts.badly_known(parameters.part(sized), delays=delays), *doubts.late_answers(delays)]
     for name, (low, high, _) in effect_settings().parameters.items():
-        # Zero is a valid result for an effect; a value at any other bound is not. anything else at a bound is none.
+        # Zero is a valid result for an effect; a value at any other bound is not.
         if name in fit.point and fit.point[name] in (low, high) and fit.point[name] != 0.0:
             if name == "encoders.delay" and fit.point[name] < 0.0:
                 late = f", beside a lag of {fit.point['encoders.lag']:.2g} s" if "encoders.lag" in fit.point else ""

@@ -307,8 +307,7 @@ def _settled(fit: EffectFit, data: Weighted) -> EffectFit:
             lag = np.sqrt(slow * _FASTEST)
             point |= {f"lag.{channel}": lag, f"damping.{channel}": 0.5 * (slow + _FASTEST) / lag}
             unseen.append(f"damping.{channel}")
-    # The lag of an unseen pole is short and determines the slow one, so it does not count as a pole at its bound. it is
-    # not taken for one at its bound.
+    # The lag of an unseen pole is short and determines the slow one, so it does not count as a pole at its bound.
     for name in [name for name in fit.free if name.replace("lag.", "damping.") not in unseen]:
         low, high, _ = effect_settings().parameters[name]
         for bound in (low, high):

@@ -40,7 +40,7 @@ class SensorCorrections:
         for name in ("wheels", "yaw_rate", "pose"):
             stated, inferred = self.stated.get(name, {}), self.inferred.get(name, {})
             delay = round(stated.get("delay", 0.0) + inferred.get("delay", 0.0), 3)
-            # A reading cannot precede its cause: such a delay belongs to the log. such a delay is that of the log.
+            # A reading cannot precede its cause: such a delay belongs to the log.
             values = {**stated, **inferred, "delay": delay}
             merged[name] = {key: value for key, value in values.items() if key != "delay" or value > 0.0}
         return {name: values for name, values in merged.items() if values}

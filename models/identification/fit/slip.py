@@ -52,8 +52,7 @@ def slip_prior(records: Sequence[Record]) -> SlipPrior:
     covariance = np.diag(wide**2)
     if estimate is not None:
         gain = covariance @ np.linalg.inv(covariance + estimate.covariance + np.diag(surfaces**2))
-        # Inward slip is left to the filter: its configuration allows no negative start. its configuration allows no
-        # negative start.
+        # Inward slip is left to the filter: its configuration allows no negative start.
         mean = np.maximum(mean + gain @ (estimate.values - mean), 0.0)
         covariance = covariance - gain @ covariance
     return SlipPrior(ParameterEstimate(NAMES, mean, covariance), bool(covariance[0, 0] < (0.5 * wide[0]) ** 2))
@@ -118,8 +117,7 @@ def _integral(rows: FloatArray, dt: float) -> FloatArray:
     return np.asarray(np.concatenate([np.zeros_like(rows[:1]), np.cumsum(steps, axis=0)]))
 
 
-# Surface of a log, as far as gyro and encoders determine it, for a model plant of the robot. for a model plant of the
-# robot.
+# Surface of a log, as far as gyro and encoders determine it, for a model plant of the robot.
 
 
 SURFACE_FILE = "surface.yaml"

@@ -167,8 +167,7 @@ def _changed(log: str, pairs: Sequence[Relation], least: float, settings: CheckS
     for relation in steady:
         for name in (relation.first, relation.second):
             counts[name] = counts.get(name, 0) - 1
-    # Of two that disagree, the sensor is named: a robot's response may change, its commands do not. what a robot
-    # answers may change, what it was told does not.
+    # Of two that disagree, the sensor is named: a robot's response may change, its commands do not.
     name = max(counts, key=lambda key: (counts[key], key != COMMAND))
     relation, index, size = max(
         (change for change in changes if name in (change[0].first, change[0].second)), key=lambda change: abs(change[2])

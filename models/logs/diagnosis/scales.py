@@ -176,8 +176,7 @@ def _weak(log: str, name: str, channel: int, vote: _Vote, best: float, settings:
         "right column, and "
         "did the robot obey these commands?"
     )
-    # If another sensor follows, this one is wrong; poses are not used for the model. poses are not what a model is made
-    # from.
+    # If another sensor follows, this one is wrong; poses are not used for the model.
     lost = name != POSE and best > settings.clear_correlation
     return Finding("weak response", "error" if lost else "warning", log, words)
 
@@ -197,8 +196,7 @@ def check_units(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
                 break
             if odd == ENCODERS and len(sizes) == 2 and streams.commands_wheels and _command_is_odd(streams, settings):
                 odd = COMMAND
-            # Gyro and pose measure the same body; wheels follow commands, even if the robot skids. wheels follow
-            # commands, however it skids.
+            # Gyro and pose measure the same body; wheels follow commands, even if the robot skids.
             partner = {GYRO: POSE, POSE: GYRO, COMMAND: ENCODERS}.get(odd, "") if channel == 1 else ""
             others = [partner] if partner in sizes else [name for name in sizes if name != odd]
             rest = float(np.exp(np.median([np.log(sizes[name]) for name in others])))

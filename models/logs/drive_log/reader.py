@@ -46,8 +46,7 @@ class DriveLog:
     plans
         (N + 1, 3) predicted poses of each tick, None where there is none; none at all where they were not asked for.
     cut
-        Whether the file was cut off, so that the data after its last whole part is missing: what follows its last whole
-        part is missing.
+        Whether the file was cut off, so that the data after its last whole part is missing.
     """
 
     path: Path
@@ -189,8 +188,7 @@ def read_drive(path: Path, mapping: LogMapping | None = None) -> RawLog:
     """Read the file of a drive by a mapping or `OWN_FORMAT`; raises models.checked_yaml.ConfigError on failure."""
     log = read_drive_log(path)
     columns = log.columns
-    # At other ticks the controller did not run and nothing was measured: the robot may have been pushed meanwhile. the
-    # robot may have been pushed meanwhile.
+    # At other ticks the controller did not run and nothing was measured: the robot may have been pushed meanwhile.
     driven = ~np.isin(columns["mode"].astype(str), _IDLE)
     values = {name: column[driven] for name, column in columns.items() if column.dtype != object}
     number = np.flatnonzero(driven)

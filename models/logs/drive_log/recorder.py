@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from diffdrive_mpc.models.logs.drive_log.writer import DriveWriter
 
-# Write a drive in a separate process: data from a socket, until the other end closes for any: what it is handed over a
-# socket, until the other end closes, however it ends.
+# Write a drive in a separate process: it reads data from a socket until the other end closes for any reason.
 
 
 LARGEST = 1 << 18
