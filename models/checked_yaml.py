@@ -116,7 +116,7 @@ def parse_json(text: str | bytes) -> Any:  # noqa: ANN401 - who reads it checks 
 
 
 class _Part:
-    """A list or a group that is being read: how much is in it, how deep it goes, and what it is called."""
+    """A list or a group that is being read: number of its values, depth, and names."""
 
     def __init__(self, anchor: str | None) -> None:
         self.anchor = anchor
@@ -209,7 +209,7 @@ def load_checked(schema: type[Schema], path: str | Path) -> Schema:
     Raises
     ------
     ConfigError
-        With one line that names the file and for every mistake the key, what is wrong and what would be right.
+        With one line that names the file and for every mistake the key, the error and the correction.
     """
     return check(schema, read_yaml(path), str(path))
 

@@ -40,11 +40,12 @@ class FunctionStructure:
     finder_function
         Function that identifies such a model from a log, a `Finder`.
     check
-        A function that raises MissingPackageError where what the finder needs is not installed; empty for nothing.
+        Function that raises MissingPackageError where a package that the finder needs is not installed; empty for
+        nothing.
     shipped
-        The parameter file of its shipped model, if there is one.
+        Parameter file of its shipped model, if it exists.
     config
-        The configuration of a controller with that model, if there is one; `load_config` reads it by `name`.
+        Configuration of a controller with that model, if it exists; `load_config` reads it by `name`.
     slow
         Whether it is slow: then a comparison leaves it out unless it is named.
     """

@@ -52,7 +52,7 @@ class Measurement:
     wheel_speeds
         (4,) front left, front right, rear left, rear right [rad/s]; for logs and identification.
     sent
-        (v, omega) that the robot really got last tick, where that is known and may differ from the command.
+        (v, omega) that the robot received in the last tick, where that is known and may differ from the command.
 
     Raises
     ------

@@ -76,7 +76,7 @@ def _shipped() -> dict[str, Path]:
 
 
 def load_linear_model(name: str | Path) -> VelocityModel:
-    """Load a velocity model of matrices; raises ModelError where it is a function, else as `load_model`."""
+    """Load a velocity model of matrices; raises ModelError where it is a function, otherwise as `load_model`."""
     model = load_model(name)
     if not isinstance(model, VelocityModel):
         raise ModelError(f"model '{name}' is a function, here matrices are needed; name a linear model")

@@ -59,7 +59,7 @@ class TextTable:
         names
             Headings of the columns that hold names.
         columns
-            By the heading of a column, what gives its cells.
+            By the heading of a column, the function for its cells.
         entries
             One for each row.
         """

@@ -703,7 +703,7 @@ class Controller:
             feature.configure()
 
     def _choose_target(self, since_start: float, reference_time: float) -> tuple[int, str]:
-        """Choose the target for a robot off its path or schedule; return what the core still needs, and a message."""
+        """Choose the target for a robot off its path or schedule; return missing inputs of the core, and a message."""
         tick = self._tick
         estimate = Estimate(tick.layout, tick.layout.copy(), self._c_result.estimate.time)
         self._blocked_for = 0.0

@@ -38,7 +38,7 @@ def load_cached(stem: str, origin: str, build: Callable[[Path], Path], load: Cal
     build
         Makes it in an empty folder, and returns where.
     load
-        Loads it; OSError says that it cannot.
+        Loads it; OSError says that it is not possible.
 
     Raises
     ------

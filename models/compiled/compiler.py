@@ -127,7 +127,7 @@ def find_compiler() -> tuple[str, str]:
     Raises
     ------
     NotCompiledError
-        If there is none that answers.
+        If there is no working compiler.
     """
     for name in _COMPILERS:
         path = shutil.which(name)
@@ -147,7 +147,7 @@ def _run(command: Sequence[str], patience: float, folder: Path | None = None) ->
     Raises
     ------
     TimeoutError
-        If it had to be ended.
+        If it took too long and was ended.
     """
     process = subprocess.Popen(
         command,

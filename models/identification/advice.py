@@ -4,9 +4,9 @@ The rule, in this one place. A proposal is put into the mapping, the log is read
 training rows and predicts the held-out rows, the same ones before and after. FIT is free of units and signs, and a free
 dead time takes up a shift; so the coherence of the streams under the gains and delays of a robot counts, too. A
 proposal is good if one of the two gains clearly and neither loses: FIT in no channel, coherence on the whole. Neither
-sees rate and direction of the clock: a clock is changed only where poses confirm it. A proposal that only states what
-the reader does anyway is good if it removes an error of the reader. The best is taken, the next one is tried on top of
-it, until none is good. A cut of the log is tried on the held-out rows of the remaining part, to which the previous
+sees rate and direction of the clock: a clock is changed only where poses confirm it. A proposal that only states the
+reader's default behaviour is good if it removes an error of the reader. The best is taken, the next one is tried on top
+of it, until none is good. A cut of the log is tried on the held-out rows of the remaining part, to which the previous
 model is not fitted either.
 """
 
@@ -113,7 +113,7 @@ class Advice:
         return mapping_text(self.mapping)
 
     def write(self, folder: Path) -> None:
-        """Write its file into `folder`; raises OSError where that cannot be done."""
+        """Write its file into `folder`; raises OSError where that is not possible."""
         (folder / self.file).write_text(self.text(), encoding="utf-8")
 
     def sentence(self, folder: Path = Path()) -> str:

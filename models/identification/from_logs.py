@@ -74,7 +74,7 @@ class Identification:
     content
         Content of the model's parameter file.
     configuration
-        `config` with a reason beside each value.
+        `config` with a reason for each value.
     """
 
     model: VelocityModel | NonlinearModel
@@ -182,7 +182,7 @@ def identify(
         `diffdrive-mpc simulate --log`, and for bags with the usual topics.
     structure
         "mbm", "sm", "ssm"; "p2_experimental" or "p2_physical", a drive; "lstm", a network trained on the logs; or
-        "hybrid", an sm with a small network on what it leaves: both need the extra `learn` and minutes.
+        "hybrid", an sm with a small network for its residuals: both need the extra `learn` and minutes.
     effects
         Whether to identify the effects of the base around an sm: slew, steps, tyres, veer. Takes minutes.
     robot
@@ -202,14 +202,14 @@ def identify(
         Called with each log once it is read, before anything is fitted.
     on_findings
         Called with notes and warnings of each log once it is read, also when an error of it is raised next; without
-        what they propose for the mapping, which has not been tried yet.
+        their proposals for the mapping, which have not been tried yet.
     on_progress
-        Called with what is done next, in words.
+        Called with the next step, in words.
 
     Raises
     ------
     models.identification.advice.AdvisedError
-        If a log would give a wrong model; its `advice` is the mapping that mends it, where one is known.
+        If a log would give a wrong model; its `advice` is the mapping that repairs it, where one is known.
     models.checked_yaml.ConfigError, ValueError, OSError
         If an argument or a log cannot be used, or the logs allow no model; the message is one line.
     """

@@ -64,7 +64,7 @@ class LogData:
     stated_track
         Track that the mapping states [m]; None where it states none.
     sensors
-        Differences between readings and motion, by input, that the robot has to be told.
+        Differences between readings and motion, by input, for the robot's configuration.
     topics
         Topic and type of message by stream, of logs that are bags.
     advice

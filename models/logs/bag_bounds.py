@@ -43,14 +43,14 @@ def unpacked(path: Path, data: bytes | memoryview, how: str, size: int | None = 
     data
         The packed data.
     how
-        "zstd", "lz4", or "" for what is not packed.
+        "zstd", "lz4", or "" for data that are not packed.
     size
         Declared size of the unpacked data [bytes]; None without one.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If it unpacks to more, or to something else than it says.
+        If its unpacked size or content differs from the declared one.
     """
     most = MOST_UNPACKED if size is None else size
     if most > MOST_UNPACKED:

@@ -44,7 +44,7 @@ COMMANDS: dict[str, Callable[[Any], Reading]] = {
 ODOMETRY: dict[str, Callable[[Any], Reading]] = {
     "nav_msgs/msg/Odometry": lambda message: _twist(message.twist.twist),
 }
-"""v [m/s], omega [rad/s]; an odometry's pose is its own sum and says nothing more."""
+"""v [m/s], omega [rad/s]; an odometry's pose is its own sum and contains no further information."""
 
 IMU: dict[str, Callable[[Any], Reading]] = {
     "sensor_msgs/msg/Imu": lambda message: (float(message.angular_velocity.z),),

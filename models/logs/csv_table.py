@@ -70,7 +70,7 @@ _BLOCK = 1 << 24
 # Characters of a cell that is no number.
 _SHOWN = 60
 _MISSING = frozenset(("na", "n/a", "#n/a", "#na", "null", "none", "missing", "-", "--"))
-"""Words, in lower case, that say as an empty cell does: no reading. NaN is a number, and says that one went wrong."""
+"""Words, in lower case, with the meaning of an empty cell: no reading. NaN is a number, and marks a failed reading."""
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 

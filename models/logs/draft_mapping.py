@@ -78,7 +78,7 @@ _FITTING: dict[str, tuple[str, ...]] = {
 
 @dataclass
 class _Column:
-    """Column with the meaning of its name: quantity, source ("" where it names none), unit ("" where it names none)."""
+    """Column with the meaning of its name: quantity, and source and unit ("" where not named)."""
 
     name: str
     quantity: str

@@ -134,7 +134,7 @@ class VoltageColumn(_SignedColumn):
 
 
 class CurrentColumn(_SignedColumn):
-    """A column of currents; positive after `sign` where it drives the robot forward, or leaves the battery."""
+    """A column of currents; positive after `sign` where it drives the robot forward, or discharges the battery."""
 
     unit: CurrentUnit = "A"
 

@@ -36,7 +36,7 @@ class Record:
     """One contiguous, evenly sampled stretch of a log, K samples. Sample k belongs to the time `start + k dt`.
 
     Between two readings a measured signal is interpolated, and NaN where the log has nothing near; only samples that
-    the `fresh` masks mark stand for a reading of their own. A mask left out marks every finite sample.
+    the `fresh` masks mark are separate readings. A mask left out marks every finite sample.
 
     Attributes
     ----------
@@ -163,19 +163,19 @@ Topics = Mapping[str, tuple[str, str]]
 
 @dataclass(frozen=True)
 class MappingChange:
-    """A change of the mapping that may mend what a finding says; whether it does is tried before it is advised.
+    """A change of the mapping that may repair a finding; whether it does is tried before it is advised.
 
     Attributes
     ----------
     stream
-        "command", "encoders", "gyro", "pose"; "time" for the clock of the log, "log" for what is of no stream.
+        "command", "encoders", "gyro", "pose"; "time" for the clock of the log, "log" for changes of no stream.
     key
-        What of the mapping of that stream, with dots: "delay", "held", "on_change", "yaw_rate.sign", "left.unit";
+        Key in the mapping of that stream, with dots: "delay", "held", "on_change", "yaw_rate.sign", "left.unit";
         "heading_offset"; "sides" or "axes", which are exchanged; of the log "times". "v" and "omega" also where wheels
         are mapped.
     value
-        What stands there after the change; of "delay" and "heading_offset" what is added to it [s, rad], of "sign" -1,
-        which turns it; of "times" from and to [s], as "0.0 to 61.5".
+        Value after the change; for "delay" and "heading_offset" the increment [s, rad], for "sign" -1, which inverts
+        it; for "times" from and to [s], as "0.0 to 61.5".
     """
 
     stream: str
@@ -287,7 +287,7 @@ def refuse(findings: Sequence[Finding]) -> None:
 
 
 def counted(findings: Sequence[Finding], most: int = 2) -> list[str]:
-    """Format one line per finding, relevance included; for each kind the first `most`, and the number of others."""
+    """Format one line per finding, relevance included; for each kind the first `most`, and the number of the rest."""
     lines, by_kind = [], Counter(finding.kind for finding in findings)
     shown: Counter[str] = Counter()
     for finding in findings:

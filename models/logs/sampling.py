@@ -85,7 +85,7 @@ class RawLog:
     findings
         Findings of the reader.
     sample_time
-        The log's own [s]; None where it has to be found from the times.
+        The log's own [s]; None to determine it from the times.
     topics
         Topics of a bag, with the types of their messages.
     """

@@ -33,7 +33,7 @@ class TickRecord:
     Attributes
     ----------
     number
-        Ticks at which the controller was asked, this one included, since the node is active: one more each time.
+        Number of controller steps, this one included, since the node is active: one more each time.
     time
         Time of the tick [s].
     drive
@@ -41,7 +41,7 @@ class TickRecord:
     measurement
         Measurement that the controller got.
     hold
-        Why it was asked to stand, and whether that counts as a failure; None where it was to drive.
+        Reason of a hold, and whether that counts as a failure; None where it was allowed to drive.
     command
         (2,) v [m/s], omega [rad/s] as decided.
     mode, message, solver_path
@@ -126,7 +126,7 @@ class DriveRecord:
     config
         The whole configuration, keys and values as in its file.
     model
-        Text of the file of the model where that is no shipped one; empty otherwise.
+        Text of the model's file where the model is not a shipped one; empty otherwise.
     goes_on
         Whether a start replaced another reference during the drive, and nothing was forgotten.
     """

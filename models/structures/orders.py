@@ -37,7 +37,7 @@ class OrderRow:
         Number of free parameters.
     train_fit_percent, block_fit_percent, validation_fit_percent
         (2,) of v and omega [%]: of the records identified from; of blocks of them, each by a model made without it,
-        None where that was not asked for or they are too short; of records held out, None without any.
+        None where that was not requested or they are too short; of records held out, None without any.
     aic, bic
         Akaike's and Schwarz's information criteria over the lowest of all orders, counted in effective samples.
     """
@@ -89,7 +89,7 @@ def compare_orders(
     yaw
         Sensor whose omega the models predict.
     asked
-        The order, where nothing is to be chosen.
+        The order, if it is given.
     floor
         (2,) FIT of a simpler model on `train` [%]: an order that is behind it is not chosen if another is not.
 

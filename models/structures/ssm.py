@@ -83,7 +83,7 @@ def choose_order(
     yaw, limits
         As for `identify_ssm`.
     asked
-        The order, where nothing is to be chosen.
+        The order, if it is given.
 
     Raises
     ------

@@ -59,7 +59,7 @@ class Structure:
     identify
         From records to a model; it raises ValueError if they do not permit it.
     needs_wheels
-        Whether it is identified from wheel speeds, and a gyro beside them.
+        Whether it is identified from wheel speeds and a gyro.
     largest_order
         The choice of order is 1 to this; None for structures without a choice.
     takes_effects

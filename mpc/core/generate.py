@@ -131,7 +131,7 @@ def generate(functions: Sequence[ca.Function], stem: str, origin: str) -> Genera
     Raises
     ------
     models.checked_yaml.ConfigError
-        If a function needs what C99 or a controller without memory does not have.
+        If a function needs a feature that C99 or a controller without memory lacks.
     """
     bodies = _bodies(functions, {})
     parts = [_SOURCE_HEAD.format(origin=origin, stem=stem), *_own(bodies)]

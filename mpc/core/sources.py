@@ -24,7 +24,7 @@ _FORMULAS = (
 )
 # Python sets sizes at run time and uses double precision; an export overrides both here.
 SIZES = "ddmpc_sizes.h"
-"""The header that says so."""
+"""The header with these settings."""
 _SIZES = {SIZES: "/* double precision, and sizes at run time */\n"}
 
 _COMMENT = re.compile(r"/\*.*?\*/|//[^\n]*", re.DOTALL)

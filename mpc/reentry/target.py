@@ -19,13 +19,13 @@ class Target(NamedTuple):
     Attributes
     ----------
     reference, time
-        A reference and the time at which it stands now [s].
+        A reference and its present time [s].
     message
-        In words, what is out of the ordinary; empty when the robot is on its path and on time.
+        Unusual events, in words; empty when the robot is on its path and on time.
     blocked_for
         Time for which the robot has not moved although it is commanded to [s]; 0 when it moves.
     sample
-        The reference from `time` on at the times that were asked for; None where it was not sampled.
+        The reference from `time` on at the requested times; None where it was not sampled.
     """
 
     reference: Reference

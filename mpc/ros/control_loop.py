@@ -52,7 +52,7 @@ needs time, too [-].
 
 
 class RefusedError(DiffdriveMpcError, ValueError):
-    """A request that cannot be granted now; says why and what to do."""
+    """A request that cannot be granted now; contains the reason and the remedy."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class LoopTick:
     message
         Why, in words; empty when all is well.
     result
-        The controller's, where it was asked.
+        Result of the controller, where it was called.
     request
         The request.
     """
@@ -156,7 +156,8 @@ class ControlLoop:
     objection
         Why the node does not let the robot drive; the robot then brakes as for stale odometry. Empty: it may drive.
     wait_reason
-        Why the robot brakes and stands for now, without a failure; the state does not change. Empty: it drives.
+        Reason for which the robot brakes and stands for now, without a failure; the state does not change. Empty: it
+        drives.
     relaid
         Number of times that the current reference was placed again because its frame had moved.
     warning

@@ -1,6 +1,6 @@
 """The action server `follow_path` (nav2_msgs/action/FollowPath): Nav2's behaviour tree drives the robot through it.
 
-It has a node and a thread of its own: to take a path of some thousand poses apart takes longer than a tick.
+It has its own node and thread: to take a path of some thousand poses apart takes longer than a tick.
 """
 
 from __future__ import annotations

@@ -43,7 +43,7 @@ class Publishers:
     settings
         Settings of the node.
     config
-        Gives the configuration of the controller as it is now.
+        Function that returns the present configuration of the controller.
     frame
         Frame that control is in.
     """

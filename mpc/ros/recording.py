@@ -182,7 +182,7 @@ class TickRecords:
     Parameters
     ----------
     controller
-        The one that is asked.
+        The controller that is called.
     """
 
     def __init__(self, controller: Controller) -> None:

@@ -112,7 +112,7 @@ def path_reference(message: Path, limits: Limits) -> SplineTrajectory:
     Raises
     ------
     MessageError, models.checked_yaml.ConfigError
-        With one line that says what is wrong.
+        With the error in one line.
     """
     frame = message.header.frame_id
     _check_header(frame, len(message.poses))

@@ -38,7 +38,7 @@ class Others(NamedTuple):
     project
         Other active nodes of this project that send commands to the same topic.
     foreign
-        Others that publish on it; a node of this project that is not active is one of them.
+        Other nodes that publish on it; a node of this project that is not active is one of them.
     """
 
     project: tuple[str, ...]

@@ -43,7 +43,7 @@ class SideProcess:
     Parameters
     ----------
     wake
-        Called from a thread of its own when `deliver` has something to do.
+        Called from a separate thread when `deliver` has something to do.
     patience
         A function that takes longer is given up, and the process with it [s]. It counts from when its module is loaded.
     """

@@ -319,7 +319,7 @@ def configure(
     name
         Name of the model.
     identified
-        The model, with what its base does around it where that was looked for.
+        The model, with the effects of its base where they were identified.
     train
         The records it was identified from.
     geometry
@@ -327,7 +327,7 @@ def configure(
     slip
         Values that the filter begins with.
     stated
-        Track that the mapping states [m]; it counts where the log has no wheel speeds that tell it.
+        Track that the mapping states [m]; it is used where the log has no wheel speeds to determine it.
     every_sample
         Whether the model that predicts works only at the sample time of the log.
     sensors

@@ -41,7 +41,7 @@ from diffdrive_mpc.models.velocity_model import CHANNELS
 
 @dataclass(frozen=True, eq=False, repr=False)
 class IdentificationReport:
-    """One identification: what it was made from and what was found. `str` of it is what a person reads first.
+    """One identification: data and results of the identification. `str` of it is the summary for the user.
 
     Attributes
     ----------

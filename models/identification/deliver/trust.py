@@ -140,7 +140,7 @@ def pooled_fit(
     powers, weights
         (B, 2) of `block_powers`.
     spread
-        (2,) variance of what was measured, about its mean.
+        (2,) variance of the measurements, about their mean.
     draws
         Number of times that each block counts; once by default.
     """

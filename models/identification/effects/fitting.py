@@ -118,7 +118,7 @@ def fit_effects(
     data
         The readings.
     evaluations
-        After so many the search ends; None for the usual number.
+        Largest number of evaluations in the search; None for the usual number.
     near
         Whether `start` is nearly there, so that steps need not be smoothed.
     """

@@ -180,13 +180,13 @@ def select_effects(
         Track by which the encoders' yaw rate was computed [m]; None where it is not known: then a top speed of the
         wheels is looked for together with it, and steps of the wheels are not.
     on_trial
-        Called with the name of what is tried next.
+        Called with the name of the next trial.
     limits
         Limits of channels whose command a simpler model found to be clipped.
     only
         Names of the effects that are tried; None for all.
     also
-        Parameters that are free from the first fit on, beside those of `LINEAR`.
+        Parameters that are free from the first fit on, in addition to those of `LINEAR`.
 
     Raises
     ------

@@ -39,7 +39,7 @@ class Fitted:
     orders
         The orders compared; None for structures that have no choice.
     base
-        The same model with what its base does around it; None where that was not asked for.
+        The same model with the effects of its base; None where that was not requested.
     geometry
         Wheel radius and track of the log; None without wheel speeds.
     train, validation

@@ -152,7 +152,7 @@ class PoseWindows(NamedTuple):
     signal: FloatArray
     """(n, W, c) mean of the signal over each step."""
     change: FloatArray
-    """(n, c) by how much the signal is larger at the end than at the beginning."""
+    """(n, c) increase of the signal from the beginning to the end."""
     displacement: FloatArray
     """(n, 3) motion of the pose point seen from the window's first pose: ahead [m], to the left [m], turned [rad]."""
 

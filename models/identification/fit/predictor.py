@@ -43,7 +43,7 @@ class Predictor(Protocol):
 
     @property
     def offset(self) -> FloatArray:
-        """(2,) what v [m/s] and omega [rad/s] are said to be at rest: bias of the sensors, as the model has it."""
+        """(2,) output v [m/s] and omega [rad/s] at rest: bias of the sensors, as the model has it."""
         ...
 
     @property
@@ -78,7 +78,7 @@ class Predictor(Protocol):
         ...
 
     def write(self, path: Path, content: Any) -> None:  # noqa: ANN401
-        """Write the parameter file; raises OSError where that cannot be done."""
+        """Write the parameter file; raises OSError where that is not possible."""
         ...
 
 

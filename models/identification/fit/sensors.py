@@ -22,9 +22,9 @@ class SensorCorrections:
     Attributes
     ----------
     stated
-        By input ("wheels", "yaw_rate", "pose") what the log's mapping puts right already: sign [-], delay [s].
+        By input ("wheels", "yaw_rate", "pose") corrections of the log's mapping: sign [-], delay [s].
     inferred
-        By input what the readings show beside that: scale [-], delay [s].
+        By input additional differences in the readings: scale [-], delay [s].
     findings
         The same in words, with intervals of 95 %.
     """

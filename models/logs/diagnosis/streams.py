@@ -220,7 +220,8 @@ class StreamResponse:
     Attributes
     ----------
     dead_time, deviation
-        After which it begins to [s], negative where it comes first, and its standard deviation from parts of the log.
+        Dead time of the response [s], negative where it precedes the command, and its standard deviation from parts of
+        the log.
     lag
         Each of the two equal lags after the dead time [s].
     gain

@@ -44,7 +44,7 @@ class DriveLog:
     rows
         The row of each tick, by the names of tick.schema.json.
     plans
-        (N + 1, 3) predicted poses of each tick, None where there is none; none at all where they were not asked for.
+        (N + 1, 3) predicted poses of each tick, None where there is none; empty where they were not requested.
     cut
         Whether the file was cut off, so that the data after its last whole part is missing.
     """

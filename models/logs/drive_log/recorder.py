@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 LARGEST = 1 << 18
 """Bytes of one parcel at most."""
 READY, OVER = "ready", "over"
-"""First words of what is answered: that the file is there, and that no more is written and why."""
+"""First word of the answers: that the file is there, and that no more is written and why."""
 _WAITING = 20_000
 """Parcels that wait for a slow disk at most, some minutes."""
 _NICENESS = 10
@@ -58,7 +58,7 @@ def _write(link: socket.socket, writer: DriveWriter, stream: Any) -> None:  # no
 
 
 def _receive(link: socket.socket, waiting: queue.Queue[bytes]) -> None:
-    """Take in parcels as they come; an empty one, which ends the drive, is what a closed socket gives."""
+    """Take in parcels as they come; a closed socket gives an empty one, which ends the drive."""
     parcel = b"?"
     while parcel:
         parcel = link.recv(LARGEST)
@@ -99,7 +99,7 @@ class DriveRecorder:
     Parameters
     ----------
     path
-        The file; one of that name that is there already stays, and the new one gets a number.
+        The file; an existing one of that name is kept, and the new one gets a number.
     metadata
         Information about the drive for the file.
     patience
