@@ -145,7 +145,7 @@ def _reference_of_plant(case: Case) -> Trajectory | None:
             "or remove the path from a copy of the plant's file"
         )
     if reference is None and not is_named:
-        raise ConfigError(f"--plant {case.plant}: it has no path of its own; give a --trajectory")
+        raise ConfigError(f"--plant {case.plant}: it has no own path; give a --trajectory")
     return reference
 
 

@@ -142,7 +142,7 @@ def _check_bounds(text: str) -> None:
             open_parts[-1].take(closed.values, closed.depth)
         elif isinstance(event, yaml.AliasEvent):
             if any(part.anchor == event.anchor for part in open_parts):
-                raise _refused(f"'*{event.anchor}' refers to what it stands in", event)
+                raise _refused(f"'*{event.anchor}' refers to a value that contains it", event)
             meant = known.get(event.anchor or "")
             open_parts[-1].take(meant.values if meant else 1, meant.depth if meant else 0)
         elif isinstance(event, yaml.ScalarEvent):

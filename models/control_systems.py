@@ -158,7 +158,7 @@ def _continuous(where: str, sampled: _StateSpace) -> tuple[FloatArray, FloatArra
     if negative.size:
         raise ModelError(
             f"{where}: pole at z = {negative[0].real:.4g}; no continuous system has a negative one under a "
-            "zero-order hold: identify it anew, with a lower order"
+            "zero-order hold: identify it again, with a lower order"
         )
     with warnings.catch_warnings():
         # Results of an inaccurate logarithm are rejected below.

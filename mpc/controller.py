@@ -324,7 +324,7 @@ class Controller:
         """
         pose = self._tick.newest_belief()
         if pose is None:
-            raise RuntimeError("nothing is believed yet: call step with a pose first")
+            raise RuntimeError("there is no estimate yet: call step with a pose first")
         return Belief(*pose, self._tick.layout.slip.start)
 
     def predict_belief(self, belief: Belief, commands: ArrayLike) -> Belief:
@@ -559,7 +559,7 @@ class Controller:
         for name in ("min_turn_radius", "min_commanded_radius"):
             if (getattr(config.limits, name) is None) != (getattr(self._config.limits, name) is None):
                 raise ConfigError(
-                    f"limits.{name}: it can be changed while driving, but neither set nor unset; say it in the "
+                    f"limits.{name}: it can be changed while driving, but neither set nor unset; set it in the "
                     "configuration"
                 )
         return config

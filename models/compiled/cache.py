@@ -69,7 +69,7 @@ def _load_in(folder: Path, stem: str, build: Callable[[Path], Path], load: Calla
     for path in sorted(folder.glob(f"{stem}-*.so")):
         if _intact(path):
             return load(path)
-        _log.warning("%s is damaged; it is compiled anew", path)
+        _log.warning("%s is damaged; it is compiled again", path)
         with suppress(OSError):
             path.unlink()
     with tempfile.TemporaryDirectory(dir=folder, prefix="build-") as build_folder:
@@ -111,7 +111,7 @@ def _folders() -> Iterator[Path]:
         if reason is None:
             yield path
         elif folder is user_folder:
-            _log.warning("no compiled library is kept in the cache folder (%s); see %s", reason, CACHE_VARIABLE)
+            _log.warning("no compiled library is stored in the cache folder (%s); see %s", reason, CACHE_VARIABLE)
     yield _process_folder()
 
 

@@ -83,7 +83,7 @@ class Packaged:
         try:
             manifest = json.loads(self._manifest.read_text(encoding="utf-8"))
             if (manifest["origin"], manifest["machine"]) != (self.origin, platform.machine()):
-                _log.warning("%s of the package is not of its sources; it is compiled anew", self.name)
+                _log.warning("%s of the package does not match its sources; it is compiled again", self.name)
                 return
             entries = [
                 (level, self.folder / entry["file"], entry["sha256"]) for level, entry in manifest["libraries"].items()
@@ -91,7 +91,7 @@ class Packaged:
         except FileNotFoundError:
             return  # a source tree: nothing is packaged
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-            _log.warning("%s cannot be read (%s); %s is compiled anew", self._manifest, error, self.name)
+            _log.warning("%s cannot be read (%s); %s is compiled again", self._manifest, error, self.name)
             return
         has = _processor_has()
         for level, path, digest in entries:

@@ -397,7 +397,7 @@ def _chosen(name: str, *, effects: bool) -> tuple[Structure, str | None]:
     chosen = STRUCTURES[BESIDE if predictor else name]
     if effects and (predictor or not chosen.takes_effects):
         able = " or ".join(structure.name for structure in STRUCTURES.values() if structure.takes_effects)
-        raise OptionError("effects", f": they stand around an {able}, not an {name}; choose that structure")
+        raise OptionError("effects", f": they belong to an {able}, not an {name}; choose that structure")
     if predictor:
         finders()[predictor]()
     return chosen, predictor

@@ -171,7 +171,9 @@ def _check_selection(logs: Sequence[Path], validate: Sequence[Path], fit_share: 
         raise OptionError("fit_share", f" {fit_share:g}: give {low:g} to {high:g}")
     twice = [path for path in (*logs, *validate) if [*logs, *validate].count(path) > 1]
     if twice:
-        raise ConfigError(f"{twice[0]}: this log is given twice; a model must not be tried on what it was made from")
+        raise ConfigError(
+            f"{twice[0]}: this log is given twice; a model must not be tested on its own identification data"
+        )
 
 
 def _read_alike(

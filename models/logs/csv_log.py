@@ -249,7 +249,7 @@ def _own_mapping(path: Path) -> LogMapping:
     assert mapping.columns is not None
     if header and not mapping.columns.found_in(header).names() <= set(header):
         words = f"Give a mapping file, {draft_command(path)}"
-        raise ConfigError(f"{path}: which column is what? {words}; the columns are {', '.join(header)}")
+        raise ConfigError(f"{path}: which column has which signal? {words}; the columns are {', '.join(header)}")
     return mapping
 
 

@@ -171,9 +171,7 @@ def _bodies(functions: Sequence[ca.Function], names: Mapping[str, str]) -> dict[
     text = generator.dump()
     for match in _WORK.finditer(text):
         if (match["iw"], match["w"]) != ("0", "0"):
-            raise ConfigError(
-                f"{match['name']}: its C needs memory of its own; write it without calls of other functions"
-            )
+            raise ConfigError(f"{match['name']}: its C needs its own memory; write it without calls of other functions")
     bodies = {match["name"]: _plain(match["name"], match["body"], names) for match in _BODY.finditer(text)}
     for function in functions:
         if function.name() not in bodies:

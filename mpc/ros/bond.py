@@ -139,7 +139,7 @@ class Bond:
         self.protocol.beat()
         if self.protocol.lost and not self._told:
             self._told = self.protocol.lost
-            self._node.get_logger().warning(f"the lifecycle manager is gone: {self.protocol.lost}; driving goes on")
+            self._node.get_logger().warning(f"the lifecycle manager is gone: {self.protocol.lost}; driving continues")
 
     def _hear(self, message: Any) -> None:  # noqa: ANN401 - ROS messages have no types to check
         if message.id == self._id and message.instance_id != self._instance:

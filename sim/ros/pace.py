@@ -132,7 +132,7 @@ def _wait_for_company(
     Nothing must have connected for the settling time: all connecting nodes must receive the first tick.
     """
     if not base.commanded:
-        base.node.get_logger().info(f"lock step: waiting for somebody to publish commands on {base.command_topic}")
+        base.node.get_logger().info(f"lock step: waiting for a publisher of commands on {base.command_topic}")
     patience: float | None = None
     connected: tuple[int, ...] = ()
     settled = math.inf

@@ -55,7 +55,7 @@ class PeerInput:
         self._controller.program.count_from(self._past[-1])
         estimate = self._controller.step(t, stamped).estimate
         if estimate is None:
-            raise RuntimeError("the drive begins without a pose: peers cannot be told where the robot is")
+            raise RuntimeError("the drive begins without a pose: peers need the position of the robot")
         return stage_data(self._controller.program, estimate, self._past)
 
     def sent(self, command: FloatArray) -> FloatArray:

@@ -55,8 +55,8 @@ def test_a_value_that_does_not_fit_its_type_is_one_line(text, tmp_path):
         (BOMB, "values"),
         ("a: " + "1:" * 4_000_000 + "1", "a number of 8,000,001 characters"),
         ("a: 1" + ":10" * 400 + ".5", "a number of"),
-        ("&a [*a]", "refers to what it stands in"),
-        ("a: &a {b: {c: *a}}", "refers to what it stands in"),
+        ("&a [*a]", "refers to a value that contains it"),
+        ("a: &a {b: {c: *a}}", "refers to a value that contains it"),
     ],
 )
 def test_depth_aliases_and_circles_are_bounded(text, problem):

@@ -279,7 +279,7 @@ def test_too_many_rows_of_terms_raise_error():
 
 
 def test_duplicate_term_names_raise_error():
-    with pytest.raises(ConfigError, match="term 'keep_off': 2 terms have this name; give each a name of its own"):
+    with pytest.raises(ConfigError, match="term 'keep_off': 2 terms have this name; give each its own name"):
         Controller(CONFIG, terms=[KEEP_OFF, KEEP_OFF])
 
 
@@ -288,7 +288,7 @@ def test_duplicate_term_names_raise_error():
     [
         ("push_of", [1.0, 2.0], "term 'push_of': there is none; there are: keep_off, push_off"),
         ("push_off", [1.0], "term 'push_off': give 2 parameters, or 31 rows of them (found shape (1,))"),
-        ("push_off", [1.0, float("nan")], "term 'push_off': its parameters hold what is no finite number"),
+        ("push_off", [1.0, float("nan")], "term 'push_off': its parameters contain a value that is not finite"),
     ],
 )
 def test_wrong_term_parameters_raise_error_and_change_nothing(name, value, said):

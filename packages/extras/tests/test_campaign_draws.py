@@ -69,7 +69,7 @@ def test_files_beside_the_campaign_are_found(tmp_path: Path) -> None:
     [
         ("surface.friction: {uniform: [1, 0]}", "factors.surface.friction: give the lower value first (found 1, 0)"),
         ("trajektory: circle", "unknown factor 'trajektory'; did you mean 'trajectory'?"),
-        ("condition: long\nplant: mujoco", "factors.plant: a condition says that already; give one of them"),
+        ("condition: long\nplant: mujoco", "factors.plant: a condition sets that already; give one of them"),
         ("controller: pid", "unknown controller 'pid'; known: mpc"),
         ("top_speed: {normal: {mean: 0, sd: 1, low: 60, high: 70}}", "nothing of the normal distribution lies between"),
     ],

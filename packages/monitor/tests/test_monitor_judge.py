@@ -439,7 +439,7 @@ def test_the_oracle_was_asked_for_many_rules():
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("commands.slowest: 0.001", "commands.quickest has to be shorter than commands.slowest"),
+        ("commands.slowest: 0.001", "commands.quickest must be shorter than commands.slowest"),
         ("commands.vv: 1", "did you mean 'commands.v'"),
         ("path.distance: .nan", "path.distance"),
     ],

@@ -53,7 +53,7 @@ class CommandRules(StrictModel):
     @model_validator(mode="after")
     def _paces_in_order(self) -> Self:
         if self.quickest >= self.slowest:
-            raise ValueError("commands.quickest has to be shorter than commands.slowest")
+            raise ValueError("commands.quickest must be shorter than commands.slowest")
         return self
 
 

@@ -195,5 +195,5 @@ def _with_condition(values: dict[str, Value], conditions: Conditions) -> dict[st
     }
     twice = [place for place in places if place in values]
     if twice:
-        raise ConfigError(f"factors.{twice[0]}: a condition says that already; give one of them")
+        raise ConfigError(f"factors.{twice[0]}: a condition sets that already; give one of them")
     return places | {f"config.{key}": value for key, value in condition.settings.items()} | values

@@ -98,7 +98,9 @@ def learn_log(log: str | Path, mapping: str | Path | None, vehicle: str | Path, 
         constants = identified.constants
     except ConfigError as error:
         if drive is None:
-            raise ConfigError(f"{error}; or give --drive, whose constants turn currents into torques") from error
+            raise ConfigError(
+                f"{error}; or give --drive with the constants that convert currents to torques"
+            ) from error
         note = str(error)
     curves = TorqueCurves.from_prior(car, load_terrain(PRIOR).model_copy(update={"slip": None}))
     parts = [_learn(curves, record, constants) for record in records]

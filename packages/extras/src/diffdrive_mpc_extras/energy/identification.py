@@ -96,7 +96,7 @@ def identify_constants(records: Sequence[Record], prior: DriveConstants) -> Iden
     if not (fitted["torque_constant"] > 0 and fitted["resistance"] > 0):
         raise ConfigError(
             f"torque constant {fitted['torque_constant']:.3g} N m/A and resistance {fitted['resistance']:.3g} ohm "
-            "follow from the log: both have to be positive; check signs and units of the currents in the mapping"
+            "follow from the log: both must be positive; check signs and units of the currents in the mapping"
         )
     fitted["idle_power"] = max(0.0, fitted["idle_power"])
     words = (

@@ -229,7 +229,7 @@ def check_drive(run: Run, room: Room) -> None:
         raise ConfigError(f"the robot left its room after {run.time[out[0]]:.1f} s; give a larger one, or less --speed")
     stood = next((word for mode, word in zip(run.modes, run.messages, strict=True) if mode == "STOPPED"), None)
     if stood is not None:
-        raise ConfigError(f"the controller stopped on the way ({stood}); give a larger room, or less --speed")
+        raise ConfigError(f"the controller stopped during the drive ({stood}); give a larger room, or less --speed")
 
 
 def case_of(config: str) -> Case:

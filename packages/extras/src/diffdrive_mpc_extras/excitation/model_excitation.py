@@ -143,7 +143,7 @@ def model_excitation(room: Room, seconds: float, limits: TrajectoryLimits, worth
     settings = model_excitation_settings()
     least = 2 * settings.holds[1] + 2 * settings.calm
     if not (math.isfinite(seconds) and seconds >= least):
-        raise ConfigError(f"{seconds:g} s: a drive that tells lags and dead times takes {least:g} s or more")
+        raise ConfigError(f"{seconds:g} s: a drive that determines lags and dead times takes {least:g} s or more")
     longest = load_settings().longest_excitation
     if seconds > longest:
         raise ConfigError(f"{seconds:g} s: give at most {longest:g} s; drive it several times for more")
@@ -155,7 +155,7 @@ def model_excitation(room: Room, seconds: float, limits: TrajectoryLimits, worth
     values = {name: worth(twists) for name, twists in candidates.items()}
     best = max(values, key=lambda name: values[name])
     if not math.isfinite(values[best]):
-        raise ConfigError("no drive tells all of the model's parameters; give more time, room or speed")
+        raise ConfigError("no drive determines all of the model's parameters; give more time, room or speed")
     return ModelDrive(best, candidates[best], values)
 
 

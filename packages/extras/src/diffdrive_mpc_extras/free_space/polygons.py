@@ -135,7 +135,7 @@ class Footprint:
         if not 1 <= len(points) <= _MOST:
             raise ValueError(f"footprint: {len(points)} corners; give 1 to {_MOST}")
         if not (np.isfinite(points).all() and np.isfinite(self.radius) and self.radius >= 0.0):
-            raise ValueError("footprint: corners and radius have to be finite, and the radius not negative")
+            raise ValueError("footprint: corners and radius must be finite, and the radius not negative")
         corners = hull(points)
         if len(corners) < 3 and self.radius == 0.0:
             raise ValueError("footprint: it has no area; give three corners that are not in a line, or a radius")

@@ -153,7 +153,7 @@ class CorrectionContent(StrictModel):
     @model_validator(mode="after")
     def _ordered(self) -> CorrectionContent:
         if not self.least > self.full:
-            raise ValueError(f"least {self.least} has to be more than full {self.full}; train it again")
+            raise ValueError(f"least {self.least} must be greater than full {self.full}; train it again")
         for name in ("inward", "outward", "shape"):
             if len({len(row) for row in getattr(self, name)}) > 1:
                 raise ValueError(f"{name} has rows of different length; train it again")

@@ -107,7 +107,7 @@ def read_obstacles(raw: bytes) -> SeenDiscs:
     fields = {field.name: field for field in message.fields}
     missing = [name for name in _NEEDED if name not in fields]
     if missing:
-        raise MessageError(f"it has no field {missing[0]}; give x, y, radius, and vx, vy of what moves")
+        raise MessageError(f"it has no field {missing[0]}; give x, y, radius, and vx, vy of moving ones")
     columns = []
     for name in (*_NEEDED, *_MOTION):
         field = fields.get(name)

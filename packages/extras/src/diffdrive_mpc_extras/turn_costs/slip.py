@@ -76,13 +76,15 @@ def identify_slip(
         index = np.arange(len(rows))
         keep &= (index - np.maximum.accumulate(np.where(changed, index, 0))) * sample_time >= settling
     if keep.sum() < _LEAST_ROWS:
-        raise ConfigError(f"{keep.sum()} samples tell the slip: give {_LEAST_ROWS} or more in which the robot drives")
+        raise ConfigError(
+            f"{keep.sum()} samples determine the slip: give {_LEAST_ROWS} or more in which the robot drives"
+        )
     v, omega = rows[keep].T
     terms = np.stack([v, omega, v * omega], axis=-1)
     scale = np.linalg.norm(terms, axis=0)
     if (scale == 0).any() or np.linalg.cond(terms / scale) > _ALIKE:
         raise ConfigError(
-            "the drive does not tell the slip coefficients apart: drive turns to both sides at two speeds or more"
+            "the drive does not separate the slip coefficients: drive turns to both sides at two speeds or more"
         )
     missing = body[keep] - np.stack([v, np.zeros_like(v), omega], axis=-1)
     solution, *_ = np.linalg.lstsq(terms / scale, missing, rcond=None)

@@ -94,7 +94,7 @@ def nominal_robot(name: str, records: Sequence[Record], file: str | Path | None 
     radius = geometry.radius if geometry else body.get("wheel_radius")
     if not all(isinstance(length, (int, float)) and length > 0 for length in (track, radius)):
         raise ConfigError(
-            f"{where}: the log has no wheel speeds, so nothing tells track and wheel radius; give --robot a file with "
+            f"{where}: the log has no wheel speeds, so track and wheel radius are unknown; give --robot a file with "
             "robot: {track: ..., wheel_radius: ...} [m]"
         )
     assert track is not None and radius is not None
