@@ -13,14 +13,14 @@ from diffdrive_mpc.models.errors import MissingPackageError
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 """Names under which the browser is looked for on the path."""
 READY = "html[data-ready]"
-"""What a page has when all of it is drawn."""
+"""Selector of a completely drawn page."""
 _LONGEST = 60_000
-"""How long a page may take [ms] before something must be wrong."""
+"""Longest time for a page [ms], after which an error is assumed."""
 
 
 @contextmanager
 def opened_browser(executable: str | None = None) -> Iterator[Any]:
-    """A browser of Playwright.
+    """Open a browser of Playwright.
 
     Parameters
     ----------

@@ -72,7 +72,7 @@ COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 
 
 def completed(words: str, shell: str = "bash") -> list[str]:
-    """The words that a shell is offered where `words` stand before the cursor."""
+    """Return the words that a shell offers after `words`."""
     asked = {
         "_DIFFDRIVE_MPC_COMPLETE": f"complete_{shell}",
         "COMP_WORDS": words,

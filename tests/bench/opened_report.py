@@ -14,7 +14,7 @@ PHONE, DESK = {"width": 390, "height": 844}, {"width": 1280, "height": 900}
 
 @contextmanager
 def opened(report: Path) -> Iterator[Any]:
-    """A page of Playwright that shows the report; in the end nothing was complained about or asked for."""
+    """Open the report in a page of Playwright; at the end there must be no errors and no requests."""
     complaints: list[str] = []
     asked: list[str] = []
     with opened_browser() as browser:
@@ -36,7 +36,7 @@ def check_report(report: Path) -> dict[str, Any]:
 
 
 def check_page(page: Any) -> None:
-    """All is drawn, nothing is wider than a phone, and print shows nothing to press."""
+    """Check that all is drawn, nothing is wider than a phone, and print shows no buttons."""
     assert page.locator("#key-figures .value").count() >= 1
     assert page.locator("#repeat pre").inner_text().strip()
     plots = page.locator(".plot")
@@ -51,7 +51,7 @@ def check_page(page: Any) -> None:
 
 
 def content_of(report: Path) -> dict[str, Any]:
-    """What the script of a report gets."""
+    """Return the content that the script of a report gets."""
     found = re.search(r'<script id="content" type="application/json">(.*?)</script>', report.read_text(), re.DOTALL)
     assert found
     content: dict[str, Any] = json.loads(found[1])

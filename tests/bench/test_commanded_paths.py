@@ -20,7 +20,7 @@ STEPS = {"s": 1.0, "cane": 0.7}  # rad/s, by which the yaw rate of the path jump
 
 
 def least_lateral(step: float) -> float:
-    """Least possible largest lateral error [m] at a jump of the path's yaw rate, when only the slew of omega limits it.
+    """Compute the least maximum lateral error [m] at a jump of the path's yaw rate, limited by the slew of omega.
 
     The error e follows e'' = v (omega - omega_path); omega may begin to change before the jump. A linear programme.
     """
@@ -113,7 +113,7 @@ class Recorder:
 
 
 def normalised(model: str) -> tuple[dict[str, float], np.ndarray]:
-    """Over the four trajectories: mean normalised innovation by sensor, and mean squared pose error over variance."""
+    """Compute over four trajectories: mean normalised innovation by sensor, mean squared pose error over variance."""
     innovations: dict[str, list[float]] = {}
     errors = []
     for trajectory in PATHS:

@@ -1,4 +1,4 @@
-"""Whether each kind of doubt matters for driving: one answer for every kind, and no answer for none."""
+"""Importance of each kind of doubt for driving: one verdict for every kind, and none for unknown kinds."""
 
 import ast
 from pathlib import Path
@@ -19,7 +19,7 @@ TRIALS = ROOM.parent / "studies" / "shipped_models"
 
 
 def kinds_in_the_sources() -> set[str]:
-    """Words of every `Doubt(...)`, and of every `Finding(...)` that is more than a note, as the sources write them."""
+    """Collect the words of every `Doubt(...)`, and of every `Finding(...)` that is more than a note."""
     found = set()
     for path in (*ROOM.rglob("*.py"), *TRIALS.glob("*.py")):
         for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

@@ -38,7 +38,7 @@ def hand(recorder, k):
 
 @contextmanager
 def largest_file(size):
-    """Files of processes begun meanwhile cannot grow over `size` bytes, as on a full disk."""
+    """Limit files of processes begun meanwhile to `size` bytes, as on a full disk."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
     try:

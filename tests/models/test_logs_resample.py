@@ -25,7 +25,7 @@ values = st.floats(-1e3, 1e3)
 
 @st.composite
 def signals(draw, fewest=1):
-    """Readings at uneven times from 0 on, now and then with a long pause."""
+    """Draw readings at uneven times from 0 on, sometimes with a long pause."""
     steps = draw(st.lists(st.floats(1e-3, 0.5), min_size=fewest, max_size=40))
     time = np.cumsum(steps)
     value = np.array(draw(st.lists(values, min_size=len(steps), max_size=len(steps))))

@@ -44,7 +44,7 @@ def test_matches_an_ode_solver(pose, v, omega, dt, slip):
 
 
 def arc_function():
-    """CasADi function of one arc."""
+    """Build the CasADi function of one arc."""
     pose, v, omega, dt = ca.SX.sym("pose", 3), ca.SX.sym("v"), ca.SX.sym("omega"), ca.SX.sym("dt")
     side_slip = ca.SX.sym("side_slip")
     after = pose + arc_displacement(pose[2], v, omega, dt, -side_slip * v * omega)
@@ -104,7 +104,7 @@ RADIUS, TRACK = 0.07, 0.4
 
 
 def drive(law, coefficients, lever_arm=(0.0, 0.0), noise=(0.0, 0.0), lag=0, seed=0):
-    """Wheels, gyro and poses of a robot that obeys `law`, 80 s; poses come `lag` samples late."""
+    """Simulate wheels, gyro and poses of a robot that obeys `law`, 80 s; poses come `lag` samples late."""
     count = 4000
     wheels = 6.0 * set_points(seed, count, (1.0, 1.0), hold=70)
     twist = law.twist(np.asarray(coefficients), 0.5 * (wheels[1:] + wheels[:-1]))
@@ -158,7 +158,7 @@ def test_the_virtual_track_solves_its_equation(p1, left, right):
 
 @given(p1=st.floats(-0.5, 0.5), one=st.floats(-3, 3), other=st.floats(-3, 3))
 def test_a_robot_on_a_virtual_track_turns_faster_the_more_its_wheels_differ(p1, one, other):
-    """Where a track that shrinks leaves no solution too: a search may come there."""
+    """Also where a shrinking track leaves no solution: a search may try such values."""
     slow, fast = virtual_track_yaw_rate([min(one, other), max(one, other)], 0.5, p1)
     assert slow <= fast
     assert virtual_track_yaw_rate(-one, 0.5, p1) == -virtual_track_yaw_rate(one, 0.5, p1)
@@ -204,7 +204,7 @@ SAMPLES = 3000
 
 
 def slipping(side_slip, load_shift, noise, seed=0):
-    """A minute of driving in which the lateral speed is what the two terms say."""
+    """Simulate a minute of driving in which the lateral speed follows the two terms."""
     stream, times = np.random.default_rng(seed), DT * np.arange(SAMPLES)
     v = 0.5 + 0.4 * np.sin(0.9 * times)
     omega = np.sin(0.5 * times) + 0.5 * np.sin(1.7 * times)

@@ -21,7 +21,7 @@ _ACTIVE, _LOWER = 1, 2
 
 @dataclass(frozen=True)
 class Answer:
-    """What was found: x (n,), multipliers of the hard and of the soft rows, positive at upper bounds."""
+    """Solution: x (n,), multipliers of the hard and of the soft rows, positive at upper bounds."""
 
     status: SolverStatus
     x: FloatArray
@@ -30,7 +30,7 @@ class Answer:
 
 
 def solve(qp: QuadraticProgram) -> Answer:
-    """The solution, proven; or why there is none.
+    """Return the solution, proven; or the reason for its absence.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def solve(qp: QuadraticProgram) -> Answer:
 
 
 def optimality(qp: QuadraticProgram, answer: Answer) -> float:
-    """How far an answer is from the optimality conditions, in units of x [m/s, rad/s, m]; 0 at the solution.
+    """Compute the residual of the optimality conditions, in units of x [m/s, rad/s, m]; 0 at the solution.
 
     They are: the cost is stationary, hard limits are kept, a limit presses only where it is reached, and a soft limit
     with its price and what its excess costs beside it where it is exceeded, with no more than that where it is not.
@@ -90,6 +90,6 @@ def _beyond(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatAr
 
 
 def _gap(pressing: FloatArray, values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Distance from the bound that each row presses on; 0 where it does not press."""
+    """Compute the distance from the bound of each active row; 0 where it is inactive."""
     gap = np.where(pressing > 0, upper - values, values - lower)
     return np.where(np.abs(pressing) > 1e-9 * (1 + np.abs(pressing).max()), gap, 0.0)

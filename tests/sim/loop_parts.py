@@ -110,7 +110,7 @@ class Slow(FeedForward):
 
 
 def trace(plant: Plant, ticks: int) -> list[Any]:
-    """Everything that a drive of some ticks lets one see, in comparable form."""
+    """Record all visible data of a drive of some ticks, in comparable form."""
     rows: list[Any] = []
     for command in random_commands(4, duration=(ticks + 1) * plant.sample_time)[:ticks]:
         measured = plant.measure()
@@ -128,7 +128,7 @@ def run_along(
     times: ArrayLike,
     modes: tuple[str, ...] | None = None,
 ) -> Run:
-    """A run whose true motion is given, with nothing measured."""
+    """Build a run whose true motion is given, without measurements."""
     times = np.asarray(times, dtype=float)
     expected = reference.sample(times)
     n = len(times)

@@ -1,4 +1,4 @@
-"""What a base makes of its commands: effects by themselves, and in its motion."""
+"""Effects of a base on its commands: by themselves, and in its motion."""
 
 import numpy as np
 import pytest
@@ -113,7 +113,7 @@ def path(tmp_path):
 
 
 def readings(plant, commands):
-    """Twists (K, 2) of gyro and encoders before each command, and the last pose."""
+    """Return twists (K, 2) of gyro and encoders before each command, and the last pose."""
     seen = []
     for command in commands:
         measurement = plant.measure()

@@ -164,7 +164,7 @@ def _driven() -> tuple[np.ndarray, ...]:
 
 
 def test_physics_called_through_python_gives_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As where MuJoCo's library is not found."""
+    """This is the case where MuJoCo's library is not found."""
     assert library.physics_step() is not None
     direct = _driven()
     monkeypatch.setattr(chassis, "physics_step", lambda: None)

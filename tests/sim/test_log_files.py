@@ -48,7 +48,7 @@ def messages(path):
 
 
 def on(path, topic):
-    """(log time [ns], message) of one topic."""
+    """Return (log time [ns], message) of one topic."""
     kind = KINDS[topic]
     return [(m.log_time, STORE.deserialize_cdr(m.data, kind)) for name, *_, m in messages(path) if name == topic]
 

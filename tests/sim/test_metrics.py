@@ -24,7 +24,7 @@ CIRCLE = ConstantTwist(v=0.5, omega=0.5, duration=10.0)
 
 
 def shifted_left(pose: FloatArray, offset: float) -> FloatArray:
-    """Poses moved sideways in their own frame."""
+    """Shift poses sideways in their own frame."""
     return pose + offset * np.column_stack([-np.sin(pose[:, 2]), np.cos(pose[:, 2]), np.zeros(len(pose))])
 
 
@@ -251,7 +251,7 @@ WINDOW = 0.6
 
 
 def one_after_the_other(path, points, arc_length):
-    """As `Polyline.lateral` describes it: (n,) distances [m] without their sides."""
+    """Compute (n,) distances [m] without their sides, as `Polyline.lateral` describes them."""
     distances, piece = [], None
     for i, point in enumerate(points):
         near = (path.arc_end >= arc_length[i] - WINDOW) & (path.arc_start <= arc_length[i] + WINDOW)
@@ -306,7 +306,7 @@ class TwoArcs:
 
 
 def beside(reference, lateral):
-    """A run that drives `lateral` (n,) to the left of the reference."""
+    """Build a run that drives `lateral` (n,) to the left of the reference."""
     times = np.arange(0.0, reference.duration, TICK)
     pose = reference.sample(times).pose.copy()
     lateral = np.broadcast_to(lateral, times.shape)

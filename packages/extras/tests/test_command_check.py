@@ -18,7 +18,7 @@ LIMITS = StatedLimits(most=(1.0, 2.0), slew=(2.0, 6.0), braking=(1.0, 3.0), max_
 
 
 def made_up(ticks: int = 200) -> tuple[np.ndarray, np.ndarray, list[str], np.ndarray]:
-    """Speeding up at the slew limit, driving, and from half on braking at the braking limit, with poses."""
+    """Build a drive that accelerates at the slew limit, drives, and then brakes at the braking limit, with poses."""
     time = DT * np.arange(ticks)
     v = np.minimum(2.0 * DT * np.arange(1, ticks + 1), 0.5)
     half = ticks // 2

@@ -24,14 +24,14 @@ NUMBERS = {"gain": 1.1, "quicker": 1.5, "slower": 2.5, "lag": 0.08, "least": 0.0
 
 
 def reversals() -> np.ndarray:
-    """(K,) ramps through zero, slow and quick, steps, and a stop before the other direction."""
+    """Return (K,) ramps through zero, slow and quick, steps, and a stop before the other direction."""
     corners = [(0, 0.0), (50, 0.0), (100, 0.6), (200, 0.6), (350, -0.6), (420, -0.6), (440, 0.5), (500, 0.5)]
     corners += [(501, -0.4), (600, -0.4), (630, 0.0), (700, 0.0), (760, 0.3), (900, 0.3)]
     return np.interp(np.arange(900), *np.transpose(corners))
 
 
 def by_hand(u: np.ndarray) -> np.ndarray:
-    """(K,) speeds of the experimental model as the paper describes it, in plain Python."""
+    """Compute (K,) speeds of the experimental model as the paper describes it, in plain Python."""
     reference = speed = slope = direction = 0.0
     speeds = []
     for asked in u:
@@ -161,7 +161,7 @@ UNLIMITED = [np.array([0.95, NO_LIMIT, NO_LIMIT, 0.1, 0.0, 0.0]), np.array([0.8,
 
 
 def driven(coefficients, seed, seconds=40.0, *, backwards=True):
-    """Noisy readings of a sharp experimental drive whose set-points change every 0.8 s."""
+    """Return noisy readings of a sharp experimental drive whose set-points change every 0.8 s."""
     rng = np.random.default_rng(seed)
     low = -1.0 if backwards else 0.3
     commands = np.repeat(rng.uniform(low, 1.0, (round(seconds / 0.8), 2)), round(0.8 / LOG_DT), axis=0)

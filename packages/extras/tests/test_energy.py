@@ -63,7 +63,7 @@ TRUE = BOT.model_copy(update={"torque_constant": 0.03, "resistance": 0.9, "idle_
 
 
 def logged(constants=TRUE, noise=0.2, count=600, seed=2):
-    """Currents and speeds of a drive with rest, fast straights and slow turns, and the battery that feeds it."""
+    """Simulate currents and speeds of a drive with rest, fast straights and slow turns, and its battery."""
     rng = np.random.default_rng(seed)
     speed = np.repeat(rng.uniform(-1, 9, (count // 30, 2)), 30, axis=0)
     torque = np.repeat(rng.uniform(-2, 4, (count // 30, 2)), 30, axis=0)

@@ -55,7 +55,7 @@ def post(x, y, radius, corners=12):
 
 
 def drive(controller, reference, seen, duration, *, plant="model:ssm", sensors=None, seed=0):
-    """Ticks as dictionaries: time, pose, v, gap (true), step; `seen` gives surroundings, or None for nothing new."""
+    """Return ticks as dictionaries: time, pose, v, gap (true), step; `seen` gives surroundings, None for no news."""
     robot = make_plant(plant, seed=seed, **({} if sensors is None else {"sensors": sensors}))
     robot.reset(reference.sample([0.0]).pose[0])
     controller.start(reference, robot.time)
@@ -344,7 +344,7 @@ def test_half_spaces_under_pressure_converge_to_the_solution_of_ipopt():
     drive = record(controller, IdealRobot(controller._predicted.sampled, np.zeros(3)), CIRCLE, 160, lambda *_: None)
 
     def keep_rows(again, time):
-        """The planes stay those of the drive: they are data of the problem, not part of it."""
+        """Keep the planes of the drive: they are data of the problem, not part of it."""
         table = again._tick.parameters
         again.feature("free_space")._keeper._set_rows = lambda *_: table.__setitem__(slice(None), tables[time])
 

@@ -31,7 +31,7 @@ CONFIG = FreeSpace()
 
 
 def gap_to(footprint, pieces, piece, pose, time=0.0):
-    """Signed distance to one piece [m], and the direction (2,) in which the gap lies, from the footprint."""
+    """Compute the signed distance to one piece [m], and the direction (2,) of the gap, from the footprint."""
     pose, normal = np.array(pose, dtype=float), np.empty(2)
     to = address(normal, "real *")
     gap = load_free_space()[1].ddmpc_gap(footprint.struct, pieces.struct, piece, address(pose), time, to)
@@ -50,13 +50,13 @@ def to_segment(point, a, b):
 
 
 def edge_distance(one, other):
-    """The least distance of two polygons' edges."""
+    """Compute the least distance between the edges of two polygons."""
     both = ((one, other), (other, one))
     return min(to_segment(p, b[i - 1], b[i]) for a, b in both for p in a for i in range(len(b)))
 
 
 def widest_gap(one, other, directions=7200):
-    """The largest gap over many directions: the signed distance of convex sets."""
+    """Compute the largest gap over many directions: the signed distance of convex sets."""
     angle = np.linspace(0.0, 2.0 * np.pi, directions, endpoint=False)
     a = np.stack([np.cos(angle), np.sin(angle)])
     return float(((other @ a).min(axis=0) - (one @ a).max(axis=0)).max())
@@ -213,7 +213,7 @@ def test_the_gradient_of_a_half_space_is_that_of_finite_differences():
 
 @pytest.mark.parametrize("seed", range(10))
 def test_planes_leave_the_free_plan_alone_and_part_it_from_everything_near(seed):
-    """Of a free pose no plane cuts off a corner; with rows enough nothing near is left on its side of all planes."""
+    """A free pose stays inside all planes; with enough rows every near obstacle is beyond a plane."""
     rng = np.random.default_rng(seed)
     polygons = [random_hull(rng, 6, 0.2) + rng.uniform(-1.5, 1.5, 2) for _ in range(8)]
     pieces, robot = pieces_of(Surroundings(polygons), CONFIG), PlacedFootprint(Footprint.rectangle(0.5, 0.4))

@@ -18,7 +18,7 @@ from fuzz.runner import judged
 
 
 def draw_surroundings(random: Random) -> Any:
-    """Polygons, discs, a grid, a corridor; None: nothing is seen any more."""
+    """Draw polygons, discs, a grid, a corridor; None: nothing is seen any more."""
     if random.random() < 0.1:
         return None
     found: dict[str, Any] = {"later": random.choice((0.0, 0.0, 0.0, -1.0, 5.0, None, odd.number(random)))}
@@ -50,7 +50,7 @@ def draw_surroundings(random: Random) -> Any:
 
 
 def make_surroundings(said: Any, pose: np.ndarray, t: float) -> Surroundings | None:
-    """The object that a case describes, places being counted from the robot."""
+    """Build the object that a case describes, with places relative to the robot."""
     if said is None:
         return None
     grid = corridor = None
@@ -79,7 +79,7 @@ def _polygon(random: Random) -> list[list[float]]:
 
 
 def _place(random: Random) -> float:
-    """Mostly near, seldom where the robot stands."""
+    """Draw a place, mostly near, seldom at the robot."""
     return random.choice((random.uniform(-3.0, 3.0), random.uniform(0.5, 2.0), _some(random, 1.0)))
 
 

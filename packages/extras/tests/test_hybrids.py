@@ -30,7 +30,7 @@ DT = 0.0202
 
 
 def random_correction(seed=0, size=0.02, units=5):
-    """For the four states of an SM; what it adds in a sample is some hundredths of their usual size."""
+    """Draw a correction for the four states of an SM; it adds some hundredths of their usual size in a sample."""
     random = np.random.default_rng(seed)
     root = np.eye(6) + 0.2 * random.normal(size=(6, 6))
     scale = np.array([0.5, 0.05, 0.8, 0.02, 0.5, 0.8])
@@ -49,7 +49,7 @@ numbers = st.lists(st.floats(-3, 3), min_size=6, max_size=6).map(np.array)
 
 
 def by_hand(commands, past):
-    """The definition, number by number."""
+    """Evaluate the definition, number by number."""
     c, line, x, outputs = MODEL.correction, np.vstack([past, commands]), np.zeros(4), []
     for k in range(len(commands)):
         outputs.append(LINEAR.C @ x)
@@ -75,7 +75,7 @@ def distance(z):
 
 
 def stepped(model, x, recent):
-    """One step with commands that were held."""
+    """Compute one step with commands that were held."""
     window = np.tile(recent, model.memory + 1)
     return np.asarray(model.step(x, window)).ravel()
 
@@ -180,7 +180,7 @@ def test_what_a_hybrid_cannot_do_is_said(tmp_path):
 
 
 def sagging(seed, seconds, lag=0.2, sag=0.5, dt=0.04):
-    """Readings of a robot whose motors share a weak supply: each channel loses gain by the command of the other."""
+    """Simulate a robot whose motors share a weak supply: each channel loses gain by the command of the other."""
     random = np.random.default_rng(seed)
     commands = np.repeat(random.uniform(-1, 1, (round(seconds / 0.8), 2)), round(0.8 / dt), axis=0)
     settled, twist = commands * (1.0 - sag * np.abs(commands[:, ::-1])), np.zeros_like(commands)

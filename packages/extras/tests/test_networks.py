@@ -32,7 +32,7 @@ DT = 0.0202
 
 
 def random_network(seed=0, scale=0.4, **kind):
-    """A network that nobody trained; its outputs grow with the commands, as a robot's do."""
+    """Draw an untrained network; its outputs grow with the commands, as a robot's do."""
     architecture, random = Architecture(**kind), np.random.default_rng(seed)
     weights = {
         name: random.normal(size=shape) * (scale if len(shape) > 1 else 0.2)
@@ -47,7 +47,7 @@ def random_network(seed=0, scale=0.4, **kind):
 
 
 def network_gain(network, step=1e-5):
-    """(2, 2) what each input's small command for ever adds to the outputs, by input."""
+    """Compute (2, 2) changes of the outputs by a small constant command at each input, by input."""
     held = np.array([np.tile(step * unit, (network.architecture.window, 1)) for unit in (*np.eye(2), *-np.eye(2))])
     says = network(held)
     return (says[:2] - says[2:]) / (2 * step)
@@ -65,7 +65,7 @@ def write(path, network):
 
 
 def one_window(network, window):
-    """The textbook's equations, unit by unit."""
+    """Evaluate the textbook's equations, unit by unit."""
     w, n = network.weights, network.architecture.units
 
     def squash(x):
@@ -220,7 +220,7 @@ SHORT = training_settings().model_copy(update={"most_epochs": 3, "dropout": 0.0,
 
 
 def saturating_drive(seed, count=3000, dt=0.05):
-    """A lag whose gain falls with the command, which no linear model has."""
+    """Simulate a lag whose gain falls with the command, which no linear model has."""
     random = np.random.default_rng(seed)
     commands = np.repeat(random.uniform(-1, 1, (count // 10, 2)), 10, axis=0)
     twist = np.zeros((count, 2))

@@ -42,7 +42,7 @@ SPEED = 0.4
 
 
 def floor(name, radius, outer, inner, *, drive=MOTORS, slip=None):
-    """A floor with the torques of both sides [N m] at each turning radius [m]."""
+    """Build a floor with the torques of both sides [N m] at each turning radius [m]."""
     columns = {"radius": radius, "outer": outer, "inner": inner}
     columns = {name: tuple(values.tolist()) for name, values in columns.items()}
     curve = TorqueTable(**columns, speed=SPEED, speed_exponent=0.0)
@@ -51,14 +51,14 @@ def floor(name, radius, outer, inner, *, drive=MOTORS, slip=None):
 
 
 def stiff(least, slip=None):
-    """A floor on which the outer side is at its limit below a radius, and asks less the wider the turn."""
+    """Build a floor on which the outer side is at its limit below a radius, and needs less torque in wider turns."""
     radius = np.geomspace(0.2, 500.0, 60)
     turn = np.minimum(4.6, 0.95 * 4.6 * (least / radius) ** 1.2)
     return floor(f"least radius {least:g} m", radius, (turn + 0.2).clip(max=4.6), 0.22 - turn, slip=slip)
 
 
 def sliding(slip=None):
-    """Dry friction: every turn asks the same torques, nothing is given back, and nothing is lost in windings."""
+    """Build a floor with dry friction: every turn needs the same torques, without regeneration and losses."""
     radius = np.geomspace(0.02, 2000.0, 80)
     turn = np.where(radius < 100.0, 2.0, 2.0 * (100.0 / radius))
     inner = np.where(radius < 0.195, -0.21, 0.21) - turn
@@ -67,7 +67,7 @@ def sliding(slip=None):
 
 
 def dubins(start, goal, radius):
-    """Length of the shortest way of bounded curvature: the six words in the closed form of Shkel and Lumelsky, 2001."""
+    """Compute the length of the shortest way of bounded curvature by the six words of Shkel and Lumelsky, 2001."""
     dx, dy = (np.asarray(goal) - start)[:2] / radius
     far, toward = np.hypot(dx, dy), np.arctan2(dy, dx)
     whole = lambda angle: np.mod(angle, 2 * np.pi)  # noqa: E731
@@ -94,7 +94,7 @@ def dubins(start, goal, radius):
 
 
 def dense_energy(costs, start, goal, radii):
-    """Least energy of arc-straight-arc over pairs of radii, each by forward integration: slow and plain."""
+    """Compute the least energy of arc-straight-arc over pairs of radii by forward integration: slow and simple."""
     best, chosen = np.inf, None
     power = lambda v, w: float(costs.power([[v, w]])[0])  # noqa: E731
     straight = power(SPEED, 0.0) / SPEED

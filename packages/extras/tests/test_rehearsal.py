@@ -193,7 +193,7 @@ CORNER = lay_segments(
 
 
 def coefficients(floor):
-    """Those of Table 2 but for a12: its product with side-slip is a lateral term that only the controller's law has."""
+    """Return those of Table 2 except a12: its product with side-slip is a lateral term only of the controller's law."""
     found = np.array(load_surface(floor).slip.polynomial.coefficients)
     found[1] = 0.0
     return found
@@ -204,7 +204,7 @@ def planned(floor, reference=CORNER, config=CONFIG):
 
 
 def rolled_out(floor, times, wheels, start):
-    """Poses (n, 3) of a body on this floor by the paper's law, its twist added up in a fine grid."""
+    """Integrate poses (n, 3) of a body on this floor by the paper's law, with its twist on a fine grid."""
     pieces = 20
     fine = np.linspace(0.0, times[-1], pieces * (len(times) - 1) + 1)
     inputs = np.column_stack([np.interp(fine, times, wheels[:, i]) for i in (0, 1)])
@@ -321,7 +321,7 @@ def test_where_nothing_is_to_be_tracked_the_reference_is_as_given(settings, word
 
 
 def floor_lap(by, floor, reference, seed=0):
-    """Root mean square of the position error against the reference as it was given [m], and the messages."""
+    """Return the root mean square of the position error against the given reference [m], and the messages."""
     run = simulate(by, make_plant("model:ssm", floor, seed=seed), reference)
     return run.metrics.position_rmse_m, run.messages, run.true_pose
 

@@ -47,7 +47,7 @@ class Watched:
         node.create_subscription(DiagnosticArray, "/diagnostics", lambda one: self.said.append(one.status[0]), 10)
 
     def heard(self):
-        """The next status, once the node hears the battery."""
+        """Return the next status after the node has received data of the battery."""
         count = len(self.said)
         self.s.base.until(lambda: len(self.said) > count, "diagnostics")
         return self.said[-1]

@@ -52,7 +52,7 @@ def base(request, monkeypatch, tmp_path):
 
 
 def drive(base, kind, topic, qos, command=(0.3, 0.4), ticks=60):
-    """What arrived on a topic while the robot drove."""
+    """Drive the robot and return the received messages of a topic."""
     heard = []
     base.node.create_subscription(kind, topic, heard.append, qos)
     end = time.monotonic() + ros_driver.BOUND

@@ -105,7 +105,7 @@ def error_limit(limit, response="slow", v=0.0):
 
 
 def speed_share(laid):
-    """Share of speed in the note of a laid path."""
+    """Return the ratio of the speeds in the note of a laid path."""
     found = re.match(r"driven at (\d+) % of its speed for follow_error_limit$", laid.note)
     return 1.0 if found is None else 0.01 * int(found[1])
 

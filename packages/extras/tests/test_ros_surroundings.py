@@ -30,7 +30,7 @@ SEEING = {"free_space.enabled": True}
 
 
 def costmap(now, wall=None):
-    """6 m by 6 m around the origin, with a wall at x [m]."""
+    """Build a costmap of 6 m by 6 m around the origin, with a wall at x [m]."""
     message = OccupancyGrid()
     message.header.frame_id, message.header.stamp = "odom", time_message(now)
     message.info.resolution, message.info.width, message.info.height = 0.05, 120, 120
@@ -69,7 +69,7 @@ def test_points_are_read_as_discs():
 
 
 def change(**values):
-    """Sets fields of a message, those of fields by names with `__`; the rest stays honest."""
+    """Set fields of a message, those of fields by names with `__`; the rest stays valid."""
 
     def apply(message):
         for name, value in values.items():
@@ -127,7 +127,7 @@ BAD_CLOUDS = {
     "past": (change(header__stamp__sec=-(2**31)), "before the last"),
 }
 OF_THE_NODE = {"frame", "no frame", "words", "future", "past"}
-"""Whether a message is of here and now is not known where it is read."""
+"""Errors of time and place, which the reader of a message cannot detect."""
 POINT = [[5.0, 5.0, 0.2, 0.0, 0.0]]
 
 
@@ -167,7 +167,7 @@ def test_bad_messages_between_honest_ones_change_nothing_and_alone_they_stop_the
             base.until(lambda: getattr(watch, count) > before, f"{watch.name} {count}")
 
         def drive(ticks, *, honest):
-            """Bad ones each second or third tick, honest ones each tenth."""
+            """Send an invalid message each second or third tick, a valid one each tenth."""
             for tick in range(ticks):
                 for watch, publisher, message, _ in topics:
                     if honest and tick % 10 == 0:

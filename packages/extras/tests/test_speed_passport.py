@@ -99,7 +99,7 @@ def held_out(
     runs: int,
     jobs: int | None = 1,
 ) -> Rate:
-    """How many robots stay inside on paths that no passport was measured on: robots and seeds are others, too."""
+    """Count the robots that stay inside on paths without a passport; robots and seeds are new, too."""
     factors = ROBOTS | SHIPPED.passport.surfaces[surface] | {"seed": {"each": 90000}, "trajectory": {"one_of": []}}
     use = {"speed_passport": {"file": str(passport), "surface": surface, "tolerance": tolerance}} if passport else {}
     files = []
@@ -117,7 +117,7 @@ def held_out(
 
 
 def drawn(name: str) -> dict[str, object]:
-    """A path as fast as the limits allow: bends [1/m], random waypoints, or segments with their speed raised."""
+    """Draw a path as fast as the limits allow: bends [1/m], random waypoints, or segments with their speed raised."""
     if name.startswith("spline-"):
         return {"waypoints": random_splines().waypoints(int(name.removeprefix("spline-"))).tolist()}
     if name == "bends":

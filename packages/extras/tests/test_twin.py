@@ -39,7 +39,7 @@ twin:
 
 
 def drawn_truth(seed):
-    """Friction, dead time, lags, gain, tracks and mass of a plant, in the terms of a fit."""
+    """Draw friction, dead time, lags, gain, tracks and mass of a plant, in the terms of a fit."""
     stream = np.random.default_rng(seed)
 
     def factor(spread):
@@ -68,7 +68,7 @@ def known_robot(truth):
 
 
 def record_of(robot, seed, seconds):
-    """An open-loop drive with the default sensors."""
+    """Simulate an open-loop drive with the default sensors."""
     plant = MujocoPlant(
         robot.friction, robot.sensors, seed, robot=robot.robot, twin=robot.twin, firmware=robot.firmware
     )
@@ -87,7 +87,7 @@ def record_of(robot, seed, seconds):
 
 
 def fitted(record, file, seconds):
-    """The fit to the first 60 % of a record."""
+    """Fit the first 60 % of a record."""
     train, rest = map(tuple, divide([record], 0.6))
     data = LogData(train, rest, ("drive",), "the rest", "gyro", (), ())
     runs = joined(sensed(train))
@@ -98,7 +98,7 @@ def fitted(record, file, seconds):
 
 
 def in_terms_of(fit, truth):
-    """The truth in the units of the fit's parameters."""
+    """Return the truth in the units of the fit's parameters."""
     robot = fit.space.nominal.robot
     return truth | {
         "mass": truth["mass"] / robot.robot.mass,
@@ -108,7 +108,7 @@ def in_terms_of(fit, truth):
 
 
 def rolling_record(radius, track, count=60):
-    """Wheels that do what they are told."""
+    """Build a record of wheels that follow their commands exactly."""
     commands = np.tile([1.0, 0.4], (count, 1))
     wheels = np.column_stack([1.0 - 0.2 * track, 1.0 + 0.2 * track]) / radius
     return Record("r", 0.0, 0.05, commands, twist=commands, yaw_rate=commands[:, 1], wheels=np.tile(wheels, (count, 1)))
@@ -185,7 +185,7 @@ def test_without_wheels_the_robot_must_be_told():
 
 
 SEEDS = (21, 22, 23, 24, 25, 26)
-"""Not among those that anything was chosen on (11 to 14)."""
+"""Seeds that were not used for any choice (11 to 14 were)."""
 
 
 @pytest.mark.long

@@ -25,7 +25,7 @@ from diffdrive_mpc_extras.worlds.world_plant import TouchedError, WorldPlant
 from refusals import one_line_error
 
 WIDTH, LENGTH = 0.38, 0.30
-"""Of the robot of the papers: over its tyres, and of its body [m]."""
+"""Width over the tyres and length of the body of the robot of the papers [m]."""
 
 
 def written(folder: Path, text: str) -> Path:

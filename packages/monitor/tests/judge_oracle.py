@@ -85,7 +85,7 @@ class OracleJudge:
         self._rest()
 
     def _answer(self):
-        """Between the largest commands on their way, and what is left of larger ones."""
+        """Compute the range between the largest pending commands and the decayed larger ones."""
         r, at = self.rules.answer, self.now
         row = self.odometry[-1]
         ends = [t for t, _ in self.sent[1:]] + [np.inf]
@@ -142,7 +142,7 @@ class OracleJudge:
         self._poses_against_odometry()
 
     def summed(self, times):
-        """(k, 4) x, y, theta and distance by wheels and gyro at these times; NaN where that is not known."""
+        """Integrate (k, 4) x, y, theta and distance by wheels and gyro at these times; NaN where unknown."""
         t = np.array([row[0] for row in self.odometry])
         if not len(t):
             return np.full((len(times), 4), np.nan)
@@ -156,7 +156,7 @@ class OracleJudge:
         return found
 
     def _place(self):
-        """Where the robot is, and what poses corrected lately; all of it anew where something came."""
+        """Estimate the pose, and the recent corrections by poses; both are computed again after each message."""
         if len(self.events) != self.placed[0]:
             self.placed = (len(self.events), self._place_anew())
         return self.placed[1]
@@ -274,7 +274,7 @@ class OracleJudge:
         self._path(output, moved)
 
     def stretch(self, begin, end):
-        """(n, 3) poses of the reference at two instants, and those between that it was given with."""
+        """Return (n, 3) poses of the reference at two times, and the given ones between them."""
         path = self.path
         begin, end = min(begin, path[-1, 0]), max(end, path[0, 0])
         inside = path[(path[:, 0] > begin) & (path[:, 0] < end), 0]
@@ -283,7 +283,7 @@ class OracleJudge:
         return np.column_stack([np.interp(times, path[:, 0], column) for column in (path[:, 1], path[:, 2], turned)])
 
     def away(self, at, begin, end, close):
-        """Distance from a stretch, and the least angle to the headings of its parts that are close."""
+        """Compute the distance from a stretch, and the least angle to the headings of its near parts."""
         rows = self.stretch(begin, end)
         a, b = (rows[:-1], rows[1:]) if len(rows) > 1 else (rows, rows)
         along = b[:, :2] - a[:, :2]

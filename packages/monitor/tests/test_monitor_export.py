@@ -75,7 +75,7 @@ class Emulated:
 
 
 def flat(name, arguments, words):
-    """Numbers of a call: now, stamp, values."""
+    """Return the numbers of a call: now, stamp, values."""
     if name == "says":
         return (arguments[0], 0.0, float(words["drives"]))
     if name == "tick":

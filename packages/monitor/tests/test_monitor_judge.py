@@ -224,7 +224,7 @@ def test_a_robot_that_is_held_up_may_be_late(robot):
 
 
 def pause(robot, seconds):
-    """The controller says that it stands, and does; then it drives on from rest."""
+    """Let the controller report a stop, and stop; then it drives on from rest."""
     robot.judge.says(robot.now, drives=False)
     robot.drive(seconds, (0.0, 0.0))
     robot.judge.says(robot.now, drives=True)
@@ -261,7 +261,7 @@ def test_one_that_stood_for_long_needs_its_reference_anew(again, rule):
 
 @pytest.mark.parametrize("renewed", ["reference", "word", "motion", "nothing"])
 def test_one_that_never_returns_is_stopped_in_time(renewed):
-    """Whatever is sent anew, said or done to it: beside its path for as long as it has to return, and no longer."""
+    """Whatever is sent, the robot may be beside its path for the time to return, and no longer."""
     robot = Robot(Judge(RULES, START), duration=60.0)
     robot.judge.says(robot.now, drives=True)
     robot.drive(2.0)
