@@ -52,7 +52,7 @@ def check_page(page: Any) -> None:
 
 def content_of(report: Path) -> dict[str, Any]:
     """Return the content that the script of a report gets."""
-    found = re.search(r'<script id="content" type="application/json">(.*?)</script>', report.read_text(), re.DOTALL)
-    assert found
-    content: dict[str, Any] = json.loads(found[1])
+    match = re.search(r'<script id="content" type="application/json">(.*?)</script>', report.read_text(), re.DOTALL)
+    assert match
+    content: dict[str, Any] = json.loads(match[1])
     return content

@@ -39,9 +39,9 @@ def least_lateral(step: float) -> float:
         for at in (0, count - 1):
             ends[first + at] = (values[at], values[at])
     cost = np.append(np.zeros(3 * count), 1.0)
-    found = linprog(cost, np.vstack([slew, -slew, bounded]), rest, moves, known, bounds=ends, method="highs")
-    assert found.status == 0
-    return float(found.fun)
+    result = linprog(cost, np.vstack([slew, -slew, bounded]), rest, moves, known, bounds=ends, method="highs")
+    assert result.status == 0
+    return float(result.fun)
 
 
 @pytest.mark.parametrize("path", STEPS)

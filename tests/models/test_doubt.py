@@ -20,7 +20,7 @@ TRIALS = ROOM.parent / "studies" / "shipped_models"
 
 def kinds_in_the_sources() -> set[str]:
     """Collect the words of every `Doubt(...)`, and of every `Finding(...)` that is more than a note."""
-    found = set()
+    result = set()
     for path in (*ROOM.rglob("*.py"), *TRIALS.glob("*.py")):
         for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             name = getattr(getattr(call, "func", None), "id", "")
@@ -29,8 +29,8 @@ def kinds_in_the_sources() -> set[str]:
             if name == "Finding" and getattr(call.args[1], "value", "") == "note":
                 continue
             words = [part.value for part in ast.walk(call.args[0]) if isinstance(part, ast.Constant)]
-            found |= {word for word in words if isinstance(word, str)}
-    return found
+            result |= {word for word in words if isinstance(word, str)}
+    return result
 
 
 def test_every_kind_has_its_verdict():

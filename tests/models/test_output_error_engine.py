@@ -206,8 +206,8 @@ def stated_error(seed, drift, count=4000):
     gain = command @ output / (command @ command)
     error = output - gain * command
     scale = error.std()
-    found = sandwich([-command[:, None, None] / scale], [error[:, None] / scale])
-    return (gain - 1.0) / np.sqrt(found.covariance[0, 0])
+    result = sandwich([-command[:, None, None] / scale], [error[:, None] / scale])
+    return (gain - 1.0) / np.sqrt(result.covariance[0, 0])
 
 
 @pytest.mark.parametrize("drift", [0.0, 0.1])

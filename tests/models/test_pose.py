@@ -144,9 +144,9 @@ def test_each_law_is_recovered(law, truth):
 def test_a_polynomial_takes_in_the_lever_arm():
     """A point ahead of the centre moves sideways with the yaw rate, one to the left moves back."""
     law, plain = SlipPolynomial(RADIUS, TRACK), ConstantTrack(RADIUS, TRACK)
-    found = calibrate_wheels([drive(plain, [RADIUS, TRACK, 0.0], lever_arm=(0.15, 0.04))], law).parameters
-    assert found.value("a22") == pytest.approx(0.15, abs=1e-6)
-    assert found.value("a12") == pytest.approx(-0.04, abs=1e-6)
+    result = calibrate_wheels([drive(plain, [RADIUS, TRACK, 0.0], lever_arm=(0.15, 0.04))], law).parameters
+    assert result.value("a22") == pytest.approx(0.15, abs=1e-6)
+    assert result.value("a12") == pytest.approx(-0.04, abs=1e-6)
 
 
 @given(p1=st.floats(0.0, 0.3), left=st.floats(-20, 20), right=st.floats(-20, 20))
@@ -166,10 +166,10 @@ def test_a_robot_on_a_virtual_track_turns_faster_the_more_its_wheels_differ(p1, 
 
 def test_the_gyro_scale_is_found_behind_a_late_pose():
     late = drive(*LAWS[0], noise=(0.005, 0.005), lag=5)
-    found = calibrate_gyro([late], pose_lag=5 * DT)
-    assert abs(found.parameters.value("gyro_scale") - 1.03) < 4 * found.parameters.deviation("gyro_scale")
-    assert abs(found.parameters.value("gyro_offset") - 0.02) < 4 * found.parameters.deviation("gyro_offset")
-    assert found.rmse[0] < 0.5 * calibrate_gyro([late]).rmse[0]
+    result = calibrate_gyro([late], pose_lag=5 * DT)
+    assert abs(result.parameters.value("gyro_scale") - 1.03) < 4 * result.parameters.deviation("gyro_scale")
+    assert abs(result.parameters.value("gyro_offset") - 0.02) < 4 * result.parameters.deviation("gyro_offset")
+    assert result.rmse[0] < 0.5 * calibrate_gyro([late]).rmse[0]
 
 
 def test_lags_and_scale_are_estimate_beside_poses():
@@ -220,16 +220,16 @@ def slipping(side_slip, load_shift, noise, seed=0):
 @settings(deadline=None, max_examples=20)
 @given(side_slip=st.floats(-0.05, 0.15), load_shift=st.floats(-0.05, 0.1))
 def test_lateral_slip_is_identified(side_slip, load_shift):
-    found = lateral_slip([slipping(side_slip, load_shift, 0.0)])
+    loaded = lateral_slip([slipping(side_slip, load_shift, 0.0)])
     # Windows of a second turn by up to a radian and a half: to the left is not one direction in them.
-    assert found.values == pytest.approx([side_slip, load_shift], abs=3e-3)
+    assert loaded.values == pytest.approx([side_slip, load_shift], abs=3e-3)
 
 
 def test_deviation_of_lateral_slip_covers_its_error():
     errors = []
     for seed in range(20):
-        found = lateral_slip([slipping(0.08, 0.03, 0.005, seed)])
-        errors.append((found.values - [0.08, 0.03]) / found.standard_deviation)
+        result = lateral_slip([slipping(0.08, 0.03, 0.005, seed)])
+        errors.append((result.values - [0.08, 0.03]) / result.standard_deviation)
     size = np.sqrt(np.mean(np.square(errors), axis=0))
     assert (size > 0.5).all(), size
     assert (size < 2.0).all(), size

@@ -86,8 +86,8 @@ def feed_forward(controller: Controller, reference: Reference, t: float) -> Floa
     if not isinstance(model, NonlinearModel):
         return np.asarray(wanted @ np.linalg.inv(model.dc_gain).T)
     # As a rule many samples want the same.
-    found = {key: _settled_command(model, np.array(key)) for key in {tuple(row) for row in wanted}}
-    return np.array([found[tuple(row)] for row in wanted])
+    result = {key: _settled_command(model, np.array(key)) for key in {tuple(row) for row in wanted}}
+    return np.array([result[tuple(row)] for row in wanted])
 
 
 def _settled_command(model: NonlinearModel, wanted: FloatArray) -> FloatArray:

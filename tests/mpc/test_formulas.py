@@ -212,10 +212,10 @@ def test_curved_formula_without_curvature_equals_the_flat_one(name, data):
     place = flat.index_in("parameters" if name == "soft" else "slip")
     padded = np.zeros(len(CURVED_SLIPS))
     values[place] = np.insert(values[place], len(FLAT_SLIPS), padded)
-    found = call(FORMULAS[f"{name}_curved"], values)
-    assert found[0] == pytest.approx(expected[0], abs=1e-12)
+    result = call(FORMULAS[f"{name}_curved"], values)
+    assert result[0] == pytest.approx(expected[0], abs=1e-12)
     if name in ("arc", "soft"):
-        assert found[1] == pytest.approx(expected[1], abs=1e-10)
+        assert result[1] == pytest.approx(expected[1], abs=1e-10)
 
 
 @given(
@@ -255,14 +255,14 @@ def test_slip_terms_equal_the_polynomial_of_p4(coefficients, v, omega, theta):
 def test_track_growth_changes_the_wheel_speeds_of_a_turn(growth, v, omega):
     """P3: i = p1 |yaw rate| + p0, and rims that differ by i times the yaw rate; turned the other way, the same."""
     slip = curved(track_growth=growth)
-    (forward, found), _ = call(FORMULAS["twist_curved"], [[v, omega], slip])
+    (forward, result), _ = call(FORMULAS["twist_curved"], [[v, omega], slip])
     _, mirrored = call(FORMULAS["twist_curved"], [[v, -omega], slip])[0]
     if growth * abs(omega) > -0.2:
-        assert found * (1 + growth * abs(found)) == pytest.approx(omega, abs=1e-9)
-    assert mirrored == -found
+        assert result * (1 + growth * abs(result)) == pytest.approx(omega, abs=1e-9)
+    assert mirrored == -result
     assert forward == v
     # What it takes of the wheels to turn so, they have.
-    (y,) = call(FORMULAS["feed_forward_curved"], [[forward, found], slip, [1, 0, 0, 1]])
+    (y,) = call(FORMULAS["feed_forward_curved"], [[forward, result], slip, [1, 0, 0, 1]])
     if growth >= 0 and growth * abs(omega) < 0.3:
         assert y == pytest.approx([v, omega], abs=0.02)
 

@@ -68,7 +68,7 @@ def test_the_saturating_lag_is_sampled_as_an_ode_solver_has_it():
     model, most = saturating(delay=1), np.array([0.9, 1.8])
     commands = np.zeros((60, 2))
     commands[5:] = [0.8, -1.5]
-    found = model.simulate(commands)[:, 0]
+    output = model.simulate(commands)[:, 0]
 
     def rate(t, v):
         u = commands[max(0, int(np.floor(t / DT + 1e-9)) - 1), 0] if t >= DT else 0.0
@@ -76,8 +76,8 @@ def test_the_saturating_lag_is_sampled_as_an_ode_solver_has_it():
 
     times = np.arange(60) * DT
     exact = solve_ivp(rate, (0, times[-1]), [0.0], t_eval=times, rtol=1e-9, atol=1e-11, max_step=DT / 4).y[0]
-    assert found == pytest.approx(exact, abs=1e-5)
-    assert np.diff(found).max() < most[0] * DT
+    assert output == pytest.approx(exact, abs=1e-5)
+    assert np.diff(output).max() < most[0] * DT
 
 
 def test_its_lag_is_that_of_its_linearisation():

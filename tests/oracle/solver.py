@@ -73,16 +73,16 @@ def optimality(qp: QuadraticProgram, answer: Answer) -> float:
     """
     x, soft_values, values = answer.x, qp.soft_rows @ answer.x, qp.rows @ answer.x
     force = qp.H @ x + qp.g + answer.hard @ qp.rows + answer.soft @ qp.soft_rows
-    found = [np.linalg.solve(qp.H, force), _beyond(values, qp.lower, qp.upper)]
-    found += [_gap(answer.hard, values, qp.lower, qp.upper)]
+    result = [np.linalg.solve(qp.H, force), _beyond(values, qp.lower, qp.upper)]
+    result += [_gap(answer.hard, values, qp.lower, qp.upper)]
     over, under = np.maximum(soft_values - qp.soft_upper, 0), np.maximum(qp.soft_lower - soft_values, 0)
     # With its excess given back, a soft limit is a hard one whose multiplier is bounded by its price.
-    found += [_gap(answer.soft, soft_values - over + under, qp.soft_lower, qp.soft_upper)]
+    result += [_gap(answer.soft, soft_values - over + under, qp.soft_lower, qp.soft_upper)]
     price = qp.price + qp.quadratic * (over + under)
     short = np.where(over + under > _ACCURACY, price - np.abs(answer.soft), np.maximum(np.abs(answer.soft) - price, 0))
     # Within the dead time no command acts on the row, and what it lacks moves nothing.
     missing = short * np.abs(qp.soft_rows).max(axis=1) / np.abs(qp.H).max()
-    return float(max(np.abs(part).max() for part in [*found, missing]))
+    return float(max(np.abs(part).max() for part in [*result, missing]))
 
 
 def _beyond(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:

@@ -89,8 +89,8 @@ def recorded(bag, topic):
     store = get_typestore(Stores.ROS2_JAZZY)
     with Reader(bag) as reader:
         connections = [known for known in reader.connections if known.topic == topic]
-        found = [store.deserialize_cdr(data, c.msgtype) for c, _, data in reader.messages(connections=connections)]
-    return np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in found]), found
+        result = [store.deserialize_cdr(data, c.msgtype) for c, _, data in reader.messages(connections=connections)]
+    return np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in result]), result
 
 
 def recorded_truth(bag):

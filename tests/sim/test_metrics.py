@@ -348,8 +348,8 @@ def test_backwards_left_of_the_robot_is_right_of_the_path():
 def test_the_shipped_trajectories_have_the_arcs_that_their_files_say(name, arcs):
     reference = load_trajectory(name)
     run = beside(reference, 0.0)
-    found = steady_arcs(run)
-    assert len(found) == arcs
-    for ticks in found:
+    result = steady_arcs(run)
+    assert len(result) == arcs
+    for ticks in result:
         assert np.ptp(run.reference_twist[ticks], axis=0) == pytest.approx(0.0, abs=1e-5)
         assert (np.diff(ticks) == 1).all()

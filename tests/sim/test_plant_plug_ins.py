@@ -92,7 +92,7 @@ def registered(monkeypatch: pytest.MonkeyPatch) -> None:
     kind, part = Kind(), SimpleNamespace(make_part=make_counter)
     parts = {"plants": {"walled": kind, "counter": part}, "columns": {"walled": kind, "counter": RunColumns()}}
     entries = {
-        group: {name: SimpleNamespace(load=lambda found=found: found) for name, found in named.items()}
+        group: {name: SimpleNamespace(load=lambda result=result: result) for name, result in named.items()}
         for group, named in parts.items()
     }
     monkeypatch.setattr(plug_ins, "_entries", lambda group: entries.get(group, {}))

@@ -230,8 +230,8 @@ def test_without_poses_it_stops_in_time_and_one_tick_later_would_be_found(tmp_pa
     # What is sent half a second late is motion that was not allowed.
     late = int(0.5 / run.sample_time)
     watched.commands = [*[watched.commands[0]] * late, *watched.commands[:-late]]
-    found = watched.unsafe(definition)
-    assert found.motion >= late - 2
+    counts = watched.unsafe(definition)
+    assert counts.motion >= late - 2
 
 
 def test_a_command_that_the_loop_refuses_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -35,10 +35,10 @@ def test_a_run_that_keeps_everything_passes() -> None:
 def test_a_command_that_is_no_number_is_found(bad: float) -> None:
     time, command, modes, came = made_up()
     command[20, 1] = bad
-    found = check_commands(time, command, modes, came, LIMITS)
-    assert found.not_finite == 1
+    counts = check_commands(time, command, modes, came, LIMITS)
+    assert counts.not_finite == 1
     # The command after it is a step from nothing.
-    assert found.total == 2
+    assert counts.total == 2
 
 
 def test_a_command_that_turns_too_tightly_is_found() -> None:

@@ -52,11 +52,11 @@ def test_constants_and_curves_are_those_of_the_robot(told: Path) -> None:
 
 
 def test_the_slip_law_is_that_of_the_floor(log: Path) -> None:
-    found = learn_log(log, None, "fsu_bot", "fsu_bot").slip
-    normalised = (found.coefficients - SLIPPERY.slip.rows) / found.deviations
+    law = learn_log(log, None, "fsu_bot", "fsu_bot").slip
+    normalised = (law.coefficients - SLIPPERY.slip.rows) / law.deviations
     assert np.abs(normalised).max() < 5
     commands = np.array([[0.4, 0.3], [0.4, -0.3], [0.2, 0.2], [0.6, 0.1]])
-    ours = np.einsum("ij,nj->ni", found.coefficients, np.column_stack([commands, commands.prod(axis=1)]))
+    ours = np.einsum("ij,nj->ni", law.coefficients, np.column_stack([commands, commands.prod(axis=1)]))
     theirs = SLIPPERY.twist(commands) - np.column_stack([commands[:, 0], np.zeros(4), commands[:, 1]])
     assert ours == pytest.approx(theirs, abs=0.03)
 

@@ -76,10 +76,10 @@ def test_gradients_are_those_of_finite_differences(name):
     rng = np.random.default_rng(3)
     for _ in range(20):
         point = np.concatenate([0.3 * rng.standard_normal(model.order), 0.5 * rng.standard_normal(window.numel())])
-        found = differences(lambda x: model.step(x[: model.order], x[model.order :]).full(), point)
+        numeric = differences(lambda x: model.step(x[: model.order], x[model.order :]).full(), point)
         exact = jacobian(point[: model.order], point[model.order :]).full()
         assert np.isfinite(exact).all()
-        assert np.abs(exact - found).max() < 1e-5 * max(1.0, np.abs(exact).max())
+        assert np.abs(exact - numeric).max() < 1e-5 * max(1.0, np.abs(exact).max())
 
 
 def test_the_physical_model_solves_the_equations_of_both_wheels():
@@ -182,27 +182,27 @@ def told(coefficients, kind="drive_experimental", **how):
 
 
 def test_slope_limits_that_act_are_told_within_their_uncertainty():
-    found = told(LIMITED)
-    assert not {"v.quicker", "v.slower", "omega.quicker", "omega.slower"} & set(found.identified)
-    assert {"v.threshold", "v.threshold_by_slope"} <= set(found.identified), "this robot never stands still"
+    finding = told(LIMITED)
+    assert not {"v.quicker", "v.slower", "omega.quicker", "omega.slower"} & set(finding.identified)
+    assert {"v.threshold", "v.threshold_by_slope"} <= set(finding.identified), "this robot never stands still"
     # Rounding gives up some of the limit at its corner, which no noise explains.
     for row, channel in enumerate(("v", "omega")):
         for name, truth in zip(("gain", "quicker", "slower"), LIMITED[row], strict=False):
-            assert found.estimate.value(f"{channel}.{name}") == pytest.approx(truth, rel=0.12), name
-    assert found.fit.dead_samples == DEAD
-    assert found.estimate.deviation("v.gain") < 0.02
+            assert finding.estimate.value(f"{channel}.{name}") == pytest.approx(truth, rel=0.12), name
+    assert finding.fit.dead_samples == DEAD
+    assert finding.estimate.deviation("v.gain") < 0.02
 
 
 def test_what_a_log_does_not_show_keeps_its_prior():
     """No slope that acts, and never a change of direction: neither limit nor threshold can be told."""
-    found = told(UNLIMITED, backwards=False)
+    finding = told(UNLIMITED, backwards=False)
     untold = {"quicker", "slower", "threshold", "threshold_by_slope"}
-    assert set(found.identified) == {f"{channel}.{name}" for channel in ("v", "omega") for name in untold}
-    for values in found.fit.values:
+    assert set(finding.identified) == {f"{channel}.{name}" for channel in ("v", "omega") for name in untold}
+    for values in finding.fit.values:
         assert values["quicker"] == values["slower"] == NO_LIMIT
         assert values["threshold"] == values["threshold_by_slope"] == 0.0
-    assert "v.quicker" not in found.estimate.names
-    assert found.estimate.value("v.lag") == pytest.approx(0.1, rel=0.15)
+    assert "v.quicker" not in finding.estimate.names
+    assert finding.estimate.value("v.lag") == pytest.approx(0.1, rel=0.15)
 
 
 @pytest.fixture(scope="module")
@@ -215,14 +215,14 @@ def log(tmp_path_factory):
 
 @pytest.mark.parametrize("structure", ["p2_experimental", "p2_physical"])
 def test_from_a_log_to_a_drive_that_a_controller_loads(log, structure, tmp_path):
-    found = identify(log, log.with_name("map.yaml"), structure)
-    report = found.report
+    identification = identify(log, log.with_name("map.yaml"), structure)
+    report = identification.report
     assert report.fitted.validation.fit_percent.min() > 90.0
     assert f"{structure}.v.gain" in report.as_json()["parameters"]
     assert structure.upper() in report.markdown()
     assert "Parameters of the linear model beside a drive" in report.markdown()
     assert any("none is modelled" in warning for warning in report.warnings), "no slope limit acts here"
-    model = check_written(found, tmp_path, 1e-3, structure)
+    model = check_written(identification, tmp_path, 1e-3, structure)
     assert isinstance(model, DriveModel) and model.dt == 0.04
     # The robot: lags of 0.1 s, and a gyro that sees what it does.
     # PI control with the paper's slow integral makes up for what its gain lacks only after seconds.

@@ -51,9 +51,9 @@ def test_a_turn_costs_more_than_the_straight_way_and_the_sum_is_the_energy():
 
 
 def test_the_prediction_is_that_of_the_terrain_which_the_curves_know():
-    found = side_torques(VEHICLE, load_terrain("asphalt").model_copy(update={"slip": None}), 1.5, 0.4)
+    torques = side_torques(VEHICLE, load_terrain("asphalt").model_copy(update={"slip": None}), 1.5, 0.4)
     expected = float(
-        BOT.side_power(found.outer, found.outer_speed)[0] + BOT.side_power(found.inner, found.inner_speed)[0]
+        BOT.side_power(torques.outer, torques.outer_speed)[0] + BOT.side_power(torques.inner, torques.inner_speed)[0]
     )
     predicted = predict_energy(VEHICLE, BOT, curves(), [[0.4, 0.4 / 1.5]], 1.0)
     assert predicted.energy == pytest.approx(expected, rel=0.1)
@@ -80,13 +80,13 @@ def record(speed, current, battery):
 @pytest.mark.parametrize("regeneration", [True, False])
 def test_constants_are_found_again(regeneration):
     true = TRUE.model_copy(update={"regeneration": regeneration})
-    found = identify_constants([record(*logged(true))], BOT.model_copy(update={"regeneration": regeneration}))
+    estimate = identify_constants([record(*logged(true))], BOT.model_copy(update={"regeneration": regeneration}))
     for name in ("torque_constant", "resistance", "idle_power"):
-        value, deviation = getattr(found.constants, name), found.deviation[name]
+        value, deviation = getattr(estimate.constants, name), estimate.deviation[name]
         assert abs(value - getattr(true, name)) < 4 * deviation
         assert deviation < 0.05 * getattr(true, name)
     # Of means over 15 samples.
-    assert found.rms == pytest.approx(0.2 / 15**0.5, rel=0.3)
+    assert estimate.rms == pytest.approx(0.2 / 15**0.5, rel=0.3)
 
 
 def test_four_motors_tell_what_their_sides_hide():
@@ -101,9 +101,9 @@ def test_four_motors_tell_what_their_sides_hide():
     battery = np.stack([np.full(len(speed), 16.0), (power.sum(axis=1) + TRUE.idle_power) / 16.0], axis=-1)
     by_sides = record(speed, motors[:, :2] + motors[:, 2:], battery)
     by_motors = replace(by_sides, motor_currents=motors, wheel_speeds=speeds)
-    found = identify_constants([by_motors], BOT).constants
-    assert found.resistance == pytest.approx(TRUE.resistance, rel=1e-6)
-    assert found.torque_constant == pytest.approx(TRUE.torque_constant, rel=1e-6)
+    estimate = identify_constants([by_motors], BOT).constants
+    assert estimate.resistance == pytest.approx(TRUE.resistance, rel=1e-6)
+    assert estimate.torque_constant == pytest.approx(TRUE.torque_constant, rel=1e-6)
 
 
 def test_a_drive_at_rest_and_reversed_currents_are_refused():

@@ -64,10 +64,10 @@ def drive(controller, reference, seen, duration, *, plant="model:ssm", sensors=N
     ticks, around, pieces = [], None, None
     for _ in range(int(duration / robot.sample_time)):
         t = robot.time
-        found = seen(t)
-        if found is not None:
-            controller.feature("free_space").set_obstacles(found)
-            around, pieces = found, pieces_of(found, settings, reference)
+        result = seen(t)
+        if result is not None:
+            controller.feature("free_space").set_obstacles(result)
+            around, pieces = result, pieces_of(result, settings, reference)
         step = controller.step(t, robot.measure())
         since = 0.0 if around.time is None else t - around.time
         (gap,), _ = least_gaps(footprint, pieces, np.array([robot.true_pose]), np.array([since]), FAR)

@@ -74,14 +74,14 @@ def test_a_gap_is_the_distance_of_two_polygons_and_the_depth_where_they_overlap(
     obstacle = random_hull(rng, 9, 0.5)
     pose = np.array([*rng.uniform(-2.0, 2.0, 2), rng.uniform(-4.0, 4.0)])
     pieces = pieces_of(Surroundings([obstacle]), CONFIG)
-    found, normal = gap_to(PlacedFootprint(robot), pieces, 0, pose)
+    gap, normal = gap_to(PlacedFootprint(robot), pieces, 0, pose)
     corners = placed(robot.corners, pose)
     assert np.hypot(*normal) == pytest.approx(1.0)
     along = (obstacle @ normal).min() - (corners @ normal).max() - robot.radius
-    assert along == pytest.approx(found, abs=1e-12)  # it is the gap in the direction that it names
-    if found + robot.radius > 0.0:
-        assert found == pytest.approx(edge_distance(corners, obstacle) - robot.radius, abs=1e-12)
-    assert found == pytest.approx(widest_gap(corners, obstacle) - robot.radius, abs=2e-3)
+    assert along == pytest.approx(gap, abs=1e-12)  # it is the gap in the direction that it names
+    if gap + robot.radius > 0.0:
+        assert gap == pytest.approx(edge_distance(corners, obstacle) - robot.radius, abs=1e-12)
+    assert gap == pytest.approx(widest_gap(corners, obstacle) - robot.radius, abs=2e-3)
 
 
 @pytest.mark.parametrize("seed", range(5))

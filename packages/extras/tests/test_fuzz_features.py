@@ -21,17 +21,17 @@ def draw_surroundings(random: Random) -> Any:
     """Draw polygons, discs, a grid, a corridor; None: nothing is seen any more."""
     if random.random() < 0.1:
         return None
-    found: dict[str, Any] = {"later": random.choice((0.0, 0.0, 0.0, -1.0, 5.0, None, odd.number(random)))}
+    result: dict[str, Any] = {"later": random.choice((0.0, 0.0, 0.0, -1.0, 5.0, None, odd.number(random)))}
     if random.random() < 0.6:
-        found["polygons"] = [_polygon(random) for _ in range(random.choice((1, 2, 5, 30)))]
+        result["polygons"] = [_polygon(random) for _ in range(random.choice((1, 2, 5, 30)))]
     if random.random() < 0.6:
-        found["discs"] = [
+        result["discs"] = [
             [_place(random), _place(random), abs(_some(random, 0.2)), _some(random, 0.5), _some(random, 0.5)]
             for _ in range(random.choice((1, 2, 10)))
         ]
     if random.random() < 0.3:
         rows, columns = random.choice(((1, 1), (20, 20), (60, 40), (1, 200), (0, 5)))
-        found["grid"] = {
+        result["grid"] = {
             "shape": [rows, columns],
             "seed": random.randrange(1000),
             "share": random.choice((0.0, 0.02, 0.2, 1.0)),
@@ -41,12 +41,12 @@ def draw_surroundings(random: Random) -> Any:
     if random.random() < 0.3:
         count = random.choice((0, 1, 2, 5, 50))
         lengths = sorted(abs(_some(random, 3.0)) for _ in range(count))
-        found["corridor"] = [
+        result["corridor"] = [
             lengths if random.random() < 0.9 else lengths[::-1],
             [abs(_some(random, 0.5)) for _ in range(count)],
             [abs(_some(random, 0.5)) for _ in range(count)],
         ]
-    return found
+    return result
 
 
 def make_surroundings(said: Any, pose: np.ndarray, t: float) -> Surroundings | None:

@@ -87,9 +87,9 @@ def linear_step(x, recent):
 def test_it_computes_its_definition():
     random = np.random.default_rng(0)
     past, commands = random.normal(size=(MODEL.memory, 2)), np.repeat(random.normal(size=(30, 2)), 5, axis=0)
-    found = MODEL.simulate(commands, past=past)
-    assert found == pytest.approx(by_hand(commands, past), abs=1e-12)
-    assert np.abs(found - LINEAR.simulate(commands, past=past)).max() > 0.02, "else the network says nothing"
+    output = MODEL.simulate(commands, past=past)
+    assert output == pytest.approx(by_hand(commands, past), abs=1e-12)
+    assert np.abs(output - LINEAR.simulate(commands, past=past)).max() > 0.02, "else the network says nothing"
 
 
 def test_its_gradient_is_that_of_differences():
@@ -139,11 +139,11 @@ def test_its_file_brings_it_back_and_is_the_same_each_time(tmp_path):
     for name in ("one", "other"):
         write_hybrid(tmp_path / f"{name}.yaml", content())
     assert (tmp_path / "one.yaml").read_bytes() == (tmp_path / "other.yaml").read_bytes()
-    found = load_model(tmp_path / "one.yaml")
-    assert isinstance(found, HybridModel)
+    loaded = load_model(tmp_path / "one.yaml")
+    assert isinstance(loaded, HybridModel)
     commands = np.repeat(np.random.default_rng(3).normal(size=(10, 2)), 8, axis=0)
-    assert found.simulate(commands) == pytest.approx(MODEL.simulate(commands), abs=1e-6)
-    assert found.provenance["source"] == "random numbers"
+    assert loaded.simulate(commands) == pytest.approx(MODEL.simulate(commands), abs=1e-6)
+    assert loaded.provenance["source"] == "random numbers"
     assert load_base_effects(tmp_path / "one.yaml") == load_base_effects("ssm")
 
 
@@ -197,12 +197,12 @@ def quick(monkeypatch):
 
 def test_it_learns_what_no_linear_model_can_say(quick):
     data = data_of(sagging(1, 60.0), sagging(2, 60.0))
-    found = compare_models(data, ["sm", "hybrid"], parts=2)
-    linear, hybrid = found.scores[1:]
+    comparison = compare_models(data, ["sm", "hybrid"], parts=2)
+    linear, hybrid = comparison.scores[1:]
     assert hybrid.states == linear.states == 4
-    left = [100.0 - found.fits(one) for one in (linear, hybrid)]
+    left = [100.0 - comparison.fits(one) for one in (linear, hybrid)]
     assert (left[1] < 0.6 * left[0]).all()
-    assert found.recommended.kind == "hybrid"
+    assert comparison.recommended.kind == "hybrid"
 
 
 def test_from_a_log_to_a_hybrid_that_a_controller_loads(quick, tmp_path):
@@ -212,14 +212,14 @@ def test_from_a_log_to_a_hybrid_that_a_controller_loads(quick, tmp_path):
     log = write_csv(tmp_path / "drive.csv", columns)
     sides = "encoders: {v: v, omega: omega_wheels}, gyro: {yaw_rate: gyro}"
     write_mapping(tmp_path / "map.yaml", f"columns: {{time: t, command: {{v: v_ref, omega: omega_ref}}, {sides}}}\n")
-    found = identify(log, tmp_path / "map.yaml", "hybrid")
-    report = found.report
+    identification = identify(log, tmp_path / "map.yaml", "hybrid")
+    report = identification.report
     assert report.as_json()["model"] == "hybrid"
     assert "Parameters of the linear model beside a linear model with a network" in report.markdown()
     assert "chosen on held-out blocks" in report.markdown()
     other = report.fitted.predictor.refitted(report.data.validation, "gyro")
     assert isinstance(other, HybridModel)
-    assert check_written(found, tmp_path / "mine", 1e-5).dt == 0.04
+    assert check_written(identification, tmp_path / "mine", 1e-5).dt == 0.04
 
 
 def test_without_the_extra_one_line_says_what_to_install(tmp_path, monkeypatch):

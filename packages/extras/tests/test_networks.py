@@ -95,9 +95,9 @@ def test_its_graph_and_its_gradient_are_those_of_its_numbers(kind):
     says = network(window[None])[0] - network.at_rest
     assert model.step([9.0, 9.0], window.ravel()).full().ravel() == pytest.approx(says, abs=1e-13)
     symbol = ca.MX.sym("window", 14)
-    found = ca.Function("by", [symbol], [ca.jacobian(model.step(ca.MX(2, 1), symbol), symbol)])(window.ravel()).full()
+    result = ca.Function("by", [symbol], [ca.jacobian(model.step(ca.MX(2, 1), symbol), symbol)])(window.ravel()).full()
     slopes = differences(lambda point: network(point.reshape(1, 7, 2)), window.ravel())
-    assert found == pytest.approx(slopes, abs=1e-8)
+    assert result == pytest.approx(slopes, abs=1e-8)
 
 
 def test_the_model_rests_and_its_gain_is_that_of_small_commands():
@@ -112,11 +112,11 @@ def test_its_file_brings_it_back_and_is_the_same_each_time(tmp_path):
     for name in ("one", "other"):
         write(tmp_path / f"{name}.yaml", network)
     assert (tmp_path / "one.npz").read_bytes() == (tmp_path / "other.npz").read_bytes()
-    found = load_model(tmp_path / "one.yaml")
+    loaded = load_model(tmp_path / "one.yaml")
     windows = np.random.default_rng(4).normal(size=(5, 20, 2))
     # It is kept in the precision that it is trained in.
-    assert found.network(windows) == pytest.approx(network(windows), abs=1e-5)
-    assert found.provenance["source"] == "random numbers"
+    assert loaded.network(windows) == pytest.approx(network(windows), abs=1e-5)
+    assert loaded.provenance["source"] == "random numbers"
     assert load_base_effects(tmp_path / "one.yaml") == load_base_effects("ssm")
 
 
@@ -250,14 +250,18 @@ def test_the_windows_are_the_commands_before_each_reading():
 
 
 def test_it_learns_what_no_linear_model_can_say():
-    found = trained()
+    trained_network = trained()
     other = windows_of([saturating_drive(1)], SMALL.window)
     flat = np.hstack([other.commands.reshape(len(other), -1), np.ones((len(other), 1))])
     best = np.linalg.lstsq(flat, other.twists, rcond=None)[0]
     linear = np.sqrt(np.mean((flat @ best - other.twists) ** 2, axis=0))
-    assert (rmse(found.network, other) < 0.7 * linear).all(), "the linear one was even fitted to these drives"
-    assert fit_percent(found.network, other).min() > 90.0
-    assert found.losses[found.best_step // 20] == found.losses.min() < 0.1 * found.losses[0]
+    assert (rmse(trained_network.network, other) < 0.7 * linear).all(), "the linear one was even fitted to these drives"
+    assert fit_percent(trained_network.network, other).min() > 90.0
+    assert (
+        trained_network.losses[trained_network.best_step // 20]
+        == trained_network.losses.min()
+        < 0.1 * trained_network.losses[0]
+    )
 
 
 def test_a_seed_gives_the_same_weights_and_another_one_others():
@@ -269,8 +273,8 @@ def test_a_seed_gives_the_same_weights_and_another_one_others():
 def test_from_a_log_to_a_network_that_a_controller_loads(tmp_path):
     write_mapping(tmp_path / "map.yaml")
     log = write_csv(tmp_path / "drive.csv", drive(seconds=120.0))
-    found = identify(log, tmp_path / "map.yaml", "lstm")
-    assert found.report.fitted.validation.fit_percent.min() > 80.0
-    assert "LSTM from drive.csv" in found.report.markdown()
-    model = check_written(found, tmp_path / "mine", 1e-5)
+    identification = identify(log, tmp_path / "map.yaml", "lstm")
+    assert identification.report.fitted.validation.fit_percent.min() > 80.0
+    assert "LSTM from drive.csv" in identification.report.markdown()
+    model = check_written(identification, tmp_path / "mine", 1e-5)
     assert model.dt == 0.02 and model.network.architecture == Architecture()

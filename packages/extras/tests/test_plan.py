@@ -71,7 +71,7 @@ def dubins(start, goal, radius):
     dx, dy = (np.asarray(goal) - start)[:2] / radius
     far, toward = np.hypot(dx, dy), np.arctan2(dy, dx)
     whole = lambda angle: np.mod(angle, 2 * np.pi)  # noqa: E731
-    found = []
+    results = []
     # Words that begin with a turn to the left, and their mirror images.
     for side in (1, -1):
         a, b = whole(side * (start[2] - toward)), whole(side * (goal[2] - toward))
@@ -79,18 +79,18 @@ def dubins(start, goal, radius):
         square = 2 + far**2 - 2 * cab + 2 * far * (sa - sb)
         if square >= 0:
             t = np.arctan2(cb - ca, far + sa - sb)
-            found.append(whole(t - a) + np.sqrt(square) + whole(b - t))
+            results.append(whole(t - a) + np.sqrt(square) + whole(b - t))
         square = -2 + far**2 + 2 * cab + 2 * far * (sa + sb)
         if square >= 0:
             p = np.sqrt(square)
             t = np.arctan2(-ca - cb, far + sa + sb) - np.arctan2(-2.0, p)
-            found.append(whole(t - a) + p + whole(t - b))
+            results.append(whole(t - a) + p + whole(t - b))
         bent = (6 - far**2 + 2 * cab - 2 * far * (sa - sb)) / 8
         if abs(bent) <= 1:
             p = whole(2 * np.pi - np.arccos(bent))
             t = whole(np.arctan2(cb - ca, far + sa - sb) - a + p / 2)
-            found.append(t + p + whole(b - a - t + p))
-    return radius * min(found)
+            results.append(t + p + whole(b - a - t + p))
+    return radius * min(results)
 
 
 def dense_energy(costs, start, goal, radii):
@@ -151,8 +151,8 @@ def ends_of(inputs, words, poses):
 @settings(max_examples=40, deadline=None)
 def test_without_slip_the_shortest_way_is_that_of_dubins(goal):
     costs = stiff(1.0)
-    found = searched(costs, goal)
-    assert found.cost == pytest.approx(dubins(ORIGIN, goal, sharpest_radius(costs, SPEED, SETTINGS)), rel=1e-9)
+    result = searched(costs, goal)
+    assert result.cost == pytest.approx(dubins(ORIGIN, goal, sharpest_radius(costs, SPEED, SETTINGS)), rel=1e-9)
 
 
 def test_every_way_of_three_pieces_ends_where_it_should():
@@ -182,9 +182,9 @@ def test_on_dry_friction_the_best_arcs_have_half_the_track_as_commanded_radius(g
     best = np.argmin(words.costs)
     for one in words.inputs[best, [0, 2]]:
         assert abs(inputs.commands[one, 0] / inputs.commands[one, 1]) == pytest.approx(HALF)
-    found = searched(costs, goal, "energy")
-    assert found.cost <= words.costs[best] * 1.0001
-    arcs = [one for one in found.pieces if abs(one.omega) > 0.05]
+    result = searched(costs, goal, "energy")
+    assert result.cost <= words.costs[best] * 1.0001
+    arcs = [one for one in result.pieces if abs(one.omega) > 0.05]
     assert arcs and all(abs(one.radius) == pytest.approx(HALF) for one in arcs)
 
 
@@ -193,8 +193,8 @@ def test_the_energy_is_that_of_a_dense_search(goal):
     costs = stiff(0.8)
     sharp = sharpest_radius(costs, SPEED, SETTINGS)
     dense, _ = dense_energy(costs, ORIGIN, np.array(goal), np.geomspace(sharp, 30 * sharp, 25))
-    found = searched(costs, goal, "energy")
-    assert found.bound <= found.cost <= 1.06 * dense
+    result = searched(costs, goal, "energy")
+    assert result.bound <= result.cost <= 1.06 * dense
     # Smooth turns of changing radius cost less than the best of two arcs, ramps and all.
     assert plan(costs, ORIGIN, goal).energy < dense
 
@@ -245,19 +245,19 @@ def test_it_keeps_clear_of_what_stands_there():
     costs = load_turn_costs("fsu_bot-slippery")
     discs = [MovingDisc(3.0, 0.2, 0.15), MovingDisc(4.5, -0.4, 0.15)]
     box = np.array([[2.0, 0.9], [5.0, 0.9], [5.0, 1.2], [2.0, 1.2]])
-    found = plan(costs, ORIGIN, (7.0, 0.0, 0.0), obstacles=Surroundings(polygons=[box], discs=discs))
+    result = plan(costs, ORIGIN, (7.0, 0.0, 0.0), obstacles=Surroundings(polygons=[box], discs=discs))
     # Points all along the outline of the robot, by their own distances.
     low, high = outline(BOT).corners.min(0), outline(BOT).corners.max(0)
     side = np.linspace(0, 1, 12)[:, None]
     corners = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
     ring = np.concatenate([a + side * (b - a) for a, b in zip(corners, np.roll(corners, -1, 0), strict=True)])
-    for pose in found.poses[::5]:
+    for pose in result.poses[::5]:
         points = placed(np.tile(pose, (len(ring), 1)), np.column_stack([ring, np.zeros(len(ring))]))[:, :2]
         for disc in discs:
             assert np.hypot(*(points - (disc.x, disc.y)).T).min() - disc.radius >= SETTINGS.motion.margin - 1e-3
         beyond = np.maximum(np.maximum(box.min(0) - points, points - box.max(0)), 0)
         assert np.hypot(*beyond.T).min() >= SETTINGS.motion.margin - 1e-3
-    assert found.energy > plan(costs, ORIGIN, (7.0, 0.0, 0.0)).energy
+    assert result.energy > plan(costs, ORIGIN, (7.0, 0.0, 0.0)).energy
 
 
 def test_driving_backward_and_turning_on_the_spot_open_ways():
@@ -270,9 +270,9 @@ def test_driving_backward_and_turning_on_the_spot_open_ways():
 
 def test_where_the_polish_does_not_finish_it_says_so_and_the_plan_still_ends_at_the_goal():
     hurried = SETTINGS.model_copy(update={"polish": SETTINGS.polish.model_copy(update={"iterations": 1})})
-    found = plan(load_turn_costs("fsu_bot-grippy"), ORIGIN, (6.0, 3.0, 0.5), settings=hurried)
-    assert found.status in ("unfinished", "search") and "Maximum_Iterations_Exceeded" in found.solver
-    assert found.poses[-1] == pytest.approx([6.0, 3.0, 0.5], abs=1e-6)
+    loaded = plan(load_turn_costs("fsu_bot-grippy"), ORIGIN, (6.0, 3.0, 0.5), settings=hurried)
+    assert loaded.status in ("unfinished", "search") and "Maximum_Iterations_Exceeded" in loaded.solver
+    assert loaded.poses[-1] == pytest.approx([6.0, 3.0, 0.5], abs=1e-6)
 
 
 BOX = np.array([[4.0, -1.0], [6.0, -1.0], [6.0, 1.0], [4.0, 1.0]])

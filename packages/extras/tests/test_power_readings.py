@@ -197,12 +197,15 @@ def test_constants_are_found_from_noisy_logs_as_well_as_they_say() -> None:
                 update={name: getattr(true, name) for name in ("regeneration", "driver_efficiency")}
             )
             try:
-                found = identify_constants([record(drive, true, seed=100 * seed + k)], prior)
+                estimate = identify_constants([record(drive, true, seed=100 * seed + k)], prior)
             except ValueError as error:
                 assert "apart" in str(error)
                 continue
             errors.append(
-                [(getattr(found.constants, name) - getattr(true, name)) / found.deviation[name] for name in CONSTANTS]
+                [
+                    (getattr(estimate.constants, name) - getattr(true, name)) / estimate.deviation[name]
+                    for name in CONSTANTS
+                ]
             )
     assert len(errors) >= 12
     normalised = np.array(errors)

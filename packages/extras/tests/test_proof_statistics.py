@@ -47,7 +47,7 @@ class Robot:
 
     def drive(self, runs: list[Definition]) -> list[CampaignRun]:
         self.rounds += 1
-        found = []
+        results = []
         for run in reversed(runs):
             holds = True
             for name, limit in self._limits.items():
@@ -55,8 +55,8 @@ class Robot:
                 if isinstance(value, float):
                     shifted = limit - 0.01 * (run.case.seed == 2)
                     holds &= value >= limit if self._down else value <= shifted
-            found.append(driven(run, lateral_max_m=0.02 if holds else 0.08))
-        return found
+            results.append(driven(run, lateral_max_m=0.02 if holds else 0.08))
+        return results
 
 
 def search(**fields: float) -> BoundarySearch:
@@ -195,11 +195,13 @@ def test_the_tail_is_the_mean_of_the_worst_twentieth() -> None:
 
 def test_a_bootstrap_interval_is_as_wide_as_theory_says() -> None:
     values = np.random.default_rng(3).normal(5.0, 2.0, size=400)
-    found = BootstrapEstimate.of_runs(values, mean)
+    estimate = BootstrapEstimate.of_runs(values, mean)
     half = 1.96 * np.std(values) / math.sqrt(400)
-    assert found.value == pytest.approx(np.mean(values))
-    assert (found.low, found.high) == pytest.approx((found.value - half, found.value + half), abs=0.2 * half)
+    assert estimate.value == pytest.approx(np.mean(values))
+    assert (estimate.low, estimate.high) == pytest.approx(
+        (estimate.value - half, estimate.value + half), abs=0.2 * half
+    )
     assert BootstrapEstimate.of_runs(values, median).value == pytest.approx(np.median(values))
-    assert BootstrapEstimate.of_runs(values, mean) == found
+    assert BootstrapEstimate.of_runs(values, mean) == estimate
     shift = BootstrapEstimate.of_same_runs([values, values + 1.0], lambda a, b: mean(b) - mean(a))
     assert (shift.low, shift.high) == pytest.approx((1.0, 1.0))

@@ -106,8 +106,8 @@ def error_limit(limit, response="slow", v=0.0):
 
 def speed_share(laid):
     """Return the ratio of the speeds in the note of a laid path."""
-    found = re.match(r"driven at (\d+) % of its speed for follow_error_limit$", laid.note)
-    return 1.0 if found is None else 0.01 * int(found[1])
+    match = re.match(r"driven at (\d+) % of its speed for follow_error_limit$", laid.note)
+    return 1.0 if match is None else 0.01 * int(match[1])
 
 
 def test_a_path_is_slowed_until_its_predicted_error_keeps_to_the_limit():

@@ -53,16 +53,16 @@ def cloud(now, rows, names=("x", "y", "radius", "vx", "vy")):
 
 
 def test_a_costmap_is_read_as_rectangles():
-    found = read_costmap(serialize_message(costmap(5, wall=1.0)), FreeSpace())
-    assert found.grid.boxes.shape == (1, 4, 2)
-    assert found.grid.boxes[0].min(axis=0) == pytest.approx([1.0, -3.0])
-    assert found.grid.boxes[0].max(axis=0) == pytest.approx([1.2, 3.0])
-    assert (found.frame, found.stamp) == ("odom", 5)
+    message = read_costmap(serialize_message(costmap(5, wall=1.0)), FreeSpace())
+    assert message.grid.boxes.shape == (1, 4, 2)
+    assert message.grid.boxes[0].min(axis=0) == pytest.approx([1.0, -3.0])
+    assert message.grid.boxes[0].max(axis=0) == pytest.approx([1.2, 3.0])
+    assert (message.frame, message.stamp) == ("odom", 5)
 
 
 def test_points_are_read_as_discs():
-    found = read_obstacles(serialize_message(cloud(7, [[1.0, 2.0, 0.3, 0.4, -0.5]])))
-    assert found.discs.tolist() == [[1.0, 2.0, 0.3, 0.4, -0.5]]
+    message = read_obstacles(serialize_message(cloud(7, [[1.0, 2.0, 0.3, 0.4, -0.5]])))
+    assert message.discs.tolist() == [[1.0, 2.0, 0.3, 0.4, -0.5]]
     standing = read_obstacles(serialize_message(cloud(7, [[1.0, 2.0, 0.3]], ("x", "y", "radius"))))
     assert standing.discs.tolist() == [[1.0, 2.0, 0.3, 0.0, 0.0]]
     assert read_obstacles(serialize_message(cloud(7, []))).discs.shape == (0, 5)

@@ -48,8 +48,8 @@ def test_a_slip_law_is_found_again_within_its_doubt():
     off = []
     for _ in range(60):
         noisy = polynomial_twist(TRUE, commands) + rng.normal(0, [0.01, 0.01, 0.03], (len(commands), 3))
-        found = identify_slip(commands, noisy)
-        off.append((found.coefficients - TRUE) / found.deviations)
+        estimate = identify_slip(commands, noisy)
+        off.append((estimate.coefficients - TRUE) / estimate.deviations)
     # Normal errors: their spread over the stated deviation is one.
     assert np.std(off) == pytest.approx(1.0, abs=0.15)
 

@@ -220,16 +220,16 @@ def test_a_log_becomes_a_plant(log):
     twin, model = (numbers[name]["fit_percent"] for name in ("twin", "model"))
     # The log is of this physics: a velocity model cannot beat it by much, whatever the noise.
     assert all(twin[channel] > model[channel] - 2.0 for channel in ("v", "omega"))
-    found = {one["name"]: one for one in numbers["parameters"]}
+    result = {one["name"]: one for one in numbers["parameters"]}
     robot = load_simulated_robot(out / "plant.yaml")
-    assert robot.friction == pytest.approx(found["friction"]["value"], rel=1e-6)
-    assert robot.twin.link.dead_time == pytest.approx(found["dead_time"]["value"], rel=1e-6)
-    assert found["dead_time"]["low"] <= 0.040 <= found["dead_time"]["high"]
-    assert found["gain_v"]["low"] <= 1.0 <= found["gain_v"]["high"]
+    assert robot.friction == pytest.approx(result["friction"]["value"], rel=1e-6)
+    assert robot.twin.link.dead_time == pytest.approx(result["dead_time"]["value"], rel=1e-6)
+    assert result["dead_time"]["low"] <= 0.040 <= result["dead_time"]["high"]
+    assert result["gain_v"]["low"] <= 1.0 <= result["gain_v"]["high"]
     stated = yaml.safe_load((out / "plant.yaml").read_text())["firmware"]["provenance"]["parameters"]
-    assert {name: one["told"] for name, one in stated.items()} == {name: one["told"] for name, one in found.items()}
+    assert {name: one["told"] for name, one in stated.items()} == {name: one["told"] for name, one in result.items()}
     report = (out / "twin.md").read_text()
-    assert all(f"| {name} |" in report for name in found)
+    assert all(f"| {name} |" in report for name in result)
     assert (out / "figures" / "held_out.png").stat().st_size > 0
     make_plant(f"mujoco:{out / 'plant.yaml'}").advance((0.2, 0.0))
 

@@ -90,7 +90,7 @@ class OracleJudge:
         row = self.odometry[-1]
         ends = [t for t, _ in self.sent[1:]] + [np.inf]
         held = [u for (_, u), end in zip(self.sent, ends, strict=False) if end >= at - r.dead_time]
-        for i, (name, found, lag, gain, margin) in enumerate(
+        for i, (name, result, lag, gain, margin) in enumerate(
             [
                 ("answer_v", row[1], r.lag_v, r.gain_v, r.margin_v),
                 ("answer_omega", row[6], r.lag_omega, r.gain_omega, r.margin_omega),
@@ -103,7 +103,7 @@ class OracleJudge:
             high = most if most > high else high + share * (most - high)
             low = least if least < low else low + share * (least - low)
             self.bounds[name] = (at, high, low)
-            self.judge(name, not low - margin <= found <= high + margin, r.lasting)
+            self.judge(name, not low - margin <= result <= high + margin, r.lasting)
 
     def _rest(self):
         """Sum up the motion of the wheels since the robot has rolled out."""
@@ -151,9 +151,9 @@ class OracleJudge:
         theta = np.cumsum(turning * dt)
         middle = theta - 0.5 * turning * dt
         sums = np.cumsum([v * np.cos(middle) * dt, v * np.sin(middle) * dt, turning * dt, np.abs(v) * dt], axis=1)
-        found = np.array([np.interp(times, t, row) for row in sums]).T
-        found[np.asarray(times) < t[0] - 1e-9] = np.nan
-        return found
+        result = np.array([np.interp(times, t, row) for row in sums]).T
+        result[np.asarray(times) < t[0] - 1e-9] = np.nan
+        return result
 
     def _place(self):
         """Estimate the pose, and the recent corrections by poses; both are computed again after each message."""

@@ -96,7 +96,7 @@ def test_the_microcontroller_decides_the_same(folder):
     try:
         board("begin", START)
         for name, arguments, words in random_drive(0):
-            found = getattr(judge, name)(*arguments, **words)
+            result = getattr(judge, name)(*arguments, **words)
             if name == "reference":
                 for point in arguments[1]:
                     board("point", arguments[0], 0.0, *point)
@@ -111,8 +111,8 @@ def test_the_microcontroller_decides_the_same(folder):
             if verdict:
                 assert reply[4] == verdict.at
             if name in ("command", "tick"):
-                assert bool(reply[0]) == (found is not None)
-                assert found is None or np.abs(reply[1:3] - found).max() <= 1e-9
+                assert bool(reply[0]) == (result is not None)
+                assert result is None or np.abs(reply[1:3] - result).max() <= 1e-9
         assert judge.verdict
     finally:
         board.close()

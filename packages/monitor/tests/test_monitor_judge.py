@@ -419,21 +419,21 @@ def test_the_oracle_agrees(seed):
     for name, arguments, words in random_drive(seed):
         getattr(ours, name)(*arguments, **words)
         getattr(theirs, "odometry_" if name == "odometry" else name)(*arguments, **words)
-        found = ours.verdict
-        assert bool(found) == (theirs.stopped is not None), (name, arguments, found, theirs.stopped)
-        if found:
-            assert found.at == theirs.stopped[0] and found.rule in theirs.stopped[1]
+        result = ours.verdict
+        assert bool(result) == (theirs.stopped is not None), (name, arguments, result, theirs.stopped)
+        if result:
+            assert result.at == theirs.stopped[0] and result.rule in theirs.stopped[1]
             break
 
 
 def test_the_oracle_was_asked_for_many_rules():
-    found = set()
+    result = set()
     for seed in range(18):
         judge = Judge(RULES if seed < 12 else RULES.with_sensors(pose=False, gyro=seed % 2 == 0), START)
         for name, arguments, words in random_drive(seed):
             getattr(judge, name)(*arguments, **words)
-        found.add(judge.verdict.rule)
-    assert len(found - {""}) >= 6, found
+        result.add(judge.verdict.rule)
+    assert len(result - {""}) >= 6, result
 
 
 @pytest.mark.parametrize(
