@@ -102,12 +102,12 @@ def test_the_file_says_what_was_driven_and_how_to_drive_it_again(logs):
 
 
 def test_identify_finds_the_same_in_both(logs):
-    one, other = (identify([logs / name], structure="sm") for name in ("s.csv", "s.mcap"))
-    sampled, expected = one.model.discretise(0.0202), other.model.discretise(0.0202)
+    first, second = (identify([logs / name], structure="sm") for name in ("s.csv", "s.mcap"))
+    sampled, expected = first.model.discretise(0.0202), second.model.discretise(0.0202)
     assert all(
         np.array_equal(getattr(sampled, name), getattr(expected, name)) for name in ("A", "B0", "B1", "C", "delay")
     )
-    assert one.config == other.config
+    assert first.config == second.config
 
 
 def test_a_full_disk_is_one_line_and_leaves_the_old_file(tmp_path, monkeypatch):

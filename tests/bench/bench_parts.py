@@ -80,7 +80,7 @@ def quick_case(**changes: object) -> Case:
 
 
 def rows(*outcomes: RunOutcome) -> DataFrame:
-    return frame(one.row for one in outcomes)
+    return frame(outcome.row for outcome in outcomes)
 
 
 def quick_outcome(**changes: object) -> RunOutcome:

@@ -75,7 +75,9 @@ def test_limits_bind_on_tight_for_about_half_of_the_time(overrides: tuple[tuple[
     limits = config.limits
     command = run.command[run.counted]
     change = np.abs(np.diff(command, axis=0, prepend=0.0)) / config.sample_time
-    encoders = np.array([one.wheel_twist.value for one in run.measurements if one.wheel_twist is not None])
+    encoders = np.array(
+        [measurement.wheel_twist.value for measurement in run.measurements if measurement.wheel_twist is not None]
+    )
     rim = np.abs(encoders) @ (1.0, config.wheels.encoder_track / 2)
     at = {
         "command": (np.abs(command) >= np.array([limits.v, limits.omega]) - 1e-4).any(axis=1),

@@ -424,8 +424,8 @@ def test_in_single_precision_what_is_proven_is_the_solution():
     """With most inputs pressed on at once rounding leaves some problems without a proof, and none with a wrong one."""
     problems = [pressing_problem(seed, steps=15) for seed in range(30)]
     result = [solve(p, number="float", slack=1e-5) for p, _ in problems]
-    assert {one.status for one in result} <= {PROVEN, NOT_PROVEN}
-    assert np.mean([one.status == PROVEN for one in result]) > 0.7
-    for one, (_, exact) in zip(result, problems, strict=True):
-        if one.status == PROVEN:
-            assert one.plan == pytest.approx(exact.plan, abs=2e-4)
+    assert {solution.status for solution in result} <= {PROVEN, NOT_PROVEN}
+    assert np.mean([solution.status == PROVEN for solution in result]) > 0.7
+    for solution, (_, exact) in zip(result, problems, strict=True):
+        if solution.status == PROVEN:
+            assert solution.plan == pytest.approx(exact.plan, abs=2e-4)

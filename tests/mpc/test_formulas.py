@@ -365,9 +365,9 @@ def test_generated_c_equals_casadi(library, precision, function, data):
         values = [value.astype(np.float32).astype(float) for value in values]
     expected = call(function, values)
     computed = call_compiled(*library, precision, function, values)
-    for one, other in zip(computed, expected, strict=True):
+    for first, second in zip(computed, expected, strict=True):
         rounding = 1e-13 if precision == "double" else 2e-5
-        assert one == pytest.approx(other, abs=rounding * max(1.0, np.abs(other).max()))
+        assert first == pytest.approx(second, abs=rounding * max(1.0, np.abs(second).max()))
 
 
 def test_single_precision_code_uses_no_doubles(tmp_path):
@@ -452,10 +452,10 @@ def test_nonlinear_model_gets_its_gradients(tmp_path, precision):
     library = compiled(generate(functions, "lag", "a test"), tmp_path, precision)
     rounding = 1e-14 if precision == "double" else 1e-6
     for function, values in zip(functions, [[[0.3, 0.1], [0.5, 0.2, 9.0, 9.0]], [[0.3, 0.1]]], strict=True):
-        for one, other in zip(
+        for first, second in zip(
             call_compiled(*library, precision, function, values), call(function, values), strict=True
         ):
-            assert one == pytest.approx(other, abs=rounding)
+            assert first == pytest.approx(second, abs=rounding)
     _, by_state, by_window = call(functions[0], [[0.3, 0.1], [0.5, 0.2, 9.0, 9.0]])
     slope = 0.5 * (1 - np.tanh((np.array([0.5, 0.2]) - [0.3, 0.1]) / 0.4) ** 2)
     assert by_state == pytest.approx(np.eye(2) - np.diag(slope))

@@ -127,9 +127,9 @@ def test_a_linear_model_as_a_function_gives_the_commands_of_the_linear_one(monke
         controller.start(CIRCLE, plant.time)
     for _ in range(200):
         measurement = plant.measure()
-        one, other = (controller.step(plant.time, measurement) for controller in controllers)
-        assert other.command == pytest.approx(one.command, abs=1e-9)
-        plant.advance(one.command)
+        first, second = (controller.step(plant.time, measurement) for controller in controllers)
+        assert second.command == pytest.approx(first.command, abs=1e-9)
+        plant.advance(first.command)
 
 
 def test_where_saturation_acts_it_is_better_than_its_linearisation():

@@ -184,8 +184,8 @@ def test_controller_with_terms_survives_a_process_pool():
         result, returned = pool.map(one_step, [controller])[0]
     expected, _ = one_step(controller)
     assert expected.mode is Mode.TRACKING
-    for one, other in ((result.command, expected.command), (result.planned_commands, expected.planned_commands)):
-        assert one.tolist() == other.tolist()
+    for first, second in ((result.command, expected.command), (result.planned_commands, expected.planned_commands)):
+        assert first.tolist() == second.tolist()
     assert returned.config == controller.config
     again = pickle.loads(pickle.dumps(controller))
     assert again.step(0.0, FIRST).planned_commands.tolist() == returned.step(0.0, FIRST).planned_commands.tolist()

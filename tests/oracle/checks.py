@@ -184,8 +184,8 @@ class PoseGate:
         return distance <= self.settings.max_position_jump and turn <= self.settings.max_heading_jump
 
 
-def _apart(one: FloatArray, other: FloatArray) -> tuple[float, float]:
-    return float(np.hypot(*(one - other)[:2])), abs(float(wrapped(one[2] - other[2])))
+def _apart(first: FloatArray, second: FloatArray) -> tuple[float, float]:
+    return float(np.hypot(*(first - second)[:2])), abs(float(wrapped(first[2] - second[2])))
 
 
 @dataclass(frozen=True)

@@ -115,7 +115,9 @@ def trace(plant: Plant, ticks: int) -> list[Any]:
     for command in random_commands(4, duration=(ticks + 1) * plant.sample_time)[:ticks]:
         measured = plant.measure()
         stamped = (measured.pose, measured.wheel_twist, measured.yaw_rate, measured.wheel_speeds)
-        rows.append([None if one is None else (np.asarray(one.value).tolist(), one.time) for one in stamped])
+        rows.append(
+            [None if reading is None else (np.asarray(reading.value).tolist(), reading.time) for reading in stamped]
+        )
         rows.append((measured.sent, plant.time, plant.true_pose.tolist(), plant.true_twist.tolist()))
         plant.advance(command)
     return rows

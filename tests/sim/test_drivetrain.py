@@ -168,8 +168,8 @@ def test_physics_called_through_python_gives_the_same_bits(monkeypatch: pytest.M
     assert library.physics_step() is not None
     direct = _driven()
     monkeypatch.setattr(chassis, "physics_step", lambda: None)
-    for one, other in zip(direct, _driven(), strict=True):
-        np.testing.assert_array_equal(one, other)
+    for first, second in zip(direct, _driven(), strict=True):
+        np.testing.assert_array_equal(first, second)
 
 
 def test_without_a_compiler_the_wheel_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: object) -> None:
@@ -241,7 +241,7 @@ def test_the_drivers_keep_the_torque_within_their_limit_and_the_turn_gets_wider(
     limit = limited.twin.driver.torque_limit
     free = with_driver(limited, torque_limit=None)
     tight = np.tile([0.4, 0.8], (200, 1))
-    kept, strong = (drive_open_loop(built_plant(one, 1.2), tight) for one in (limited, free))
+    kept, strong = (drive_open_loop(built_plant(robot, 1.2), tight) for robot in (limited, free))
     assert np.abs(kept.motor_torque).max() <= limit + 1e-12  # a mean of ten is rounded
     assert np.abs(strong.motor_torque[100:]).max() > 1.1 * limit
     assert kept.true_twist[150:, 2].mean() < 0.8 * strong.true_twist[150:, 2].mean()

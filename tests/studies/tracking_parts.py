@@ -62,7 +62,7 @@ def recovery(
 ) -> dict[str, float]:
     """Return columns of the recovery."""
     of = Recovery(time, overshoot, 0.001, energy_v, energy_omega, 0.0, 0.0)
-    return {f"recovery_{one.name.removeprefix('recovery_')}": getattr(of, one.name) for one in fields(Recovery)}
+    return {f"recovery_{field.name.removeprefix('recovery_')}": getattr(of, field.name) for field in fields(Recovery)}
 
 
 def row(of: Case, *, arcs: tuple[float, ...] = (0.001,), across: np.ndarray | None = None, **changes: object) -> dict:
@@ -92,7 +92,7 @@ def made_up() -> DataFrame:
     """Build a whole study of rows that were never driven: 8 mm, 2 mm for the bound."""
     plan = load_study(quick=True).drives()
     cases = dict.fromkeys(drive.case for drives in plan.values() for drive in drives)
-    rows = [row(one, position_rmse_m=0.002 if one.controller == BOUND else 0.008) for one in cases]
+    rows = [row(case, position_rmse_m=0.002 if case.controller == BOUND else 0.008) for case in cases]
     return in_parts(frame(rows), plan)
 
 

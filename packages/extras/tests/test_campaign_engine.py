@@ -106,24 +106,24 @@ def test_what_a_run_gives_is_what_simulate_gives() -> None:
 
 
 def test_the_hash_knows_everything_that_decides(short: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    one = Definition.from_factors({"trajectory": str(short), "plant": "model:sm"})
-    keys = {key_of(one)}
-    for other in (
-        one.with_seed(1),
-        one.changed({"config.horizon": 20}),
-        one.changed({"sensors.pose.latency": 0.03}),
+    first = Definition.from_factors({"trajectory": str(short), "plant": "model:sm"})
+    keys = {key_of(first)}
+    for second in (
+        first.with_seed(1),
+        first.changed({"config.horizon": 20}),
+        first.changed({"sensors.pose.latency": 0.03}),
         Definition.from_factors({"trajectory": "circle", "plant": "model:sm"}),
     ):
-        keys.add(key_of(other))
+        keys.add(key_of(second))
     assert len(keys) == 5
     moved = tmp_path / "elsewhere.yaml"
     moved.write_bytes(short.read_bytes())
-    assert key_of(replace(one, case=replace(one.case, trajectory=str(moved)))) == key_of(one)
+    assert key_of(replace(first, case=replace(first.case, trajectory=str(moved)))) == key_of(first)
     moved.write_text(SHORT.replace("0.3", "0.35"), encoding="utf-8")
-    assert key_of(replace(one, case=replace(one.case, trajectory=str(moved)))) != key_of(one)
+    assert key_of(replace(first, case=replace(first.case, trajectory=str(moved)))) != key_of(first)
     other_numpy = definition.environment() | {"numpy": "0.1"}
     monkeypatch.setattr(definition, "environment", lambda: other_numpy)
-    assert key_of(one) not in keys
+    assert key_of(first) not in keys
 
 
 def test_the_hash_knows_files_that_a_file_names(tmp_path: Path) -> None:

@@ -34,14 +34,16 @@ def test_it_stays_in_its_square_and_tells_the_terms_apart(tmp_path, side, speed,
         assert np.abs(pose[:, :2]).max() <= 0.5 * side - 0.2
     segments = load_segments(tmp_path / "drive.yaml")
     assert told_apart(segments) < 0.5
-    assert max(abs(one.v) for one in segments) <= speed + 1e-9
-    assert max(abs(one.omega) for one in segments) <= yaw_rate + 1e-9
+    assert max(abs(segment.v) for segment in segments) <= speed + 1e-9
+    assert max(abs(segment.omega) for segment in segments) <= yaw_rate + 1e-9
 
 
 def test_shipped_trajectory_is_the_slip_drive_of_six_metres():
     """The root package ships the sequence that this search finds."""
     shipped, excitation = load_segments("excitation"), slip_excitation(6.0, 90.0, 0.6, 1.0)
-    rows = [[(one.v, one.omega, one.duration) for one in segments] for segments in (shipped, excitation)]
+    rows = [
+        [(segment.v, segment.omega, segment.duration) for segment in segments] for segments in (shipped, excitation)
+    ]
     np.testing.assert_allclose(*rows, atol=1e-4)
 
 

@@ -49,17 +49,17 @@ def to_segment(point, a, b):
     return np.hypot(*(point - a - share * along))
 
 
-def edge_distance(one, other):
+def edge_distance(first, second):
     """Compute the least distance between the edges of two polygons."""
-    both = ((one, other), (other, one))
+    both = ((first, second), (second, first))
     return min(to_segment(p, b[i - 1], b[i]) for a, b in both for p in a for i in range(len(b)))
 
 
-def widest_gap(one, other, directions=7200):
+def widest_gap(first, second, directions=7200):
     """Compute the largest gap over many directions: the signed distance of convex sets."""
     angle = np.linspace(0.0, 2.0 * np.pi, directions, endpoint=False)
     a = np.stack([np.cos(angle), np.sin(angle)])
-    return float(((other @ a).min(axis=0) - (one @ a).max(axis=0)).max())
+    return float(((second @ a).min(axis=0) - (first @ a).max(axis=0)).max())
 
 
 def random_hull(rng, count, spread):

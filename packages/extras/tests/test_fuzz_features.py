@@ -55,11 +55,13 @@ def make_surroundings(said: Any, pose: np.ndarray, t: float) -> Surroundings | N
         return None
     grid = corridor = None
     if "grid" in said:
-        one = said["grid"]
-        drawn = np.random.default_rng(one["seed"])
-        cells = np.where(drawn.random(one["shape"]) < one["share"], 100, drawn.integers(-1, 2, one["shape"]))
-        origin = (pose[0] + one["origin"][0], pose[1] + one["origin"][1], one["origin"][2])
-        grid = OccupancyGrid(cells.astype(np.int8), one["resolution"], origin)
+        costmap = said["grid"]
+        drawn = np.random.default_rng(costmap["seed"])
+        cells = np.where(
+            drawn.random(costmap["shape"]) < costmap["share"], 100, drawn.integers(-1, 2, costmap["shape"])
+        )
+        origin = (pose[0] + costmap["origin"][0], pose[1] + costmap["origin"][1], costmap["origin"][2])
+        grid = OccupancyGrid(cells.astype(np.int8), costmap["resolution"], origin)
     if "corridor" in said:
         corridor = Corridor(*said["corridor"])
     return Surroundings(

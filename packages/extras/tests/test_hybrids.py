@@ -200,7 +200,7 @@ def test_it_learns_what_no_linear_model_can_say(quick):
     comparison = compare_models(data, ["sm", "hybrid"], parts=2)
     linear, hybrid = comparison.scores[1:]
     assert hybrid.states == linear.states == 4
-    left = [100.0 - comparison.fits(one) for one in (linear, hybrid)]
+    left = [100.0 - comparison.fits(score) for score in (linear, hybrid)]
     assert (left[1] < 0.6 * left[0]).all()
     assert comparison.recommended.kind == "hybrid"
 

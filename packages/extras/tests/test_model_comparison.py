@@ -24,7 +24,7 @@ def test_two_decoupled_channels_are_an_sm_and_nothing_more():
     truth = two_channels((0.95, 14.0, 0.9), (0.6, 18.0, 1.0))
     comparison = compare_models(data_of(*(noisy_drive(truth, seed, 700) for seed in (1, 2))), ["sm", "ssm"], parts=2)
     assert comparison.recommended.kind == "sm"
-    assert [one.kind for one in comparison.scores] == [NO_MODEL, "sm", "ssm"]
+    assert [score.kind for score in comparison.scores] == [NO_MODEL, "sm", "ssm"]
     low, high = comparison.gain(comparison.scores[2], comparison.recommended)
     assert low <= 0.0
     assert high < 1.0

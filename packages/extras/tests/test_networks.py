@@ -265,9 +265,9 @@ def test_it_learns_what_no_linear_model_can_say():
 
 
 def test_a_seed_gives_the_same_weights_and_another_one_others():
-    one, same, other = (trained(seed, most_epochs=1).network.weights for seed in (3, 3, 4))
-    assert all(np.array_equal(one[name], same[name]) for name in one)
-    assert not np.array_equal(one["dense"], other["dense"])
+    first, same, second = (trained(seed, most_epochs=1).network.weights for seed in (3, 3, 4))
+    assert all(np.array_equal(first[name], same[name]) for name in first)
+    assert not np.array_equal(first["dense"], second["dense"])
 
 
 def test_from_a_log_to_a_network_that_a_controller_loads(tmp_path):

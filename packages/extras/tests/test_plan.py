@@ -214,16 +214,16 @@ def test_what_is_left_is_never_said_to_be_more_than_it_is(goal, minimise):
 def test_each_plan_is_the_least_of_what_it_is_for_and_can_be_driven(name, goal):
     costs = load_turn_costs(f"fsu_bot-{name}")
     plans = plan_each(costs, ORIGIN, goal)
-    for objective, one in plans.items():
-        for other in plans.values():
-            assert one.amount(objective) <= other.amount(objective) * 1.0005
-        assert one.status == "polished"
-        assert driven(costs, one.commands, ORIGIN, one.sample_time)[-1] == pytest.approx(goal, abs=1e-7)
-        sample = one.trajectory.sample([0.0, one.duration])
+    for objective, best in plans.items():
+        for rival in plans.values():
+            assert best.amount(objective) <= rival.amount(objective) * 1.0005
+        assert best.status == "polished"
+        assert driven(costs, best.commands, ORIGIN, best.sample_time)[-1] == pytest.approx(goal, abs=1e-7)
+        sample = best.trajectory.sample([0.0, best.duration])
         assert sample.pose == pytest.approx(np.array([ORIGIN, goal]), abs=1e-7)
-        assert one.energy == pytest.approx(costs.power(one.commands).sum() * one.sample_time)
-        v, omega = one.commands.T
-        rise = np.abs(np.diff(np.concatenate([[[0, 0]], one.commands, [[0, 0]]]), axis=0)) / one.sample_time
+        assert best.energy == pytest.approx(costs.power(best.commands).sum() * best.sample_time)
+        v, omega = best.commands.T
+        rise = np.abs(np.diff(np.concatenate([[[0, 0]], best.commands, [[0, 0]]]), axis=0)) / best.sample_time
         assert v.max() <= SPEED * 1.001 and v.min() >= 0
         assert rise[:, 0].max() <= SETTINGS.motion.acceleration * 1.01
         assert rise[:, 1].max() <= SETTINGS.motion.yaw_acceleration * 1.1

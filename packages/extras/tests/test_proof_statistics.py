@@ -92,9 +92,9 @@ def test_unsafe_runs_are_counted_and_come_first_among_the_worst() -> None:
     runs[9] = driven(PROBE.with_seed(9), completed=False, position_rmse_m=0.5, lateral_max_m=0.4)
     runs[7] = driven(PROBE.with_seed(7), completed=False, position_rmse_m=2.0, last_mode="STOPPED")
     runs[2] = driven(PROBE.with_seed(2), completed=False, error="ValueError: x", position_rmse_m=None)
-    assert [one.definition.case.seed for one in worst(runs, 3)] == [4, 2, 9]
+    assert [run.definition.case.seed for run in worst(runs, 3)] == [4, 2, 9]
     assert worst(runs, 20)[-1] is runs[7]
-    assert [is_unsafe(one) for one in runs].index(True) == 4
+    assert [is_unsafe(run) for run in runs].index(True) == 4
     of = Outcomes.of(runs, BAND)
     assert (of.unsafe.count, of.completed.count, of.stopped.count, of.in_band.count) == (1, 17, 1, 17)
     said = "\n".join(facts(runs, 5))
@@ -107,8 +107,8 @@ def test_unsafe_runs_are_counted_and_come_first_among_the_worst() -> None:
 def test_proof_of_too_many_runs_raises_config_error(tmp_path: Path) -> None:
     proof = read_yaml(PROOF)
     axis = {"factor": "surface.slope", "low": 0.0, "high": 1.0, "steps": 100}
-    one = next(iter(proof["maps"].values()))
-    axis["factor"] = one["x"]["factor"]
+    first_map = next(iter(proof["maps"].values()))
+    axis["factor"] = first_map["x"]["factor"]
     letters = "abcdefghijklmnopqrstuvwxyz"
     proof["maps"] = {f"map-{a}{b}": {"x": axis, "y": axis} for a in letters for b in letters}
     file = tmp_path / "proof.yaml"

@@ -132,5 +132,5 @@ def test_the_shipped_proof_can_be_driven() -> None:
     ]
     check_definitions(ends)
     # No seed of the probe is among those that are drawn.
-    drawn = {one.case.seed for one in proof.definitions()}
+    drawn = {definition.case.seed for definition in proof.definitions()}
     assert not drawn & set(proof.probe.seeds)

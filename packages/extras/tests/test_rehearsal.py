@@ -339,7 +339,7 @@ def test_the_square_is_driven_to_ten_millimetres_after_three_laps():
     assert errors[0] > 0.020
     assert errors[3] < 0.010
     assert any("slip learned from 3 laps" in message for message in laps[0][3][1])
-    assert all(np.array_equal(one[2], other[2]) for one, other in zip(*laps, strict=False))
+    assert all(np.array_equal(first[2], second[2]) for first, second in zip(*laps, strict=False))
 
 
 def test_the_first_lap_is_as_without():

@@ -44,7 +44,7 @@ class Watched:
         self.s, self.said = s, []
         node = s.base.node
         self.battery = s.publisher(BatteryState, "battery_state", qos_profile_sensor_data)
-        node.create_subscription(DiagnosticArray, "/diagnostics", lambda one: self.said.append(one.status[0]), 10)
+        node.create_subscription(DiagnosticArray, "/diagnostics", lambda array: self.said.append(array.status[0]), 10)
 
     def heard(self):
         """Return the next status after the node has received data of the battery."""

@@ -21,8 +21,8 @@ def network(**changes):
 def swept(result, function, passes=30, rng=None):
     x = np.linspace(-1.0, 6.0, 60)
     for k in range(passes):
-        for one in x[:: 1 if k % 2 else -1]:
-            result.learn(one, function(one) + (0.0 if rng is None else 0.08 * rng.normal()))
+        for sample in x[:: 1 if k % 2 else -1]:
+            result.learn(sample, function(sample) + (0.0 if rng is None else 0.08 * rng.normal()))
     return x
 
 

@@ -109,11 +109,11 @@ def test_the_expression_is_the_power_and_smooth(name, symbol):
     true = costs.power(rows)
     assert np.abs(values - true).max() < 0.03 * true.max() + 0.1
     # Even and flat in curvature at straight on, curved upward; finite everywhere.
-    value, gradient, hessian = (np.array(one) for one in said(0.4, 0.0))
+    value, gradient, hessian = (np.array(value_part) for value_part in said(0.4, 0.0))
     assert gradient[1] == pytest.approx(0.0, abs=1e-9)
     ahead = float(said(0.4, 1e-5)[0])
     assert (ahead - float(value.squeeze())) * 2e10 == pytest.approx(hessian[1, 1], rel=0.05)
-    assert all(np.isfinite(np.array(one)).all() for row in GRID for one in said(*row))
+    assert all(np.isfinite(np.array(value_part)).all() for row in GRID for value_part in said(*row))
 
 
 def test_without_regeneration_a_side_that_brakes_gives_nothing():

@@ -198,9 +198,9 @@ def test_parameters_are_inside_their_intervals(tmp_path):
         truth = drawn_truth(seed)
         fit = fitted(record_of(known_robot(truth), seed, 60.0), file, 30.0)
         expected = in_terms_of(fit, truth)
-        for one in fit.told:
-            if one.name in expected and not one.low <= expected[one.name] <= one.high:
-                missed.append((seed, one.name, expected[one.name], one.low, one.high))
+        for parameter in fit.told:
+            if parameter.name in expected and not parameter.low <= expected[parameter.name] <= parameter.high:
+                missed.append((seed, parameter.name, expected[parameter.name], parameter.low, parameter.high))
     assert len(missed) <= 8, missed
 
 
@@ -220,14 +220,16 @@ def test_a_log_becomes_a_plant(log):
     twin, model = (numbers[name]["fit_percent"] for name in ("twin", "model"))
     # The log is of this physics: a velocity model cannot beat it by much, whatever the noise.
     assert all(twin[channel] > model[channel] - 2.0 for channel in ("v", "omega"))
-    result = {one["name"]: one for one in numbers["parameters"]}
+    result = {parameter["name"]: parameter for parameter in numbers["parameters"]}
     robot = load_simulated_robot(out / "plant.yaml")
     assert robot.friction == pytest.approx(result["friction"]["value"], rel=1e-6)
     assert robot.twin.link.dead_time == pytest.approx(result["dead_time"]["value"], rel=1e-6)
     assert result["dead_time"]["low"] <= 0.040 <= result["dead_time"]["high"]
     assert result["gain_v"]["low"] <= 1.0 <= result["gain_v"]["high"]
     stated = yaml.safe_load((out / "plant.yaml").read_text())["firmware"]["provenance"]["parameters"]
-    assert {name: one["told"] for name, one in stated.items()} == {name: one["told"] for name, one in result.items()}
+    assert {name: parameter["told"] for name, parameter in stated.items()} == {
+        name: parameter["told"] for name, parameter in result.items()
+    }
     report = (out / "twin.md").read_text()
     assert all(f"| {name} |" in report for name in result)
     assert (out / "figures" / "held_out.png").stat().st_size > 0

@@ -98,7 +98,9 @@ def test_the_same_seed_gives_the_same_run_and_the_same_looks(tmp_path: Path) -> 
         for _ in range(60):
             seen.append(plant.look())
             plant.advance((0.3, 0.1))
-        looks.append([(one.time, one.discs, one.grid.cells.tobytes()) for one in seen if one is not None and one.grid])
+        looks.append(
+            [(look.time, look.discs, look.grid.cells.tobytes()) for look in seen if look is not None and look.grid]
+        )
         poses.append(plant.true_pose)
     assert looks[0] == looks[1] and len(looks[0]) == 12
     np.testing.assert_array_equal(*poses)

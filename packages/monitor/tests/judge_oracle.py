@@ -226,16 +226,18 @@ class OracleJudge:
         limits = ((r.v_slew, r.v_braking), (r.omega_slew, r.omega_braking))
         for i, name in enumerate(("slew", "yaw_slew")):
             follower, away, broken = 0.0, 0.0, False
-            for k, one in enumerate(self.commands):
-                if one[2] == 0.0 and one[3] == 0.0:
+            for k, command in enumerate(self.commands):
+                if command[2] == 0.0 and command[3] == 0.0:
                     follower, broken = 0.0, False
                     continue
                 step = 0.0
                 if k:
                     last = next((old[1] for old in self.commands[k - 1 :: -1] if old[1]), None)
-                    step = one[1] - last if one[1] and last is not None else one[0] - self.commands[k - 1][0]
+                    step = (
+                        command[1] - last if command[1] and last is not None else command[0] - self.commands[k - 1][0]
+                    )
                 step = min(max(step, 0.0), 1.0)
-                u = one[2 + i]
+                u = command[2 + i]
                 slower = u * follower >= 0 and abs(u) < abs(follower)
                 slew = max(limits[i]) if slower else limits[i][0]
                 follower = float(np.clip(u, follower - slew * step, follower + slew * step))
@@ -247,8 +249,8 @@ class OracleJudge:
         r = self.rules.commands
         middle = 0.5 * (r.slowest + r.quickest)
         pace = middle
-        for before, one in zip([None, *self.commands], self.commands, strict=False):
-            pace = pace + 0.05 * (min(one[0] - before[0], 1.0) - pace) if before and one[4] else middle
+        for before, command in zip([None, *self.commands], self.commands, strict=False):
+            pace = pace + 0.05 * (min(command[0] - before[0], 1.0) - pace) if before and command[4] else middle
         self.judge("slow", moving and pace > r.slowest)
         self.judge("flood", pace < r.quickest)
 

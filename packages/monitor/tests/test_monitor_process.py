@@ -75,7 +75,7 @@ class Scene:
         self.controller.send(0.0)
         base, controller = self.base, self.controller
         readers = (base.odom, base.imu, base.clock, controller.path, controller.mode)
-        return base.commands and controller.state and all(one.get_subscription_count() for one in readers)
+        return base.commands and controller.state and all(reader.get_subscription_count() for reader in readers)
 
     def step(self, v=None, omega=0.0, stamp=None):
         """Simulate a tick: sensors, clock, the command if there is one; return the resulting command of the base."""
