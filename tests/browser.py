@@ -35,8 +35,8 @@ def opened_browser(executable: str | None = None) -> Iterator[Any]:
         raise MissingPackageError("screenshots need playwright: pip install playwright") from error
     program = executable or next(filter(None, map(shutil.which, BROWSERS)), None)
     if program is None or shutil.which(program) is None:
-        asked = program or f"any of {', '.join(BROWSERS)} on the path"
-        raise ConfigError(f"no browser: {asked} was not found; install chromium, or name it with --browser")
+        wanted = program or f"any of {', '.join(BROWSERS)} on the path"
+        raise ConfigError(f"no browser: {wanted} was not found; install chromium, or name it with --browser")
     with sync_playwright() as playwright:
         # A container has no sandbox of its own; the page is ours.
         browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])

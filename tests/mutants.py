@@ -106,7 +106,7 @@ def mutants_of(path: str, text: str) -> list[list[Mutant]]:
             fields.setdefault(base[0], set()).add(name[0])
     sites = []
     for base, last, token, after in zip(tokens, tokens[1:], tokens[2:], tokens[3:], strict=False):
-        if any(begin <= token.start() < end for begin, end in hidden) or base[0] == "strict":
+        if any(start <= token.start() < end for start, end in hidden) or base[0] == "strict":
             continue
         options = _changes(last, token, after)
         if _is_field(text, base, last, token):
@@ -188,10 +188,10 @@ class Tree:
 
     def _fails(self, stage: str, mutant: Mutant) -> bool:
         if stage not in self._times:
-            begin = time.monotonic()
+            start = time.monotonic()
             if self._run(3600.0, stage):
                 sys.exit(f"{self._log.read_text()}\nthe unchanged product fails: {stage}")
-            self._times[stage] = time.monotonic() - begin
+            self._times[stage] = time.monotonic() - start
         file, library = self._tree / mutant.path, None
         if mutant.path.endswith(".c") and file.stem in self._objects:
             objects = (self._objects | {file.stem: "mutant.o"}).values()

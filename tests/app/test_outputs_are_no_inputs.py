@@ -94,11 +94,11 @@ def logs(tmp_path_factory):
 
 
 def test_the_file_says_what_was_driven_and_how_to_drive_it_again(logs):
-    told = read_drive_log(logs / "s.mcap").metadata
-    assert told["case"]["plant"] == "model:ssm" and told["case"]["seed"] == "3"
-    assert told["case"]["repeat"] == " ".join(["diffdrive-mpc", *WORDS])
-    assert ControllerConfig.model_validate(yaml.safe_load(told["configuration"]["yaml"])).horizon == 12
-    assert yaml.safe_load(told["model"]["yaml"])["name"]
+    metadata_of_drive = read_drive_log(logs / "s.mcap").metadata
+    assert metadata_of_drive["case"]["plant"] == "model:ssm" and metadata_of_drive["case"]["seed"] == "3"
+    assert metadata_of_drive["case"]["repeat"] == " ".join(["diffdrive-mpc", *WORDS])
+    assert ControllerConfig.model_validate(yaml.safe_load(metadata_of_drive["configuration"]["yaml"])).horizon == 12
+    assert yaml.safe_load(metadata_of_drive["model"]["yaml"])["name"]
 
 
 def test_identify_finds_the_same_in_both(logs):

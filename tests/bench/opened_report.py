@@ -16,16 +16,16 @@ PHONE, DESK = {"width": 390, "height": 844}, {"width": 1280, "height": 900}
 def opened(report: Path) -> Iterator[Any]:
     """Open the report in a page of Playwright; at the end there must be no errors and no requests."""
     complaints: list[str] = []
-    asked: list[str] = []
+    requests: list[str] = []
     with opened_browser() as browser:
         page = browser.new_context(viewport=DESK, offline=True).new_page()
         page.on("console", lambda message: complaints.append(message.text))
         page.on("pageerror", lambda error: complaints.append(str(error)))
-        page.on("request", lambda request: asked.append(request.url))
+        page.on("request", lambda request: requests.append(request.url))
         open_report(page, report)
         yield page
         assert complaints == []
-        assert [url for url in asked if not url.startswith("data:")] == [report.resolve().as_uri()]
+        assert [url for url in requests if not url.startswith("data:")] == [report.resolve().as_uri()]
 
 
 def check_report(report: Path) -> dict[str, Any]:

@@ -36,8 +36,8 @@ def least_lateral(step: float) -> float:
     rest = np.concatenate([np.full(2 * (count - 1), Limits().omega_slew * dt), np.zeros(2 * count)])
     ends = [(None, None)] * (3 * count) + [(0.0, None)]
     for first, values in ((0, path), (count, np.zeros(count)), (2 * count, np.zeros(count))):
-        for at in (0, count - 1):
-            ends[first + at] = (values[at], values[at])
+        for column in (0, count - 1):
+            ends[first + column] = (values[column], values[column])
     cost = np.append(np.zeros(3 * count), 1.0)
     result = linprog(cost, np.vstack([slew, -slew, bounded]), rest, moves, known, bounds=ends, method="highs")
     assert result.status == 0
@@ -79,17 +79,17 @@ def test_limits_bind_on_tight_for_about_half_of_the_time(overrides: tuple[tuple[
         [measurement.wheel_twist.value for measurement in run.measurements if measurement.wheel_twist is not None]
     )
     rim = np.abs(encoders) @ (1.0, config.wheels.encoder_track / 2)
-    at = {
+    binding = {
         "command": (np.abs(command) >= np.array([limits.v, limits.omega]) - 1e-4).any(axis=1),
         "slew": (change >= 0.999 * np.array([limits.v_slew, limits.omega_slew])).any(axis=1),
         "wheels": rim[run.counted] >= 0.98 * limits.wheel_speed,
     }
-    share = {name: rows.mean() for name, rows in at.items()}
+    share = {name: rows.mean() for name, rows in binding.items()}
     assert share["command"] > 0.05
     assert share["slew"] > 0.1
     # Within the command's shipped limits the wheels never reach theirs.
     assert (share["wheels"] > 0.05) == bool(overrides)
-    assert 0.35 < (at["command"] | at["slew"] | at["wheels"]).mean() < 0.65
+    assert 0.35 < (binding["command"] | binding["slew"] | binding["wheels"]).mean() < 0.65
 
 
 PATHS = ["circle", "square", "s", "cane"]

@@ -117,10 +117,10 @@ def write_bag(folder, topics, storage="sqlite3"):
         queue = []
         for name, (kind, received, stamped, readings) in topics.items():
             connection = writer.add_connection(name.partition("#")[0], kind, typestore=STORE)
-            for at, stamp, reading in zip(received, stamped, readings, strict=True):
-                queue.append((round((BAG_START + at) * 1e9), connection, kind, reading, BAG_START + stamp))
-        for at, connection, kind, reading, stamp in sorted(queue, key=lambda item: item[0]):
-            writer.write(connection, at, STORE.serialize_cdr(message(kind, reading, stamp), kind))
+            for instant, stamp, reading in zip(received, stamped, readings, strict=True):
+                queue.append((round((BAG_START + instant) * 1e9), connection, kind, reading, BAG_START + stamp))
+        for instant, connection, kind, reading, stamp in sorted(queue, key=lambda item: item[0]):
+            writer.write(connection, instant, STORE.serialize_cdr(message(kind, reading, stamp), kind))
     return folder
 
 
@@ -165,7 +165,7 @@ def teleoperated(seconds=60.0, rate=100.0, sensor_dt=1 / 30, seed=0):
     held = rng.uniform([-0.3, -1.0], [0.3, 1.0], (len(presses), 2))
     held[1::3] = 0.0
     lengths = rng.uniform(0.3, 0.9, len(presses))
-    sent = [at + np.arange(0.0, length, 1 / rate) for at, length in zip(presses, lengths, strict=True)]
+    sent = [instants + np.arange(0.0, length, 1 / rate) for instants, length in zip(presses, lengths, strict=True)]
     commands = np.repeat(held, [len(part) for part in sent], axis=0)
     sent = np.concatenate(sent) + rng.uniform(0.0, 0.001, len(commands))
     force = np.searchsorted(sent, time, side="right")
@@ -173,10 +173,10 @@ def teleoperated(seconds=60.0, rate=100.0, sensor_dt=1 / 30, seed=0):
     twist = np.zeros_like(in_force)
     for k in range(1, len(time)):
         twist[k] = twist[k - 1] + (1 - np.exp(-fine / 0.1)) * (in_force[k - 1] - twist[k - 1])
-    at = np.arange(0.0, seconds - 0.1, sensor_dt)
-    odometry = np.column_stack([np.interp(at, time, column) for column in twist.T])
+    instants = np.arange(0.0, seconds - 0.1, sensor_dt)
+    odometry = np.column_stack([np.interp(instants, time, column) for column in twist.T])
     odometry += rng.normal(0, 0.003, odometry.shape)
     return {
         "/cmd_vel": ("geometry_msgs/msg/Twist", sent, sent, commands),
-        "/odom": ("nav_msgs/msg/Odometry", at + 0.002, at, odometry),
+        "/odom": ("nav_msgs/msg/Odometry", instants + 0.002, instants, odometry),
     }

@@ -161,8 +161,8 @@ def test_settling_is_that_of_the_step_response(name):
     late = 0.0
     for row in range(2):
         system = control.ss(model.A, model.B[:, [row]], model.C[[row]], 0)
-        time, answer = control.step_response(system, T=np.linspace(0, 3, 6001))
-        (off,) = np.nonzero(np.abs(answer - answer[-1]) > SETTINGS.settled * abs(answer[-1]))
+        time, response = control.step_response(system, T=np.linspace(0, 3, 6001))
+        (off,) = np.nonzero(np.abs(response - response[-1]) > SETTINGS.settled * abs(response[-1]))
         late = max(late, time[off[-1]] + model.dead_time[row])
     assert settling_time(model) == pytest.approx(late, abs=0.02)
 

@@ -101,9 +101,9 @@ def test_pieces_hold_all_rows_once(signal):
 
 @given(st.lists(st.floats(-10, 10), min_size=1, max_size=50))
 def test_increasing_keeps_what_is_later_than_all_before(times):
-    kept = np.array(times)[increasing(np.array(times))]
-    assert (np.diff(kept) > 0).all()
-    assert kept[-1] == max(times)
+    selected = np.array(times)[increasing(np.array(times))]
+    assert (np.diff(selected) > 0).all()
+    assert selected[-1] == max(times)
 
 
 @pytest.mark.parametrize("dt", [0.05, 0.0202, 1 / 120])

@@ -116,11 +116,11 @@ def drive(law, coefficients, lever_arm=(0.0, 0.0), noise=(0.0, 0.0), lag=0, seed
     stream = np.random.default_rng(seed + 50)
     ahead, left = lever_arm
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    seen = poses + np.column_stack([ahead * c - left * s, ahead * s + left * c, np.zeros(count)])
-    seen = seen[np.maximum(np.arange(count) - lag, 0)]
-    seen += stream.normal(size=seen.shape) * [noise[0], noise[0], noise[1]]
+    measured = poses + np.column_stack([ahead * c - left * s, ahead * s + left * c, np.zeros(count)])
+    measured = measured[np.maximum(np.arange(count) - lag, 0)]
+    measured += stream.normal(size=measured.shape) * [noise[0], noise[0], noise[1]]
     true_rate = law.twist(np.asarray(coefficients), wheels)[:, 2]
-    return Record("drive", 0.0, DT, wheels, yaw_rate=1.03 * true_rate + 0.02, pose=seen, wheels=wheels)
+    return Record("drive", 0.0, DT, wheels, yaw_rate=1.03 * true_rate + 0.02, pose=measured, wheels=wheels)
 
 
 LAWS = [

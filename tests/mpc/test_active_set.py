@@ -415,9 +415,9 @@ def test_only_a_hard_row_whose_limits_cross_by_more_than_the_slack_contradicts_i
     """Row 4 is the last hard one, row 5 the first soft one: for crossed limits of that the caller is to blame."""
     p = Problem(np.eye(8), np.zeros(8), np.eye(8), -np.ones(8), np.ones(8), hard=5)
     p.lower[row] = p.upper[row] + gap
-    answer = solve(p)
-    assert (answer.status, answer.iterations, answer.active) == (status, 0, 0)
-    assert (answer.primal, answer.dual) == (0.0, 0.0), "nothing was solved"
+    solution = solve(p)
+    assert (solution.status, solution.iterations, solution.active) == (status, 0, 0)
+    assert (solution.primal, solution.dual) == (0.0, 0.0), "nothing was solved"
 
 
 def test_in_single_precision_what_is_proven_is_the_solution():

@@ -88,8 +88,8 @@ def test_curved_slip_is_predicted_as_a_nonlinear_model_that_says_the_same():
 
 @pytest.mark.parametrize("name", CURVED_SLIPS)
 def test_every_setting_reaches_the_estimate_in_its_own_place(name):
-    given = in_config({name: 0.011, f"{name}_uncertainty": 0.02})
-    controller = Controller(load_config("ssm", PLAIN | given))
+    settings = in_config({name: 0.011, f"{name}_uncertainty": 0.02})
+    controller = Controller(load_config("ssm", PLAIN | settings))
     controller.start(load_trajectory("s"), 0.0)
     slip = controller.step(0.0, Measurement(pose=Stamped(np.zeros(3), 0.0))).estimate
     assert slip.slip == replace(Slip(), **{name: 0.011})

@@ -107,9 +107,9 @@ def test_gradients_agree_with_finite_differences(function, data):
     sizes = [values[place].size for place in places]
     # All directions at once: a function that is given more columns answers for each.
     columns = [np.tile(np.reshape(value, (-1, 1)), (1, 2 * sum(sizes))) for value in values]
-    for begin, place, size in zip(np.cumsum([0, *sizes]), places, sizes, strict=False):
-        columns[place][:, begin : begin + size] += step * np.eye(size)
-        columns[place][:, sum(sizes) + begin : sum(sizes) + begin + size] -= step * np.eye(size)
+    for start, place, size in zip(np.cumsum([0, *sizes]), places, sizes, strict=False):
+        columns[place][:, start : start + size] += step * np.eye(size)
+        columns[place][:, sum(sizes) + start : sum(sizes) + start + size] -= step * np.eye(size)
     ends = np.array(function.call([ca.DM(column) for column in columns])[0])
     slopes = (ends[:, : sum(sizes)] - ends[:, sum(sizes) :]) / (2 * step)
     assert np.isfinite(gradient).all()
@@ -336,12 +336,12 @@ def compiled(generated, folder, precision):
 
 
 def call_compiled(ffi, library, precision, function, values):
-    given = [ffi.new(f"{precision}[]", np.ravel(value).tolist() or 1) for value in values]
+    inputs = [ffi.new(f"{precision}[]", np.ravel(value).tolist() or 1) for value in values]
     room = [
         np.zeros(function.numel_out(k), np.float32 if precision == "float" else float) for k in range(function.n_out())
     ]
     results = [ffi.from_buffer(f"{precision}[]", memory) for memory in room]
-    pointers = ffi.new("const real *[]", given), ffi.new("real *[]", results)
+    pointers = ffi.new("const real *[]", inputs), ffi.new("real *[]", results)
     assert getattr(library, function.name())(*pointers, ffi.NULL, ffi.NULL, 0) == 0
     shaped = [memory.reshape(function.size_out(k), order="F") for k, memory in enumerate(room)]
     return [memory.ravel() if memory.shape[1] == 1 else memory for memory in shaped]

@@ -120,7 +120,7 @@ def test_a_linear_model_as_a_function_gives_the_commands_of_the_linear_one(monke
     # What the trapezoids leave is no matter here.
     monkeypatch.setattr(NonlinearModel, "lag", linear.lag)
     fixed = {"compensation.delay": False, "weights.v_increment": 20.0, "weights.omega_increment": 15.0}
-    controllers = [Controller(load_config("ssm", fixed), given) for given in (linear, model)]
+    controllers = [Controller(load_config("ssm", fixed), choice) for choice in (linear, model)]
     plant = make_plant("mujoco", seed=0)
     plant.reset(CIRCLE.sample([0.0]).pose[0])
     for controller in controllers:
@@ -138,8 +138,8 @@ def test_where_saturation_acts_it_is_better_than_its_linearisation():
     A, B, C = np.diag(-1 / LAG), np.diag(1 / LAG), np.eye(2)
     linear = VelocityModel("linearised", "ssm", A, B, C, dead_time=np.full(2, 2 * DT))
     config, errors = load_config("ssm"), []
-    for given in (linear, model):
-        robot, controller, square = ExactRobot(model), Controller(config, given), load_trajectory("square")
+    for choice in (linear, model):
+        robot, controller, square = ExactRobot(model), Controller(config, choice), load_trajectory("square")
         controller.start(square, 0.0)
         reference = square.sample(np.arange(600) * DT).pose
         off = []

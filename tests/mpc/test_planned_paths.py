@@ -90,8 +90,8 @@ def test_staircase_of_cells_becomes_a_drivable_path_close_to_it(corners, stated)
     sample = check(result, poses)
     assert distance(sample.pose[::5, :2], points).max() <= DEVIATION * 1.001
     # Cells are climbed nowhere: the heading turns no more than corners and goal ask for.
-    asked = np.abs(np.diff(np.unwrap(headed(np.array(corners, dtype=float), 0.3)[:, 2]))).sum()
-    assert np.abs(np.diff(sample.pose[:, 2])).sum() < asked + abs(float(headed(points)[0, 2])) + 1.0
+    required = np.abs(np.diff(np.unwrap(headed(np.array(corners, dtype=float), 0.3)[:, 2]))).sum()
+    assert np.abs(np.diff(sample.pose[:, 2])).sum() < required + abs(float(headed(points)[0, 2])) + 1.0
     assert sample.twist[:, 0].min() > -1e-9
     assert result.reference.duration < 3.5 * result.length / LIMITS.v + 8.0
 

@@ -66,9 +66,9 @@ def placed(motion, pose):
 def transform(parent, child, stamp, pose):
     result = TransformStamped(child_frame_id=child)
     result.header.frame_id, result.header.stamp = parent, time_message(stamp)
-    at = stamped_pose_message(pose, stamp, parent).pose
-    result.transform.translation.x, result.transform.translation.y = at.position.x, at.position.y
-    result.transform.rotation = at.orientation
+    placed = stamped_pose_message(pose, stamp, parent).pose
+    result.transform.translation.x, result.transform.translation.y = placed.position.x, placed.position.y
+    result.transform.rotation = placed.orientation
     return result
 
 

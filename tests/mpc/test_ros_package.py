@@ -61,8 +61,8 @@ def test_extra_ros_installs_every_imported_ros_package():
     extra = {re.split(r"[<>=]", name)[0] for name in project["optional-dependencies"]["ros"]}
     result = packages(NODES)
     # rclpy itself brings the interfaces that it is made of.
-    own = {"builtin_interfaces", "rcl_interfaces"}
-    for name in result - own - WITHOUT_WHEEL:
+    builtin = {"builtin_interfaces", "rcl_interfaces"}
+    for name in result - builtin - WITHOUT_WHEEL:
         if name == "rclpy" or name.endswith(("_msgs", "_srvs")):
             assert f"ros-jazzy-{name.replace('_', '-')}" in extra
     assert MANIFEST.findtext("version") == project["version"]

@@ -140,11 +140,11 @@ def test_residual_of_constant_weight_equals_the_shipped_cost():
     term = Term("heading", ca.Function("f", [reference, pose], [value], ["reference", "pose"], ["r"]))
     # A term knows no end of the horizon, and nothing of the leaning that trades heading against lag.
     plain = WEIGHTS | {"weights.terminal": 1.0, "compensation.side_slip": False}
-    shipped, given = (
+    shipped, user_defined = (
         drive(Controller(load_config("ssm", plain | {"weights.heading": weight}), terms=terms), start, LINE, 6.0)[0]
         for weight, terms, start in ((28.0, [], aside()), (0.0, [term], aside()))
     )
-    assert commands(given) == pytest.approx(commands(shipped), abs=1e-9)
+    assert commands(user_defined) == pytest.approx(commands(shipped), abs=1e-9)
     assert np.abs(commands(shipped)[:, 1]).max() > 0.1
 
 
@@ -211,9 +211,9 @@ def test_configured_term_equals_the_term_given_in_python(tmp_path, monkeypatch):
     named = Controller(configured(tmp_path, FILE, entries))
     monkeypatch.chdir(tmp_path / "elsewhere")
     named = pickle.loads(pickle.dumps(named))
-    given = Controller(CONFIG, terms=[KEEP_OFF, Term("elbow", DEFINED["push_off"], defaults=FAR_AWAY)])
+    in_python = Controller(CONFIG, terms=[KEEP_OFF, Term("elbow", DEFINED["push_off"], defaults=FAR_AWAY)])
     driven = []
-    for controller in (named, given):
+    for controller in (named, in_python):
         controller.set_parameters(keep_off=[1.0, 0.3], elbow=[1.5, -0.3])
         driven.append(commands(drive(controller, robot(noise=1.0), LINE, 4.0)[0]))
     assert (driven[0] == driven[1]).all()
@@ -259,9 +259,9 @@ def test_mistake_in_a_configured_term_is_one_line(tmp_path, text, changes, said)
     ],
 )
 def test_mistake_in_a_python_term_raises_config_error(changes, said):
-    given = {"name": "mine", "function": DEFINED["keep_off"], "kind": "soft", "lower": [4.0], "defaults": FAR_AWAY}
+    arguments = {"name": "mine", "function": DEFINED["keep_off"], "kind": "soft", "lower": [4.0], "defaults": FAR_AWAY}
     with pytest.raises(ConfigError) as refused:
-        Term(**(given | changes))
+        Term(**(arguments | changes))
     assert str(refused.value).startswith(said)
 
 

@@ -77,12 +77,12 @@ def test_commanded_twists_equal_the_segments(segments: list[Segment]) -> None:
     # A step in front, and one behind, which have the ramps.
     ends = [segment(0.5, 0.0, 1.0)]
     trajectory = lay_commanded([*ends, *segments, *ends], LIMITS, name="test")
-    begin = trajectory.duration - 1.25 - sum(one.duration for one in segments)
-    assert begin == pytest.approx(1.25)
+    start = trajectory.duration - 1.25 - sum(one.duration for one in segments)
+    assert start == pytest.approx(1.25)
     for one in segments:
-        inside = begin + one.duration * np.array([1e-6, 0.3, 0.5, 1 - 1e-6])
+        inside = start + one.duration * np.array([1e-6, 0.3, 0.5, 1 - 1e-6])
         np.testing.assert_allclose(trajectory.sample(inside).twist, [(one.v, one.omega)] * 4, rtol=0, atol=1e-12)
-        begin += one.duration
+        start += one.duration
 
 
 @settings(max_examples=40, deadline=None)
@@ -133,10 +133,10 @@ def test_smooth_path_stays_within_its_reported_distance(segments: list[Segment])
     times = instants(trajectory, 1500)
     points = trajectory.sample(times).pose[:, :2]
     nearest, _ = cKDTree(drawn_path(segments)).query(points)
-    told = trajectory.drawn_distance(times)
-    assert told.max() <= 0.02
+    reported = trajectory.drawn_distance(times)
+    assert reported.max() <= 0.02
     # Nearer than told: the path may pass elsewhere; further: the drawn one is sampled every millimetre.
-    assert np.all(nearest <= told + 6e-4)
+    assert np.all(nearest <= reported + 6e-4)
     end = lay_segments(segments, LIMITS, name="test")
     np.testing.assert_allclose(
         trajectory.sample([trajectory.duration]).pose, end.sample([end.duration]).pose, rtol=0, atol=1e-7

@@ -348,15 +348,15 @@ class OracleController:
             box = command_box(config.limits, config.sample_time, self.last, config.horizon)
             self.guess = np.clip(tick.feed_forward, *box)
         ahead = self.problem.turning_points(tick, self.guess)
-        answer = solve(self.problem.quadratic_program(tick, self.guess))
-        if not answer.status.usable:
+        solution = solve(self.problem.quadratic_program(tick, self.guess))
+        if not solution.status.usable:
             self.guess = None
-            return None, answer.status
-        commands = answer.x.reshape(-1, 2)
+            return None, solution.status
+        commands = solution.x.reshape(-1, 2)
         self.guess = np.vstack([commands[1:], commands[-1:]])
         twists = self.problem.twists(tick, commands[:, :, None])
         poses = self.problem.poses(tick, twists, ahead)[:, :, 0]
-        return Plan(commands, poses, tick.aim), answer.status
+        return Plan(commands, poses, tick.aim), solution.status
 
     def _brake(
         self, notes: list[str], *reasons: str, failure: bool = True, outage: bool = False, waits: bool = False

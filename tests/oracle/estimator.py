@@ -171,13 +171,13 @@ class StateEstimator:
             if index > first:
                 acting = self.commands.acting(len(self.nodes) - 1 - index)
                 node.prior = self.filter.predict(self.nodes[index - 1].posterior, acting)
-            belief, seen = node.prior, self.innovations
+            belief, innovations = node.prior, self.innovations
             for twist in node.twists:
                 ahead = twist.stamp - node.time
-                belief, seen[twist.sensor] = self.filter.correct(
+                belief, innovations[twist.sensor] = self.filter.correct(
                     belief, twist.sensor, twist.value, twist.variance, ahead
                 )
             for pose in node.poses:
                 ahead = pose.true_at - node.time
-                belief, seen["pose"] = self.filter.correct_pose(belief, pose.value, pose.covariance, ahead)
+                belief, innovations["pose"] = self.filter.correct_pose(belief, pose.value, pose.covariance, ahead)
             node.posterior = belief

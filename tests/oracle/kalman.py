@@ -144,10 +144,10 @@ class SlipFilter:
 
     def placed(self, motion: Belief, pose: FloatArray, covariance: FloatArray) -> Belief:
         """Return the motion of `motion` at another `pose` (3,), with the covariance (3, 3)."""
-        mean, P, at = motion.mean.copy(), motion.covariance.copy(), self.pose_places
-        mean[at] = pose
-        P[at, :] = P[:, at] = 0.0
-        P[np.ix_(at, at)] = covariance
+        mean, P, places = motion.mean.copy(), motion.covariance.copy(), self.pose_places
+        mean[places] = pose
+        P[places, :] = P[:, places] = 0.0
+        P[np.ix_(places, places)] = covariance
         return Belief(mean, P, rate=motion.rate)
 
     def slip(self, z: FloatArray) -> Slip:
@@ -238,10 +238,10 @@ class SlipFilter:
         """Correct the belief; a surprise counts as a push, unless it lasts: it contains no information about slip."""
         s, z, P = self.settings, belief.mean, belief.covariance
         normalised = float(innovation @ np.linalg.solve(H @ P @ H.T + R, innovation)) / len(innovation)
-        surprising, at = normalised > s.surprise, SENSORS.index(sensor)
+        surprising, index = normalised > s.surprise, SENSORS.index(sensor)
         counts = list(belief.surprised)
-        counts[at] = max(1, counts[at]) if surprising else 0
-        pushed = surprising and counts[at] <= self.patience
+        counts[index] = max(1, counts[index]) if surprising else 0
+        pushed = surprising and counts[index] <= self.patience
         P = P + push if pushed else P
         S = H @ P @ H.T + R
         K = np.linalg.solve(S, H @ P).T

@@ -92,12 +92,12 @@ class WheelReach:
         if not self.enabled or faster or needed < _FAR_BELOW * self.attained or not self.attained < self.most:
             self._drop()
 
-    def _gains_nothing(self, wheel: int, asked: float) -> bool:
+    def _gains_nothing(self, wheel: int, command: float) -> bool:
         """Return True if the wheel did not get faster at a higher command than when it was first short."""
         speed = abs(self.actual[wheel])
-        more, gained = asked - self.tried, speed - self.speed_then
-        enough = more > _MORE * asked
+        more, gained = command - self.tried, speed - self.speed_then
+        enough = more > _MORE * command
         if wheel != self.short_wheel or more < 0 or (enough and gained > _GAINED * more):
-            self.short_wheel, self.tried, self.speed_then = wheel, asked, speed
+            self.short_wheel, self.tried, self.speed_then = wheel, command, speed
             return False
         return enough

@@ -55,8 +55,8 @@ class FeedForward:
 
     def commands(self, twist: FloatArray, slip: Slip, late: FloatArray) -> FloatArray:
         """Compute (N + 1, 2) commands for reference twists (samples, 2), from the last tick on."""
-        at, samples, ahead = np.arange(-1, self.steps), np.arange(len(twist)), self.ahead + late
-        later = np.column_stack([np.interp(at + ahead[j], samples, twist[:, j]) for j in (0, 1)])
+        instants, samples, ahead = np.arange(-1, self.steps), np.arange(len(twist)), self.ahead + late
+        later = np.column_stack([np.interp(instants + ahead[j], samples, twist[:, j]) for j in (0, 1)])
         # Of the point about which the robot turns.
         later[:, 0] -= slip.turn_left * later[:, 1]
         return np.linalg.solve(self.gain, (later / slip.gains - slip.offset).T).T

@@ -68,9 +68,9 @@ def test_our_reader_gives_columns_measurements_and_plans(run, file):
     log = read_drive_log(file, plans=True)
     columns = log.columns
     assert all(same(columns[name], column) for name, column in run.columns.items())
-    for read, given in zip(log.measurements, run.measurements, strict=True):
+    for read, expected in zip(log.measurements, run.measurements, strict=True):
         for name in ("pose", "wheel_twist", "yaw_rate"):
-            first, second = getattr(read, name), getattr(given, name)
+            first, second = getattr(read, name), getattr(expected, name)
             assert (first is None) == (second is None)
             if first is not None:
                 assert first.time == second.time and np.array_equal(first.value, second.value)
@@ -84,10 +84,10 @@ def test_our_reader_gives_columns_measurements_and_plans(run, file):
 
 def test_every_row_is_as_its_schema_says_and_every_column_is_in_it(run, file):
     schemas = {topic: schema for topic, schema, *_ in messages(file)}
-    said = json.loads(schemas[STATE].data)
-    assert schemas[STATE].encoding == "jsonschema" and said == tick_schema()
-    assert set(run.columns) <= set(said["properties"])
-    check = Draft202012Validator(said | {"additionalProperties": False})
+    stated = json.loads(schemas[STATE].data)
+    assert schemas[STATE].encoding == "jsonschema" and stated == tick_schema()
+    assert set(run.columns) <= set(stated["properties"])
+    check = Draft202012Validator(stated | {"additionalProperties": False})
     for topic, *_, message in messages(file):
         if topic == STATE:
             check.validate(json.loads(message.data))

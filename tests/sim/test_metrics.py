@@ -150,10 +150,10 @@ def test_moving_the_whole_scene_changes_no_metric(x: float, y: float, theta: flo
     moved_circle = ConstantTwist(0.5, 0.5, 10.0, start=(x, y, theta))
     rotation = np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
     moved_offset = np.column_stack([offset[:, :2] @ rotation.T, offset[:, 2]])
-    here = run_along(CIRCLE, CIRCLE.sample(COARSE).pose + offset, [0.5, 0.01, 0.5], COARSE).metrics
-    there = run_along(moved_circle, moved_circle.sample(COARSE).pose + moved_offset, [0.5, 0.01, 0.5], COARSE).metrics
+    original = run_along(CIRCLE, CIRCLE.sample(COARSE).pose + offset, [0.5, 0.01, 0.5], COARSE).metrics
+    moved = run_along(moved_circle, moved_circle.sample(COARSE).pose + moved_offset, [0.5, 0.01, 0.5], COARSE).metrics
     for name in ("position_rmse_m", "position_std_m", "heading_max_rad", "course_rmse_rad", "lateral_rmse_m"):
-        assert getattr(there, name) == pytest.approx(getattr(here, name), rel=1e-6), name
+        assert getattr(moved, name) == pytest.approx(getattr(original, name), rel=1e-6), name
 
 
 LINE = ConstantTwist(v=0.5, omega=0.0, duration=1.0)
@@ -280,8 +280,8 @@ def test_points_are_projected_as_one_after_the_other():
         path = Polyline(corners[:-1], steps / length[:, None], length, arc[:-1], arc[1:])
         # The robot falls behind the place where it is expected, by a share that is drawn, and is led away at times.
         expected = np.linspace(0.0, 0.9 * arc[-1], draw.integers(2, 80))
-        there = expected * draw.uniform(0.3, 1.0)
-        points = np.column_stack([np.interp(there, arc, corners[:, i]) for i in (0, 1)])
+        places = expected * draw.uniform(0.3, 1.0)
+        points = np.column_stack([np.interp(places, arc, corners[:, i]) for i in (0, 1)])
         points = points + draw.choice([0.0, 0.02, 0.5]) * draw.normal(size=points.shape)
         wanted = one_after_the_other(path, points, expected)
         assert np.allclose(np.abs(path.lateral(points, expected, WINDOW)), wanted, rtol=0.0, atol=1e-9)

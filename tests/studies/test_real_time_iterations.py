@@ -22,11 +22,11 @@ def solve_quickly(qp):
     chosen[0] = True
     while True:
         rows = {name: getattr(qp, name)[chosen] for name in ("soft_rows", "soft_lower", "soft_upper")}
-        answer = solve(replace(qp, **rows))
-        values = qp.soft_rows @ answer.x
+        solution = solve(replace(qp, **rows))
+        values = qp.soft_rows @ solution.x
         missed = ((values > qp.soft_upper + 1e-12) | (values < qp.soft_lower - 1e-12)) & ~chosen
         if not missed.any():
-            return answer
+            return solution
         chosen |= missed
 
 

@@ -61,24 +61,26 @@ def recovery(
     time: float = math.nan, overshoot: float = math.nan, energy_v: float = math.nan, energy_omega: float = math.nan
 ) -> dict[str, float]:
     """Return columns of the recovery."""
-    of = Recovery(time, overshoot, 0.001, energy_v, energy_omega, 0.0, 0.0)
-    return {f"recovery_{field.name.removeprefix('recovery_')}": getattr(of, field.name) for field in fields(Recovery)}
+    values = Recovery(time, overshoot, 0.001, energy_v, energy_omega, 0.0, 0.0)
+    return {
+        f"recovery_{field.name.removeprefix('recovery_')}": getattr(values, field.name) for field in fields(Recovery)
+    }
 
 
-def row(of: Case, *, arcs: tuple[float, ...] = (0.001,), across: np.ndarray | None = None, **changes: object) -> dict:
+def row(case: Case, *, arcs: tuple[float, ...] = (0.001,), across: np.ndarray | None = None, **changes: object) -> dict:
     """Build a row of 100 ticks, of which the second half is a steady arc; 1 mm to the left by default."""
     n = 100
     made = {
-        "case": of,
-        "driver": who_drives(of),
-        **of.as_row(),
+        "case": case,
+        "driver": who_drives(case),
+        **case.as_row(),
         **statistics(),
         **recovery(1.0, 0.01, 3.0, 2.0),
-        "plain": is_plain(of),
+        "plain": is_plain(case),
         "arcs": np.array(arcs),
         "late_lateral_m": 0.01,
         "omega_change": 0.02,
-        "margin": dict(of.overrides).get(MARGIN, "-"),
+        "margin": dict(case.overrides).get(MARGIN, "-"),
         "time": 0.02 * np.arange(n),
         "along": np.zeros(n),
         "across": np.full(n, 0.001) if across is None else across,

@@ -88,9 +88,9 @@ def test_a_file_that_was_cut_off_is_driven_again(campaign: Path, tmp_path: Path)
     out = tmp_path / "out"
     call("campaign", campaign, "--out", out, "--jobs", "1", "--runs", "2")
     expected = read_table(out / "results.parquet", times=False)
-    kept = sorted(out.glob("runs/*/*.json"))
-    kept[0].write_text(kept[0].read_text(encoding="utf-8")[:100], encoding="utf-8")
-    kept[1].unlink()
+    rows = sorted(out.glob("runs/*/*.json"))
+    rows[0].write_text(rows[0].read_text(encoding="utf-8")[:100], encoding="utf-8")
+    rows[1].unlink()
     call("campaign", campaign, "--out", out, "--jobs", "1", "--runs", "2")
     assert read_table(out / "results.parquet", times=False).equals(expected)
 
@@ -162,9 +162,9 @@ def test_a_run_that_cannot_go_on_has_its_error_in_its_row(tmp_path: Path, monkey
 
 def test_a_factor_changes_what_the_robot_has_and_nothing_else(tmp_path: Path) -> None:
     """A robot file with sensors and a floor of its own, as a twin is: late poses do not make its gyro better."""
-    own = {"description": "noisy", "friction": 0.3, "sensors": {"gyro": {"noise_sd": 0.5, "bias_sd": 0.0}}}
+    surface = {"description": "noisy", "friction": 0.3, "sensors": {"gyro": {"noise_sd": 0.5, "bias_sd": 0.0}}}
     path = tmp_path / "robot.yaml"
-    path.write_text(yaml.safe_dump(own), encoding="utf-8")
+    path.write_text(yaml.safe_dump(surface), encoding="utf-8")
 
     def reading_and_gain(**factors: float) -> tuple[float, float]:
         named = {"plant": f"mujoco:{path}", "seed": 3} | factors

@@ -118,9 +118,9 @@ def test_motion_after_poses_have_gone_is_found() -> None:
     blind = check_commands(time, command, modes, came, LIMITS)
     patience = round((LIMITS.max_pose_age + DT) / DT)
     assert blind == Unsafe(0, 0, 0, 400 - 100 - patience)
-    begin = 99 + patience + 1
-    command[begin:, 0] = np.maximum(0.5 - 1.0 * DT * np.arange(1, 400 - begin + 1), 0.0)
-    modes[begin:] = ["BRAKING" if speed > 0.0 else "STOPPED" for speed in command[begin:, 0]]
+    start = 99 + patience + 1
+    command[start:, 0] = np.maximum(0.5 - 1.0 * DT * np.arange(1, 400 - start + 1), 0.0)
+    modes[start:] = ["BRAKING" if speed > 0.0 else "STOPPED" for speed in command[start:, 0]]
     assert check_commands(time, command, modes, came, LIMITS) == NONE
     command[-1, 0] = 0.001
     assert check_commands(time, command, modes, came, LIMITS).motion == 1

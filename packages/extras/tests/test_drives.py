@@ -34,9 +34,9 @@ def by_hand(u: np.ndarray) -> np.ndarray:
     """Compute (K,) speeds of the experimental model as the paper describes it, in plain Python."""
     reference = speed = slope = direction = 0.0
     speeds = []
-    for asked in u:
+    for command in u:
         speeds.append(speed)
-        change = asked - reference
+        change = command - reference
         both = 0.5 * (NUMBERS["quicker"] + NUMBERS["slower"])
         towards_zero = reference * change < 0
         most = DT * (both if reference == 0 or change == 0 else NUMBERS["slower" if towards_zero else "quicker"])
@@ -57,9 +57,9 @@ def by_hand(u: np.ndarray) -> np.ndarray:
 def run(*, sharp: bool) -> np.ndarray:
     step = experimental_step(Channel(DT, STILL), sharp=sharp)
     x, speeds = np.zeros(4), []
-    for asked in reversals():
+    for command in reversals():
         speeds.append(x[1])
-        x = step(x, asked, list(NUMBERS.values())).full().ravel()
+        x = step(x, command, list(NUMBERS.values())).full().ravel()
     return np.array(speeds)
 
 
@@ -118,13 +118,13 @@ def test_the_physical_model_solves_the_equations_of_both_wheels():
     edges = sorted({0.0, *late, *(late + switched), (count - 1) * dt})
     x, times, speeds = np.zeros(6), [], []
 
-    for begin, end in pairwise(edges):
-        middle = 0.5 * (begin + end)
-        at = [k * dt for k in range(count) if begin - 1e-9 <= k * dt < end - 1e-9]
-        options = {"t_eval": [*at, end], "method": "Radau", "rtol": 1e-9, "atol": 1e-11}
-        solved = solve_ivp(lambda t, x, m=middle: rates(m, x, late), (begin, end), x, **options)
-        times += at
-        speeds += list(solved.y[:2, : len(at)].T)
+    for start, end in pairwise(edges):
+        middle = 0.5 * (start + end)
+        instants = [k * dt for k in range(count) if start - 1e-9 <= k * dt < end - 1e-9]
+        options = {"t_eval": [*instants, end], "method": "Radau", "rtol": 1e-9, "atol": 1e-11}
+        solved = solve_ivp(lambda t, x, m=middle: rates(m, x, late), (start, end), x, **options)
+        times += instants
+        speeds += list(solved.y[:2, : len(instants)].T)
         x = solved.y[:, -1]
     right, left = np.array(speeds).T * c.wheel_radius
     theirs = np.column_stack([(right + left) / 2, (right - left) / c.track])
@@ -228,6 +228,6 @@ def test_from_a_log_to_a_drive_that_a_controller_loads(log, structure, tmp_path)
     # PI control with the paper's slow integral makes up for what its gain lacks only after seconds.
     within = 0.02 if structure == "p2_experimental" else 0.04
     assert np.diag(model.dc_gain) == pytest.approx([1.0, 1.0], abs=within)
-    answer = model.simulate(np.full((100, 2), 0.5)) / 0.5
-    risen = LOG_DT * np.argmax(answer > 1 - np.exp(-1), axis=0)
+    response = model.simulate(np.full((100, 2), 0.5)) / 0.5
+    risen = LOG_DT * np.argmax(response > 1 - np.exp(-1), axis=0)
     assert risen == pytest.approx([0.1, 0.1], abs=LOG_DT)

@@ -147,14 +147,14 @@ def test_battery_gives_work_and_heat() -> None:
 @pytest.mark.parametrize("around", [{}, {"scenario": "start_offset"}, {"plant": "world:opening@mujoco:fsu_bot"}])
 def test_energy_is_counted_with_the_motors_of_the_robot_that_drives(around: dict[str, str]) -> None:
     run = driven(STRAIGHT, **({"plant": "mujoco:fsu_bot", "sensors": "power"} | around))
-    own, papers = load_drive_constants("fsu_bot"), load_drive_constants()
+    robot, papers = load_drive_constants("fsu_bot"), load_drive_constants()
     counted = run.counted
 
     def by(constants) -> float:  # type: ignore[no-untyped-def]
         return float(constants.motor_power(run.motor_power, run.motor_square)[counted].sum() * run.sample_time)
 
-    assert run_energy(run).energy_j == pytest.approx(by(own))
-    assert run_energy(run, papers).energy_j == pytest.approx(by(papers)) != pytest.approx(by(own), rel=0.02)
+    assert run_energy(run).energy_j == pytest.approx(by(robot))
+    assert run_energy(run, papers).energy_j == pytest.approx(by(papers)) != pytest.approx(by(robot), rel=0.02)
 
 
 def test_robot_file_names_its_motors_writes_out_differences_or_has_those_of_the_papers(tmp_path: Path) -> None:

@@ -50,10 +50,10 @@ def test_it_is_smooth_through_rest_and_straight_on(v, omega, weight, floor):
     command, given_weight = ca.SX.sym("command", 2), ca.SX.sym("weight")
     value = RESIDUALS[floor](command, given_weight)
     gradient = ca.Function("g", [command, given_weight], [ca.jacobian(value, command)])
-    here = np.array([v, omega])
-    exact = gradient(here, weight).full()
+    point = np.array([v, omega])
+    exact = gradient(point, weight).full()
     assert np.isfinite(exact).all()
-    slopes = differences(lambda command: RESIDUALS[floor](command, weight), here)
+    slopes = differences(lambda command: RESIDUALS[floor](command, weight), point)
     assert exact == pytest.approx(slopes, abs=2e-3 * np.sqrt(weight) * 60)
 
 
@@ -106,12 +106,12 @@ def test_its_weight_is_a_stage_parameter_that_changes_while_driving():
 
 
 def test_the_least_radius_comes_from_the_turn_costs_where_none_is_given():
-    asked = {"energy.turn_costs": "fsu_bot-default", "energy.use_min_radius": True}
-    controller = Controller(load_config("ssm", asked))
+    settings = {"energy.turn_costs": "fsu_bot-default", "energy.use_min_radius": True}
+    controller = Controller(load_config("ssm", settings))
     assert controller.config.limits.min_commanded_radius == COSTS["default"].least_radius() > 1.0
-    own = load_config("ssm", asked | {"limits.min_commanded_radius": 0.9})
-    assert with_least_radius(own).limits.min_commanded_radius == 0.9
-    none = load_config("ssm", asked | {"energy.turn_costs": "fsu_bot-slippery"})
+    stated = load_config("ssm", settings | {"limits.min_commanded_radius": 0.9})
+    assert with_least_radius(stated).limits.min_commanded_radius == 0.9
+    none = load_config("ssm", settings | {"energy.turn_costs": "fsu_bot-slippery"})
     assert with_least_radius(none).limits.min_commanded_radius is None
 
 

@@ -364,8 +364,8 @@ def test_the_folder_is_complete(tmp_path):
     sources = [str(path) for path in sorted((out / "ddmpc").glob("*.c"))]
     compile_c("-std=c99", f"-I{out / 'ddmpc'}", *sources, str(out / "examples" / "main.c"), "-lm", "-o", str(example))
     # It drives a robot that obeys its model exactly: a few centimetres while it starts, and to the end.
-    said = subprocess.run([str(example)], capture_output=True, text=True, check=True).stdout
-    assert "\nfinished, largest error 0.0" in said
+    output = subprocess.run([str(example)], capture_output=True, text=True, check=True).stdout
+    assert "\nfinished, largest error 0.0" in output
     system = subprocess.run(["nm", "-u", str(example)], capture_output=True, text=True, check=True).stdout
     needed = {line.split()[-1].split("@")[0] for line in system.splitlines()}
     assert not {"malloc", "calloc", "realloc", "free"} & needed

@@ -222,10 +222,10 @@ def test_a_corridor_keeps_it_in():
 
 def test_what_it_says_of_the_gap_is_true():
     ticks = past_a_post(0.0)
-    said = np.array([tick["step"].clearance for tick in ticks])
-    near = np.isfinite(said)
+    stated = np.array([tick["step"].clearance for tick in ticks])
+    near = np.isfinite(stated)
     assert near.sum() > 50
-    assert np.abs(said - column(ticks, "gap"))[near].max() < 0.02
+    assert np.abs(stated - column(ticks, "gap"))[near].max() < 0.02
 
 
 def test_old_surroundings_brake():

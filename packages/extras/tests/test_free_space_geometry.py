@@ -224,9 +224,11 @@ def test_planes_leave_the_free_plan_alone_and_part_it_from_everything_near(seed)
     ffi, lib = load_free_space()
     keeping = ffi.new("ddmpc_keeping *", {"margin": 0.0, "factor": 0.0, "doubt": 0.0, "reach": 0.4, "scale": 1.0})
     table, owner = np.zeros((count, rows * 5)), np.zeros((count, rows), dtype=np.intc)
-    at, numbers = address(poses), (address(np.zeros(count)), address(np.zeros((count, 9))))
+    pointer, numbers = address(poses), (address(np.zeros(count)), address(np.zeros((count, 9))))
     out = address(table, "real *"), address(owner, "int *")
-    lib.ddmpc_half_spaces(robot.struct, pieces.struct, keeping, count, at, at, at, *numbers, rows, rows * 5, *out)
+    lib.ddmpc_half_spaces(
+        robot.struct, pieces.struct, keeping, count, pointer, pointer, pointer, *numbers, rows, rows * 5, *out
+    )
     for pose, planes, owners in zip(poses, table.reshape(count, rows, 5), owner, strict=True):
         corners = placed(robot.footprint.corners, pose)
         used = planes[owners >= 0]

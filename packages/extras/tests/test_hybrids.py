@@ -53,9 +53,9 @@ def by_hand(commands, past):
     c, line, x, outputs = MODEL.correction, np.vstack([past, commands]), np.zeros(4), []
     for k in range(len(commands)):
         outputs.append(LINEAR.C @ x)
-        at = [k + len(past) - int(delay) for delay in LINEAR.delay]
-        recent = np.array([line[row, j] for j, row in enumerate(at)])
-        older = np.array([line[row - 1, j] for j, row in enumerate(at)])
+        rows = [k + len(past) - int(delay) for delay in LINEAR.delay]
+        recent = np.array([line[row, j] for j, row in enumerate(rows)])
+        older = np.array([line[row - 1, j] for j, row in enumerate(rows)])
         z = np.array([*x, *recent]) / c.scale
         distance = sum(z[i] * c.shape[i, j] * z[j] for i in range(6) for j in range(6))
         past_full = min(max((distance - c.full) / (c.least - c.full), 0.0), 1.0)
@@ -97,15 +97,15 @@ def test_its_gradient_is_that_of_differences():
     x, window = ca.SX.sym("x", 4), ca.SX.sym("w", 2 * (MODEL.memory + 1))
     together = ca.vertcat(x, window)
     by = ca.Function("by", [together], [ca.jacobian(MODEL.step(x, window), together)])
-    random, seen = np.random.default_rng(1), set()
+    random, regions = np.random.default_rng(1), set()
     for size in np.geomspace(0.1, 6.0, 20):
         at = size * random.normal(size=together.numel()) * 0.5
         at[:4] *= MODEL.correction.scale[:4]
         slopes = differences(lambda point: MODEL.step(point[:4], point[4:]).full(), at)
         assert by(at).full() == pytest.approx(slopes, abs=1e-6)
         recent = [at[4:][2 * (MODEL.memory - int(delay)) + j] for j, delay in enumerate(LINEAR.delay)]
-        seen.add(int(np.digitize(distance(features(at[:4], recent)), [9.0, 36.0])))
-    assert seen == {0, 1, 2}
+        regions.add(int(np.digitize(distance(features(at[:4], recent)), [9.0, 36.0])))
+    assert regions == {0, 1, 2}
 
 
 @given(numbers, st.floats(1.0, 50.0))

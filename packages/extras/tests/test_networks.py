@@ -158,18 +158,18 @@ def step(request, tmp_path_factory):
 
 def call(step, model, window, gradient=True):
     function, kind = step
-    own = model.compiled_step
-    given = [np.array(part, dtype=kind) for part in (np.zeros(2), window, own.parameters)]
+    compiled = model.compiled_step
+    inputs = [np.array(part, dtype=kind) for part in (np.zeros(2), window, compiled.parameters)]
     after, by_x, by_window = np.full(2, 7, kind), np.full(4, 7, kind), np.full(np.size(window) * 2, 7, kind)
     # What lies behind its memory must stay as it is.
-    work = np.full(own.work + 64, 1e30, dtype=kind)
+    work = np.full(compiled.work + 64, 1e30, dtype=kind)
     pointer = ctypes.POINTER(ctypes.c_double if kind is np.float64 else ctypes.c_float)
-    arguments = (pointer * 3)(*(part.ctypes.data_as(pointer) for part in given))
+    arguments = (pointer * 3)(*(part.ctypes.data_as(pointer) for part in inputs))
     results = (pointer * 3)(after.ctypes.data_as(pointer))
     if gradient:
         results[1], results[2] = by_x.ctypes.data_as(pointer), by_window.ctypes.data_as(pointer)
     function(arguments, results, None, work.ctypes.data_as(pointer), 0)
-    assert (work[own.work :] == kind(1e30)).all()
+    assert (work[compiled.work :] == kind(1e30)).all()
     return after, by_x, by_window.reshape(-1, 2).T
 
 

@@ -141,10 +141,10 @@ def inputs_of(costs, commands, minimise="energy"):
 
 
 def ends_of(inputs, words, poses):
-    at = poses[words.start]
+    ends = poses[words.start]
     for piece in range(3):
-        at = placed(at, inputs.moved(words.inputs[:, piece], words.times[:, piece]))
-    return at
+        ends = placed(ends, inputs.moved(words.inputs[:, piece], words.times[:, piece]))
+    return ends
 
 
 @given(goal=goals)
@@ -234,11 +234,11 @@ def test_each_plan_is_the_least_of_what_it_is_for_and_can_be_driven(name, goal):
 @settings(max_examples=3, deadline=None)
 def test_the_plan_does_not_depend_on_the_frame(x, y, turn):
     costs, goal = load_turn_costs("fsu_bot-carpet"), np.array([5.0, 2.0, 0.5])
-    begin = np.array([x, y, turn])
-    moved = plan(costs, begin, placed(begin, goal))
+    start = np.array([x, y, turn])
+    moved = plan(costs, start, placed(start, goal))
     usual = plan(costs, ORIGIN, goal)
     assert moved.energy == pytest.approx(usual.energy, rel=2e-3)
-    assert moved.poses[-1][:2] == pytest.approx(placed(begin, goal)[:2], abs=1e-6)
+    assert moved.poses[-1][:2] == pytest.approx(placed(start, goal)[:2], abs=1e-6)
 
 
 def test_it_keeps_clear_of_what_stands_there():
@@ -314,8 +314,8 @@ def written(tmp_path_factory):
 
 def test_the_trajectory_goes_from_pose_to_pose(written):
     path = load_trajectory(written / "trajectory.csv")
-    begin, end = path.sample([0.0, path.duration]).pose
-    assert begin == pytest.approx([1.0, -1.0, math.pi / 2], abs=1e-6)
+    start, end = path.sample([0.0, path.duration]).pose
+    assert start == pytest.approx([1.0, -1.0, math.pi / 2], abs=1e-6)
     assert end[:2] == pytest.approx([-4.0, 6.0], abs=1e-6)
     assert math.cos(end[2]) == pytest.approx(-1.0)
     way = path.sample(np.linspace(0, path.duration, 2000)).pose

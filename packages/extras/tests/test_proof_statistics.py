@@ -65,11 +65,11 @@ def search(**fields: float) -> BoundarySearch:
 
 def test_bisection_closes_in_on_where_every_seed_holds() -> None:
     robot = Robot(robot__robot__mass=17.3, sensors__pose__latency=0.2)
-    asked = {
+    searches = {
         "robot.robot.mass": search(holds=5.0, beyond=37.0, within=0.5),
         "sensors.pose.latency": search(holds=0.0, beyond=0.5, within=0.02),
     }
-    mass, latency = find_boundaries(asked, PROBE, (1, 2), robot.drive, BAND)
+    mass, latency = find_boundaries(searches, PROBE, (1, 2), robot.drive, BAND)
     assert mass.held <= 17.29 < mass.failed
     assert mass.failed - mass.held <= 0.5
     # The seed that holds less decides.
@@ -79,10 +79,10 @@ def test_bisection_closes_in_on_where_every_seed_holds() -> None:
 
 
 def test_what_never_or_always_holds_is_said_after_one_look_at_each_end() -> None:
-    asked = {"surface.friction": search(holds=0.8, beyond=2.0, within=0.05)}
-    (never,) = find_boundaries(asked, PROBE, (1,), Robot(surface__friction=0.1).drive, BAND)
+    searches = {"surface.friction": search(holds=0.8, beyond=2.0, within=0.05)}
+    (never,) = find_boundaries(searches, PROBE, (1,), Robot(surface__friction=0.1).drive, BAND)
     assert (never.held, never.failed, list(never.values)) == (None, 0.8, [0.8])
-    (always,) = find_boundaries(asked, PROBE, (1,), Robot(surface__friction=9.0).drive, BAND)
+    (always,) = find_boundaries(searches, PROBE, (1,), Robot(surface__friction=9.0).drive, BAND)
     assert (always.held, always.failed, list(always.values)) == (2.0, None, [0.8, 2.0])
 
 
@@ -95,11 +95,16 @@ def test_unsafe_runs_are_counted_and_come_first_among_the_worst() -> None:
     assert [run.definition.case.seed for run in worst(runs, 3)] == [4, 2, 9]
     assert worst(runs, 20)[-1] is runs[7]
     assert [is_unsafe(run) for run in runs].index(True) == 4
-    of = Outcomes.of(runs, BAND)
-    assert (of.unsafe.count, of.completed.count, of.stopped.count, of.in_band.count) == (1, 17, 1, 17)
-    said = "\n".join(facts(runs, 5))
-    assert "1 of 20 runs had an unsafe command: with 95 % confidence fewer than 21.6 %" in said
-    assert "1 runs ended in an error" in said
+    outcomes = Outcomes.of(runs, BAND)
+    assert (outcomes.unsafe.count, outcomes.completed.count, outcomes.stopped.count, outcomes.in_band.count) == (
+        1,
+        17,
+        1,
+        17,
+    )
+    text = "\n".join(facts(runs, 5))
+    assert "1 of 20 runs had an unsafe command: with 95 % confidence fewer than 21.6 %" in text
+    assert "1 runs ended in an error" in text
     unsafe = next(table for table in tables(runs, [], {}, 3, BAND) if table.title == "Unsafe commands")
     assert {row[0]: row[1:3] for row in unsafe.rows}["beyond the slew or the braking limit"] == ("3", "1 of 20")
 

@@ -250,23 +250,23 @@ def test_no_motion_nearby_is_better():
     """Small changes of the wheels' twist that keep the limits never lower the cost, found by integration."""
     floor, price, rng = "p4_asphalt", rehearsal_of(CONFIG).drivable, np.random.default_rng(5)
     motion = planned(floor)
-    step, given = motion.times[1], motion.reference
+    step, sample = motion.times[1], motion.reference
     # What gives the reference's twist where nothing slips sideways, by Newton's method on the paper's law.
-    own = np.array(given.twist)
+    twist = np.array(sample.twist)
     for _ in range(30):
-        own += given.twist - polynomial_twist(coefficients(floor), own)[:, [0, 2]]
-    aim = given.pose[:, 2] - np.arctan(coefficients(floor)[3] / (1 + coefficients(floor)[0]))
+        twist += sample.twist - polynomial_twist(coefficients(floor), twist)[:, [0, 2]]
+    aim = sample.pose[:, 2] - np.arctan(coefficients(floor)[3] / (1 + coefficients(floor)[0]))
 
     def cost(wheels):
-        pose = rolled_out(floor, motion.times, wheels, given.pose[0])
-        off, turned = np.sum((pose - given.pose)[1:, :2] ** 2, axis=1), (pose[:, 2] - aim)[1:] ** 2
-        beside = np.diff(wheels - own, axis=0) / step
+        pose = rolled_out(floor, motion.times, wheels, sample.pose[0])
+        off, turned = np.sum((pose - sample.pose)[1:, :2] ** 2, axis=1), (pose[:, 2] - aim)[1:] ** 2
+        beside = np.diff(wheels - twist, axis=0) / step
         rates = np.sum((beside * [price.v_rate, price.omega_rate]) ** 2)
         ends = price.end * off[-1] + price.end_heading**2 * turned[-1]
         return step * (off.sum() + price.heading**2 * turned.sum() + rates) + ends
 
     least = cost(motion.wheels)
-    assert cost(own) > 3 * least
+    assert cost(twist) > 3 * least
     for _ in range(8):
         centre, width = rng.uniform(0.5, motion.times[-1] - 0.5), rng.uniform(0.1, 0.3)
         bump = np.exp(-(((motion.times - centre) / width) ** 2))

@@ -147,11 +147,11 @@ def test_sensors_of_the_log_come_late_and_smoothed():
     run = SampledExperiment(
         "r", parts * step, np.zeros((count, 2)), np.zeros((count, 3)), np.ones((count, 3), dtype=bool)
     )
-    seen = readings(motion, run, {"encoders_delay": 0.03, "encoders_lag": 0.05, "gyro_offset": 0.2})
+    signals = readings(motion, run, {"encoders_delay": 0.03, "encoders_lag": 0.05, "gyro_offset": 0.2})
     time = parts * step * np.arange(count)[20:]
-    np.testing.assert_allclose(seen[20:, 0], time - 0.08, atol=1e-3)
-    np.testing.assert_allclose(seen[20:, 1], 2 * (time - 0.08), atol=2e-3)
-    np.testing.assert_allclose(seen[20:, 2], 3 * time + 0.2, atol=1e-12)
+    np.testing.assert_allclose(signals[20:, 0], time - 0.08, atol=1e-3)
+    np.testing.assert_allclose(signals[20:, 1], 2 * (time - 0.08), atol=2e-3)
+    np.testing.assert_allclose(signals[20:, 2], 3 * time + 0.2, atol=1e-12)
 
 
 def test_of_two_that_act_together_one_is_told():
@@ -159,9 +159,9 @@ def test_of_two_that_act_together_one_is_told():
     together = np.array([1.0, 1.0, 0.0])
     alone = np.array([0.0, 0.0, 1.0])
     information = np.eye(3) + 400.0 * np.outer(together, together) + 400.0 * np.outer(alone, alone)
-    told = told_apart(information, 0.7)
-    assert sorted(told[:2]) == [False, True]
-    assert told[2]
+    determined = told_apart(information, 0.7)
+    assert sorted(determined[:2]) == [False, True]
+    assert determined[2]
     assert told_apart(np.eye(3), 0.7) == [False, False, False]
 
 

@@ -31,11 +31,11 @@ class Tab:
         """Return the result of a function of JavaScript, also of a promise, by JSON both ways."""
         text = ", ".join(map(json.dumps, arguments))
         expression = f"(async () => JSON.stringify(await ({function})({text})))()"
-        answer = self._call(
+        response = self._call(
             "script.evaluate", expression=expression, target={"context": self._context}, awaitPromise=True
         )
-        assert answer["type"] == "success", answer["exceptionDetails"]["text"]
-        return json.loads(answer["result"]["value"])
+        assert response["type"] == "success", response["exceptionDetails"]["text"]
+        return json.loads(response["result"]["value"])
 
     def _call(self, method: str, **parameters: object) -> dict[str, Any]:
         number = next(self._numbers)

@@ -86,10 +86,10 @@ class OracleJudge:
 
     def _answer(self):
         """Compute the range between the largest pending commands and the decayed larger ones."""
-        r, at = self.rules.answer, self.now
+        r, now = self.rules.answer, self.now
         row = self.odometry[-1]
         ends = [t for t, _ in self.sent[1:]] + [np.inf]
-        held = [u for (_, u), end in zip(self.sent, ends, strict=False) if end >= at - r.dead_time]
+        held = [u for (_, u), end in zip(self.sent, ends, strict=False) if end >= now - r.dead_time]
         for i, (name, result, lag, gain, margin) in enumerate(
             [
                 ("answer_v", row[1], r.lag_v, r.gain_v, r.margin_v),
@@ -99,10 +99,10 @@ class OracleJudge:
             most = gain * max([0.0, *(u[i] for u in held)])
             least = gain * min([0.0, *(u[i] for u in held)])
             before, high, low = self.bounds.get(name, (self.began, 0.0, 0.0))
-            share = (at - before) / (lag + at - before)
+            share = (now - before) / (lag + now - before)
             high = most if most > high else high + share * (most - high)
             low = least if least < low else low + share * (least - low)
-            self.bounds[name] = (at, high, low)
+            self.bounds[name] = (now, high, low)
             self.judge(name, not low - margin <= result <= high + margin, r.lasting)
 
     def _rest(self):
@@ -275,12 +275,12 @@ class OracleJudge:
             self.judge(name, moved and most > 0 and age > most)
         self._path(output, moved)
 
-    def stretch(self, begin, end):
+    def stretch(self, start, end):
         """Return (n, 3) poses of the reference at two times, and the given ones between them."""
         path = self.path
-        begin, end = min(begin, path[-1, 0]), max(end, path[0, 0])
-        inside = path[(path[:, 0] > begin) & (path[:, 0] < end), 0]
-        times = np.concatenate([[max(begin, path[0, 0])], inside, [min(end, path[-1, 0])]])
+        start, end = min(start, path[-1, 0]), max(end, path[0, 0])
+        inside = path[(path[:, 0] > start) & (path[:, 0] < end), 0]
+        times = np.concatenate([[max(start, path[0, 0])], inside, [min(end, path[-1, 0])]])
         turned = np.unwrap(path[:, 3])
         return np.column_stack([np.interp(times, path[:, 0], column) for column in (path[:, 1], path[:, 2], turned)])
 
@@ -323,9 +323,9 @@ class OracleJudge:
             gyro = self.gyros[-1][1] if self.gyros and self.rules.sensors.gyro_age > 0 else None
             rate = gyro if gyro is not None else self.odometry[-1][2] if self.odometry else 0.0
             middle = place[2] + 0.5 * rate * time
-            at = place + time * np.array([v * np.cos(middle), v * np.sin(middle), rate])
+            predicted = place + time * np.array([v * np.cos(middle), v * np.sin(middle), rate])
             late, early = (back.late, back.early) if self.returning else (r.late, r.early)
-            off, _ = self.away(at, now - late, now + time + early, np.inf)
+            off, _ = self.away(predicted, now - late, now + time + early, np.inf)
             far = off > (back.distance if self.returning else r.far + unexplained)
             strays, heading = (distance > r.distance, turned > r.heading) if not self.returning else (False, False)
         self.path_at = now

@@ -34,8 +34,8 @@ def test_the_example_runs_with_sanitizers(folder):
     command += [f"-I{folder / 'ddmon'}", *map(str, sorted((folder / "ddmon").glob("*.c")))]
     program = folder / "example"
     subprocess.run([*command, str(folder / "examples" / "main.c"), "-lm", "-o", str(program)], check=True)
-    said = subprocess.run([program], capture_output=True, text=True, check=True).stdout
-    assert "the robot is off its path" in said and "it stands at" in said
+    output = subprocess.run([program], capture_output=True, text=True, check=True).stdout
+    assert "the robot is off its path" in output and "it stands at" in output
 
 
 def test_a_name_is_no_code():
@@ -61,9 +61,9 @@ class Emulated:
         assert len(data) == 8 * count, "the program does not answer"
         return np.frombuffer(data)
 
-    def __call__(self, what, *numbers):
+    def __call__(self, name, *numbers):
         frame = np.zeros(8)
-        frame[: 1 + len(numbers)] = (WHAT.index(what), *numbers)
+        frame[: 1 + len(numbers)] = (WHAT.index(name), *numbers)
         self.process.stdin.write(frame.tobytes())
         self.process.stdin.flush()
         return self.read(8)

@@ -310,11 +310,11 @@ def test_a_burst_of_late_messages_is_no_jump():
     now = START
     judge.reference(now, [[START, 0, 0, 0], [START + 9, 9, 0, 0]])
     for k in range(1, 60):
-        at = now + DT * (k - k % 5 + 5)
-        judge.gyro(at, at, 0.0)
-        judge.odometry(at, at, (0.0, 0.0), (0.0, 0.0, 0.0))
-        judge.pose(at, at, (0.0, 0.0, 0.0))
-        judge.command(at, now + DT * k, 0.5 * DT * k, 0.0)
+        arrival = now + DT * (k - k % 5 + 5)
+        judge.gyro(arrival, arrival, 0.0)
+        judge.odometry(arrival, arrival, (0.0, 0.0), (0.0, 0.0, 0.0))
+        judge.pose(arrival, arrival, (0.0, 0.0, 0.0))
+        judge.command(arrival, now + DT * k, 0.5 * DT * k, 0.0)
     assert not judge.verdict
 
 
