@@ -116,7 +116,7 @@ def test_the_least_radius_comes_from_the_turn_costs_where_none_is_given():
 
 
 def test_mistakes_are_said_in_one_line(tmp_path):
-    with pytest.raises(ConfigError, match=r"energy.*turn_costs: say which; shipped are fsu_bot-default and others"):
+    with pytest.raises(ConfigError, match=r"energy.*turn_costs: give a file; shipped are fsu_bot-default and others"):
         load_config("ssm", {"energy.weight": 0.1})
     with pytest.raises(ConfigError, match="unknown turn costs 'nowhere'|nowhere"):
         Controller(load_config("ssm", ON | {"energy.turn_costs": "nowhere"}))

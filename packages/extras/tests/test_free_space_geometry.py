@@ -166,11 +166,11 @@ def test_a_corridor_lies_beside_its_reference():
 
 SQUARE = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
 BAD = {
-    "no finite number": Surroundings([[[0, 0], [1, np.nan], [1, 1]]]),
+    "value that is not finite": Surroundings([[[0, 0], [1, np.nan], [1, 1]]]),
     "no area": Surroundings([[[0, 0], [1, 1], [2, 2]]]),
     "cross each other": Surroundings([[SQUARE[0], SQUARE[2], SQUARE[1], SQUARE[3]]]),
     "lengths are in m": Surroundings([[[0, 0], [1e9, 0], [0, 1e9]]]),
-    "no time says": Surroundings(discs=[MovingDisc(0, 0, 0.2, 1.0, 0.0)]),
+    "its position has no time": Surroundings(discs=[MovingDisc(0, 0, 0.2, 1.0, 0.0)]),
     "velocity or radius": Surroundings(discs=[MovingDisc(0, 0, 0.2, np.nan)], time=0.0),
     "faster than": Surroundings(discs=[MovingDisc(0, 0, 0.2, 1e3)], time=0.0),
     "at most 250,000": Surroundings(grid=OccupancyGrid(np.zeros((1000, 1000), dtype=np.int8), 0.05)),
