@@ -227,5 +227,5 @@ def test_without_the_extra_one_line_says_what_to_install(tmp_path, monkeypatch):
     with pytest.raises(MissingPackageError) as refused:
         identify(tmp_path / "never read.csv", None, "hybrid")
     assert str(refused.value) == "training a hybrid needs JAX: pip install 'diffdrive-mpc[learn]'"
-    with pytest.raises(ConfigError, match="they stand around an sm, not an hybrid"):
+    with pytest.raises(ConfigError, match="they belong to an sm, not an hybrid"):
         identify(tmp_path / "never read.csv", None, "hybrid", effects=True)
