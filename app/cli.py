@@ -1,7 +1,7 @@
 """The command line `diffdrive-mpc`: the commands of `app.commands`, and those that installed packages register.
 
-A command imports what it needs when it runs. Entry points of the group `diffdrive_mpc.commands` add commands: the name
-of an entry is the name of the command, or `GROUP.NAME` for a command of a group such as `models`.
+A command imports its dependencies when it runs. Entry points of the group `diffdrive_mpc.commands` add commands: the
+name of an entry is the name of the command, or `GROUP.NAME` for a command of a group such as `models`.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ def command_line(words: Sequence[str] = ()) -> typer.Typer:
     Parameters
     ----------
     words
-        Start of what was typed. If the first word is a command, only that command is imported; if it is a group, only
-        the commands of that group.
+        First words of the command line. If the first word is a command, only that command is imported; if it is a
+        group, only the commands of that group.
     """
     made = typer.Typer(
         cls=Commands,
@@ -154,12 +154,12 @@ def main() -> None:
     """Run the console command."""
     leave_on_sigterm()
     # Matrices are small, and campaigns have processes: threads of NumPy cost more than they bring, and another number
-    # of them rounds otherwise. What the user sets counts.
+    # of them rounds differently. Settings of the user take precedence.
     for library in ("OPENBLAS", "OMP", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     completing = "_DIFFDRIVE_MPC_COMPLETE" in os.environ
     app = command_line([] if completing else sys.argv[1:3])
-    # A shell that completes a line says it elsewhere.
+    # Command completion must not print this.
     if not completing:
         build_only_named(app, sys.argv[1:])
     app(prog_name="diffdrive-mpc")

@@ -1,4 +1,4 @@
-"""The configuration schema as a table, and what a configuration leaves to the papers' robot."""
+"""The configuration schema as a table, and the defaults that depend on the papers' robot."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _OF_THE_ROBOT = {
 
 
 def robot_defaults(config: ControllerConfig) -> list[str]:
-    """List what a configuration leaves to the papers' robot, as `key value unit`; nothing for a model that ships."""
+    """List the defaults of the papers' robot in a configuration, as `key value unit`; none for a shipped model."""
     if is_shipped(config.model):
         return []
     groups: dict[str, BaseModel] = {"": config, "limits": config.limits, "wheels": config.wheels}
@@ -44,7 +44,7 @@ def robot_defaults(config: ControllerConfig) -> list[str]:
 
 
 def check_term_files(config: ControllerConfig) -> list[str]:
-    """List the Python files of terms, each once; raises ConfigError where one is missing. None of them is run."""
+    """List the Python files of terms, each once; raise ConfigError for a missing one. None of them is run."""
     files = list(dict.fromkeys(term.file for term in config.terms))
     for file in files:
         if not is_file(file):
@@ -53,7 +53,7 @@ def check_term_files(config: ControllerConfig) -> list[str]:
 
 
 def feasibility(controller: Controller, name: str) -> Iterator[str]:
-    """Yield lines on what the robot of a controller lacks for a trajectory, and on the timings that would do.
+    """Yield lines on missing abilities of the robot for a trajectory, and on timings that suit it.
 
     Raises ConfigError if the trajectory cannot be loaded with the limits of the configuration.
     """

@@ -133,7 +133,7 @@ def _mujoco() -> Check:
 
 
 def _ros() -> Check:
-    """Import rclpy in a process of its own: a broken middleware can end the process."""
+    """Import rclpy in a separate process: a broken middleware can end the process."""
     sourced = os.environ.get("ROS_DISTRO", "")
     probe = subprocess.run(
         [sys.executable, "-c", _ROS_PROBE], capture_output=True, text=True, timeout=_PROBE_TIMEOUT, check=False

@@ -1,4 +1,4 @@
-"""The log of a run as `simulate --log` writes it: CSV, or MCAP with what the run was."""
+"""The log of a run as `simulate --log` writes it: CSV, or MCAP with a description of the run."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ def holds_plans(log: Path | None) -> bool:
 
 @contextmanager
 def run_log(log: Path | None) -> Iterator[WriteLog]:
-    """Give what writes the log of a run, where one is asked for; the file appears in the end, whole or not at all.
+    """Return the writer of a run's log, if one was requested; the file appears in the end, whole or not at all.
 
     It takes the run, its case, and the words of the command that repeats it if `simulate` does not.
 
     Parameters
     ----------
     log
-        The file, of the kind that its ending says: .mcap, else CSV; None for no log.
+        The file, whose ending selects the format: .mcap, else CSV; None for no log.
 
     Raises
     ------

@@ -54,7 +54,7 @@ def write_all(package: Path = PACKAGE) -> None:
 
 
 def _closed(node: Any) -> Any:  # noqa: ANN401 - any part of a schema
-    """Refuse names that fit no pattern where names have to fit one, as the readers do."""
+    """Reject names that match no pattern, as the readers do."""
     if isinstance(node, Mapping):
         inside = {key: _closed(inner) for key, inner in node.items()}
         return {"additionalProperties": False, **inside} if "patternProperties" in node else inside

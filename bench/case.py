@@ -33,7 +33,7 @@ COMPARED = (
 )
 """Controllers, each with its model, that `bench` compares without options: the one place to name another."""
 OSQP_MODEL, BY_OSQP = "ssm", (("solver.method", "osqp"),)
-"""Model that `bench` without options compares with OSQP at every tick, too, and what asks for it."""
+"""Model that `bench` compares by default with OSQP at every tick, and the value that selects OSQP."""
 HORIZONS = (7, 10, 20, 30, 50)
 """Horizons that `bench` sweeps without options, for each model with the first seed [steps]."""
 
@@ -51,7 +51,7 @@ def split_names(text: str, option: str) -> tuple[str, ...]:
 
 
 def check_count(count: int, most: int = MOST_CASES) -> None:
-    """Raise ValueError where more runs are asked for than one study drives, before they are listed."""
+    """Raise ValueError for more runs than one study drives, before they are listed."""
     if count > most:
         raise ValueError(f"{count:,} runs are asked for, at most {most:,}; give fewer values or seeds, or split it up")
 
@@ -88,11 +88,12 @@ class Dimension:
     Attributes
     ----------
     several
-        Its name in the plural: the key of what was asked for, in settings and in the `meta` part of a report.
+        The dimension's name in the plural: the key of the requested values, in settings and in the `meta` part of a
+        report.
     default
-        Its value where nothing is asked for.
+        Value where none is requested.
     help
-        Of its option.
+        Help text of the option.
     compared
         Values that `bench` compares without options, by default the default alone.
     list_option, list_help
@@ -102,7 +103,7 @@ class Dimension:
     read
         Reads the values of the list option; raises ValueError.
     silent
-        Whether rows and introduction leave it out where nothing but the default was asked for.
+        Whether rows and introduction omit it where only the default was requested.
     name
         The field of `Case`: word in tables, key of a run in JSON.
     """
@@ -138,10 +139,10 @@ class Case:
     """Everything that fixes one run bit for bit.
 
     Beside the dimensions it has `config`, the controller's configuration file, None for the shipped one of the model,
-    and `overrides`, values that replace those of the configuration. `top_speed` lays the trajectory's segments anew so
+    and `overrides`, values that replace those of the configuration. `top_speed` rebuilds the trajectory's segments so
     that the fastest of them has this speed [m/s]; `scaled` fits them to size and limits of the configuration's robot;
-    `late` is by how many ticks the plant's dead time is longer than the controller was told: that many are added to the
-    plant's; where it is negative, `overrides` tell of more; `gains` replace those of a peer.
+    `late` is the number of ticks by which the plant's dead time exceeds that of the controller: that many are added to
+    the plant's; if it is negative, `overrides` configure a longer one; `gains` replace those of a peer.
     """
 
     controller: str = _dimension(
@@ -210,7 +211,7 @@ class Case:
 
     @property
     def labels(self) -> dict[str, str]:
-        """Value of each dimension for tables and files; of a path only the stem, which says nothing of the machine."""
+        """Value of each dimension for tables and files; of a path only the stem, which hides the machine."""
         return {dimension.name: label(getattr(self, dimension.name)) for dimension in DIMENSIONS}
 
     def as_row(self, leave_out: Container[str] = ()) -> dict[str, object]:

@@ -1,4 +1,4 @@
-"""Make what a case names: controller, plant and reference."""
+"""Build the objects that a case names: controller, plant and reference."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from diffdrive_mpc.sim.plants.make import drawn_robot, physics_robot
 from diffdrive_mpc.sim.plants.names import split_plant
 from diffdrive_mpc.sim.plants.plant import PlantAround
 
-# A plant that hears every command some ticks later than it would: a dead time that no controller was told of.
+# Plant that receives every command some ticks later: a dead time unknown to controllers.
 
 
 class LatePlant(PlantAround):
@@ -55,7 +55,7 @@ class LatePlant(PlantAround):
         return replace(measurement, sent=(v, omega))
 
     def advance(self, command: ArrayLike) -> None:
-        """Put `command` (2,) into the line, and let the plant go on with what leaves it."""
+        """Send `command` (2,) into the line, and advance the plant with the output of the line."""
         self._under_way.append(np.array(command, dtype=float))
         self._plant.advance(self._under_way.popleft())
 
@@ -89,7 +89,7 @@ def run_case(case: Case) -> Run:
 
 
 def check_cases(cases: Iterable[Case]) -> None:
-    """Build what differs in more than trajectory and seed once, and load every trajectory; raises as `build` does."""
+    """Build each distinct configuration once, and load every trajectory; raise as `build` does."""
     every = list(cases)
     for case in {(case.trajectory, case.timing, case.scaled): case for case in every}.values():
         load_reference(case)
@@ -145,12 +145,12 @@ def _reference_of_plant(case: Case) -> Trajectory | None:
             "or remove the path from a copy of the plant's file"
         )
     if reference is None and not is_named:
-        raise ConfigError(f"--plant {case.plant}: it has no path of its own; give a --trajectory")
+        raise ConfigError(f"--plant {case.plant}: it has no own path; give a --trajectory")
     return reference
 
 
 def other_robots(cases: Iterable[Case]) -> list[str]:
-    """Return a sentence for each plant of the physics that is another robot than the configuration of its case says."""
+    """Return a sentence for each physics plant that differs from the robot in the configuration of its case."""
     predictive = (case for case in cases if case.controller == "mpc" and case.model != NO_MODEL)
     kinds = {(case.model, case.config, settings_of(case), case.plant): case for case in predictive}
     sentences = (_other_robot(case) for case in kinds.values())

@@ -55,12 +55,12 @@ def simulate(
     Returns
     -------
     Run
-        See `sim.loop.simulate`. A warning says where the reference asks for more than the robot has.
+        See `sim.loop.simulate`. A warning names the place at which the reference exceeds the robot's abilities.
 
     Raises
     ------
     ArgumentError
-        If an argument is of another type, or they stand in another order.
+        If an argument has another type, or the order is another one.
     ConfigError, ModelError, ValueError
         If a name is unknown, a file has a mistake, or the arguments do not fit each other.
     """
@@ -79,7 +79,7 @@ def simulate(
     _check(reference, ("sample", "duration"), "reference", "a trajectory or its name")
     if isinstance(controller, Controller) and (shortfall := controller.find_shortfall(reference)):
         warnings.warn(escaped(str(shortfall)), stacklevel=2)
-    # The arguments are what they should be: checked above.
+    # The arguments are checked above.
     return loop.simulate(
         controller,
         plant,  # type: ignore[arg-type]
@@ -93,13 +93,13 @@ def simulate(
 def plant_settings(config: ControllerConfig) -> dict[str, Any]:
     """Sample time and limits of the plant of a controller, as `make_plant` takes them."""
     carried = load_robot().limits
-    # What the link of the papers' robot carries is no limit of another robot's model.
+    # The range of the papers' link does not apply to another robot's model.
     bounds = {name: max(*sides_of(getattr(config.limits, name)), getattr(carried, name)) for name in ("v", "omega")}
     return {"sample_time": config.sample_time, "limits": TwistBounds(**bounds)}
 
 
 def _check_names(places: Mapping[str, object]) -> None:
-    """Raise ArgumentError where the shipped name of another argument stands; `places` are the arguments by kind."""
+    """Raise ArgumentError for the shipped name of another argument; `places` are the arguments by kind."""
     for kind, names in {"plant": (PHYSICS,), "trajectory": BUILT_IN}.items():
         for place, value in places.items():
             if isinstance(value, str) and value in names and place != kind:

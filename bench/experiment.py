@@ -22,11 +22,11 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim import Run
 
 Measure = Callable[[Case, Run], Mapping[str, object]]
-"""Further columns of a run, worked out where it was driven; the run itself is not kept."""
+"""Further columns of a run, computed in the process of its drive; the run itself is not stored."""
 PROCESSOR = "processor_s"
 """Column of the processor time of a run [s]."""
 COMPARED = "compared"
-"""Grouping by it tells controllers apart by all that varies among the rows, see `bench.run_row.driver_names`."""
+"""Grouping by it distinguishes controllers by all that varies among the rows, see `bench.run_row.driver_names`."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def drive_all(
     Parameters
     ----------
     drives
-        What to drive.
+        The drives of the experiment.
     jobs, on_done
         As `run_tasks` takes them.
     measure

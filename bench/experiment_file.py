@@ -15,7 +15,7 @@ Varied = dict[str, Annotated[tuple[Value, ...], Field(min_length=1)]]
 
 
 class TableFile(StrictModel):
-    """A table over groups of runs; cells that only the program can make stand under a name of one word."""
+    """A table over groups of runs; cells that only the program can compute have a name of one word."""
 
     title: str
     part: tuple[str, ...] = Field((), description="parts of the experiment whose runs it shows; none for all runs")

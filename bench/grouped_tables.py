@@ -1,7 +1,7 @@
 """Tables over groups of runs, with columns such as "mean lateral_max_m mm".
 
-A column is a statistic, the name of a column of `bench.run_row`, and where they are not the usual ones a unit (`mm`,
-`mrad`, `ms`, `percent`) and the number of decimal places.
+A column is a statistic, the name of a column of `bench.run_row`, and optionally a unit (`mm`, `mrad`, `ms`, `percent`)
+and the number of decimal places.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ def figure(text: str, where: str = "figure") -> Figure:
 def cell(text: str, where: str = "column") -> Cell:
     """Parse a cell such as "mean position_rmse_m mm" or "share completed".
 
-    Beside the statistics there are `runs` (how many), `share` (of how many runs a column is true), and `time` or
-    `longest` (mean and maximum of a time, infinite for never).
+    Further statistics are `runs` (their number), `share` (of runs with a true value), and `time` or `longest` (mean and
+    maximum of a time, infinite for never).
 
     Raises ConfigError, naming the place `where`, if it is not understood.
     """
@@ -133,7 +133,7 @@ def grouped_table(
     Parameters
     ----------
     title, note
-        Of the table.
+        Title of the table and note below it.
     rows
         One for each run.
     names
@@ -141,7 +141,7 @@ def grouped_table(
     columns
         Cells by heading.
     mean
-        Whether below each block of the last of `names` there is a row for all of it.
+        Whether each block of the last of `names` is followed by a row for all of it.
     """
     entries: list[tuple[tuple[str, ...], DataFrame]] = []
     for outer, block in itertools.groupby(grouped(rows, list(names.values())), key=lambda entry: entry[0][:-1]):

@@ -12,12 +12,12 @@ from pydantic import BaseModel
 
 
 def plain(value: object, digits: int | None = None) -> Any:  # noqa: ANN401 - whatever JSON takes
-    """Turn dataclasses, settings, mappings, sequences and arrays into dicts, lists and numbers; not finite is None.
+    """Convert dataclasses, settings, mappings, sequences and arrays to JSON values; NaN and infinity become None.
 
     Parameters
     ----------
     value
-        What is to be written.
+        Value to convert.
     digits
         Significant digits of every number that is not whole; None for all of them.
     """

@@ -1,4 +1,4 @@
-"""The terminal: a progress bar that does not disturb what it watches, and the console for results."""
+"""The terminal: a progress bar that does not disturb the measured work, and the console for results."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _LINE_PERIOD = 10.0
 
 
 class _PlainConsole(Console):
-    """A console whose text steers no terminal: names come from files, and files from anybody."""
+    """Console without control characters in its text: names may come from untrusted files."""
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
-        """Yield what is drawn; colours and moves of the cursor are no text, and stay."""
+        """Yield the drawn parts; colours and moves of the cursor are no text, and stay."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else Segment(plain_text(segment.text), segment.style)
 
@@ -38,9 +38,9 @@ class ProgressBar:
     Parameters
     ----------
     text
-        What is going on.
+        Description of the current stage.
     total
-        How many steps there will be; it may become known later.
+        Number of steps; it may become known later.
     lines
         Write a line now and then if stderr is no terminal.
     """

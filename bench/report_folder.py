@@ -21,13 +21,13 @@ from diffdrive_mpc.models.whole_file import (
     scratch_folder,
 )
 
-# Which command wrote what into a folder of results, and who is writing there now.
+# Record of the writing commands of a results folder, and lock for writing.
 
 
 REPORT = "report.html"
 """Name of the page in a folder of results."""
 CONTENTS = ".contents.json"
-"""In the folder; hidden, as nobody needs to read it."""
+"""In the folder; hidden, since it is for internal use."""
 _LARGEST = 16 * MEGABYTE
 
 
@@ -83,9 +83,9 @@ def alone_in(folder: Path, shown: object, *, wait: bool = False) -> Iterator[Non
     folder
         The folder, which exists.
     shown
-        Its name for the message.
+        Name of the folder in the message.
     wait
-        Whether to wait until the other one is done, as where several share a folder and each is quickly done.
+        Whether to wait for the other command to finish, as where several share a folder and each is quickly done.
 
     Raises
     ------
@@ -116,22 +116,22 @@ def staged(
 ) -> Iterator[Path]:
     """Yield a temporary folder to write into; on success its files go to `target`, on failure none of them do.
 
-    Other files of `target` stay, also those in folders that get new files, but for those that the same command left
-    there before and that have no fixed name. Folders made for nothing are removed.
+    Other files of `target` stay, also in folders that get new files, except for former results of the same command
+    without a fixed name. Folders made for nothing are removed.
 
     Parameters
     ----------
     target
-        Where the results belong; made where missing.
+        Folder for the results; made where missing.
     files
         Names of files that will be written; they are put in place last, in this order.
     folders
         Names of folders that will be written.
     owner
-        The command whose results these are. What it wrote there before is replaced, and its page goes by its own
-        name where `report.html` is that of another command; where it is empty, neither is looked at.
+        The command whose results these are. What it wrote there before is replaced, and its page goes by its own name
+        where `report.html` is that of another command; where it is empty, neither is checked.
     shared
-        Whether several processes work in `target` at a time; else a second one is refused.
+        Whether several processes may work in `target` at the same time; else a second one is refused.
 
     Raises
     ------
@@ -187,7 +187,7 @@ def _check_owners(place: Path, target: Path, files: Sequence[str], owner: str) -
 
 
 def _check_kind(place: Path, name: Path, target: Path, *, folder: bool) -> None:
-    """Refuse a file where a folder is needed and the reverse, and links: what they lead to is not ours to replace."""
+    """Refuse a file where a folder is needed and the reverse, and links: their targets must not be replaced."""
     path = place / name
     if not os.path.lexists(path):
         return
@@ -197,7 +197,7 @@ def _check_kind(place: Path, name: Path, target: Path, *, folder: bool) -> None:
 
 
 def _put_in_place(results: Path, place: Path, old: Path, last: Sequence[str], stale: Sequence[str]) -> None:
-    """Move every file to its place, and stale ones away; when one cannot be moved, undo what was done."""
+    """Move every file to its place, and stale ones away; undo all moves if one fails."""
     names = [path.relative_to(results) for path in results.rglob("*") if path.is_file()]
     names.sort(key=lambda name: (last.index(str(name)) if str(name) in last else -1, name))
     done: list[Path] = []

@@ -1,4 +1,4 @@
-"""The row of a run: everything that tables, figures, JSON and Parquet say of it, by column."""
+"""The row of a run: all columns for tables, figures, JSON and Parquet."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from diffdrive_mpc.models.errors import DiffdriveMpcError, FormerNameWarning
 
-# What can go wrong in a study that is no mistake of the user's; each is one line.
+# Failures of a study that are no mistakes of the user; each message is one line.
 
 
 class StudyFailedError(DiffdriveMpcError, RuntimeError):
@@ -99,7 +99,7 @@ def _in_processes(tasks: Sequence[Callable[[], T]], jobs: int) -> Iterator[T]:
     except BrokenProcessPool as error:
         raise WorkerDiedError(f"one of {jobs} processes was ended from outside; try a smaller --jobs") from error
     finally:
-        # Workers that idle would disturb what is timed afterwards; those of a study that failed are not waited for.
+        # Idle workers would disturb the timing that follows; those of a failed study are not waited for.
         if not (finished and processes_last()):
             _end_processes(at_once=not finished)
 
@@ -117,14 +117,14 @@ def _numbered(number: int, task: Callable[[], T]) -> tuple[int, T]:
 
 def _call(task: Callable[[], T]) -> T:
     _end_with_parent()
-    # The process that began this one has read the same file, and told of it.
+    # The parent process has read the same file, and reported it.
     warnings.simplefilter("ignore", FormerNameWarning)
     return task()
 
 
 @cache
 def _end_with_parent() -> None:
-    """Let this process end soon after the one that began it, also where that was killed and could not say so."""
+    """End this process soon after its parent, even if the parent was killed."""
     parent = os.getppid()
 
     def watch() -> None:

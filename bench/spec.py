@@ -1,4 +1,4 @@
-"""An experiment as a file states it: what varies, in which parts, and which tables show it."""
+"""An experiment as a file states it: variations, parts and tables."""
 
 from __future__ import annotations
 
@@ -68,12 +68,12 @@ Drives = dict[str, list[ExperimentRun]]
 
 
 class SpecStudy(Study[Drives, DataFrame]):
-    """An experiment as a study; a subclass adds what only it measures, and figures.
+    """An experiment as a study; a subclass adds its own measurements and figures.
 
     Parameters
     ----------
     experiment
-        What is driven and shown.
+        The experiment: its drives and its tables and figures.
     only
         Parts to drive; none for all.
     measure, run_one

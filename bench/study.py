@@ -1,4 +1,4 @@
-"""The one skeleton of all studies: what to run, and how it becomes tables, figures, NAME.md, NAME.json and a page.
+"""The one skeleton of all studies: its runs, and their presentation as tables, figures, NAME.md, NAME.json and a page.
 
 docs/recipes.md shows how to add one.
 """
@@ -43,21 +43,22 @@ class Report:
     Attributes
     ----------
     counted
-        How much was run, such as "12 runs".
+        Number of runs, such as "12 runs".
     meta
-        What the `meta` part says beside machine, versions and duration: definitions, and what was asked for.
+        Entries of the `meta` part beside machine, versions and duration: definitions and requested settings.
     content
-        What the JSON file holds beside `meta`: rows of plain values by name.
+        Content of the JSON file beside `meta`: rows of plain values by name.
     facts, notes
-        Sentences of the introduction: what was run, and what follows on the machine.
+        Sentences of the introduction: the runs and the results of the machine.
     tables
         In order.
     figures
-        By file name, charts that stand side by side in the file and also in the page; or what draws any other figure.
+        By file name, charts that stand side by side in the file and also in the page; or a function that draws another
+        figure.
     figures_first
-        How many figures stand above the tables, the others being below; None for all.
+        Number of figures above the tables, the others being below; None for all.
     shown
-        What the page `report.html` shows beside tables and figures.
+        Content of the page `report.html` beside tables and figures.
     files
         Text of each further file, by name.
     screen
@@ -103,13 +104,13 @@ class Study(ABC, Generic[P, R]):
 
     @abstractmethod
     def plan(self) -> P:
-        """List what is to be run, before a folder is made.
+        """Plan the runs, before a folder is created.
 
         Raises ConfigError or ValueError if something that is named does not exist or cannot be used.
         """
 
     def cases(self, plan: P) -> Iterable[Case]:  # noqa: ARG002
-        """List cases whose plant is checked to be the configuration's robot; none where that is no question."""
+        """List cases whose plant is compared with the configuration's robot; none if that is irrelevant."""
         return ()
 
     def driven(self, plan: P) -> Iterable[Case]:  # noqa: ARG002
@@ -131,14 +132,14 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
     Parameters
     ----------
     study
-        What to run.
+        The study to run.
     out
         Folder of the report.
     jobs
         Processes; by default one for each core.
 
     Raises ConfigError, ValueError or OSError if something that is named cannot be used or `out` cannot be written to;
-    then `out` keeps what it held; StudyFailedError if it could not be finished.
+    then `out` keeps its content; StudyFailedError if it could not be finished.
     """
     began = time.perf_counter()
     plan = study.plan()
@@ -159,7 +160,7 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
 
 
 def print_report(report: Report, seconds: float, out: Path) -> None:
-    """Print warnings and tables of a report, and last where it lies; `seconds` are those that it states itself."""
+    """Print warnings and tables of a report, and finally its place; `seconds` are those that it states itself."""
     console = output_console()
     for warned in report.shown.warnings:
         console.print(f"warning: {warned.text} {warned.remedy}", highlight=False)
@@ -173,7 +174,7 @@ def write_report(
 ) -> None:
     """Write `NAME.json`, figures, further files, `NAME.md` and the page into `folder`, which exists.
 
-    `on_figure` is called after each figure. Where there are many figures, `jobs` processes draw them.
+    `on_figure` is called after each figure. For many figures, `jobs` processes draw them.
     """
     (folder / f"{study.name}.json").write_text(json_text(meta, report.content), encoding="utf-8")
     for name, text in report.files.items():
@@ -181,7 +182,7 @@ def write_report(
     if report.drawings:
         (folder / FIGURES).mkdir()
     draws = [partial(draw, folder / FIGURES / name) for name, draw in report.drawings.items()]
-    # A process that draws has to load matplotlib first.
+    # Each drawing process must first load matplotlib.
     run_tasks(draws, jobs if len(draws) > _DRAWN_ALONE else 1, on_figure)
     (folder / f"{study.name}.md").write_text(markdown(study.title, report, meta), encoding="utf-8")
     write_page(report_page(study, report, meta, folder / FIGURES), folder / REPORT)

@@ -43,7 +43,7 @@ def quiet_core() -> Iterator[int | None]:
         if core is not None:
             os.sched_setaffinity(0, {core})
         gc.collect()
-        gc.freeze()  # what exists by now need not be searched again between runs
+        gc.freeze()  # existing objects need not be searched again between runs
         gc.disable()
         try:
             yield core
@@ -96,7 +96,7 @@ def time_outcomes(outcomes: Sequence[RunOutcome], on_done: OnDone) -> tuple[list
         With the new times; NaN for ticks that were disturbed whenever they were measured, unless a controller has no
         others: then those of all controllers are kept.
     timing
-        How the machine was.
+        State of the machine during the timed runs.
 
     Raises NotReproducibleError if a replay commanded something else than the run.
     """
@@ -112,7 +112,7 @@ def time_outcomes(outcomes: Sequence[RunOutcome], on_done: OnDone) -> tuple[list
         for place, several in zip(groups, durations, strict=True)
         for outcome, replayed in zip(place, several, strict=True)
     }
-    # What is left out of one controller's times is left out of all.
+    # Ticks left out of one controller's times are left out of all.
     drivers = _grouped(outcomes, lambda outcome: _driver(outcome.case)).values()
     alike = all(any(times[outcome.case].clean.any() for outcome in runs) for runs in drivers)
     timed = {}

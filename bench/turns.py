@@ -1,6 +1,6 @@
-"""Times that are compared come from replays that take turns, block by block, and disturbed blocks are measured again.
+"""Compared times come from replays that take turns, block by block, and disturbed blocks are measured again.
 
-What the machine does meanwhile then meets all of them alike, and caches are as warm for one as for the other.
+Disturbances of the machine then affect all of them alike, and caches are equally warm.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ from diffdrive_mpc.bench.counters import Effort
 from diffdrive_mpc.models.interface import FloatArray
 
 BLOCK = 25
-"""Ticks that one replay goes on before the next has its turn."""
+"""Number of ticks that one replay runs before the next has its turn."""
 COLD = 1
-"""Ticks at the begin of a turn that are not timed: the caches are full of others' data, and they take four times as
-long."""
+"""Ticks at the begin of a turn that are not timed: the caches contain others' data, and they take four times as long.
+"""
 STRETCH = 2e-3
-"""Longest time that is watched at once [s]: a slow controller's whole turn would hardly ever be undisturbed, beside one
-whose turn takes a millisecond."""
+"""Longest time that is watched at once [s]: a slow controller's whole turn would rarely be undisturbed, compared with
+one whose turn takes a millisecond.
+"""
 AGAIN = 4
 """Maximum number of additional replays after disturbed blocks."""
 PATIENCE = 0.5
@@ -91,7 +92,7 @@ class _Measured(NamedTuple):
 
 @dataclass(eq=False)
 class _Track:
-    """A replay, and what its blocks gave so far."""
+    """Replay with the results of its blocks so far."""
 
     replay: Replay
     repetitions: int
@@ -135,7 +136,7 @@ class _Track:
         times = np.full((self.repetitions, self.replay.ticks, 2), np.nan)
         clean = np.zeros(times.shape[:2], dtype=bool)
         for first, turns in self.blocks.items():
-            # Where there are too few good ones, disturbed ones replace them; they stay marked as such.
+            # Too few good ones are completed by disturbed ones, which stay marked.
             good = self.clean(first, best)
             bad = [turn for turn in turns if not turn.effort.undisturbed(best)]
             chosen = (good + bad)[: self.repetitions]
@@ -170,7 +171,7 @@ def take_turns(
     Returns
     -------
     times
-        Of each replay of each group.
+        Times of each replay of each group.
     best
         The shortest time of the yardstick [s]; see `bench.counters`.
     """

@@ -19,7 +19,8 @@ from diffdrive_mpc.models.input_file import read_input
 from diffdrive_mpc.models.suggestions import suggestion
 from diffdrive_mpc.models.table import plain_line
 
-# YAML text to plain values, with bounds: what is deep, huge or refers to itself is refused before it is built.
+# Conversion of YAML text to plain values, with bounds: deep, huge or recursive documents are rejected before they are
+# built.
 
 
 try:
@@ -61,7 +62,9 @@ def _refuse_tag(_loader: _UniqueKeyLoader, node: yaml.Node) -> NoReturn:
 
 
 _LONGEST_NUMBER = 1000
-"""Largest number of characters of a number; YAML 1.1 has 1:1:1 for base 60, whose time grows with their square."""
+"""Largest number of characters of a number; YAML 1.1 reads 1:1:1 as base 60, which takes quadratic time for long
+numbers.
+"""
 
 
 def _add_bounded(kind: str) -> None:
@@ -113,14 +116,14 @@ def parse_json(text: str | bytes) -> Any:  # noqa: ANN401 - who reads it checks 
 
 
 class _Part:
-    """A list or a group that is being read: how much is in it, how deep it goes, and what it is called."""
+    """A list or a group that is being read: number of its values, depth, and names."""
 
     def __init__(self, anchor: str | None) -> None:
         self.anchor = anchor
         self.values, self.depth = 1, 1
 
     def take(self, values: int, depth: int) -> None:
-        """Take in what stands inside."""
+        """Include the content of the node."""
         self.values += values
         self.depth = max(self.depth, depth + 1)
 
@@ -139,7 +142,7 @@ def _check_bounds(text: str) -> None:
             open_parts[-1].take(closed.values, closed.depth)
         elif isinstance(event, yaml.AliasEvent):
             if any(part.anchor == event.anchor for part in open_parts):
-                raise _refused(f"'*{event.anchor}' refers to what it stands in", event)
+                raise _refused(f"'*{event.anchor}' refers to a value that contains it", event)
             meant = known.get(event.anchor or "")
             open_parts[-1].take(meant.values if meant else 1, meant.depth if meant else 0)
         elif isinstance(event, yaml.ScalarEvent):
@@ -206,7 +209,7 @@ def load_checked(schema: type[Schema], path: str | Path) -> Schema:
     Raises
     ------
     ConfigError
-        With one line that names the file and for every mistake the key, what is wrong and what would be right.
+        With one line that names the file and for every mistake the key, the error and the correction.
     """
     return check(schema, read_yaml(path), str(path))
 
@@ -239,7 +242,7 @@ def check(schema: type[Schema], data: object, where: str, shown: Callable[[str],
             raise KeyboardInterrupt from error
         raise
     except ValidationError as error:
-        # A sentence takes a search for the key that was meant; nobody reads a thousand of them.
+        # Each sentence needs a search for similar keys, and nobody reads a thousand sentences.
         details = error.errors()
         sentences = [_sentence(schema, detail, shown) for detail in details[: 3 * _MOST_MISTAKES]]
         raise ConfigError(mistakes(where, sentences, len(details) - len(sentences))) from error

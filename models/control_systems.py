@@ -71,7 +71,7 @@ def to_control(model: VelocityModel, dt: float | None) -> Any:  # noqa: ANN401 -
     A, B = block_diag(sampled.A, *(np.eye(length, k=-1) for length in lengths)), np.zeros((n + sum(lengths), 2))
     first = n
     for j, length in enumerate(lengths):
-        # Past commands of this input, newest first, are states; the command itself stands before them.
+        # States are past commands of this input, newest first, after the command itself.
         for age, column in ((int(sampled.delay[j]), sampled.B0[:, j]), (int(sampled.delay[j]) + 1, sampled.B1[:, j])):
             if age == 0:
                 B[:n, j] += column
@@ -108,7 +108,7 @@ def _realised(where: str, system: Any) -> tuple[FloatArray, FloatArray, FloatArr
     """Realise a transfer function as A, B, C, D; outputs with one denominator share the states of their input."""
     blocks, inputs, outputs = [], [], []
     D = np.zeros((system.noutputs, system.ninputs))
-    # Coefficients in z are of order one: less than this is what a conversion left by rounding.
+    # Coefficients in z are of order one: smaller ones are rounding errors of a conversion.
     least = _ROUNDING if system.dt else 0.0
     for j in range(system.ninputs):
         shared: dict[tuple[float, ...], FloatArray] = {}
@@ -158,10 +158,10 @@ def _continuous(where: str, sampled: _StateSpace) -> tuple[FloatArray, FloatArra
     if negative.size:
         raise ModelError(
             f"{where}: pole at z = {negative[0].real:.4g}; no continuous system has a negative one under a "
-            "zero-order hold: identify it anew, with a lower order"
+            "zero-order hold: identify it again, with a lower order"
         )
     with warnings.catch_warnings():
-        # What an inaccurate logarithm gives is refused below.
+        # Results of an inaccurate logarithm are rejected below.
         warnings.simplefilter("ignore", RuntimeWarning)
         continuous = np.real(logm(A)) / sampled.dt
     B = np.linalg.solve(A - np.eye(len(A)), continuous @ B)
@@ -184,7 +184,7 @@ def _without_delays(sampled: _StateSpace, delay: NDArray[np.int64]) -> tuple[Flo
     least = _ZERO * np.linalg.norm(A)
     k = 0
     while k < n:
-        # What no state moves is a command on its way: each round takes off one sample of every delay.
+        # States that no other state drives are pending commands: each round removes one sample of delay.
         left, singular, _ = np.linalg.svd(A[k:, k:])
         rank = int((singular > least).sum())
         if rank == n - k:

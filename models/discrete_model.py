@@ -55,7 +55,7 @@ class DiscreteModel:
 
     @property
     def drive(self) -> FloatArray:
-        """(n, 2) what a command held for ever adds to the states in one sample."""
+        """(n, 2) effect of a constant command on the states in one sample."""
         return self.B0 + self.B1
 
     @property

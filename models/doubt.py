@@ -103,7 +103,7 @@ VERDICTS: Mapping[str, DoubtRelevance] = {
     "unknown track": _no("the model around it is complete"),
     "effects left out": _no("the plain model is as good"),
     "network left out": _no("the linear model is as good"),
-    # Of scores, and of what a log does not have.
+    # Doubts about scores, and about missing parts of a log.
     "low FIT": _yes("the controller would trust a poor prediction"),
     "FIT falls": _yes("on another drive it may be worse still"),
     "missed dynamics": _no("FIT counts what is missed, and feedback corrects it"),

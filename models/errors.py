@@ -21,10 +21,10 @@ def _shown(message: str) -> str:
 class DiffdriveMpcError(Exception):
     """Error of the project itself; its message is one line: place, mistake, remedy.
 
-    Most of its kinds are a ValueError or a RuntimeError too. An argument that no caller of a correct program gives (the
-    wrong shape of an array) raises a plain ValueError, which is none of them.
+    Most of its kinds are a ValueError or a RuntimeError too. An argument that only a programming error can cause (the
+    wrong shape of an array) raises a plain ValueError instead.
 
-    Names in a message may come from a file of anybody: characters that steer a terminal stand as escapes.
+    Names in a message may come from untrusted files: control characters are escaped.
     """
 
     def __init__(self, *parts: object) -> None:
@@ -32,7 +32,7 @@ class DiffdriveMpcError(Exception):
 
 
 class MissingPackageError(DiffdriveMpcError, ImportError):
-    """Something was asked for that needs a package which is not installed; says how to install it."""
+    """Error for a feature whose package is not installed; its message states how to install it."""
 
 
 class FormerNameWarning(UserWarning):
@@ -62,7 +62,7 @@ def checked_number(argument: str, value: object, remedy: str) -> float:
 
 
 def described(value: object) -> str:
-    """Name the type of a value in a few words, with its shape or, where it is short, the value."""
+    """Describe the type of a value, with its shape or, if it is short, the value."""
     if value is None:
         return "None"
     if isinstance(value, type):

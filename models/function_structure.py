@@ -19,36 +19,37 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FunctionStructure:
-    """One structure. Who only asks for names imports none of the modules that it names: they load CasADi or more.
+    """One structure. Listing names imports none of the named modules.
 
     Attributes
     ----------
     structure
-        What its parameter files say it is.
+        Name of the structure in its parameter files.
     name
-        Of its shipped model, and what `identify --structure` calls it.
+        Name of the shipped model and of the structure in `identify --structure`.
     title
         For tables.
     rank
-        Place among the others, the simplest first: a later one has to predict better by more than chance.
+        Place among the others, the simplest first: a later one must predict better by more than chance.
     package
         In which the following are, each as "module:name".
     loader
         A function of the path of a parameter file and its content; returns the model.
     file
-        What parameter files are checked by, a pydantic model.
+        Schema of the parameter files, a pydantic model.
     finder_function
-        What finds one in a log, a `Finder`.
+        Function that identifies such a model from a log, a `Finder`.
     check
-        A function that raises MissingPackageError where what the finder needs is not installed; empty for nothing.
+        Function that raises MissingPackageError where a package that the finder needs is not installed; empty for
+        nothing.
     shipped
-        The parameter file of its shipped model, if there is one.
+        Parameter file of its shipped model, if it exists.
     config
-        The configuration of a controller with that model, if there is one; `load_config` reads it by `name`.
+        Configuration of a controller with that model, if it exists; `load_config` reads it by `name`.
     robots
         Parameter files of named robots; a model is loaded by the stem of its file.
     slow
-        Whether a comparison leaves it out unless it is named.
+        Whether it is slow: then a comparison leaves it out unless it is named.
     """
 
     structure: str

@@ -1,4 +1,4 @@
-"""Files that a user names: read only where they are files on a disk, and no larger than what is read should be."""
+"""Files that a user names: read only from regular files, with a size limit."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from contextvars import ContextVar
 from io import BufferedReader
 from pathlib import Path
 
-# Which files a command reads: none of them may be what it writes.
+# Input files of a command, none of which may be an output.
 
 
 _Identity = tuple[int, int]
@@ -34,7 +34,7 @@ def reading(named: Iterable[str | Path] = ()) -> Iterator[None]:
 
 
 def remember(file: os.stat_result, path: str | Path) -> None:
-    """Take note that a file is read, opened at `path`; outside of `reading` nobody does."""
+    """Take note that a file is read, opened at `path`; outside of `reading` none are recorded."""
     files = _READ.get()
     if files is not None:
         files[_identity(file)] = Path(path).absolute()
@@ -70,7 +70,7 @@ def open_input(path: Path) -> BufferedReader:
     OSError
         If it is no regular file, cannot be opened, or was not fetched by Git LFS.
     """
-    # Without waiting for a writer at the other end of a pipe; what is opened is what is looked at.
+    # Open without waiting for a writer of a pipe, and check the opened file itself.
     handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0))
     try:
         state = os.fstat(handle)
@@ -99,7 +99,7 @@ def read_input(path: Path, most: int) -> bytes:
         As for `open_input`, or if the file is larger.
     """
     with open_input(path) as file:
-        # No more memory than the file has, which a file of a system may not say: then there is less to read.
+        # Allocate at most the size of the file; special files may report none, and then less is read.
         content = file.read(min(most, os.fstat(file.fileno()).st_size) + 1)
     if len(content) > most:
         raise OSError(errno.EFBIG, f"it is larger than {most / MEGABYTE:g} MB, the most that is read")

@@ -15,7 +15,7 @@ from diffdrive_mpc.models.errors import wrong_type
 
 FloatArray = NDArray[np.float64]
 AnyArray = NDArray[Any]
-"""Real, or complex on the way to a derivative."""
+"""Real, or complex in complex-step derivatives."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,13 +52,13 @@ class Measurement:
     wheel_speeds
         (4,) front left, front right, rear left, rear right [rad/s]; for logs and identification.
     sent
-        (v, omega) that the robot really got last tick, where that is known and may differ from the command.
+        (v, omega) that the robot received in the last tick, where that is known and may differ from the command.
 
     Raises
     ------
     ArgumentError
-        If a value other than `sent` is not `Stamped`. What is inside it is judged by `Controller.step`, which never
-        raises on data.
+        If a value other than `sent` is not `Stamped`. Its content is checked by `Controller.step`, which never raises
+        on data.
     """
 
     pose: Stamped | None = None
@@ -125,7 +125,7 @@ class ControlStep(Protocol):
 
     @property
     def message(self) -> str:
-        """One sentence that says why the mode is what it is; empty when all is well."""
+        """One sentence with the reason for the mode; empty when all is well."""
         ...
 
     @property
@@ -180,7 +180,7 @@ class MotionEstimate(Protocol):
 
 @runtime_checkable
 class EstimatingStep(Protocol):
-    """The step of a controller that estimates: what it has beyond `ControlStep`."""
+    """The step of a controller that estimates: fields in addition to `ControlStep`."""
 
     @property
     def estimate(self) -> MotionEstimate | None:
@@ -201,13 +201,13 @@ class TrackingController(Protocol):
 
 
 class ReadOnlyArrays:
-    """Base of a frozen dataclass, without slots, whose arrays are views that refuse to be written to.
+    """Base class of frozen dataclasses, without slots, whose arrays are read-only views.
 
-    The caller's own arrays are not changed. A result that was pickled is read-only again where it is unpickled.
+    The caller's own arrays are not changed. After unpickling, a result is read-only again.
     """
 
     def __post_init__(self) -> None:
-        """Put views in place of the arrays."""
+        """Replace the arrays by views."""
         self.__setstate__(vars(self).copy())
 
     def __setstate__(self, state: dict[str, Any]) -> None:

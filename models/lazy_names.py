@@ -11,7 +11,7 @@ from typing import Any
 def on_first_use(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
     """Return a `__getattr__` for `package` that imports the names of `homes` from their modules on first use.
 
-    Whoever needs one module of the package then does not load the others.
+    A user of one module then does not load the others.
     """
 
     def look_up(name: str) -> Any:  # noqa: ANN401 - the type checker sees imports of its own

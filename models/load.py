@@ -76,7 +76,7 @@ def _shipped() -> dict[str, Path]:
 
 
 def load_linear_model(name: str | Path) -> VelocityModel:
-    """Load a velocity model of matrices; raises ModelError where it is a function, else as `load_model`."""
+    """Load a velocity model of matrices; raises ModelError where it is a function, otherwise as `load_model`."""
     model = load_model(name)
     if not isinstance(model, VelocityModel):
         raise ModelError(f"model '{name}' is a function, here matrices are needed; name a linear model")
@@ -84,7 +84,7 @@ def load_linear_model(name: str | Path) -> VelocityModel:
 
 
 def load_base_effects(name: str | Path) -> BaseEffects:
-    """Load what a model file says about the base around its model; raises ConfigError as `load_model`."""
+    """Load the effects of the base from a model file: raises ConfigError as `load_model`."""
     path = model_path(name)
     data = read_yaml(path)
     return BaseEffects() if _function(data) else _checked(path, data).base_effects

@@ -1,4 +1,4 @@
-"""Parameter files that are asked for by a short name or by a path."""
+"""Parameter files by a short name or by a path."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def named_file(
     Parameters
     ----------
     kind
-        What the files describe, for the message.
+        Content of the files, for the message.
     folder
         Folder of the shipped files.
     name
@@ -33,7 +33,7 @@ def named_file(
     shipped
         Names of the shipped files; by default every YAML file in `folder`.
     others
-        What else may be given, for the message, as it goes on after those names.
+        Other accepted values, for the message, which lists them after those names.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A velocity model that is a function: for robots whose answer to a command depends on how they move."""
+"""A velocity model that is a function: for robots whose response to a command depends on their motion."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ class CompiledStep:
 class NonlinearModel:
     """x[k+1] = step(x[k], window), y[k] = output(x[k]); window = (u[k - memory], ..., u[k]), oldest first.
 
-    u = (v_ref [m/s], omega_ref [rad/s]), y = (v [m/s], omega [rad/s]). Dead time lies in the window: a step that reads
-    its older commands answers late. A model without states of its own, such as a network on past commands, keeps its
-    last output as its state: step gives that from the window alone. It has to rest at x = 0 under u = 0.
+    u = (v_ref [m/s], omega_ref [rad/s]), y = (v [m/s], omega [rad/s]). Dead time is part of the window: a step that
+    reads its older commands answers late. A model without states, such as a network on past commands, uses its last
+    output as its state: step gives that from the window alone. x = 0 must be its steady state under u = 0.
 
-    The controller linearises it at every tick along its plan, and the estimator along what was sent.
+    The controller linearises it at every tick along its plan, and the estimator along the sent commands.
 
     Attributes
     ----------
@@ -54,13 +54,13 @@ class NonlinearModel:
     output
         CasADi function of `x` (n) to y (2).
     dt
-        Sample time that `step` is for [s]; the configuration's `sample_time` has to be the same.
+        Sample time that `step` is for [s]; the configuration's `sample_time` must be the same.
     memory
         Number of past commands that still act on the future, at least 1.
     known_lag
         (2,) mean delay of each channel [s], if it is known better than from samples; see `lag`.
     provenance
-        Where its numbers come from; empty for a user's functions.
+        Source of the numbers; empty for a user's functions.
     delay
         (2,) zero: no channel's dead time is taken off beforehand.
 
@@ -143,7 +143,7 @@ class NonlinearModel:
 
     @property
     def details(self) -> tuple[tuple[str, str], ...]:
-        """Label and words of what else `models show` says of its kind."""
+        """Label and text of further lines of `models show` for its kind."""
         return ()
 
     @property
@@ -179,7 +179,7 @@ class NonlinearModel:
 
     @property
     def drive(self) -> FloatArray:
-        """(n, 2) what a command held over the whole window adds to the states in one sample, at rest."""
+        """(n, 2) effect of a command held over the whole window on the states in one sample, at rest."""
         return self.linearised[1]
 
     @property
@@ -195,7 +195,7 @@ class NonlinearModel:
 
     @property
     def lag(self) -> FloatArray:
-        """(2,) mean delay of each channel [s] for small commands: `known_lag`, or what its samples say.
+        """(2,) mean delay of each channel [s] for small commands: `known_lag`, or the lag of its samples.
 
         That is the area between a step and its answer, with straight lines between the samples: dt (m - 1/2), m being
         the mean of the impulse response in samples. It is exact for the controller, which drives arcs with the mean of

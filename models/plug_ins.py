@@ -6,8 +6,8 @@ A distribution registers a part in its `pyproject.toml`:
     mine = "my_package.my_peer:PEER"
 
 `GROUPS` names the groups. The name of an entry is the word by which users ask for the part: a command, a controller
-feature and its configuration group, a peer, a plant. Listing the names imports nothing; a part is imported when it is
-asked for.
+feature and its configuration group, a peer, a plant. Listing the names imports nothing; a part is imported on first
+use.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def known_packages() -> Mapping[str, Mapping[str, str]]:
 
 
 def missing_part(group: str, name: str) -> str:
-    """Return one line that says which package has a part and how to install it."""
+    """Return one line with the package of a part and its installation command."""
     kind = group.removesuffix("s").replace("_", " ")
     package = known_packages().get(group, {}).get(name)
     name = name.replace(".", " ") if group == "commands" else name

@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray
 
-# sin(x)/x is replaced by its series below this |x|: the first term left out is below 1e-18 there, and the derivative
-# of sin(x)/x beyond it has lost no more than one digit, in single precision too.
+# sin(x)/x is replaced by its series below this |x|: the first term left out is below 1e-18 there, and the derivative of
+# sin(x)/x beyond it has lost at most one digit, in single precision too.
 _SERIES_LIMIT, _SERIES_TERMS = 0.2, 6
 
 

@@ -26,7 +26,7 @@ class TwistBounds(StrictModel):
 
 
 class RobotLimits(TwistBounds):
-    """Speeds that the robot must not be asked to exceed."""
+    """Maximum commanded speeds of the robot."""
 
     wheel_speed: Positive = Field(description="wheel speed without load [rad/s]")
 

@@ -82,7 +82,7 @@ def track_widening(settled: ca.SX, growth: ca.SX) -> ca.SX:
     settled
         Yaw rate that the robot would have with the track at rest [rad/s]; it has this over the widening.
     growth
-        By what share of itself the track grows for each rad/s of the robot's own yaw rate [s/rad], p1 / p0.
+        Relative growth of the track for each rad/s of the robot's own yaw rate [s/rad], p1 / p0.
     """
     return ca.SX(_widening(_SYMBOLIC, settled, growth))
 

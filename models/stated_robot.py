@@ -70,7 +70,7 @@ class StatedTopics(StrictModel):
 
 
 class StatedKey(NamedTuple):
-    """A value of a controller's configuration that follows from what is stated."""
+    """Value of a controller's configuration that follows from stated data."""
 
     value: float | str
     reason: str
@@ -78,7 +78,7 @@ class StatedKey(NamedTuple):
 
 
 class MakersRobot(StrictModel):
-    """One robot as its maker states it. SI units; what is left out is not stated."""
+    """One robot as its maker states it. SI units; omitted values are not stated."""
 
     name: str
     provenance: Literal["stated"] = Field(description="never identified: no log stands behind these values")
@@ -178,7 +178,7 @@ def stated_robots() -> tuple[str, ...]:
 
 
 def load_stated_robot(name: str | Path) -> MakersRobot:
-    """Read what the maker states of a robot.
+    """Read the maker's data of a robot.
 
     Parameters
     ----------

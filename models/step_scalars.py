@@ -1,4 +1,4 @@
-"""Numbers that a controller says of itself at each step, declared once in `step_scalars.yaml` beside this."""
+"""Scalars that a controller reports at each step, declared in `step_scalars.yaml`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from diffdrive_mpc.models.checked_yaml import StrictModel, check, read_yaml
 
 
 class StepScalar(StrictModel):
-    """One number; `step_scalars.yaml` says what its fields mean."""
+    """One number; `step_scalars.yaml` explains its fields."""
 
     attribute: str = Field(min_length=1)
     label: str = Field(min_length=1)

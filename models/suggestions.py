@@ -45,7 +45,7 @@ SYNONYMS: dict[str, tuple[str, ...]] = {
     "stamp": ("time",),
     "timestamp": ("time",),
 }
-"""Keys, or endings of their paths, by what else the field calls them."""
+"""Keys, or endings of their paths, by other names in the field."""
 
 _MOST = 4
 """Suggestions at once."""
@@ -54,8 +54,8 @@ _MOST = 4
 def suggestion(schema: type[BaseModel], location: list[Any], shown: Callable[[str], str] = str) -> str:
     """Format the end of a message about an unknown key at `location`: similar keys, or the known ones.
 
-    A key of that very name elsewhere and keys that the field calls so come before names that are merely spelt alike,
-    unless one beside it is spelt almost the same; keys beside the unknown one come before others.
+    A key of the same name elsewhere and synonyms come before names with a similar spelling, unless a sibling is spelt
+    almost the same; siblings of the unknown key come before others.
     """
     *parents, key = [str(part) for part in location]
     level: type[BaseModel] | None = schema

@@ -24,7 +24,7 @@ class TextTable:
     rows
         Cells, as many in each row as there are columns.
     text_columns
-        How many columns from the left hold names; the others hold numbers and are aligned to the right.
+        Number of columns from the left that hold names; the others contain right-aligned numbers.
     note
         One sentence below the table.
     """
@@ -55,11 +55,11 @@ class TextTable:
         Parameters
         ----------
         title, note
-            Of the table.
+            Title of the table and note below it.
         names
             Headings of the columns that hold names.
         columns
-            By the heading of a column, what gives its cells.
+            By the heading of a column, the function for its cells.
         entries
             One for each row.
         """
@@ -93,7 +93,7 @@ def _markdown_row(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
-# Text from outside, such as names in files and of files, made safe to show: it is data wherever it stands.
+# Escapes for untrusted text, such as names in files and of files.
 
 
 LONGEST = 1000
@@ -103,10 +103,10 @@ LONGEST = 1000
 def plain_line(text: str, longest: int = LONGEST) -> str:
     r"""Escape `text` to one line that steers neither a terminal nor a parser of lines.
 
-    White space is one blank each, other characters that cannot be printed stand as escapes such as ``\x1b``, and what
-    is longer than `longest` characters is cut, which "..." shows.
+    White space becomes single blanks, other characters that cannot be printed become escapes such as ``\x1b``, and text
+    beyond `longest` characters is cut with "...".
     """
-    cut = text[: 4 * longest]  # what follows cannot be shown, and need not be looked at
+    cut = text[: 4 * longest]  # the rest is not shown, and need not be examined
     line = " ".join(
         "".join(
             character if character.isprintable() or character.isspace() else _escape(character) for character in cut

@@ -25,12 +25,12 @@ _TRUST: ContextVar[_Trust | None] = ContextVar("trust", default=None)
 
 @contextmanager
 def only_trusted(source: str | Path, folders: Sequence[Path] = ()) -> Iterator[None]:
-    """Refuse, while this context is open, every named file that neither ships nor lies in one of `folders`.
+    """Refuse inside this context every named file that neither ships nor is in one of `folders`.
 
     Parameters
     ----------
     source
-        Where the names come from, for the message.
+        Source of the names, for the message.
     folders
         Folders whose files may be opened and run, those below them included.
     """

@@ -17,7 +17,7 @@ from diffdrive_mpc.models.interface import FloatArray
 
 
 class TwoSided(float):
-    """A limit with two sides; its value as a number is the smaller one, which keeps inside both."""
+    """A limit with two sides; its value as a number is the smaller one, which respects both."""
 
     names: ClassVar[tuple[str, str]]
     """Names of the two sides."""
@@ -48,7 +48,7 @@ class TwoSided(float):
     __hash__ = float.__hash__
 
     def __repr__(self) -> str:
-        """Return both sides where they differ."""
+        """Return both sides if they differ."""
         return repr(self.plain)
 
     def map(self, change: Callable[[float], float]) -> Self:
@@ -169,7 +169,7 @@ def side_of(limit: float, value: float) -> float:
 
 
 def reached(last: FloatArray, command: FloatArray, grows: ArrayLike, falls: ArrayLike) -> FloatArray:
-    """Return what follows from `last` to `command` in one sample, as its size grows and falls by so much.
+    """Limit the step from `last` to `command` in one sample by the permitted growth and fall of its size.
 
     Past zero it grows again, in the rest of the sample: as ddmpc_reach in mpc/core/limits.c.
     """

@@ -15,7 +15,7 @@ OUTPUTS: dict[str, frozenset[str]] = {
     "--log": frozenset({"simulate", "excite"}),
     "--record": frozenset(),
 }
-"""Options that name what is written, and by which commands; of all where there is none."""
+"""Options that name outputs, with the commands that use them; for all commands if none is named."""
 _TYPED: ContextVar[tuple[str, ...] | None] = ContextVar("typed", default=None)
 _PROGRAM: ContextVar[str] = ContextVar("program", default="diffdrive-mpc")
 

@@ -54,7 +54,7 @@ class VelocityModel:
     dead_time
         (2,) dead time of each input [s].
     provenance
-        Where the numbers come from, as the parameter file says it.
+        Source of the numbers, as the parameter file states it.
 
     Raises
     ------
@@ -109,8 +109,8 @@ class VelocityModel:
         ----------
         dt
             None for the continuous system x' = A x + B u, y = C x, which leaves `dead_time` out: python-control has no
-            dead time. With a sample time [s] the discrete system under a zero-order hold, whose further states are
-            the commands on their way through the dead time, so that it is exact.
+            dead time. With a sample time [s] the discrete system under a zero-order hold; its further states are the
+            pending commands in the dead time, so that it is exact.
         """
         from diffdrive_mpc.models.control_systems import to_control  # noqa: PLC0415 - needs this module, and SciPy
 

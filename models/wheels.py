@@ -1,8 +1,8 @@
 """Wheel and body kinematics of a four-wheel differential drive, both ways.
 
 Source: Guffanti et al., Sensors 2025, 25(11), 3553 (wheel to body and body to wheel equations). Wheels are ordered
-front left, front right, rear left, rear right. On a skid-steer the track that turns wheel speeds into the true yaw
-rate is wider than the geometric one: the caller says which track is meant.
+front left, front right, rear left, rear right. On a skid-steer the track that turns wheel speeds into the true yaw rate
+is wider than the geometric one: the caller selects the track.
 """
 
 from __future__ import annotations

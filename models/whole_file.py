@@ -70,12 +70,12 @@ _JUST_MADE = 60.0
 def whole_file(path: str | Path, *, rewrites: bool = False) -> Iterator[Path]:
     """Give a place to write a file to; on success it becomes `path`, on failure everything stays as it was.
 
-    A link is followed, and the file that it leads to is replaced; the permissions of a replaced file are kept.
+    A link is followed, and the file that it leads to is replaced; the permissions of a replaced file stay.
 
     Parameters
     ----------
     path
-        Where the file belongs.
+        Path of the file.
     rewrites
         Whether it may be one that the same command reads.
 
@@ -106,7 +106,7 @@ def whole_file(path: str | Path, *, rewrites: bool = False) -> Iterator[Path]:
 
 @contextmanager
 def named_errors(path: str | Path, scratch: Path | None = None) -> Iterator[None]:
-    """Let OSErrors of writing name `path` where they name no file, as for a full disk, or one in `scratch`."""
+    """Add `path` to OSErrors of writing without a file name, as for a full disk, or with one in `scratch`."""
     try:
         yield
     except OSError as error:
@@ -139,7 +139,7 @@ def new_folder(folder: Path) -> Iterator[None]:
 def scratch_folder(parent: Path) -> Iterator[Path]:
     """Give a hidden folder in `parent`, on the same file system; raises OSError if `parent` cannot be written to.
 
-    What processes left in `parent` that were killed is removed.
+    Remains of killed processes in `parent` are removed.
     """
     _clear_left_over(parent)
     with tempfile.TemporaryDirectory(prefix=UNFINISHED, dir=parent, ignore_cleanup_errors=True) as name:
@@ -152,7 +152,7 @@ def scratch_folder(parent: Path) -> Iterator[Path]:
 
 
 def _clear_left_over(parent: Path) -> None:
-    """Remove the folders that nobody holds any more; one that has just been made may not be held yet."""
+    """Remove the folders that no process holds; one that has just been made may not be held yet."""
     for folder in parent.glob(f"{UNFINISHED}*"):
         with suppress(OSError):
             if folder.is_symlink() or time.time() - folder.stat().st_mtime < _JUST_MADE:

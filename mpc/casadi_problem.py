@@ -91,7 +91,7 @@ class CasadiProblem:
         Parameters
         ----------
         inputs
-            Those of `horizon`, `lower` and `upper` (4 + K, N), as `Controller.problem_inputs` returns them.
+            Inputs of `horizon`, `lower` and `upper` (4 + K, N), as `Controller.problem_inputs` returns them.
         """
         values = [inputs[name] for name in self.horizon.name_in()[1:]]
         bounds = [np.where(np.abs(inputs[side]) < _UNLIMITED, inputs[side], np.inf) for side in ("lower", "upper")]

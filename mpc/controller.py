@@ -199,8 +199,7 @@ class Controller:
         for name, feature_state in state["features"].items():
             self._features[name].restore(feature_state)
         if state["reference"] is not None:
-            # The reference was accepted at the start; limits tightened during the drive do not end it. limits that were
-            # tightened while driving do not end it.
+            # The reference was accepted at the start; limits tightened during the drive do not end it.
             self._begin(state["reference"], state["t0"])
 
     @property
@@ -325,7 +324,7 @@ class Controller:
         """
         pose = self._tick.newest_belief()
         if pose is None:
-            raise RuntimeError("nothing is believed yet: call step with a pose first")
+            raise RuntimeError("there is no estimate yet: call step with a pose first")
         return Belief(*pose, self._tick.layout.slip.start)
 
     def predict_belief(self, belief: Belief, commands: ArrayLike) -> Belief:
@@ -560,7 +559,7 @@ class Controller:
         for name in ("min_turn_radius", "min_commanded_radius"):
             if (getattr(config.limits, name) is None) != (getattr(self._config.limits, name) is None):
                 raise ConfigError(
-                    f"limits.{name}: it can be changed while driving, but neither set nor unset; say it in the "
+                    f"limits.{name}: it can be changed while driving, but neither set nor unset; set it in the "
                     "configuration"
                 )
         return config
@@ -704,7 +703,7 @@ class Controller:
             feature.configure()
 
     def _choose_target(self, since_start: float, reference_time: float) -> tuple[int, str]:
-        """Choose the target for a robot off its path or schedule; return what the core still needs, and a message."""
+        """Choose the target for a robot off its path or schedule; return missing inputs of the core, and a message."""
         tick = self._tick
         estimate = Estimate(tick.layout, tick.layout.copy(), self._c_result.estimate.time)
         self._blocked_for = 0.0
@@ -714,8 +713,7 @@ class Controller:
                 return tick.lib.ddmpc_too_far(self._c, target.distance), ""
             self._blocked_for = target.blocked_for
             sample = target.sample or target.reference.sample(target.time + self._ahead)
-            # A blocked base must not receive ever larger commands, or it would lurch once released. once released, it
-            # would lurch.
+            # A blocked base must not receive ever larger commands, or it would lurch once released.
             share = self._config.reentry.blocked_share if target.blocked_for else 1.0
             return tick.track(sample.pose, sample.twist, share), target.message
         except (ArithmeticError, ValueError) as error:

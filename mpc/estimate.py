@@ -151,7 +151,7 @@ class Belief:
 
     @property
     def slip_covariance(self) -> FloatArray:
-        """(15, 15) covariance of the slip in the order of `SLIPS`, zero for what the filter does not have."""
+        """(15, 15) covariance of the slip in the order of `SLIPS`, zero for coefficients without an estimate."""
         covariance, size = np.zeros((len(SLIPS), len(SLIPS))), self.slips.stop - self.slips.start
         covariance[:size, :size] = self.covariance[self.slips, self.slips]
         return covariance

@@ -40,7 +40,7 @@ class StepResult:
         (2,) v_ref [m/s], omega_ref [rad/s]; finite and inside the range in every mode, and inside slew or the braking
         limits in every mode but STOPPED, which is zero: a clock that leaps zeroes the command in one tick.
     mode
-        What the controller is doing.
+        Mode of the controller.
     message
         Why, in words; empty when tracking on time and nothing was rejected.
     solver
@@ -48,19 +48,18 @@ class StepResult:
     progress
         Rate of the reference's clock now: 1 on time, 0 while it waits [-].
     reference_delay
-        How far the reference's clock is behind the controller's [s]; negative where the robot was carried ahead.
+        Delay of the reference's clock behind the controller's [s]; negative where the robot was carried ahead.
     is_late, limited_by
         True from where the reference waits for a robot that lags until it has caught up; the limit that it was at, such
         as `limits.v.reverse`, empty if none.
     estimate
         The estimate that the command is based on; None before the first pose.
     blocked_for
-        How long the robot has not moved although it is asked to [s]; 0 when it does.
+        Time for which the robot has not moved although it is commanded to [s]; 0 when it moves.
     step_time
         Duration of the whole step [s].
     solve_time
-        How much of it went into linearising, condensing and solving, the backend included [s]; NaN if nothing was
-        solved.
+        Part of `step_time` spent on linearising, condensing and solving, with the backend [s]; NaN without a solve.
     unused_sensors
         Those that the others contradict, and that are not used therefore: "wheel speed", "yaw rate", "pose".
     clearance
@@ -69,7 +68,7 @@ class StepResult:
     clearance_ahead
         The same along its plan and its way to rest, at most what `clearance` looks for.
     pressed_by
-        What the plan is pressed against, and when it comes there: "polygon 2 in 0.3 s".
+        Limit that the plan touches, and the time of the contact: "polygon 2 in 0.3 s".
     """
 
     command: FloatArray

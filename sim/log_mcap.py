@@ -16,12 +16,12 @@ from diffdrive_mpc.sim.run import Run
 from diffdrive_mpc.sim.sensing.odometry import Odometry
 
 START = 10**9
-"""Time of the file [ns] at which the run's is 0: to ROS, a stamp of zero says that nobody set it."""
+"""Time of the file [ns] at which the run's is 0: in ROS, a stamp of zero means unset."""
 _NANO = 10**9
 
 
 def write_log(run: Run, path: str | Path, metadata: Mapping[str, Mapping[str, str]] | None = None) -> None:
-    """Write `run` to an MCAP file, with its plans where they were kept. It appears whole or not at all.
+    """Write `run` to an MCAP file, with its plans if they were stored. It appears whole or not at all.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def write_log(run: Run, path: str | Path, metadata: Mapping[str, Mapping[str, st
     path
         The file.
     metadata
-        What the file says of the run, by name of a record: words by key.
+        Information about the run for the file, by name of a record: words by key.
 
     Raises
     ------

@@ -31,7 +31,7 @@ def simulate(
     keep_plans: bool = False,
     on_tick: Callable[[int, int], None] | None = None,
 ) -> Run:
-    """Drive `plant` along `reference`, starting at rest and on it, unless the plant's scenario says otherwise.
+    """Drive `plant` along `reference`, starting at rest and on it, unless the plant's scenario differs.
 
     Parameters
     ----------
@@ -42,9 +42,9 @@ def simulate(
     reference
         The timed trajectory; its time 0 is the plant's time 0.
     extra_time
-        How long to go on after the end of the reference [s].
+        Time to continue after the end of the reference [s].
     keep_plans
-        Whether the run keeps what the controller predicted at each tick.
+        Whether the run keeps the plan of the controller at each tick.
     on_tick
         Called after each tick with the number of ticks done and their total, for a progress display.
 
@@ -52,8 +52,8 @@ def simulate(
     -------
     Run
         The ticks from 0 to the first one at or after the end, or to the tick after which the robot was lost; `ended`
-        then says why. A plant with surroundings shows them to the controller; its run continues up to its time limit,
-        or until the plant ends it.
+        then has the reason. A plant with surroundings shows them to the controller; its run continues up to its time
+        limit, or until the plant ends it.
 
     Raises
     ------

@@ -27,9 +27,9 @@ class Recorder:
     Parameters
     ----------
     ticks
-        How many there will be at most.
+        Largest number of ticks.
     keep_plans
-        Whether the run keeps what the controller predicted at each tick.
+        Whether the run keeps the plan of the controller at each tick.
     """
 
     def __init__(self, ticks: int, *, keep_plans: bool) -> None:

@@ -58,16 +58,16 @@ class Run(ReadOnlyArrays):
     states
         The modes, with `LATE` in place of `TRACKING` while the robot cannot keep up with its reference.
     measurements
-        What the controller was given at each tick; enough to replay the run without the plant.
+        Measurements of the controller at each tick; enough to replay the run without the plant.
     disturbance
-        When the first disturbance of the plant began, and when the last one that ends was over [s], infinity where all
-        of them last to the end of the run; None without one.
+        Start of the first disturbance of the plant, and end of the last one that ends [s], infinity where all of them
+        last to the end of the run; None without one.
     ended
         Why the run ended before its time, in one line; empty where it did not.
     solver_statuses
-        How the controller's solver ended at each tick, in words; empty texts for a controller without a solver.
+        Status of the controller's solver at each tick, in words; empty texts for a controller without a solver.
     solver_methods
-        Which method the solver took at each tick: "none", "unlimited", "active_set", "osqp" or "daqp".
+        Method of the solver at each tick: "none", "unlimited", "active_set", "osqp" or "daqp".
     solve_time, solver_iterations
         (n,) how much of the step went into stating and solving the problem [s], and iterations of the solver; NaN where
         nothing was solved.
@@ -85,7 +85,7 @@ class Run(ReadOnlyArrays):
         [rad/s], mechanical power [W], square of the torque [N^2 m^2]; front left, front right, rear left, rear right.
         NaN for a plant without motors.
     scalars
-        (n, S) what the controller said of itself, in the order of `models.step_scalars`; NaN where it said nothing.
+        (n, S) what the controller said of itself, in the order of `models.step_scalars`; NaN without a report.
     parts
         Records of simulator parts and plants of other packages, by the name that they register.
     """
@@ -121,7 +121,7 @@ class Run(ReadOnlyArrays):
     parts: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Fill in for a controller that tells nothing of solver and estimate."""
+        """Fill in missing reports of solver and estimate."""
         count = len(self.time)
         nothing = {
             "states": self.modes,
@@ -289,7 +289,7 @@ class Run(ReadOnlyArrays):
             if time.shape != self.time.shape:
                 raise ValueError(f"{time.shape} step times for a run of {len(self.time)} ticks")
         timed = replace(self, step_time=times[0], solve_time=times[1])
-        vars(timed)["errors"] = self.errors  # the motion is the same: keep what was worked out
+        vars(timed)["errors"] = self.errors  # the motion is the same, so its results stay valid
         return timed
 
     def _measured(self, values: list[Stamped | None], width: int) -> FloatArray:

@@ -55,7 +55,7 @@ def tracking(
     from studies.tracking.study import TrackingStudy, load_study  # noqa: PLC0415 - --help does without it
 
     if quick and study is not None:
-        raise ValueError(f"--study {study}: --quick has a study of its own; give one of them")
+        raise ValueError(f"--study {study}: --quick has its own study; give one of them")
     parts = () if only is None else split_names(only, "--only")
     _carry_out(TrackingStudy(load_study(study, quick=quick), parts), out, jobs)
 
@@ -71,7 +71,7 @@ def reproduce(
     ] = None,
     jobs: Jobs = None,
 ) -> None:
-    """Repeat the papers' experiments on the simulated robot and say which findings hold: minutes on two cores."""
+    """Repeat the papers' experiments on the simulated robot and report the confirmed findings: minutes on two cores."""
     from studies.reproduce.published import PARTS, load_study  # noqa: PLC0415 - --help does without it
     from studies.reproduce.study import ReproduceStudy  # noqa: PLC0415
 

@@ -13,14 +13,14 @@ from diffdrive_mpc.models.errors import MissingPackageError
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 """Names under which the browser is looked for on the path."""
 READY = "html[data-ready]"
-"""What a page has when all of it is drawn."""
+"""Selector of a completely drawn page."""
 _LONGEST = 60_000
-"""How long a page may take [ms] before something must be wrong."""
+"""Longest time for a page [ms], after which an error is assumed."""
 
 
 @contextmanager
 def opened_browser(executable: str | None = None) -> Iterator[Any]:
-    """A browser of Playwright.
+    """Open a browser of Playwright.
 
     Parameters
     ----------
@@ -35,8 +35,8 @@ def opened_browser(executable: str | None = None) -> Iterator[Any]:
         raise MissingPackageError("screenshots need playwright: pip install playwright") from error
     program = executable or next(filter(None, map(shutil.which, BROWSERS)), None)
     if program is None or shutil.which(program) is None:
-        asked = program or f"any of {', '.join(BROWSERS)} on the path"
-        raise ConfigError(f"no browser: {asked} was not found; install chromium, or name it with --browser")
+        wanted = program or f"any of {', '.join(BROWSERS)} on the path"
+        raise ConfigError(f"no browser: {wanted} was not found; install chromium, or name it with --browser")
     with sync_playwright() as playwright:
         # A container has no sandbox of its own; the page is ours.
         browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])

@@ -21,7 +21,7 @@ def invoke(app: Typer, *words: object, code: int = 0) -> Result:
 
 
 def call(*words: object, code: int = 0) -> str:
-    """What a command of the product prints, which ends with the exit code `code`."""
+    """Return the output of a command of the product, which ends with the exit code `code`."""
     return invoke(product, *words, code=code).output
 
 

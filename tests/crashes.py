@@ -13,7 +13,7 @@ KILLED, REFUSED = -signal.SIGKILL, 3
 
 
 def crash(act: Callable[[], object], folder: Path, moment: int, *, full: bool) -> int:
-    """Do `act` in another process, killed before the change `moment` of `folder`, or with a full disk from then on.
+    """Run `act` in another process, killed before the change `moment` of `folder`, or with a full disk from then on.
 
     Returns 0 where it came to its end first, else KILLED, or REFUSED where it said that there is no space left. On a
     full disk files can be removed and renamed.

@@ -1,4 +1,4 @@
-"""What a Python file imports."""
+"""Imports of a Python file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def imported(path: Path) -> Iterator[tuple[str, str]]:
-    """Each module that a file imports, at its head or in a function, and the name from it; empty for the whole.
+    """Yield each module that a file imports, at its head or in a function, and the name from it; empty for the whole.
 
     A module beside it begins with a dot.
     """

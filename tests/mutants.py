@@ -80,7 +80,7 @@ class Mutant:
 
     @property
     def is_size(self) -> bool:
-        """Whether the place is the size of an array of C."""
+        """Return True if the place is the size of an array of C."""
         return bool(_ARRAY.fullmatch(self.original, self.original.rfind("\n", 0, self.span[0]) + 1, self.span[0]))
 
     @property
@@ -96,7 +96,7 @@ class Mutant:
 
 
 def mutants_of(path: str, text: str) -> list[list[Mutant]]:
-    """The mutants of a file, by the token that they change."""
+    """Return the mutants of a file, by the token that they change."""
     suffix = Path(path).suffix
     tokens = [t for t in re.finditer(_SKIPPED[suffix] + _TOKEN, text, re.DOTALL | re.MULTILINE) if t.lastgroup]
     hidden = _hidden_from(text) if suffix == ".py" else []
@@ -106,7 +106,7 @@ def mutants_of(path: str, text: str) -> list[list[Mutant]]:
             fields.setdefault(base[0], set()).add(name[0])
     sites = []
     for base, last, token, after in zip(tokens, tokens[1:], tokens[2:], tokens[3:], strict=False):
-        if any(begin <= token.start() < end for begin, end in hidden) or base[0] == "strict":
+        if any(start <= token.start() < end for start, end in hidden) or base[0] == "strict":
             continue
         options = _changes(last, token, after)
         if _is_field(text, base, last, token):
@@ -116,13 +116,13 @@ def mutants_of(path: str, text: str) -> list[list[Mutant]]:
 
 
 def _is_field(text: str, base: re.Match[str], dot: re.Match[str], name: re.Match[str]) -> bool:
-    """Whether a token names a field, not a function, of an object, not of a module."""
+    """Return True if a token names a field, not a function, of an object, not of a module."""
     is_called = text[name.end() : name.end() + 1] == "("
     return dot[0] in (".", "->") and base.lastgroup == "name" and base[0] not in ("np", "ca") and not is_called
 
 
 def _changes(last: re.Match[str], token: re.Match[str], after: re.Match[str]) -> list[str]:
-    """What a token that is no field may become."""
+    """Return the possible replacements of a token that is no field."""
     word, is_index = token[0], last[0] == "[" and after[0] == "]"
     if token.lastgroup == "number" and not word.isdigit():
         return [f"{1.1 * float(word) or 0.1:.12g}"]
@@ -135,7 +135,7 @@ def _changes(last: re.Match[str], token: re.Match[str], after: re.Match[str]) ->
 
 
 def _hidden_from(text: str) -> list[tuple[int, int]]:
-    """Spans of a Python file that do nothing: imports, annotations and decorators."""
+    """Return spans of a Python file without effect: imports, annotations and decorators."""
     starts = list(accumulate(map(len, text.splitlines(keepends=True)), initial=0))
     nodes = []
     for node in ast.walk(ast.parse(text)):
@@ -168,7 +168,7 @@ class Tree:
         os.environ["PYTHONPATH"] = os.pathsep.join((str(self._tree / "src"), str(self._tree)))
 
     def changes_code(self, mutant: Mutant) -> bool:
-        """Whether a mutant compiles, and to other code than the original."""
+        """Return True if a mutant compiles, and to other code than the original."""
         if mutant.is_size:
             return False
         compiled = _python_code if mutant.path.endswith(".py") else self._machine_code
@@ -182,16 +182,16 @@ class Tree:
         return None if done.returncode else (self._sources / "mutant.o").read_bytes()
 
     def kills(self, mutant: Mutant) -> bool:
-        """Whether a test that belongs to the file of a mutant fails, crashes or does not end."""
+        """Return True if a test that belongs to the file of a mutant fails, crashes or does not end."""
         stages = next(group["tests"] for group in PLAN["groups"] if mutant.path in group["files"])
         return any(self._fails(stage, mutant) for stage in stages)
 
     def _fails(self, stage: str, mutant: Mutant) -> bool:
         if stage not in self._times:
-            begin = time.monotonic()
+            start = time.monotonic()
             if self._run(3600.0, stage):
                 sys.exit(f"{self._log.read_text()}\nthe unchanged product fails: {stage}")
-            self._times[stage] = time.monotonic() - begin
+            self._times[stage] = time.monotonic() - start
         file, library = self._tree / mutant.path, None
         if mutant.path.endswith(".c") and file.stem in self._objects:
             objects = (self._objects | {file.stem: "mutant.o"}).values()
@@ -235,7 +235,7 @@ class Tree:
 
 
 def _tested(tree: Path, stage: str, library: Path | None, *, keep: bool) -> int:
-    """Result of pytest; `keep` what Python compiles. The core is `library`, if there is one."""
+    """Return the result of pytest; `keep` the compiled files of Python. The core is `library`, if there is one."""
     sys.dont_write_bytecode = not keep
     for name in [name for name in sys.modules if name.partition(".")[0] == "diffdrive_mpc"]:
         del sys.modules[name]
@@ -266,7 +266,7 @@ def _python_code(text: str, path: str) -> object:
 
 
 def draw(tree: Tree, seed: int, count: int, only: list[str]) -> Iterator[Mutant]:
-    """`count` mutants that change the code, each at another token."""
+    """Draw `count` mutants that change the code, each at another token."""
     files = [name for group in PLAN["groups"] for name in group["files"] if any(fnmatch(name, p) for p in only)]
     sites = [site for name in files for site in mutants_of(name, (ROOT / name).read_text("utf-8"))]
     generator = random.Random(seed)

@@ -21,7 +21,7 @@ def run_command(*words: str, without: str = "") -> subprocess.CompletedProcess[s
 
 
 def is_running(number: int) -> bool:
-    """Whether a process runs, rather than being gone or waiting to be collected."""
+    """Return True if a process runs, and has not ended or become a zombie."""
     try:
         return Path(f"/proc/{number}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z"
     except (FileNotFoundError, ProcessLookupError):

@@ -15,11 +15,11 @@ FOREIGN = {"acados_template", "do_mpc", "nav2_msgs"}
 
 
 def all_modules():
-    for found in pkgutil.walk_packages(diffdrive_mpc.__path__, "diffdrive_mpc."):
+    for result in pkgutil.walk_packages(diffdrive_mpc.__path__, "diffdrive_mpc."):
         try:
-            yield importlib.import_module(found.name)
+            yield importlib.import_module(result.name)
         except ModuleNotFoundError as error:
-            assert error.name in FOREIGN, found.name
+            assert error.name in FOREIGN, result.name
 
 
 def test_every_error_of_the_project_has_the_common_base():

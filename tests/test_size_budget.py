@@ -16,7 +16,7 @@ BUDGETS = yaml.safe_load(BUDGET_FILE.read_text(encoding="utf-8"))
 
 @cache
 def current_sizes():
-    """Sizes of this tree; counting takes seconds."""
+    """Count the sizes of this tree; this takes seconds."""
     return code_lines.sizes()
 
 
@@ -32,7 +32,7 @@ def limits(budgets):
 
 
 def excesses(sizes, budgets):
-    """One line per area above its budget or without a budget."""
+    """Return one line per area above its budget or without a budget."""
     numbers, maxima = measured(sizes), limits(budgets)
     return [
         f"{name}: {number} {unit(name)} exceed the budget of {maxima.get(name, 0)} by {number - maxima.get(name, 0)}; "
@@ -43,7 +43,7 @@ def excesses(sizes, budgets):
 
 
 def loose_budgets(sizes, budgets):
-    """One line per budget that leaves more room than its margin and is above its aim."""
+    """Return one line per budget that leaves more room than its margin and is above its aim."""
     numbers, maxima, aims = measured(sizes), limits(budgets), budgets["aims"]
     tight = {name: int(1.02 * numbers.get(name, 0)) + (10 if name == "files" else 100) for name in maxima}
     return [

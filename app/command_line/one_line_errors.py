@@ -33,7 +33,7 @@ OPTIONAL_PACKAGES = {
     "builtin_interfaces": _ROS,
     "geometry_msgs": _ROS,
 }
-"""Packages that only some commands need, and what to do without them."""
+"""Packages that only some commands need, with the remedy for each."""
 
 
 _SINGULARS = {"trajectories": "trajectory", "models": "model"}
@@ -41,11 +41,10 @@ _SINGULARS = {"trajectories": "trajectory", "models": "model"}
 
 
 class OneLineErrors(TyperGroup):
-    """A group of commands whose bad input ends in `error: ...` and exit code 2, without a traceback.
+    """Group of commands that report bad input as `error: ...` and exit code 2, without a traceback.
 
-    Bad input is what the packages raise as ValueError (ConfigError and ModelError are such), what the system refuses
-    (OSError), and what the parser of the command line rejects. The project's other errors end likewise,
-    with exit code 1. Anything else is a fault and shows its traceback.
+    Bad input means ValueError (with ConfigError and ModelError), OSError, and errors of the command-line parser. The
+    project's other errors end likewise, with exit code 1. Anything else is a fault and shows its traceback.
     """
 
     program: ClassVar[str] = "diffdrive-mpc"
@@ -127,9 +126,9 @@ def _show_warning(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """Show what a file states under a former name as a note, any other warning as Python does."""
+    """Show former names in a file as a note, and other warnings as Python does."""
     if category.__name__ == "FormerNameWarning":
-        # A file that is read twice is told of once.
+        # A file that is read twice is reported once.
         note = f"note: {plain_line(str(message))}"
         if note not in _SHOWN_NOTES:
             _SHOWN_NOTES.add(note)
@@ -144,9 +143,9 @@ def _singular(name: str) -> str:
 
 
 def build_only_named(app: typer.Typer, words: Sequence[str]) -> None:
-    """Let `app` build the options of those commands only that `words` name; to build all takes longer than to run one.
+    """Build only the options of the commands that `words` name; to build all takes longer than to run one.
 
-    The others keep what the overview shows: their names and help.
+    The others show only their overview: their names and help.
     """
     for command in app.registered_commands:
         if command.name not in words and command.callback is not None:
@@ -164,7 +163,7 @@ def _without_options(callback: Callable[..., Any]) -> Callable[[], None]:
 
 
 def leave_on_sigterm() -> None:
-    """Let SIGTERM end this process as Ctrl-C does: what is half-written is removed, processes that it began end."""
+    """Let SIGTERM end this process as Ctrl-C does: partial files are removed, and child processes end."""
     if signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:
         signal.signal(signal.SIGTERM, _terminate)
 

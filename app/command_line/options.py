@@ -14,7 +14,7 @@ import typer
 class PluggedCommand:
     """A command that a package registers as an entry point of the group `diffdrive_mpc.commands`.
 
-    Its module is imported for `diffdrive-mpc --help`, so that it imports at its top only what its options need.
+    Its module is imported for `diffdrive-mpc --help`, so its top imports only the dependencies of the options.
 
     Attributes
     ----------
@@ -25,7 +25,7 @@ class PluggedCommand:
     example
         Last line of its help.
     passed_on
-        True if it receives the words that are none of its options, such as those after `--ros-args`.
+        True if it receives the words that are not its options, such as those after `--ros-args`.
     """
 
     panel: str

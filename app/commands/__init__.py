@@ -1,1 +1,1 @@
-"""One module for each command of the command line; what a command needs is imported when it runs."""
+"""One module for each command of the command line; dependencies of a command are imported when it runs."""

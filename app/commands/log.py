@@ -26,9 +26,10 @@ def _log() -> None:
 def check(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="CSV file, or ROS 2 bag.")], *, mapping: Mapping = None
 ) -> None:
-    """Check a log: what is wrong with it, and which sensor is reversed, swapped, scaled, turned or late [s].
+    """Check a log: errors of its data, and each sensor that is reversed, swapped, scaled, turned or late [s].
 
-    The last line is what a configuration has to say of the sensors. The exit code is 1 where a model would be wrong.
+    The last line lists the settings of the sensors for a configuration. The exit code is 1 where a model would be
+    wrong.
     """
     import yaml  # noqa: PLC0415 - --help does without these
 

@@ -1,4 +1,4 @@
-"""`diffdrive-mpc models`: what velocity models there are and what they say."""
+"""`diffdrive-mpc models`: list of the velocity models and their contents."""
 
 from __future__ import annotations
 

@@ -31,7 +31,10 @@ def node(
         bool, typer.Option("--drive", help="The same, and drive as soon as measurements arrive: stand clear.")
     ] = False,
 ) -> None:
-    """Drive a robot through ROS 2, until interrupted. What follows `--ros-args` goes to ROS: remappings, parameters."""
+    """Drive a robot through ROS 2, until interrupted.
+
+    Arguments after `--ros-args` are passed to ROS: remappings, parameters.
+    """
     from diffdrive_mpc.mpc.config.typed_settings import single_settings  # noqa: PLC0415 - --help does not need it
     from diffdrive_mpc.mpc.ros.settings import NodeSettings  # noqa: PLC0415
 

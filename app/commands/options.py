@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 Command = TypeVar("Command", bound=Callable[..., None])
 
 PASSED_ON = {"allow_extra_args": True, "ignore_unknown_options": True}
-"""Settings of a command that passes what follows `--ros-args` on to ROS."""
+"""Settings of a command that passes the words after `--ros-args` to ROS."""
 
 
 ConfigFile = Annotated[Path | None, file_option("Controller configuration with its model", "--config")]
@@ -78,7 +78,7 @@ def with_dimensions(*names: str, several: bool = False) -> Callable[[Command], C
     Parameters
     ----------
     names
-        Which dimensions; by default all of them.
+        Names of the dimensions; by default all of them.
     several
         Whether the options take lists: `values` are texts by the plural, None where one is not given. Otherwise they
         are values by the dimension's name.

@@ -60,8 +60,8 @@ def robot(
 ) -> None:
     """Run the simulated robot as a ROS 2 node: twist in; odometry, IMU, pose, joint states and ground truth out.
 
-    It starts at the beginning of the trajectory and ends on Ctrl-C. What follows `--ros-args` goes to ROS: remappings,
-    parameters.
+    It starts at the beginning of the trajectory and ends on Ctrl-C. Arguments after `--ros-args` are passed to ROS:
+    remappings, parameters.
     """
     if duration is not None and not duration > 0:
         raise ValueError(f"--duration {duration}: give a time in seconds, more than zero")

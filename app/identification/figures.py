@@ -77,7 +77,7 @@ def other_charts(report: IdentificationReport) -> list[Chart]:
 def simulation_charts(report: IdentificationReport, points: int = _POINTS) -> list[Chart]:
     """Chart command, measurement and simulation of both channels on all held-out data, thinned to `points` each.
 
-    Stretches stand one after another. Of the rows that a point stands for, the smallest and the largest value are kept.
+    Stretches are in sequence. The minimum and the maximum of the rows behind each point stay.
     """
     data, fitted = report.data, report.fitted
     records = data.validation
@@ -97,7 +97,7 @@ def simulation_charts(report: IdentificationReport, points: int = _POINTS) -> li
         series = []
         for name, column, style in zip(("command", "measured", "simulated"), columns, (6, 0, 1), strict=True):
             rows = np.vstack(column)[:, [0, 1 + i]]
-            if name == "measured":  # points, which no gap has to part
+            if name == "measured":  # points, which no gap separates
                 rows = rows[np.isfinite(rows[:, 1])]
             time, values = rows[envelope(rows[:, 1], points)].T
             times = [round(float(value), 3) for value in time]
@@ -122,7 +122,7 @@ def envelope(values: FloatArray, points: int) -> NDArray[np.intp]:
 
 
 def draw_simulation(report: IdentificationReport, path: Path) -> None:
-    """Draw all that was held out, v beside omega, in as many rows of time as can be read on a page."""
+    """Draw all held-out data, v next to omega, in as many rows of time as fit on a page."""
     records = report.data.validation
     total = sum(record.dt * len(record.command) for record in records)
     rows = min(_ROWS, max(1, int(np.ceil(total / WINDOW))))
@@ -247,7 +247,7 @@ def draw_poles(report: IdentificationReport, path: Path) -> None:
             axes.plot(pole.real, level(pole), "x", color=colour(0), markersize=8, markeredgewidth=1.8)
             value = f"{pole.real:.3g}{pole.imag:+.3g}j" if pole.imag else f"{pole.real:.3g}"
             axes.annotate(value, (pole.real, level(pole)), (0, 7), textcoords="offset points", ha="center")
-        # An interval may reach to infinity; the poles set the scale, which is logarithmic where they lie far apart.
+        # An interval may be infinite; the poles set the scale, which is logarithmic if they are far apart.
         most = float(np.abs(poles).max())
         least = float(np.abs(poles.real[poles.real != 0.0]).min(initial=most))
         if most > _FAR_APART * least:

@@ -1,4 +1,4 @@
-"""The page of `identify`: what was found, measured beside simulated, how it drives, and what to do about warnings."""
+"""The page of `identify`: results, measurement and simulation, trial drives, and remedies for warnings."""
 
 from __future__ import annotations
 
@@ -49,11 +49,11 @@ def identification_page(verdict: TrialVerdict, folder: Path, seconds: float) -> 
     Parameters
     ----------
     verdict
-        What was found, and how its configuration drives.
+        Judgement of the identification and of the drives of its configuration.
     folder
-        Where its files are.
+        Folder of the result files.
     seconds
-        How long it took.
+        Duration of the identification [s].
     """
     report, trials = verdict.identification.report, verdict.drives
     names, paths = (

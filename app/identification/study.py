@@ -50,7 +50,7 @@ class ParameterWriter(Protocol):
     """
 
     def estimate(self, data: LogData, limits: Mapping[str, float], base: IdentifiedBase | None) -> Any:  # noqa: ANN401
-        """Estimate what a log determines."""
+        """Estimate the parameters that a log determines."""
 
     def text(self, estimate: Any) -> str:  # noqa: ANN401 - what `estimate` returns
         """Return the parameter file."""
@@ -67,11 +67,11 @@ def identify_into(
     force: bool = False,
     **options: Any,  # noqa: ANN401 - those of `identify`
 ) -> None:
-    """Identify a model, print what was understood of the logs and how good it is, write files and figures into `out`.
+    """Identify a model, print a summary of the logs and its quality, write files and figures into `out`.
 
-    `packages` are names, separated by commas, of packages whose parameter files are written, too. Without `force`
-    neither model nor configuration is written if the logs or the FIT speak against it; a mapping that corrects the logs
-    is written.
+    `packages` are comma-separated names of packages whose parameter files are written, too. Without `force` neither
+    model nor configuration is written if the logs or the FIT speak against it; a mapping that corrects the logs is
+    written.
 
     Raises
     ------
@@ -146,7 +146,7 @@ def _proven(identification: Identification, bar: ProgressBar, force: bool) -> Tr
 
 
 def _write(verdict: TrialVerdict, folder: Path, bar: ProgressBar, force: bool) -> None:
-    """Write files and figures; model, configuration and first circle only where they drive, or by force."""
+    """Write files and figures; model, configuration and first circle only where the drives pass, or with `force`."""
     identification = verdict.identification
     report = identification.report
     bar.start_stage("figures", len(figures_of(report)))
@@ -227,14 +227,14 @@ def _print_line(text: str, indent: str = "") -> None:
     output_console().print(indent + plain_line(text), markup=False, highlight=False, soft_wrap=True)
 
 
-# The draft of a mapping as a file, and what reading the log with it finds.
+# Draft of a mapping as a file, with the findings from reading the log with it.
 
 
 _NAME = "mapping.yaml"
 
 
 def write_draft(logs: Sequence[Path], out: Path | None) -> None:
-    """Write a draft of the mapping of one log, read the log with it, and print what that finds.
+    """Draft the mapping of one log, read the log with it, and print the findings.
 
     Parameters
     ----------

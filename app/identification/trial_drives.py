@@ -71,18 +71,18 @@ def trial_settings() -> TrialSettings:
 
 @dataclass(frozen=True)
 class TrialDrive:
-    """One path on one stand-in of the robot.
+    """Drive of one path on one stand-in of the robot.
 
     Attributes
     ----------
     plant
         `ITSELF`, `HELD_OUT` or `UNEXPLAINED`.
     path
-        Which.
+        Name of the driven path.
     run
-        What happened.
+        The simulated drive.
     radius
-        Of the circle among the paths, scaled to the robot [m].
+        Radius of the circle among the paths, scaled to the robot [m].
     """
 
     plant: str
@@ -115,13 +115,13 @@ class StandIn:
     name
         `ITSELF`, `HELD_OUT` or `UNEXPLAINED`.
     model
-        Of its velocities.
+        Model of the robot's velocities.
     base
-        What its base does around the model.
+        Identified effects of the base around the model.
     disturbance
-        Its motion beyond that, as `ModelPlant` takes it.
+        Motion beyond the model, as `ModelPlant` takes it.
     slip, sensors
-        Where they are None, that of the log and the default set.
+        Slip and sensors of the drive; by default the slip of the log and the default sensor set.
     """
 
     name: str
@@ -279,7 +279,7 @@ FIRST_CIRCLE = "first_circle.yaml"
 _SHARE = 0.3
 """Share of the attainable speeds [-]: slow enough to walk along, fast enough to leave the dead band."""
 _FASTEST = 0.5
-"""A walk [m/s], whatever the robot could do."""
+"""Walking speed [m/s], which limits faster robots."""
 _ROOM = 2.0
 """Free space over the size of the circle [-]."""
 
@@ -291,7 +291,7 @@ class FirstCircle:
     Attributes
     ----------
     radius
-        That of the shipped circle, times the robot's track over that of the papers' robot [m].
+        Radius of the shipped circle, times the robot's track over that of the papers' robot [m].
     v, omega
         Speeds [m/s], [rad/s].
     """

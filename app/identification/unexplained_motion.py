@@ -115,7 +115,7 @@ def write_robot(robot: IdentifiedRobot, path: Path) -> None:
 
 
 def _means(rows: FloatArray, ends: AnyArray) -> FloatArray:
-    """Replace rows (K, n) by their means between `ends`; what is outside of them is zero."""
+    """Replace rows (K, n) by their means between `ends`; the motion outside of them is zero."""
     means = np.zeros_like(rows)
     for first, stop in itertools.pairwise(ends):
         means[first:stop] = rows[first:stop].mean(axis=0)
@@ -126,7 +126,7 @@ def _by_poses(record: Record, predicted: FloatArray, turning: FloatArray) -> Flo
     """Return displacements between poses less those of predicted twists (K, 3), over their time (K, 3); None if few.
 
     The heading is the integral of `turning` (K,) [rad/s], laid over the poses of a window: less noise than a pose's.
-    Windows are so long that noise of the poses hardly moves, and its share of the power is taken off.
+    Windows are so long that the noise of the poses has little effect, and its part of the power is subtracted.
     """
     assert record.pose is not None and record.fresh_pose is not None
     dt, fresh = record.dt, record.fresh_pose
@@ -140,7 +140,7 @@ def _by_poses(record: Record, predicted: FloatArray, turning: FloatArray) -> Flo
     path = dt * np.cumsum((predicted[:, 0] + 1j * predicted[:, 1]) * np.exp(1j * heading))
     beyond = record.pose[:, 0] + 1j * record.pose[:, 1] - path
     turn = record.pose[:, 2] - dt * np.cumsum(predicted[:, 2])
-    # What is smooth has no second differences between one pose and the next.
+    # Smooth motion has no second differences between consecutive poses.
     noise = np.array([np.mean(np.abs(np.diff(rows[fresh], 2)) ** 2) / 6.0 for rows in (beyond, turn)])
     noise[0] /= 2.0
     steps = max(half, round(math.sqrt(2.0 * noise[0]) / trial_settings().noise_speed / dt), 1)

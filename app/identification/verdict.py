@@ -63,18 +63,18 @@ class Promise(NamedTuple):
 
 @dataclass(frozen=True)
 class TrialVerdict:
-    """An identification whose configuration the trial drives were driven with.
+    """Identification with the trial drives of its configuration.
 
     Attributes
     ----------
     identification
-        As it was found, or with lower limits or a simpler model where only these pass.
+        The identification, possibly with lower limits or a simpler model where only these pass.
     config
-        Its configuration; None where none can be written.
+        Configuration of the identified robot; None where none can be written.
     drives
         All that were driven with it.
     changed
-        What was lowered or simplified so that they pass, a clause each.
+        Limits that were lowered and parts that were simplified so that the drives pass, a clause each.
     against
         Why nothing drives, in a clause; empty where the drives pass.
     unexplained
@@ -220,13 +220,13 @@ def judge_by_drives(
     Parameters
     ----------
     identification
-        What was found.
+        The identification to judge.
     on_try
         Called before the drives of a configuration, with which it is.
     on_run
         Called after each drive.
     force
-        Whether the configuration is kept as it was found, whatever the drives say.
+        Whether the configuration is kept as identified, independent of the drives.
 
     Raises
     ------
@@ -246,7 +246,7 @@ def judge_by_drives(
 
 
 def _with_unexplained(verdict: TrialVerdict, on_try: Callable[[str], None], on_run: Callable[[], None]) -> TrialVerdict:
-    """Drive curved paths with the motion that the model leaves unexplained; half of the drives have to arrive."""
+    """Drive curved paths with the motion that the model leaves unexplained; half of the drives must arrive."""
     identification, settings, drives = verdict.identification, trial_settings(), list[TrialDrive]()
     robot = None if verdict.config is None else identified_robot(identification, verdict.config)
     if verdict.against or verdict.config is None or robot is None:

@@ -50,16 +50,16 @@ def simulate_one(
     scaled: bool = False,
     details: bool = False,
 ) -> None:
-    """Run a case, print how it went, and write figures and log where asked.
+    """Run a case, print the result, and write figures and log on request.
 
     Parameters
     ----------
     values
         By dimension, `model` being None where it was not given.
     config, settings, out, log, scaled
-        As typed.
+        The arguments of the command as the user gave them.
     details
-        Whether its tables are printed instead of a summary.
+        Whether the tables of the run are printed instead of a summary.
 
     Raises ConfigError, ValueError or OSError if a name, a file, a value or a place to write to cannot be used; before
     the run, and nothing is made then.
@@ -171,7 +171,7 @@ def tables(outcome: RunOutcome) -> list[Table]:
 
 
 def draw(outcome: RunOutcome, folder: Path, seconds: float) -> None:
-    """Draw a run, which took so many `seconds`, and its step times into `folder`, and write its page."""
+    """Draw a run of duration `seconds` and its step times into `folder`, and write its page."""
     from diffdrive_mpc.app.simulate.single_page import single_page  # noqa: PLC0415
     from diffdrive_mpc.bench.html_report.document import write_page  # noqa: PLC0415 - only --out needs it
 

@@ -83,7 +83,7 @@ def magnified(run: Run, factor: float) -> FloatArray:
 
 
 def draw_case(run: Run, title: str, path: Path) -> None:
-    """Draw `run` into the PNG file `path`, with its position error magnified where it is too small to be visible."""
+    """Draw `run` into the PNG file `path`, with its position error magnified if it is too small to see."""
     views, factor = run_series(run, "run", points=_TICKS_OF_A_RUN), magnification(run)
     more = [_in_plane(f"driven, error x {factor:g}", magnified(run, factor), 6)] if factor > 1 else []
 

@@ -27,7 +27,7 @@ class Rank:
     Attributes
     ----------
     name
-        Of the controller.
+        Name of the controller.
     rmse, spread
         Mean position RMSE, and the standard deviation of its means over the trajectories from seed to seed [m].
     behind
@@ -63,7 +63,7 @@ def order(rows: DataFrame) -> list[Rank]:
 
 
 def reversed_pairs(main: DataFrame, others: DataFrame) -> tuple[list[str], list[str]]:
-    """Return pairs whose order differs between two sets of runs: those told apart in both, and those that are not."""
+    """Return pairs with different order in two sets of runs: those distinguished in both, and those that are not."""
     sets = _errors(main), _errors(others)
     certain: list[str] = []
     uncertain: list[str] = []
@@ -76,7 +76,7 @@ def reversed_pairs(main: DataFrame, others: DataFrame) -> tuple[list[str], list[
 
 
 def order_table(main: DataFrame, others: DataFrame) -> Table:
-    """Return the order over the seeds of the tables, and over others where they were run."""
+    """Return the order over the seeds of the tables, and over other seeds if they were run."""
     rows = []
     for label, runs in (("these", main), ("others", others)):
         for rank, place in enumerate(order(runs) if len(runs) else [], 1):

@@ -1,7 +1,7 @@
-"""Robots beside the one that the shipped models are of: a drawn population, and two whose dynamics matter.
+"""Robots other than that of the shipped models: a drawn population, and two with slow dynamics.
 
-Of a drawn robot the controllers know what its user states, which is often wrong. For the other two, models were
-identified from three drives of each, and the peers were tuned on it with the same estimate.
+The controllers know a drawn robot by its user's data, which are often wrong. For the other two, models were identified
+from three drives of each, and the peers were tuned on it with the same estimate.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ PATHS = Path(__file__).with_name("paths")
 
 
 class Population(StrictModel):
-    """Seeds of drawn robots, and what drives them where."""
+    """Seeds of drawn robots, with their controllers and paths."""
 
     robots: tuple[int, ...]
     trajectories: tuple[str, ...]
@@ -36,13 +36,13 @@ class KnownRobot(StrictModel):
     Attributes
     ----------
     models
-        Structures, of which there are files in `MODELS`; the peers' estimate is that of the last one.
+        Structures with files in `MODELS`; the peers' estimate is that of the last one.
     settings
         Configuration values that its user states, or that `identify` wrote.
     gains
-        Of each peer.
+        Gains of each peer.
     weights
-        Of the predictive controller, tuned by the same search.
+        Weights of the predictive controller, tuned by the same search.
     """
 
     models: tuple[str, ...]

@@ -56,7 +56,7 @@ def shown(results: ComparisonResults) -> Shown:
 
 
 def charts(results: ComparisonResults) -> dict[str, list[Chart]]:
-    """Return step times, and what was swept, by the name of the figure file."""
+    """Return charts of step times and sweeps, by the name of the figure file."""
     made = {"step-time.png": [step_time_chart(results.main)]}
     names, sample = list(by(results.main, COMPARED)), results.main["run"].iloc[0].sample_time
     if len(results.speed):

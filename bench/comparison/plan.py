@@ -57,11 +57,11 @@ SPEEDS = (0.3, 0.6, 0.9, 1.2)
 SPEED_TRAJECTORIES, SPEED_SEEDS = ("circle", "s"), 1
 """Trajectories driven at these speeds, and their number of seeds."""
 SWEPT_TRAJECTORIES = ("s", "cane")
-"""Over which horizons are swept in a bench without options: the others show the same."""
+"""Over which horizons are swept in a bench without options: the others give the same result."""
 LATE_TICKS, LATE_TRAJECTORY = (-2, 0, 2, 4), "s"
 """Excess of the plant's dead time over the configured one [samples], and the trajectory of these runs."""
 OTHER_SEEDS = (10, 11)
-"""Seeds over which the order of the controllers is looked at once more."""
+"""Seeds over which the order of the controllers is checked again."""
 ROBOT_SEEDS = tuple(range(0, 40, 2))
 """Seeds with which robots of known dynamics are driven in a sweep."""
 
@@ -94,7 +94,7 @@ def read_options(
     values
         By the plural of a dimension's name, the text of its option; None where it was not given.
     horizons, config, settings, quick, scaled, sweeps
-        As typed.
+        The arguments of the command as the user gave them.
 
     Raises ConfigError or ValueError if an option cannot be used.
     """
@@ -146,8 +146,8 @@ class CasePlan:
     horizon
         Models x horizons x trajectories with the first of everything else; see `SWEPT_TRAJECTORIES`.
     speed, dead_time
-        Every controller at other top speeds; on plants that are later or earlier than it was told. A controller that
-        cannot be told of a longer dead time has later plants only.
+        Every controller at other top speeds; on plants that are later or earlier than configured. A controller without
+        a configurable dead time has later plants only.
     other_seeds
         `main` over other seeds.
     population, dynamics
@@ -164,12 +164,12 @@ class CasePlan:
 
     @property
     def all(self) -> tuple[Case, ...]:
-        """Every case of which the whole run is kept once, in order."""
+        """Every case whose whole run is stored once, in order."""
         return tuple(dict.fromkeys((*self.main, *self.horizon)))
 
     @property
     def timed(self) -> tuple[Case, ...]:
-        """Those with the first seed: a step takes as long with the others, and timing has one core."""
+        """Those with the first seed: steps take the same time with the others, and timing has one core."""
         return tuple(case for case in self.all if case.seed == self.main[0].seed)
 
     @property
@@ -237,7 +237,7 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
     check_cases((*plan.all, *plan.beyond))
     if not settings.robots:
         return plan
-    # Other robots are shipped, and a hundred of them take seconds to build: what is asked for is checked without them.
+    # Other robots are shipped, and a hundred of them take seconds to build, so the request is checked without them.
     population, dynamics = (
         population_cases(whole=settings.beyond),
         dynamics_cases(ROBOT_SEEDS if settings.beyond else None),
@@ -264,7 +264,7 @@ def _at_horizon(case: Case, steps: int) -> Case:
 def _check_labels(settings: ComparisonSettings) -> None:
     """Refuse two files with the same stem in one dimension: tables and figures would merge them.
 
-    A model stands under its name where a peer stands under its own; upper and lower case make no file of their own.
+    A model and a peer both appear under their names; names that differ in case only would share a file.
     """
     dimensions = {dimension.several: settings.values(dimension.several) for dimension in DIMENSIONS}
     peers = tuple(name for name in dimensions.pop("controllers") if name in PEERS)

@@ -27,7 +27,7 @@ EXCITATION_SEEDS = (2001, 2002)
 DRIFT_AFTER = 2.0
 """Length of a free prediction of the pose [s]: about three horizons."""
 _FEWEST = 5
-"""Pairs of model and plant from which on a rank correlation says anything."""
+"""Number of pairs of model and plant from which a rank correlation is meaningful."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def measure_properties(cases: Sequence[Case], jobs: int, on_done: OnDone = lambd
 
 
 def _property_case(case: Case) -> Case:
-    """Return the case without what the properties do not depend on: where it is driven, and the solver."""
+    """Return the case without the values that do not affect the properties: the plant, and the solver."""
     plain = {
         dimension.name: dimension.default
         for dimension in DIMENSIONS

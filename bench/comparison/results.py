@@ -31,7 +31,7 @@ TIMING = (
 
 
 BEYOND = ("speed", "dead_time", "other_seeds", "population", "dynamics")
-"""Parts of the plan of which rows are kept and no runs."""
+"""Parts of the plan with stored rows, but no runs."""
 
 
 @dataclass(frozen=True)
@@ -41,15 +41,15 @@ class ComparisonResults:
     Attributes
     ----------
     settings
-        What was asked for.
+        Settings of the comparison.
     main
         Rows of the comparison, each with its run, as `bench.run_row.RunOutcome.row` gives them.
     horizon
-        Those of the horizon sweep; they may be among `main` too.
+        Drives of the horizon sweep; they may be among `main` too.
     timing
-        How the machine was while all was timed.
+        State of the machine during all timed runs.
     properties
-        Of the models on the plants.
+        Properties of the models on the plants.
     speed, dead_time, other_seeds, population, dynamics
         Rows without runs, see `CasePlan`; empty where they were not driven.
     """
@@ -72,7 +72,7 @@ class ComparisonResults:
 
     @property
     def silent(self) -> list[str]:
-        """Dimensions that nobody asked for, and that are left out for it."""
+        """Dimensions that were not requested, and are therefore left out."""
         return [
             dimension.name
             for dimension in DIMENSIONS
@@ -105,7 +105,7 @@ def json_row(row: Row, silent: Container[str], *, with_settings: bool = False, w
     Parameters
     ----------
     row
-        Of the run.
+        Row of the run.
     silent
         Dimensions to leave out. Unless "scenario" is one of them, there are also the reason why the run ended before
         its time, begin and end of the disturbance [s] and the figures of the recovery from it.
@@ -172,9 +172,9 @@ def describe(settings: ComparisonSettings, timing: TimingPass) -> dict[str, obje
     Parameters
     ----------
     settings
-        What was asked for.
+        Settings of the comparison.
     timing
-        How the machine was while all was timed.
+        State of the machine during all timed runs.
     """
     options: dict[str, object] = {dimension.several: labelled(settings, dimension.several) for dimension in DIMENSIONS}
     if not settings.ours:
@@ -212,7 +212,7 @@ def _configurations(settings: ComparisonSettings) -> list[dict[str, object]]:
             "model": label(model),
             "set": dict(overrides),
             "values": controller_config(model, settings.config, overrides).model_dump(mode="json")
-            | {"model": label(model)},  # a path would tell of the machine
+            | {"model": label(model)},  # a path would identify the machine
         }
         for model in settings.values("models")
         for overrides in settings.settings

@@ -55,7 +55,7 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         """Run every case, and time the controllers' steps; raises NotReproducibleError where a replay differs."""
         cases, whole, timed_cases = (*plan.all, *plan.beyond), set(plan.all), plan.timed
         bar.start_stage(f"running, {jobs} at a time", len(cases))
-        # Of the cases of tables and figures the whole run is kept, of the others their row.
+        # Cases of tables and figures keep the whole run, others only their row.
         driven = run_tasks([partial(_drive, case, whole=case in whole) for case in cases], jobs, bar.advance)
         recorded = {run.case: run for run in driven if isinstance(run, RunOutcome)}
         bar.start_stage("timing, in turns", len(timed_cases))
@@ -115,7 +115,7 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
 
 def _drive(case: Case, *, whole: bool) -> RunOutcome | Row:
     run = run_case(case)
-    _ = run.errors  # worked out where there are several processes to do it
+    _ = run.errors  # computed here, where several processes work
     return RunOutcome(case, run) if whole else row_of(case, run)
 
 

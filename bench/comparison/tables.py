@@ -137,13 +137,13 @@ def scenario_table(rows: DataFrame) -> Table:
 
 
 def other_robot_tables(results: ComparisonResults) -> list[Table]:
-    """Return tables of other robots, where they were driven: see `bench.comparison.other_robots`."""
+    """Return tables of other robots, if they were driven: see `bench.comparison.other_robots`."""
     parts = {"population": (results.population, ""), "dynamics": (results.dynamics, _ahead(results.dynamics))}
     return [table_specs()[name].table(rows, note=note) for name, (rows, note) in parts.items() if len(rows)]
 
 
 def _ahead(rows: DataFrame) -> str:
-    """State by how much the best identified model is ahead of the best peer on each robot and path, paired by seed."""
+    """State the lead of the best identified model over the best peer on each robot and path, paired by seed."""
     leads, delays = [], model_name("two_delays")
     for (robot, path), part in rows.groupby(["plant", "trajectory"], sort=False) if len(rows) else ():
         ranked = complete(by(part, "driver"))
@@ -159,7 +159,7 @@ def _ahead(rows: DataFrame) -> str:
 
 
 def error_parts_table(rows: DataFrame) -> Table:
-    """Split errors along and across the path into what repeats with every seed and what differs from seed to seed."""
+    """Split errors along and across the path into the part that repeats with every seed and the part that differs."""
     columns = {
         f"{way} the path, {part} [m]": partial(error_part, way=i, repeats=part == "repeats")
         for i, way in enumerate(("along", "across"))

@@ -1,1 +1,1 @@
-"""Reports as one page that a browser opens without a network: what commands say, and the engine that draws it."""
+"""Reports as one page that a browser opens without a network: contents by commands, and the engine that draws them."""

@@ -21,7 +21,7 @@ def origin(run: Mapping[str, Any], more: Sequence[tuple[str, str]] = ()) -> Orig
     Parameters
     ----------
     run
-        As `bench.machine.describe_run` gives it.
+        Description of the run from `bench.machine.describe_run`.
     more
         Other facts as name and value, such as seeds.
     """

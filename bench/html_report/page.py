@@ -23,7 +23,7 @@ Division = Literal["linear", "log", "category"]
 
 @dataclass(frozen=True)
 class KeyFigure:
-    """A large figure of the summary; `state` says whether it is as it should be, where that can be said."""
+    """A large figure of the summary; `state` is the verdict on it, if there is one."""
 
     label: str
     value: str
@@ -46,11 +46,11 @@ class Toggle:
     Attributes
     ----------
     name
-        What its values are of.
+        Name of the quantity that the values belong to.
     values
         One button each.
     shown
-        Which of them are on at first.
+        Values that are selected when the page opens.
     styled
         Whether value i is drawn in the style number i.
     """
@@ -79,15 +79,15 @@ class Series:
     name
         In the legend.
     x, y
-        Its points.
+        Coordinates of the points.
     style
         Number of its colour, line and marker.
     kind
-        How it is drawn; rows are horizontal bars, whose names are their y; steps hold each y until the next x.
+        Kind of the drawing; rows are horizontal bars, whose names are their y; steps hold each y until the next x.
     low, high
         Ends of an interval about each y; empty for none.
     text
-        What the pointer shows at each point; empty for its coordinates.
+        Text of the tooltip at each point; empty for the coordinates.
     labels
         Toggles that hide it.
     group
@@ -108,7 +108,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Mark:
-    """A level across a chart with what it is; `upright` for one of x."""
+    """Level across a chart with its label; `upright` for one of x."""
 
     value: float
     text: str
@@ -157,7 +157,7 @@ class GridMap:
 
 @dataclass(frozen=True)
 class EmbeddedPicture:
-    """A picture that stands in the page itself; `source` is a data address, see `document.picture`."""
+    """Picture embedded in the page; `source` is a data address, see `document.picture`."""
 
     title: str
     source: str
@@ -248,19 +248,20 @@ class Shown:
     Attributes
     ----------
     summary, notes
-        Sentences at the top: did it complete, how well, compared with what; and in small letters what words mean.
+        Sentences at the top: whether it completed, its quality, and the comparison; and explanations of terms in small
+        letters.
     key_figures
         The figures of the summary.
     toggles
         Buttons that act on all views.
     views
-        In order; neighbouring charts stand side by side.
+        In order; neighbouring charts are side by side.
     warnings
         In order of weight.
     configurations
-        Of the controllers.
+        Configurations of the controllers.
     pictures
-        Whether the pictures of the Markdown report stand in the page, too.
+        Whether the page includes the pictures of the Markdown report, too.
     """
 
     summary: Sequence[str] = ()

@@ -31,7 +31,7 @@ _MODES = {"points": "markers", "both": "lines+markers"}
 
 
 def escape(text: str) -> str:
-    """Return text as Plotly shows it: tags do nothing. Quotes stay, because Plotly shows their entities as they are."""
+    """Escape tags for Plotly. Quotes stay unescaped, because Plotly shows their entities as text."""
     return html.escape(text, quote=False)
 
 

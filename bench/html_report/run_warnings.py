@@ -22,7 +22,7 @@ _SHOWN = 3
 
 
 class Remedies(StrictModel):
-    """Thresholds of the warnings, and what is to be done about each; see the file."""
+    """Thresholds of the warnings, and the remedy for each; see the file."""
 
     share_at_limit: float
     share_on_backend: float
@@ -51,9 +51,9 @@ def run_warnings(run: Run, config: ControllerConfig | None = None, name: str = "
     run
         The run.
     config
-        Of its controller, for the limits; None for a peer.
+        Configuration of the controller, for the limits; None for a peer.
     name
-        What each warning begins with where there are several runs.
+        Prefix of each warning where there are several runs.
     """
     remedies_of_kinds = remedies()
     warned = [

@@ -36,7 +36,7 @@ class TrackingLaw(NamedTuple):
 
 
 def find_peer(name: str) -> TrackingLaw | Callable[[], TrackingController]:
-    """Return the law of a peer, or the class of a peer without one; raises MissingPackageError if there is none."""
+    """Return the law of a peer, or the class of a peer without one; raise MissingPackageError if there is none."""
     if name not in LAWS:
         peer: TrackingLaw | Callable[[], TrackingController] = plug_in("peers", name)
         return peer
@@ -59,7 +59,7 @@ def make_peer(
     name
         One of `PEERS`.
     overrides
-        Configuration values of the robot by dotted key, for a tracking law: its estimate then knows as much of the
+        Configuration values of the robot by dotted key, for a tracking law: its estimate then has the same data of the
         robot as the predictive controller. Other peers know the papers' robot only.
     gains
         Gains in place of the shipped ones.

@@ -1,7 +1,7 @@
 """Estimator of every peer: the predictive controller's own estimate, moved forward over the robot's delay.
 
 A command shows its effect one lag later, so a law that answers to the present pose answers too late. Commands that are
-on their way are known: the velocity model says where they take the robot.
+on their way are known: the velocity model predicts their effect.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class DelayPredictor:
     dt
         Sample time [s].
     lead
-        How far ahead [s]; it need not be a multiple of `dt`.
+        Prediction time [s]; it need not be a multiple of `dt`.
     """
 
     def __init__(self, model: VelocityModel, dt: float, lead: float) -> None:
@@ -110,7 +110,7 @@ class DelayPredictor:
         pose, state
             (3,) pose and (n,) states of the velocity model now.
         slip
-            What lies between the model's twist and the body's.
+            Slip between the model's twist and the body's.
         """
         outputs = (self._outputs @ np.concatenate([state, self._past.ravel()])).reshape(-1, 2)
         slips = slip.flat

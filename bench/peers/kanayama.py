@@ -25,7 +25,7 @@ class KanayamaGains(Gains):
 def kanayama_twist(gains: KanayamaGains, feed_forward: FloatArray, error: FloatArray) -> FloatArray:
     """Compute v [m/s] and omega [rad/s] (2,): feed-forward (2,) plus feedback of the error (3,), ahead, left, turned.
 
-    |v| stands at the heading term so that it also stabilises when reversing.
+    |v| multiplies the heading term so that it also stabilises in reverse.
     """
     v, omega = feed_forward
     ahead, left, turned = error
@@ -41,11 +41,11 @@ class KanayamaLaw:
     gains = KanayamaGains
 
     def __init__(self, gains: KanayamaGains, robot: Delayed) -> None:
-        del robot  # the prediction is all it knows of it
+        del robot  # the prediction is its only input about it
         self._gains = gains
 
     def start(self, reference: Reference) -> None:
-        """Start to track `reference`; nothing has to be prepared."""
+        """Start to track `reference`; no preparation is needed."""
 
     def decide(self, sight: LawInput) -> FloatArray:
         """Compute the wanted v [m/s] and omega [rad/s] (2,)."""

@@ -60,7 +60,7 @@ class LqrLaw:
         A, B = np.eye(_STATES), np.zeros((_STATES, 2))
         A[0, 1], A[1, 0], A[1, 2] = dt * omega, -dt * omega, dt * v
         A[0, 4], A[2, 5] = dt, dt
-        # A robot that stands can do nothing about an error across: it must not add up.
+        # A standing robot cannot reduce an error across, so it must not accumulate.
         A[3, 1] = dt if abs(v) > STANDING else 0.0
         A[4, 4], A[5, 5] = decay
         B[4, 0], B[5, 1] = 1 - decay

@@ -1,9 +1,9 @@
 """Regulated pure pursuit of a timed reference.
 
 Source: S. Macenski, S. Singh, F. Martin, J. Gines, "Regulated pure pursuit for robot path tracking", Autonomous Robots
-2023, as Nav2 has it: a look-ahead distance that grows with speed between bounds, the arc through that point, speed
-taken back on tight arcs, and turning to the heading where the robot stands. Its users give it a path; a reference has
-times too, so the speed is that of the reference plus a feedback of the lag along it.
+2023, as Nav2 has it: a look-ahead distance that grows with speed between bounds, the arc through that point, reduced
+speed on tight arcs, and turning to the heading of a standing reference. Its users give it a path; a reference has times
+too, so the speed is that of the reference plus a feedback of the lag along it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from diffdrive_mpc.models.pose import ahead_and_left
 _FARTHEST = 1.0
 """Bound of the look-ahead distance [m]."""
 _AHEAD = np.arange(0.0, 2.0, 0.05)
-"""Times from now on at which the path ahead is looked at [s]: in the last the slowest start covers the least bound."""
+"""Times from now at which the path ahead is sampled [s]: in the last the slowest start covers the least bound."""
 
 
 class PursuitGains(Gains):
@@ -37,7 +37,7 @@ class PursuitLaw:
     gains = PursuitGains
 
     def __init__(self, gains: PursuitGains, robot: Delayed) -> None:
-        del robot  # the prediction is all it knows of it
+        del robot  # the prediction is its only input about it
         self._gains = gains
 
     def start(self, reference: Reference) -> None:

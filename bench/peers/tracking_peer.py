@@ -1,4 +1,4 @@
-"""A tracking law between estimate and limits: what all peers share, so that only their laws differ."""
+"""A tracking law between estimate and limits: common parts of all peers, so that only their laws differ."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from diffdrive_mpc.mpc.estimate import Estimate
 from diffdrive_mpc.mpc.problem.formulas import formula
 from diffdrive_mpc.mpc.problem.slip import Slip
 
-# Limits of the command as peers keep them: range and slew, as the core keeps them for our controller.
+# Command limits of peers: range and slew, as the core applies them for our controller.
 
 
 def slew_step(limits: Limits, dt: float) -> FloatArray:
@@ -41,9 +41,9 @@ def nearest_command(command: FloatArray, limits: Limits, dt: float, last: FloatA
 
 
 STANDING = 0.01
-"""A reference slower than this stands, or turns on the spot [m/s]."""
+"""Speed below which a reference stands, or turns on the spot [m/s]."""
 MODEL = "sm"
-"""Configuration and model of every peer: the one that tells dead time and lag apart."""
+"""Configuration and model of every peer: the one that separates dead time and lag."""
 
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 AboveZero = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -99,7 +99,7 @@ class Delayed:
     Attributes
     ----------
     sample_time
-        Of the ticks [s].
+        Sample time of the controller [s].
     time_constant
         (2,) lag of v and omega behind their commands, without dead time [s].
     limits
@@ -112,7 +112,7 @@ class Delayed:
 
 
 class Law(Protocol):
-    """A tracking law: from what is seen to the twist that the body is to have.
+    """A tracking law: from its input to the wanted twist of the body.
 
     It is made from its gains and a `Delayed`; the type of its gains is its attribute `gains`.
     """
@@ -137,13 +137,13 @@ class TrackingPeer:
     law
         The law.
     lead
-        How far ahead it acts [s].
+        Time by which the peer acts ahead of the measured state [s].
     side_slip
-        Whether the estimated side-slip is made up for: the robot then leans into the curve, so that it travels along
+        Whether the estimated side-slip is compensated: the robot then turns into the curve, so that it travels along
         the path.
     config
-        Limits, estimator and velocity model; by default those of the shipped configuration of SM, the model that tells
-        dead time and lag apart.
+        Limits, estimator and velocity model; by default those of the shipped configuration of SM, the model with
+        separate dead time and lag.
     """
 
     def __init__(
@@ -228,8 +228,8 @@ def make_tracking_peer(
 ) -> TrackingPeer:
     """Make the peer of a tracking law, with the shipped gains and configuration by default.
 
-    "NAME+slip" is the law NAME with compensation of side-slip; it has gains of its own. `overrides` replace values of
-    the shipped configuration.
+    "NAME+slip" is the law NAME with compensation of side-slip; it has its own gains. `overrides` replace values of the
+    shipped configuration.
     """
     kind = law_kind(name)
     config = config or load_config(MODEL, dict(overrides or {}))

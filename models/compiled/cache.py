@@ -1,7 +1,7 @@
-"""Compiled libraries, kept by what they come from, and never loaded unless they are whole and our own.
+"""Cache of compiled libraries by their sources; only intact libraries of this user are loaded.
 
-The name of a library carries the digest of what it comes from and the digest of its content: one rename puts both in
-place. It is checked before each load, since the loader would run whatever it is given.
+The name of a library contains the digests of its sources and of its content: one rename puts both in place. It is
+checked before each load, since loading runs code.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def load_cached(stem: str, origin: str, build: Callable[[Path], Path], load: Cal
     build
         Makes it in an empty folder, and returns where.
     load
-        Loads it; OSError says that it cannot.
+        Loads it; OSError says that it is not possible.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def _load_in(folder: Path, stem: str, build: Callable[[Path], Path], load: Calla
     for path in sorted(folder.glob(f"{stem}-*.so")):
         if _intact(path):
             return load(path)
-        _log.warning("%s is damaged; it is compiled anew", path)
+        _log.warning("%s is damaged; it is compiled again", path)
         with suppress(OSError):
             path.unlink()
     with tempfile.TemporaryDirectory(dir=folder, prefix="build-") as build_folder:
@@ -111,7 +111,7 @@ def _folders() -> Iterator[Path]:
         if reason is None:
             yield path
         elif folder is user_folder:
-            _log.warning("no compiled library is kept in the cache folder (%s); see %s", reason, CACHE_VARIABLE)
+            _log.warning("no compiled library is stored in the cache folder (%s); see %s", reason, CACHE_VARIABLE)
     yield _process_folder()
 
 

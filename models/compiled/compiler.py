@@ -1,4 +1,4 @@
-"""The C compiler: which one, what it is told, and how long it may take. Needs nothing but Python's own library."""
+"""The C compiler: choice, flags and time limit. Needs nothing but Python's own library."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _FLAGS = (
     "-fno-semantic-interposition",
     "-fPIC",
 )
-# GCC 12 takes what is left of a loop for aligned where it is not, and the process dies: it is to leave that alone.
+# GCC 12 wrongly assumes alignment in loop remainders, which crashes the process: disable that optimisation.
 PLAIN_REST = "--param=vect-epilogues-nomask=0"
-# The quickest instructions of this machine; not every compiler knows the first ways to ask for them.
+# Flags for the fastest instructions of this machine; not every compiler accepts the first ones.
 NATIVE: tuple[tuple[str, ...], ...] = (
     ("-march=native", "-mprefer-vector-width=512", PLAIN_REST),
     ("-march=native", "-mprefer-vector-width=512"),
@@ -71,7 +71,7 @@ def build_library(texts: Mapping[str, str], folder: Path, tunings: Sequence[Sequ
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         for tuning in tunings:
             command = [compiler, *_FLAGS, *tuning]
-            # In the folder, with names only: the library does not tell where it was made.
+            # Run in the folder with relative names, so that the library contains no paths.
             compiling = [pool.submit(_complaint, [*command, "-c", source], folder) for source in sources]
             fault = next((complaint.result() for complaint in compiling if complaint.result()), "")
             if not fault:
@@ -127,7 +127,7 @@ def find_compiler() -> tuple[str, str]:
     Raises
     ------
     NotCompiledError
-        If there is none that answers.
+        If there is no working compiler.
     """
     for name in _COMPILERS:
         path = shutil.which(name)
@@ -147,7 +147,7 @@ def _run(command: Sequence[str], patience: float, folder: Path | None = None) ->
     Raises
     ------
     TimeoutError
-        If it had to be ended.
+        If it took too long and was ended.
     """
     process = subprocess.Popen(
         command,

@@ -40,11 +40,11 @@ class Packaged:
     name
         First part of the names of its files.
     folder
-        Where they lie.
+        Folder of the libraries.
     origin
         Digest of all that it comes from.
     levels
-        By name, best first; the last is `BASELINE`. The others are for x86-64 alone.
+        By name, best first; the last is `BASELINE`. Higher levels exist for x86-64 only.
     """
 
     name: str
@@ -83,7 +83,7 @@ class Packaged:
         try:
             manifest = json.loads(self._manifest.read_text(encoding="utf-8"))
             if (manifest["origin"], manifest["machine"]) != (self.origin, platform.machine()):
-                _log.warning("%s of the package is not of its sources; it is compiled anew", self.name)
+                _log.warning("%s of the package does not match its sources; it is compiled again", self.name)
                 return
             entries = [
                 (level, self.folder / entry["file"], entry["sha256"]) for level, entry in manifest["libraries"].items()
@@ -91,7 +91,7 @@ class Packaged:
         except FileNotFoundError:
             return  # a source tree: nothing is packaged
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-            _log.warning("%s cannot be read (%s); %s is compiled anew", self._manifest, error, self.name)
+            _log.warning("%s cannot be read (%s); %s is compiled again", self._manifest, error, self.name)
             return
         has = _processor_has()
         for level, path, digest in entries:
@@ -135,9 +135,9 @@ def load_library(
     name
         First part of the names of its files.
     declarations
-        Of its functions and types, in C.
+        Declarations of the functions and types, in C.
     packaged
-        Those that the package brought, best first.
+        Libraries that the package brought, best first.
     made_of
         Texts that it comes from.
     build

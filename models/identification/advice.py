@@ -2,12 +2,12 @@
 
 The rule, in this one place. A proposal is put into the mapping, the log is read again, an SM is fitted to the thinned
 training rows and predicts the held-out rows, the same ones before and after. FIT is free of units and signs, and a free
-dead time takes up a shift; so the coherence of the streams, whose gains and delays are those of a robot, counts beside
-it. A proposal is good where one of the two gains clearly and neither loses: FIT in no channel, coherence on the whole.
-Neither sees rate and direction of the clock: a clock is changed only where poses confirm it. A proposal that only says
-what the reader does anyway is good where that reader has an error less. The best is taken, the next one is tried on top
-of it, until none is good. A cut of the log is tried on the held-out rows of what it keeps, which the model before is
-not fitted to either.
+dead time takes up a shift; so the coherence of the streams under the gains and delays of a robot counts, too. A
+proposal is good if one of the two gains clearly and neither loses: FIT in no channel, coherence on the whole. Neither
+sees rate and direction of the clock: a clock is changed only where poses confirm it. A proposal that only states the
+reader's default behaviour is good if it removes an error of the reader. The best is taken, the next one is tried on top
+of it, until none is good. A cut of the log is tried on the held-out rows of the remaining part, to which the previous
+model is not fitted either.
 """
 
 from __future__ import annotations
@@ -59,9 +59,9 @@ class Score:
     fit
         (2,) FIT of v and omega on held-out rows [%].
     agreement
-        Of the streams, see `coherence` [%].
+        Agreement of the streams, see `coherence` [%].
     errors
-        How many the reader of the logs finds, before streams are held against each other.
+        Number of errors that the reader of the logs finds before it compares the streams.
     """
 
     fit: FloatArray
@@ -93,7 +93,7 @@ class Advice:
     changes
         By which it differs from the one the logs were read with.
     before, after
-        How good either is; `before` is None where the logs could not be used at all.
+        Quality of the logs before and after the changes; `before` is None if the logs were unusable.
     """
 
     selection: LogSelection
@@ -113,7 +113,7 @@ class Advice:
         return mapping_text(self.mapping)
 
     def write(self, folder: Path) -> None:
-        """Write its file into `folder`; raises OSError where that cannot be done."""
+        """Write its file into `folder`; raises OSError where that is not possible."""
         (folder / self.file).write_text(self.text(), encoding="utf-8")
 
     def sentence(self, folder: Path = Path()) -> str:
@@ -241,7 +241,7 @@ class _Trial:
     Attributes
     ----------
     selection, mapping, changes
-        As of `Advice`.
+        Selection, mapping and changes, as in `Advice`.
     logs
         All of them, those to try the model on last.
     """

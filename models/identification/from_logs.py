@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 AUTOMATIC = "auto"
 BESIDE = "sm"
-"""The linear model beside a predictor."""
+"""Linear model that accompanies a predictor."""
 FILES = (MODEL_FILE, CONFIG_FILE, SURFACE_FILE, NODE_FILE, "report.json", "report.md")
 """Files of `Identification.write`; the node's parameters for bags only. A network also has a file of weights."""
 
@@ -72,9 +72,9 @@ class Identification:
     report
         Scores, parameters with their uncertainty, warnings: as data, `as_json` and `markdown`; prints as tables.
     content
-        What the model's parameter file says.
+        Content of the model's parameter file.
     configuration
-        `config` with a reason beside each value.
+        `config` with a reason for each value.
     """
 
     model: VelocityModel | NonlinearModel
@@ -110,13 +110,13 @@ class Identification:
     def write(self, folder: str | Path, figures: Mapping[str, str] | None = None, *, force: bool = False) -> None:
         """Write `FILES` into `folder`, which is made where missing; files of these names are replaced.
 
-        Where there is a `refusal`, model, configuration and surface are not written unless with `force`. The mapping
-        of an `advice` is written, too.
+        After a `refusal`, model, configuration and surface are written with `force` only. The mapping of an `advice` is
+        written, too.
 
         Parameters
         ----------
         folder
-            Where to.
+            Target folder.
         figures
             Titles and relative paths of figures that the report shows.
         force
@@ -171,20 +171,20 @@ def identify(
     on_findings: Callable[[Sequence[Finding]], None] | None = None,
     on_progress: Callable[[str], None] | None = None,
 ) -> Identification:
-    """Identify a velocity model from logs, and say how far to trust it.
+    """Identify a velocity model from logs, and judge its trustworthiness.
 
     Parameters
     ----------
     logs
         CSV files, ROS 2 bags or data frames of pandas, all of one robot.
     mapping
-        What their columns or topics are: the name of a shipped mapping or the path of a mapping file; None for logs of
+        Mapping of the columns or topics: the name of a shipped mapping or the path of a mapping file; None for logs of
         `diffdrive-mpc simulate --log`, and for bags with the usual topics.
     structure
         "mbm", "sm", "ssm"; "p2_experimental" or "p2_physical", a drive; "lstm", a network trained on the logs; or
-        "hybrid", an sm with a small network on what it leaves: both need the extra `learn` and minutes.
+        "hybrid", an sm with a small network for its residuals: both need the extra `learn` and minutes.
     effects
-        Whether to look for what the base does around an sm: slew, steps, tyres, veer. Takes minutes.
+        Whether to identify the effects of the base around an sm: slew, steps, tyres, veer. Takes minutes.
     robot
         Name of a robot whose maker's statements count where the logs do not tell, or the path of a file of such: its
         topics in bags without a `mapping`, its limits, its track, its footprint. None of it is identified.
@@ -195,21 +195,21 @@ def identify(
     order
         Order of an ssm, or "auto" to choose it.
     name
-        Of the model; by default from the logs.
+        Name of the model; by default from the logs.
     force
-        Whether to go on where the logs speak against it: wrong units, dead wheels, channels that are never driven.
+        Whether to continue with logs that have errors: wrong units, dead wheels, channels that are never driven.
     on_log
         Called with each log once it is read, before anything is fitted.
     on_findings
         Called with notes and warnings of each log once it is read, also when an error of it is raised next; without
-        what they propose for the mapping, which has not been tried yet.
+        their proposals for the mapping, which have not been tried yet.
     on_progress
-        Called with what is done next, in words.
+        Called with the next step, in words.
 
     Raises
     ------
     models.identification.advice.AdvisedError
-        If a log would give a wrong model; its `advice` is the mapping that mends it, where one is known.
+        If a log would give a wrong model; its `advice` is the mapping that repairs it, where one is known.
     models.checked_yaml.ConfigError, ValueError, OSError
         If an argument or a log cannot be used, or the logs allow no model; the message is one line.
     """
@@ -227,7 +227,7 @@ def identify(
             raise ConfigError("no logs: give at least one")
         if on_progress:
             on_progress("reading")
-        # What a node recorded has names of its own.
+        # Recordings of a node have their own names.
         of_robot = is_bag(paths[0]) and not is_drive_log(paths[0])
         known = stated.mapping() if stated is not None and mapping is None and of_robot else mapping
         tried = _paths(validate, Path(folder), "validation")
@@ -285,15 +285,15 @@ def identify_data(
     data
         The records; they become read-only.
     structure
-        Of the registry.
+        Structure of the model.
     name
-        Of the model.
+        Name of the model.
     order, effects, on_progress
         As for `identify`; an order of None is chosen.
     predictor
-        Of `finders`, to be found, too, and to predict; limits and tracks come from the structure.
+        One of `finders`: its model is identified, too, and predicts; limits and tracks come from the structure's model.
     robot
-        What the maker states of the robot; it bounds the configuration, and fills in what the logs do not tell.
+        Stated robot; it bounds the configuration, and supplies values that the logs cannot determine.
 
     Raises
     ------
@@ -397,7 +397,7 @@ def _chosen(name: str, *, effects: bool) -> tuple[Structure, str | None]:
     chosen = STRUCTURES[BESIDE if predictor else name]
     if effects and (predictor or not chosen.takes_effects):
         able = " or ".join(structure.name for structure in STRUCTURES.values() if structure.takes_effects)
-        raise OptionError("effects", f": they stand around an {able}, not an {name}; choose that structure")
+        raise OptionError("effects", f": they belong to an {able}, not an {name}; choose that structure")
     if predictor:
         finders()[predictor]()
     return chosen, predictor

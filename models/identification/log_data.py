@@ -30,7 +30,7 @@ class OptionError(ConfigError):
     Attributes
     ----------
     option, rest
-        Its name as an argument, and the rest of the message.
+        Name of the option as an argument, and the rest of the message.
     """
 
     def __init__(self, option: str, rest: str) -> None:
@@ -55,17 +55,17 @@ class LogData:
     logs
         Names of the logs.
     held_out
-        How the validation records were chosen, in words.
+        Selection of the validation records, in words.
     yaw
-        Whether omega is the gyro's or, without one, the encoders', or that of the poses where these are alone.
+        Sensor of omega: the gyro or, without one, the encoders, or the poses where they are alone.
     findings
-        Of all logs, notes and warnings; with `force` errors, too.
+        Findings of all logs, notes and warnings; with `force` errors, too.
     warnings
-        What was left out of the logs.
+        Parts that were left out of the logs.
     stated_track
         Track that the mapping states [m]; None where it states none.
     sensors
-        Differences between readings and motion, by input, that the robot has to be told.
+        Differences between readings and motion, by input, for the robot's configuration.
     topics
         Topic and type of message by stream, of logs that are bags.
     advice
@@ -118,7 +118,7 @@ def read_data(
     force
         Whether logs are used although findings of severity "error" speak against it.
     most_rows
-        Of either part that are used, those in which the commands change most; None for all.
+        Largest number of rows that are used of either part, those in which the commands change most; None for all.
 
     Raises
     ------
@@ -179,7 +179,9 @@ def _check_selection(logs: Sequence[Path], validate: Sequence[Path], fit_share: 
         raise OptionError("fit_share", f" {fit_share:g}: give {low:g} to {high:g}")
     twice = [path for path in (*logs, *validate) if [*logs, *validate].count(path) > 1]
     if twice:
-        raise ConfigError(f"{twice[0]}: this log is given twice; a model must not be tried on what it was made from")
+        raise ConfigError(
+            f"{twice[0]}: this log is given twice; a model must not be tested on its own identification data"
+        )
 
 
 def _read_alike(

@@ -13,7 +13,7 @@ from diffdrive_mpc.models.robot import Positive
 
 
 class JudgementSettings(StrictModel):
-    """When a model is said not to be trusted."""
+    """Thresholds below which a model is not trusted."""
 
     low_fit: float = Field(description="[%]")
     refused_fit: float = Field(description="[%]")
@@ -35,7 +35,7 @@ class AdviceSettings(StrictModel):
 
 
 class SensorSettings(StrictModel):
-    """From when on a sensor is said to be late or scaled."""
+    """Thresholds from which a sensor counts as late or scaled."""
 
     least_delay: Positive = Field(description="[s]")
     least_scale: Positive = Field(description="of the gyro, beside one [-]")
@@ -51,7 +51,7 @@ class SlipSettings(StrictModel):
 
 
 class IdentificationSettings(StrictModel):
-    """Sizes and thresholds of the way from logs to a model."""
+    """Sizes and thresholds of the identification from logs."""
 
     fit_share: Positive = Field(description="of each log to identify from [-]")
     shares: tuple[Positive, Positive] = Field(description="least and largest share to identify from [-]")

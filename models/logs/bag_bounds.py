@@ -12,7 +12,7 @@ from diffdrive_mpc.models.input_file import MEGABYTE
 MOST_UNPACKED = file_limits().bag_chunk
 """Maximum unpacked size of one chunk or message."""
 MOST_RATIO, ALWAYS = file_limits().bag_ratio, file_limits().bag_always
-"""A file may unpack to so many times its size, and to so much in any case."""
+"""Maximum ratio of unpacked to packed size, and a size that is always permitted."""
 _SMALLER = "record it in smaller chunks, or uncompressed"
 
 
@@ -24,7 +24,7 @@ class Budget:
         self._most = self._left
 
     def take(self, count: int) -> None:
-        """Count what was unpacked; raises ConfigError where it is too much for such a file."""
+        """Count unpacked bytes; raise ConfigError if they are too many for such a file."""
         self._left -= count
         if self._left < 0:
             raise ConfigError(
@@ -41,16 +41,16 @@ def unpacked(path: Path, data: bytes | memoryview, how: str, size: int | None = 
     path
         The file, for messages.
     data
-        As it stands there.
+        The packed data.
     how
-        "zstd", "lz4", or "" for what is not packed.
+        "zstd", "lz4", or "" for data that are not packed.
     size
-        What it says that it unpacks to [bytes]; None where it does not say.
+        Declared size of the unpacked data [bytes]; None without one.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If it unpacks to more, or to something else than it says.
+        If its unpacked size or content differs from the declared one.
     """
     most = MOST_UNPACKED if size is None else size
     if most > MOST_UNPACKED:

@@ -39,7 +39,7 @@ class Bag:
     Attributes
     ----------
     connections
-        Its topics; the number of messages is that of metadata.yaml where it is larger.
+        Topics of the bag; the number of messages is that of metadata.yaml where it is larger.
     duration
         From the first message to the last [ns].
 

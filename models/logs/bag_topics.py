@@ -44,7 +44,7 @@ COMMANDS: dict[str, Callable[[Any], Reading]] = {
 ODOMETRY: dict[str, Callable[[Any], Reading]] = {
     "nav_msgs/msg/Odometry": lambda message: _twist(message.twist.twist),
 }
-"""v [m/s], omega [rad/s]; an odometry's pose is its own sum and says nothing more."""
+"""v [m/s], omega [rad/s]; an odometry's pose is its own sum and contains no further information."""
 
 IMU: dict[str, Callable[[Any], Reading]] = {
     "sensor_msgs/msg/Imu": lambda message: (float(message.angular_velocity.z),),
@@ -60,7 +60,7 @@ POSES: dict[str, Callable[[Any], Reading]] = {
 
 
 BATTERIES: dict[str, Callable[[Any], Reading]] = {
-    # REP 147: a current that discharges is negative; in a record what the battery gives is positive.
+    # REP 147: a discharging current is negative; in a record the output of the battery is positive.
     "sensor_msgs/msg/BatteryState": lambda message: (float(message.voltage), -float(message.current)),
 }
 """Voltage [V], current that the battery gives [A]."""
@@ -83,7 +83,7 @@ def motor_readers(topic: MotorTopic) -> dict[str, Callable[[Any], Reading]]:
 
 
 def stamp(message: Any) -> int:  # noqa: ANN401
-    """Time in a message's header [ns]; 0 where it has none or nobody set it."""
+    """Time in a message's header [ns]; 0 if it is missing or unset."""
     header = getattr(message, "header", None)
     return 0 if header is None else int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
 
@@ -190,7 +190,7 @@ def read_topics(
     reader
         The bag.
     path
-        Its path, for messages.
+        Path of the bag, for messages.
     requests
         By the names under which the rows are returned.
     definitions

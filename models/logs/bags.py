@@ -69,7 +69,7 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
     path
         Folder of the bag, or one of its .mcap or .db3 files.
     mapping
-        Which topic is what; None for /cmd_vel, with /odom and /imu as far as they are there.
+        Mapping of the topics; None for /cmd_vel, with /odom and /imu as far as they are there.
 
     Raises
     ------

@@ -15,7 +15,7 @@ Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 
 
 class CheckSettings(StrictModel):
-    """Thresholds; the reasons stand in `check_settings.yaml`."""
+    """Thresholds; the reasons are in `check_settings.yaml`."""
 
     gap_time: Positive = Field(description="a longer pause ends a stretch [s]")
     gap_periods: Positive = Field(description="a longer pause ends a stretch [sample times]")

@@ -27,7 +27,7 @@ class CsvLayout:
     Attributes
     ----------
     names
-        Of its columns, without those at the end that have none.
+        Names of the columns, without those at the end that have none.
     separator
         Between two cells.
     first_row
@@ -50,7 +50,7 @@ class _Recoded(io.RawIOBase):
         return True
 
     def readinto(self, buffer: memoryview, /) -> int:  # type: ignore[override]
-        """Fill in what fits; of UTF-8 no character takes more than four bytes."""
+        """Fill in the fitting fields; of UTF-8 no character takes more than four bytes."""
         block = self._text.read(len(buffer) // 4).encode()
         buffer[: len(block)] = block
         return len(block)
@@ -62,7 +62,7 @@ class _Recoded(io.RawIOBase):
 
 
 def open_csv(path: Path) -> io.BufferedReader:
-    """Open a CSV file, as UTF-8 whatever its byte order mark says; raises ConfigError where it cannot be opened."""
+    """Open a CSV file as UTF-8, or by its byte order mark; raise ConfigError if it cannot be opened."""
     try:
         file = open_input(path)
     except OSError as error:

@@ -163,8 +163,8 @@ class RowReader:
 def fresh_rows(value: FloatArray) -> BoolArray:
     """Mark rows (n,) of held values (n, width) with a new reading: one per period, even if it repeats.
 
-    A changed value is new. So is one that stays for a period, or, where none is clear, for as long as hardly any
-    reading does (95th percentile of the distance between changes): a robot at rest or at one speed is read too.
+    A changed value is new. So is one that stays for a period, or, without a clear period, for longer than 95 % of the
+    readings do: a robot at rest or at one speed is read too.
     """
     changed = np.concatenate([[True], (np.diff(value, axis=0) != 0).any(axis=1)])
     rows = np.flatnonzero(changed)
@@ -183,7 +183,7 @@ def read_csv(path: Path, mapping: LogMapping | None) -> RawLog:
     path
         The file.
     mapping
-        Which column is what; None for a log of `diffdrive-mpc simulate --log`.
+        Mapping of the columns; None for a log of `diffdrive-mpc simulate --log`.
 
     Raises
     ------
@@ -209,7 +209,7 @@ def log_of_table(whole: CsvTable, columns: Columns, wheels: MappedWheels | None 
     whole
         The table.
     columns
-        Which column is what.
+        Mapping of the columns.
     wheels
         Lengths of the mapping, where it gives some.
     """
@@ -249,7 +249,7 @@ def _own_mapping(path: Path) -> LogMapping:
     assert mapping.columns is not None
     if header and not mapping.columns.found_in(header).names() <= set(header):
         words = f"Give a mapping file, {draft_command(path)}"
-        raise ConfigError(f"{path}: which column is what? {words}; the columns are {', '.join(header)}")
+        raise ConfigError(f"{path}: which column has which signal? {words}; the columns are {', '.join(header)}")
     return mapping
 
 

@@ -51,10 +51,10 @@ class Growing(Generic[_Scalar]):
         return self._count
 
     def extend(self, block: NDArray[_Scalar]) -> None:
-        """Put a block behind the others."""
+        """Append a block."""
         end = self._count + len(block)
         if end > len(self._values):
-            # Memory is moved by pages where it can be: no second copy beside it.
+            # Memory pages are moved if possible, without a second copy.
             self._values.resize(end + end // _ROOM, refcheck=False)
         self._values[self._count : end] = block
         self._count = end
@@ -70,7 +70,7 @@ _BLOCK = 1 << 24
 # Characters of a cell that is no number.
 _SHOWN = 60
 _MISSING = frozenset(("na", "n/a", "#n/a", "#na", "null", "none", "missing", "-", "--"))
-"""Words, in lower case, that say as an empty cell does: no reading. NaN is a number, and says that one went wrong."""
+"""Words, in lower case, with the meaning of an empty cell: no reading. NaN is a number, and marks a failed reading."""
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 
@@ -88,13 +88,13 @@ class CsvTable:
     row, lines
         (n,) number of each row in the file, from 0, and its line.
     values
-        (n,) cells of each column that was read; a word stands for itself as a number below `_WORDS`.
+        (n,) cells of each column that was read; a word is represented by a number below `_WORDS`.
     empty
         (n,) True for empty cells; only of columns that have any.
     words
         The words, by their number.
     findings
-        What was wrong with the file as a table.
+        Findings about the file as a table.
     """
 
     path: Path
@@ -177,7 +177,7 @@ def require_columns(path: Path, header: Sequence[str], names: Collection[str]) -
 def read_table(path: Path, names: Collection[str]) -> CsvTable:
     """Read columns of a CSV file; its separator is a comma, a semicolon or a tab.
 
-    Where it is no comma, decimals may be written with one.
+    If it is no comma, decimals may use one.
 
     Memory holds one block of text at a time, eight bytes for each cell of the columns named, and as much again for two.
 
@@ -246,7 +246,7 @@ def _quick(text: str, separator: str, header: list[str], wanted: list[str]) -> _
             return None
         text = text.replace(",", ".")
     filled = _filled(text, separator)
-    # What is not a number in such a block must be an empty cell.
+    # Other text in such a block must be an empty cell.
     if filled is not text and "nan" in text.lower():
         return None
     columns = [header.index(name) for name in wanted]
@@ -323,7 +323,7 @@ def _careful(
 def as_numbers(cells: list[str], words: dict[str, float], *, decimal_comma: bool = False) -> FloatArray:
     """Convert cells (n,) to numbers, NaN for empty ones; add other texts to `words`.
 
-    With `decimal_comma` a comma may stand for the point of a column that has none.
+    With `decimal_comma` a comma may be the decimal point of a column without points.
     """
     texts = cells
     if decimal_comma and not any("." in cell for cell in cells):

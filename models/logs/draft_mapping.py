@@ -78,7 +78,7 @@ _FITTING: dict[str, tuple[str, ...]] = {
 
 @dataclass
 class _Column:
-    """A column, and what its name says: quantity, source ("" where it names none), unit ("" where it names none)."""
+    """Column with the meaning of its name: quantity, and source and unit ("" where not named)."""
 
     name: str
     quantity: str
@@ -198,7 +198,7 @@ def _column(table: CsvTable, name: str) -> _Column | None:
 
 
 def _guess_unit(column: _Column) -> None:
-    """Fill in the unit that the values speak for, where the name has none, and say why."""
+    """Fill in a missing unit by the range of the values, with the reason."""
     values = column.values[np.isfinite(column.values)]
     largest = float(np.percentile(np.abs(values), 99))
     if column.quantity == "time":
@@ -378,7 +378,7 @@ def _draft_of_bag(log: Path) -> list[str]:
 def _points(role: str, topic: str, kind: str) -> int | None:
     """Score the name of a topic of a fitting type for a role; None if the name rules the role out.
 
-    An odometry is a localisation's pose only where its name says so, and a goal is no measured pose.
+    An odometry counts as a localisation's pose only if its name indicates it, and a goal is no measured pose.
     """
     words = set(re.findall("[a-z]+", topic.lower()))
     localised = bool(_shared(words, _table().localised))

@@ -45,7 +45,7 @@ def firmware_track(records: Sequence[Record], geometry: WheelGeometry, dc_gain: 
     records
         Records with wheels and gyro; without a gyro the model's omega is that of the wheels already.
     geometry
-        Of the log.
+        Geometry of the log's robot.
     dc_gain
         (2, 2) steady gains of the model.
     """

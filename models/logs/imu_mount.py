@@ -36,7 +36,7 @@ def imu_decoders(reader: Bag) -> Decoders:
 
     @cache
     def vertical(frame: str) -> FloatArray:
-        # The root of the frames that never move is the robot's body. Frames that loop end where they began.
+        # The root of the static frames is the robot's body. Loops of frames end at their start.
         if frame not in placed:
             return np.array([0.0, 0.0, 1.0])
         parent, turn = placed.pop(frame)

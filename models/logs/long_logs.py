@@ -23,7 +23,7 @@ def chosen_rows(table: CsvTable, columns: Columns, settings: CheckSettings) -> t
     table
         All rows.
     columns
-        What they are.
+        Mapping of the columns.
     settings
         The thresholds.
     """
@@ -50,7 +50,7 @@ def chosen_rows(table: CsvTable, columns: Columns, settings: CheckSettings) -> t
 
 def needed_stride(period: float, settings: CheckSettings) -> int:
     """Compute the largest stride of readings `period` [s] apart that no base is too fast for."""
-    # A clock of less than a sample time of any robot is a wrong unit or a burst, and told as such.
+    # A clock faster than the sample time of any robot is a wrong unit or a burst, and reported as such.
     quick = settings.sample_times[0] <= period < settings.shortest_step
     return round(settings.needed_step / period) if quick else 1
 

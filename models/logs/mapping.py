@@ -1,4 +1,4 @@
-"""The mapping file of a log: which column or topic is what, in which unit, with which sign."""
+"""The mapping file of a log: meaning of columns or topics, with unit and sign."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ FOUR_WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 
 
 class _NameOrMore(StrictModel):
-    """A plain name stands for a value of the first field, and defaults for all others."""
+    """A plain name is a value of the first field, with defaults for all others."""
 
     @model_validator(mode="before")
     @classmethod
@@ -78,7 +78,7 @@ class _NameOrMore(StrictModel):
 
 
 class Column(_NameOrMore):
-    """One column; a plain name stands for a column in SI units."""
+    """One column; a plain name is a column in SI units."""
 
     column: str = Field(min_length=1, description="name in the header")
 
@@ -91,7 +91,7 @@ class TimeColumn(Column):
 
 
 class _SignedColumn(Column):
-    """A column whose numbers may run the other way."""
+    """Column with an optional inverted sign."""
 
     unit: str
     sign: Sign = 1
@@ -134,7 +134,7 @@ class VoltageColumn(_SignedColumn):
 
 
 class CurrentColumn(_SignedColumn):
-    """A column of currents; positive after `sign` where it drives the robot forward, or leaves the battery."""
+    """A column of currents; positive after `sign` where it drives the robot forward, or discharges the battery."""
 
     unit: CurrentUnit = "A"
 
@@ -295,7 +295,7 @@ class Columns(StrictModel):
 
 
 class Topic(_NameOrMore):
-    """One topic of a bag; a plain name stands for a topic without sign or delay."""
+    """One topic of a bag; a plain name is a topic without sign or delay."""
 
     topic: str = Field(min_length=1)
     sign: Sign = Field(1, description="of yaw rates, headings and currents; -1 for a sensor mounted upside down")
@@ -329,7 +329,7 @@ class MotorTopics(StrictModel):
 
 
 class Topics(StrictModel):
-    """The topics of a bag. With no sensor named, /odom and /imu are used as far as they are there."""
+    """The topics of a bag. Without named sensors, /odom and /imu are used if present."""
 
     command: Topic = Field(Topic(topic="/cmd_vel"), description="geometry_msgs Twist or TwistStamped")
     odometry: Topic | None = Field(None, description="nav_msgs Odometry of the encoders alone; its twist is used")
@@ -356,7 +356,7 @@ class Topics(StrictModel):
         return self.model_copy(update={role: Topic(topic=name) for role, name in usual.items() if name in recorded})
 
     def _in_namespace(self, recorded: Collection[str]) -> Self:
-        """Resolve relative names in the one namespace of `recorded` that has the odometry; keep others."""
+        """Resolve relative names in the one namespace of `recorded` that has the odometry; other names stay."""
         if self.odometry is None or self.odometry.topic.startswith("/"):
             return self
         ending = f"/{self.odometry.topic}"
@@ -396,7 +396,7 @@ class LogMapping(StrictModel):
     gap: Positive | None = Field(None, description="longest time between two commands or rows of one stretch [s]")
 
     def unused(self) -> list[str]:
-        """Return what is stated and cannot be used, a sentence each."""
+        """List unusable statements, a sentence each."""
         groups = (self.columns.command, self.columns.encoders) if self.columns else ()
         columns = [part for group in groups if group is not None for _, part in group if isinstance(part, WheelColumn)]
         motors = self.topics is not None and self.topics.motors is not None

@@ -1,4 +1,4 @@
-"""A mapping with what findings propose put in, and its YAML text."""
+"""Application of the proposals of findings to a mapping, and its YAML text."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from diffdrive_mpc.models.logs.record import MappingChange
 
 _TOPICS = {"encoders": "odometry", "gyro": "imu"}
 _SIGNS = dict.fromkeys(("omega.sign", "yaw_rate.sign", "theta.sign"), "sign")
-"""Keys of columns that the one sign of a topic stands for."""
+"""Keys of columns that share the sign of a topic."""
 _SIDES = (("left", "right"), ("front_left", "front_right"), ("rear_left", "rear_right"))
 
 
@@ -40,7 +40,7 @@ def base_mapping(path: Path, mapping: str | Path | LogMapping | None) -> LogMapp
 
 
 def of_topics(changes: Iterable[MappingChange]) -> tuple[MappingChange, ...]:
-    """Return changes under the keys of a mapping of topics, whose readings share one sign."""
+    """Convert changes to the keys of a mapping of topics, whose readings share one sign."""
     return tuple(
         replace(change, stream=_TOPICS.get(change.stream, change.stream), key=_SIGNS.get(change.key, change.key))
         for change in changes
@@ -50,8 +50,8 @@ def of_topics(changes: Iterable[MappingChange]) -> tuple[MappingChange, ...]:
 def changed(mapping: LogMapping, changes: Iterable[MappingChange]) -> LogMapping:
     """Apply all changes to the mapping.
 
-    Signs are turned, not set, and delays added, so that a finding need not know what the mapping says. v and omega of
-    wheels are turned by the signs of the wheels and by exchanging their sides.
+    Signs are inverted and delays added, so that a finding does not need the present values. v and omega of wheels are
+    turned by the signs of the wheels and by exchanging their sides.
 
     Raises
     ------

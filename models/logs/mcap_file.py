@@ -116,7 +116,7 @@ def _records(path: Path) -> Iterator[tuple[int, memoryview]]:
             if kind in (_DATA_END, _FOOTER):
                 return
             if kind == 0:
-                raise ValueError("zeros stand in place of a record")
+                raise ValueError("a record contains only zeros")
             if kind not in (*_KINDS, _CHUNK):
                 while length > 0:
                     length -= len(_exactly(file, min(length, MEGABYTE)))

@@ -37,19 +37,19 @@ def read_log(
     path
         A CSV file, or a ROS 2 bag: its folder, or one .mcap or .db3 file.
     mapping
-        Name of a shipped mapping, the path of a mapping file that says which column or topic is what, or what such a
-        file says. None for a log of `diffdrive-mpc simulate --log` or of a node that recorded, and for a bag with
-        /cmd_vel and /odom or /imu.
+        Name of a shipped mapping, the path of a file that maps the columns or topics, or the content of such a file.
+        None for a log of `diffdrive-mpc simulate --log` or of a node that recorded, and for a bag with /cmd_vel and
+        /odom or /imu.
     sample_time
         Step of the records [s]; None for that of the log.
     diagnosed
-        Whether commands and sensors are held against each other, which takes most of the time.
+        Whether commands and sensors are compared with each other, which takes most of the time.
 
     Returns
     -------
     Log
-        The stretches that can be used, with everything found wrong. Nothing is repaired: what is left out, or where a
-        stretch ends, is said in a finding.
+        The stretches that can be used, with everything found wrong. Nothing is repaired: omitted data and ends of
+        stretches are reported in findings.
 
     Raises
     ------

@@ -36,12 +36,12 @@ class Record:
     """One contiguous, evenly sampled stretch of a log, K samples. Sample k belongs to the time `start + k dt`.
 
     Between two readings a measured signal is interpolated, and NaN where the log has nothing near; only samples that
-    the `fresh` masks mark stand for a reading of their own. A mask left out marks every finite sample.
+    the `fresh` masks mark are separate readings. A mask left out marks every finite sample.
 
     Attributes
     ----------
     name
-        Of the log and the stretch, for messages: "husky.csv, 12.0 to 660.3 s".
+        Name of the log and the stretch, for messages: "husky.csv, 12.0 to 660.3 s".
     start
         Time of the first sample on the log's clock [s].
     dt
@@ -163,19 +163,19 @@ Topics = Mapping[str, tuple[str, str]]
 
 @dataclass(frozen=True)
 class MappingChange:
-    """A change of the mapping that may mend what a finding says; whether it does is tried before it is advised.
+    """A change of the mapping that may repair a finding; whether it does is tried before it is advised.
 
     Attributes
     ----------
     stream
-        "command", "encoders", "gyro", "pose"; "time" for the clock of the log, "log" for what is of no stream.
+        "command", "encoders", "gyro", "pose"; "time" for the clock of the log, "log" for changes of no stream.
     key
-        What of the mapping of that stream, with dots: "delay", "held", "on_change", "yaw_rate.sign", "left.unit";
+        Key in the mapping of that stream, with dots: "delay", "held", "on_change", "yaw_rate.sign", "left.unit";
         "heading_offset"; "sides" or "axes", which are exchanged; of the log "times". "v" and "omega" also where wheels
         are mapped.
     value
-        What stands there after the change; of "delay" and "heading_offset" what is added to it [s, rad], of "sign" -1,
-        which turns it; of "times" from and to [s], as "0.0 to 61.5".
+        Value after the change; for "delay" and "heading_offset" the increment [s, rad], for "sign" -1, which inverts
+        it; for "times" from and to [s], as "0.0 to 61.5".
     """
 
     stream: str
@@ -195,18 +195,18 @@ class Finding:
     Attributes
     ----------
     kind
-        What it is, in a word or two, the same for all findings of its kind: "gap", "wrong sign"; a key of
+        Kind of the finding, in a word or two, the same for all of its kind: "gap", "wrong sign"; a key of
         `models.doubt.VERDICTS` where it is more than a note.
     severity
         "note": it is so; "warning": the model may suffer; "error": a model from this log would be wrong.
     place
-        Where in the log, in words: times, and rows or messages.
+        Place in the log, in words: times, and rows or messages.
     words
-        What was found, in one sentence, and what can be done, unless `changes` say it.
+        One sentence with the finding and with the remedy, unless `changes` are the remedy.
     span
         From and to [s] on the log's clock, where the finding has a place in time.
     changes
-        Of the mapping, all together, that may mend it; empty where no mapping can.
+        Changes of the mapping, all together, that may repair it; empty where no mapping can.
     """
 
     kind: str
@@ -234,17 +234,17 @@ class Log:
     Attributes
     ----------
     name
-        Of the file or bag.
+        Name of the file or bag.
     records
         The stretches that can be used, all with the same sample time, in the order of the log.
     findings
-        What is wrong or worth knowing, in the order found.
+        Errors, warnings and notes in the order found.
     streams
-        What the records hold, side by side, as the diagnosis looks at it.
+        Signals of the records, side by side, for the diagnosis.
     sources
         Columns or topics by stream: "command", "encoders", "gyro", "pose".
     topics
-        Of a bag, with the types of their messages.
+        Topics of a bag, with the types of their messages.
     """
 
     name: str
@@ -287,7 +287,7 @@ def refuse(findings: Sequence[Finding]) -> None:
 
 
 def counted(findings: Sequence[Finding], most: int = 2) -> list[str]:
-    """Format one line per finding, relevance included; for each kind the first `most`, and the number of others."""
+    """Format one line per finding, relevance included; for each kind the first `most`, and the number of the rest."""
     lines, by_kind = [], Counter(finding.kind for finding in findings)
     shown: Counter[str] = Counter()
     for finding in findings:

@@ -104,7 +104,7 @@ def largest_command(records: Sequence[Record]) -> FloatArray:
 
 
 def check_sensors(records: Sequence[Record], settings: CheckSettings) -> tuple[list[Record], list[Finding]]:
-    """Find readings that stay the same bit for bit although the command says otherwise, and mark them as not fresh.
+    """Find readings that repeat bit for bit although commands change, and mark them as not fresh.
 
     A reading is stuck if the command changed and, `stuck_time` later, it still had not; or if a robot that should
     move reads zero, or one and the same pose, for `stuck_time`. A robot that was held (an emergency stop, a blocked
@@ -153,7 +153,7 @@ def _stuck(
     return runs
 
 
-# Whether all times of a log come from one clock, and how evenly it ticks.
+# Check for a common clock of all times of a log, and for even ticks.
 
 
 def require_one_clock(log: str, late: Mapping[str, FloatArray], remedy: str) -> None:
@@ -164,10 +164,10 @@ def require_one_clock(log: str, late: Mapping[str, FloatArray], remedy: str) -> 
     log
         Name of the log.
     late
-        How much later than its stamp each reading was received or written [s], (n,) by the name of its source; NaN
-        where unknown.
+        Delay of each reading's receipt or record after its stamp [s], (n,) by the name of its source; NaN where
+        unknown.
     remedy
-        What the user can do.
+        Remedy for the user.
     """
     offsets = {source: float(np.nanmedian(values)) for source, values in late.items() if np.isfinite(values).any()}
     if not offsets:

@@ -13,7 +13,7 @@ from diffdrive_mpc.models.logs.check_settings import CheckSettings
 from diffdrive_mpc.models.logs.record import BoolArray, Finding, Record, Topics
 
 ABSURD = 1e20
-"""No reading is as large in any unit, counts of ticks included; what is would overflow where it is squared."""
+"""No reading is as large in any unit, counts of ticks included; larger values would overflow when squared."""
 
 
 @dataclass(frozen=True)
@@ -79,15 +79,15 @@ class RawLog:
     Attributes
     ----------
     name
-        Of the file or bag, for messages.
+        Name of the file or bag, for messages.
     stretches
         In the order of the log.
     findings
-        What the reader found wrong.
+        Findings of the reader.
     sample_time
-        The log's own [s]; None where it has to be found from the times.
+        The log's own [s]; None to determine it from the times.
     topics
-        Of a bag, with the types of their messages.
+        Topics of a bag, with the types of their messages.
     """
 
     name: str
@@ -121,7 +121,7 @@ def usual_step(times: list[FloatArray]) -> float:
     rows = np.rint(steps / median)
     near = rows <= 3
     mean = float(steps[near].sum() / rows[near].sum())
-    # A sample time has no more than six digits; the rest is rounding of the stamps.
+    # A sample time has at most six digits; the rest is rounding of the stamps.
     return float(f"{median if np.isclose(median, mean, rtol=1e-4) else mean:.6g}")
 
 
@@ -129,7 +129,8 @@ def hold(signal: Signal, grid: FloatArray, dt: float, tolerance: float) -> Float
     """Resample values (K, width) by a zero-order hold over samples of `dt` [s] that start at `grid` (K,) [s].
 
     Where a value changes within a sample it is their mean: a command that comes late in its sample acts for less of it.
-    A value within `tolerance` [s] of a grid point belongs to that point. The first value must not be later.
+    A value within `tolerance` [s] of a grid point belongs to that point. The first value must not be later than the
+    grid.
     """
     # Only changes count, so that a value that is sent again leaves the rest to the bit.
     changes = np.concatenate([[True], (np.diff(signal.value, axis=0) != 0).any(axis=1)])
@@ -149,8 +150,8 @@ def hold(signal: Signal, grid: FloatArray, dt: float, tolerance: float) -> Float
 def sample(signal: Signal, grid: FloatArray, dt: float, tolerance: float, reach: float) -> tuple[FloatArray, BoolArray]:
     """Sample readings at the times `grid` (K,) [s] with step `dt` [s].
 
-    A reading within `tolerance` [s] of a grid point is taken as it stands; elsewhere the value is interpolated
-    between two readings no further apart than `reach` [s], and NaN where there are none.
+    A reading within `tolerance` [s] of a grid point is used unchanged; elsewhere the value is interpolated between two
+    readings at most `reach` [s] apart, or NaN.
 
     Returns
     -------
@@ -171,7 +172,7 @@ def sample(signal: Signal, grid: FloatArray, dt: float, tolerance: float, reach:
     distance = np.abs(signal.time[nearest] - grid)
     exact = distance <= tolerance
     values[exact] = signal.value[nearest[exact]]
-    # Half a step is nobody's middle: a hair decides such ties the same way along the whole grid.
+    # Break ties at half a step consistently along the whole grid.
     cells = np.floor((signal.time - grid[0]) / dt + 0.5 + 1e-6).astype(int)
     fresh[cells[(cells >= 0) & (cells < len(grid))]] = True
     return values, fresh & np.isfinite(values).all(axis=1)

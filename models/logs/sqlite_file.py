@@ -1,6 +1,6 @@
 """The data base of a ROS 2 bag: real tables only, read row by row without their indices.
 
-Whoever writes such a file writes its schema and its pages: a view may compute rows without end, and pages may name each
+The author of a file controls its schema and its pages: a view may compute rows without end, and pages may name each
 other again and again. So only tables are read, their rows must come in the order of their numbers, and steps that give
 no row are counted.
 """
@@ -61,7 +61,7 @@ def sqlite_messages(
     path
         The file.
     topics
-        Topic and type of those messages whose bytes are read; of others they are left empty.
+        Topic and type of those messages whose bytes are read; those of other topics are left empty.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def sqlite_messages(
                 f"{path}: its tables take SQLite too long; export it again (`ros2 bag convert`)"
             ) from error
         if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_INTERRUPT:
-            # Ctrl-C came while SQLite called `look`, from which no exception passes through it.
+            # Ctrl-C occurred while SQLite called `look`, which cannot pass exceptions.
             raise KeyboardInterrupt from error
         raise ValueError(str(error)) from error
 
@@ -136,7 +136,7 @@ def _rows(
 
 
 def _increasing(base: sqlite3.Connection, columns: str, watch: _Watch) -> Iterator[tuple[int, tuple[Any, ...]]]:
-    """Yield the number of each row from 0, and what follows its `rowid`; pages that come again are damage."""
+    """Yield the number of each row from 0, and the columns after its `rowid`; pages that come again are damage."""
     before = None
     for number, (rowid, *row) in enumerate(base.execute(f"SELECT {columns} NOT INDEXED")):
         if not isinstance(rowid, int) or (before is not None and rowid <= before):

@@ -1,7 +1,7 @@
 """Record of a tick as one line of JSON, which is enough to repeat the controller's step bit for bit.
 
-The node publishes these lines, so that any recorder of messages keeps them. Numbers are written so that reading gives
-back the same bits; times are seconds on the controller's clock.
+The node publishes these lines, so that any message recorder stores them. Numbers are written so that reading gives back
+the same bits; times are seconds on the controller's clock.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ class TickRecord:
     Attributes
     ----------
     number
-        Ticks at which the controller was asked, this one included, since the node is active: one more each time.
+        Number of controller steps, this one included, since the node is active: one more each time.
     time
-        Of the tick [s].
+        Time of the tick [s].
     drive
         Number of the drive that it belongs to, see `DriveRecord`.
     measurement
-        What the controller was given.
+        Measurement that the controller got.
     hold
-        Why it was asked to stand, and whether that counts as a failure; None where it was to drive.
+        Reason of a hold, and whether that counts as a failure; None where it was allowed to drive.
     command
         (2,) v [m/s], omega [rad/s] as decided.
     mode, message, solver_path
-        What the controller said.
+        Mode, message and solver of the controller.
     step_time
         Duration of its step [s].
     stopped_after
@@ -120,15 +120,15 @@ class DriveRecord:
     reset
         Whether it was reset before.
     t0
-        Where the reference's time 0 is on the controller's clock [s].
+        Time of the controller's clock at the reference's time 0 [s].
     reference
         Name, duration, breaks, table and motion of the reference in closed form; None where it has none.
     config
         The whole configuration, keys and values as in its file.
     model
-        Text of the file of the model where that is no shipped one; empty otherwise.
+        Text of the model's file where the model is not a shipped one; empty otherwise.
     goes_on
-        Whether a start took the place of another reference in mid-drive, and nothing was forgotten.
+        Whether a start replaced another reference during the drive, and nothing was forgotten.
     """
 
     number: int

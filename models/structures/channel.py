@@ -24,7 +24,7 @@ from diffdrive_mpc.models.output_error.statistics import output_spread
 from diffdrive_mpc.models.structures.model_file import TransferFunction
 from diffdrive_mpc.models.structures.two_poles import TWO_POLES
 
-# So many points of the grid of first guesses are followed.
+# Number of grid points from which the search starts.
 _TRIED = 3
 
 
@@ -51,7 +51,7 @@ class ChannelForm(Parametrisation, Protocol):
 
     @property
     def may_be_zero(self) -> tuple[str, ...]:
-        """Fields of the file that may be zero: a standard deviation beside them says nothing."""
+        """Fields of the file that may be zero: a relative standard deviation is meaningless for them."""
         ...
 
     def values(self, parameters: AnyArray) -> AnyArray:
@@ -70,13 +70,13 @@ class IdentifiedChannel:
     Attributes
     ----------
     form
-        What its transfer function is.
+        Form of the transfer function.
     parameters
         The fields of the form's file, then dead_time [s], offset and limits, by side, where they were free.
     fit
         The fit behind them.
     warnings
-        What not to trust.
+        Doubts about the result.
     """
 
     form: ChannelForm
@@ -153,7 +153,7 @@ def _warnings(form: ChannelForm, parameters: ParameterEstimate, fit: OutputError
     poles = pole_estimate(parameters.part(list(form.file.model_fields)), form.file)
     return (
         *bounds,
-        # Of a second lag that is too short to be seen, natural frequency and damping say the same once more.
+        # With an unidentifiably short second lag, natural frequency and damping are redundant.
         *(
             doubt.of(label)
             for doubt in doubts.badly_known(

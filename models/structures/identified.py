@@ -37,7 +37,7 @@ _HEAD = (
 )
 _PERCENT_DIGITS = 2
 _CORRELATION_DIGITS = 4
-# Of a file that is read at once and not kept.
+# For a file that is read at once and not stored.
 _PROVENANCE = {"origin": "identified", "source": ""}
 
 
@@ -58,19 +58,19 @@ class IdentifiedModel:
     schema
         Schema of the structure's parameter file.
     content
-        Those keys of the parameter file that hold the dynamics, numbers rounded as the file holds them.
+        Keys of the parameter file that hold the dynamics, with their numbers rounded as in the file.
     parameters
-        What was estimated, with covariance; SI units.
+        Estimated parameters, with covariance; SI units.
     offset
         (2,) sensor bias of v [m/s] and omega [rad/s], to be added to the model's outputs when compared with the log.
     yaw
-        Whether omega was the gyro's or the encoders'.
+        Sensor of omega, the gyro or the encoders.
     method
-        How it was done, in words.
+        Method of the identification, in words.
     fits
         The estimates behind it: of each channel, or one.
     warnings
-        What not to trust.
+        Doubts about the result.
     """
 
     schema: type[ModelFile]
@@ -120,7 +120,7 @@ class IdentifiedModel:
 
     @property
     def _transfer_functions(self) -> dict[str, type[TransferFunction]]:
-        """Those of which every number was estimated, by the name before the dot."""
+        """Groups with every number estimated, by the name before the dot."""
         every = {group: type(part) for group, part in self.file("identified", _PROVENANCE).transfer_functions().items()}
         return {group: file for group, file in every.items() if set(_fields(group, file)) <= {*self.parameters.names}}
 
@@ -147,7 +147,7 @@ class IdentifiedModel:
 
     @property
     def system(self) -> LinearSystem:
-        """The model with its sensor offsets and the limits of its base, as it is compared with a log."""
+        """Model with its sensor offsets and the limits of its base, for comparison with a log."""
         data = self.file("identified", _PROVENANCE)
         dead_time = np.array([data.dead_time.v, data.dead_time.omega])
         return LinearSystem(*data.matrices(), dead_time, self.offset, limits_in(data.base_effects))
@@ -184,13 +184,13 @@ def model_file(
     Parameters
     ----------
     identified
-        What was identified.
+        The identified model.
     name
         Name of the model for tables and messages.
     source
         The log, and the robot where that is known.
     records
-        Which stretches of it the model was identified from.
+        Stretches of the log that the model was identified from.
     date
         Day of the identification.
     train_fit_percent, validation_fit_percent

@@ -86,8 +86,8 @@ _MOTORS = tuple(Motors.model_fields)
 def identify_mbm(records: Sequence[Record], wheel_radius: float, *, limits: bool = True) -> IdentifiedModel:
     """Identify MBM (Guffanti et al., Sensors 2025, 25(11), 3553) by output error.
 
-    The effective track is the one for which the motors' steady turning rate becomes that of the gyro, whatever the two
-    sensors' delays are.
+    The effective track converts the motors' steady turning rate to that of the gyro, independently of the delays of the
+    two sensors.
 
     Parameters
     ----------

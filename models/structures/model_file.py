@@ -133,10 +133,9 @@ def build_model(data: ModelFile) -> VelocityModel:
 
 
 def write_parameters(path: Path, head: str, content: ParameterFile, **more: object) -> None:
-    """Write a parameter file: a line of comment, what it is and where it comes from, its numbers, `more`.
+    """Write a parameter file: a comment line, its name and source, its numbers, `more`.
 
-    Defaults are left out; an existing file keeps its editor line. Raises OSError if the file
-    cannot be written.
+    Defaults are left out; the editor line of an existing file stays. Raises OSError if the file cannot be written.
     """
     data = content.model_dump(exclude_none=True, exclude_defaults=True) | more
     first = list(ParameterFile.model_fields)
@@ -153,11 +152,11 @@ def structure_name(schema: type[ModelFile]) -> str:
     return str(name)
 
 
-# Schemas of the structures' parameter files, and the matrices that they state, without what identifies them.
+# Schemas of the structures' parameter files, and their matrices, without identification.
 
 
 class TransferFunction(StrictModel):
-    """From one command to one output. A subclass states its numbers as fields, and what they mean as functions."""
+    """From one command to one output. A subclass defines its numbers as fields, and their meaning as functions."""
 
     @staticmethod
     def realisation(values: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
@@ -196,7 +195,7 @@ class TwoPoles(TransferFunction):
 
 
 class Gain(TransferFunction):
-    """A gain that is reached at once: its pole is so fast that a sample of 20 ms has forgotten it."""
+    """A gain that is reached at once: its pole is negligible after a sample of 20 ms."""
 
     gain: Positive = Field(description="steady-state gain [-]")
 
@@ -291,7 +290,7 @@ class DelayChannels(StrictModel):
 
 
 class TwoDelaysFile(ChannelsFile):
-    """A gain and a dead time for each channel: what it is worth to know when the robot answers, and not how."""
+    """A gain and a dead time for each channel: shows the value of the response time without its shape."""
 
     structure: Literal["two_delays"]
     channels: DelayChannels

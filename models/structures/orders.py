@@ -34,10 +34,10 @@ class OrderRow:
     identified
         The model.
     parameters
-        How many numbers were free.
+        Number of free parameters.
     train_fit_percent, block_fit_percent, validation_fit_percent
         (2,) of v and omega [%]: of the records identified from; of blocks of them, each by a model made without it,
-        None where that was not asked for or they are too short; of records held out, None without any.
+        None where that was not requested or they are too short; of records held out, None without any.
     aic, bic
         Akaike's and Schwarz's information criteria over the lowest of all orders, counted in effective samples.
     """
@@ -76,9 +76,9 @@ def compare_orders(
 ) -> OrderChoice:
     """Choose among models of order 1, 2 and so on.
 
-    The lowest order whose mean FIT on blocks of the records, each predicted by a model made without it, comes within a
-    quarter of a percentage point of the best; of records too short for that, the lowest Schwarz criterion. Order 1 is a
-    floor for the comparison and never chosen; nor is an order whose model cannot be a robot's.
+    The lowest order whose mean FIT on held-out blocks is within a quarter of a percentage point of the best; of records
+    too short for that, the lowest Schwarz criterion. Order 1 is a floor for the comparison and never chosen; nor is an
+    order with a model that cannot be a robot's.
 
     Parameters
     ----------
@@ -87,9 +87,9 @@ def compare_orders(
     train, validation
         Records identified from, and records held out, which are scored and do not choose.
     yaw
-        Which sensor's omega the models predict.
+        Sensor whose omega the models predict.
     asked
-        The order, where nothing is to be chosen.
+        The order, if it is given.
     floor
         (2,) FIT of a simpler model on `train` [%]: an order that is behind it is not chosen if another is not.
 

@@ -18,7 +18,7 @@ LARGEST_ORDER = 5
 
 
 def _identify_by(module: str, records: Sequence[Record], conditions: IdentificationConditions) -> StructureFit:
-    """Identify by a module beside this one. It is imported now: who loads a model needs no estimator."""
+    """Identify by a module of this package. It is imported now: loading a model needs no estimator."""
     identified: StructureFit = import_module(f"{__package__}.{module}").identify(records, conditions)
     return identified
 

@@ -40,7 +40,7 @@ def identify_sm(
     records
         Records with encoders, and a gyro if `yaw` is "gyro"; its bias is identified too.
     yaw
-        Which sensor's omega the model predicts.
+        Sensor whose omega the model predicts.
     limits
         Whether to look for limits of the base.
     robust

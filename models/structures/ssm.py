@@ -83,7 +83,7 @@ def choose_order(
     yaw, limits
         As for `identify_ssm`.
     asked
-        The order, where nothing is to be chosen.
+        The order, if it is given.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def identify_ssm_orders(
     largest
         1 to 5.
     yaw
-        Which sensor's omega the model predicts.
+        Sensor whose omega the model predicts.
     limits
         Whether to look for limits of the base.
 
@@ -261,7 +261,7 @@ def _identified(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
 def identify(records: Sequence[Record], conditions: IdentificationConditions) -> StructureFit:
     """Identify as `Structure.identify` describes."""
     order = conditions.order
-    # Order 1 is only a floor to compare with, so at least order 2 is tried beside it.
+    # Order 1 is only a baseline, so at least order 2 is tried, too.
     largest = max(order or LARGEST_ORDER, 2)
     choice = choose_order(records, conditions.validation, largest=largest, yaw=conditions.yaw, requested=order)
     return StructureFit(choice.identified, choice)

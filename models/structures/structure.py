@@ -24,7 +24,7 @@ class IdentificationConditions:
     validation
         Records held out, for tables; nothing is chosen by them.
     yaw
-        Which sensor's omega the model predicts.
+        Sensor whose omega the model predicts.
     order
         Order of the model, for structures that have a choice; None to choose it.
     wheel_radius
@@ -48,7 +48,7 @@ class StructureFit(NamedTuple):
 
 @dataclass(frozen=True)
 class Structure:
-    """A way to fill a velocity model.
+    """Structure of a velocity model, with its identification.
 
     Attributes
     ----------
@@ -57,13 +57,13 @@ class Structure:
     file
         Schema of its parameter file, from which the model is built.
     identify
-        From records to a model; raises ValueError where they do not allow it.
+        From records to a model; it raises ValueError if they do not permit it.
     needs_wheels
-        Whether it is identified from wheel speeds, and a gyro beside them.
+        Whether it is identified from wheel speeds and a gyro.
     largest_order
         The choice of order is 1 to this; None for structures without a choice.
     takes_effects
-        Whether `models.identification.effects` can look for what a base does around it.
+        Whether `models.identification.effects` can identify the effects of a base around it.
     """
 
     name: str

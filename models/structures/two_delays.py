@@ -1,4 +1,4 @@
-"""A gain and a dead time for each input: those of SM, whose lag becomes dead time too."""
+"""A gain and a dead time for each input: those of SM, with the lag as further dead time."""
 
 from __future__ import annotations
 

@@ -31,9 +31,9 @@ def load_config(
     Parameters
     ----------
     source
-        "mbm", "sm" or "ssm" for the shipped configuration of that model, or the path of a YAML file. A relative
-        path of a model, a term or a feature's file inside it is taken from the folder of the file. Or keys and values
-        as such a file holds them, for instance those that `identify` found. Or a configuration.
+        "mbm", "sm" or "ssm" for the shipped configuration of that model, or the path of a YAML file. A relative path of
+        a model, a term or a feature's file inside it is taken from the folder of the file. Or keys and values of such a
+        file, for instance those that `identify` found. Or a configuration.
     overrides
         Values by dotted key, for instance ``{"horizon": 20, "weights.across": 200.0}``; those of the second room with
         or without ``expert.``.

@@ -1,4 +1,4 @@
-"""Constants that no robot has to change.
+"""Constants that are the same for all robots.
 
 `fixed_values.yaml` holds former keys of the configuration; thresholds of re-entry, for Python and the core, are here.
 Thresholds of the sensor test are in `sensor_test.yaml`, those of single measurements in `core_thresholds.yaml`.

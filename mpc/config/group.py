@@ -13,7 +13,7 @@ Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 
 SMALLEST, LARGEST = 1e-12, 1e12
-"""Sizes of numbers in a configuration, in whatever unit: beyond them is a mistake, and arithmetic would suffer."""
+"""Sizes of numbers in a configuration, in any unit: beyond them is a mistake, and arithmetic would suffer."""
 
 
 class Group(StrictModel, strict=True):

@@ -97,7 +97,7 @@ class GeneratedC:
     source, header
         The texts. The header includes real.h, which defines `real`, `R(number)`, and DDMPC_FLOAT in single precision.
     names
-        What the functions are called.
+        Names of the functions.
     """
 
     stem: str
@@ -122,16 +122,16 @@ def generate(functions: Sequence[ca.Function], stem: str, origin: str) -> Genera
     Parameters
     ----------
     functions
-        What to write down. Sparse results come out dense.
+        Functions to generate. Sparse results come out dense.
     stem
         Name of the files without their ending.
     origin
-        Where the functions come from, for a reader of the C.
+        Source of the functions, for a reader of the C.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If a function needs what C99 or a controller without memory does not have.
+        If a function needs a feature that C99 or a controller without memory lacks.
     """
     bodies = _bodies(functions, {})
     parts = [_SOURCE_HEAD.format(origin=origin, stem=stem), *_own(bodies)]
@@ -171,9 +171,7 @@ def _bodies(functions: Sequence[ca.Function], names: Mapping[str, str]) -> dict[
     text = generator.dump()
     for match in _WORK.finditer(text):
         if (match["iw"], match["w"]) != ("0", "0"):
-            raise ConfigError(
-                f"{match['name']}: its C needs memory of its own; write it without calls of other functions"
-            )
+            raise ConfigError(f"{match['name']}: its C needs its own memory; write it without calls of other functions")
     bodies = {match["name"]: _plain(match["name"], match["body"], names) for match in _BODY.finditer(text)}
     for function in functions:
         if function.name() not in bodies:

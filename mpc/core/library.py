@@ -116,8 +116,7 @@ def _load(stem: str, texts: Mapping[str, str], declared: str) -> Any:  # noqa: A
     return load_cached(stem, what_is_built(texts), build, lambda path: ffi.dlopen(str(path)))
 
 
-# Structs of core.h by field names: shapes of their arrays, and values that fit. shapes of what they point to, and
-# values that fit.
+# Structs of core.h by field names: shapes of their arrays, and values that fit.
 
 
 _POINTER = re.compile(r"^\s*(?:const )?(?:real|ddmpc_time|int) \*(\w+);\s*/\* ((?:\[[^\]]+\])+)", re.MULTILINE)

@@ -22,9 +22,9 @@ _FORMULAS = (
     "mpc/problem/terms.py",
     "mpc/core/generate.py",
 )
-# Python sets sizes at run time and uses double precision; an export overrides both here. an export says otherwise here.
+# Python sets sizes at run time and uses double precision; an export overrides both here.
 SIZES = "ddmpc_sizes.h"
-"""The header that says so."""
+"""The header with these settings."""
 _SIZES = {SIZES: "/* double precision, and sizes at run time */\n"}
 
 _COMMENT = re.compile(r"/\*.*?\*/|//[^\n]*", re.DOTALL)

@@ -29,7 +29,7 @@ class Tick:
     step, output
         Addresses of a nonlinear model's functions.
     terms
-        Of the user's terms: address of the function, rows, whether soft, and first parameter.
+        Address, number of rows, softness and first parameter of each user's term.
 
     Raises
     ------

@@ -21,7 +21,7 @@ class FeedForward:
     inverse_gain
         (2, 2) inverse of the model's steady-state gain.
     whole, rest
-        (2,) lag of each channel in whole samples, and what is left of it [samples].
+        (2,) lag of each channel in whole samples, and its remainder [samples].
     """
 
     inverse_gain: FloatArray

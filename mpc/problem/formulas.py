@@ -177,7 +177,7 @@ def sensed(y: ca.SX, slip: ca.SX, gyro_bias: ca.SX, wheel_yaw_ratio: ca.SX) -> c
 
 
 def aim(pose: ca.SX, twist: ca.SX, slip: ca.SX, acceleration: ca.SX) -> ca.SX:
-    """Return what the robot should aim at (4) for the reference's `pose` and `twist`: see `reference` above.
+    """Return the target (4) of the robot for the reference's `pose` and `twist`: see `reference` above.
 
     To hold its path in a curve a robot that slips to the side must lead it by the angle of its lateral speed, which
     depends on the reference's forward `acceleration` [m/s^2].

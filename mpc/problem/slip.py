@@ -22,9 +22,9 @@ class Slip:
     While it turns it also slides in the plane of the floor, by slide_x and slide_y for each radian in the frame of the
     poses: on a slope wheels that skid hold it no longer.
 
-    The last five curve the twist: with them it is no longer affine in what the model says, and the controller
-    linearises it at each sample. Together with the others they span the nine terms of Ordonez et al., 2017 (P4), and
-    the virtual track of Botta et al., Appl. Sci. 2021, 11(4), 1594 (P3); `of_polynomial` and `polynomial` translate.
+    The last five curve the twist: with them it is no longer affine in the model's output, and the controller linearises
+    it at each sample. Together with the others they span the nine terms of Ordonez et al., 2017 (P4), and the virtual
+    track of Botta et al., Appl. Sci. 2021, 11(4), 1594 (P3); `of_polynomial` and `polynomial` translate.
 
     Attributes
     ----------
@@ -39,12 +39,12 @@ class Slip:
     side_slip
         Lateral speed of the body, outward, over v omega [s].
     turn_ahead, turn_left
-        Where the robot turns about, from the origin of its frame [m]: the load's centre need not be in the middle.
+        Point that the robot turns about, from the origin of its frame [m]: the load's centre need not be in the middle.
     load_shift
-        How far back that point moves for a forward acceleration, which loads the rear axle [s^2].
+        Distance that this point moves back for a forward acceleration, which loads the rear axle [s^2].
     slide_x, slide_y
-        How far the robot slides for each radian that it turns, along x and y of the frame of the poses [m/rad]: all of
-        it across its heading, and a part of it along (`mpc.problem.formulas.sliding`).
+        Distance that the robot slides for each radian that it turns, along x and y of the frame of the poses [m/rad]:
+        all of it across its heading, and a part of it along (`mpc.problem.formulas.sliding`).
     crab
         Lateral speed of the body, to the left, over its forward speed [-]; P4's a21.
     veer
@@ -52,7 +52,7 @@ class Slip:
     forward_coupling, yaw_coupling
         Forward speed [s/rad] and yaw rate [s/m] for the product of the wheels' speed and yaw rate; P4's a13, a33.
     track_growth
-        By what share of itself the track widens for each rad/s of the body's yaw rate [s/rad]; P3's p1 / p0.
+        Relative growth of the track for each rad/s of the body's yaw rate [s/rad]; P3's p1 / p0.
     """
 
     v_offset: float = 0.0

@@ -108,7 +108,7 @@ class Term:
         if len(rows) != self.rows:
             raise ConfigError(f"{where}: {name} has {len(rows)} numbers, its value has {self.rows}; give one for each")
         if not all(row is None or _is_number(row) for row in rows):
-            raise ConfigError(f"{where}: {name} {rows} holds what is no finite number; for no limit give none")
+            raise ConfigError(f"{where}: {name} {rows} contains a value that is not finite; for no limit give none")
         return np.array([none if row is None else row for row in rows], dtype=float)
 
     @property
@@ -150,7 +150,7 @@ def all_terms(configs: Sequence[TermConfig], given_terms: Sequence[Term]) -> tup
     terms = (*(_load(config) for config in configs), *given_terms)
     for name, count in Counter(entry.name for entry in terms).items():
         if count > 1:
-            raise ConfigError(f"term '{name}': {count} terms have this name; give each a name of its own")
+            raise ConfigError(f"term '{name}': {count} terms have this name; give each its own name")
     soft = [entry for entry in terms if entry.soft]
     rows = sum(entry.rows for entry in soft)
     if rows > MOST_SOFT_ROWS:
@@ -191,7 +191,7 @@ def checked_parameters(
         if rows.shape not in ((p,), (samples, p)):
             raise ConfigError(f"{where}: give {p} parameters, or {samples} rows of them (found shape {rows.shape})")
         if not np.isfinite(rows).all():
-            raise ConfigError(f"{where}: its parameters hold what is no finite number")
+            raise ConfigError(f"{where}: its parameters contain a value that is not finite")
         checked.append((places[name], rows))
     return checked
 

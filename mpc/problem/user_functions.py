@@ -27,15 +27,15 @@ def user_term(function: ca.Function, name: str, place: str | None = None) -> ca.
         Any of the inputs pose (3), twist (2), command (2), reference (4), parameters (p), by these names in any order,
         to one column (m). Units and frames are those of `mpc.problem.formulas`.
     name
-        What it is called in C.
+        Name of the C function.
     place
-        What messages call it; by default "term" and the function's own name.
+        Name for messages; by default "term" and the function's own name.
 
     Returns
     -------
     casadi.Function
-        Of pose, twist, command, reference, parameters (p, 0 where it takes none) to `value` (m) and `gradient` (m x 7)
-        by pose, twist and command.
+        Function of pose, twist, command, reference, parameters (p, 0 where it takes none) to `value` (m) and `gradient`
+        (m x 7) by pose, twist and command.
 
     Raises
     ------
@@ -64,15 +64,15 @@ def user_step(function: ca.Function, name: str) -> ca.Function:
     Parameters
     ----------
     function
-        Of `x` (n) and `window` (2 W), the commands v_ref [m/s], omega_ref [rad/s] of the last W samples, oldest first,
-        to the state (n) one sample later.
+        Function of `x` (n) and `window` (2 W), the commands v_ref [m/s], omega_ref [rad/s] of the last W samples,
+        oldest first, to the state (n) one sample later.
     name
-        What it is called in C.
+        Name of the C function.
 
     Returns
     -------
     casadi.Function
-        Of the same to `x_next` (n), `by_x` (n x n) and `by_window` (n x 2 W).
+        Function of the same inputs to `x_next` (n), `by_x` (n x n) and `by_window` (n x 2 W).
 
     Raises
     ------
@@ -100,16 +100,16 @@ def user_output(function: ca.Function, name: str, states: int) -> ca.Function:
     Parameters
     ----------
     function
-        Of `x` (n) to v [m/s], omega [rad/s].
+        Function of `x` (n) to v [m/s], omega [rad/s].
     name
-        What it is called in C.
+        Name of the C function.
     states
         n.
 
     Returns
     -------
     casadi.Function
-        Of the same to `y` (2) and `gradient` (2 x n).
+        Function of the same input to `y` (2) and `gradient` (2 x n).
 
     Raises
     ------

@@ -93,7 +93,7 @@ def all_options(
     """
     sample = _rejoining_samples(window, nearest, look_ahead)
     options = [*_direct(window, sample, course, limits), _turn_first(window, sample, course, limits, stop=False)]
-    # If the reference only turns on the spot, the last resort is its present pose. to where it is now.
+    # If the reference only turns on the spot, the last resort is its present pose.
     options.append(_turn_first(window, np.append(sample, nearest), course, limits, stop=True))
     return Options(*(np.concatenate([getattr(part, field.name) for part in options]) for field in fields(Options)))
 

@@ -73,7 +73,7 @@ class PathWindow:
 
 def in_path(dx: float, dy: float, theta: float) -> tuple[float, float]:
     """Split a displacement [m] into parts along and across the heading `theta` [rad], positive to its left."""
-    # NaN in the input yields NaN without a warning: the caller checks the result. the caller looks at what it gets.
+    # NaN in the input yields NaN without a warning: the caller checks the result.
     c, s, dx, dy = math.cos(theta), math.sin(theta), float(dx), float(dy)
     return c * dx + s * dy, c * dy - s * dx
 
@@ -92,7 +92,7 @@ def _travel(v: FloatArray) -> FloatArray:
 
 # Closer than this, there is no direction from one point to another [m].
 SAME_PLACE = 0.01
-# Duration of an empty motion [s]: a trajectory needs a positive one. a trajectory needs some.
+# Duration of an empty motion [s]: a trajectory needs a positive one.
 _MOMENT = 1e-3
 
 

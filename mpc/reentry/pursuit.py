@@ -50,7 +50,7 @@ class Stray(Protocol):
 
 
 class Pursuit:
-    """Follows one reference; holds its clock and the path back, if there is one.
+    """Follows one reference; holds its clock and the path back, if one exists.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class Pursuit:
         self._top, self._top_speed = np.zeros((2, 2)), 0.0
         self._speed_limit = math.inf
         self.pace = math.inf
-        """Largest progress rate for what lies ahead, set before each tick [-]."""
+        """Largest progress rate for the path ahead, set before each tick [-]."""
         self.planned_delay = 0.0
         """The part of `delay` that was decided: it stood, or went slowly for things ahead or a speed limit [s]."""
         self.room: Room | None = None
@@ -198,7 +198,7 @@ class Pursuit:
         ahead: FloatArray = _NOW,
         reach: float = math.inf,
     ) -> Target | TooFar:
-        """Return what to track at `since_start` [s], where `time` [s] is the value that `advance` returned.
+        """Return the target at `since_start` [s], where `time` [s] is the value that `advance` returned.
 
         `ahead` are the times from now, 0 first, at which the target will be sampled, so that the reference is sampled
         only once. `reach` is the rim speed that may be demanded of the wheels [m/s].
@@ -275,7 +275,7 @@ class Pursuit:
         return max(_KEPT * self._speed_limit / fastest, slowed)
 
     def _chase(self, reference: Reference, time: float, estimate: Estimate) -> Target | TooFar:
-        """Track the reference on time, whatever the robot does."""
+        """Track the reference on time, independent of the robot."""
         start = reference.sample([time]).pose[0]
         distance = float(np.hypot(*(estimate.pose - start)[:2]))
         self._driving = distance <= self._config.failure.max_position_error
@@ -300,7 +300,6 @@ class Pursuit:
         settings = self._settings
         away = float(np.hypot(*(estimate.pose - waiting)[:2]))
         # A displacement without driving is no progress: it counts from `waiting`, the place where the reference waits.
-        # it counts from `waiting`, where the reference waits.
         if self._resumes and away > self._config.failure.max_position_error:
             return TooFar(away)
         window = PathWindow.around(reference, time, settings.window, _WINDOW_STEP * self._config.sample_time)

@@ -19,13 +19,13 @@ class Target(NamedTuple):
     Attributes
     ----------
     reference, time
-        A reference and the time at which it stands now [s].
+        A reference and its present time [s].
     message
-        In words, what is out of the ordinary; empty when the robot is on its path and on time.
+        Unusual events, in words; empty when the robot is on its path and on time.
     blocked_for
-        How long the robot has not moved although it is asked to [s]; 0 when it does.
+        Time for which the robot has not moved although it is commanded to [s]; 0 when it moves.
     sample
-        The reference from `time` on at the times that were asked for; None where it was not sampled.
+        The reference from `time` on at the requested times; None where it was not sampled.
     """
 
     reference: Reference
@@ -59,7 +59,7 @@ class TooFar:
 # Whether the robot moves at all while the reference waits for it.
 
 
-# Displacements below this are noise of the pose: m, rad. m, rad.
+# Displacements below this are noise of the pose: m, rad.
 _STIR = (0.04, 0.1)
 
 

@@ -39,7 +39,7 @@ class Rejoin:
     connection
         The motion from the robot to the reference.
     reference
-        What is rejoined.
+        Reference to rejoin.
     joins
         Reference time at which the connection ends [s].
     ahead
@@ -124,7 +124,7 @@ def rejoin(
     reference, window, here
         The reference, its samples around now, and the index of the sample nearest to the robot.
     course
-        Where the robot is and how it moves.
+        Pose and motion of the robot.
     since_start
         The controller's time [s], against which the delay counts.
     look_ahead
@@ -132,7 +132,7 @@ def rejoin(
     limits
         Speed and acceleration limits of the connection.
     room
-        Where the robot may be, if not everywhere.
+        Region that the robot may be in, if limited.
 
     Returns
     -------

@@ -46,7 +46,7 @@ class BondProtocol:
     Attributes
     ----------
     state
-        What it does.
+        State of the bond.
     lost
         Why the sister is gone; empty while it is not.
     """
@@ -60,7 +60,7 @@ class BondProtocol:
         """Update the bond; call once per period."""
         passed = self._now() - self._since
         if self.state is BondState.WAITING and passed > CONNECT_TIMEOUT:
-            # No manager is present, so the node continues alone. it goes on alone.
+            # No manager is present, so the node continues alone.
             self.state = BondState.DEAD
         elif self.state is BondState.ALIVE and passed > HEARTBEAT_TIMEOUT:
             self.state, self.lost = BondState.DEAD, f"it was silent for {HEARTBEAT_TIMEOUT:g} s"
@@ -100,7 +100,7 @@ class Bond:
     node
         The node.
     period
-        Of the heartbeats [s].
+        Period of the heartbeats [s].
     """
 
     def __init__(self, node: Node, period: float) -> None:
@@ -139,7 +139,7 @@ class Bond:
         self.protocol.beat()
         if self.protocol.lost and not self._told:
             self._told = self.protocol.lost
-            self._node.get_logger().warning(f"the lifecycle manager is gone: {self.protocol.lost}; driving goes on")
+            self._node.get_logger().warning(f"the lifecycle manager is gone: {self.protocol.lost}; driving continues")
 
     def _hear(self, message: Any) -> None:  # noqa: ANN401 - ROS messages have no types to check
         if message.id == self._id and message.instance_id != self._instance:

@@ -88,8 +88,7 @@ class _WheelOutput(_Output):
     def send(self, command: FloatArray, time: int) -> None:  # noqa: ARG002 - the message has no stamp
         v, omega = float(command[0]), float(command[1])
         rim = abs(v) + self._half_track * abs(omega)
-        # Slow all wheels by one factor, so that the path keeps its curvature. the path keeps its curvature. The limit
-        # may change while driving.
+        # Slow all wheels by one factor, so that the path keeps its curvature. The limit may change while driving.
         share = min(1.0, self._config().limits.wheel_speed / rim) if rim > 0.0 else 1.0
         speeds = [share * (v + sign * self._half_track * omega) / self._radius for sign in self._signs]
         self._publisher.publish(Float64MultiArray(data=speeds))

@@ -52,7 +52,7 @@ needs time, too [-].
 
 
 class RefusedError(DiffdriveMpcError, ValueError):
-    """A request that cannot be granted now; says why and what to do."""
+    """A request that cannot be granted now; contains the reason and the remedy."""
 
 
 @dataclass(frozen=True)
@@ -108,13 +108,13 @@ class LoopTick:
     command
         (2,) v [m/s], omega [rad/s] to be sent.
     state
-        What the loop does.
+        State of the loop.
     message
         Why, in words; empty when all is well.
     result
-        The controller's, where it was asked.
+        Result of the controller, where it was called.
     request
-        What it was asked.
+        The request.
     """
 
     command: FloatArray
@@ -139,7 +139,7 @@ class ControlLoop:
     settings
         The node's own settings.
     inbox
-        Where measurements come from; its clock is that of the controller.
+        Source of the measurements; its clock is that of the controller.
     trajectory
         Reference to drive along until another one is offered; None: no reference.
     in_sim_time
@@ -156,15 +156,16 @@ class ControlLoop:
     objection
         Why the node does not let the robot drive; the robot then brakes as for stale odometry. Empty: it may drive.
     wait_reason
-        Why the robot brakes and stands for now, without a failure; the state does not change. Empty: it drives.
+        Reason for which the robot brakes and stands for now, without a failure; the state does not change. Empty: it
+        drives.
     relaid
-        How often the current reference was placed again because its frame had moved.
+        Number of times that the current reference was placed again because its frame had moved.
     warning
         Any other anomaly around the loop, for diagnostics.
     refusal
         Why the last reference or goal was refused, for diagnostics; empty once one is accepted.
     shortfall
-        Where the last accepted reference asks for more than the robot has, in words; empty: nowhere.
+        Limits that the last accepted reference exceeds, in words; empty without any.
     blocked
         Whether it paused because the robot was blocked.
     """
@@ -247,7 +248,7 @@ class ControlLoop:
         reference
             The reference; it is not moved to the robot.
         t0
-            Its time 0 on the controller's clock [s]; None: the tick at which it begins.
+            Time of the controller's clock at the reference's time 0 [s]; None: the tick at which it begins.
 
         Raises
         ------
@@ -525,8 +526,7 @@ class ControlLoop:
             reference = self._laid = MovedReference(reference, self._placement.motion())
         elif self._moves_to_robot and pose is not None:
             reference = starting_at(reference, pose.value)
-        # A planner sends a new path each second, and learned slip outlasts it. what was learned of the floor outlasts
-        # that.
+        # A planner sends a new path each second, and learned slip outlasts it.
         goes_on = self.state is LoopState.DRIVING and self.last is not None and self.last.mode is Mode.TRACKING
         if goes_on:
             self._controller.switch_reference(reference, t0)

@@ -33,7 +33,7 @@ _ALIGNED = 1e-3
 
 
 class MessageError(DiffdriveMpcError, ValueError):
-    """A message cannot be used; says why, in few words."""
+    """A message cannot be used; contains the reason, in few words."""
 
     def __init__(self, reason: str) -> None:
         super().__init__(plain_line(reason))  # its frame names are untrusted text, and logs go to terminals
@@ -177,7 +177,7 @@ def subscribe_bounded(
     take
         Called with each message.
     refuse
-        Called with the reason instead, where one is too long or cannot be read.
+        Function that gets the reason, where a message is too long or cannot be read.
     most
         Bytes of a serialised message at most.
     series

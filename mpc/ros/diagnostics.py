@@ -37,7 +37,7 @@ def diagnostics(
     loop
         The control loop; None while the node is not active.
     parts
-        Parts of the node, with values and warnings of their own.
+        Parts of the node, with their own values and warnings.
     """
     status = DiagnosticStatus(name=f"{name}: control", hardware_id=name, level=DiagnosticStatus.OK, message=lifecycle)
     values = {"lifecycle": lifecycle}

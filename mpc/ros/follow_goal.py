@@ -99,7 +99,7 @@ class FollowGoal:
     fault
         Why it cannot be driven, as was found before the loop saw it; None if nothing was.
     cancelled
-        Whether it shall end.
+        Whether the goal is to be cancelled.
     clients
         GIDs of the clients that may have sent it.
     heard_at
@@ -109,7 +109,7 @@ class FollowGoal:
     progress
         Distance to the goal along the path [m] and speed [m/s]; None until it is driven.
     end
-        How it ended; None while it goes on.
+        Result of the goal; None while it is active.
     """
 
     poses: FloatArray
@@ -135,11 +135,11 @@ class FollowGoal:
 
 
 class FrameError(DiffdriveMpcError, ValueError):
-    """A path cannot be brought into the frame of control; says why."""
+    """A path cannot be brought into the frame of control; contains the reason."""
 
 
 Lay = Callable[[tuple[object, ...], Callable[[Laid | None], None], Callable[[str], None]], None]
-"""Has `lay_for_robot` called with these arguments, and the one or the other with what came of it."""
+"""Function that calls `lay_for_robot` with these arguments, and then one of the two callbacks with the result."""
 
 
 def lay_for_robot(
@@ -226,22 +226,23 @@ def _not_laid(why: str) -> Code:
 
 
 class Following:
-    """Takes goals to the control loop, one at a time; a newer one takes over from the one that is driven.
+    """Takes goals to the control loop, one at a time; a newer one replaces the one that is driven.
 
     Parameters
     ----------
     loop
-        Of this activation.
+        Control loop of this activation.
     settings
         The node's.
     config
-        The controller's configuration as it is now.
+        The present configuration of the controller.
     gain
         (2, 2) steady-state gain of its model.
     lay
-        Lays a path beside the loop.
+        Function that plans a path outside the loop.
     transform
-        Brings poses (n, 3) from a frame, at a time [ns], into that of control; FrameError says why it cannot.
+        Brings poses (n, 3) from a frame, at a time [ns], into that of control; FrameError contains the reason if it
+        cannot.
     """
 
     def __init__(

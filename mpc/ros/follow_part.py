@@ -79,7 +79,7 @@ class FollowPathPart(NodePart):
 
 
 def in_control_frame(inbox: Inbox, poses: FloatArray, frame: str, stamp: int) -> FloatArray:
-    """Return poses (n, 3) of `frame` in the control frame, as the frames lie now.
+    """Return poses (n, 3) of `frame` in the control frame, with the present transforms.
 
     They do not move with their frame: a planner sends a newer path after a correction of the localisation.
 

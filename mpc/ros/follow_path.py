@@ -1,6 +1,6 @@
 """The action server `follow_path` (nav2_msgs/action/FollowPath): Nav2's behaviour tree drives the robot through it.
 
-It has a node and a thread of its own: to take a path of some thousand poses apart takes longer than a tick.
+It has its own node and thread: to take a path of some thousand poses apart takes longer than a tick.
 """
 
 from __future__ import annotations
@@ -213,7 +213,7 @@ class FollowPathServer:
         header = request.path.header
         goal = FollowGoal(poses, header.frame_id, nanoseconds(header.stamp), fault=fault, clients=clients)
         # The handle keeps its request as long as its result, and collecting that many objects would stop the loop for a
-        # second. to collect so many objects stops the loop for a second.
+        # second.
         request.path = Path()
         future = Future(executor=self._executor)
         self._open.append((goal, handle, future))

@@ -32,18 +32,18 @@ class Inbox:
     Parameters
     ----------
     settings
-        Frames, and what is used.
+        Frames and used sensors.
     clock
         The node's clock [ns].
     epoch
-        Where the controller's time begins on that clock [ns].
+        Time of that clock at the controller's time 0 [ns].
     frames
-        Transforms, where they are heard.
+        Transforms, if they are received.
 
     Attributes
     ----------
     mounts
-        Transforms that say how the gyro is mounted; None: its z axis points up.
+        Transforms of the gyro's mount; None: its z axis points up.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class Inbox:
         return self._settings.control_frame
 
     def take_odometry(self, message: Odometry) -> None:
-        """Take in wheel odometry: its twist, and its pose unless poses have a topic of their own."""
+        """Take in wheel odometry: its twist, and its pose unless poses have a separate topic."""
         settings = self._settings
         try:
             check_frame(message.child_frame_id, settings.base_frame, "base_frame", "child_frame_id")
@@ -133,7 +133,7 @@ class Inbox:
         self._yaw_rate = yaw_rate
 
     def _upward(self, frame: str) -> tuple[float, float, float]:
-        """Return the axis of the gyro's frame that points up; z where no transform says otherwise."""
+        """Return the axis of the gyro's frame that points up; z without a transform."""
         if self.mounts is not None:
             with suppress(TransformError):
                 return self.mounts.lookup(self._settings.base_frame, frame, self._clock()).transform.vertical

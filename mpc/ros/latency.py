@@ -29,7 +29,7 @@ class Durations:
     Parameters
     ----------
     window
-        How many of them are kept.
+        Number of durations that are kept.
     """
 
     def __init__(self, window: int) -> None:
@@ -55,7 +55,7 @@ class LoopTimes:
     period
         Nominal time between two ticks [s].
     window
-        How many ticks are kept.
+        Number of ticks that are kept.
 
     Attributes
     ----------

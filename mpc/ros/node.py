@@ -132,7 +132,7 @@ class TrackingNode(PartHost):
         self.parts = {name: kind(self) for name, kind in kinds.items()}
 
     def bring_up(self) -> None:
-        """Configure and activate, if the parameter autostart says so; raises ValueError with the reason if it fails."""
+        """Configure and activate, if the parameter autostart is set; raises ValueError with the reason if it fails."""
         if not self.get_parameter("autostart").value:
             return
         for trigger in (self.trigger_configure, self.trigger_activate):
@@ -262,7 +262,7 @@ class TrackingNode(PartHost):
                 for subscription in listen(self, frames, moving=hears_tf):
                     built.callback(self.destroy_subscription, subscription)
             self._inbox = Inbox(settings, self._now, self._now(), frames if hears_tf else None)
-            # With a stated sign the configuration says how the gyro is mounted.
+            # With a stated sign the configuration defines the gyro's mount.
             self._inbox.mounts = frames.buffer if config.sensors.yaw_rate.sign > 0 else None
             self._outgoing = Publishers(self, settings, lambda: controller.config, self._inbox.frame)
             built.callback(self._outgoing.destroy)

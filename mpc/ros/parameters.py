@@ -166,7 +166,7 @@ def check_overrides(node: Node, config: ControllerConfig) -> None:
 
 
 def unknown_parameter(node: Node, config: ControllerConfig, name: str) -> str:
-    """Return the message about a parameter that is not declared: what may be meant, or where its value belongs."""
+    """Return the message about a parameter that is not declared: the possible meaning, or the place of its value."""
     key = plain_key(name)
     if removed_message(key):
         return f"parameter {removed_message(key)}"
@@ -352,7 +352,7 @@ _WHILE_DRIVING = ("weights.", "limits.")
 
 
 class ParameterChanges:
-    """Watches the declared parameters of a node; those of others pass.
+    """Watches the declared parameters of a node; those of other nodes pass.
 
     Parameters
     ----------
@@ -451,8 +451,7 @@ def _groups(changes: Mapping[str, Any], config: ControllerConfig) -> list[dict[s
     ]
 
 
-# Transitions report the reason of a failure, and forbidden ones are rejected, which rclpy does not do. rclpy does
-# neither.
+# Transitions report the reason of a failure, and forbidden ones are rejected, which rclpy does not do.
 
 
 class Managed(Protocol):

@@ -41,9 +41,9 @@ class Publishers:
     node
         The node.
     settings
-        Its settings.
+        Settings of the node.
     config
-        Gives the configuration of the controller as it is now.
+        Function that returns the present configuration of the controller.
     frame
         Frame that control is in.
     """
@@ -141,8 +141,7 @@ class Publishers:
         return marker
 
 
-# Peers of the node's topics, in words: wrong message types, or missing peers. the wrong type of message, or nobody at
-# all, in words.
+# Peers of the node's topics, in words: wrong message types, or missing peers.
 
 
 _PACKAGE = "geometry_msgs/msg/"
@@ -209,7 +208,7 @@ class EstimateOutput:
     node
         The node.
     settings
-        Its settings.
+        Settings of the node.
     frame
         Frame that control is in.
     """

@@ -32,8 +32,7 @@ from diffdrive_mpc.mpc.trajectories.native import table_of
 # How long the node waits for the file to be there, before its first tick, and to be whole, after its last [s].
 _PATIENCE = 5.0
 Method = Callable[..., None]
-# A reference larger than one parcel to the writing process is left out, since it would end the recording. such a
-# reference is left out.
+# A reference larger than one parcel to the writing process is left out, since it would end the recording.
 _LONGEST_LINE = 100_000
 _REFERENCE = ("reference_x_m", "reference_y_m", "reference_theta_rad")
 
@@ -57,11 +56,11 @@ class ActivationRecording:
     Parameters
     ----------
     settings, config
-        Of the node and of its controller.
+        Settings of the node and configuration of its controller.
     frame
         Frame that control is in.
     logger
-        Of the node.
+        Logger of the node.
     """
 
     def __init__(self, settings: NodeSettings, config: ControllerConfig, frame: str, logger: Any) -> None:  # noqa: ANN401
@@ -174,8 +173,7 @@ def _told(settings: NodeSettings, config: ControllerConfig) -> Metadata:
     }
 
 
-# Data of each tick for external recorders: all inputs of the controller, and its result. all that the controller was
-# asked, and its answer.
+# Data of each tick for external recorders: all inputs of the controller, and its result.
 
 
 class TickRecords:
@@ -184,7 +182,7 @@ class TickRecords:
     Parameters
     ----------
     controller
-        The one that is asked.
+        The controller that is called.
     """
 
     def __init__(self, controller: Controller) -> None:
@@ -216,8 +214,7 @@ class TickRecords:
             return None
         hold = None if request.hold is None else (request.hold.reason, request.hold.failure)
         solver = result.solver
-        # A backend that was cut off gave no solution: 0. A bound of 1 leaves the minimiser without limits unchanged. 0.
-        # A bound of 1 leaves the minimiser without limits as it is.
+        # A backend that was cut off gave no solution: 0. A bound of 1 leaves the minimiser without limits unchanged.
         cut_off = solver.status is SolverStatus.TIME_LIMIT
         late = None if not solver.missed else 0 if cut_off else max(solver.iterations, 1)
         cells = (str(result.mode), result.message, str(solver.method), result.step_time, late)

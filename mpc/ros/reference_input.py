@@ -31,8 +31,7 @@ from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 from diffdrive_mpc.mpc.trajectories.timed_poses import lay_timed_poses
 
-# Limits for planning, which takes 15 ms outside the loop; starting it costs a part of a tick. to begin with them a part
-# of a tick.
+# Limits for planning, which takes 15 ms outside the loop; starting it costs a part of a tick.
 _MOST_POSES = 1000
 MOST_BYTES = path_bytes(_MOST_POSES)
 """Bytes of a message at most that can be accepted."""
@@ -113,7 +112,7 @@ def path_reference(message: Path, limits: Limits) -> SplineTrajectory:
     Raises
     ------
     MessageError, models.checked_yaml.ConfigError
-        With one line that says what is wrong.
+        With the error in one line.
     """
     frame = message.header.frame_id
     _check_header(frame, len(message.poses))

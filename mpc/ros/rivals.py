@@ -38,7 +38,7 @@ class Others(NamedTuple):
     project
         Other active nodes of this project that send commands to the same topic.
     foreign
-        Others that publish on it; a node of this project that is not active is one of them.
+        Other nodes that publish on it; a node of this project that is not active is one of them.
     """
 
     project: tuple[str, ...]
@@ -53,7 +53,7 @@ class Rivals:
     node
         The node; it has a publisher on `topic`.
     topic
-        Of the commands, before remapping.
+        Topic of the commands, before remapping.
     """
 
     def __init__(self, node: Node, topic: str) -> None:
@@ -97,7 +97,7 @@ class Rivals:
         names = sorted(map(full_name, self._node.get_publishers_info_by_topic(topic)))
         name = self._node.get_fully_qualified_name()
         # One publisher of that name is this node's; a second one is another node's. If this node has no publisher, the
-        # first is another node's. a second one is another. Without a publisher of its own, the first is another.
+        # first is another node's.
         if has_own and name in names:
             names.remove(name)
         return names

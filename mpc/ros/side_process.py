@@ -43,7 +43,7 @@ class SideProcess:
     Parameters
     ----------
     wake
-        Called from a thread of its own when `deliver` has something to do.
+        Called from a separate thread when `deliver` has something to do.
     patience
         A function that takes longer is given up, and the process with it [s]. It counts from when its module is loaded.
     """
@@ -112,8 +112,7 @@ class SideProcess:
     def _end(self) -> None:
         if self._process is not None:
             self._process.kill()
-            # The process ends as soon as the machine has time for it, so waiting longer is harmless. who waits longer
-            # only waits.
+            # The process ends as soon as the machine has time for it, so waiting longer is harmless.
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(_FAREWELL)
                 self._process = None

@@ -22,13 +22,13 @@ class TopicWatch:
     Attributes
     ----------
     accepted, refused
-        How many messages were.
+        Number of accepted and of refused messages.
     reason
         Why the last message was refused; empty once a good one came.
     last_refusal
         The same, kept for diagnostics.
     source
-        What the topic is and who publishes on it, in words, for a topic on which nothing has come yet.
+        Content of the topic and its publisher, in words, for a topic on which nothing has arrived yet.
     delay
         From the stamp of the last good message to its arrival [s]; NaN before the first.
     series

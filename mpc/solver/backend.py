@@ -127,7 +127,7 @@ class Solved(NamedTuple):
     multipliers
         (kinds, N) of the limits, zero where nothing presses.
     status, iterations, primal_residual, dual_residual
-        What the solver says of it.
+        Status, iterations and residuals of the solver.
     """
 
     plan: FloatArray

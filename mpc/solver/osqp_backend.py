@@ -34,7 +34,7 @@ _STATUS = {
     osqp.SolverStatus.OSQP_DUAL_INFEASIBLE_INACCURATE: SolverStatus.UNBOUNDED,
     osqp.SolverStatus.OSQP_NON_CVX: SolverStatus.NOT_CONVEX,
 }
-# Multipliers below this are numerical remainders of inactive limits. its limit is not active.
+# Multipliers below this are numerical remainders of inactive limits.
 _NO_PRESSURE = 1e-6
 # OSQP's own default [s].
 _NO_TIME_LIMIT = 1e10
@@ -116,8 +116,7 @@ class _Workspace:
         slacks = [[pattern, -unit, unit], [None, unit, None], [None, None, unit]] if rows else []
         blocks = [*hard, *slacks] if rows else [row[:1] for row in hard]
         self._A = _sorted_csc(sparse.bmat(blocks))
-        # Places of the changing block of A among its stored values: the columns of U hold it below the hard rows. the
-        # columns of U hold it below the hard rows.
+        # Places of the changing block of A among its stored values: the columns of U hold it below the hard rows.
         self._soft_place = _positions(self._A, self._rows - rows, rows, n) if rows else np.empty((0, n), dtype=np.intp)
         # Entries off the diagonal are stored, and nothing to begin with: numbers come with each tick.
         triangle = sparse.csc_matrix(np.triu(np.ones((n, n))))

@@ -50,7 +50,7 @@ def quadratic_program(program: Program, weights: Weights, soft_names: Sequence[s
     Parameters
     ----------
     program
-        Of the controller.
+        Quadratic program of the controller.
     weights
         Prices of slacks.
     soft_names

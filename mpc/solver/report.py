@@ -61,12 +61,12 @@ class SolverReport:
         Iterations over all solves of the tick: of the backend, or systems of the active set; 0 where the minimiser
         without limits keeps them all and so is the exact solution.
     primal_residual, dual_residual
-        By how much limits are exceeded and how far the cost is from stationary: OSQP's own figures at its end, else
-        computed from the solution. NaN if there is none.
+        Largest violation of a limit, and largest residual of the stationarity condition: OSQP's own figures at its end,
+        else computed from the solution. NaN if there is none.
     soft_limits
-        Whether soft limits took part.
+        Whether the problem had soft limits.
     operations
-        Of the active set: multiplications of its loops, also where a backend was asked after it. At most
+        Operations of the active set: multiplications of its loops, also where a backend was used after it. At most
         `Controller.operations_bound`; docs/tuning.md says how they are counted.
     missed
         Ticks in a row, this one included, whose solve was cut off by the deadline or ended after it; from

@@ -106,7 +106,7 @@ def joint(before: float, after: float, longest: float, distance: float) -> Joint
     if excess(most) <= 0:
         return made(most)
     # The distance is proportional to the square of the reach. It is reduced slightly to stay below the limit in spite
-    # of rounding. A hair less, so that it is kept and not only met.
+    # of rounding.
     return made(most * brentq(lambda share: excess(share * most) + 0.001 * distance, 1e-6, 1.0, xtol=1e-6))
 
 

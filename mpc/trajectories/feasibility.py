@@ -24,10 +24,9 @@ from diffdrive_mpc.mpc.trajectories.speed_check import at_side, checked_referenc
 _LIMITS = ("v", "omega", "v_slew", "omega_slew", "wheel_speed", "predicted_v", "predicted_omega")
 _ROUNDING = 1e-6
 # Step [s] and maximum number of steps: shorter sample times are not resolved, and the rest of longer references is not
-# checked. a shorter sample time is not resolved; longer references are looked at so far.
+# checked.
 _STEP, _MOST_TICKS = 0.05, 12_000
 # Speed per metre of lag and yaw rate per radian [1/s]; share of a tolerance from which a deficit counts as growing [-].
-# share of a tolerance from which a deficit grows [-].
 _CATCH_UP, _GROWS_FROM = 5.0, 0.5
 # Share of the horizon beyond the lags over which v and omega are planned ahead: the cost weighs headings lightly [-].
 _PREVIEWS = 1.0, 0.5
@@ -45,7 +44,7 @@ class Shortfall:
     reference
         Name of the reference.
     time, arc_length
-        Where it begins: time of the reference [s], distance along it [m].
+        Start of the violation: time of the reference [s], distance along it [m].
     key
         Limit that is reached, such as `limits.v.reverse` or `limits.omega_slew.brake`.
     needed, available

@@ -106,7 +106,7 @@ def _read(path: Path, limits: TrajectoryLimits, timing: Timing | None) -> Trajec
         from diffdrive_mpc.mpc.trajectories.timed_poses import read_timed_poses  # noqa: PLC0415
 
         if timing is not None:
-            raise ConfigError(f"{path}: timing '{timing}': timed poses have times of their own; ask for none")
+            raise ConfigError(f"{path}: timing '{timing}': timed poses have their own times; leave it out")
         return read_timed_poses(path, limits)
     data, where = read_yaml(path), str(path)
     if isinstance(data, Mapping) and "waypoints" in data:

@@ -113,7 +113,7 @@ def scaled_to_robot(
     config
         Limits and wheels of the robot.
     model
-        Of the robot.
+        Model of the robot.
 
     Raises
     ------

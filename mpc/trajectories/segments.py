@@ -147,8 +147,7 @@ def runs(segments: Sequence[Segment]) -> list[list[Segment]]:
 
 def _joins(first: Segment, second: Segment) -> bool:
     """Return True if forward and yaw motion keep the same proportion from `first` to `second`."""
-    # Only rounding of omega / v is tolerated: the yaw rate may then jump by no more than that. the yaw rate may then
-    # jump by no more than that.
+    # Only rounding of omega / v is tolerated: the yaw rate may then jump by no more than that.
     return all(
         math.isclose(a, b, rel_tol=1e-12, abs_tol=1e-12) for a, b in zip(first.direction, second.direction, strict=True)
     )

@@ -69,8 +69,7 @@ _LONGEST = 1e9
 _FURTHEST = 1e9
 # Margins beyond which a turn counts as too tight, for rounding and ringing of splines [-, m/s].
 _LEAST_TURN_SHARE, _LEAST_TURN = 0.99, 1e-3
-# Tolerated turn of a standing reference if commands have a minimum radius: the end of a curve, rounding [rad]. the end
-# of a curve, rounding [rad].
+# Tolerated turn of a standing reference if commands have a minimum radius: the end of a curve, rounding [rad].
 _LEAST_SPOT = 0.1
 
 

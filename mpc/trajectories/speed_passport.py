@@ -55,7 +55,7 @@ class SpeedPassport(StrictModel):
     @model_validator(mode="after")
     def _is_a_table(self) -> SpeedPassport:
         if any(low >= high for low, high in pairwise(self.curvatures)):
-            raise ValueError("curvatures have to rise")
+            raise ValueError("curvatures must increase")
         if any(len(row.speeds) != len(self.curvatures) for row in self.rows):
             raise ValueError(f"each row needs a speed for each of the {len(self.curvatures)} curvatures")
         if len({(row.surface, row.tolerance) for row in self.rows}) < len(self.rows):
@@ -92,7 +92,7 @@ class SpeedCaps:
         tightest = float(bend.max())
         if tightest > self.curvatures[-1] + _STRAIGHT:
             raise ConfigError(
-                f"{self.where}: the path turns with a curvature of {tightest:.3g} 1/m, the passport knows none above "
+                f"{self.where}: the path turns with a curvature of {tightest:.3g} 1/m, the passport has none above "
                 f"{self.curvatures[-1]:.3g} 1/m; widen the turn, or measure a passport with such curvatures"
             )
         # Between two classes the slower one counts, also where chance made the tighter one faster.

@@ -1,4 +1,4 @@
-"""The compiled drivetrain, loaded through cffi; `sim/core/twin.h` says what is in it."""
+"""The compiled drivetrain, loaded through cffi; `sim/core/twin.h` describes it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from diffdrive_mpc.models.interface import FloatArray
 CORE = Path(__file__).parent
 """Folder of the C file and its header."""
 
-# Nothing is contracted or tuned to the processor: the same seed has to give the same bits everywhere.
+# No contraction and no tuning to the processor: the same seed must give the same bits everywhere.
 _FLAGS = ("-ffp-contract=off",)
 _STEP = "void mj_step(const void *model, void *data);"
 
@@ -61,7 +61,7 @@ def view(numbers: Any) -> FloatArray:  # noqa: ANN401 - cffi has no types
 def physics_step() -> Any:  # noqa: ANN401 - cffi has no types
     """Find `mj_step` for C in the library that MuJoCo's Python package has loaded; return None without success.
 
-    C then calls the physics without a way through Python ten times a control sample.
+    C then calls the physics without Python, ten times per control sample.
     """
     import mujoco  # noqa: PLC0415 - an optional dependency
 

@@ -55,7 +55,7 @@ class StartOffset(StrictModel):
 
 
 class Patch(StrictModel):
-    """A stretch of the way with other friction."""
+    """Stretch of the path with other friction."""
 
     start: NotNegative = Field(description="distance travelled by the robot's middle where it begins [m]")
     length: Positive | None = Field(None, description="along the way [m]; without: to the end of the run")
@@ -133,7 +133,7 @@ class DropOut(Window):
 
 
 class StuckSensor(Window):
-    """A sensor that repeats its last value, with stamps that go on."""
+    """Sensor that repeats its last value with advancing stamps."""
 
     sensor: Sensor = Field(description="which sensor")
 
@@ -162,7 +162,7 @@ class PoseError(Window):
 
 
 class FalseCommand(Window):
-    """The motors get another command than the controller sent, and nothing tells it."""
+    """The motors get another command than the controller sent, without any notice."""
 
     v: float = Field(description="forward speed [m/s]")
     omega: float = Field(description="yaw rate [rad/s]")
@@ -180,7 +180,7 @@ class Push(Window):
 
 
 class Blockade(Window):
-    """A yielding obstacle holds the body where it was at the start, whatever the wheels do.
+    """Yielding obstacle that holds the body at its place, whatever the wheels do.
 
     The upper bounds are those of a spring and a damper that the physics step of 2 ms still resolves.
     """

@@ -25,7 +25,7 @@ def drawn(data: object, stream: np.random.Generator) -> Any:  # noqa: ANN401 - p
 def extremes(data: object) -> list[Any]:
     """Return copies of `data` that together contain both ends of every range and every value of every choice.
 
-    A schema whose limits are intervals accepts whatever is drawn from `data` if it accepts these.
+    A schema whose limits are intervals accepts every draw from `data` if it accepts these.
     """
     longest = max((len(node[_ONE_OF]) for _, node in _random(data) if isinstance(node, Mapping)), default=1)
 
@@ -69,7 +69,7 @@ def _random(data: object, place: str = "") -> Iterator[tuple[str, Any]]:
         yield place, data
     inner = data.items() if isinstance(data, Mapping) else enumerate(data) if isinstance(data, list) else ()
     for key, value in inner:
-        # The list of a choice is none of the ranges, but may hold some.
+        # The list of a choice is no range, but may contain ranges.
         if key == _ONE_OF and isinstance(value, list):
             for i, item in enumerate(value):
                 yield from _random(item, f"{place}.{key}.{i}")

@@ -70,7 +70,7 @@ class Scenario(StrictModel):
 
     @property
     def physical(self) -> tuple[str, ...]:
-        """Those of `kinds` that need mass, wheels and motors; the others can happen to any plant."""
+        """Those of `kinds` that need mass, wheels and motors; the others suit any plant."""
         return tuple(name for name in self.kinds if name not in _ANY_PLANT)
 
     @property

@@ -1,4 +1,4 @@
-"""Sensors that lie: what their faults make of a measurement, while the robot itself goes on as it did."""
+"""Faulty sensors: faults of measurements, without effect on the robot itself."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class SensorFaults:
     Parameters
     ----------
     scenario
-        What happens when.
+        Faults of the sensors with their times.
     kinematics
         By which wheel speeds became the twist of a measurement.
     """

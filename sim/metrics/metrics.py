@@ -27,7 +27,7 @@ GIVEN_UP_MODES = frozenset({"BRAKING", "STOPPED"})
 
 # Behind a slower reference [m/s] an error of millimetres would be seconds.
 _MOVING = 0.1
-# Name and unit in the fields of `Metrics`, by what a cell is multiplied, its decimals, and how the row is called.
+# Field of `Metrics`, factor and decimals of a cell, and name of its row.
 _SHOWN = (
     ("position", "m", 1.0, 4, "position [m]"),
     ("heading", "rad", 1.0, 4, "heading [rad]"),

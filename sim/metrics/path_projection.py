@@ -21,8 +21,8 @@ _ROUNDS = 4
 class Polyline:
     """A path as straight segments, continued straight beyond both ends.
 
-    Without the continuation a robot that stands a little before the start or after the end would be charged its
-    distance along the path as a lateral error.
+    Without the continuation, a robot slightly before the start or after the end would get its distance along the path
+    as a lateral error.
 
     Attributes
     ----------
@@ -78,8 +78,8 @@ class Polyline:
             ends = np.maximum(last[rows], np.searchsorted(self.arc_start, self.arc_end[before] + by, side="right"))
             return begins, ends
 
-        # All at once, and again those whose search changes with what was found before them. Where a robot is lost that
-        # goes from point to point, and so do we.
+        # Search all at once, and again those whose search range depends on the results. For a lost robot that is done
+        # point by point.
         later = np.arange(1, len(points))
         rows = np.arange(len(points))
         for _ in range(_ROUNDS):
@@ -147,11 +147,11 @@ def path_polyline(reference: Reference, spacing: float, extension: float) -> Pol
     Parameters
     ----------
     reference
-        The trajectory; places where it stands or turns on the spot become one vertex.
+        The trajectory; places of standing or turning on the spot become one vertex.
     spacing
         Largest distance between two vertices [m].
     extension
-        How far the path is continued straight beyond its ends [m].
+        Length by which the path is continued straight beyond its ends [m].
     """
     coarse = reference.sample(np.linspace(0.0, reference.duration, 1000))
     # The speed between coarse samples may be a little higher than at them; twice as many vertices cover that.

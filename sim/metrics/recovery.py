@@ -1,7 +1,7 @@
 """Recovery of a run after a disturbance: return to the path, and control effort.
 
-Every error is that of the true pose, so it carries no measurement noise; ordinary tracking errors of a few millimetres
-are kept apart by the lateral band (Guffanti et al. 2026, PMC12845739): only what leaves the band is an excursion.
+Every error is that of the true pose, so it carries no measurement noise; the lateral band separates ordinary tracking
+errors of a few millimetres (Guffanti et al. 2026, PMC12845739): only errors beyond the band are an excursion.
 """
 
 from __future__ import annotations
@@ -86,10 +86,10 @@ def compute_recovery(
     command
         (n, 2) v [m/s], omega [rad/s].
     sample_time
-        How long each command is held [s].
+        Time for which each command is held [s].
     disturbance
-        When the first disturbance began, and when the last one that ends was over [s], infinity where all of them last
-        to the end of the run; None without one.
+        Start of the first disturbance, and end of the last one that ends [s], infinity where all of them last to the
+        end of the run; None without one.
     band
         Half width of the lateral band [m].
     lost
@@ -122,6 +122,6 @@ def _overshoot(time: FloatArray, lateral: FloatArray, outside: NDArray[np.bool_]
         return 0.0
     excursion = int(during[-1]) if during.size else int(after[0])
     beyond = -np.sign(lateral[excursion]) * lateral
-    # Before the path is crossed nothing lies beyond it: the crossing need not be searched for.
+    # There is no overshoot before the path is crossed, so the crossing need not be searched.
     counted = beyond[(np.arange(len(time)) > excursion) & (time >= end)]
     return float(max(0.0, np.max(counted, initial=0.0)))

@@ -94,7 +94,7 @@ class BaseMotion:
     model
         The dynamics; a function is for `sample_time` alone, and no effects stand around it.
     effects
-        What the base does around them; without any, a step is a whole sample, if that is short.
+        Effects of the base around them; without any, a step is a whole sample, if that is short.
     sample_time
         For which a command is held [s].
 
@@ -161,7 +161,7 @@ class BaseMotion:
         return body if self._effects.veer is None else self._effects.veer.body(body)
 
 
-# What a base does to its commands before they become set-points: slope limits, steps and coasting of the wheels.
+# Effects of a base on commands before they become set-points: slope limits, steps and coasting of the wheels.
 
 
 _HOLD = 0.005
@@ -177,7 +177,7 @@ class BaseCommands(StrictModel):
 
 
 class CommandShaping:
-    """Follows commands as the base does. A dead time may stand before or behind it: neither depends on the clock.
+    """Follows commands as the base does. A dead time may come before or after it: neither depends on the clock.
 
     Parameters
     ----------

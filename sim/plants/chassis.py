@@ -17,7 +17,7 @@ from diffdrive_mpc.sim.plants.plug_ins import Scene
 from diffdrive_mpc.sim.plants.twin_parameters import TwinParameters, Tyre
 
 _TIPPED = math.pi / 4
-"""Lean from which no robot with its wheels below its body comes back [rad]."""
+"""Tilt from which a robot with its wheels below its body cannot recover [rad]."""
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 _SETTLING_TIME = 1.0
@@ -65,7 +65,7 @@ class Chassis:
     ) -> None:
         import mujoco  # noqa: PLC0415 - an optional dependency, needed by this plant only
 
-        # It would write a log file into the working directory; divergence is found and told in `step`.
+        # MuJoCo would write a log file into the working directory; divergence is detected and reported in `step`.
         mujoco.set_mju_user_warning(_ignore)
         self._forward = mujoco.mj_forward
         self._restart = mujoco.mj_resetData
@@ -125,7 +125,7 @@ class Chassis:
         self.check(self._lib.twin_move(self.c, address(applied)))
 
     def check(self, fate: int) -> None:
-        """Raise a RobotLostError if a step in C says that the robot did not come through."""
+        """Raise RobotLostError if a step in C reports a lost robot."""
         if fate == self._lib.TWIN_DIVERGED:
             raise RobotLostError(f"{self._now}: the simulation diverged; lower the forces of the scenario")
         if fate == self._lib.TWIN_TIPPED:
@@ -143,7 +143,7 @@ class Chassis:
         self._data.xfrc_applied[1] = 0.0
 
     def push(self, forward: float, left: float, yaw_torque: float, height: float) -> None:
-        """Push the body from now on, beside other pushes: forces [N] in its own directions and a torque [N m].
+        """Push the body from now on, in addition to other pushes: forces [N] in its own directions and a torque [N m].
 
         The forces meet the vertical through its centre of mass at `height` above the floor [m].
         """
@@ -270,14 +270,14 @@ def _mjcf(
         shapes = [f'type="capsule" size="{wheel} {_CAPSULE}" euler="90 0 0"' for wheel in rolling]
         tyre = _of_two(tyre)
     places = [(front, half_track), (front, -half_track), (rear, half_track), (rear, -half_track)]
-    # Without it the joints have no constraint at all: robots that leave it out move as ever, bit for bit.
+    # Without friction loss the joints have no constraint: robots without it move as before, bit for bit.
     drag = f' frictionloss="{chassis.wheel_drag}"' if chassis.wheel_drag else ""
     wheels = "".join(
         f'<body pos="{x} {y} 0"><joint type="hinge" axis="0 1 0" armature="{twin.motor.rotor_inertia}"{drag}/>'
         f'<geom name="{name}" {shape} mass="{chassis.wheel_mass}"/></body>'
         for name, shape, (x, y) in zip(WHEELS, shapes, places, strict=True)
     )
-    # Friction gets a time constant of its own: with that of the normal direction, fast skidding lifts the wheels.
+    # Friction has a separate time constant: with that of the normal direction, fast skidding lifts the wheels.
     contacts = "".join(
         f'<pair geom1="floor" geom2="{name}" condim="3" friction="1 1 0 0 0"'
         f' solref="{tyre.contact_time} {tyre.contact_damping}" solreffriction="{tyre.creep_time} 1"'
@@ -286,7 +286,7 @@ def _mjcf(
     )
     length, width, height = (size / 2 for size in chassis.body_size)
     body_mass = robot.mass - 4 * chassis.wheel_mass
-    # The wheels stay where they are: the body alone has to move the centre of the whole.
+    # The wheels stay in place, so the body alone moves the centre of mass of the whole.
     ahead, left = (robot.mass / body_mass * offset for offset in chassis.centre_of_mass)
     load = ""
     if payload is not None:

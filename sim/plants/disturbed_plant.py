@@ -1,4 +1,4 @@
-"""A plant to which a scenario happens: what every plant can suffer, and when it began and ended."""
+"""A plant to which a scenario happens: disturbances of any plant, with their times."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class DisturbedPlant(PlantAround):
     plant
         The plant, which brings about all other disturbances of the scenario itself.
     scenario
-        What happens when.
+        Disturbances with their times.
     robot
         Commands are clipped to its limits, and `sent` says so; a dead encoder spoils the twist by its wheels.
     crossed
@@ -67,7 +67,7 @@ class DisturbedPlant(PlantAround):
         return min(start for start, _ in begun), min(self.time, max(ends)) if ends else math.inf
 
     def reset(self, pose: ArrayLike) -> None:
-        """Put the robot at rest beside `pose` (3,) by the start offset, at time 0, and restart the noise."""
+        """Reset the robot to rest, offset from `pose` (3,) by the start offset, at time 0, and restart the noise."""
         start = np.array(pose, dtype=float)
         offset = self._scenario.start_offset
         if offset is not None:
@@ -82,14 +82,14 @@ class DisturbedPlant(PlantAround):
         return replace(self._faults.apply(self._plant.measure(), self.time), sent=self._sent)
 
     def advance(self, command: ArrayLike) -> None:
-        """Send `command` (2,), or a false one in its place, and let one sample pass; raises ValueError as any plant."""
+        """Send `command` (2,), or a false one instead, and advance by one sample; raises ValueError as any plant."""
         sent = clip_command(command, self._limits)
         false = [item for item in self._scenario.false_commands if item.holds(self.time)]
         self._plant.advance([false[-1].v, false[-1].omega] if false else sent)
         self._sent = (float(sent[0]), float(sent[1]))
 
 
-# What acts on the physics of a disturbed run, physics step by physics step.
+# Disturbances of the physics, by physics step.
 
 
 class DisturbedPhysics:
@@ -100,9 +100,9 @@ class DisturbedPhysics:
     Parameters
     ----------
     scenario
-        What happens when.
+        Disturbances with their times.
     chassis, loops
-        What it happens to.
+        Chassis and speed loops that the disturbances change.
     friction
         Sliding friction coefficient of the floor beside the patches.
     wheel_base
@@ -150,7 +150,7 @@ class DisturbedPhysics:
             twin.step(k, self.motors(twin.torques(k), start))
 
     def before_step(self, start: float, end: float) -> None:
-        """Set what acts during the physics step from `start` to `end` [s]."""
+        """Set the disturbances of the physics step from `start` to `end` [s]."""
         scenario = self._scenario
         if self._patches or scenario.slipping_wheels:
             position = self._chassis.pose[:2]
@@ -177,7 +177,7 @@ class DisturbedPhysics:
         return torques
 
     def _push(self, push: Push, share: float) -> None:
-        """Push for `share` of the step: the mean keeps the momentum exact where a push is no multiple of the step."""
+        """Push for `share` of the step: the mean makes the momentum exact if a push is no multiple of the step."""
         forward, left = push.force * math.cos(push.direction), push.force * math.sin(push.direction)
         self._chassis.push(share * forward, share * left, share * push.yaw_torque, push.height)
 

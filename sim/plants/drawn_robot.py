@@ -1,4 +1,4 @@
-"""A robot of the market, drawn from a seed: build, floor, what befalls it, pose source, and what its user states."""
+"""A robot of the market, drawn from a seed: build, floor, disturbances, pose source, and its user's data."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from diffdrive_mpc.sim.disturbances.scenario import Scenario
 from diffdrive_mpc.sim.plants.chassis import WHEELS
 from diffdrive_mpc.sim.plants.simulated_robot import SimulatedRobot, digital_twin
 
-# What robots on the market are like: the ranges that a robot of the population is drawn from, and what paths need.
+# Ranges of robots on the market, from which the population is drawn, and requirements of paths.
 
 
 _FILE = Path(__file__).with_name("market.yaml")
@@ -67,7 +67,7 @@ class DrawnWeakMotor(StrictModel):
 
 
 class DeadMotor(StrictModel):
-    """One motor that dies on the way."""
+    """Motor that fails during the drive."""
 
     often: Share = Field(description="share of the robots with four driven wheels [-]")
     start: Range = Field(description="when [s]")
@@ -113,7 +113,7 @@ class Needs(StrictModel):
 
 
 class Market(StrictModel):
-    """The ranges; `market.yaml` says what each is over, and where it comes from."""
+    """The ranges; `market.yaml` states the reference and the source of each."""
 
     mass: Range = Field(description="by its logarithm [kg]")
     track: Range = Field(description="over that of the scaled robot [-]")
@@ -157,7 +157,7 @@ class DrawnRobot:
     Attributes
     ----------
     seed
-        What it was drawn from.
+        Seed of the draw.
     build
         Body, drives, firmware, floor and sensors.
     scenario

@@ -1,6 +1,6 @@
 """From a command that has arrived to torques: firmware, motor drivers with their velocity loops, DC motors.
 
-What each of them does stands in `sim/core/twin.c`. Here is what their numbers come from.
+Their behaviour is implemented in `sim/core/twin.c`. This module computes their parameters.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ class VelocityLoops:
             "proportional": driver.proportional_gain,
             "integral": step * driver.integral_gain,
             "no_load_speed": motor.no_load_speed,
-            # Slower than one count per control sample or so the counter cannot tell from rest.
+            # Below about one count per control sample, the counter cannot distinguish motion from rest.
             "rest_speed": pulse / step / 10,
             "stall_torque": [motor.stall_torque * share for share in motor.spread],
             "torque_limit": math.inf if driver.torque_limit is None else driver.torque_limit,
@@ -159,7 +159,7 @@ class VelocityLoops:
         return torques
 
 
-# The way of a command from the onboard computer to the firmware: range check, then dead time.
+# Path of a command from the onboard computer to the firmware: range check, then dead time.
 
 
 _ROOM = 16
@@ -247,7 +247,7 @@ class DelayLine:
         self.c.room, self.c.first = room, 0
 
 
-# What the motors of a plant did during a sample: true torques, work, and what heats their windings.
+# Work of the motors of a plant in a sample: true torques, work, and squared torques, which heat the windings.
 
 
 WHEELS = 4

@@ -74,9 +74,9 @@ def make_plant(
         its parameter file.
     scenario
         Name of a shipped scenario or path of a scenario file: what happens to the robot during a run. Its random values
-        are drawn from `seed`, in a stream of their own. "model:" plants take those without mass, wheels and motors.
+        are drawn from `seed`, in a separate stream. "model:" plants take those without mass, wheels and motors.
     sample_time
-        Time for which a command holds [s]; by default that of the robot. The physics has steps of its own.
+        Time for which a command holds [s]; by default that of the robot. The physics has its own steps.
     limits
         For "model:" plants: commands beyond this are cut off; by default as the link of the robot of the papers does.
     scene

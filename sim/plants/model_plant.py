@@ -35,7 +35,7 @@ class ModelPlant:
     model
         The velocity model.
     slip
-        What happens between the model's twist and the true one.
+        Slip between the model's twist and the true one.
     sensors
         Sensor parameters.
     seed
@@ -43,7 +43,7 @@ class ModelPlant:
     extra_dead_time
         Dead time on top of the model's own, both channels [s].
     effects
-        What the base does around the model; nothing by default.
+        Effects of the base around the model; none by default.
     robot
         Geometry, sample time and limits; by default the robot of the papers.
     disturbance

@@ -40,9 +40,9 @@ class MujocoPlant:
     robot, twin, firmware
         Other robots than the shipped one.
     base
-        What its base does to commands; nothing by default.
+        Effects of the base on the commands; none by default.
     scenario
-        What happens to chassis and motors; the rest of it is for `sim.plants.disturbed_plant.DisturbedPlant`.
+        Disturbances of chassis and motors; the others are for `sim.plants.disturbed_plant.DisturbedPlant`.
     sideways
         Friction across the rolling direction of the wheels over that along it.
     sample_time
@@ -159,7 +159,7 @@ class MujocoPlant:
         return self._sensors.collect(self.time, self._sent)
 
     def advance(self, command: ArrayLike) -> None:
-        """Send `command` (2,) and let one sample pass; raises as `sim.plants.plant.Plant` says."""
+        """Send `command` (2,) and let one sample pass; raise as `sim.plants.plant.Plant` describes."""
         sent = clip_command(command, self._robot.limits)
         self._sent = (float(sent[0]), float(sent[1]))
         if self._shaping is None:
@@ -176,7 +176,7 @@ class MujocoPlant:
             self._disturbances.advance(self._twin)
         self._tick += 1
         for look in self._sensors.poses_due(edges[-1]):
-            # The first step of the physics at whose end it counts as due.
+            # A pose is due at the first step of the physics that ends after its time.
             k = int(np.searchsorted(edges[1:] + TIME_TOLERANCE, look))
             start, end, before, after = edges[k], edges[k + 1], poses[k], poses[k + 1]
             self._sensors.see_pose(look, before + (look - start) / (end - start) * (after - before))

@@ -16,7 +16,7 @@ class RobotLostError(DiffdriveMpcError, ValueError):
 
 
 class Plant(Protocol):
-    """A robot stand-in that is advanced one control sample at a time.
+    """Stand-in for the robot that advances by one control sample at a time.
 
     Two plants made with the same arguments and driven with the same commands agree bit for bit.
     """

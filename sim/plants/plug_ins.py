@@ -52,7 +52,7 @@ class Scene(Protocol):
         ...
 
     def restart(self) -> None:
-        """Put everything in its place for a new run."""
+        """Reset everything for a new run."""
         ...
 
     def step(self) -> None:
@@ -137,7 +137,7 @@ class RunColumns:
 
 
 def columns_of(run: Any) -> list[RunColumns]:  # noqa: ANN401 - as above
-    """Return what the parts of a run add to it, in the order of its parts."""
+    """Return the additions of the parts of a run, in order."""
     return [plug_in("columns", name) for name in run.parts]
 
 

@@ -1,4 +1,4 @@
-"""A robot of the `mujoco` plant: one YAML file, of which only what differs from the digital twin has to be written."""
+"""A robot of the `mujoco` plant: one YAML file with the differences from the digital twin."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def digital_twin() -> dict[str, object]:
 
 
 def load_simulated_robot(name: str | Path) -> SimulatedRobot:
-    """Read a robot by shipped name or path; what its file leaves out is as in the digital twin.
+    """Read a robot by shipped name or path; values missing in its file are those of the digital twin.
 
     Raises
     ------

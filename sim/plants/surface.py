@@ -46,7 +46,7 @@ class VirtualTrack(StrictModel):
 class BodySlip(StrictModel):
     """Motion of the body for the output (v, omega) of a velocity model.
 
-    The gains act first, then one of the papers' laws where there is one: on what the gains leave as (v_c, w_c).
+    The gains act first, then optionally one of the papers' laws: on the result of the gains as (v_c, w_c).
     """
 
     yaw_gain: Positive = Field(description="true yaw rate over that of the velocity model")

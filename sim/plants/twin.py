@@ -11,12 +11,12 @@ from diffdrive_mpc.sim.plants.drivetrain import CommandShaper, DelayLine, SpeedO
 
 
 class Twin:
-    """`twin_advance` of `sim/core/twin.c`, and its halves for what happens between them.
+    """`twin_advance` of `sim/core/twin.c`, and its halves, for actions between them.
 
     Parameters
     ----------
     line, shaper, observer, loops, chassis
-        Its parts.
+        Parts of the plant.
     steps
         Steps of the physics in a control sample.
 

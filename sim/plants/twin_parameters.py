@@ -16,7 +16,7 @@ FIRMWARE_FILE = PARAMETERS / "firmware.yaml"
 
 
 class ChassisParameters(StrictModel):
-    """Rigid body and wheels, beyond what the robot file says."""
+    """Rigid body and wheels, in addition to the robot file."""
 
     wheel_base: Positive = Field(description="distance between front and rear axle [m]")
     body_size: tuple[Positive, Positive, Positive] = Field(description="length, width, height of the body [m]")
@@ -88,7 +88,7 @@ class TwinParameters(StrictModel):
 
 
 class Firmware(StrictModel):
-    """Command shaping and conversion to wheel speeds in the microcontroller: what calibration adjusts."""
+    """Command shaping and conversion to wheel speeds in the microcontroller: the calibrated parameters."""
 
     gain_v: Positive = Field(description="forward set-point over command")
     lag_v: Positive = Field(description="time constant of the forward filter [s]")

@@ -143,7 +143,7 @@ _BAG_VERSION: Literal[9] = 9
 
 @contextmanager
 def bag_recorder(folder: Path, storage: Storage = "mcap") -> Iterator[MessageRecorder]:
-    """Open a new bag; whatever ends the context, what was recorded until then can be read.
+    """Open a new bag; however the context ends, the recording so far is readable.
 
     Raises
     ------

@@ -16,7 +16,7 @@ from diffdrive_mpc.sim.ros import messages
 from diffdrive_mpc.sim.ros.simulated_base import LockStep, RealTime, SimulatedBase
 
 Spin = Callable[[float], None]
-"""Handles at most one message, waiting for it at most so long [s]."""
+"""Handle at most one message, waiting at most this long [s]."""
 
 
 class SteppedClock:
@@ -87,7 +87,7 @@ class CommandRhythm:
         return self._reported
 
     def words(self, sample_time: float) -> str:
-        """Return what is wrong, both periods [s] and the remedy."""
+        """Describe the fault, both periods [s] and the remedy."""
         period = 0.5 * (self._answered[-1] - self._answered[0]) * sample_time
         return (
             f"lock step: commands come about every {1e3 * period:.3g} ms, the robot's sample time is "
@@ -101,9 +101,9 @@ def drive_in_lock_step(
 ) -> None:
     """Drive until `going` says no.
 
-    The clock stands until somebody who publishes commands is connected. From then on every tick waits for its command
-    for the answer timeout at most, or as long as a repeat of the clock takes while nobody is connected any more: when a
-    controller falls silent or dies the robot goes on, slowly, and the command timeout acts.
+    The clock stands until a publisher of commands is connected. From then on every tick waits for its command for the
+    answer timeout at most, or as long as a repeat of the clock takes while nobody is connected any more: after a
+    controller has stopped or died, the robot continues slowly, and the command timeout acts.
 
     Raises
     ------
@@ -129,10 +129,10 @@ def _wait_for_company(
 ) -> None:
     """Wait until commands have a publisher and, for a limited time, until odometry has a reader.
 
-    Nothing must have connected for the settling time: the first tick is for all who are about to come.
+    Nothing must have connected for the settling time: all connecting nodes must receive the first tick.
     """
     if not base.commanded:
-        base.node.get_logger().info(f"lock step: waiting for somebody to publish commands on {base.command_topic}")
+        base.node.get_logger().info(f"lock step: waiting for a publisher of commands on {base.command_topic}")
     patience: float | None = None
     connected: tuple[int, ...] = ()
     settled = math.inf

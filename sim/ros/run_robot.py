@@ -1,4 +1,4 @@
-"""Run the simulated robot as a ROS 2 node until it is told to end."""
+"""Run the simulated robot as a ROS 2 node until a signal."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def run_robot(
     record, storage
         Folder of a bag to record to, and its kind.
     ros_arguments
-        What follows `--ros-args`, with these words.
+        Arguments from `--ros-args` on.
 
     Raises
     ------

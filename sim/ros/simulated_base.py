@@ -111,16 +111,16 @@ STOP = (0.0, 0.0)
 
 
 class CommandInbox:
-    """Keeps the newest sound command and lets it lapse.
+    """Newest valid command, which times out.
 
     Times are whole nanoseconds on the robot's clock.
 
     Parameters
     ----------
     timeout
-        How long a command stays valid, and the maximum age of its stamp [ns].
+        Time for which a command stays valid, and the maximum age of its stamp [ns].
     tolerance
-        How far the stamp of an answer may be from its tick [ns].
+        Largest difference between the stamp of an answer and its tick [ns].
     """
 
     def __init__(self, timeout: int, tolerance: int) -> None:
@@ -135,7 +135,7 @@ class CommandInbox:
         Parameters
         ----------
         stamp
-            Of its header; 0 where it has none or nobody set it.
+            Stamp of the header; 0 if it is missing or unset.
 
         Returns
         -------
@@ -165,7 +165,7 @@ class CommandInbox:
         return abs((self._stamp or self._received) - tick) <= self._tolerance
 
 
-# What the node says of each tick; with it a recording in real time, too, can be replayed exactly.
+# Report of the node on each tick, with which a recording in real time can be replayed exactly, too.
 _SAID_BY_CONTROLLER = (TICK, DRIVE)
 # rclpy's throttling of repeated warnings [s].
 _WARN_EVERY = 1.0
@@ -203,10 +203,10 @@ def _further_topics(node: Node, plant: Plant, settings: BaseSettings) -> list[Ba
 
 
 class SimulatedBase:
-    """Publishes what the plant's sensors deliver, and drives it with the commands that arrive.
+    """Publisher of the plant's sensor data, which drives the plant with received commands.
 
-    Sensors are published best effort, commands are taken reliably, the newest only. Who holds the object says when a
-    sample passes: `sim.ros.pace`.
+    Sensors are published best effort, commands are taken reliably, the newest only. The owner of the object decides
+    when a sample passes: `sim.ros.pace`.
 
     Parameters
     ----------
@@ -304,7 +304,7 @@ class SimulatedBase:
         self._misheard = misheard
 
     def _recorded(self, node: Node, topic: str, record: MessageRecorder) -> Subscription:
-        """Record what a controller says on `topic`, and nothing else: the robot does not look at it."""
+        """Record the messages of a controller on `topic`, and nothing else: the robot does not look at it."""
         # Of the controller in the robot's own namespace.
         name = node.resolve_topic_name(topic.lstrip("/"))
         return node.create_subscription(
@@ -312,7 +312,7 @@ class SimulatedBase:
         )
 
     def publish_sensors(self, now: int, origin: int) -> None:
-        """Publish what the sensors delivered at this tick.
+        """Publish the sensor data of this tick.
 
         Parameters
         ----------

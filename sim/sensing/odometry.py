@@ -36,7 +36,7 @@ class Odometry:
     def update(self, time: float, measurement: Measurement) -> FloatArray:
         """Advance to `time` [s] with the delivered measurements.
 
-        A sensor without news keeps its last value.
+        A sensor without a new reading keeps its last value.
 
         Returns
         -------

@@ -22,7 +22,7 @@ Scale = Annotated[float, Field(ge=-100, le=100)]
 class PoseSensor(StrictModel):
     """SLAM, motion capture or the like."""
 
-    # Poses on the way number latency over period: without both bounds a slip of the pen fills the memory.
+    # The number of pending poses is latency over period: without bounds on both, a typing error could fill the memory.
     period: float | None = Field(ge=1e-3, description="time between poses [s]; null: every control sample")
     latency: float = Field(ge=0, le=2, description="from the instant a pose describes to its delivery [s]")
     position_sd: Deviation = Field(description="standard deviation of x and of y [m]")
@@ -78,7 +78,7 @@ class SensorSet(StrictModel):
 
 
 def load_sensor_set(name: str | Path) -> SensorSet:
-    """Read a sensor set by shipped name or path; what its file leaves out is as in the default set.
+    """Read a sensor set by shipped name or path; values missing in its file are those of the default set.
 
     Raises
     ------

@@ -22,8 +22,8 @@ _BLOCK = 256
 class Sensors:
     """Turns true motion into measurements.
 
-    The plant reports its motion as it goes; `collect` hands out what has been delivered. Every sensor draws from a
-    random stream of its own, so that one sensor's rate does not change another one's noise.
+    The plant reports its motion as it goes; `collect` returns the delivered measurements. Every sensor has its own
+    random stream, so that its rate does not change the noise of others.
 
     Parameters
     ----------

@@ -1,11 +1,11 @@
-"""Copy reports into the documents, and tables of some into pages, so that they show what was produced.
+"""Copy reports into the documents, and tables of some into pages, so that they show the produced results.
 
 Run as ``python -m studies.documents.documents OUT ...``, from the top of the repository.
 
 Whether the reports that the documents show were made by a controller that sends today's commands.
 
 `docs/twelve-drives.json` holds the commands of twelve drives as sums, and names the reports that were made with them.
-Reports that are older say so in their own text.
+Older reports are marked as such in their own text.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class ShownReport:
     Attributes
     ----------
     name
-        Of the study.
+        Name of the study.
     figures, records
         Names of figures, and of files that are committed beside them.
     page
@@ -228,8 +228,8 @@ def alike(first: dict[str, list[float]], second: dict[str, list[float]]) -> bool
 def record(documents: Path, made: Collection[str], names: Iterable[str]) -> None:
     """Record that the reports `made` are up to date with the commands.
 
-    Where those differ from the commands of the record, all other reports of `names` are older, and get a line that
-    says so.
+    Where those differ from the commands of the record, all other reports of `names` are older, and get a line with that
+    note.
     """
     path = documents / RECORD.name
     now = drives()

@@ -1,6 +1,6 @@
 """Table and figure of docs/nav2.md: one simulated robot, the same paths, Nav2's law and this project's controller.
 
-`python -m studies.documents.nav2_page` writes both. Judged as paths, without times: what a FollowPath goal asks for.
+`python -m studies.documents.nav2_page` writes both. Judged as paths, without times: the contents of a FollowPath goal.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ class Followed:
     end, turned
         Distance [m] and heading error [rad] at the end, once it stands.
     time, speed
-        Until it stands [s], and on the average over that [m/s].
+        Time until it stands [s], and mean speed over that time [m/s].
     position
-        (n, 2) where it was [m].
+        (n, 2) position of the robot [m].
     """
 
     away: FloatArray

@@ -40,11 +40,11 @@ class GainSearch:
     Attributes
     ----------
     objective
-        What is to be small.
+        Function to minimise.
     ranges
         Lowest and highest value of each.
     evaluations
-        How often `objective` may be called.
+        Largest number of calls of `objective`.
     tried
         Every setting with its objective, in order.
     """
@@ -79,7 +79,7 @@ class GainSearch:
                     return
 
     def _step(self, name: str, factor: float) -> bool:
-        """Move in one direction as long as it helps; return True if it did."""
+        """Move in one direction as long as the objective decreases; return True if it did."""
         helped = False
         while len(self.tried) < self.evaluations:
             values, least = self.best
@@ -143,7 +143,7 @@ class Neighbour:
 
 @dataclass(frozen=True)
 class TunedPeer:
-    """A peer's best gains, what was tried, and what its neighbours do."""
+    """A peer's best gains, the tried ones, and the results of their neighbours."""
 
     peer: str
     gains: Values
@@ -188,7 +188,7 @@ class PeersStudy(Study[list[str], list[TunedPeer]]):
     Parameters
     ----------
     settings
-        How.
+        Settings of the study.
     only
         Names of peers; by default all whose law has ranges.
     """

@@ -1,1 +1,1 @@
-"""The papers' experiments on the simulated robot, beside the papers' figures."""
+"""The papers' experiments on the simulated robot, compared with the papers' figures."""

@@ -39,11 +39,11 @@ class Cost:
     order
         Number of states.
     simulation_time
-        Of the processor for a whole simulation: sampling the model, and as many steps as the paper's had [s].
+        Processor time of a whole simulation: sampling the model, and as many steps as the paper's had [s].
     time_per_step
-        Of the processor [s].
+        Processor time of a step [s].
     memory
-        Most that a run held at a time beyond what was there before it [MB].
+        Largest additional memory of a run [MB].
     """
 
     order: int
@@ -55,13 +55,14 @@ class Cost:
 def measure_cost(study: CostStudy, on_done: Callable[[], None] = lambda: None) -> dict[str, Cost]:
     """Simulate the shipped models from commands to poses, one after the other, on one core with one BLAS thread.
 
-    The numbers in a model do not change what it costs. Time is processor time: on an idle machine it is the time that
-    passes, and what else runs does not count. Memory is measured in runs of its own, since watching it takes time.
+    The numbers in a model do not change its computing time. Time is processor time: on an idle machine it equals the
+    elapsed time, and other programs do not count. Memory is measured in separate runs, since its measurement takes
+    time.
 
     Parameters
     ----------
     study
-        How many runs of how many steps.
+        Number of runs and of their steps.
     on_done
         Called after each run.
     """

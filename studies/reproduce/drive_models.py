@@ -1,4 +1,4 @@
-"""P2's comparison: velocities by no model, by its two drive models and by SM, against what was measured.
+"""P2's comparison: velocities by no model, by its two drive models and by SM, compared with the measured ones.
 
 P2: Ivanjko et al., Modelling of Mobile Robot Dynamics. Mean and largest error of a free run, on drives of the simulated
 robot with changes of direction, and on logs of real robots by the protocol of `real_logs.yaml`.
@@ -51,7 +51,7 @@ class DriveModelsResult:
     source
         The simulated robot or a log.
     repetition
-        Of the simulated robot; 0 for a log.
+        Number of the simulated robot's drive; 0 for a log.
     errors
         By model.
     values
@@ -59,7 +59,7 @@ class DriveModelsResult:
     dead_time
         (2,) of v and omega [s], by drive model.
     at_bound
-        By drive model, the numbers that lie on a bound of the search.
+        By drive model, the numbers on a bound of the search.
     """
 
     source: str

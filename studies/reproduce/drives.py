@@ -111,7 +111,7 @@ def pose_error(predicted: FloatArray, driven: FloatArray) -> PathError:
 
 
 class RobotLogs:
-    """The drives of one repetition; each has a seed of its own, in the order in which they are asked for.
+    """The drives of one repetition; each has its own seed, in the order of the requests.
 
     Poses of the records are true ones: the papers hold predictions against a localisation, whose own error is small
     beside theirs.
@@ -119,7 +119,7 @@ class RobotLogs:
     Parameters
     ----------
     repetition
-        Number from which the seeds are counted.
+        Number of the first seed.
     """
 
     def __init__(self, repetition: int) -> None:

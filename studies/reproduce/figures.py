@@ -71,7 +71,7 @@ def _bars(axes: Axes, results: Sequence[MbmSmResult], quantity: str) -> None:
 
 
 def draw_orders(results: Sequence[SsmResult], path: Path) -> None:
-    """Draw what each order brings over order 2, in v and in omega; bars reach over the repetitions."""
+    """Draw the improvement of each order over order 2, in v and in omega; bars reach over the repetitions."""
     printed = load_published().orders
     tested = [row.order for row in results[0].orders if row.order >= PAPERS_ORDER]
     with new_figure(path, 9.0, 3.4) as figure:

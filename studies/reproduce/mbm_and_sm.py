@@ -47,7 +47,7 @@ class MbmSmResult:
     Attributes
     ----------
     repetition
-        Its number.
+        Number of the repetition.
     motor_fit
         By data, FIT of the motors front left, front right, rear left, rear right [%].
     sm_fit
@@ -57,9 +57,9 @@ class MbmSmResult:
     paths
         By trajectory, the driven poses (K, 3) under the name "driven" and those that the models predict.
     parameters
-        By model, what the identification found.
+        By model, the result of the identification.
     warnings
-        By model, what it did not trust.
+        By model, the doubts about the result.
     """
 
     repetition: int
@@ -87,7 +87,7 @@ def compare_mbm_and_sm(study: MbmSmStudy, repetition: int) -> MbmSmResult:
     models = {MBM: mbm, MBM_TRACKS: own_tracks, SM: sm}
     paths = {name: _paths(models, logs.trajectory(name)) for name in study.trajectories}
     of_motors = dict(zip(DATA, (used["wheels"], held_out["wheels"], free), strict=True))
-    # Each channel has steps of its own, as in the paper.
+    # Each channel has its own steps, as in the paper.
     of_v = dict(zip(DATA, (used["v"], held_out["v"], free), strict=True))
     of_omega = dict(zip(DATA, (used["omega"], held_out["omega"], free), strict=True))
     return MbmSmResult(

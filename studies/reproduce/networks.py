@@ -1,4 +1,4 @@
-"""LSTM beside SSM from one long free drive, and the nine networks of Table 2 (P1).
+"""LSTM and SSM from one long free drive, and the nine networks of Table 2 (P1).
 
 P1: Guffanti, Pavon, Sensors 2025, 25(18), 5821.
 """
@@ -44,7 +44,7 @@ _TABLE_2, _TABLE_3, _TABLE_4 = "P1, Table 2", "P1, Table 3", "P1, Table 4"
 
 @dataclass(frozen=True)
 class NetworkRow:
-    """One row of Table 2: FIT and RMSE on the validation and test parts of the drive, and what it took."""
+    """One row of Table 2: FIT and RMSE on the validation and test parts of the drive, and the effort."""
 
     row: int
     parameters: int
@@ -91,7 +91,7 @@ def _network_drive(network: Network, drive: Record) -> FreeDrive:
 
 
 def train_rows(study: NetworkStudy, published: Mapping[int, PublishedNetwork], repetition: int) -> NetworkRows:
-    """Train networks as these rows of Table 2 say, from the drive of `compare_with_ssm`."""
+    """Train the networks of these rows of Table 2 with the drive of `compare_with_ssm`."""
     drive = RobotLogs(_OTHER_SEEDS + repetition).free(1, study.train_duration, study.paper_range)
     experiments, trained = twist_experiments(drive), []
     for row, stated in published.items():

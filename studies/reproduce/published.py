@@ -128,7 +128,7 @@ class PaperFinding:
     claim
         The rule, as a sentence that is true or not.
     source
-        Whose finding it is, and where it stands.
+        Paper of the value and place in it.
     published, plant
         The numbers behind it, in the paper and on the simulated robot (means over repetitions).
     holds
@@ -156,7 +156,7 @@ def each(flags: ArrayLike) -> tuple[bool, ...]:
     return tuple(bool(flag) for flag in np.atleast_1d(flags))
 
 
-# What `reproduce` runs, read from `study.yaml` or, for a quick one, from `quick.yaml`.
+# Experiments of `reproduce`, read from `study.yaml` or, for a quick one, from `quick.yaml`.
 
 
 PARTS = ("mbm_sm", "ssm", "lstm", "cost", "virtual_track", "drive_models")
@@ -201,7 +201,7 @@ class LongerTraining(StrictModel):
 
 
 class NetworkStudy(StrictModel):
-    """LSTM beside SSM from one free drive, and networks of Table 2."""
+    """LSTM and SSM from one free drive, and networks of Table 2."""
 
     train_duration: Positive = Field(description="[s]")
     free_drives: Count
@@ -246,7 +246,7 @@ class TrackStudy(StrictModel):
 
 
 class ReproduceSettings(StrictModel):
-    """All parts; a repetition has drives and noise of its own."""
+    """All parts; a repetition has its own drives and noise."""
 
     repetitions: Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)]
     mbm_sm: MbmSmStudy

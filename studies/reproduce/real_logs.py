@@ -31,7 +31,7 @@ class Protocol(StrictModel):
     logs: dict[str, RealLog]
 
     def log(self, name: str) -> RealLog:
-        """Return a log by name; raise ConfigError where there is none of that name."""
+        """Return a log by name; raise ConfigError if the name is unknown."""
         if name not in self.logs:
             raise ConfigError(f"unknown log '{name}': give one of {', '.join(self.logs)}")
         return self.logs[name]

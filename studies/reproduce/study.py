@@ -1,4 +1,4 @@
-"""The papers' experiments on the simulated robot, beside the papers' figures."""
+"""The papers' experiments on the simulated robot, compared with the papers' figures."""
 
 from __future__ import annotations
 

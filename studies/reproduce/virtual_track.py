@@ -1,6 +1,6 @@
 """The printed tests of a virtual track against the printed line (Botta et al., Appl. Sci. 2021, 11(4), 1594).
 
-P3's eight tests driven on the simulated robot: its virtual track, and on what it depends.
+P3's eight tests driven on the simulated robot: its virtual track, and the factors that affect it.
 
 P3: Botta et al., Appl. Sci. 2021, 11(4), 1594. The virtual track is the difference of the wheels'
 speeds over the true yaw rate, in the steady part of a drive.
@@ -37,7 +37,7 @@ class TrackLine:
     p1_deviation, p0_deviation
         Standard deviation of each; NaN where none is known.
     correlation
-        Of track and yaw rate [-].
+        Correlation of track and yaw rate [-].
     """
 
     p1: float
@@ -61,7 +61,7 @@ class VirtualTrackResult:
         Correlation of the tracks, printed and exchanged, with those that the printed radii imply: without side-slip the
         driven circle is larger than the kinematic one as the virtual track is larger than the true one.
     exchanges, fitting
-        How many double exchanges of tracks there are, and how many give the printed p1 as well.
+        Number of double exchanges of tracks, and of those that give the printed p1 as well.
     """
 
     tests: FloatArray
@@ -127,7 +127,7 @@ def virtual_track_findings(result: VirtualTrackResult, published: Published) -> 
     within = f"within {certain:g} standard deviations"
     source, paper = "P3, section 3 and Table 1", f"{printed.p1:.3f} m s"
     gives = agree(printed, result.fitted_exchanged, certain)
-    # It is one explanation among many unless few others would do, and the other columns side with it.
+    # It is one explanation among many unless few others are possible, and the other columns support it.
     explains = (
         result.by_radius_exchanged > result.by_radius and result.fitting <= published.rules.chance * result.exchanges
     )
@@ -210,7 +210,7 @@ class DrivenTrack:
 
     @property
     def slopes(self) -> dict[str, TrackLine]:
-        """Lines through the drives in which one thing stays, over what changes."""
+        """Lines through the drives with one constant factor, over the changing one."""
         return {name: fit_line(rows[:, [0 if name == _ALONE[2] else 1, 2]]) for name, rows in self.alone.items()}
 
     @property

@@ -1,1 +1,1 @@
-"""The study of controllers on robots, floors and sensors that nobody tuned them to."""
+"""The study of controllers on robots, floors and sensors that they were not tuned for."""

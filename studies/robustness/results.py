@@ -39,7 +39,7 @@ def market_cases(
 ) -> list[Case]:
     """List runs of the first `robots` reserved robots of the market that can drive a path; see `driving_seeds`.
 
-    With `tuning` those whose seeds are not reserved. Controllers are told what the robot's user states of it, and
+    With `tuning` those whose seeds are not reserved. Controllers get the values that the robot's user states, and
     `settings`, configuration values by dotted key.
     """
     return [
@@ -51,7 +51,7 @@ def market_cases(
 FALSE_ALARM_RATE = "monitor.false_alarm_rate"
 """Key of the rate of false alarms that the controller is configured for [1/h]."""
 ROOM = 0.05
-"""Lateral error [m] up to which a run keeps to its path: the band of Guffanti et al. 2026."""
+"""Lateral error [m] up to which a run is on its path: the band of Guffanti et al. 2026."""
 _GIVEN_UP = re.compile(r"([a-z ]+?) not used: ")
 """A sensor that is not used, in a message of the controller."""
 _CONFIDENCE = 0.95
@@ -63,8 +63,8 @@ def measured(settled: float, case: Case, run: Run) -> dict[str, object]:
 
     `late_lateral_m` is the largest |lateral| from `settled` [s] on, NaN without such ticks. `heading_nees` is the mean
     of the squared error of the estimated heading over its variance, about 1 where the estimate knows how good it is,
-    NaN for a controller that tells no estimate. `given_up` counts how often a sensor began not to be used, a false
-    alarm where every sensor is honest. `rate` is the configured rate of false alarms [1/h].
+    NaN for a controller without an estimate. `given_up` counts how often a sensor began not to be used, a false alarm
+    where every sensor is honest. `rate` is the configured rate of false alarms [1/h].
     """
     late = np.abs(run.errors.lateral[run.counted & (run.time >= settled)])
     rate = dict(case.overrides).get(FALSE_ALARM_RATE, ControllerConfig().monitor.false_alarm_rate)
@@ -164,7 +164,7 @@ CELLS: Mapping[str, Cell] = {
 
 
 _MOST = 10.0
-"""Ratio from which on the colour is the same."""
+"""Ratio above which the colour is the same."""
 
 
 def draw_ratios(rows: DataFrame, path: Path) -> None:

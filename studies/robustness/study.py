@@ -25,9 +25,9 @@ from studies.robustness.results import FALSE_ALARM_RATE, MARKET, market_cases, m
 OURS = "mpc"
 """The predictive controller, as `bench.case.Case` names it."""
 _LOOKS = 1000
-"""Samples at which a path is looked at."""
+"""Number of samples of a path."""
 Plan = list[tuple[str, Case]]
-"""Name of the condition and what to drive under it."""
+"""Name of the condition and its drives."""
 
 
 def turns_on_the_spot(trajectory: str) -> bool:
@@ -45,13 +45,13 @@ class RobustnessStudy(Study[Plan, DataFrame]):
     conditions
         By name.
     settled
-        Time from which on the largest lateral error counts [s].
+        Time after which the largest lateral error counts [s].
     controllers, models, trajectories, seeds
         Names as in `bench.case.Case`.
     robots
-        How many robots of the population to drive beside the conditions, along each trajectory.
+        Number of robots of the population to drive beside the conditions, along each trajectory.
     tuning
-        Whether those are robots to tune on, and not the reserved ones.
+        Whether the robots are those to tune on, and not the reserved ones.
     rates
         False alarms per hour at which the predictive controller drives these robots again [1/h].
     """
@@ -128,7 +128,7 @@ class RobustnessStudy(Study[Plan, DataFrame]):
         ]
 
     def run(self, plan: Plan, jobs: int, bar: ProgressBar) -> DataFrame:
-        """Run every case; each process keeps only what the study needs."""
+        """Run every case; each process keeps only the data that the study needs."""
         bar.start_stage(f"running, {jobs} at a time", len(plan))
         drives = [ExperimentRun(case, {"condition": name}) for name, case in plan]
         return drive_all(drives, jobs, bar.advance, partial(measured, self._settled))

@@ -1,7 +1,7 @@
 """Fits the firmware of the digital twin so that a published velocity model predicts what the twin measures.
 
-One motor loop cannot give forward speed and yaw rate the different lags of the published model, so the firmware shapes
-each command channel with a lag of its own; its track sets the yaw gain. Nothing else of the twin is adjusted.
+One motor loop cannot give forward speed and yaw rate the different lags of the published model, so the firmware filters
+each command channel with its own lag; its track sets the yaw gain. Nothing else of the twin is adjusted.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Bounds(StrictModel):
 
 
 class RequiredFit(StrictModel):
-    """FIT that held-out drives have to reach [%]."""
+    """Least FIT of held-out drives [%]."""
 
     v: float
     omega: float
@@ -136,7 +136,7 @@ def calibrate(
     Raises
     ------
     models.checked_yaml.ConfigError
-        At once, if `path` cannot be written. Whatever goes wrong, `path` stays as it was.
+        At once, if `path` cannot be written. After any error `path` is unchanged.
     """
     with whole_file(path, rewrites=True) as unfinished:
         firmware = _calibrated(date or datetime.date.today(), on_evaluation)
@@ -224,7 +224,7 @@ _HEADER = """\
 
 
 def write_firmware(firmware: Firmware, path: str | Path) -> None:
-    """Write firmware parameters, with what was adjusted and what remains as a comment on top."""
+    """Write firmware parameters, with the adjusted ones and the remaining error as a comment on top."""
     text = yaml.safe_dump(firmware.model_dump(), sort_keys=False, default_flow_style=None, width=120)
     Path(path).write_text(_HEADER + text, encoding="utf-8")
 

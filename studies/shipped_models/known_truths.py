@@ -28,7 +28,7 @@ from diffdrive_mpc.sim.plants.open_loop import random_commands
 
 Range = tuple[Positive, Positive]
 _COVERED = 1.959964
-# A pole pair with a damping above this is taken for real: the same rule for truth and estimate.
+# A pole pair with a damping above this counts as real: the same rule for truth and estimate.
 _REAL = 1.0
 
 
@@ -54,18 +54,18 @@ class TruthSettings(StrictModel):
 
 @dataclass(frozen=True)
 class RecoveredTruth:
-    """One truth and what was made of it.
+    """One truth and its identification.
 
     Attributes
     ----------
     seed
-        Of the truth and its noise.
+        Seed of the truth and its noise.
     names
         (q,) parameters, such as "v.gain" or "omega.pole_1.real".
     truth, estimate, deviation
         (q,) each: true value, estimate, stated standard deviation.
     seconds
-        How long the identification took [s].
+        Duration of the identification [s].
     """
 
     seed: int
@@ -95,7 +95,7 @@ def recover_all(
     Parameters
     ----------
     models
-        How many.
+        Number of models.
     on_progress
         Called with the number of truths done and their total.
     """

@@ -1,6 +1,6 @@
 """`python -m studies models fit`: the papers' experiments on the simulated robot, identified as MBM and SM.
 
-Their coefficients are not in the papers' text, so they are identified from the digital twin, and the files say so.
+Their coefficients are not in the papers' text, so they are identified from the digital twin, as the files state.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def identify_track(difference: FloatArray, yaw_rate: FloatArray) -> float:
     slope = float(difference @ yaw_rate) / turning if turning > 0 else 0.0
     if slope <= 0:
         raise ValueError("no track can be found: the yaw rate is zero or runs against the wheels; check its sign")
-    # Errors lie in the gyro, so it is regressed on the wheels: yaw rate = difference / track.
+    # Errors are in the gyro, so it is regressed on the wheels: yaw rate = difference / track.
     return float(difference @ difference) / float(difference @ yaw_rate)
 
 
@@ -89,7 +89,7 @@ IDENTIFICATIONS = len(CHANNELS) + 2 * len(Motors.model_fields)
 """Transfer functions that are fitted in all: both channels of SM, and each motor of MBM twice."""
 
 Identify = Callable[[str, list[SampledExperiment], float | None], IdentifiedChannel]
-"""From the name of a channel, its experiments, and its dead time [s] where that is known, to what was found."""
+"""Function that identifies a channel by its name, its experiments, and its dead time [s] where that is known."""
 
 
 class FittingSettings(StrictModel):
@@ -124,7 +124,7 @@ class PaperExperiments:
 
 @cache
 def wheel_reading() -> ParameterEstimate:
-    """Find by how much wheel speeds lag the body [s], and how large they read [-], on smoothed random drives."""
+    """Find the delay of the wheel speeds after the body [s], and their gain [-], on smoothed random drives."""
     drives = [
         drive_open_loop(make_plant("mujoco", seed=s), random_commands(s)) for s in fitting_settings().reading_seeds
     ]
@@ -141,7 +141,7 @@ def _lag_and_scale() -> tuple[float, float]:
 
 
 def _late() -> tuple[float, float]:
-    """Return by how much the outputs of a drive lag the body [s], v of the encoders and omega of the gyro."""
+    """Return the delay of the outputs of a drive after the body [s], v of the encoders and omega of the gyro."""
     return _lag_and_scale()[0], 0.0
 
 
@@ -173,7 +173,7 @@ def fit_models(
     Parameters
     ----------
     folder
-        Where the parameter files go; the shipped ones by default.
+        Folder of the parameter files; the shipped ones by default.
     date
         Date for the provenance; today by default.
     on_progress
@@ -182,7 +182,7 @@ def fit_models(
     Raises
     ------
     models.checked_yaml.ConfigError
-        At once, if `folder` cannot be written to. Whatever goes wrong, its files stay as they were.
+        At once, if `folder` cannot be written to. After any error its files are unchanged.
     """
     day = (date or datetime.date.today()).isoformat()
     announce = on_progress or (lambda _done, _total: None)
@@ -216,7 +216,7 @@ def _write(
     origin: tuple[str, str],
     replaced: Path,
 ) -> None:
-    """Write a parameter file, load it as a user would, and add the FIT of what was loaded; `origin` is day and method.
+    """Write a parameter file, load it as a user would, and add the FIT of the loaded model; `origin` is day and method.
 
     A file of the same name in the folder `replaced` keeps its line for editors.
     """
@@ -264,7 +264,7 @@ def validation_table(folder: Path = PARAMETERS) -> Table:
 
 
 def lateness(model: VelocityModel, logs: list[OpenLoopDrive], motion: list[FloatArray], row: int) -> float:
-    """Find by how much a channel of the model trails the `motion` (K,) of each drive [s], whatever its gain."""
+    """Find the delay of a channel of the model after the `motion` (K,) of each drive [s], independent of its gain."""
     simulated = [model.discretise(load_robot().sample_time).simulate(log.command)[:, row] for log in logs]
     true = np.concatenate(motion)
 
@@ -400,7 +400,7 @@ _NOTES = {
 
 
 def fit_drives(folder: Path) -> Table:
-    """Drive, fit, write `p2_experimental.yaml` and `p2_physical.yaml` into `folder`, and tell their FIT.
+    """Drive, fit, write `p2_experimental.yaml` and `p2_physical.yaml` into `folder`, and return their FIT.
 
     Raises
     ------
@@ -447,12 +447,12 @@ _NETWORK_FITTING_REPETITION = 41
 
 
 def fit_network(folder: Path, on_progress: Callable[[int, int], None] | None = None) -> Table:
-    """Drive for five minutes, train the paper's network, write it into `folder` as lstm.yaml, and tell its FIT.
+    """Drive for five minutes, train the paper's network, write it into `folder` as lstm.yaml, and return its FIT.
 
     Raises
     ------
     models.errors.MissingPackageError
-        If what trains is not installed.
+        If the package for training is not installed.
     """
     tell = on_progress or (lambda *_: None)
     study, settings, kind = load_study().ssm, training_settings(), Architecture()

@@ -1,1 +1,1 @@
-"""The documents as a site: what MkDocs needs beside the Markdown in `docs`."""
+"""The documents as a site: the input of MkDocs in addition to the Markdown in `docs`."""

@@ -28,7 +28,7 @@ def licence_table() -> str:
 def licence(package: Distribution) -> str:
     """Return the licence that a package states: an SPDX expression, its classifiers, or the words of its field."""
     metadata = package.metadata
-    # What is not there is None in some Pythons, and an error in others.
+    # A missing entry is None in some Pythons, and an error in others.
     if "License-Expression" in metadata:
         return str(metadata["License-Expression"])
     classes = [

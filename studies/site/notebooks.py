@@ -1,4 +1,4 @@
-"""Tutorials as notebooks: the Markdown is the source, and what it shows is what the notebook drew.
+"""Tutorials as notebooks: the Markdown is the source, and its pictures are those of the notebook.
 
 Run as ``python -m studies.site.notebooks``, from the top of the repository: it writes the notebooks without
 outputs next to the tutorials, executes them, and writes the pictures of their pages. git ignores the notebooks.
@@ -71,7 +71,7 @@ def executed(notebook: str, folder: Path) -> list[bytes]:
     Raises
     ------
     nbclient.exceptions.CellExecutionError
-        If a cell fails; says which, and how.
+        If a cell fails; the message names it and the error.
     """
     read = jupytext.reads(notebook, fmt="ipynb")
     client = NotebookClient(read, timeout=600, resources={"metadata": {"path": folder}})

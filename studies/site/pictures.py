@@ -44,7 +44,7 @@ def listed() -> dict[str, SitePicture]:
 
 
 def draw(picture: SitePicture, target: Path) -> None:
-    """Run the commands in a folder of their own, and write what they drew to `target`.
+    """Run the commands in a separate folder, and write their pictures to `target`.
 
     Raises
     ------

@@ -32,7 +32,7 @@ sensor set may leave out every key: the shipped `default` then counts.
 """
 _COLUMNS = "| key | default | allowed | meaning |\n| --- | --- | --- | --- |"
 _BOUNDS = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusiveMaximum": "<"}
-# Groups inside groups that have keys of their own; what lies deeper is told by the schema only.
+# Groups inside groups that have their own keys; deeper levels are only in the schema.
 _DEPTH = 2
 _FORMATS: dict[str, tuple[str, str, Callable[[], Schema]]] = {
     "trajectory": ("path to follow", "--trajectory", lambda: json.loads(json_schema("trajectory"))),
@@ -172,7 +172,7 @@ def public_names() -> dict[str, list[str]]:
 def ros_page(guide: str) -> str:
     """Build the page of topics, services, frames and states from the guide of the node."""
     shown = [section(guide, title) for title in ("Topics, services, frames", "States")]
-    # They have links of the guide, which lies one folder further up.
+    # They have links of the guide, which is one folder further up.
     return "\n".join([_ROS, *(part.replace("](#", "](robot.md#").replace("](", "](../") for part in shown), ""])
 
 

@@ -23,7 +23,7 @@ MOVED = {
     "CONTRIBUTING.md": "contributing.md",
     "CHANGELOG.md": "changelog.md",
 }
-"""Documents that lie outside `docs`, and what they are called on the site."""
+"""Documents outside `docs`, and their names on the site."""
 
 _PACKAGE_PAGE = re.compile(r"packages/(\w+)/docs/(.*)")
 _LINK = re.compile(r"(\]\()([^)\s#:]+)(#[^)\s]*)?(\))")
@@ -69,7 +69,7 @@ def page_of_file(path: str, text: str) -> str:
 def pages_outside(root: Path, documents: Mapping[str, str]) -> dict[str, str]:
     """Build pages by place on the site, for files that the `documents` (text by path) link to and for those in `MOVED`.
 
-    A file that a link names and that does not exist is left out: the strict build then says which page links to it.
+    A file that a link names and that does not exist is left out: the strict build then names the page that links to it.
     """
     moved = {name: (root / name).read_text(encoding="utf-8") for name in MOVED}
     linked = {path for name, text in {**documents, **moved}.items() for path in linked_files(text, name)}
@@ -109,7 +109,7 @@ _LABORATORY = "laboratory/index.html"
 def stage(root: Path, out: Path) -> None:
     """Write the documents of the repository at `root`, the laboratory, and the pages made from its code to `out`.
 
-    What was in `out` before is removed. Links lead to pages of the site, and formulas are MathML.
+    Earlier content of `out` is removed. Links lead to pages of the site, and formulas are MathML.
 
     Raises ConfigError if `out` is a folder that was not written by this.
     """

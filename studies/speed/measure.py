@@ -48,14 +48,14 @@ class PeerInput:
         """Compute state of the first stage and parameters of all, see `studies.speed.stage`, at `t` [s]."""
         if not self._started:
             self._controller.start(self._reference, t)
-        # What the subject commanded, not what this controller would have.
+        # The subject's command, not that of this controller.
         sent = (float(self._past[-1, 0]), float(self._past[-1, 1]))
         stamped = replace(measurement, sent=sent) if self._started else measurement
         self._started = True
         self._controller.program.count_from(self._past[-1])
         estimate = self._controller.step(t, stamped).estimate
         if estimate is None:
-            raise RuntimeError("the drive begins without a pose: peers cannot be told where the robot is")
+            raise RuntimeError("the drive begins without a pose: peers need the position of the robot")
         return stage_data(self._controller.program, estimate, self._past)
 
     def sent(self, command: FloatArray) -> FloatArray:
@@ -67,14 +67,14 @@ class PeerInput:
 
 @dataclass
 class ClosedLoop:
-    """A closed loop that goes on tick by tick.
+    """A closed loop that is continued tick by tick.
 
     Attributes
     ----------
     ticks, peer_data
-        What the subject was told at each tick, for a replay; and what a peer would have been told there.
+        Measurements of the subject at each tick, for a replay; and the data of a peer there.
     steps, efforts
-        What it said, and what that took of its process.
+        Results of the steps, and their processor and clock times.
     pose, twist, command
         True pose (3,) and twist (2,) before each tick, and the command sent (2,).
     """
@@ -135,8 +135,8 @@ def closed_loop_cost(
 
     Half the weighted sum of squares of the pose error along and across the reference and in heading, of the command's
     deviation from its feed-forward and of its increments less those of the feed-forward, plus the penalties on soft
-    limits that were exceeded. The
-    terminal weight has no part in it, nor has slip: the feed-forward is that of the model, and no lead is asked for.
+    limits that were exceeded. The terminal weight has no part in it, nor has slip: the feed-forward is that of the
+    model, and no lead is requested.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def closed_loop_cost(
     command
         (n, 2) v_ref [m/s], omega_ref [rad/s] sent at each tick; before the first the robot stood.
     reference
-        What was to be tracked.
+        Reference to track.
     config
         Weights, limits, track and sample time.
     model
@@ -212,7 +212,7 @@ def _soft_limits(config: ControllerConfig) -> FloatArray:
 
 T = TypeVar("T")
 _AT_LIMIT = 1e-5
-"""A command this close to a limit stands at it [m/s, rad/s]."""
+"""A command this close to a limit counts as limited [m/s, rad/s]."""
 
 
 @dataclass(frozen=True)
@@ -252,7 +252,7 @@ class _Running:
         return None if result is None else (_times(result[0]), result[1])
 
     def guarded(self, act: Callable[[], T]) -> T | None:
-        """Let the subject act; one that fails drops out with its reason, the others go on."""
+        """Let the subject act; one that fails is removed with its reason, the others continue."""
         try:
             return None if self.lost else act()
         except SubjectError as error:
@@ -285,11 +285,11 @@ def measure(
     Parameters
     ----------
     settings, problems
-        What to run.
+        Settings and problems of the study.
     environment
-        Of the peers that need their own; or why there is none.
+        Environment of the peers that need their own; or the reason for its absence.
     folder
-        For what the subjects generate.
+        Folder of the files that the subjects generate.
     core
         The core that everybody runs on; None where a process cannot be bound to one.
     on_tick

@@ -14,7 +14,7 @@ from diffdrive_mpc.models.interface import FloatArray
 ACADOS = "acados"
 """The peer that ratios refer to."""
 GROWTH_FROM = 20
-"""Shortest horizon that counts for the growth: below it what does not depend on the horizon prevails."""
+"""Shortest horizon that counts for the growth: below it the effort that does not depend on the horizon dominates."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,12 +24,12 @@ class SpeedRecord:
     Attributes
     ----------
     solver, model, horizon
-        Who solved what.
+        Solver, model and horizon of the result.
     step_p50_s, step_p95_s, step_p99_s, step_max_s
         Time of the whole step from Python [s], over all ticks of all repetitions.
     tick_p99_s, tick_max_s
-        The same over the ticks, each with the median of its repetitions: what the data cause, without what else the
-        machine did.
+        The same over the ticks, each with the median of its repetitions: the effect of the data, without that of other
+        programs.
     solver_p50_s, solver_p95_s, solver_p99_s, solver_max_s
         Time inside the solver by its own clock [s].
     iterations_p50, iterations_max
@@ -45,7 +45,7 @@ class SpeedRecord:
     samples, clean_share, ticks
         Steps that were timed, the share of them that were undisturbed, and ticks of the drive.
     build_s, memory_bytes, memory_growth_bytes
-        Time to set it up [s]; the largest memory of its process, and by how much it grew since its modules were loaded.
+        Time to set it up [s]; the largest memory of its process, and its growth since its modules were loaded.
     whole
         (repetitions, ticks) times of the whole step [s], NaN where it was disturbed or cold, for the figure of the
         tail; not written.
@@ -117,7 +117,7 @@ def growth_exponent(horizons: FloatArray, times: FloatArray) -> float:
 
 @dataclass(frozen=True)
 class SpeedResults:
-    """Records, the times behind them, and who is missing.
+    """Records, their times, and the missing subjects.
 
     Attributes
     ----------
@@ -187,7 +187,7 @@ class SpeedResults:
 _DETAILED = 30
 """The shipped horizon; a run without it shows its longest."""
 _SMALLEST = "ssm"
-"""The model with the fewest states, which others are held against."""
+"""The model with the fewest states, which others are compared with."""
 Value = Callable[[SpeedRecord], float]
 Cell = Callable[[str, str, int], str]
 """Cell of solver, model and horizon."""

@@ -29,7 +29,7 @@ class SubjectSettings(StrictModel):
 
 
 class SpeedSettings(StrictModel):
-    """The problem, who solves it, and how it is measured; units in the file."""
+    """The problem, its solvers, and the settings of the measurement; units in the file."""
 
     config: dict[str, bool | int | float | str] = Field(description="values of every configuration by dotted key")
     trajectory: str

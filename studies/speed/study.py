@@ -24,9 +24,9 @@ class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
     Parameters
     ----------
     settings
-        What to run.
+        Settings of the study.
     peer_folder
-        Where the peers' environment is or will be; by default below the user's cache folder.
+        Folder of the peers' environment; by default below the user's cache folder.
     """
 
     name = "speed"
@@ -42,7 +42,7 @@ class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
         return [[load_problem(s, model, n) for model in s.models] for n in s.horizons]
 
     def run(self, plan: list[list[SpeedProblem]], jobs: int, bar: ProgressBar) -> SpeedResults:
-        """Run one after the other on one core, whatever `jobs` is; raise ValueError if no subject could be run."""
+        """Run one after the other on one core, independent of `jobs`; raise ValueError if no subject could be run."""
         del jobs
         load = os.getloadavg()[0]
         core = max(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None

@@ -1,1 +1,1 @@
-"""The tracking study: what was asked for, what each part of the estimator is worth, and how much is left."""
+"""The tracking study: targets, the effect of each part of the estimator, and the remaining margin."""

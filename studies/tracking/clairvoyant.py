@@ -1,4 +1,4 @@
-"""A bound, not a controller to drive with: it knows the plant, its pose and its slip, and may think for long.
+"""A bound, not a controller to drive with: it knows the plant, its pose and its slip, and has no time limit.
 
 It solves the predictive controller's problem (`mpc.problem`) with IPOPT to convergence at every tick: the same weights
 and hard limits, a longer horizon. The model is fitted to the plant itself, poses are true, slip is part of the
@@ -107,7 +107,7 @@ class ClairvoyantProgram:
         Parameters
         ----------
         present
-            What is known now.
+            Present state of the plant.
         reference
             The reference at the samples 0 to N.
         feed_forward
@@ -201,7 +201,7 @@ class ClairvoyantController:
     Parameters
     ----------
     known
-        What it knows of the plant.
+        Known properties of the plant.
     config
         Weights, limits and sample time.
     settings

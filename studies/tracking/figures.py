@@ -1,4 +1,4 @@
-"""Figures of the tracking study: what each part of the estimator is worth, what errors come from, and the margin."""
+"""Figures of the tracking study: the effect of each part of the estimator, the causes of errors, and the margin."""
 
 from __future__ import annotations
 

@@ -24,9 +24,9 @@ from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
 from studies.tracking.known_plant import reference_drive
 
 _LEAST_SHARE = 0.03
-"""Share of the duration from which a twist of a path counts [-]: ramps do not."""
+"""Least part of the duration for which a twist of a path counts [-]: ramps do not."""
 _EXACT = 1e-6
-"""Standard deviation in place of zero, in the unit of each sensor: the Riccati equation needs one."""
+"""Standard deviation used instead of zero, in the unit of each sensor: the Riccati equation needs one."""
 _SCALE = 1e6
 """Factor on covariances inside the Riccati equation: in mm^2 it is well conditioned."""
 

@@ -25,7 +25,7 @@ _REST = 1.0
 
 @dataclass(frozen=True)
 class KnownPlant:
-    """The truth about a plant, as far as a linear model and one coefficient can say it.
+    """The truth about a plant, as far as a linear model and one coefficient can describe it.
 
     Attributes
     ----------

@@ -77,7 +77,7 @@ class FigureTarget(StrictModel):
 
 
 class Targets(StrictModel):
-    """Everything that was asked for."""
+    """All results of the study."""
 
     lateral_from: float
     targets: tuple[FigureTarget, ...]
@@ -133,7 +133,7 @@ def _series(case: Case, run: Run) -> RunSeries:
 
 
 def run_or_bound(trajectories: tuple[str, ...], case: Case) -> Run:
-    """Drive a case; what the bound knows of its plant is fitted on `trajectories`."""
+    """Drive a case; the bound's knowledge of its plant is fitted on `trajectories`."""
     if case.controller != BOUND:
         return run_case(case)
     from studies.tracking.clairvoyant import ClairvoyantController  # noqa: PLC0415 - loads slowly
@@ -159,13 +159,13 @@ class ErrorParts:
     Attributes
     ----------
     bias
-        Across the path, in steady arcs, the same for every seed: what slip and gains leave behind.
+        Across the path, in steady arcs, the same for every seed: the remaining effect of slip and gains.
     transient
         Across the path, at all other times, the same for every seed: entries, exits, straights.
     along
         Along the path, the same for every seed.
     noise
-        What differs from seed to seed: sensors.
+        Part that differs between the seeds, which the sensors cause.
     """
 
     bias: float

@@ -1,4 +1,4 @@
-"""The tracking study: what was asked for, what each part of the estimator is worth, and how much is left."""
+"""The tracking study: targets, the effect of each part of the estimator, and the remaining margin."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ class TrackingStudy(SpecStudy):
         super().__init__(experiment, only, measured, partial(run_or_bound, trajectories))
 
     def tables(self, rows: DataFrame) -> list[Table]:
-        """Build the targets first, then every table whose part was driven."""
+        """Build the targets first, then every table of a driven part."""
         shown = rows.assign(variant=rows["variant"].mask(rows["controller"] == BOUND, BOUND_NAME))
         targets = rows[rows["part"] == "targets"]
         return [*([target_table(judge(targets))] if len(targets) else []), *self.stated_tables(shown, _cells(rows))]

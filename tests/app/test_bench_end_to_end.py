@@ -17,15 +17,15 @@ def test_a_quick_bench_writes_its_report(tmp_path: Path) -> None:
     result = invoke(app, "bench", "--out", tmp_path / "out", *arguments.split())
     files = [CONTENTS, "bench.json", "bench.md", "figures", "report.html"]
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == files
-    said = json.loads((tmp_path / "out" / "bench.json").read_text())
-    ours, peer = said["runs"]
+    report = json.loads((tmp_path / "out" / "bench.json").read_text())
+    ours, peer = report["runs"]
     assert (ours["controller"], ours["plant"], peer["controller"]) == ("mpc", "mujoco", "kanayama")
     assert ours["completed"] and peer["completed"]
     assert ours["in_band_percent"] == 100.0
     assert ours["fallbacks"] == 0
     # Last, and on one screen of 80 columns, in a pipe too: models and errors, and where the report lies.
     lines = result.stdout.rstrip().splitlines()
-    assert lines[-1] == f"2 runs in {said['meta']['wall_time_s']:g} s; report: {tmp_path / 'out' / 'report.html'}"
+    assert lines[-1] == f"2 runs in {report['meta']['wall_time_s']:g} s; report: {tmp_path / 'out' / 'report.html'}"
     table = lines[lines.index(next(line for line in lines if line.startswith("Tracking error"))) :]
     assert len(table) <= 24 and all(len(line) <= 80 for line in table[:-1])
     assert [line.split()[0] for line in table[3:5]] == ["SSM", "kanayama"]

@@ -72,15 +72,15 @@ COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 
 
 def completed(words: str, shell: str = "bash") -> list[str]:
-    """The words that a shell is offered where `words` stand before the cursor."""
-    asked = {
+    """Return the words that a shell offers after `words`."""
+    variables = {
         "_DIFFDRIVE_MPC_COMPLETE": f"complete_{shell}",
         "COMP_WORDS": words,
         "COMP_CWORD": str(len(words.split(" ")) - 1),
         "_TYPER_COMPLETE_ARGS": words,
         "_TYPER_COMPLETE_FISH_ACTION": "get-args",
     }
-    result = subprocess.run([COMMAND], env=os.environ | asked, capture_output=True, text=True, check=False)
+    result = subprocess.run([COMMAND], env=os.environ | variables, capture_output=True, text=True, check=False)
     assert result.stderr == ""
     return result.stdout.splitlines()
 
@@ -99,6 +99,8 @@ def test_commands_and_options_are_completed(words: str, offered: set[str]) -> No
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_the_script_for_a_shell_is_shown(shell: str) -> None:
-    asked = os.environ | {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}
-    shown = subprocess.run([COMMAND, "--show-completion", shell], env=asked, capture_output=True, text=True, check=True)
+    variables = os.environ | {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}
+    shown = subprocess.run(
+        [COMMAND, "--show-completion", shell], env=variables, capture_output=True, text=True, check=True
+    )
     assert "_DIFFDRIVE_MPC_COMPLETE" in shown.stdout

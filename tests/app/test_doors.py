@@ -35,7 +35,7 @@ TERM = "import pathlib\npathlib.Path(__file__).with_name('marker').mkdir()\n"
 
 events: list[str] = []
 watched = {"folder": "no folder"}
-"""Where the code lies."""
+"""Folder of the code."""
 
 
 def _note(event, arguments):
@@ -75,7 +75,7 @@ def stranger(tmp_path):
 
 
 def call(*words):
-    """A command; bad input has to end in one line, without a traceback."""
+    """Run a command; bad input must end in one line, without a traceback."""
     result = CliRunner().invoke(app, [str(word) for word in words])
     assert result.exception is None or isinstance(result.exception, SystemExit), (words, result.exception)
     assert result.exit_code in (0, 1, 2), (words, result.output)
@@ -124,7 +124,7 @@ def _csv(stranger, door):
 
 
 def _bag(stranger, door):
-    """The library that reads bags makes code of definitions: those in a bag are left alone."""
+    """Write a bag with definitions from which its reader would generate code: they are ignored."""
     code = f"string X=\"'\\n__import__('os').mkdir('{stranger}/marker')#\"\nfloat64 x\n__import__\n"
     with (door / "bag.mcap").open("wb") as file:
         writer = Writer(file)
@@ -152,7 +152,7 @@ def _bag_folder(stranger, door):
 
 
 def _drive_log(stranger, door):
-    """A log of a drive whose configuration names code; with a configuration of one's own, it is not looked at."""
+    """Write a log of a drive whose configuration names code; with another configuration it is ignored."""
     texts = [
         f"terms: [{{file: {stranger}/term.py, function: run}}]",
         f"model: {stranger}/model.yaml",
@@ -177,7 +177,7 @@ def _drive_log(stranger, door):
 
 
 def _ticks(stranger, _):
-    """What a node publishes about its ticks, which a bag may hold."""
+    """Write messages of a node about its ticks, which a bag may contain."""
     lines = [json.dumps({"format": 1, "py/object": "os.mkdir", "drive": f"{stranger}/term.py"}), "[" * 100_000, "1"]
     for line in [*lines, pickle.dumps(Reduced(stranger)).decode("latin-1")]:
         for kind in (TickRecord, DriveRecord):
@@ -199,7 +199,7 @@ def _messages(stranger, _):
 
 
 def _weights(stranger, door):
-    """Pickles and libraries in place of the weights of a network."""
+    """Write pickles and libraries in place of the weights of a network."""
     objects = io.BytesIO()
     np.savez(objects, input_0=np.array([Reduced(stranger)], dtype=object))
     bare = io.BytesIO()
@@ -211,7 +211,7 @@ def _weights(stranger, door):
 
 
 def _model(stranger, door):
-    """A structure is the name of an installed part, never that of a module or of a file."""
+    """Write a model with the name of a module or a file as its structure, which must be that of an installed part."""
     for structure in ("stranger_code:run", f"{stranger}/term.py", f"{stranger}/code.so", "os"):
         (door / "model.yaml").write_text(yaml.safe_dump({"structure": structure, "name": "odd"}))
         call("models", "show", door / "model.yaml")
@@ -288,7 +288,7 @@ for words in sys.stdin.read().splitlines():
 
 
 def network(door, packed, weights=None, name="network", **architecture):
-    """The file of a network with these bytes as weights."""
+    """Write the file of a network with these bytes as weights."""
     data = yaml.safe_load(NETWORK.read_text(encoding="utf-8"))
     data |= {"weights": weights or f"{name}.npz", "sha256": hashlib.sha256(packed).hexdigest()}
     data["architecture"] |= architecture
@@ -298,7 +298,7 @@ def network(door, packed, weights=None, name="network", **architecture):
 
 
 def archive(**changed):
-    """The shipped weights as an npz archive, with other bytes for some of its arrays."""
+    """Return the shipped weights as an npz archive, with other bytes for some of its arrays."""
     whole = io.BytesIO()
     with (
         zipfile.ZipFile(NETWORK.with_suffix(".npz")) as good,
@@ -310,19 +310,19 @@ def archive(**changed):
 
 
 def array(shape, content=b"", kind="<f8"):
-    """An array as NumPy writes it, which may say more than it holds."""
+    """Return an array in NumPy's format, whose declared size may exceed its content."""
     file = io.BytesIO()
     np.lib.format.write_array_header_1_0(file, {"descr": kind, "fortran_order": False, "shape": shape})
     return file.getvalue() + content
 
 
 def encrypted(packed):
-    """The archive with the mark of encryption on every entry."""
+    """Return the archive with the mark of encryption on every entry."""
     return re.sub(rb"(PK\x01\x02.{4})..", lambda match: match[1] + b"\1\0", packed, flags=re.DOTALL)
 
 
 def bombs(door):
-    """A command and what its line has to say, by what is wrong with the file that it reads."""
+    """Return a command and the required part of its message, by the error of the file that it reads."""
     good = NETWORK.with_suffix(".npz").read_bytes()
     zeros = bytes(80_000_000)
     networks = {

@@ -35,7 +35,7 @@ def validator(kind: str) -> Draft202012Validator:
 
 
 def refused_by_reader(kind: str, data: object, folder: Path) -> str | None:
-    """None, "structure" for what a schema can state, or "meaning" for the rest."""
+    """Return None, "structure" for errors that a schema can state, or "meaning" for the rest."""
     path = folder / "changed.yaml"
     path.write_text(yaml.safe_dump(data), encoding="utf-8")
     try:
@@ -53,7 +53,7 @@ def refused_by_reader(kind: str, data: object, folder: Path) -> str | None:
 
 
 def changes(data: Any, node: Any) -> Iterator[tuple[str, Any]]:
-    """Copies of `data` with one mistake each, for keys in `node`, a part of it."""
+    """Yield copies of `data` with one mistake each, for keys in `node`, a part of it."""
     items = list(node.items()) if isinstance(node, dict) else list(enumerate(node))[:1]  # one item for all of a list
     if isinstance(node, dict):
         node["no_such_key"] = 1.0

@@ -61,7 +61,7 @@ def folder(tmp_path_factory):
             "slow.csv --mapping no_pose.yaml",
             "slow.csv: sample_time: Input should be less than or equal to 0.5 (found 1.0)",
         ),
-        ("good.csv", "which column is what? Give a mapping file"),
+        ("good.csv", "which column has which signal? Give a mapping file"),
         ("good.csv --mapping evil.yaml", "evil.yaml"),
         ("evil.csv", "evil.csv"),
         ("good.csv --mapping map.yaml --structure smm", "--structure 'smm': give one of mbm, sm, ssm"),

@@ -94,20 +94,20 @@ def logs(tmp_path_factory):
 
 
 def test_the_file_says_what_was_driven_and_how_to_drive_it_again(logs):
-    told = read_drive_log(logs / "s.mcap").metadata
-    assert told["case"]["plant"] == "model:ssm" and told["case"]["seed"] == "3"
-    assert told["case"]["repeat"] == " ".join(["diffdrive-mpc", *WORDS])
-    assert ControllerConfig.model_validate(yaml.safe_load(told["configuration"]["yaml"])).horizon == 12
-    assert yaml.safe_load(told["model"]["yaml"])["name"]
+    metadata_of_drive = read_drive_log(logs / "s.mcap").metadata
+    assert metadata_of_drive["case"]["plant"] == "model:ssm" and metadata_of_drive["case"]["seed"] == "3"
+    assert metadata_of_drive["case"]["repeat"] == " ".join(["diffdrive-mpc", *WORDS])
+    assert ControllerConfig.model_validate(yaml.safe_load(metadata_of_drive["configuration"]["yaml"])).horizon == 12
+    assert yaml.safe_load(metadata_of_drive["model"]["yaml"])["name"]
 
 
 def test_identify_finds_the_same_in_both(logs):
-    one, other = (identify([logs / name], structure="sm") for name in ("s.csv", "s.mcap"))
-    sampled, expected = one.model.discretise(0.0202), other.model.discretise(0.0202)
+    first, second = (identify([logs / name], structure="sm") for name in ("s.csv", "s.mcap"))
+    sampled, expected = first.model.discretise(0.0202), second.model.discretise(0.0202)
     assert all(
         np.array_equal(getattr(sampled, name), getattr(expected, name)) for name in ("A", "B0", "B1", "C", "delay")
     )
-    assert one.config == other.config
+    assert first.config == second.config
 
 
 def test_a_full_disk_is_one_line_and_leaves_the_old_file(tmp_path, monkeypatch):

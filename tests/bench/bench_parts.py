@@ -22,7 +22,7 @@ META: dict[str, object] = {
     "date": "2026-01-01",
     "wall_time_s": 1.0,
 }
-"""What a report says of its machine and time."""
+"""Machine and time of a report."""
 
 
 @dataclass(frozen=True)
@@ -75,12 +75,12 @@ def check_square(peer: TrackingController, path: str = "square") -> None:
 
 
 def quick_case(**changes: object) -> Case:
-    """A case on the plant of the controller's own model, without noise."""
+    """Build a case on the plant of the controller's own model, without noise."""
     return Case(**{"plant": "model:ssm", "surface": "ideal", "sensors": "perfect", **changes})  # type: ignore[arg-type]
 
 
 def rows(*outcomes: RunOutcome) -> DataFrame:
-    return frame(one.row for one in outcomes)
+    return frame(outcome.row for outcome in outcomes)
 
 
 def quick_outcome(**changes: object) -> RunOutcome:

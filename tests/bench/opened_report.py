@@ -14,18 +14,18 @@ PHONE, DESK = {"width": 390, "height": 844}, {"width": 1280, "height": 900}
 
 @contextmanager
 def opened(report: Path) -> Iterator[Any]:
-    """A page of Playwright that shows the report; in the end nothing was complained about or asked for."""
+    """Open the report in a page of Playwright; at the end there must be no errors and no requests."""
     complaints: list[str] = []
-    asked: list[str] = []
+    requests: list[str] = []
     with opened_browser() as browser:
         page = browser.new_context(viewport=DESK, offline=True).new_page()
         page.on("console", lambda message: complaints.append(message.text))
         page.on("pageerror", lambda error: complaints.append(str(error)))
-        page.on("request", lambda request: asked.append(request.url))
+        page.on("request", lambda request: requests.append(request.url))
         open_report(page, report)
         yield page
         assert complaints == []
-        assert [url for url in asked if not url.startswith("data:")] == [report.resolve().as_uri()]
+        assert [url for url in requests if not url.startswith("data:")] == [report.resolve().as_uri()]
 
 
 def check_report(report: Path) -> dict[str, Any]:
@@ -36,7 +36,7 @@ def check_report(report: Path) -> dict[str, Any]:
 
 
 def check_page(page: Any) -> None:
-    """All is drawn, nothing is wider than a phone, and print shows nothing to press."""
+    """Check that all is drawn, nothing is wider than a phone, and print shows no buttons."""
     assert page.locator("#key-figures .value").count() >= 1
     assert page.locator("#repeat pre").inner_text().strip()
     plots = page.locator(".plot")
@@ -51,8 +51,8 @@ def check_page(page: Any) -> None:
 
 
 def content_of(report: Path) -> dict[str, Any]:
-    """What the script of a report gets."""
-    found = re.search(r'<script id="content" type="application/json">(.*?)</script>', report.read_text(), re.DOTALL)
-    assert found
-    content: dict[str, Any] = json.loads(found[1])
+    """Return the content that the script of a report gets."""
+    match = re.search(r'<script id="content" type="application/json">(.*?)</script>', report.read_text(), re.DOTALL)
+    assert match
+    content: dict[str, Any] = json.loads(match[1])
     return content

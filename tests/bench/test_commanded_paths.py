@@ -20,7 +20,7 @@ STEPS = {"s": 1.0, "cane": 0.7}  # rad/s, by which the yaw rate of the path jump
 
 
 def least_lateral(step: float) -> float:
-    """Least possible largest lateral error [m] at a jump of the path's yaw rate, when only the slew of omega limits it.
+    """Compute the least maximum lateral error [m] at a jump of the path's yaw rate, limited by the slew of omega.
 
     The error e follows e'' = v (omega - omega_path); omega may begin to change before the jump. A linear programme.
     """
@@ -36,12 +36,12 @@ def least_lateral(step: float) -> float:
     rest = np.concatenate([np.full(2 * (count - 1), Limits().omega_slew * dt), np.zeros(2 * count)])
     ends = [(None, None)] * (3 * count) + [(0.0, None)]
     for first, values in ((0, path), (count, np.zeros(count)), (2 * count, np.zeros(count))):
-        for at in (0, count - 1):
-            ends[first + at] = (values[at], values[at])
+        for column in (0, count - 1):
+            ends[first + column] = (values[column], values[column])
     cost = np.append(np.zeros(3 * count), 1.0)
-    found = linprog(cost, np.vstack([slew, -slew, bounded]), rest, moves, known, bounds=ends, method="highs")
-    assert found.status == 0
-    return float(found.fun)
+    result = linprog(cost, np.vstack([slew, -slew, bounded]), rest, moves, known, bounds=ends, method="highs")
+    assert result.status == 0
+    return float(result.fun)
 
 
 @pytest.mark.parametrize("path", STEPS)
@@ -75,19 +75,21 @@ def test_limits_bind_on_tight_for_about_half_of_the_time(overrides: tuple[tuple[
     limits = config.limits
     command = run.command[run.counted]
     change = np.abs(np.diff(command, axis=0, prepend=0.0)) / config.sample_time
-    encoders = np.array([one.wheel_twist.value for one in run.measurements if one.wheel_twist is not None])
+    encoders = np.array(
+        [measurement.wheel_twist.value for measurement in run.measurements if measurement.wheel_twist is not None]
+    )
     rim = np.abs(encoders) @ (1.0, config.wheels.encoder_track / 2)
-    at = {
+    binding = {
         "command": (np.abs(command) >= np.array([limits.v, limits.omega]) - 1e-4).any(axis=1),
         "slew": (change >= 0.999 * np.array([limits.v_slew, limits.omega_slew])).any(axis=1),
         "wheels": rim[run.counted] >= 0.98 * limits.wheel_speed,
     }
-    share = {name: rows.mean() for name, rows in at.items()}
+    share = {name: rows.mean() for name, rows in binding.items()}
     assert share["command"] > 0.05
     assert share["slew"] > 0.1
     # Within the command's shipped limits the wheels never reach theirs.
     assert (share["wheels"] > 0.05) == bool(overrides)
-    assert 0.35 < (at["command"] | at["slew"] | at["wheels"]).mean() < 0.65
+    assert 0.35 < (binding["command"] | binding["slew"] | binding["wheels"]).mean() < 0.65
 
 
 PATHS = ["circle", "square", "s", "cane"]
@@ -113,7 +115,7 @@ class Recorder:
 
 
 def normalised(model: str) -> tuple[dict[str, float], np.ndarray]:
-    """Over the four trajectories: mean normalised innovation by sensor, and mean squared pose error over variance."""
+    """Compute over four trajectories: mean normalised innovation by sensor, mean squared pose error over variance."""
     innovations: dict[str, list[float]] = {}
     errors = []
     for trajectory in PATHS:

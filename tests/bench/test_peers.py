@@ -142,10 +142,10 @@ def test_lqr_linearises_what_the_robot_does() -> None:
 def test_pursuits_arc_passes_through_the_look_ahead_point(v: float, x: float, y: float, turned: float) -> None:
     law, arc = PursuitLaw(PURSUIT, ROBOT), Arc(v=v, omega=0.5, duration=20.0)
     law.start(arc)
-    here = arc.sample([2.0]).pose[0]
-    seen = sight(here + [x, y, turned], here, [v, 0.5])
-    wanted, turn = law.decide(seen)
-    carrot = law.carrot(seen)
+    pose = arc.sample([2.0]).pose[0]
+    view = sight(pose + [x, y, turned], pose, [v, 0.5])
+    wanted, turn = law.decide(view)
+    carrot = law.carrot(view)
     # The pose after a drive along the arc until the chord is as long as the way to the point.
     if abs(turn) > 1e-6:
         radius = wanted / turn

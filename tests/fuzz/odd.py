@@ -29,7 +29,7 @@ def number(random: Random) -> float:
 
 
 def near(value: float, random: Random) -> float:
-    """A number that may stand where `value` stood: scaled, moved by a little, or odd."""
+    """Return a number that may replace `value`: scaled, slightly changed, or odd."""
     way = random.randrange(6)
     if way == 0:
         return number(random)

@@ -32,7 +32,7 @@ def write_effects(path, effects):
 
 
 def step_commands(seed, duration, hold=2.5) -> FloatArray:
-    """Steps of v and omega together, slow and fast ones, among them such that one side hardly turns."""
+    """Return steps of v and omega together, slow and fast ones, some of which hardly turn one side."""
     stream = np.random.default_rng(seed)
     steps = round(duration / hold)
     v, omega = stream.uniform(-0.8, 0.8, steps), stream.uniform(-3.0, 3.0, steps)
@@ -42,7 +42,7 @@ def step_commands(seed, duration, hold=2.5) -> FloatArray:
 
 
 def record_of(effects: BaseEffects, seed, duration, *, noise=1.0, yaw_ratio=1.8, delay=0.05, clip=np.inf) -> Record:
-    """What encoders (late) and gyro (biased) of the made-up robot read; noise in multiples of the usual.
+    """Simulate readings of encoders (late) and gyro (biased) of the made-up robot; noise in multiples of the usual.
 
     The robot clips |omega_ref| at `clip`.
     """

@@ -14,7 +14,7 @@ DT = 0.02
 
 
 def set_points(seed, count, scale, hold=40):
-    """(count, len(scale)) random levels, each held for `hold` samples."""
+    """Draw (count, len(scale)) random levels, each held for `hold` samples."""
     levels = np.random.default_rng(seed).uniform(-1, 1, (-(-count // hold), len(scale)))
     return np.repeat(levels, hold, axis=0)[:count] * scale
 
@@ -32,7 +32,7 @@ def record(commands, twist, name="drive", start=0.0, **more):
 
 
 def noisy_drive(model, seed, count=3000, noise=(0.01, 0.03), limit=np.inf):
-    """One record of `model`, white noise on both sensors; the robot clips |omega_ref| at `limit`."""
+    """Simulate one record of `model`, white noise on both sensors; the robot clips |omega_ref| at `limit`."""
     commands = set_points(seed, count, (0.8, 1.5))
     taken = commands.copy()
     taken[:, 1] = np.clip(taken[:, 1], -limit, limit)
@@ -41,7 +41,7 @@ def noisy_drive(model, seed, count=3000, noise=(0.01, 0.03), limit=np.inf):
 
 
 def two_channels(v, omega, dead_time=(0.05, 0.03)):
-    """A velocity model of two decoupled channels (gain, natural frequency, damping)."""
+    """Build a velocity model of two decoupled channels (gain, natural frequency, damping)."""
     A, B, C = np.zeros((4, 4)), np.zeros((4, 2)), np.zeros((2, 4))
     for row, (gain, w, damping) in enumerate((v, omega)):
         rows = slice(2 * row, 2 * row + 2)
@@ -62,15 +62,15 @@ def differences(function, point, step=1e-6):
     return np.column_stack([(high - low) / (2 * step) for high, low in ends])
 
 
-def check_written(found, folder, within, structure=None):
+def check_written(result, folder, within, structure=None):
     """Check that an identification's files give its model and a controller that drives with it; return the model."""
-    found.write(folder)
+    result.write(folder)
     model, config = load_model(folder / "model.yaml"), load_config(folder / "config.yaml")
     commands = np.repeat(np.random.default_rng(0).uniform(-1, 1, (4, 2)), 20, axis=0)
-    assert model.simulate(commands) == pytest.approx(found.model.simulate(commands), abs=within)
+    assert model.simulate(commands) == pytest.approx(result.model.simulate(commands), abs=within)
     assert config.sample_time == model.dt
     assert Controller(config).model.structure == model.structure
-    assert found.report.as_json()["model"] == (structure or model.structure)
+    assert result.report.as_json()["model"] == (structure or model.structure)
     return model
 
 

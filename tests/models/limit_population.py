@@ -36,7 +36,7 @@ class LimitCase:
 
 
 def drawn_case(seed: int) -> LimitCase:
-    """A simulated robot with two lags and a dead time, whose commands one limit clips, or no limit.
+    """Draw a simulated robot with two lags and a dead time, whose commands one limit clips, or no limit.
 
     Its speeds deviate from that by correlated noise; without a limit something else is odd of it.
     """
@@ -72,7 +72,7 @@ def drawn_case(seed: int) -> LimitCase:
 
 
 def _drive(rng, dt, count):
-    """(K,) commands between -1 and 1 of one of three kinds: steps, steps with ramps, sums of sines."""
+    """Draw (K,) commands between -1 and 1 of one of three kinds: steps, steps with ramps, sums of sines."""
     kind, time = rng.integers(3), dt * np.arange(count)
     if kind == 2:
         rates, phases = rng.uniform(0.1, 1.5, 4), rng.uniform(0, 2 * np.pi, 4)
@@ -85,7 +85,7 @@ def _drive(rng, dt, count):
 
 
 def _answer(rng, taken, dt):
-    """(K,) the speed of a drawn channel."""
+    """Simulate (K,) speeds of a drawn channel."""
     late, keep = int(rng.integers(0, 5)), np.exp(-dt / rng.uniform(0.03, 0.4))
     delayed = np.concatenate([np.zeros(late + 1), taken])[: len(taken)]
     for part in (keep, keep ** rng.uniform(1.0, 5.0)):

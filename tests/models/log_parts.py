@@ -23,7 +23,7 @@ BAG_START = 1_700_000_000
 
 
 def drive(seconds=20.0, dt=DT, seed=0):
-    """Columns of a first-order robot (lags 0.1 s) under random steps of half a second, with noise on every sensor."""
+    """Simulate columns of a robot (lags 0.1 s) under random steps of half a second, with noise on every sensor."""
     rng = np.random.default_rng(seed)
     count = round(seconds / dt)
     steps = rng.uniform([-1.0, -1.5], [1.0, 1.5], (count, 2))[:: round(0.5 / dt)]
@@ -40,7 +40,7 @@ def drive(seconds=20.0, dt=DT, seed=0):
 
 
 def write_csv(path, columns):
-    """Numbers so that they read back bit for bit; words as they stand."""
+    """Write a table with numbers that read back bit for bit, and words unchanged."""
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(columns)
@@ -55,7 +55,7 @@ def write_mapping(path, text=MAPPING):
 
 
 def message(kind, reading, seconds):
-    """A message of this type; its header, where it has one, says `seconds` [s]."""
+    """Build a message of this type; its header, if it has one, has the stamp `seconds` [s]."""
     types, short = STORE.types, kind.split("/")[-1]
 
     def vector(x=0.0, y=0.0, z=0.0):
@@ -117,15 +117,15 @@ def write_bag(folder, topics, storage="sqlite3"):
         queue = []
         for name, (kind, received, stamped, readings) in topics.items():
             connection = writer.add_connection(name.partition("#")[0], kind, typestore=STORE)
-            for at, stamp, reading in zip(received, stamped, readings, strict=True):
-                queue.append((round((BAG_START + at) * 1e9), connection, kind, reading, BAG_START + stamp))
-        for at, connection, kind, reading, stamp in sorted(queue, key=lambda item: item[0]):
-            writer.write(connection, at, STORE.serialize_cdr(message(kind, reading, stamp), kind))
+            for instant, stamp, reading in zip(received, stamped, readings, strict=True):
+                queue.append((round((BAG_START + instant) * 1e9), connection, kind, reading, BAG_START + stamp))
+        for instant, connection, kind, reading, stamp in sorted(queue, key=lambda item: item[0]):
+            writer.write(connection, instant, STORE.serialize_cdr(message(kind, reading, stamp), kind))
     return folder
 
 
 def bag_topics(columns, command="geometry_msgs/msg/Twist", pose="geometry_msgs/msg/PoseStamped"):
-    """The topics of a robot that did `columns`: commands on the grid, odometry 4 ms and gyro 7 ms after it."""
+    """Return the topics of a robot that moves by `columns`: commands on the grid, odometry and gyro after it."""
     t = columns["t"] + 1.0
 
     def rows(*names):
@@ -143,7 +143,7 @@ TEXTS = ("mode", "solver_status", "solver_path", "message")
 
 
 def read_columns(path):
-    """Columns of a log of `simulate` as they stand: numbers (NaN in empty cells), and lists of texts."""
+    """Read the columns of a log of `simulate` unchanged: numbers (NaN in empty cells), and lists of texts."""
     with path.open(encoding="utf-8", newline="") as file:
         header, *rows = csv.reader(file)
     columns = dict(zip(header, zip(*rows, strict=True), strict=True))
@@ -154,7 +154,7 @@ def read_columns(path):
 
 
 def teleoperated(seconds=60.0, rate=100.0, sensor_dt=1 / 30, seed=0):
-    """Topics of a robot (lags 0.1 s) whose commands come at `rate` [Hz] while a key is pressed, and then not at all.
+    """Simulate topics of a robot (lags 0.1 s) with commands at `rate` [Hz] while a key is pressed, then without.
 
     The last command stays in force between, as that of a base without a time-out does.
     """
@@ -165,7 +165,7 @@ def teleoperated(seconds=60.0, rate=100.0, sensor_dt=1 / 30, seed=0):
     held = rng.uniform([-0.3, -1.0], [0.3, 1.0], (len(presses), 2))
     held[1::3] = 0.0
     lengths = rng.uniform(0.3, 0.9, len(presses))
-    sent = [at + np.arange(0.0, length, 1 / rate) for at, length in zip(presses, lengths, strict=True)]
+    sent = [instants + np.arange(0.0, length, 1 / rate) for instants, length in zip(presses, lengths, strict=True)]
     commands = np.repeat(held, [len(part) for part in sent], axis=0)
     sent = np.concatenate(sent) + rng.uniform(0.0, 0.001, len(commands))
     force = np.searchsorted(sent, time, side="right")
@@ -173,10 +173,10 @@ def teleoperated(seconds=60.0, rate=100.0, sensor_dt=1 / 30, seed=0):
     twist = np.zeros_like(in_force)
     for k in range(1, len(time)):
         twist[k] = twist[k - 1] + (1 - np.exp(-fine / 0.1)) * (in_force[k - 1] - twist[k - 1])
-    at = np.arange(0.0, seconds - 0.1, sensor_dt)
-    odometry = np.column_stack([np.interp(at, time, column) for column in twist.T])
+    instants = np.arange(0.0, seconds - 0.1, sensor_dt)
+    odometry = np.column_stack([np.interp(instants, time, column) for column in twist.T])
     odometry += rng.normal(0, 0.003, odometry.shape)
     return {
         "/cmd_vel": ("geometry_msgs/msg/Twist", sent, sent, commands),
-        "/odom": ("nav_msgs/msg/Odometry", at + 0.002, at, odometry),
+        "/odom": ("nav_msgs/msg/Odometry", instants + 0.002, instants, odometry),
     }

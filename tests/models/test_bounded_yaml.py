@@ -31,8 +31,8 @@ BOMB = "\n".join(["a0: &a0 [x, x]"] + [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] 
         (BOMB, "values"),
         ("a: " + "1:" * 4_000_000 + "1", "a number of 8,000,001 characters"),
         ("a: 1" + ":10" * 400 + ".5", "a number of"),
-        ("&a [*a]", "refers to what it stands in"),
-        ("a: &a {b: {c: *a}}", "refers to what it stands in"),
+        ("&a [*a]", "refers to a value that contains it"),
+        ("a: &a {b: {c: *a}}", "refers to a value that contains it"),
     ],
 )
 def test_depth_aliases_and_circles_are_bounded(text, problem):

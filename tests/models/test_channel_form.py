@@ -135,7 +135,7 @@ def test_delays_and_poles_follow_from_the_form(result):
 
 
 def test_what_a_short_loud_log_does_not_show_is_a_doubt(result):
-    """Of the shape of the answer, and no doubt about a zero that may well be none."""
+    """The doubt is about the form of the response, and there is none about a zero that may not exist."""
     record = result[0].report.data.train[0].part(0, 400)
     rng = np.random.default_rng(0)
     loud = replace(record, twist=record.twist + rng.normal(0.0, 0.5, record.twist.shape))

@@ -50,8 +50,8 @@ def identified(slew=None, deviation=0.1, limits=None, effects=None):
     )
 
 
-def limits(found, geometry=GEOMETRY):
-    return configure("robot", found, TRAIN, geometry, slip_prior(TRAIN)).mapping()["limits"]
+def limits(result, geometry=GEOMETRY):
+    return configure("robot", result, TRAIN, geometry, slip_prior(TRAIN)).mapping()["limits"]
 
 
 def test_the_slew_stays_two_deviations_inside_that_of_the_base():
@@ -124,8 +124,8 @@ def test_a_larger_robot_has_more_room_and_a_small_one_no_less_than_usual():
 @pytest.mark.parametrize("seed", [2026, 2030])
 def test_a_limit_that_is_seldom_reached_is_found(seed):
     case = drawn_case(seed)
-    found, close, false = judged(case, identify_sm(case.records).limits)
-    assert found and close and not false
+    result, close, false = judged(case, identify_sm(case.records).limits)
+    assert result and close and not false
 
 
 @pytest.mark.long
@@ -161,8 +161,8 @@ def test_settling_is_that_of_the_step_response(name):
     late = 0.0
     for row in range(2):
         system = control.ss(model.A, model.B[:, [row]], model.C[[row]], 0)
-        time, answer = control.step_response(system, T=np.linspace(0, 3, 6001))
-        (off,) = np.nonzero(np.abs(answer - answer[-1]) > SETTINGS.settled * abs(answer[-1]))
+        time, response = control.step_response(system, T=np.linspace(0, 3, 6001))
+        (off,) = np.nonzero(np.abs(response - response[-1]) > SETTINGS.settled * abs(response[-1]))
         late = max(late, time[off[-1]] + model.dead_time[row])
     assert settling_time(model) == pytest.approx(late, abs=0.02)
 
@@ -188,12 +188,12 @@ def test_noise_is_found_under_motion_plateaus_and_outliers(outliers):
     fresh = rng.random(time.size) < 0.7
     spoilt = rng.random(time.size) < outliers
     twist[spoilt] += 5.0
-    found = sensor_noise([Record("a", 0.0, 0.02, slow, twist=twist, yaw_rate=yaw_rate, fresh_twist=fresh)])
+    result = sensor_noise([Record("a", 0.0, 0.02, slow, twist=twist, yaw_rate=yaw_rate, fresh_twist=fresh)])
     # A spike spoils three differences of a hundred, of which nine tenths count.
-    assert found["wheel_speed_noise"] == pytest.approx(0.03, rel=0.1)
-    assert found["wheel_yaw_rate_noise"] == pytest.approx(0.2, rel=0.1)
-    assert found["yaw_rate_noise"] == pytest.approx(0.05, rel=0.1)
-    assert "position_noise" not in found
+    assert result["wheel_speed_noise"] == pytest.approx(0.03, rel=0.1)
+    assert result["wheel_yaw_rate_noise"] == pytest.approx(0.2, rel=0.1)
+    assert result["yaw_rate_noise"] == pytest.approx(0.05, rel=0.1)
+    assert "position_noise" not in result
 
 
 def test_each_side_of_range_and_ramp_is_found():

@@ -1,4 +1,4 @@
-"""Whether each kind of doubt matters for driving: one answer for every kind, and no answer for none."""
+"""Importance of each kind of doubt for driving: one verdict for every kind, and none for unknown kinds."""
 
 import ast
 from pathlib import Path
@@ -19,8 +19,8 @@ TRIALS = ROOM.parent / "studies" / "shipped_models"
 
 
 def kinds_in_the_sources() -> set[str]:
-    """Words of every `Doubt(...)`, and of every `Finding(...)` that is more than a note, as the sources write them."""
-    found = set()
+    """Collect the words of every `Doubt(...)`, and of every `Finding(...)` that is more than a note."""
+    result = set()
     for path in (*ROOM.rglob("*.py"), *TRIALS.glob("*.py")):
         for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             name = getattr(getattr(call, "func", None), "id", "")
@@ -29,8 +29,8 @@ def kinds_in_the_sources() -> set[str]:
             if name == "Finding" and getattr(call.args[1], "value", "") == "note":
                 continue
             words = [part.value for part in ast.walk(call.args[0]) if isinstance(part, ast.Constant)]
-            found |= {word for word in words if isinstance(word, str)}
-    return found
+            result |= {word for word in words if isinstance(word, str)}
+    return result
 
 
 def test_every_kind_has_its_verdict():

@@ -38,7 +38,7 @@ def hand(recorder, k):
 
 @contextmanager
 def largest_file(size):
-    """Files of processes begun meanwhile cannot grow over `size` bytes, as on a full disk."""
+    """Limit files of processes begun meanwhile to `size` bytes, as on a full disk."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
     try:
@@ -48,9 +48,9 @@ def largest_file(size):
 
 
 def recorder_in(folder, **options):
-    found = DriveRecorder(folder / "drive.mcap", {"case": {"model": "sm"}}, patience=PATIENCE, **options)
-    assert not found.fault
-    return found
+    result = DriveRecorder(folder / "drive.mcap", {"case": {"model": "sm"}}, patience=PATIENCE, **options)
+    assert not result.fault
+    return result
 
 
 def test_what_was_handed_over_is_in_the_file(tmp_path):
@@ -169,9 +169,9 @@ def test_a_tick_reads_back(hold):
     assert np.array_equal(again.command, record.command)
     assert (again.mode, again.message, again.solver_path) == ("TRACKING", 'a, "b"', "unlimited")
     for name in ("pose", "wheel_twist", "yaw_rate"):
-        was, found = getattr(measurement, name), getattr(again.measurement, name)
-        assert found.time == was.time and np.array_equal(found.value, was.value)
-        assert (found.covariance is None) == (was.covariance is None)
+        was, result = getattr(measurement, name), getattr(again.measurement, name)
+        assert result.time == was.time and np.array_equal(result.value, was.value)
+        assert (result.covariance is None) == (was.covariance is None)
     assert np.array_equal(again.measurement.pose.covariance, POSE.covariance)
     nothing = TickRecord(1, 0.0, 1, Measurement(), None, np.zeros(2), "STOPPED", "", "none", 0.0)
     assert TickRecord.read(nothing.line()).measurement == Measurement()

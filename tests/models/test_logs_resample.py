@@ -25,7 +25,7 @@ values = st.floats(-1e3, 1e3)
 
 @st.composite
 def signals(draw, fewest=1):
-    """Readings at uneven times from 0 on, now and then with a long pause."""
+    """Draw readings at uneven times from 0 on, sometimes with a long pause."""
     steps = draw(st.lists(st.floats(1e-3, 0.5), min_size=fewest, max_size=40))
     time = np.cumsum(steps)
     value = np.array(draw(st.lists(values, min_size=len(steps), max_size=len(steps))))
@@ -101,9 +101,9 @@ def test_pieces_hold_all_rows_once(signal):
 
 @given(st.lists(st.floats(-10, 10), min_size=1, max_size=50))
 def test_increasing_keeps_what_is_later_than_all_before(times):
-    kept = np.array(times)[increasing(np.array(times))]
-    assert (np.diff(kept) > 0).all()
-    assert kept[-1] == max(times)
+    selected = np.array(times)[increasing(np.array(times))]
+    assert (np.diff(selected) > 0).all()
+    assert selected[-1] == max(times)
 
 
 @pytest.mark.parametrize("dt", [0.05, 0.0202, 1 / 120])

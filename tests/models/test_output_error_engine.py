@@ -197,7 +197,7 @@ def test_a_channel_without_any_reading_weighs_nothing_and_warns_of_nothing():
 
 
 def stated_error(seed, drift, count=4000):
-    """Error of a gain over its stated deviation; the true one wanders slowly about 1 by `drift`."""
+    """Compute the error of a gain over its stated deviation; the true one drifts slowly about 1 by `drift`."""
     stream = np.random.default_rng(seed)
     command = np.repeat(stream.uniform(-1, 1, count // 40), 40)
     keep = np.exp(-10 / count)  # a tenth of the log
@@ -206,8 +206,8 @@ def stated_error(seed, drift, count=4000):
     gain = command @ output / (command @ command)
     error = output - gain * command
     scale = error.std()
-    found = sandwich([-command[:, None, None] / scale], [error[:, None] / scale])
-    return (gain - 1.0) / np.sqrt(found.covariance[0, 0])
+    result = sandwich([-command[:, None, None] / scale], [error[:, None] / scale])
+    return (gain - 1.0) / np.sqrt(result.covariance[0, 0])
 
 
 @pytest.mark.parametrize("drift", [0.0, 0.1])

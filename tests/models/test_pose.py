@@ -44,7 +44,7 @@ def test_matches_an_ode_solver(pose, v, omega, dt, slip):
 
 
 def arc_function():
-    """CasADi function of one arc."""
+    """Build the CasADi function of one arc."""
     pose, v, omega, dt = ca.SX.sym("pose", 3), ca.SX.sym("v"), ca.SX.sym("omega"), ca.SX.sym("dt")
     side_slip = ca.SX.sym("side_slip")
     after = pose + arc_displacement(pose[2], v, omega, dt, -side_slip * v * omega)
@@ -104,7 +104,7 @@ RADIUS, TRACK = 0.07, 0.4
 
 
 def drive(law, coefficients, lever_arm=(0.0, 0.0), noise=(0.0, 0.0), lag=0, seed=0):
-    """Wheels, gyro and poses of a robot that obeys `law`, 80 s; poses come `lag` samples late."""
+    """Simulate wheels, gyro and poses of a robot that obeys `law`, 80 s; poses come `lag` samples late."""
     count = 4000
     wheels = 6.0 * set_points(seed, count, (1.0, 1.0), hold=70)
     twist = law.twist(np.asarray(coefficients), 0.5 * (wheels[1:] + wheels[:-1]))
@@ -116,11 +116,11 @@ def drive(law, coefficients, lever_arm=(0.0, 0.0), noise=(0.0, 0.0), lag=0, seed
     stream = np.random.default_rng(seed + 50)
     ahead, left = lever_arm
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    seen = poses + np.column_stack([ahead * c - left * s, ahead * s + left * c, np.zeros(count)])
-    seen = seen[np.maximum(np.arange(count) - lag, 0)]
-    seen += stream.normal(size=seen.shape) * [noise[0], noise[0], noise[1]]
+    measured = poses + np.column_stack([ahead * c - left * s, ahead * s + left * c, np.zeros(count)])
+    measured = measured[np.maximum(np.arange(count) - lag, 0)]
+    measured += stream.normal(size=measured.shape) * [noise[0], noise[0], noise[1]]
     true_rate = law.twist(np.asarray(coefficients), wheels)[:, 2]
-    return Record("drive", 0.0, DT, wheels, yaw_rate=1.03 * true_rate + 0.02, pose=seen, wheels=wheels)
+    return Record("drive", 0.0, DT, wheels, yaw_rate=1.03 * true_rate + 0.02, pose=measured, wheels=wheels)
 
 
 LAWS = [
@@ -144,9 +144,9 @@ def test_each_law_is_recovered(law, truth):
 def test_a_polynomial_takes_in_the_lever_arm():
     """A point ahead of the centre moves sideways with the yaw rate, one to the left moves back."""
     law, plain = SlipPolynomial(RADIUS, TRACK), ConstantTrack(RADIUS, TRACK)
-    found = calibrate_wheels([drive(plain, [RADIUS, TRACK, 0.0], lever_arm=(0.15, 0.04))], law).parameters
-    assert found.value("a22") == pytest.approx(0.15, abs=1e-6)
-    assert found.value("a12") == pytest.approx(-0.04, abs=1e-6)
+    result = calibrate_wheels([drive(plain, [RADIUS, TRACK, 0.0], lever_arm=(0.15, 0.04))], law).parameters
+    assert result.value("a22") == pytest.approx(0.15, abs=1e-6)
+    assert result.value("a12") == pytest.approx(-0.04, abs=1e-6)
 
 
 @given(p1=st.floats(0.0, 0.3), left=st.floats(-20, 20), right=st.floats(-20, 20))
@@ -158,7 +158,7 @@ def test_the_virtual_track_solves_its_equation(p1, left, right):
 
 @given(p1=st.floats(-0.5, 0.5), one=st.floats(-3, 3), other=st.floats(-3, 3))
 def test_a_robot_on_a_virtual_track_turns_faster_the_more_its_wheels_differ(p1, one, other):
-    """Where a track that shrinks leaves no solution too: a search may come there."""
+    """Also where a shrinking track leaves no solution: a search may try such values."""
     slow, fast = virtual_track_yaw_rate([min(one, other), max(one, other)], 0.5, p1)
     assert slow <= fast
     assert virtual_track_yaw_rate(-one, 0.5, p1) == -virtual_track_yaw_rate(one, 0.5, p1)
@@ -166,10 +166,10 @@ def test_a_robot_on_a_virtual_track_turns_faster_the_more_its_wheels_differ(p1, 
 
 def test_the_gyro_scale_is_found_behind_a_late_pose():
     late = drive(*LAWS[0], noise=(0.005, 0.005), lag=5)
-    found = calibrate_gyro([late], pose_lag=5 * DT)
-    assert abs(found.parameters.value("gyro_scale") - 1.03) < 4 * found.parameters.deviation("gyro_scale")
-    assert abs(found.parameters.value("gyro_offset") - 0.02) < 4 * found.parameters.deviation("gyro_offset")
-    assert found.rmse[0] < 0.5 * calibrate_gyro([late]).rmse[0]
+    result = calibrate_gyro([late], pose_lag=5 * DT)
+    assert abs(result.parameters.value("gyro_scale") - 1.03) < 4 * result.parameters.deviation("gyro_scale")
+    assert abs(result.parameters.value("gyro_offset") - 0.02) < 4 * result.parameters.deviation("gyro_offset")
+    assert result.rmse[0] < 0.5 * calibrate_gyro([late]).rmse[0]
 
 
 def test_lags_and_scale_are_estimate_beside_poses():
@@ -204,7 +204,7 @@ SAMPLES = 3000
 
 
 def slipping(side_slip, load_shift, noise, seed=0):
-    """A minute of driving in which the lateral speed is what the two terms say."""
+    """Simulate a minute of driving in which the lateral speed follows the two terms."""
     stream, times = np.random.default_rng(seed), DT * np.arange(SAMPLES)
     v = 0.5 + 0.4 * np.sin(0.9 * times)
     omega = np.sin(0.5 * times) + 0.5 * np.sin(1.7 * times)
@@ -220,16 +220,16 @@ def slipping(side_slip, load_shift, noise, seed=0):
 @settings(deadline=None, max_examples=20)
 @given(side_slip=st.floats(-0.05, 0.15), load_shift=st.floats(-0.05, 0.1))
 def test_lateral_slip_is_identified(side_slip, load_shift):
-    found = lateral_slip([slipping(side_slip, load_shift, 0.0)])
+    loaded = lateral_slip([slipping(side_slip, load_shift, 0.0)])
     # Windows of a second turn by up to a radian and a half: to the left is not one direction in them.
-    assert found.values == pytest.approx([side_slip, load_shift], abs=3e-3)
+    assert loaded.values == pytest.approx([side_slip, load_shift], abs=3e-3)
 
 
 def test_deviation_of_lateral_slip_covers_its_error():
     errors = []
     for seed in range(20):
-        found = lateral_slip([slipping(0.08, 0.03, 0.005, seed)])
-        errors.append((found.values - [0.08, 0.03]) / found.standard_deviation)
+        result = lateral_slip([slipping(0.08, 0.03, 0.005, seed)])
+        errors.append((result.values - [0.08, 0.03]) / result.standard_deviation)
     size = np.sqrt(np.mean(np.square(errors), axis=0))
     assert (size > 0.5).all(), size
     assert (size < 2.0).all(), size

@@ -1,4 +1,4 @@
-"""What makers state of robots, by name: where a configuration begins, and never taken for identified."""
+"""Robots stated by their makers, by name: the start of a configuration, and never treated as identified."""
 
 import pytest
 import yaml

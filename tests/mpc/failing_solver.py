@@ -80,7 +80,7 @@ class SpoiltReference:
         self.name, self.duration = original.name, original.duration
 
     def sample(self, times):
-        found = self.original.sample(times)
+        result = self.original.sample(times)
         if self.spoilt and np.diff(times).max(initial=0.0) < 2 * _TICK:
-            found.pose[1:] = np.nan
-        return found
+            result.pose[1:] = np.nan
+        return result

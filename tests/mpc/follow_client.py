@@ -94,14 +94,14 @@ class Client:
             self.handles[name] = handle
             handle.get_result_async().add_done_callback(lambda future: self.over(name, future.result()))
 
-    def over(self, name, answer):
+    def over(self, name, reply):
         self.handles.pop(name, None)
         say(
             id=name,
             event="result",
-            status=int(answer.status),
-            code=int(answer.result.error_code),
-            words=answer.result.error_msg,
+            status=int(reply.status),
+            code=int(reply.result.error_code),
+            words=reply.result.error_msg,
         )
 
 

@@ -93,7 +93,7 @@ def following(overrides=None, **parameters):
         client = Client()
         try:
             follow = Follow(made, client)
-            follow.until(lambda: any(one["event"] == "ready" for one in client.events), "the client", pace=DT)
+            follow.until(lambda: any(event["event"] == "ready" for event in client.events), "the client", pace=DT)
             yield follow
         finally:
             client.close()

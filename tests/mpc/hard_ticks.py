@@ -68,7 +68,7 @@ def row(drive: str, horizon: int | None, method: str, share: float) -> list[str]
     config = load_config(model, changes | {"solver.method": method} | ({"horizon": horizon} if horizon else {}))
     controller = Timed(config)
     run = simulate(controller, make_plant("model:ssm", seed=1), load_trajectory(trajectory))
-    kept = vars(controller)
+    stored = vars(controller)
     methods = ", ".join(f"{name} {count}" for name, count in Counter(run.solver_methods).most_common())
     return [
         drive,
@@ -76,10 +76,10 @@ def row(drive: str, horizon: int | None, method: str, share: float) -> list[str]
         method,
         f"{share:g}",
         str(len(run.solver_methods)),
-        *(f"{value:.2f}" for value in np.percentile(kept["times"], (50, 99, 100))),
+        *(f"{value:.2f}" for value in np.percentile(stored["times"], (50, 99, 100))),
         f"{np.nanmax(run.solver_iterations):.0f}",
-        f"{max(kept['operations']) / controller.operations_bound:.3f}",
-        str(sum(kept["stopped"])),
+        f"{max(stored['operations']) / controller.operations_bound:.3f}",
+        str(sum(stored["stopped"])),
         f"{run.metrics.position_rmse_m:.4f}",
         methods,
     ]

@@ -80,14 +80,14 @@ def feed_forward(controller: Controller, reference: Reference, t: float) -> Floa
     dt, model = controller.config.sample_time, controller.model
     wanted = np.empty((controller.config.horizon + 1, 2))
     for channel, lag in enumerate(model.lag):
-        at = np.arange(-1, controller.config.horizon) + lag / dt
-        grid = np.arange(int(at[-1]) + 2)
-        wanted[:, channel] = np.interp(at, grid, reference.sample(t + dt * grid).twist[:, channel])
+        instants = np.arange(-1, controller.config.horizon) + lag / dt
+        grid = np.arange(int(instants[-1]) + 2)
+        wanted[:, channel] = np.interp(instants, grid, reference.sample(t + dt * grid).twist[:, channel])
     if not isinstance(model, NonlinearModel):
         return np.asarray(wanted @ np.linalg.inv(model.dc_gain).T)
     # As a rule many samples want the same.
-    found = {key: _settled_command(model, np.array(key)) for key in {tuple(row) for row in wanted}}
-    return np.array([found[tuple(row)] for row in wanted])
+    result = {key: _settled_command(model, np.array(key)) for key in {tuple(row) for row in wanted}}
+    return np.array([result[tuple(row)] for row in wanted])
 
 
 def _settled_command(model: NonlinearModel, wanted: FloatArray) -> FloatArray:

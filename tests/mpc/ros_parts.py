@@ -58,9 +58,9 @@ class KeptProcess(SideProcess):
 
     def _ask(self, job):
         self._busy = True
-        answer = super()._ask(job)
+        reply = super()._ask(job)
         self._busy = False
-        return answer
+        return reply
 
     def close(self):
         with self._changed:

@@ -285,12 +285,12 @@ def with_daqp(p):
 @given(st.integers(0, 2**32 - 1), st.integers(1, 40), st.integers(1, 90), st.floats(0, 1), st.floats(-2, 1))
 def test_random_problems_are_solved(seed, n, m, hard_share, tightness):
     p = random_problem(np.random.default_rng(seed), n, m, hard_share, 10**tightness)
-    found = solve(p)
-    assert found.status == PROVEN
-    assert_optimal(p, found)
+    result = solve(p)
+    assert result.status == PROVEN
+    assert_optimal(p, result)
     x, flag, _ = with_daqp(p)
     assert flag > 0
-    assert cost(p, found.plan) == pytest.approx(cost(p, x), rel=1e-6, abs=1e-5)
+    assert cost(p, result.plan) == pytest.approx(cost(p, x), rel=1e-6, abs=1e-5)
 
 
 @settings(max_examples=40, deadline=None)
@@ -298,13 +298,13 @@ def test_random_problems_are_solved(seed, n, m, hard_share, tightness):
 def test_problems_like_a_robot_s_are_solved(seed, steps, extra, tight):
     """Boxes and increments that depend on each other, and more soft rows than there are inputs."""
     p = robot_problem(np.random.default_rng(seed), steps, extra, tight)
-    found, (x, flag, _) = solve(p), with_daqp(p)
-    if found.status == INFEASIBLE:
+    result, (x, flag, _) = solve(p), with_daqp(p)
+    if result.status == INFEASIBLE:
         assert flag < 0
         return
-    assert found.status == PROVEN
-    assert_optimal(p, found)
-    assert cost(p, found.plan) == pytest.approx(cost(p, x), rel=1e-6, abs=1e-5)
+    assert result.status == PROVEN
+    assert_optimal(p, result)
+    assert cost(p, result.plan) == pytest.approx(cost(p, x), rel=1e-6, abs=1e-5)
 
 
 def pressing_problem(seed, steps=20):
@@ -351,16 +351,16 @@ def test_a_step_ends_at_the_maximum_and_not_beyond(factor):
 def test_a_wrong_start_costs_iterations_only(seed, size):
     rng = np.random.default_rng(seed)
     p = robot_problem(rng, 10)
-    found = solve(p, size * rng.normal(size=len(p.A)))
-    assert found.status == PROVEN
-    assert_optimal(p, found)
-    assert found.plan == pytest.approx(solve(p).plan, abs=1e-6)
+    result = solve(p, size * rng.normal(size=len(p.A)))
+    assert result.status == PROVEN
+    assert_optimal(p, result)
+    assert result.plan == pytest.approx(solve(p).plan, abs=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_what_is_stopped_leaves_the_plan_of_its_multipliers_and_can_go_on(seed):
-    p, found = pressing_problem(seed)
-    needed = found.iterations
+    p, result = pressing_problem(seed)
+    needed = result.iterations
     for stopped, most in [(solve(p, most_iterations=most), most) for most in (1, needed - 1)] + [
         (solve(p, late=True), 1)
     ]:
@@ -368,7 +368,7 @@ def test_what_is_stopped_leaves_the_plan_of_its_multipliers_and_can_go_on(seed):
         assert stopped.plan == pytest.approx(-np.linalg.solve(p.H, p.g + p.A.T @ stopped.multipliers), abs=1e-7)
         on = solve(p, stopped.multipliers)
         assert on.status == PROVEN
-        assert on.plan == pytest.approx(found.plan, abs=1e-6)
+        assert on.plan == pytest.approx(result.plan, abs=1e-6)
     assert solve(p, most_iterations=needed).status == PROVEN
 
 
@@ -384,11 +384,11 @@ def test_from_whatever_start_its_operations_stay_below_the_bound():
         m, n = p.A.shape
         room = int(rng.integers(n, n + m))
         start = 10 ** rng.uniform(-3, 3) * rng.normal(size=m) * (rng.random(m) < rng.random())
-        found = solve(p, start, most_active=room, bounded=True)
-        shares.append(found.operations / functions.ddmpc_limited_bound(n, m, room))
-        stopped += found.status == UNFINISHED and found.operations >= functions.ddmpc_limited_most(n, m, room)
-        if found.status == PROVEN:
-            assert_optimal(p, found)
+        result = solve(p, start, most_active=room, bounded=True)
+        shares.append(result.operations / functions.ddmpc_limited_bound(n, m, room))
+        stopped += result.status == UNFINISHED and result.operations >= functions.ddmpc_limited_most(n, m, room)
+        if result.status == PROVEN:
+            assert_optimal(p, result)
     assert max(shares) < 1.0
     assert max(shares) > 1 / 3
     assert stopped > 3
@@ -405,9 +405,9 @@ def test_hard_rows_that_contradict_each_other_are_found():
     p = robot_problem(np.random.default_rng(0), 8)
     # From 0.9 every command would have to fall faster than its increments may.
     p.lower[:8], p.upper[:8] = np.where(np.arange(8) % 2, -0.9, 0.7), np.where(np.arange(8) % 2, -0.7, 0.9)
-    found = solve(p)
-    assert found.status == INFEASIBLE
-    assert found.plan == pytest.approx(-np.linalg.solve(p.H, p.g))
+    result = solve(p)
+    assert result.status == INFEASIBLE
+    assert result.plan == pytest.approx(-np.linalg.solve(p.H, p.g))
 
 
 @pytest.mark.parametrize(("row", "gap", "status"), [(4, 0.1, INFEASIBLE), (4, 1e-6, NOT_PROVEN), (5, 0.1, NOT_PROVEN)])
@@ -415,17 +415,17 @@ def test_only_a_hard_row_whose_limits_cross_by_more_than_the_slack_contradicts_i
     """Row 4 is the last hard one, row 5 the first soft one: for crossed limits of that the caller is to blame."""
     p = Problem(np.eye(8), np.zeros(8), np.eye(8), -np.ones(8), np.ones(8), hard=5)
     p.lower[row] = p.upper[row] + gap
-    answer = solve(p)
-    assert (answer.status, answer.iterations, answer.active) == (status, 0, 0)
-    assert (answer.primal, answer.dual) == (0.0, 0.0), "nothing was solved"
+    solution = solve(p)
+    assert (solution.status, solution.iterations, solution.active) == (status, 0, 0)
+    assert (solution.primal, solution.dual) == (0.0, 0.0), "nothing was solved"
 
 
 def test_in_single_precision_what_is_proven_is_the_solution():
     """With most inputs pressed on at once rounding leaves some problems without a proof, and none with a wrong one."""
     problems = [pressing_problem(seed, steps=15) for seed in range(30)]
-    found = [solve(p, number="float", slack=1e-5) for p, _ in problems]
-    assert {one.status for one in found} <= {PROVEN, NOT_PROVEN}
-    assert np.mean([one.status == PROVEN for one in found]) > 0.7
-    for one, (_, exact) in zip(found, problems, strict=True):
-        if one.status == PROVEN:
-            assert one.plan == pytest.approx(exact.plan, abs=2e-4)
+    result = [solve(p, number="float", slack=1e-5) for p, _ in problems]
+    assert {solution.status for solution in result} <= {PROVEN, NOT_PROVEN}
+    assert np.mean([solution.status == PROVEN for solution in result]) > 0.7
+    for solution, (_, exact) in zip(result, problems, strict=True):
+        if solution.status == PROVEN:
+            assert solution.plan == pytest.approx(exact.plan, abs=2e-4)

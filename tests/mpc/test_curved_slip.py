@@ -88,8 +88,8 @@ def test_curved_slip_is_predicted_as_a_nonlinear_model_that_says_the_same():
 
 @pytest.mark.parametrize("name", CURVED_SLIPS)
 def test_every_setting_reaches_the_estimate_in_its_own_place(name):
-    given = in_config({name: 0.011, f"{name}_uncertainty": 0.02})
-    controller = Controller(load_config("ssm", PLAIN | given))
+    settings = in_config({name: 0.011, f"{name}_uncertainty": 0.02})
+    controller = Controller(load_config("ssm", PLAIN | settings))
     controller.start(load_trajectory("s"), 0.0)
     slip = controller.step(0.0, Measurement(pose=Stamped(np.zeros(3), 0.0))).estimate
     assert slip.slip == replace(Slip(), **{name: 0.011})
@@ -119,10 +119,10 @@ def learned(surface, seed):
 def test_the_terms_of_a_floor_are_learned_from_the_diagnostic_drive(surface):
     """From zero in 90 s: within 20 % of the published coefficients, or within what so small a term is worth."""
     truth = dict(zip(POLYNOMIAL, load_surface(surface).slip.polynomial.coefficients, strict=True))
-    found = dict(zip(POLYNOMIAL, learned(surface, 3).slip.polynomial, strict=True))
+    learned_values = dict(zip(POLYNOMIAL, learned(surface, 3).slip.polynomial, strict=True))
     worth = {"a11": 0.001, "a12": 0.001, "a21": 0.001, "a23": 0.003, "a31": 0.0015}
     for name, value in truth.items():
-        assert found[name] == pytest.approx(value, rel=0.2, abs=worth.get(name, 0.0)), name
+        assert learned_values[name] == pytest.approx(value, rel=0.2, abs=worth.get(name, 0.0)), name
 
 
 def test_terms_that_a_drive_does_not_tell_stay_where_they_were():

@@ -79,11 +79,11 @@ def numeric_fields():
     for group in GROUPS:
         for name, field in type(attrgetter(group)(ControllerConfig())).model_fields.items():
             # Curved slip, dead reckoning and the signs of sensors are not the oracle's: they have tests of their own.
-            own = (*CURVED_SLIPS, "dead_reckoning", "sign", "turn_sign")
+            excluded = (*CURVED_SLIPS, "dead_reckoning", "sign", "turn_sign")
             default = dict(zip(("v_increment", "omega_increment"), LIGHTEST.tolist(), strict=True)).get(
                 name, field.default
             )
-            if not (default is None or isinstance(default, bool) or name.startswith(own)):
+            if not (default is None or isinstance(default, bool) or name.startswith(excluded)):
                 yield f"{group}.{name}", default
 
 
@@ -126,8 +126,8 @@ class Troubles:
         """Return the value, sometimes with a spike around the limits in one number."""
         value = np.array(value, dtype=float)
         if self.often(0.12):
-            at, most = self.rng.integers(value.size), np.array([jump, largest])[int(self.often(0.3))]
-            value.reshape(-1)[at] += self.rng.choice([-1, 1]) * self.rng.uniform(0.5, 1.5) * np.ravel(most)[at]
+            index, most = self.rng.integers(value.size), np.array([jump, largest])[int(self.often(0.3))]
+            value.reshape(-1)[index] += self.rng.choice([-1, 1]) * self.rng.uniform(0.5, 1.5) * np.ravel(most)[index]
         return value
 
     def pose(self, k, m):

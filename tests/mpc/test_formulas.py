@@ -107,9 +107,9 @@ def test_gradients_agree_with_finite_differences(function, data):
     sizes = [values[place].size for place in places]
     # All directions at once: a function that is given more columns answers for each.
     columns = [np.tile(np.reshape(value, (-1, 1)), (1, 2 * sum(sizes))) for value in values]
-    for begin, place, size in zip(np.cumsum([0, *sizes]), places, sizes, strict=False):
-        columns[place][:, begin : begin + size] += step * np.eye(size)
-        columns[place][:, sum(sizes) + begin : sum(sizes) + begin + size] -= step * np.eye(size)
+    for start, place, size in zip(np.cumsum([0, *sizes]), places, sizes, strict=False):
+        columns[place][:, start : start + size] += step * np.eye(size)
+        columns[place][:, sum(sizes) + start : sum(sizes) + start + size] -= step * np.eye(size)
     ends = np.array(function.call([ca.DM(column) for column in columns])[0])
     slopes = (ends[:, : sum(sizes)] - ends[:, sum(sizes) :]) / (2 * step)
     assert np.isfinite(gradient).all()
@@ -212,10 +212,10 @@ def test_curved_formula_without_curvature_equals_the_flat_one(name, data):
     place = flat.index_in("parameters" if name == "soft" else "slip")
     padded = np.zeros(len(CURVED_SLIPS))
     values[place] = np.insert(values[place], len(FLAT_SLIPS), padded)
-    found = call(FORMULAS[f"{name}_curved"], values)
-    assert found[0] == pytest.approx(expected[0], abs=1e-12)
+    result = call(FORMULAS[f"{name}_curved"], values)
+    assert result[0] == pytest.approx(expected[0], abs=1e-12)
     if name in ("arc", "soft"):
-        assert found[1] == pytest.approx(expected[1], abs=1e-10)
+        assert result[1] == pytest.approx(expected[1], abs=1e-10)
 
 
 @given(
@@ -255,14 +255,14 @@ def test_slip_terms_equal_the_polynomial_of_p4(coefficients, v, omega, theta):
 def test_track_growth_changes_the_wheel_speeds_of_a_turn(growth, v, omega):
     """P3: i = p1 |yaw rate| + p0, and rims that differ by i times the yaw rate; turned the other way, the same."""
     slip = curved(track_growth=growth)
-    (forward, found), _ = call(FORMULAS["twist_curved"], [[v, omega], slip])
+    (forward, result), _ = call(FORMULAS["twist_curved"], [[v, omega], slip])
     _, mirrored = call(FORMULAS["twist_curved"], [[v, -omega], slip])[0]
     if growth * abs(omega) > -0.2:
-        assert found * (1 + growth * abs(found)) == pytest.approx(omega, abs=1e-9)
-    assert mirrored == -found
+        assert result * (1 + growth * abs(result)) == pytest.approx(omega, abs=1e-9)
+    assert mirrored == -result
     assert forward == v
     # What it takes of the wheels to turn so, they have.
-    (y,) = call(FORMULAS["feed_forward_curved"], [[forward, found], slip, [1, 0, 0, 1]])
+    (y,) = call(FORMULAS["feed_forward_curved"], [[forward, result], slip, [1, 0, 0, 1]])
     if growth >= 0 and growth * abs(omega) < 0.3:
         assert y == pytest.approx([v, omega], abs=0.02)
 
@@ -336,12 +336,12 @@ def compiled(generated, folder, precision):
 
 
 def call_compiled(ffi, library, precision, function, values):
-    given = [ffi.new(f"{precision}[]", np.ravel(value).tolist() or 1) for value in values]
+    inputs = [ffi.new(f"{precision}[]", np.ravel(value).tolist() or 1) for value in values]
     room = [
         np.zeros(function.numel_out(k), np.float32 if precision == "float" else float) for k in range(function.n_out())
     ]
     results = [ffi.from_buffer(f"{precision}[]", memory) for memory in room]
-    pointers = ffi.new("const real *[]", given), ffi.new("real *[]", results)
+    pointers = ffi.new("const real *[]", inputs), ffi.new("real *[]", results)
     assert getattr(library, function.name())(*pointers, ffi.NULL, ffi.NULL, 0) == 0
     shaped = [memory.reshape(function.size_out(k), order="F") for k, memory in enumerate(room)]
     return [memory.ravel() if memory.shape[1] == 1 else memory for memory in shaped]
@@ -365,9 +365,9 @@ def test_generated_c_equals_casadi(library, precision, function, data):
         values = [value.astype(np.float32).astype(float) for value in values]
     expected = call(function, values)
     computed = call_compiled(*library, precision, function, values)
-    for one, other in zip(computed, expected, strict=True):
+    for first, second in zip(computed, expected, strict=True):
         rounding = 1e-13 if precision == "double" else 2e-5
-        assert one == pytest.approx(other, abs=rounding * max(1.0, np.abs(other).max()))
+        assert first == pytest.approx(second, abs=rounding * max(1.0, np.abs(second).max()))
 
 
 def test_single_precision_code_uses_no_doubles(tmp_path):
@@ -452,10 +452,10 @@ def test_nonlinear_model_gets_its_gradients(tmp_path, precision):
     library = compiled(generate(functions, "lag", "a test"), tmp_path, precision)
     rounding = 1e-14 if precision == "double" else 1e-6
     for function, values in zip(functions, [[[0.3, 0.1], [0.5, 0.2, 9.0, 9.0]], [[0.3, 0.1]]], strict=True):
-        for one, other in zip(
+        for first, second in zip(
             call_compiled(*library, precision, function, values), call(function, values), strict=True
         ):
-            assert one == pytest.approx(other, abs=rounding)
+            assert first == pytest.approx(second, abs=rounding)
     _, by_state, by_window = call(functions[0], [[0.3, 0.1], [0.5, 0.2, 9.0, 9.0]])
     slope = 0.5 * (1 - np.tanh((np.array([0.5, 0.2]) - [0.3, 0.1]) / 0.4) ** 2)
     assert by_state == pytest.approx(np.eye(2) - np.diag(slope))

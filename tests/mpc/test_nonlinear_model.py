@@ -68,7 +68,7 @@ def test_the_saturating_lag_is_sampled_as_an_ode_solver_has_it():
     model, most = saturating(delay=1), np.array([0.9, 1.8])
     commands = np.zeros((60, 2))
     commands[5:] = [0.8, -1.5]
-    found = model.simulate(commands)[:, 0]
+    output = model.simulate(commands)[:, 0]
 
     def rate(t, v):
         u = commands[max(0, int(np.floor(t / DT + 1e-9)) - 1), 0] if t >= DT else 0.0
@@ -76,8 +76,8 @@ def test_the_saturating_lag_is_sampled_as_an_ode_solver_has_it():
 
     times = np.arange(60) * DT
     exact = solve_ivp(rate, (0, times[-1]), [0.0], t_eval=times, rtol=1e-9, atol=1e-11, max_step=DT / 4).y[0]
-    assert found == pytest.approx(exact, abs=1e-5)
-    assert np.diff(found).max() < most[0] * DT
+    assert output == pytest.approx(exact, abs=1e-5)
+    assert np.diff(output).max() < most[0] * DT
 
 
 def test_its_lag_is_that_of_its_linearisation():
@@ -120,16 +120,16 @@ def test_a_linear_model_as_a_function_gives_the_commands_of_the_linear_one(monke
     # What the trapezoids leave is no matter here.
     monkeypatch.setattr(NonlinearModel, "lag", linear.lag)
     fixed = {"compensation.delay": False, "weights.v_increment": 20.0, "weights.omega_increment": 15.0}
-    controllers = [Controller(load_config("ssm", fixed), given) for given in (linear, model)]
+    controllers = [Controller(load_config("ssm", fixed), choice) for choice in (linear, model)]
     plant = make_plant("mujoco", seed=0)
     plant.reset(CIRCLE.sample([0.0]).pose[0])
     for controller in controllers:
         controller.start(CIRCLE, plant.time)
     for _ in range(200):
         measurement = plant.measure()
-        one, other = (controller.step(plant.time, measurement) for controller in controllers)
-        assert other.command == pytest.approx(one.command, abs=1e-9)
-        plant.advance(one.command)
+        first, second = (controller.step(plant.time, measurement) for controller in controllers)
+        assert second.command == pytest.approx(first.command, abs=1e-9)
+        plant.advance(first.command)
 
 
 def test_where_saturation_acts_it_is_better_than_its_linearisation():
@@ -138,8 +138,8 @@ def test_where_saturation_acts_it_is_better_than_its_linearisation():
     A, B, C = np.diag(-1 / LAG), np.diag(1 / LAG), np.eye(2)
     linear = VelocityModel("linearised", "ssm", A, B, C, dead_time=np.full(2, 2 * DT))
     config, errors = load_config("ssm"), []
-    for given in (linear, model):
-        robot, controller, square = ExactRobot(model), Controller(config, given), load_trajectory("square")
+    for choice in (linear, model):
+        robot, controller, square = ExactRobot(model), Controller(config, choice), load_trajectory("square")
         controller.start(square, 0.0)
         reference = square.sample(np.arange(600) * DT).pose
         off = []

@@ -233,10 +233,10 @@ def test_turning_point_and_slip_are_estimated_within_two_deviations(slip):
     """On a noisy robot, each number within two of its deviations; the turning point within a centimetre and a half."""
     estimator = StateEstimator(MODEL, Estimator())
     run(estimator, IdealRobot(MODEL, np.zeros(3), slip=slip, noise=1.0), 1500)
-    found, deviation = (np.array(part.flat) for part in (estimator.estimate.slip, estimator.estimate.slip_deviation))
-    assert (np.abs(found - slip.flat) < 2 * deviation).all()
-    assert found[5:7] == pytest.approx([slip.turn_ahead, slip.turn_left], abs=0.015)
-    assert found[7] == pytest.approx(slip.load_shift, abs=0.01)
+    result, deviation = (np.array(part.flat) for part in (estimator.estimate.slip, estimator.estimate.slip_deviation))
+    assert (np.abs(result - slip.flat) < 2 * deviation).all()
+    assert result[5:7] == pytest.approx([slip.turn_ahead, slip.turn_left], abs=0.015)
+    assert result[7] == pytest.approx(slip.load_shift, abs=0.01)
 
 
 def test_wheel_gain_is_not_attributed_to_slip():
@@ -269,28 +269,28 @@ def test_disabled_compensation_keeps_its_slip_at_zero(part, names):
 def yaw_gains(after, ticks):
     """Drive on a floor where the yaw gain falls to `after` at tick 300 for `ticks`; estimates at each tick."""
     estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3), noise=1.0)
-    found = []
+    results = []
 
     def change(k, measurement):
         robot.slip = replace(robot.slip, yaw_gain=after if 300 <= k < 300 + ticks else 1.0)
-        found.append(estimator.estimate.slip.yaw_gain if estimator.ready else 1.0)
+        results.append(estimator.estimate.slip.yaw_gain if estimator.ready else 1.0)
         return measurement
 
     run(estimator, robot, 700, change)
-    return np.array(found)
+    return np.array(results)
 
 
 @pytest.mark.parametrize("after", [0.35, 0.6, 1.8])
 def test_sudden_change_of_floor_is_learned_within_seconds(after):
     """However large the surprise: one that lasts is slip."""
-    found = yaw_gains(after, 400)
-    assert found[295] == pytest.approx(1.0, abs=0.05)
-    assert np.median(found[500:]) == pytest.approx(after, rel=0.1)
+    result = yaw_gains(after, 400)
+    assert result[295] == pytest.approx(1.0, abs=0.05)
+    assert np.median(result[500:]) == pytest.approx(after, rel=0.1)
 
 
 def test_short_jerk_does_not_change_slip():
-    found = yaw_gains(0.2, 15)
-    assert found[300:] == pytest.approx(np.full(400, found[300]), abs=0.1)
+    result = yaw_gains(0.2, 15)
+    assert result[300:] == pytest.approx(np.full(400, result[300]), abs=0.1)
 
 
 def test_yaw_gains_are_frozen_at_low_yaw_rate():

@@ -69,10 +69,10 @@ def converge(subject, tick, iterations=30):
     """Return the fixed point of real-time iterations of a resting robot."""
     plan = tick.feed_forward
     for _ in range(iterations):
-        before, answer = plan, solve(subject.quadratic_program(tick, plan))
-        plan = answer.x.reshape(-1, 2)
+        before, solution = plan, solve(subject.quadratic_program(tick, plan))
+        plan = solution.x.reshape(-1, 2)
         if np.abs(plan - before).max() < 1e-8:
-            return plan, answer
+            return plan, solution
     raise AssertionError("it does not converge")
 
 
@@ -90,8 +90,8 @@ def ipopt(subject, tick, ahead=None):
 @pytest.mark.parametrize("model_name", ["ssm", "sm", "mbm"])
 def test_real_time_iterations_converge_to_ipopts_solution(model_name, soft):
     subject, tick = setting(model_name, **SOFT[soft])
-    plan, answer = converge(subject, tick)
-    assert answer.soft.any() == (soft != "none"), "the case must exercise what it is named for"
+    plan, solution = converge(subject, tick)
+    assert solution.soft.any() == (soft != "none"), "the case must exercise what it is named for"
     assert plan == pytest.approx(ipopt(subject, tick), abs=2e-6)
 
 

@@ -53,16 +53,16 @@ def distance(points, line):
     return np.hypot(*(gap - share[..., None] * step).transpose(2, 0, 1)).min(axis=1)
 
 
-def check(found, poses, limits=LIMITS):
+def check(result, poses, limits=LIMITS):
     """Check limits, motion without lateral slip, deviation and end of a reference."""
-    times, sample = sampled(found)
+    times, sample = sampled(result)
     assert np.all(np.abs(sample.twist).max(axis=0) <= np.array([limits.v, limits.omega]) * 1.01 + 1e-9)
     change = np.abs(np.diff(sample.twist, axis=0) / np.diff(times)[:, None])
     assert np.all(change.max(axis=0) <= np.array([limits.v_acceleration, limits.omega_acceleration]) * 1.05)
     step = np.diff(sample.pose, axis=0)
     heading = sample.pose[:-1, 2] + step[:, 2] / 2
     assert np.abs(np.cos(heading) * step[:, 1] - np.sin(heading) * step[:, 0]).max() < 1e-4
-    assert found.deviation <= DEVIATION * 1.001
+    assert result.deviation <= DEVIATION * 1.001
     end = sample.pose[-1]
     assert np.allclose(end[:2], poses[-1][:2], atol=1e-6)
     assert abs(math.remainder(end[2] - poses[-1][2], math.tau)) < 2e-3
@@ -86,22 +86,22 @@ def test_staircase_of_cells_becomes_a_drivable_path_close_to_it(corners, stated)
     poses = headed(points, 0.3)
     if not stated:
         poses[:-1, 2] = 0.0
-    found = laid(poses)
-    sample = check(found, poses)
+    result = laid(poses)
+    sample = check(result, poses)
     assert distance(sample.pose[::5, :2], points).max() <= DEVIATION * 1.001
     # Cells are climbed nowhere: the heading turns no more than corners and goal ask for.
-    asked = np.abs(np.diff(np.unwrap(headed(np.array(corners, dtype=float), 0.3)[:, 2]))).sum()
-    assert np.abs(np.diff(sample.pose[:, 2])).sum() < asked + abs(float(headed(points)[0, 2])) + 1.0
+    required = np.abs(np.diff(np.unwrap(headed(np.array(corners, dtype=float), 0.3)[:, 2]))).sum()
+    assert np.abs(np.diff(sample.pose[:, 2])).sum() < required + abs(float(headed(points)[0, 2])) + 1.0
     assert sample.twist[:, 0].min() > -1e-9
-    assert found.reference.duration < 3.5 * found.length / LIMITS.v + 8.0
+    assert result.reference.duration < 3.5 * result.length / LIMITS.v + 8.0
 
 
 def test_poses_against_the_travel_direction_are_driven_backwards():
     forth = np.column_stack([X / 3, 0 * X, 0 * X])
     back = np.column_stack([1 - X[1:] / 3, 0.3 * (X[1:] / 3) ** 2, -0.6 * X[1:] / 3])
     poses = np.concatenate([forth, back])
-    found = laid(poses)
-    sample = check(found, poses)
+    result = laid(poses)
+    sample = check(result, poses)
     assert sample.twist[:, 0].min() < -0.3 and sample.twist[:, 0].max() > 0.3
     cusp = int(np.argmax(sample.pose[:, 0]))
     assert sample.pose[cusp, 0] == pytest.approx(1.0, abs=1e-3)
@@ -159,11 +159,11 @@ def test_resting_robot_that_faces_away_turns_first():
 def test_path_starts_at_the_pose_and_speed_of_the_robot():
     poses = headed(np.column_stack([X, 0 * X]))
     robot = np.array([0.62, 0.03, 0.1])
-    found = laid(poses, robot, twist=(0.45, 0.0))
-    sample = check(found, poses)
+    result = laid(poses, robot, twist=(0.45, 0.0))
+    sample = check(result, poses)
     assert np.allclose(sample.pose[0], robot, atol=0.03)
     assert sample.twist[0, 0] == pytest.approx(0.45, abs=0.01)
-    assert found.length == pytest.approx(3.0 - 0.62, abs=0.02)
+    assert result.length == pytest.approx(3.0 - 0.62, abs=0.02)
     assert np.abs(sample.pose[:, 1]).max() < 0.03 + DEVIATION
     assert np.abs(sample.pose[sample.pose[:, 0] > 2.0, 1]).max() < 0.03
 
@@ -176,8 +176,8 @@ def test_closed_path_is_not_shortened():
 
 def test_path_without_turns_on_the_spot_if_they_are_forbidden():
     wide = TrajectoryLimits(0.6, 0.8, 0.5, 1.5, min_turn_radius=0.5)
-    found = laid(headed(np.column_stack([X, 0 * X]), 1.0), (0.0, 0.0, 1.0), wide)
-    sample = sampled(found)[1]
+    result = laid(headed(np.column_stack([X, 0 * X]), 1.0), (0.0, 0.0, 1.0), wide)
+    sample = sampled(result)[1]
     assert np.abs(sample.twist[np.abs(sample.twist[:, 0]) < 1e-3, 1]).max() < 0.01
 
 
@@ -212,8 +212,8 @@ def test_reference_from_any_cells_keeps_its_limits_or_raises_error(corners, goal
     points = on_grid([(0.05 * x, 0.05 * y) for x, y in corners])
     poses = headed(points, goal)
     try:
-        found = laid(poses, (*points[0], heading))
+        result = laid(poses, (*points[0], heading))
     except ConfigError as error:
         assert "\n" not in str(error)
         return
-    check(found, poses)
+    check(result, poses)

@@ -38,10 +38,10 @@ def test_quintic_path_meets_pose_and_curvature_at_both_ends(start, start_bend, s
     start, end = np.array(start), np.array(start) + shift
     nodes = 4001
     path = quintic_paths(start[None], np.array([start_bend]), end[None], np.array([end_bend]), nodes)
-    for at, pose, bend in ((0, start, start_bend), (-1, end, end_bend)):
-        assert path.points[0, at] == pytest.approx(pose[:2], abs=1e-9)
-        assert wrap_angle(path.heading[0, at] - pose[2]) == pytest.approx(0.0, abs=1e-6)
-        assert path.curvature[0, at] == pytest.approx(bend, abs=1e-6)
+    for index, pose, bend in ((0, start, start_bend), (-1, end, end_bend)):
+        assert path.points[0, index] == pytest.approx(pose[:2], abs=1e-9)
+        assert wrap_angle(path.heading[0, index] - pose[2]) == pytest.approx(0.0, abs=1e-6)
+        assert path.curvature[0, index] == pytest.approx(bend, abs=1e-6)
 
 
 @given(st.floats(-1.5, 1.5), bends, bends)
@@ -117,8 +117,12 @@ def connect(name, time, across, turned, v=0.0, omega=0.0):
     pose[:2] += across * np.array([-np.sin(pose[2]), np.cos(pose[2])])
     pose[2] += turned
     window = PathWindow.around(reference, time, 6.0, 0.05)
-    here = window.nearest(pose, time)
-    return pose, rejoin(reference, window, here, Course(pose, v, omega), time, (0.2, 2.0), LIMITS), window.times[here]
+    nearest = window.nearest(pose, time)
+    return (
+        pose,
+        rejoin(reference, window, nearest, Course(pose, v, omega), time, (0.2, 2.0), LIMITS),
+        window.times[nearest],
+    )
 
 
 anywhere = st.tuples(
@@ -199,19 +203,19 @@ def drive(reference, seconds, *, start=(0.0, 0.0), noise=0.0, held=None, move=No
     pose = beside(reference, 0.0, *start)
     robot = IdealRobot(MODEL, pose, noise=noise, slip=slip)
     controller.start(reference, 0.0)
-    results, poses, times, told = [], [], [], None
+    results, poses, times, applied = [], [], [], None
     for k in range(round(seconds / DT)):
         t = robot.time
         if move is not None and (elsewhere := move(k, robot.pose)) is not None:
             robot.poses = [elsewhere] * (robot.late + 1)
         measurement = robot.measure()
-        if told is not None:
-            measurement = replace(measurement, sent=told)
+        if applied is not None:
+            measurement = replace(measurement, sent=applied)
         result = controller.step(t, measurement)
         results.append(result)
         poses.append(robot.pose.copy())
         times.append(t)
-        told = tuple(result.command)
+        applied = tuple(result.command)
         if held is not None and held[0] <= t < held[1]:
             robot.state[:] = 0.0
             robot.line.append(np.zeros(2))
@@ -235,10 +239,12 @@ def lateral(reference, results, poses, times):
     for result, pose, t in zip(results, poses, times, strict=True):
         near = np.abs(fine - (t - result.reference_delay)) < 2.0
         offset = pose[:2] - path[near, :2]
-        at = int(np.argmin(np.hypot(*offset.T)))
-        heading = path[near][at, 2]
+        nearest = int(np.argmin(np.hypot(*offset.T)))
+        heading = path[near][nearest, 2]
         out.append(
-            np.copysign(np.hypot(*offset[at]), np.cos(heading) * offset[at, 1] - np.sin(heading) * offset[at, 0])
+            np.copysign(
+                np.hypot(*offset[nearest]), np.cos(heading) * offset[nearest, 1] - np.sin(heading) * offset[nearest, 0]
+            )
         )
     return np.array(out)
 
@@ -308,9 +314,9 @@ def test_reference_waits_for_a_blocked_robot_and_command_stays_small():
     reference = load_trajectory("s")
     results, poses, times = drive(reference, 14.0, held=(5.0, 8.0))
     within = (times > 6.5) & (times < 8.0)
-    asked = np.array([r.command for r in results])
+    commands = np.array([r.command for r in results])
     delays = np.array([r.reference_delay for r in results])
-    assert (np.abs(asked[within]) <= 0.4 * np.array([1.5, 2.0]) + 1e-9).all()
+    assert (np.abs(commands[within]) <= 0.4 * np.array([1.5, 2.0]) + 1e-9).all()
     assert all("blocked for" in r.message for r, w in zip(results, within, strict=True) if w)
     assert max(r.progress for r, w in zip(results, within, strict=True) if w) < 0.01
     # Let go, it neither leaps nor leaves the path; the reference catches up no faster than it may.
@@ -326,10 +332,10 @@ def test_reference_waits_for_a_blocked_robot_and_command_stays_small():
 def test_robot_pushed_near_the_end_still_arrives():
     """Pushed sideways just before the end: the reference ends later, and so does the finish."""
     reference = load_trajectory("cane")
-    at = round((reference.duration - 0.8) / DT)
+    tick = round((reference.duration - 0.8) / DT)
 
     def push(k, pose):
-        return pose + [-0.2 * np.sin(pose[2]), 0.2 * np.cos(pose[2]), 0.0] if k == at else None
+        return pose + [-0.2 * np.sin(pose[2]), 0.2 * np.cos(pose[2]), 0.0] if k == tick else None
 
     results, poses, _ = drive(reference, reference.duration + 8.0, move=push)
     assert results[-1].mode is Mode.FINISHED

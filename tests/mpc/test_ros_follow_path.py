@@ -48,11 +48,11 @@ def test_grid_path_of_a_planner_is_driven_to_its_goal(parts):
         assert (result["status"], result["code"]) == (parts.SUCCEEDED, 0)
         assert np.abs(pose(follow) - path[-1]).max() < 0.02
         assert max(np.hypot(*(path[:, :2] - at[:2]).T).min() for at in driven) < 0.05 + 0.05
-        told = follow.client.of("a", "feedback")
-        distance = [one["distance"] for one in told]
-        assert len(told) > 20 and np.all(np.diff(distance) < 0.01)
+        messages = follow.client.of("a", "feedback")
+        distance = [feedback["distance"] for feedback in messages]
+        assert len(messages) > 20 and np.all(np.diff(distance) < 0.01)
         assert 1.5 < distance[0] < 2.1 and distance[-1] < 0.05
-        assert 0.4 < max(one["speed"] for one in told) < 0.7
+        assert 0.4 < max(feedback["speed"] for feedback in messages) < 0.7
         # Afterwards it stands and waits.
         follow.tick(10)
         assert not np.any(follow.base.commands[-1]) and str(follow.made.loop.state) == "IDLE"

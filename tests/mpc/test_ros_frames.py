@@ -64,12 +64,12 @@ def placed(motion, pose):
 
 
 def transform(parent, child, stamp, pose):
-    found = TransformStamped(child_frame_id=child)
-    found.header.frame_id, found.header.stamp = parent, time_message(stamp)
-    at = stamped_pose_message(pose, stamp, parent).pose
-    found.transform.translation.x, found.transform.translation.y = at.position.x, at.position.y
-    found.transform.rotation = at.orientation
-    return found
+    result = TransformStamped(child_frame_id=child)
+    result.header.frame_id, result.header.stamp = parent, time_message(stamp)
+    placed = stamped_pose_message(pose, stamp, parent).pose
+    result.transform.translation.x, result.transform.translation.y = placed.position.x, placed.position.y
+    result.transform.rotation = placed.orientation
+    return result
 
 
 @pytest.fixture

@@ -247,8 +247,8 @@ def test_trajectory_message_is_driven():
             transform = Transform(rotation=pose.pose.orientation)
             transform.translation.x = pose.pose.position.x
             point = MultiDOFJointTrajectoryPoint(transforms=[transform])
-            at = pose.header.stamp.sec - 1000, pose.header.stamp.nanosec
-            point.time_from_start.sec, point.time_from_start.nanosec = at
+            stamp = pose.header.stamp.sec - 1000, pose.header.stamp.nanosec
+            point.time_from_start.sec, point.time_from_start.nanosec = stamp
             message.points.append(point)
         drive_along(s, message, "set_trajectory")
 

@@ -59,10 +59,10 @@ def test_manifest_lists_every_imported_ros_package():
 def test_extra_ros_installs_every_imported_ros_package():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extra = {re.split(r"[<>=]", name)[0] for name in project["optional-dependencies"]["ros"]}
-    found = packages(NODES)
+    result = packages(NODES)
     # rclpy itself brings the interfaces that it is made of.
-    own = {"builtin_interfaces", "rcl_interfaces"}
-    for name in found - own - WITHOUT_WHEEL:
+    builtin = {"builtin_interfaces", "rcl_interfaces"}
+    for name in result - builtin - WITHOUT_WHEEL:
         if name == "rclpy" or name.endswith(("_msgs", "_srvs")):
             assert f"ros-jazzy-{name.replace('_', '-')}" in extra
     assert MANIFEST.findtext("version") == project["version"]
@@ -164,12 +164,12 @@ def allowed(enclave):
 
 def had(node, name=None):
     """Return such pairs of a running node; actions are named by their topics and services."""
-    found = set()
+    result = set()
     for rule, kind in KINDS.items():
         listed = getattr(node, f"get_{kind}_names_and_types_by_node")(name or node.get_name(), "/")
-        found |= {(rule, each) for each, _ in listed}
+        result |= {(rule, each) for each, _ in listed}
     action = re.compile(r"(.*)/_action/")
-    return {("execute", action.match(each)[1]) if "/_action/" in each else (rule, each) for rule, each in found}
+    return {("execute", action.match(each)[1]) if "/_action/" in each else (rule, each) for rule, each in result}
 
 
 OF_PARTS = {
@@ -183,14 +183,14 @@ OF_PARTS = {
 
 def test_policy_allows_exactly_the_topics_of_the_node(ros_types):
     with stack(pose_source="tf") as s:
-        found = had(s.node) | had(s.node, "diffdrive_mpc_follow_path") | OF_PARTS
+        result = had(s.node) | had(s.node, "diffdrive_mpc_follow_path") | OF_PARTS
     # Instead of transforms, with use_pose_topic.
-    found.add(("subscribe", "/pose"))
-    assert allowed("node") == found
-    commands = {(rule, name) for rule, name in found if name.startswith(f"/{CHECKED}")}
+    result.add(("subscribe", "/pose"))
+    assert allowed("node") == result
+    commands = {(rule, name) for rule, name in result if name.startswith(f"/{CHECKED}")}
     assert len(commands) == 2
     unchecked = {(rule, name.replace(CHECKED, UNCHECKED)) for rule, name in commands}
-    assert allowed("monitored_node") == found - commands | unchecked
+    assert allowed("monitored_node") == result - commands | unchecked
 
 
 @pytest.mark.parametrize("enclave", ["monitor", "robot"])

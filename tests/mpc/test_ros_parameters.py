@@ -56,9 +56,9 @@ def test_declared_parameters_are_read_back(schema):
 @given(st.sampled_from(sorted(FIELDS)), st.floats(-1e3, 1e3) | st.integers(-1000, 1000).map(float))
 def test_ranges_agree_with_the_schema(name, value):
     """A number that the range of the descriptor excludes is refused by the schema too."""
-    found = descriptor(FIELDS[name])
-    for bounds in [*found.floating_point_range, *found.integer_range]:
-        number = int(value) if found.integer_range else value
+    result = descriptor(FIELDS[name])
+    for bounds in [*result.floating_point_range, *result.integer_range]:
+        number = int(value) if result.integer_range else value
         if not bounds.from_value <= number <= bounds.to_value and bounds.to_value < sys.float_info.max:
             *groups, key = name.split(".")
             data = {key: number}
@@ -74,12 +74,12 @@ def test_every_field_is_a_parameter_with_type_text_and_range():
         assert set(FIELDS) <= set(listed)
         request = DescribeParameters.Request(names=sorted(FIELDS))
         described = s.call(DescribeParameters, "/diffdrive_mpc/describe_parameters", request).descriptors
-        for found, name in zip(described, sorted(FIELDS), strict=True):
-            assert found.name == name
-            assert found.description == FIELDS[name].description
-            assert found.type != ParameterType.PARAMETER_NOT_SET
-            numbers = found.type in (ParameterType.PARAMETER_DOUBLE, ParameterType.PARAMETER_INTEGER)
-            assert numbers == bool(found.floating_point_range or found.integer_range), name
+        for result, name in zip(described, sorted(FIELDS), strict=True):
+            assert result.name == name
+            assert result.description == FIELDS[name].description
+            assert result.type != ParameterType.PARAMETER_NOT_SET
+            numbers = result.type in (ParameterType.PARAMETER_DOUBLE, ParameterType.PARAMETER_INTEGER)
+            assert numbers == bool(result.floating_point_range or result.integer_range), name
         horizon = described[sorted(FIELDS).index("horizon")].integer_range[0]
         assert (horizon.from_value, horizon.to_value) == (1, 200)
         progress = described[sorted(FIELDS).index("expert.reentry.max_progress")]

@@ -254,9 +254,9 @@ TO_REST = math.ceil(max(LIMITS.v / LIMITS.v_braking, LIMITS.omega / LIMITS.omega
 
 
 def hold(s, on):
-    answer = s.call(SetBool, "/diffdrive_mpc/hold", SetBool.Request(data=on))
-    assert answer.success
-    return answer.message
+    response = s.call(SetBool, "/diffdrive_mpc/hold", SetBool.Request(data=on))
+    assert response.success
+    return response.message
 
 
 def tracking_distance(s):
@@ -292,9 +292,9 @@ def test_hold_brakes_within_limits_and_release_resumes_the_goal():
 def test_held_robot_accepts_services_without_moving():
     with stack() as s:
         assert hold(s, on=True) == "is held"
-        answer = s.trigger("start")
-        assert answer.success
-        assert answer.message.endswith("once it is let go (hold)")
+        response = s.trigger("start")
+        assert response.success
+        assert response.message.endswith("once it is let go (hold)")
         assert not s.base.run(20).any()
         assert s.loop.state is LoopState.DRIVING
         assert "held; call hold with false" in s.loop.last.message

@@ -110,10 +110,10 @@ def test_what_is_no_limit_is_refused(limit):
 
 @given(value=st.floats(0.0, 1e6), percentage=st.booleans(), greatest=st.floats(0.05, 5.0))
 def test_a_stated_limit_is_none_or_between_almost_nothing_and_the_greatest_speed(value, percentage, greatest):
-    found = SpeedLimit(value, percentage).speed(greatest)
+    result = SpeedLimit(value, percentage).speed(greatest)
     if value == 0.0:
-        assert found is None
+        assert result is None
     else:
-        assert SLOWEST <= found <= greatest
+        assert SLOWEST <= result <= greatest
         stated = value * greatest / 100 if percentage else value
-        assert found == pytest.approx(min(max(stated, SLOWEST), greatest))
+        assert result == pytest.approx(min(max(stated, SLOWEST), greatest))

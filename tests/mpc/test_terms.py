@@ -140,11 +140,11 @@ def test_residual_of_constant_weight_equals_the_shipped_cost():
     term = Term("heading", ca.Function("f", [reference, pose], [value], ["reference", "pose"], ["r"]))
     # A term knows no end of the horizon, and nothing of the leaning that trades heading against lag.
     plain = WEIGHTS | {"weights.terminal": 1.0, "compensation.side_slip": False}
-    shipped, given = (
+    shipped, user_defined = (
         drive(Controller(load_config("ssm", plain | {"weights.heading": weight}), terms=terms), start, LINE, 6.0)[0]
         for weight, terms, start in ((28.0, [], aside()), (0.0, [term], aside()))
     )
-    assert commands(given) == pytest.approx(commands(shipped), abs=1e-9)
+    assert commands(user_defined) == pytest.approx(commands(shipped), abs=1e-9)
     assert np.abs(commands(shipped)[:, 1]).max() > 0.1
 
 
@@ -184,8 +184,8 @@ def test_controller_with_terms_survives_a_process_pool():
         result, returned = pool.map(one_step, [controller])[0]
     expected, _ = one_step(controller)
     assert expected.mode is Mode.TRACKING
-    for one, other in ((result.command, expected.command), (result.planned_commands, expected.planned_commands)):
-        assert one.tolist() == other.tolist()
+    for first, second in ((result.command, expected.command), (result.planned_commands, expected.planned_commands)):
+        assert first.tolist() == second.tolist()
     assert returned.config == controller.config
     again = pickle.loads(pickle.dumps(controller))
     assert again.step(0.0, FIRST).planned_commands.tolist() == returned.step(0.0, FIRST).planned_commands.tolist()
@@ -211,9 +211,9 @@ def test_configured_term_equals_the_term_given_in_python(tmp_path, monkeypatch):
     named = Controller(configured(tmp_path, FILE, entries))
     monkeypatch.chdir(tmp_path / "elsewhere")
     named = pickle.loads(pickle.dumps(named))
-    given = Controller(CONFIG, terms=[KEEP_OFF, Term("elbow", DEFINED["push_off"], defaults=FAR_AWAY)])
+    in_python = Controller(CONFIG, terms=[KEEP_OFF, Term("elbow", DEFINED["push_off"], defaults=FAR_AWAY)])
     driven = []
-    for controller in (named, given):
+    for controller in (named, in_python):
         controller.set_parameters(keep_off=[1.0, 0.3], elbow=[1.5, -0.3])
         driven.append(commands(drive(controller, robot(noise=1.0), LINE, 4.0)[0]))
     assert (driven[0] == driven[1]).all()
@@ -259,9 +259,9 @@ def test_mistake_in_a_configured_term_is_one_line(tmp_path, text, changes, said)
     ],
 )
 def test_mistake_in_a_python_term_raises_config_error(changes, said):
-    given = {"name": "mine", "function": DEFINED["keep_off"], "kind": "soft", "lower": [4.0], "defaults": FAR_AWAY}
+    arguments = {"name": "mine", "function": DEFINED["keep_off"], "kind": "soft", "lower": [4.0], "defaults": FAR_AWAY}
     with pytest.raises(ConfigError) as refused:
-        Term(**(given | changes))
+        Term(**(arguments | changes))
     assert str(refused.value).startswith(said)
 
 
@@ -279,7 +279,7 @@ def test_too_many_rows_of_terms_raise_error():
 
 
 def test_duplicate_term_names_raise_error():
-    with pytest.raises(ConfigError, match="term 'keep_off': 2 terms have this name; give each a name of its own"):
+    with pytest.raises(ConfigError, match="term 'keep_off': 2 terms have this name; give each its own name"):
         Controller(CONFIG, terms=[KEEP_OFF, KEEP_OFF])
 
 
@@ -288,7 +288,7 @@ def test_duplicate_term_names_raise_error():
     [
         ("push_of", [1.0, 2.0], "term 'push_of': there is none; there are: keep_off, push_off"),
         ("push_off", [1.0], "term 'push_off': give 2 parameters, or 31 rows of them (found shape (1,))"),
-        ("push_off", [1.0, float("nan")], "term 'push_off': its parameters hold what is no finite number"),
+        ("push_off", [1.0, float("nan")], "term 'push_off': its parameters contain a value that is not finite"),
     ],
 )
 def test_wrong_term_parameters_raise_error_and_change_nothing(name, value, said):

@@ -35,10 +35,10 @@ def pushed_off(weight):
 def everything():
     """Return a residual of every input, with three rows without physical meaning."""
     sizes = {"command": 2, "twist": 2, "reference": 4, "pose": 3}
-    of = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
-    pose, twist, command, reference = (of[name] for name in ("pose", "twist", "command", "reference"))
+    symbols = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+    pose, twist, command, reference = (symbols[name] for name in ("pose", "twist", "command", "reference"))
     rows = [3 * (twist[1] - command[1]), 2 * twist[0] * (pose[2] - reference[3]), command[0] * twist[1]]
-    return Term("all", ca.Function("all", list(of.values()), [ca.vertcat(*rows)], list(of), ["r"]))
+    return Term("all", ca.Function("all", list(symbols.values()), [ca.vertcat(*rows)], list(symbols), ["r"]))
 
 
 def between(low, high):

@@ -60,9 +60,9 @@ def instants(trajectory: Trajectory, count: int = 4001) -> FloatArray:
 def drawn_path(segments: list[Segment]) -> FloatArray:
     """Return points (n, 2) x, y [m] along the segments, a millimetre apart."""
     pose, points = np.zeros(3), [np.zeros((1, 2))]
-    for one in segments:
-        share = np.linspace(0.0, one.duration, 2 + int(abs(one.v) * one.duration / 1e-3))
-        poses = integrate_pose(pose, one.v * share, one.omega * share, 1.0)
+    for segment in segments:
+        share = np.linspace(0.0, segment.duration, 2 + int(abs(segment.v) * segment.duration / 1e-3))
+        poses = integrate_pose(pose, segment.v * share, segment.omega * share, 1.0)
         points.append(poses[:, :2])
         pose = poses[-1]
     return np.concatenate(points)
@@ -77,12 +77,12 @@ def test_commanded_twists_equal_the_segments(segments: list[Segment]) -> None:
     # A step in front, and one behind, which have the ramps.
     ends = [segment(0.5, 0.0, 1.0)]
     trajectory = lay_commanded([*ends, *segments, *ends], LIMITS, name="test")
-    begin = trajectory.duration - 1.25 - sum(one.duration for one in segments)
-    assert begin == pytest.approx(1.25)
+    start = trajectory.duration - 1.25 - sum(one.duration for one in segments)
+    assert start == pytest.approx(1.25)
     for one in segments:
-        inside = begin + one.duration * np.array([1e-6, 0.3, 0.5, 1 - 1e-6])
+        inside = start + one.duration * np.array([1e-6, 0.3, 0.5, 1 - 1e-6])
         np.testing.assert_allclose(trajectory.sample(inside).twist, [(one.v, one.omega)] * 4, rtol=0, atol=1e-12)
-        begin += one.duration
+        start += one.duration
 
 
 @settings(max_examples=40, deadline=None)
@@ -91,8 +91,8 @@ def test_pose_integrates_commanded_twists_along_the_drawn_path(segments: list[Se
     trajectory = lay_commanded(segments, LIMITS, name="test")
     assert largest_integration_gap(trajectory, trajectory.breaks, pieces=20) < 1e-9
     end = np.zeros(3)
-    for one in segments:
-        end = integrate_pose(end, one.v, one.omega, one.duration)
+    for segment in segments:
+        end = integrate_pose(end, segment.v, segment.omega, segment.duration)
     np.testing.assert_allclose(trajectory.sample([trajectory.duration]).pose[0], end, rtol=0, atol=1e-12)
     assert_holds_its_ends(trajectory)
     stopping = lay_segments(segments, LIMITS, name="test")
@@ -133,10 +133,10 @@ def test_smooth_path_stays_within_its_reported_distance(segments: list[Segment])
     times = instants(trajectory, 1500)
     points = trajectory.sample(times).pose[:, :2]
     nearest, _ = cKDTree(drawn_path(segments)).query(points)
-    told = trajectory.drawn_distance(times)
-    assert told.max() <= 0.02
+    reported = trajectory.drawn_distance(times)
+    assert reported.max() <= 0.02
     # Nearer than told: the path may pass elsewhere; further: the drawn one is sampled every millimetre.
-    assert np.all(nearest <= told + 6e-4)
+    assert np.all(nearest <= reported + 6e-4)
     end = lay_segments(segments, LIMITS, name="test")
     np.testing.assert_allclose(
         trajectory.sample([trajectory.duration]).pose, end.sample([end.duration]).pose, rtol=0, atol=1e-7
@@ -150,7 +150,7 @@ def test_smooth_trajectory_keeps_every_limit(segments: list[Segment]) -> None:
     assert np.all(largest_shares(trajectory, LIMITS) <= 1.002)
     v, omega = trajectory.sample(instants(trajectory)).twist.T
     assert np.abs(v * omega).max() <= LIMITS.lateral_acceleration * 1.002
-    assert np.abs(v).max() <= max(abs(one.v) for one in segments) * 1.001 + 1e-9
+    assert np.abs(v).max() <= max(abs(segment.v) for segment in segments) * 1.001 + 1e-9
     assert_holds_its_ends(trajectory)
 
 
@@ -258,11 +258,11 @@ def test_shipped_paths_keep_the_limits_of_the_robot(name: str) -> None:
 
 @pytest.mark.parametrize("seed", [0, 1, 12, 2**70])
 def test_random_paths_are_reproducible_and_distinct(seed: int) -> None:
-    one, again, other = (load_trajectory(f"spline-{n}") for n in (seed, seed, seed + 1))
-    assert isinstance(one, SplineTrajectory) and isinstance(again, SplineTrajectory)
-    assert one.table.tobytes() == again.table.tobytes()
-    assert one.duration != other.duration
-    twist = np.abs(one.sample(instants(one)).twist)
+    first, again, second = (load_trajectory(f"spline-{n}") for n in (seed, seed, seed + 1))
+    assert isinstance(first, SplineTrajectory) and isinstance(again, SplineTrajectory)
+    assert first.table.tobytes() == again.table.tobytes()
+    assert first.duration != second.duration
+    twist = np.abs(first.sample(instants(first)).twist)
     assert twist[:, 0].max() > 1.1
     assert twist[:, 1].max() > 1.0
 
@@ -303,7 +303,7 @@ def test_scaled_path_keeps_limits_and_shape_for_any_robot(path, values, gains, l
     assert ahead[:, 1].max() <= limits.omega
 
     length = config.wheels.encoder_track / load_robot().track
-    end, shipped = (one.sample(np.array([one.duration])) for one in (scaled, usual))
+    end, shipped = (reference.sample(np.array([reference.duration])) for reference in (scaled, usual))
     np.testing.assert_allclose(end.pose[0, :2], length * shipped.pose[0, :2], atol=1e-6 * length)
     np.testing.assert_allclose(end.pose[0, 2], shipped.pose[0, 2], atol=1e-6)
     np.testing.assert_allclose(end.arc_length, length * shipped.arc_length, rtol=1e-6)

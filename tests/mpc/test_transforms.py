@@ -23,10 +23,10 @@ def rigids(draw):
 
 
 def matrix(rigid):
-    found = np.eye(4)
-    found[:3, :3] = Rotation.from_quat(rigid[3:]).as_matrix()
-    found[:3, 3] = rigid[:3]
-    return found
+    result = np.eye(4)
+    result[:3, :3] = Rotation.from_quat(rigid[3:]).as_matrix()
+    result[:3, 3] = rigid[:3]
+    return result
 
 
 def planar(x, y, theta):
@@ -46,10 +46,10 @@ def test_between_two_attitudes_it_turns_at_a_constant_rate(first, turn, share):
         Rigid(1.0, 2.0, 3.0, *Rotation.from_rotvec(angle * axis).as_quat().tolist()) for angle in (turn, share * turn)
     )
     start = first._replace(x=0.0, y=0.0, z=0.0)
-    found = start.towards(start.after(whole), share)
+    result = start.towards(start.after(whole), share)
     expected = Rotation.from_quat(start.after(part)[3:])
-    assert (Rotation.from_quat(found[3:]) * expected.inv()).magnitude() < 1e-6
-    np.testing.assert_allclose(found[:3], share * np.array(start.after(whole)[:3]), atol=1e-9)
+    assert (Rotation.from_quat(result[3:]) * expected.inv()).magnitude() < 1e-6
+    np.testing.assert_allclose(result[:3], share * np.array(start.after(whole)[:3]), atol=1e-9)
 
 
 @given(
@@ -64,8 +64,8 @@ def test_along_any_tree_it_is_the_product_of_matrices(transforms, ends, parents)
         buffer.insert(f"f{parent}", f"f{child}", NOW, transform, NOW, static=child % 2 == 0)
         world.append(world[parent] @ matrix(transform))
     target, source = ends
-    found = buffer.lookup(f"f{target}", f"f{source}", NOW)
-    np.testing.assert_allclose(matrix(found.transform), np.linalg.inv(world[target]) @ world[source], atol=1e-8)
+    result = buffer.lookup(f"f{target}", f"f{source}", NOW)
+    np.testing.assert_allclose(matrix(result.transform), np.linalg.inv(world[target]) @ world[source], atol=1e-8)
 
 
 def moving(count=20):
@@ -78,8 +78,8 @@ def moving(count=20):
 
 @given(at=st.floats(0.0, 1.9))
 def test_at_a_time_between_two_stamps_it_is_between_them(at):
-    found = moving().lookup("odom", "base_link", NOW, NOW + round(at * 1e9))
-    np.testing.assert_allclose(found.transform.planar, [at, 0.0, 0.1 * at], atol=1e-6)
+    result = moving().lookup("odom", "base_link", NOW, NOW + round(at * 1e9))
+    np.testing.assert_allclose(result.transform.planar, [at, 0.0, 0.1 * at], atol=1e-6)
 
 
 def test_without_a_time_it_is_the_newest_that_the_whole_chain_has():
@@ -88,13 +88,13 @@ def test_without_a_time_it_is_the_newest_that_the_whole_chain_has():
     last = NOW + 1_900_000_000
     for stamp, x in ((NOW, 5.0), (NOW + 10**9, 6.0)):
         buffer.insert("map", "odom", stamp, planar(x, 0.0, 0.0), stamp)
-    found = buffer.lookup("map", "base_link", last)
-    assert (found.stamp, found.oldest) == (NOW + 10**9, "odom")
-    assert found.transform.x == pytest.approx(7.0)
+    result = buffer.lookup("map", "base_link", last)
+    assert (result.stamp, result.oldest) == (NOW + 10**9, "odom")
+    assert result.transform.x == pytest.approx(7.0)
     buffer.insert("map", "odom", last + 10**9, planar(8.0, 0.0, 0.0), last)
-    found = buffer.lookup("map", "base_link", last)
-    assert (found.stamp, found.oldest) == (last, "base_link")
-    assert found.transform.x == pytest.approx(6.0 + 0.9 / 1.9 * 2.0 + 1.9)
+    result = buffer.lookup("map", "base_link", last)
+    assert (result.stamp, result.oldest) == (last, "base_link")
+    assert result.transform.x == pytest.approx(6.0 + 0.9 / 1.9 * 2.0 + 1.9)
 
 
 def test_what_is_static_holds_at_any_time():

@@ -1,4 +1,4 @@
-"""Which measurements may be believed: stamps, numbers, ranges, single spikes, and poses that jump."""
+"""Checks of measurements: stamps, numbers, ranges, single spikes, and poses that jump."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _AGREEING = 3
 
 
 def numbers(value: Any, count: int) -> FloatArray | None:
-    """`value` as `count` finite numbers, or None if it is anything else."""
+    """Return `value` as `count` finite numbers, or None if it is anything else."""
     try:
         array = np.asarray(value, dtype=float).ravel()
     except (TypeError, ValueError, OverflowError):
@@ -29,7 +29,7 @@ def numbers(value: Any, count: int) -> FloatArray | None:
 
 
 def covariance(value: Any, size: int) -> FloatArray | None:
-    """`value` as a symmetric positive definite (size, size) matrix with possible entries, or None."""
+    """Return `value` as a symmetric positive definite (size, size) matrix with possible entries, or None."""
     entries = numbers(value, size * size)
     if entries is None or np.abs(entries).max() > _LARGEST_VARIANCE:
         return None
@@ -58,7 +58,7 @@ def stamp_fault(stamp: object, t: float, last: float, history: float, delay: flo
 
 
 def sent_command(sent: object, largest: FloatArray) -> FloatArray | None:
-    """What the robot says it got (2,), or None where that cannot be."""
+    """Return the command (2,) that the robot reports, or None if it is impossible."""
     value = numbers(sent, 2)
     if value is None or (np.abs(value) > largest).any():
         return None
@@ -79,7 +79,7 @@ class CheckedPose:
 
 
 class PoseRate:
-    """Whether poses come too seldom: of the last five, those for which the one before had become too old."""
+    """Detector of too rare poses: of the last five, it counts those for which the one before had become too old."""
 
     def __init__(self, dt: float, max_pose_age: float, history: float) -> None:
         self.dt, self.max_pose_age, self.history = dt, max_pose_age, history
@@ -107,7 +107,7 @@ class PoseRate:
         return self.interval + self.latency if self.rare else 0.0
 
     def words(self) -> list[str]:
-        """What is wrong with the rate."""
+        """Describe the error of the rate."""
         if not self.rare:
             return []
         latency = self.too_old or self.latency
@@ -118,7 +118,7 @@ class PoseRate:
         ]
 
     def missing(self) -> list[str]:
-        """Why there is no pose, where some come."""
+        """Describe why there is no pose, where some arrive."""
         if not self.too_old:
             return []
         return [
@@ -137,7 +137,7 @@ class PoseGate:
         self.jumped: list[CheckedPose] = []
 
     def check(self, t: float, pose: Stamped | None, rejected: list[str]) -> CheckedPose | None:
-        """The pose in checked form; None, and a sentence in `rejected`, if it cannot be used."""
+        """Return the pose in checked form; None, and a sentence in `rejected`, if it cannot be used."""
         if pose is None:
             return None
         s = self.settings
@@ -158,7 +158,7 @@ class PoseGate:
         return CheckedPose(value, matrix, self.last_stamp, self.last_stamp - self.delay)
 
     def passes(self, pose: CheckedPose, expected: FloatArray, rejected: list[str]) -> bool:
-        """Whether `pose` lies near the `expected` one (3,); if not it is remembered, and named in `rejected`."""
+        """Return True if `pose` is near the `expected` one (3,); if not, store it, and name it in `rejected`."""
         if self._near(pose.value, expected):
             self.accept(pose)
             return True
@@ -184,8 +184,8 @@ class PoseGate:
         return distance <= self.settings.max_position_jump and turn <= self.settings.max_heading_jump
 
 
-def _apart(one: FloatArray, other: FloatArray) -> tuple[float, float]:
-    return float(np.hypot(*(one - other)[:2])), abs(float(wrapped(one[2] - other[2])))
+def _apart(first: FloatArray, second: FloatArray) -> tuple[float, float]:
+    return float(np.hypot(*(first - second)[:2])), abs(float(wrapped(first[2] - second[2])))
 
 
 @dataclass(frozen=True)
@@ -212,7 +212,7 @@ class TwistGate:
         self.stamp, self.last = -np.inf, np.zeros(len(sensors))
 
     def check(self, t: float, stamped: Stamped | None, rejected: list[str]) -> list[CheckedTwist]:
-        """What can be used, or a sentence in `rejected`."""
+        """Return the usable reading, or add a sentence to `rejected`."""
         if stamped is None:
             return []
         size, last = len(self.sensors), self.last
@@ -260,6 +260,6 @@ class TwistGates:
         self.gyro = TwistGate("yaw rate", gyro, s.history, known.yaw_rate)
 
     def check(self, t: float, measurement: Measurement, rejected: list[str]) -> list[CheckedTwist]:
-        """What can be used; a sentence in `rejected` for each message that cannot."""
+        """Return usable readings; add a sentence to `rejected` for each message that cannot be used."""
         wheels = self.wheels.check(t, measurement.wheel_twist, rejected)
         return wheels + self.gyro.check(t, measurement.yaw_rate, rejected)

@@ -7,7 +7,7 @@ from enum import Enum, auto
 
 
 class TickKind(Enum):
-    """What a call of the controller is."""
+    """Kind of a call of the controller."""
 
     NEW = auto()
     """The next tick, perhaps after some that were missed."""
@@ -34,7 +34,7 @@ class TickClock:
         self.leap: float | None = None
 
     def judge(self, t: float) -> tuple[TickKind, str]:
-        """What the call at `t` [s] is, and in words what is wrong with it."""
+        """Return the kind of the call at `t` [s], and its error in words."""
         leap, self.leap = self.leap, None
         if not math.isfinite(t):
             return TickKind.FAULTY, f"the time of this tick is {t}; it was not used"

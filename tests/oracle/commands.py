@@ -18,12 +18,12 @@ class PastCommands:
         self.clear()
 
     def clear(self) -> None:
-        """As after a long rest."""
+        """Set the commands of a long rest."""
         length = self.memory + self.oldest + 2
         self._sent = deque([np.zeros(2)] * length, maxlen=length)
 
     def append(self, command: FloatArray) -> None:
-        """The command (2,) sent at this tick."""
+        """Append the command (2,) sent at this tick."""
         self._sent.append(np.array(command, dtype=float))
 
     def correct_last(self, sent: FloatArray) -> None:
@@ -55,7 +55,7 @@ class PastCommands:
         return np.array(self._sent)[-self.memory :]
 
     def acting(self, ticks_ago: int) -> FloatArray:
-        """u[k - delay - i] (i, 2), i from 0 to spare + 2, for the interval that the command sent `ticks_ago` began."""
+        """Return u[k - delay - i] (i, 2), i from 0 to spare + 2, for the interval of the command sent `ticks_ago`."""
         newest = len(self._sent) - 1 - ticks_ago - self.model.delay
         back = np.maximum(newest - np.arange(self.spare + 3)[:, None], 0)
         return self.everything[back, [0, 1]]

@@ -46,7 +46,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one tick decided."""
+    """Decision of one tick."""
 
     command: FloatArray
     mode: Mode
@@ -57,7 +57,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class OracleStep:
-    """What one step says, as `mpc.StepResult`."""
+    """Result of one step, as `mpc.StepResult`."""
 
     command: FloatArray
     mode: Mode
@@ -74,7 +74,7 @@ class OracleStep:
 
 @dataclass(frozen=True)
 class Stray:
-    """How the robot lies to a reference pose."""
+    """Position of the robot relative to a reference pose."""
 
     outside: bool
     late: float
@@ -128,7 +128,7 @@ class OracleController:
         self.pursuit.start(self.reference, native=False)
 
     def reset(self) -> None:
-        """Be as new, for a robot that stands still. The reference stays."""
+        """Restore the initial state, for a robot that stands still. The reference stays."""
         self._forget()
         self.estimator.commands.clear()
         self.last = np.zeros(2)
@@ -162,7 +162,7 @@ class OracleController:
         return self.pending
 
     def set_applied_commands(self, commands: FloatArray) -> None:
-        """What was sent in truth (K, 2), oldest first, in place of the last K."""
+        """Replace the last K commands by those that were applied (K, 2), oldest first."""
         self.estimator.commands.overrule(commands)
         self.last = commands[-1]
 
@@ -267,7 +267,7 @@ class OracleController:
         return self._track(estimate, target, notes)
 
     def _stray(self, pose: FloatArray, twist: FloatArray) -> Stray:
-        """How the estimate lies to a reference pose (3,) with twist (2,): outside the band, and by how much late."""
+        """Locate the estimate relative to a reference pose (3,) with twist (2,): excess over the band, and delay."""
         settings, estimate = self.config.reentry, self.estimator.estimate
         x, y, theta = estimate.pose - pose
         c, s = np.cos(pose[2]), np.sin(pose[2])
@@ -286,7 +286,7 @@ class OracleController:
         return Stray(outside, max(away / settings.wait, turning / settings.heading_wait))
 
     def _carry(self, slip: Slip) -> None:
-        """How far a robot may be off after turns on the spot: by its turning point and its slide over 1.5 rad."""
+        """Update the tolerance after turns on the spot: from the turning point and the slide over 1.5 rad."""
         self.carried *= 1.0 - self.config.sample_time / _COMES_BACK
         v, omega = np.abs(self.passing)
         if v <= STANDING and omega > TURNING:
@@ -294,7 +294,7 @@ class OracleController:
             self.carried = max(self.carried, _CARRIED * moves)
 
     def _is_astray(self) -> bool:
-        """Whether the robot is behind or beside where it was to be by now."""
+        """Return True if the robot is behind or beside its present target."""
         pose, twist = self.wanted_pose, self.upcoming[1]
         x, y, _ = self.estimator.estimate.pose - pose
         across = np.cos(pose[2]) * y - np.sin(pose[2]) * x
@@ -307,7 +307,7 @@ class OracleController:
         return standing and self.config.failure.resume and self.estimator.restart_elsewhere()
 
     def _at_the_end(self, estimate: Estimate, time: float, notes: list[str]) -> bool:
-        """Whether the robot rests at the end of its reference, or has had the time to; what is finished stays so."""
+        """Return True if the robot rests at the end of its reference, or had the time to; it then stays finished."""
         settings, reference = self.config.finish, self.reference
         assert reference is not None
         if self.finished or time < reference.duration:
@@ -338,7 +338,7 @@ class OracleController:
         return replace(self._brake(notes), solver=report)
 
     def _plan(self, estimate: Estimate, target: Target) -> tuple[Plan | None, SolverStatus]:
-        """One real-time iteration: linearise along the shifted plan, solve, keep the plan."""
+        """Run one real-time iteration: linearise along the shifted plan, solve, store the plan."""
         config, sample = self.config, target.sample or target.reference.sample(target.time + self.ahead)
         self.passing = sample.twist[0]
         self.wanted_pose, self.problem.reach = sample.pose[1], self.reach.allowed
@@ -348,15 +348,15 @@ class OracleController:
             box = command_box(config.limits, config.sample_time, self.last, config.horizon)
             self.guess = np.clip(tick.feed_forward, *box)
         ahead = self.problem.turning_points(tick, self.guess)
-        answer = solve(self.problem.quadratic_program(tick, self.guess))
-        if not answer.status.usable:
+        solution = solve(self.problem.quadratic_program(tick, self.guess))
+        if not solution.status.usable:
             self.guess = None
-            return None, answer.status
-        commands = answer.x.reshape(-1, 2)
+            return None, solution.status
+        commands = solution.x.reshape(-1, 2)
         self.guess = np.vstack([commands[1:], commands[-1:]])
         twists = self.problem.twists(tick, commands[:, :, None])
         poses = self.problem.poses(tick, twists, ahead)[:, :, 0]
-        return Plan(commands, poses, tick.aim), answer.status
+        return Plan(commands, poses, tick.aim), solution.status
 
     def _brake(
         self, notes: list[str], *reasons: str, failure: bool = True, outage: bool = False, waits: bool = False
@@ -376,7 +376,7 @@ class OracleController:
         return Outcome(command, Mode.BRAKING if command.any() else Mode.STOPPED)
 
     def _largest(self, sent: object) -> FloatArray:
-        """(2,) the largest command that a base can have got in the direction of `sent`, as it rounds it."""
+        """Return (2,) the largest command that a base can have received in the direction of `sent`, as it rounds it."""
         sides = np.transpose([self.config.limits.v.sides, self.config.limits.omega.sides])
         sent = np.zeros(2) if sent is None else np.asarray(sent, dtype=float)
         return 1.001 * np.maximum(np.where(sent < 0.0, sides[1], sides[0]), np.abs(self.last))
@@ -388,7 +388,7 @@ class OracleController:
         return np.where(np.abs(command) < 1e-13, 0.0, command)
 
     def _inside(self, command: FloatArray, limits: Limits, share: float = 1.0) -> FloatArray:
-        """The nearest command inside `share` of range, and within slew of the last one."""
+        """Return the nearest command inside `share` of the range, and within the slew from the last one."""
         low, high = reached(limits, self.config.sample_time, self.last)
         (forward, reverse), (left, right) = limits.v.sides, limits.omega.sides
         upper = np.clip(share * np.array([forward, left]), low, None)

@@ -70,8 +70,8 @@ class Drivetrain:
             stall = motor.stall_torque * motor.spread[i]
             torque = stall * (self.supply * duty - speeds[i] / motor.no_load_speed)
             limit = math.inf if driver.torque_limit is None else driver.torque_limit
-            given = min(max(torque, -limit), limit)
-            if duty == wanted and given == torque:
+            limited = min(max(torque, -limit), limit)
+            if duty == wanted and limited == torque:
                 self.integral[i] += self.step * driver.integral_gain * error
-            torques.append(given)
+            torques.append(limited)
         return torques

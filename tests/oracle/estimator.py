@@ -65,12 +65,12 @@ class StateEstimator:
 
     @property
     def ready(self) -> bool:
-        """Whether there is an estimate: a pose has been received."""
+        """Return True if there is an estimate: a pose has been received."""
         return bool(self.nodes)
 
     @property
     def moved(self) -> bool:
-        """Whether poses agree with each other but not with the estimate: the robot is somewhere else."""
+        """Return True if poses agree with each other but not with the estimate: the robot is somewhere else."""
         return self.pose_gate.elsewhere is not None
 
     @property
@@ -95,7 +95,7 @@ class StateEstimator:
         return Estimate(np.concatenate(values), self.model.order)
 
     def correct_sent(self, sent: tuple[float, float] | None, largest: FloatArray) -> list[str]:
-        """Believe what the robot says it got at the last tick, up to `largest` (2,); beyond it returns why not."""
+        """Use the command that the robot reports for the last tick, up to `largest` (2,); else return the reason."""
         if sent is None:
             return []
         value = sent_command(sent, largest)
@@ -149,7 +149,7 @@ class StateEstimator:
         return rejected
 
     def restart_elsewhere(self) -> bool:
-        """Believe that the robot is where the poses that jumped agree it is. Its motion stays as estimated."""
+        """Restart at the place on which the poses that jumped agree. The motion stays as estimated."""
         pose = self.pose_gate.elsewhere
         if pose is not None:
             self._start(self.nodes[-1].time, pose, self.nodes[-1].posterior)
@@ -161,7 +161,7 @@ class StateEstimator:
         self.pose_gate.accept(pose)
 
     def _node_before(self, time: float) -> int:
-        """Index of the last node not after `time`; the first where the history does not reach back so far."""
+        """Return the index of the last node not after `time`; the first where the history is too short."""
         return max((i for i, node in enumerate(self.nodes) if node.time <= time + 1e-9), default=0)
 
     def _filter_from(self, first: int) -> None:
@@ -171,13 +171,13 @@ class StateEstimator:
             if index > first:
                 acting = self.commands.acting(len(self.nodes) - 1 - index)
                 node.prior = self.filter.predict(self.nodes[index - 1].posterior, acting)
-            belief, seen = node.prior, self.innovations
+            belief, innovations = node.prior, self.innovations
             for twist in node.twists:
                 ahead = twist.stamp - node.time
-                belief, seen[twist.sensor] = self.filter.correct(
+                belief, innovations[twist.sensor] = self.filter.correct(
                     belief, twist.sensor, twist.value, twist.variance, ahead
                 )
             for pose in node.poses:
                 ahead = pose.true_at - node.time
-                belief, seen["pose"] = self.filter.correct_pose(belief, pose.value, pose.covariance, ahead)
+                belief, innovations["pose"] = self.filter.correct_pose(belief, pose.value, pose.covariance, ahead)
             node.posterior = belief

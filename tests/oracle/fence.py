@@ -16,7 +16,7 @@ _PLAY, _AT_REST = 0.02, 0.005
 
 
 class FenceWatch:
-    """Whether a robot has stayed inside its fence."""
+    """Check that a robot stays inside its fence."""
 
     def __init__(self, config: ControllerConfig, reference: Reference | None) -> None:
         self.fence, self.limits, self.dt = config.fence, config.limits, config.sample_time
@@ -29,13 +29,13 @@ class FenceWatch:
         self.allowed, self.left = math.inf, False
 
     def beyond(self, pose: FloatArray) -> float:
-        """How far outside a pose (3,) is [m]; negative inside."""
+        """Compute the distance of a pose (3,) outside [m]; negative inside."""
         place = (complex(pose[0], pose[1]) - self.middle) / self.axis
         half = 0.5 * np.array([self.fence.length, self.fence.width]) - self.fence.margin
         return float((np.abs([place.real, place.imag]) - half).max())
 
     def way_to_rest(self, estimator: StateEstimator, last: FloatArray) -> list[FloatArray]:
-        """Poses (3,) now and at each sample until it rests, the command `last` (2,) given once more and then braked."""
+        """Predict poses (3,) now and at each sample until rest: the command `last` (2,) once more, then braking."""
         commands, model = copy.deepcopy(estimator.commands), estimator.model
         belief = estimator.nodes[-1].posterior._replace(mean=estimator.estimate.mean)
         command = np.array(last)
@@ -51,7 +51,7 @@ class FenceWatch:
             command = np.sign(command) * np.maximum(np.abs(command) - rate, 0.0)
 
     def holds(self, estimator: StateEstimator, last: FloatArray) -> bool:
-        """Whether it has stayed inside, and would come to rest inside; outside it may not go further out."""
+        """Return True if it stayed inside, and would stop inside; outside it may not move further out."""
         if not self.fence.enabled or self.left:
             return not self.left
         way = [self.beyond(pose) for pose in self.way_to_rest(estimator, last)]

@@ -71,7 +71,7 @@ class SlipFilter:
     # What happens to the robot.
 
     def twist(self, z: FloatArray, output: FloatArray | None = None) -> FloatArray:
-        """(2, ...) v, omega of the body, where the model says `output` (2, ...) or what follows from the state."""
+        """Compute (2, ...) v, omega of the body, for the model's `output` (2, ...) or that of the state."""
         v, omega = self.model.C @ z[: self.model.order] if output is None else output
         v_offset, omega_gain, longitudinal_gain, yaw_gain = z[self.slip_places[:4]]
         turn_left = z[self.slip_places[6]]
@@ -79,7 +79,7 @@ class SlipFilter:
         return np.stack([longitudinal_gain * (v + v_offset) + turn_left * turning, turning])
 
     def process(self, z: FloatArray, acting: FloatArray, acceleration: float) -> FloatArray:
-        """z one sample later: the states by the model, the pose along the arc of the mean twist, slip as it was.
+        """Predict z one sample later: the states by the model, the pose along the arc of the mean twist, slip constant.
 
         `acceleration` is that of `acceleration` at the mean: the filter takes it for known.
         """
@@ -89,7 +89,7 @@ class SlipFilter:
         return np.concatenate([x, z[self.slip_places], z[self.delay_places], moved])
 
     def acceleration(self, z: FloatArray, acting: FloatArray) -> float:
-        """By how much the forward speed of the body grows over the sample [m/s^2]."""
+        """Compute the increase of the body's forward speed over the sample [m/s^2]."""
         after = self.twist(z, self.model.C @ self._next(z, acting))
         return float((after - self.twist(z))[0] / self.model.dt)
 
@@ -115,21 +115,21 @@ class SlipFilter:
         return self._output(z, change)[0] + z[self.slip_places[0]]
 
     def wheel_yaw_rate(self, z: FloatArray, change: FloatArray | float = 0.0) -> FloatArray:
-        """Yaw rate by encoders and geometric track [rad/s]."""
+        """Compute the yaw rate by encoders and geometric track [rad/s]."""
         return self.wheel_yaw_ratio * z[self.slip_places[1]] * self._output(z, change)[1]
 
     def yaw_rate(self, z: FloatArray, change: FloatArray | float = 0.0) -> FloatArray:
-        """Yaw rate by the gyro [rad/s]."""
+        """Compute the yaw rate by the gyro [rad/s]."""
         return self.twist(z, self._output(z, change))[1] + z[self.slip_places[10]]
 
     def pose(self, z: FloatArray, ahead: float) -> FloatArray:
-        """(3, ...) the pose `ahead` seconds later, at constant twist."""
+        """Compute (3, ...) the pose `ahead` seconds later, at constant twist."""
         return self._moved(z, *self.twist(z), 0.0, ahead)
 
     # The filter.
 
     def moving(self, commands: PastCommands) -> Belief:
-        """A robot that obeys the commands sent so far as the model says, somewhere; it might as well stand."""
+        """Build the belief about a robot that follows the sent commands by the model, at an unknown place."""
         model, n = self.model, self.model.order
         x = model.settled_state(commands.acting(commands.oldest)[1])
         for ticks_ago in range(commands.oldest, -1, -1):
@@ -143,19 +143,19 @@ class SlipFilter:
         return Belief(np.concatenate([x, self.expected, np.zeros(5)]), P)
 
     def placed(self, motion: Belief, pose: FloatArray, covariance: FloatArray) -> Belief:
-        """The motion of `motion` at another `pose` (3,), known to `covariance` (3, 3)."""
-        mean, P, at = motion.mean.copy(), motion.covariance.copy(), self.pose_places
-        mean[at] = pose
-        P[at, :] = P[:, at] = 0.0
-        P[np.ix_(at, at)] = covariance
+        """Return the motion of `motion` at another `pose` (3,), with the covariance (3, 3)."""
+        mean, P, places = motion.mean.copy(), motion.covariance.copy(), self.pose_places
+        mean[places] = pose
+        P[places, :] = P[:, places] = 0.0
+        P[np.ix_(places, places)] = covariance
         return Belief(mean, P, rate=motion.rate)
 
     def slip(self, z: FloatArray) -> Slip:
-        """The slip in a state."""
+        """Return the slip in a state."""
         return Slip(*z[self.slip_places[:10]].tolist())
 
     def twist_deviation(self, belief: Belief) -> FloatArray:
-        """(2,) standard deviations of v [m/s] and omega [rad/s]."""
+        """Return (2,) standard deviations of v [m/s] and omega [rad/s]."""
         T = jacobian(self.twist, belief.mean)
         return np.sqrt(np.maximum(np.diag(T @ belief.covariance @ T.T), 0.0))
 
@@ -235,13 +235,13 @@ class SlipFilter:
     def _correct(
         self, belief: Belief, sensor: str, H: FloatArray, innovation: FloatArray, R: FloatArray, push: FloatArray
     ) -> tuple[Belief, float]:
-        """The correction; a surprise, unless it goes on for long, is a push: it tells nothing of slip."""
+        """Correct the belief; a surprise counts as a push, unless it lasts: it contains no information about slip."""
         s, z, P = self.settings, belief.mean, belief.covariance
         normalised = float(innovation @ np.linalg.solve(H @ P @ H.T + R, innovation)) / len(innovation)
-        surprising, at = normalised > s.surprise, SENSORS.index(sensor)
+        surprising, index = normalised > s.surprise, SENSORS.index(sensor)
         counts = list(belief.surprised)
-        counts[at] = max(1, counts[at]) if surprising else 0
-        pushed = surprising and counts[at] <= self.patience
+        counts[index] = max(1, counts[index]) if surprising else 0
+        pushed = surprising and counts[index] <= self.patience
         P = P + push if pushed else P
         S = H @ P @ H.T + R
         K = np.linalg.solve(S, H @ P).T
@@ -259,7 +259,7 @@ class SlipFilter:
 def build_filter(
     model: DiscreteModel, settings: Estimator, compensation: Compensation | None = None, wheels: Wheels | None = None
 ) -> SlipFilter:
-    """The filter of a robot with these tracks: per unit of omega_ref its wheels turn with their ratio."""
+    """Build the filter of a robot with these tracks: per unit of omega_ref its wheels turn with their ratio."""
     wheels = wheels or Wheels()
     ratio = wheels.track / wheels.encoder_track / float(model.dc_gain[1, 1])
     return SlipFilter(model, settings, compensation or Compensation(), ratio)

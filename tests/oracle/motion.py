@@ -15,12 +15,12 @@ _SMALL = 1e-2
 
 
 def wrapped(angle: FloatArray) -> FloatArray:
-    """`angle` [rad] in [-pi, pi)."""
+    """Wrap `angle` [rad] to [-pi, pi)."""
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
 def sinc(x: FloatArray) -> FloatArray:
-    """sin(x) / x; its series where the quotient or its derivative would lose digits."""
+    """Compute sin(x) / x; its series where the quotient or its derivative would lose digits."""
     small = np.abs(x) < _SMALL
     square = x * x
     series = 1 - square / 6 + square**2 / 120 - square**3 / 5040
@@ -31,7 +31,7 @@ def sinc(x: FloatArray) -> FloatArray:
 def arc(
     theta: FloatArray, v: FloatArray, omega: FloatArray, dt: float, sideways: FloatArray | float = 0.0
 ) -> tuple[FloatArray, ...]:
-    """Displacement dx, dy [m], dtheta [rad] over `dt` from the heading `theta`.
+    """Compute the displacement dx, dy [m], dtheta [rad] over `dt` from the heading `theta`.
 
     The body goes along the chord of its arc, v dt sinc(omega dt / 2) in the direction of its mean heading, and to the
     left of that as `sideways` [m/s] is to v.
@@ -42,7 +42,7 @@ def arc(
 
 
 def sideways(v: FloatArray, omega: FloatArray, side_slip: FloatArray | float, ahead: FloatArray | float) -> FloatArray:
-    """Speed of the origin to the left [m/s]: it circles a point `ahead` of it [m] that slips outward."""
+    """Compute the speed of the origin to the left [m/s]: it circles a point `ahead` of it [m] that slips outward."""
     outward = side_slip * v * omega
     return -omega * ahead - outward
 
@@ -50,7 +50,7 @@ def sideways(v: FloatArray, omega: FloatArray, side_slip: FloatArray | float, ah
 def slid(
     theta: FloatArray, omega: FloatArray, dt: float, slide: FloatArray | tuple[float, float]
 ) -> tuple[FloatArray, FloatArray]:
-    """Displacement dx, dy [m] over `dt` of a robot that slides by `slide` [m/rad], x and y, for each radian it turns.
+    """Compute the displacement dx, dy [m] over `dt` of a robot that slides by `slide` [m/rad], x and y, per radian.
 
     It slides by all of that across its mean heading, and by half of it along; turning slowly it hardly slides.
     """
@@ -62,7 +62,7 @@ def slid(
 
 
 def linearised(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Value (m,) and derivative (m, n) of `function` at `at` (n,); it maps points (n, k), in columns, to (m, k).
+    """Return value (m,) and derivative (m, n) of `function` at `at` (n,); it maps points (n, k), in columns, to (m, k).
 
     f(x + i h) = f(x) + i h f'(x) + O(h^2): the imaginary part is the derivative, without a difference (Squire, Trapp,
     SIAM Review 40(1), 1998).
@@ -72,7 +72,7 @@ def linearised(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> 
 
 
 def jacobian(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> FloatArray:
-    """The derivative alone."""
+    """Return the derivative alone."""
     return linearised(function, at)[1]
 
 
@@ -83,7 +83,7 @@ _SHORT_SERIES_LIMIT = 1e-2
 def linearised_arc(
     pose: FloatArray, v: float, omega: float, dt: float, side_slip: float = 0.0
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """One arc with its gradient, for a single pose.
+    """Compute one arc with its gradient, for a single pose.
 
     Returns
     -------

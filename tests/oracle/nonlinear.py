@@ -25,7 +25,7 @@ def _arc(pose: ca.MX, v: ca.MX, omega: ca.MX, dt: float, lateral: ca.MX, slide: 
 def nonlinear_program(
     problem: TrackingProblem, tick: Tick, ahead: FloatArray | None = None
 ) -> tuple[dict[str, ca.MX], dict[str, FloatArray]]:
-    """The program with x = (U, p, m), p and m >= 0 (5 N each) the excesses upwards and downwards; and its bounds.
+    """Build the program with x = (U, p, m), p and m >= 0 (5 N each) the excesses upwards and downwards; and its bounds.
 
     The first 2 N entries of a solution are the commands, step by step. `ahead` (N,) are the turning points [m] where
     they are given; else they are those of the plan that is sought.

@@ -47,7 +47,7 @@ class QuadraticProgram:
 def roll_out(
     model: DiscreteModel, state: FloatArray, past: FloatArray, plan: FloatArray, late: FloatArray | None = None
 ) -> FloatArray:
-    """(N + 1, 2, k) the model's twist at the samples 0 to N, from `state` (n,) under `past` (m, 2) and `plan`.
+    """Predict (N + 1, 2, k) twists of the model at the samples 0 to N, from `state` (n,), `past` (m, 2) and `plan`.
 
     Commands act `late` (2,) samples later than the model says.
     """
@@ -100,18 +100,18 @@ class TrackingProblem:
         self.reach = np.inf
 
     def twists(self, tick: Tick, plan: FloatArray) -> FloatArray:
-        """(N + 1, 2, k) twists of the body."""
+        """Return (N + 1, 2, k) twists of the body."""
         says = roll_out(self.model, tick.state, tick.past, plan, tick.late)
         point = tick.slip.gains[:, None] * (says + tick.slip.offset[:, None])
         return np.stack([point[:, 0] + tick.slip.turn_left * point[:, 1], point[:, 1]], axis=1)
 
     def turning_points(self, tick: Tick, plan: FloatArray) -> FloatArray:
-        """(N,) how far ahead of its origin the robot turns [m] on the arcs of a plan (N, 2)."""
+        """Return (N,) distances of the turning point ahead of the origin [m] on the arcs of a plan (N, 2)."""
         v = self.twists(tick, plan[:, :, None])[:, 0, 0]
         return np.asarray(tick.slip.turn_ahead - tick.slip.load_shift * np.diff(v) / self.model.dt)
 
     def poses(self, tick: Tick, twist: FloatArray, ahead: FloatArray) -> FloatArray:
-        """(N + 1, 3, k) poses for `twist` (N + 1, 2, k): arcs of the mean of the twists at their ends."""
+        """Compute (N + 1, 3, k) poses for `twist` (N + 1, 2, k): arcs of the mean of the twists at their ends."""
         v, omega = (0.5 * (twist[:-1] + twist[1:])).swapaxes(0, 1)
         theta = tick.pose[2] + self.model.dt * np.cumsum(omega, axis=0)
         before = np.concatenate([np.full_like(theta[:1], tick.pose[2]), theta[:-1]])
@@ -122,14 +122,14 @@ class TrackingProblem:
         return np.concatenate([np.broadcast_to(tick.pose[:, None], after[:1].shape), after])
 
     def errors(self, tick: Tick, twist: FloatArray, ahead: FloatArray) -> FloatArray:
-        """(N + 1, 3, k) errors along, across and in heading."""
+        """Compute (N + 1, 3, k) errors along, across and in heading."""
         poses = self.poses(tick, twist, ahead)
         c, s = np.cos(tick.aim[:, 2, None]), np.sin(tick.aim[:, 2, None])
         dx, dy, _ = (poses - tick.aim[:, :, None]).swapaxes(0, 1)
         return np.stack([c * dx + s * dy, c * dy - s * dx, poses[:, 2] - tick.heading[:, None]], axis=1)
 
     def residuals(self, tick: Tick, plan: FloatArray, errors: FloatArray) -> FloatArray:
-        """(m, k) errors, deviations and increments, each times the root of its weight."""
+        """Compute (m, k) errors, deviations and increments, each times the root of its weight."""
         w, before = self.config.weights, np.repeat(tick.last_command[None, :, None], plan.shape[2], axis=2)
         pose_weights = np.tile([w.along, w.across, w.heading], (self.steps, 1))
         pose_weights[-1] *= w.terminal
@@ -141,7 +141,7 @@ class TrackingProblem:
         return np.concatenate([weighted, deviations, increments], axis=1).reshape(-1, plan.shape[2])
 
     def soft_values(self, tick: Tick, twist: FloatArray, errors: FloatArray) -> FloatArray:
-        """(5, N + 1, k) what has soft limits: v, omega, right and left speed at the rim, distance across the path.
+        """Compute (5, N + 1, k) values with soft limits: v, omega, right and left rim speed, distance across the path.
 
         The wheels do not slip as the body does: their speeds are those of the turning point without the gains of slip.
         """
@@ -151,20 +151,20 @@ class TrackingProblem:
         return np.stack([v, omega, wheels_v + rim, wheels_v - rim, errors[:, 1]])
 
     def outcome(self, tick: Tick, plan: FloatArray, ahead: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What a plan (N, 2, k) leads to: residuals (m, k) and soft values (5, N + 1, k)."""
+        """Compute the residuals (m, k) and soft values (5, N + 1, k) of a plan (N, 2, k)."""
         twist = self.twists(tick, plan)
         errors = self.errors(tick, twist, ahead)
         return self.residuals(tick, plan, errors), self.soft_values(tick, twist, errors)
 
     def soft_limits(self, now: FloatArray) -> FloatArray:
-        """(5,) limits, where the values are `now` (5,): beyond a limit already, they may not get worse."""
+        """Return (5,) limits, where the values are `now` (5,): a value beyond its limit may not get worse."""
         lim = self.config.limits
         wheels = min(lim.wheel_speed, self.reach)
         configured = [lim.predicted_v, lim.predicted_omega, wheels, wheels, lim.corridor]
         return np.maximum(configured, np.abs(now))
 
     def hard_limits(self, tick: Tick, plan: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Rows (4 N, 2 N) of commands and increments, with their lower and upper bounds; signs are those of `plan`."""
+        """Return rows (4 N, 2 N) of commands and increments, with their bounds; signs are those of `plan`."""
         n, limits, dt = 2 * self.steps, self.config.limits, self.model.dt
         box = command_box(limits, dt, tick.last_command, self.steps)
         grows, falls = np.transpose([limits.v_slew.sides, limits.omega_slew.sides]) * dt
@@ -175,7 +175,7 @@ class TrackingProblem:
         return rows, np.concatenate([box[0].ravel(), lower.ravel()]), np.concatenate([box[1].ravel(), upper.ravel()])
 
     def quadratic_program(self, tick: Tick, plan: FloatArray) -> QuadraticProgram:
-        """Gauss-Newton along `plan` (N, 2): residuals and soft values to first order in the commands."""
+        """Build Gauss-Newton along `plan` (N, 2): residuals and soft values to first order in the commands."""
         ahead = self.turning_points(tick, plan)
 
         def all_values(U: FloatArray) -> FloatArray:

@@ -41,7 +41,7 @@ class WheelReach:
         self.allowed = self.attained = math.inf
 
     def _rims(self, twist: FloatArray, slip: Slip) -> FloatArray:
-        """Right and left wheel speeds (2, ...) for twists (2, ...) of the body."""
+        """Compute right and left wheel speeds (2, ...) for twists (2, ...) of the body."""
         v, omega = twist
         forward = (v - slip.turn_left * omega) / slip.longitudinal_gain
         turning = self.half_track * omega / (slip.omega_gain * slip.yaw_gain)
@@ -92,12 +92,12 @@ class WheelReach:
         if not self.enabled or faster or needed < _FAR_BELOW * self.attained or not self.attained < self.most:
             self._drop()
 
-    def _gains_nothing(self, wheel: int, asked: float) -> bool:
-        """Whether the wheel got no faster though more was asked of it than when it was first short."""
+    def _gains_nothing(self, wheel: int, command: float) -> bool:
+        """Return True if the wheel did not get faster at a higher command than when it was first short."""
         speed = abs(self.actual[wheel])
-        more, gained = asked - self.tried, speed - self.speed_then
-        enough = more > _MORE * asked
+        more, gained = command - self.tried, speed - self.speed_then
+        enough = more > _MORE * command
         if wheel != self.short_wheel or more < 0 or (enough and gained > _GAINED * more):
-            self.short_wheel, self.tried, self.speed_then = wheel, asked, speed
+            self.short_wheel, self.tried, self.speed_then = wheel, command, speed
             return False
         return enough

@@ -12,7 +12,7 @@ _LEVELS = np.linspace(0.4, 0.95, 12)
 
 
 def response(parameters, command, first, dt):
-    """(K,) from the command (K,) alone, settled at the `first` reading.
+    """Simulate (K,) from the command (K,) alone, settled at the `first` reading.
 
     Parameters are gain, two lags [s], dead time [s], offset and, where there is one, the limit of the command.
     """
@@ -30,7 +30,7 @@ def response(parameters, command, first, dt):
 
 
 def fit_second_order(commands, readings, fresh, dt, clip=False):
-    """(5,) or with `clip` (6,) parameters from lists of stretches of one channel: commands, readings, which count."""
+    """Fit (5,) or with `clip` (6,) parameters to lists of stretches of one channel: commands, readings, valid ones."""
     firsts = [y[np.argmax(f)] for y, f in zip(readings, fresh, strict=True)]
 
     def errors(parameters):

@@ -21,7 +21,7 @@ _ACTIVE, _LOWER = 1, 2
 
 @dataclass(frozen=True)
 class Answer:
-    """What was found: x (n,), multipliers of the hard and of the soft rows, positive at upper bounds."""
+    """Solution: x (n,), multipliers of the hard and of the soft rows, positive at upper bounds."""
 
     status: SolverStatus
     x: FloatArray
@@ -30,7 +30,7 @@ class Answer:
 
 
 def solve(qp: QuadraticProgram) -> Answer:
-    """The solution, proven; or why there is none.
+    """Return the solution, proven; or the reason for its absence.
 
     Raises
     ------
@@ -59,30 +59,32 @@ def solve(qp: QuadraticProgram) -> Answer:
     z, _, flag, info = model.solve()
     assert flag == 1, f"DAQP says {flag}"
     _, pressing, over, under = np.split(scale * info["lam"], np.cumsum([soft, hard, soft]))
-    answer = Answer(SolverStatus.SOLVED, z[soft:], pressing, over + under)
-    worst = optimality(qp, answer)
+    solution = Answer(SolverStatus.SOLVED, z[soft:], pressing, over + under)
+    worst = optimality(qp, solution)
     assert worst < _ACCURACY, f"off the optimum by {worst:.1e}"
-    return answer
+    return solution
 
 
-def optimality(qp: QuadraticProgram, answer: Answer) -> float:
-    """How far an answer is from the optimality conditions, in units of x [m/s, rad/s, m]; 0 at the solution.
+def optimality(qp: QuadraticProgram, solution: Answer) -> float:
+    """Compute the residual of the optimality conditions, in units of x [m/s, rad/s, m]; 0 at the solution.
 
     They are: the cost is stationary, hard limits are kept, a limit presses only where it is reached, and a soft limit
     with its price and what its excess costs beside it where it is exceeded, with no more than that where it is not.
     """
-    x, soft_values, values = answer.x, qp.soft_rows @ answer.x, qp.rows @ answer.x
-    force = qp.H @ x + qp.g + answer.hard @ qp.rows + answer.soft @ qp.soft_rows
-    found = [np.linalg.solve(qp.H, force), _beyond(values, qp.lower, qp.upper)]
-    found += [_gap(answer.hard, values, qp.lower, qp.upper)]
+    x, soft_values, values = solution.x, qp.soft_rows @ solution.x, qp.rows @ solution.x
+    force = qp.H @ x + qp.g + solution.hard @ qp.rows + solution.soft @ qp.soft_rows
+    result = [np.linalg.solve(qp.H, force), _beyond(values, qp.lower, qp.upper)]
+    result += [_gap(solution.hard, values, qp.lower, qp.upper)]
     over, under = np.maximum(soft_values - qp.soft_upper, 0), np.maximum(qp.soft_lower - soft_values, 0)
     # With its excess given back, a soft limit is a hard one whose multiplier is bounded by its price.
-    found += [_gap(answer.soft, soft_values - over + under, qp.soft_lower, qp.soft_upper)]
+    result += [_gap(solution.soft, soft_values - over + under, qp.soft_lower, qp.soft_upper)]
     price = qp.price + qp.quadratic * (over + under)
-    short = np.where(over + under > _ACCURACY, price - np.abs(answer.soft), np.maximum(np.abs(answer.soft) - price, 0))
+    short = np.where(
+        over + under > _ACCURACY, price - np.abs(solution.soft), np.maximum(np.abs(solution.soft) - price, 0)
+    )
     # Within the dead time no command acts on the row, and what it lacks moves nothing.
     missing = short * np.abs(qp.soft_rows).max(axis=1) / np.abs(qp.H).max()
-    return float(max(np.abs(part).max() for part in [*found, missing]))
+    return float(max(np.abs(part).max() for part in [*result, missing]))
 
 
 def _beyond(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
@@ -90,6 +92,6 @@ def _beyond(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatAr
 
 
 def _gap(pressing: FloatArray, values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Distance from the bound that each row presses on; 0 where it does not press."""
+    """Compute the distance from the bound of each active row; 0 where it is inactive."""
     gap = np.where(pressing > 0, upper - values, values - lower)
     return np.where(np.abs(pressing) > 1e-9 * (1 + np.abs(pressing).max()), gap, 0.0)

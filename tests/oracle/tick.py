@@ -1,4 +1,4 @@
-"""What one tick's problem is about: where the robot is, what to aim at, and which commands would hold that."""
+"""Data of one tick's problem: the robot's state, its target, and the commands that would hold it."""
 
 from __future__ import annotations
 
@@ -54,16 +54,16 @@ class FeedForward:
         """Samples of the reference's twist that `commands` needs, from now on."""
 
     def commands(self, twist: FloatArray, slip: Slip, late: FloatArray) -> FloatArray:
-        """(N + 1, 2) commands for reference twists (samples, 2), from the last tick on."""
-        at, samples, ahead = np.arange(-1, self.steps), np.arange(len(twist)), self.ahead + late
-        later = np.column_stack([np.interp(at + ahead[j], samples, twist[:, j]) for j in (0, 1)])
+        """Compute (N + 1, 2) commands for reference twists (samples, 2), from the last tick on."""
+        instants, samples, ahead = np.arange(-1, self.steps), np.arange(len(twist)), self.ahead + late
+        later = np.column_stack([np.interp(instants + ahead[j], samples, twist[:, j]) for j in (0, 1)])
         # Of the point about which the robot turns.
         later[:, 0] -= slip.turn_left * later[:, 1]
         return np.linalg.solve(self.gain, (later / slip.gains - slip.offset).T).T
 
 
 def heading_to_hold(poses: FloatArray, twist: FloatArray, acceleration: FloatArray, slip: Slip) -> FloatArray:
-    """(n,) headings [rad] at which a robot travels along reference `poses` (n, 3) with `twist` (n, 2).
+    """Compute (n,) headings [rad] at which a robot travels along reference `poses` (n, 3) with `twist` (n, 2).
 
     `acceleration` (n,) [m/s^2] is the forward one.
 
@@ -82,7 +82,7 @@ def heading_to_hold(poses: FloatArray, twist: FloatArray, acceleration: FloatArr
 def begin_tick(
     feed_forward: FeedForward, estimate: Estimate, past: FloatArray, last_command: FloatArray, sample: ReferenceSample
 ) -> Tick:
-    """The data of the problem, where `sample` is the reference now and at the ticks to come."""
+    """Build the data of the problem, where `sample` is the reference now and at the ticks to come."""
     nodes = feed_forward.steps + 1
     poses = sample.pose[:nodes].copy()
     # The estimate counts its turns itself: meet it on the turn it is on.

@@ -73,7 +73,7 @@ class Splines(_OfAnother):
 
 
 def sampled(reference: Reference) -> Reference:
-    """The same reference, sampled here where it has a table."""
+    """Return the same reference, sampled here where it has a table."""
     if isinstance(reference, MovedReference):
         return replace(reference, original=sampled(reference.original))
     if isinstance(reference, ArcTrajectory):

@@ -110,12 +110,14 @@ class Slow(FeedForward):
 
 
 def trace(plant: Plant, ticks: int) -> list[Any]:
-    """Everything that a drive of some ticks lets one see, in comparable form."""
+    """Record all visible data of a drive of some ticks, in comparable form."""
     rows: list[Any] = []
     for command in random_commands(4, duration=(ticks + 1) * plant.sample_time)[:ticks]:
         measured = plant.measure()
         stamped = (measured.pose, measured.wheel_twist, measured.yaw_rate, measured.wheel_speeds)
-        rows.append([None if one is None else (np.asarray(one.value).tolist(), one.time) for one in stamped])
+        rows.append(
+            [None if reading is None else (np.asarray(reading.value).tolist(), reading.time) for reading in stamped]
+        )
         rows.append((measured.sent, plant.time, plant.true_pose.tolist(), plant.true_twist.tolist()))
         plant.advance(command)
     return rows
@@ -128,7 +130,7 @@ def run_along(
     times: ArrayLike,
     modes: tuple[str, ...] | None = None,
 ) -> Run:
-    """A run whose true motion is given, with nothing measured."""
+    """Build a run whose true motion is given, without measurements."""
     times = np.asarray(times, dtype=float)
     expected = reference.sample(times)
     n = len(times)

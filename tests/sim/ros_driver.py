@@ -1,4 +1,4 @@
-"""Who drives the simulated robot in tests: a node of its own, over real DDS."""
+"""Driver of the simulated robot in tests: a separate node, over real DDS."""
 
 import threading
 import time
@@ -85,15 +85,15 @@ class Driver(threading.Thread):
 
 
 def recorded(bag, topic):
-    """Stamps [ns] and messages of a topic in a bag."""
+    """Read stamps [ns] and messages of a topic in a bag."""
     store = get_typestore(Stores.ROS2_JAZZY)
     with Reader(bag) as reader:
         connections = [known for known in reader.connections if known.topic == topic]
-        found = [store.deserialize_cdr(data, c.msgtype) for c, _, data in reader.messages(connections=connections)]
-    return np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in found]), found
+        result = [store.deserialize_cdr(data, c.msgtype) for c, _, data in reader.messages(connections=connections)]
+    return np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in result]), result
 
 
 def recorded_truth(bag):
-    """(n, 3) true x [m], y [m], theta [rad]."""
+    """Read (n, 3) true x [m], y [m], theta [rad]."""
     poses = [message.pose for message in recorded(bag, "/ground_truth/pose")[1]]
     return np.array([[p.position.x, p.position.y, 2 * np.arctan2(p.orientation.z, p.orientation.w)] for p in poses])

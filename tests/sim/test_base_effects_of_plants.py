@@ -1,4 +1,4 @@
-"""What a base makes of its commands: effects by themselves, and in its motion."""
+"""Effects of a base on its commands: by themselves, and in its motion."""
 
 import numpy as np
 import pytest
@@ -113,21 +113,21 @@ def path(tmp_path):
 
 
 def readings(plant, commands):
-    """Twists (K, 2) of gyro and encoders before each command, and the last pose."""
-    seen = []
+    """Return twists (K, 2) of gyro and encoders before each command, and the last pose."""
+    twists = []
     for command in commands:
         measurement = plant.measure()
-        seen.append([measurement.wheel_twist.value[0], float(measurement.yaw_rate.value)])
+        twists.append([measurement.wheel_twist.value[0], float(measurement.yaw_rate.value)])
         plant.advance(command)
-    return np.array(seen), plant.true_pose
+    return np.array(twists), plant.true_pose
 
 
 def test_plant_of_a_file_with_effects_is_the_free_run_of_that_file(path):
     commands = random_commands(4, duration=6.0)
-    seen, _ = readings(make_plant(f"model:{path}", surface="ideal", sensors="perfect"), commands)
+    twists, _ = readings(make_plant(f"model:{path}", surface="ideal", sensors="perfect"), commands)
     response = respond(load_model(path), load_base_effects(path), commands, TICK)
-    np.testing.assert_allclose(seen[:, 0], response.wheels[:, 0], atol=1e-12)
-    np.testing.assert_allclose(seen[:, 1], response.body[:, 1], atol=1e-12)
+    np.testing.assert_allclose(twists[:, 0], response.wheels[:, 0], atol=1e-12)
+    np.testing.assert_allclose(twists[:, 1], response.body[:, 1], atol=1e-12)
 
 
 def test_without_effects_and_with_a_pose_mount_alone_the_run_is_the_same_bit_for_bit():

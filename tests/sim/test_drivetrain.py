@@ -39,8 +39,8 @@ def test_delay_line_passes_on_the_exact_integral(dead_time: float, values: list[
             mean = line.mean(start, start + step)
             assert mean[0] == -mean[1]
             integral += mean[0] * step
-    seen = 0.02 * len(values) - dead_time
-    sent = sum(value * min(max(seen - 0.02 * k, 0.0), 0.02) for k, value in enumerate(values))
+    elapsed = 0.02 * len(values) - dead_time
+    sent = sum(value * min(max(elapsed - 0.02 * k, 0.0), 0.02) for k, value in enumerate(values))
     assert integral == pytest.approx(sent, abs=1e-9)
 
 
@@ -154,8 +154,8 @@ def test_more_commands_under_way_than_there_was_room_for_keep_their_order() -> N
         if k == 20:
             line.mean(0.0, 0.01)
     for k in range(99):
-        begin = 1.0 + 0.01 * k
-        np.testing.assert_allclose(line.mean(begin, begin + 0.01), [k, -k], atol=1e-9)
+        start = 1.0 + 0.01 * k
+        np.testing.assert_allclose(line.mean(start, start + 0.01), [k, -k], atol=1e-9)
 
 
 def _driven() -> tuple[np.ndarray, ...]:
@@ -164,12 +164,12 @@ def _driven() -> tuple[np.ndarray, ...]:
 
 
 def test_physics_called_through_python_gives_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As where MuJoCo's library is not found."""
+    """This is the case where MuJoCo's library is not found."""
     assert library.physics_step() is not None
     direct = _driven()
     monkeypatch.setattr(chassis, "physics_step", lambda: None)
-    for one, other in zip(direct, _driven(), strict=True):
-        np.testing.assert_array_equal(one, other)
+    for first, second in zip(direct, _driven(), strict=True):
+        np.testing.assert_array_equal(first, second)
 
 
 def test_without_a_compiler_the_wheel_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: object) -> None:
@@ -241,10 +241,10 @@ def test_the_drivers_keep_the_torque_within_their_limit_and_the_turn_gets_wider(
     limit = limited.twin.driver.torque_limit
     free = with_driver(limited, torque_limit=None)
     tight = np.tile([0.4, 0.8], (200, 1))
-    kept, strong = (drive_open_loop(built_plant(one, 1.2), tight) for one in (limited, free))
-    assert np.abs(kept.motor_torque).max() <= limit + 1e-12  # a mean of ten is rounded
+    weak, strong = (drive_open_loop(built_plant(robot, 1.2), tight) for robot in (limited, free))
+    assert np.abs(weak.motor_torque).max() <= limit + 1e-12  # a mean of ten is rounded
     assert np.abs(strong.motor_torque[100:]).max() > 1.1 * limit
-    assert kept.true_twist[150:, 2].mean() < 0.8 * strong.true_twist[150:, 2].mean()
+    assert weak.true_twist[150:, 2].mean() < 0.8 * strong.true_twist[150:, 2].mean()
 
 
 def test_a_disturbed_sample_tells_the_weakened_torque() -> None:

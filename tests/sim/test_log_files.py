@@ -48,13 +48,13 @@ def messages(path):
 
 
 def on(path, topic):
-    """(log time [ns], message) of one topic."""
+    """Return (log time [ns], message) of one topic."""
     kind = KINDS[topic]
     return [(m.log_time, STORE.deserialize_cdr(m.data, kind)) for name, *_, m in messages(path) if name == topic]
 
 
-def same(one, other):
-    return np.array_equal(one, other) if one.dtype == object else np.array_equal(one, other, equal_nan=True)
+def same(first, second):
+    return np.array_equal(first, second) if first.dtype == object else np.array_equal(first, second, equal_nan=True)
 
 
 def test_the_mcap_library_reads_every_column_back_bit_for_bit(run, file):
@@ -68,14 +68,14 @@ def test_our_reader_gives_columns_measurements_and_plans(run, file):
     log = read_drive_log(file, plans=True)
     columns = log.columns
     assert all(same(columns[name], column) for name, column in run.columns.items())
-    for read, given in zip(log.measurements, run.measurements, strict=True):
+    for read, expected in zip(log.measurements, run.measurements, strict=True):
         for name in ("pose", "wheel_twist", "yaw_rate"):
-            one, other = getattr(read, name), getattr(given, name)
-            assert (one is None) == (other is None)
-            if one is not None:
-                assert one.time == other.time and np.array_equal(one.value, other.value)
-                assert (one.covariance is None) == (other.covariance is None)
-                assert one.covariance is None or np.array_equal(one.covariance, other.covariance)
+            first, second = getattr(read, name), getattr(expected, name)
+            assert (first is None) == (second is None)
+            if first is not None:
+                assert first.time == second.time and np.array_equal(first.value, second.value)
+                assert (first.covariance is None) == (second.covariance is None)
+                assert first.covariance is None or np.array_equal(first.covariance, second.covariance)
     plans = np.array(log.plans)
     assert np.array_equal(plans[..., :2], run.plans[..., :2])
     assert np.allclose(np.sin(0.5 * (plans - run.plans)[..., 2]), 0.0, atol=1e-12)
@@ -84,10 +84,10 @@ def test_our_reader_gives_columns_measurements_and_plans(run, file):
 
 def test_every_row_is_as_its_schema_says_and_every_column_is_in_it(run, file):
     schemas = {topic: schema for topic, schema, *_ in messages(file)}
-    said = json.loads(schemas[STATE].data)
-    assert schemas[STATE].encoding == "jsonschema" and said == tick_schema()
-    assert set(run.columns) <= set(said["properties"])
-    check = Draft202012Validator(said | {"additionalProperties": False})
+    stated = json.loads(schemas[STATE].data)
+    assert schemas[STATE].encoding == "jsonschema" and stated == tick_schema()
+    assert set(run.columns) <= set(stated["properties"])
+    check = Draft202012Validator(stated | {"additionalProperties": False})
     for topic, *_, message in messages(file):
         if topic == STATE:
             check.validate(json.loads(message.data))
@@ -120,9 +120,9 @@ def test_a_log_is_identified_from_as_its_csv_is(run, file, tmp_path):
     log_csv.write_log(run, tmp_path / "s.csv")
     ours, csv = read_log(file), read_log(tmp_path / "s.csv")
     assert [finding.kind for finding in ours.findings] == [finding.kind for finding in csv.findings]
-    for one, other in zip(ours.records, csv.records, strict=True):
-        for field in fields(one):
-            a, b = getattr(one, field.name), getattr(other, field.name)
+    for first, second in zip(ours.records, csv.records, strict=True):
+        for field in fields(first):
+            a, b = getattr(first, field.name), getattr(second, field.name)
             assert np.array_equal(a, b, equal_nan=True) if isinstance(a, np.ndarray) else a == b or field.name == "name"
 
 

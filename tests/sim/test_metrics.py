@@ -24,7 +24,7 @@ CIRCLE = ConstantTwist(v=0.5, omega=0.5, duration=10.0)
 
 
 def shifted_left(pose: FloatArray, offset: float) -> FloatArray:
-    """Poses moved sideways in their own frame."""
+    """Shift poses sideways in their own frame."""
     return pose + offset * np.column_stack([-np.sin(pose[:, 2]), np.cos(pose[:, 2]), np.zeros(len(pose))])
 
 
@@ -150,10 +150,10 @@ def test_moving_the_whole_scene_changes_no_metric(x: float, y: float, theta: flo
     moved_circle = ConstantTwist(0.5, 0.5, 10.0, start=(x, y, theta))
     rotation = np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
     moved_offset = np.column_stack([offset[:, :2] @ rotation.T, offset[:, 2]])
-    here = run_along(CIRCLE, CIRCLE.sample(COARSE).pose + offset, [0.5, 0.01, 0.5], COARSE).metrics
-    there = run_along(moved_circle, moved_circle.sample(COARSE).pose + moved_offset, [0.5, 0.01, 0.5], COARSE).metrics
+    original = run_along(CIRCLE, CIRCLE.sample(COARSE).pose + offset, [0.5, 0.01, 0.5], COARSE).metrics
+    moved = run_along(moved_circle, moved_circle.sample(COARSE).pose + moved_offset, [0.5, 0.01, 0.5], COARSE).metrics
     for name in ("position_rmse_m", "position_std_m", "heading_max_rad", "course_rmse_rad", "lateral_rmse_m"):
-        assert getattr(there, name) == pytest.approx(getattr(here, name), rel=1e-6), name
+        assert getattr(moved, name) == pytest.approx(getattr(original, name), rel=1e-6), name
 
 
 LINE = ConstantTwist(v=0.5, omega=0.0, duration=1.0)
@@ -251,7 +251,7 @@ WINDOW = 0.6
 
 
 def one_after_the_other(path, points, arc_length):
-    """As `Polyline.lateral` describes it: (n,) distances [m] without their sides."""
+    """Compute (n,) distances [m] without their sides, as `Polyline.lateral` describes them."""
     distances, piece = [], None
     for i, point in enumerate(points):
         near = (path.arc_end >= arc_length[i] - WINDOW) & (path.arc_start <= arc_length[i] + WINDOW)
@@ -280,8 +280,8 @@ def test_points_are_projected_as_one_after_the_other():
         path = Polyline(corners[:-1], steps / length[:, None], length, arc[:-1], arc[1:])
         # The robot falls behind the place where it is expected, by a share that is drawn, and is led away at times.
         expected = np.linspace(0.0, 0.9 * arc[-1], draw.integers(2, 80))
-        there = expected * draw.uniform(0.3, 1.0)
-        points = np.column_stack([np.interp(there, arc, corners[:, i]) for i in (0, 1)])
+        places = expected * draw.uniform(0.3, 1.0)
+        points = np.column_stack([np.interp(places, arc, corners[:, i]) for i in (0, 1)])
         points = points + draw.choice([0.0, 0.02, 0.5]) * draw.normal(size=points.shape)
         wanted = one_after_the_other(path, points, expected)
         assert np.allclose(np.abs(path.lateral(points, expected, WINDOW)), wanted, rtol=0.0, atol=1e-9)
@@ -306,7 +306,7 @@ class TwoArcs:
 
 
 def beside(reference, lateral):
-    """A run that drives `lateral` (n,) to the left of the reference."""
+    """Build a run that drives `lateral` (n,) to the left of the reference."""
     times = np.arange(0.0, reference.duration, TICK)
     pose = reference.sample(times).pose.copy()
     lateral = np.broadcast_to(lateral, times.shape)
@@ -348,8 +348,8 @@ def test_backwards_left_of_the_robot_is_right_of_the_path():
 def test_the_shipped_trajectories_have_the_arcs_that_their_files_say(name, arcs):
     reference = load_trajectory(name)
     run = beside(reference, 0.0)
-    found = steady_arcs(run)
-    assert len(found) == arcs
-    for ticks in found:
+    result = steady_arcs(run)
+    assert len(result) == arcs
+    for ticks in result:
         assert np.ptp(run.reference_twist[ticks], axis=0) == pytest.approx(0.0, abs=1e-5)
         assert (np.diff(ticks) == 1).all()

@@ -92,7 +92,7 @@ def registered(monkeypatch: pytest.MonkeyPatch) -> None:
     kind, part = Kind(), SimpleNamespace(make_part=make_counter)
     parts = {"plants": {"walled": kind, "counter": part}, "columns": {"walled": kind, "counter": RunColumns()}}
     entries = {
-        group: {name: SimpleNamespace(load=lambda found=found: found) for name, found in named.items()}
+        group: {name: SimpleNamespace(load=lambda result=result: result) for name, result in named.items()}
         for group, named in parts.items()
     }
     monkeypatch.setattr(plug_ins, "_entries", lambda group: entries.get(group, {}))
@@ -150,7 +150,7 @@ def test_plant_brings_settings_and_a_path() -> None:
     assert case_config(Case(plant="walled:path", overrides=(("horizon", 9),))).horizon == 9
     with pytest.raises(ConfigError, match="has its own path"):
         load_reference(Case(plant="walled:path", trajectory="cane"))
-    with pytest.raises(ConfigError, match="has no path of its own; give a --trajectory"):
+    with pytest.raises(ConfigError, match="has no own path; give a --trajectory"):
         load_reference(Case(plant="walled:none"))
     assert load_reference(Case(plant="walled:none", trajectory="cane")).name == "cane"
 

@@ -107,11 +107,11 @@ def test_errors_are_those_of_the_true_motion_from_the_start_to_the_end_of_the_re
 
 def test_plans_are_kept_when_asked_for(run: Run) -> None:
     assert run.plans.shape == (0, 0, 3)
-    kept = simulate(Telling(), KinematicPlant(), CIRCLE, keep_plans=True)
-    assert kept.plans.shape == (len(run.time), 4, 3)
-    np.testing.assert_array_equal(kept.plans[1::2], [plan_of(k) for k in range(1, len(run.time), 2)])
-    assert np.isnan(kept.plans[::2]).all()
-    np.testing.assert_array_equal(kept.command, run.command)
+    with_plans = simulate(Telling(), KinematicPlant(), CIRCLE, keep_plans=True)
+    assert with_plans.plans.shape == (len(run.time), 4, 3)
+    np.testing.assert_array_equal(with_plans.plans[1::2], [plan_of(k) for k in range(1, len(run.time), 2)])
+    assert np.isnan(with_plans.plans[::2]).all()
+    np.testing.assert_array_equal(with_plans.command, run.command)
     assert simulate(FeedForward(), KinematicPlant(), CIRCLE, keep_plans=True).plans.shape == (len(run.time), 0, 3)
 
 

@@ -16,17 +16,17 @@ TIGHT = {"limits.v_slew": 0.6, "limits.omega_slew": 2.5, "limits.v": 0.6, "limit
 
 
 def solve_quickly(qp):
-    """The oracle's solution, found with the soft limits that matter; all others are seen to be kept."""
+    """Find the oracle's solution with the soft limits that matter; all others are checked to be met."""
     chosen = np.zeros(len(qp.soft_lower), dtype=bool)
     # Its proof wants one at least.
     chosen[0] = True
     while True:
         rows = {name: getattr(qp, name)[chosen] for name in ("soft_rows", "soft_lower", "soft_upper")}
-        answer = solve(replace(qp, **rows))
-        values = qp.soft_rows @ answer.x
+        solution = solve(replace(qp, **rows))
+        values = qp.soft_rows @ solution.x
         missed = ((values > qp.soft_upper + 1e-12) | (values < qp.soft_lower - 1e-12)) & ~chosen
         if not missed.any():
-            return answer
+            return solution
         chosen |= missed
 
 
@@ -55,7 +55,7 @@ def converged(monkeypatch):
 
 
 def drive(trajectory, make, on_tick=None, seconds=np.inf, **overrides):
-    """Truth and commands of each tick along the trajectory, or its first seconds: model's plant, default sensors."""
+    """Return truth and commands of each tick along the trajectory, or its first seconds, with default sensors."""
     controller = make(load_config("ssm", {"horizon": 12} | overrides))
     plant, reference = make_plant("model:ssm", sensors="default", seed=1), load_trajectory(trajectory)
     plant.reset(reference.sample([0.0]).pose[0])

@@ -20,8 +20,8 @@ def verdicts(results):
 
 
 def verdict(results, *words):
-    (found,) = [value for claim, value in verdicts(results).items() if all(word in claim for word in words)]
-    return found
+    (result,) = [value for claim, value in verdicts(results).items() if all(word in claim for word in words)]
+    return result
 
 
 def test_the_paper_s_own_numbers_hold():

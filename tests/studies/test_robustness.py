@@ -95,8 +95,8 @@ def test_the_estimate_knows_how_good_its_heading_is(name: str) -> None:
     condition = CONDITIONS.conditions[name]
     paths = ("circle", "square", "s", "cane")
     cases = [condition.case("mpc", "ssm", path, 50) for path in paths]
-    found = [measured(CONDITIONS.settled, case, run_case(case))["heading_nees"] for case in cases]
-    assert 0.3 < sum(found) / len(found) <= 2.0  # type: ignore[arg-type]
+    result = [measured(CONDITIONS.settled, case, run_case(case))["heading_nees"] for case in cases]
+    assert 0.3 < sum(result) / len(result) <= 2.0  # type: ignore[arg-type]
 
 
 def test_poses_ten_times_noisier_than_stated_do_not_lead_astray() -> None:

@@ -73,7 +73,7 @@ TICKS = 40
 
 
 def straight(times):
-    """A reference at 0.4 m/s along x, for ever."""
+    """Return a reference at 0.4 m/s along x, without end."""
     times = np.asarray(times)
     pose = np.column_stack([0.4 * times, 0 * times, 0 * times])
     return ReferenceSample(pose, np.tile([0.4, 0.0], (len(times), 1)), 0.4 * times)
@@ -83,7 +83,7 @@ REFERENCE = SimpleNamespace(sample=straight)
 
 
 def cost(across=0.0, along=0.0, turned=0.0, v=0.4, omega=0.0, steady=True, config=CONFIG):
-    """Cost of a drive that keeps a constant error, with the commands that hold the reference's twist."""
+    """Compute the cost of a drive with a constant error, with the commands that hold the reference's twist."""
     pose = straight(CONFIG.sample_time * np.arange(TICKS)).pose + [along, across, turned]
     command = np.tile(np.linalg.solve(MODEL.dc_gain, [0.4, 0.0]), (TICKS, 1))
     value = closed_loop_cost(pose, np.tile([v, omega], (TICKS, 1)), command, REFERENCE, config, MODEL)

@@ -43,7 +43,7 @@ def case(**changes: object) -> Case:
 
 
 def statistics(**changes: object) -> dict[str, object]:
-    """Every error well inside every target."""
+    """Return statistics with every error well inside every target."""
     values: dict[str, object] = {field.name: 0.001 for field in fields(Metrics)}
     values |= {
         "steps": 100,
@@ -60,25 +60,27 @@ def statistics(**changes: object) -> dict[str, object]:
 def recovery(
     time: float = math.nan, overshoot: float = math.nan, energy_v: float = math.nan, energy_omega: float = math.nan
 ) -> dict[str, float]:
-    """Columns of the recovery."""
-    of = Recovery(time, overshoot, 0.001, energy_v, energy_omega, 0.0, 0.0)
-    return {f"recovery_{one.name.removeprefix('recovery_')}": getattr(of, one.name) for one in fields(Recovery)}
+    """Return columns of the recovery."""
+    values = Recovery(time, overshoot, 0.001, energy_v, energy_omega, 0.0, 0.0)
+    return {
+        f"recovery_{field.name.removeprefix('recovery_')}": getattr(values, field.name) for field in fields(Recovery)
+    }
 
 
-def row(of: Case, *, arcs: tuple[float, ...] = (0.001,), across: np.ndarray | None = None, **changes: object) -> dict:
-    """A row of 100 ticks, of which the second half is a steady arc; 1 mm to the left by default."""
+def row(case: Case, *, arcs: tuple[float, ...] = (0.001,), across: np.ndarray | None = None, **changes: object) -> dict:
+    """Build a row of 100 ticks, of which the second half is a steady arc; 1 mm to the left by default."""
     n = 100
     made = {
-        "case": of,
-        "driver": who_drives(of),
-        **of.as_row(),
+        "case": case,
+        "driver": who_drives(case),
+        **case.as_row(),
         **statistics(),
         **recovery(1.0, 0.01, 3.0, 2.0),
-        "plain": is_plain(of),
+        "plain": is_plain(case),
         "arcs": np.array(arcs),
         "late_lateral_m": 0.01,
         "omega_change": 0.02,
-        "margin": dict(of.overrides).get(MARGIN, "-"),
+        "margin": dict(case.overrides).get(MARGIN, "-"),
         "time": 0.02 * np.arange(n),
         "along": np.zeros(n),
         "across": np.full(n, 0.001) if across is None else across,
@@ -89,10 +91,10 @@ def row(of: Case, *, arcs: tuple[float, ...] = (0.001,), across: np.ndarray | No
 
 
 def made_up() -> DataFrame:
-    """A whole study of rows that were never driven: 8 mm, 2 mm for the bound."""
+    """Build a whole study of rows that were never driven: 8 mm, 2 mm for the bound."""
     plan = load_study(quick=True).drives()
     cases = dict.fromkeys(drive.case for drives in plan.values() for drive in drives)
-    rows = [row(one, position_rmse_m=0.002 if one.controller == BOUND else 0.008) for one in cases]
+    rows = [row(case, position_rmse_m=0.002 if case.controller == BOUND else 0.008) for case in cases]
     return in_parts(frame(rows), plan)
 
 

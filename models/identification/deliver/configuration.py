@@ -1,7 +1,7 @@
-"""A controller configuration for the identified robot, with a reason beside each value.
+"""Controller configuration for the identified robot, with a reason for each value.
 
-The one place where `config.yaml` is written: values are positive, rounded as the file holds them, and what a log cannot
-tell keeps the schema's default and is named.
+The one place where `config.yaml` is written: values are positive and rounded as in the file; values that a log cannot
+determine keep the schema's default, and are named.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.models.two_sided import SlewLimit, TwoSided, VelocityLimit, YawRateLimit, sides_of
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 
-# Parameters of the ROS node for the robot of a bag: what its topics are called, and which messages they carry.
+# Parameters of the ROS node for the robot of a bag: topic names and message types.
 
 
 NODE_FILE = "node.yaml"
@@ -44,7 +44,7 @@ _TYPES = {
 
 
 def node_arguments(topics: Topics, folder: Path = Path()) -> str:
-    """Return what follows `diffdrive-mpc node` for these topics, the parameters file being in `folder`."""
+    """Return the arguments of `diffdrive-mpc node` for these topics, with the parameters file in `folder`."""
     words = ["--ros-args", "--params-file", str(folder / NODE_FILE)]
     for role, name in _NODE_NAMES.items():
         topic, kind = topics.get(role, (f"/{name}", ""))
@@ -54,7 +54,7 @@ def node_arguments(topics: Topics, folder: Path = Path()) -> str:
 
 
 def node_text(topics: Topics) -> str:
-    """Return the parameters file, with the topic beside each value; topics that the node cannot read are named.
+    """Format the parameters file, with the topic next to each value; topics that the node cannot read are named.
 
     Topic names are remappings, which a parameters file cannot hold: the command that has them is its first line.
     """
@@ -81,7 +81,7 @@ def _reason(topics: Topics, role: str) -> str:
     return "   # {} carries {}".format(*topics[role]) if role in topics else f"   # no {role} was read from the log"
 
 
-# How often the controller of an identified robot is asked, and how far it looks ahead.
+# Period and horizon of the controller of an identified robot.
 
 
 _INSTANTS = 2000
@@ -98,7 +98,7 @@ class Pace:
     sample_time
         Between two commands [s].
     every
-        That in samples of the log.
+        Sample time of the configuration in samples of the log.
     horizon
         Steps that the controller looks ahead.
     settling
@@ -114,7 +114,7 @@ class Pace:
 def settling_time(model: VelocityModel) -> float:
     """Time after which both channels stay within a share of the end of their answers to a step [s], dead time included.
 
-    The share stands in `settings.yaml`. A model without lag answers at once.
+    The share is in `settings.yaml`. A model without lag answers at once.
     """
     share = identification_settings().settled
     # Long enough for the slowest pole to leave a thousandth.
@@ -143,7 +143,7 @@ def round_period(dt: float) -> float:
 def choose_pace(model: VelocityModel, dt: float) -> Pace:
     """Choose period and horizon that cover the robot's step response, for a log with samples of `dt` [s].
 
-    A robot that is slow beside its log is asked every few samples, so that the steps stay few.
+    The controller of a robot that is slow compared with its log runs every few samples, to limit the number of steps.
     """
     settings, settling = identification_settings(), settling_time(model)
     ahead = settings.look_ahead * settling
@@ -208,11 +208,11 @@ class IdentifiedConfiguration:
     Attributes
     ----------
     name
-        Of the model.
+        Name of the model.
     general, limits, wheels, estimator, reentry, failure, free_space
         Settings without a group, and those of groups; the others may be empty.
     sensors
-        How readings differ from the motion, by input.
+        Errors of the sensors, by input.
     """
 
     name: str
@@ -239,7 +239,7 @@ class IdentifiedConfiguration:
 
     @property
     def room(self) -> tuple[Setting, ...]:
-        """Lengths that are more than usual, of all groups: no limit of the robot, but what it needs."""
+        """Lengths that are more than usual, of all groups: not a limit of the robot, but its needs."""
         lengths = identification_settings().lengths
         return tuple(s for group, settings in self.groups.items() for s in settings if f"{group}.{s.name}" in lengths)
 
@@ -317,9 +317,9 @@ def configure(
     Parameters
     ----------
     name
-        Of the model.
+        Name of the model.
     identified
-        The model, with what its base does around it where that was looked for.
+        The model, with the effects of its base where they were identified.
     train
         The records it was identified from.
     geometry
@@ -327,11 +327,11 @@ def configure(
     slip
         Values that the filter begins with.
     stated
-        Track that the mapping states [m]; it counts where the log has no wheel speeds that tell it.
+        Track that the mapping states [m]; it is used where the log has no wheel speeds to determine it.
     every_sample
-        Whether the model that predicts is for samples of the log and no others.
+        Whether the model that predicts works only at the sample time of the log.
     sensors
-        How readings differ from the motion, by input.
+        Errors of the sensors, by input.
 
     Raises
     ------
@@ -372,7 +372,7 @@ def configure(
 def _speeds(
     identified: IdentifiedModel, commands: FloatArray, base: WheelCommand | None, gain: FloatArray
 ) -> tuple[FloatArray, list[Setting]]:
-    """Return the largest limits (2,) of commands (K, 2), and the settings of both sides and of what is predicted.
+    """Return the maxima (2,) of commands (K, 2), and the settings of both sides and of predicted values.
 
     A side of a limited channel that the log does not show to be limited is commanded as far as the log did.
     """
@@ -477,7 +477,7 @@ def _slew(identified: IdentifiedModel) -> list[Setting]:
 
 
 def _reached(identified: IdentifiedModel, train: Sequence[Record], track: float) -> float:
-    """Return the fastest that a side of a robot whose v is limited was seen to turn [m/s]; infinity for others."""
+    """Return the maximum observed speed of a side for a robot whose v is limited [m/s]; infinity for others."""
     if "v" not in identified.limits:
         return np.inf
     twist = np.concatenate([r.twist for r in train if r.twist is not None])
@@ -509,7 +509,7 @@ def _largest(value: float | str) -> float:
 
 
 def _text(value: float | str) -> str:
-    """Return a value as it is in the file."""
+    """Format a value for the file."""
     if isinstance(value, TwoSided) and not value.is_symmetric:
         return "{" + ", ".join(f"{name}: {side:.6g}" for name, side in zip(value.names, value.sides, strict=True)) + "}"
     return f"{value:.6g}" if isinstance(value, float) else str(value)
@@ -518,7 +518,7 @@ def _text(value: float | str) -> str:
 def within_stated(configuration: IdentifiedConfiguration, robot: MakersRobot) -> IdentifiedConfiguration:
     """Reduce limits to the stated ones, and use the stated value for limits that the log does not show.
 
-    What the log tells is kept, as long as the maker's limits allow it: they clip the command in the base, so that the
+    Values from the log stay, as long as the maker's limits permit them: they clip the command in the base, so that the
     controller's model would be wrong beyond them.
     """
     keys = robot.configuration()

@@ -14,7 +14,7 @@ from diffdrive_mpc.models.velocity_model import CHANNELS
 
 _UNITS = {"v": "m/s", "omega": "rad/s"}
 _SPEEDS = 2
-"""Kinds of limits before this one are speeds, the others rates."""
+"""Index of the first rate among the kinds of limits; those before it are speeds."""
 
 
 def limit_lines(identified: IdentifiedModel, records: Sequence[Record]) -> list[str]:

@@ -41,18 +41,18 @@ from diffdrive_mpc.models.velocity_model import CHANNELS
 
 @dataclass(frozen=True, eq=False, repr=False)
 class IdentificationReport:
-    """One identification: what it was made from and what was found. `str` of it is what a person reads first.
+    """One identification: data and results of the identification. `str` of it is the summary for the user.
 
     Attributes
     ----------
     name
-        Of the model.
+        Name of the model.
     data, fitted, poses, slip
-        What it was made from, the model with its scores, what poses added, and how the filter begins.
+        Data of the log, the model with its scores, the values found from poses, and the first estimate of the filter.
     day
-        Of the identification.
+        Date of the identification.
     robot
-        Whose maker states what the logs do not tell; None where nobody does.
+        Robot whose maker states values that the logs do not determine; None without one.
     """
 
     name: str

@@ -30,7 +30,7 @@ class Trust:
     grade
         "Yes", "With care" or "No".
     reasons
-        What stands against a better grade, a clause each; empty for "Yes".
+        Reasons against a better grade, a clause each; empty for "Yes".
     """
 
     grade: Grade
@@ -140,9 +140,9 @@ def pooled_fit(
     powers, weights
         (B, 2) of `block_powers`.
     spread
-        (2,) variance of what was measured, about its mean.
+        (2,) variance of the measurements, about their mean.
     draws
-        How often each block counts; once by default.
+        Number of times that each block counts; once by default.
     """
     drawn = np.ones(len(weights)) if draws is None else draws
     power = drawn @ (weights * powers)

@@ -41,7 +41,7 @@ METHOD = (
 _BY_GYRO = " and omega of the gyro"
 _NO_TRACK = "the track of the encoders is not known: steps of the wheels were not tried"
 _NO_GYRO = "without a gyro, twist of the tyres, veer and the encoders' lag were not tried"
-# What may well be zero, so that a deviation beside it says nothing.
+# Parameters that may be zero, for which a relative deviation is meaningless.
 _MAY_BE_ZERO = ("dead_time", "encoders.delay", "gyro.offset", "veer")
 
 
@@ -56,13 +56,13 @@ class IdentifiedBase:
     effects
         Names of the effects found.
     trials
-        What was tried, in this order.
+        Effects that were tried, in this order.
     point
         Every parameter of the free run, sensors included.
     pose
         Delay of the poses, travel over encoders, and mount; None without enough poses.
     points
-        As `point`, found without each block of the records.
+        Parameters like `point`, found without each block of the records.
     """
 
     identified: IdentifiedModel
@@ -119,24 +119,24 @@ def identify_with_effects(
     limits: Mapping[str, float] | None = None,
     on_trial: Callable[[str], None] | None = None,
 ) -> IdentifiedBase:
-    """Identify SM and what the base does around it.
+    """Identify SM and the effects of the base around it.
 
-    The effects are those of `models.base_effects`; a base that has none ends with none. The gyro tells time and true
-    yaw rate: the encoders' delay and lag are found against it. Source of the relations: see each effect.
+    The effects are those of `models.base_effects`; a base that has none ends with none. The gyro is the reference for
+    time and true yaw rate: the encoders' delay and lag are found against it. Source of the relations: see each effect.
 
     Parameters
     ----------
     records
-        Records with encoders and gyro. Poses, where some have them, add the pose mount and how far the robot travels
-        for what the encoders count.
+        Records with encoders and gyro. Poses, if present, add the pose mount and the distance travelled per encoder
+        distance.
     yaw
-        Whether omega is the gyro's or the encoders'. Without a gyro only effects that the encoders see are tried, and
-        poses tell nothing more.
+        Whether omega is the gyro's or the encoders'. Without a gyro only effects visible to the encoders are tried, and
+        poses add nothing.
     encoder_track
-        Track by which the encoders' yaw rate was computed [m]; by default from the records' wheel speeds. Where neither
-        tells it, it is found with their top speed; steps of the wheels are not tried, and a warning says so.
+        Track by which the encoders' yaw rate was computed [m]; by default from the records' wheel speeds. Without
+        either, it is identified together with their maximum speed; steps of the wheels are not tried, with a warning.
     limits
-        Of channels whose command the plain model found to be clipped: tried as an effect.
+        Limits of channels whose command the plain model found to be clipped: tried as an effect.
     on_trial
         Called with the name of the effect that is tried next.
 
@@ -254,7 +254,7 @@ def _doubts(fit: EffectFit, parameters: ParameterEstimate) -> list[Doubt]:
     delays = _delays(fit, parameters)
     verdicts = [*doubts.badly_known(parameters.part(sized), delays=delays), *doubts.late_answers(delays)]
     for name, (low, high, _) in effect_settings().parameters.items():
-        # Nothing of something is a finding; anything else at a bound is none.
+        # Zero is a valid result for an effect; a value at any other bound is not.
         if name in fit.point and fit.point[name] in (low, high) and fit.point[name] != 0.0:
             if name == "encoders.delay" and fit.point[name] < 0.0:
                 late = f", beside a lag of {fit.point['encoders.lag']:.2g} s" if "encoders.lag" in fit.point else ""

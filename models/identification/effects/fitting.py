@@ -23,7 +23,7 @@ class Weighted:
     Attributes
     ----------
     experiments
-        Commands (K, 2) and readings (K, p): v and omega of the encoders, and omega of the gyro where there is one.
+        Commands (K, 2) and readings (K, p): v and omega of the encoders, and omega of the gyro if present.
     weights
         For each experiment (K, p): one over the scale of the sensor's residuals, less for outliers, 0 without reading.
     scale
@@ -118,7 +118,7 @@ def fit_effects(
     data
         The readings.
     evaluations
-        After so many the search ends; None for the usual number.
+        Largest number of evaluations in the search; None for the usual number.
     near
         Whether `start` is nearly there, so that steps need not be smoothed.
     """

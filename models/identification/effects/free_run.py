@@ -40,14 +40,14 @@ def sensed(records: Sequence[Record], yaw: YawSource = "gyro") -> list[SampledEx
 
 
 Point = Mapping[str, float]
-"""Values of parameters by name; an effect whose parameters are missing is not there."""
+"""Values of parameters by name; an effect without parameters is absent."""
 
 
 def free_run(point: Point, experiment: SampledExperiment, *, smooth: bool = False) -> FloatArray:
     """Simulate (K, p) v and omega of the encoders, omega of the gyro, from the commands and the first readings.
 
-    The same chain as `models.base_effects.respond`, from encoders' units, and the sensors behind it. The robot is taken
-    for settled at its first readings.
+    The same chain as `models.base_effects.respond`, from encoders' units, and the sensors behind it. The robot is
+    assumed to be in steady state at its first readings.
 
     Parameters
     ----------
@@ -134,8 +134,8 @@ def _asked(point: Point, commands: FloatArray, step: float, start: FloatArray, s
 def base_track(point: Point) -> float:
     """Track [m] by which the base turns omega_ref into rim speeds.
 
-    Both sides answer to the rim speed they are asked for alike, so it is the encoders' track times the encoders' gain
-    in turning over that in driving straight.
+    Both sides respond equally to a commanded rim speed, so it is the encoders' track times their gain in turning over
+    that in driving straight.
     """
     turning = point["gain.omega"] * point["encoders.yaw_ratio"]
     return point["encoders.track"] * turning / point["gain.v"]

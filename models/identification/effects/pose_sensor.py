@@ -22,9 +22,9 @@ class _Window(NamedTuple):
     """One displacement between two poses."""
 
     rows: FloatArray
-    """(2, 4) what travel along and across the sensor's heading, and an arm ahead and to the left, add to it"""
+    """(2, 4) contributions of travel along and across the sensor's heading, and of an arm ahead and to the left."""
     moved: FloatArray
-    """(2,) displacement [m], in the axes of the sensor at the start"""
+    """(2,) displacement [m], in the axes of the sensor at the start."""
 
 
 def pose_sensor(records: Sequence[Record], point: Mapping[str, float]) -> ParameterEstimate | None:
@@ -33,14 +33,14 @@ def pose_sensor(records: Sequence[Record], point: Mapping[str, float]) -> Parame
     The delay behind the gyro is the one with which the poses turn as the gyro does. Displacements over short windows
     are then explained by the encoders' way along the measured heading: `pose.travel` metres for each metre that they
     count, `mount.heading` off the sensor's heading, and by the turning of the sensor about the centre of rotation.
-    Side-slip in proportion to the yaw rate cannot be told from `mount.ahead`, and is in it.
+    Side-slip proportional to the yaw rate is indistinguishable from `mount.ahead`, and included in it.
 
     Parameters
     ----------
     records
         Records, some with poses.
     point
-        What was found of encoders and gyro; see `fit_effects`.
+        Parameters found from encoders and gyro; see `fit_effects`.
     """
     used = [record for record in records if record.pose is not None]
     delay = _delay(used, point) if used else None
@@ -69,7 +69,7 @@ def pose_sensor(records: Sequence[Record], point: Mapping[str, float]) -> Parame
 
 
 def _delay(records: Sequence[Record], point: Mapping[str, float]) -> float | None:
-    """Delay [s] with which headings over one second change most nearly as the gyro says."""
+    """Find the delay [s] at which headings over one second agree best with the gyro."""
     low, high = effect_settings().pose.delays
     best: tuple[float, float] | None = None
     for delay in np.arange(low, high, _DELAY_STEP * records[0].dt):

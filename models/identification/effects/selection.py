@@ -70,7 +70,7 @@ class Tried:
 
 
 def tried(fit: EffectFit, data: Weighted) -> Tried:
-    """Search anew, from `fit`, without each block in turn."""
+    """Repeat the search, from `fit`, without each block in turn."""
     trial = effect_settings().trial
     folds = blocks(data.experiments)
     fits = [fit_effects(fit.point, fit.free, data.part(rest), trial, near=True) for rest, _ in folds]
@@ -115,9 +115,9 @@ class EffectTrial:
     Attributes
     ----------
     effect
-        Its name.
+        Name of the effect.
     gain
-        Its gain: decrease of the logarithm of the held-out error power, mean over the sensors.
+        Gain of the effect: decrease of the logarithm of the held-out error power, mean over the sensors.
     blocks
         Number of blocks with a better prediction.
     selected
@@ -144,7 +144,7 @@ class Selection:
     effects
         Their names.
     trials
-        What was tried, in this order.
+        Effects that were tried, in this order.
     data
         The readings as weighted in the end.
     points
@@ -168,25 +168,25 @@ def select_effects(
 ) -> Selection:
     """Fit the linear model with its sensors, then try every effect.
 
-    Forwards in the order of `EFFECTS`, and then once more without each that was kept: an early one may have stood in
-    for a later one.
+    Effects are added in the order of `EFFECTS`, and each selected one is then removed again as a test: an early one may
+    have stood in for a later one.
 
     Parameters
     ----------
     experiments
-        Commands and readings, with or without a gyro; see `sensed`. Without one, nothing that lies between wheels and
-        body is tried, and omega is that of the encoders.
+        Commands and readings, with or without a gyro; see `sensed`. Without one, no effect between wheels and body is
+        tried, and omega is that of the encoders.
     encoder_track
         Track by which the encoders' yaw rate was computed [m]; None where it is not known: then a top speed of the
         wheels is looked for together with it, and steps of the wheels are not.
     on_trial
-        Called with the name of what is tried next.
+        Called with the name of the next trial.
     limits
-        Of channels whose command a simpler model found to be clipped.
+        Limits of channels whose command a simpler model found to be clipped.
     only
         Names of the effects that are tried; None for all.
     also
-        Parameters that are free from the first fit on, beside those of `LINEAR`.
+        Parameters that are free from the first fit on, in addition to those of `LINEAR`.
 
     Raises
     ------
@@ -307,7 +307,7 @@ def _settled(fit: EffectFit, data: Weighted) -> EffectFit:
             lag = np.sqrt(slow * _FASTEST)
             point |= {f"lag.{channel}": lag, f"damping.{channel}": 0.5 * (slow + _FASTEST) / lag}
             unseen.append(f"damping.{channel}")
-    # The lag of an unseen pole is short, and alone tells the slow one: it is not taken for one at its bound.
+    # The lag of an unseen pole is short and determines the slow one, so it does not count as a pole at its bound.
     for name in [name for name in fit.free if name.replace("lag.", "damping.") not in unseen]:
         low, high, _ = effect_settings().parameters[name]
         for bound in (low, high):

@@ -20,7 +20,7 @@ class PoseSettings(StrictModel):
 
 
 class EffectSettings(StrictModel):
-    """Bounds, first guesses and thresholds; the reasons stand in `settings.yaml`."""
+    """Bounds, first guesses and thresholds; the reasons are in `settings.yaml`."""
 
     parameters: dict[str, tuple[float, float, float]] = Field(description="lowest, highest, first guess")
     resolutions: tuple[Positive, ...] = Field(description="steps of the rim speed that are tried [m/s]")

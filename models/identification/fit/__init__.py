@@ -1,1 +1,1 @@
-"""Records to a model and its scores; what poses and noise add."""
+"""Records to a model and its scores; results from poses, and noise."""

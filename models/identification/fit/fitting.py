@@ -1,4 +1,4 @@
-"""The one place where records become a model, whatever its structure."""
+"""Conversion of records to a model, for every structure."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Fitted:
     orders
         The orders compared; None for structures that have no choice.
     base
-        The same model with what its base does around it; None where that was not asked for.
+        The same model with the effects of its base; None where that was not requested.
     geometry
         Wheel radius and track of the log; None without wheel speeds.
     train, validation
@@ -47,9 +47,10 @@ class Fitted:
     simulated
         For each validation record (K, 2) v [m/s] and omega [rad/s], sensor offsets included.
     seconds
-        How long the estimation took [s], without reading, validation and figures.
+        Duration of the estimation [s], without reading, validation and figures.
     predictor
-        What predicts in place of `identified`, which limits and tracks still come from; None where that does itself.
+        Model that predicts in place of `identified`, which limits and tracks still come from; None where `identified`
+        predicts.
     """
 
     identified: IdentifiedModel
@@ -74,7 +75,7 @@ class Fitted:
 
     @property
     def offset(self) -> FloatArray:
-        """(2,) what v [m/s] and omega [rad/s] are said to be at rest: bias of the sensors, as the model has it."""
+        """(2,) readings of v [m/s] and omega [rad/s] at rest: bias of the sensors, as the model has it."""
         return self.identified.offset if self.predictor is None else self.predictor.offset
 
     @property
@@ -98,11 +99,11 @@ def fit(
     data
         The records.
     structure
-        Which structure.
+        Structure of the model.
     order
-        Of the model, where the structure has a choice; None to choose it.
+        Order of the model, where the structure has a choice; None to choose it.
     effects
-        Whether to look for what the base does around the model, where the structure allows it.
+        Whether to identify the effects of the base around the model, where the structure allows it.
     on_trial
         Called with the name of each effect that is tried.
 

@@ -9,9 +9,10 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 
-# Nine tenths of normal values are within so many standard deviations. Plateaus of counted pulses make the median zero.
+# Number of standard deviations that contain nine tenths of normal values. Plateaus of counted pulses make the median
+# zero.
 _SHARE, _WITHIN = 0.9, 1.645
-# Standard deviation of x[k-1] - 2 x[k] + x[k+1] over that of x: what changes evenly has no part in it.
+# Standard deviation of x[k-1] - 2 x[k] + x[k+1] over that of x: linear changes cancel.
 SECOND_DIFFERENCE = np.sqrt(6.0)
 FEWEST = 50
 

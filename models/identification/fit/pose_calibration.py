@@ -62,7 +62,7 @@ class ConstantTrack:
     Attributes
     ----------
     wheel_radius, track
-        Of the catalogue, to start from [m].
+        Values of the catalogue, to start from [m].
     """
 
     wheel_radius: float
@@ -152,7 +152,7 @@ class PoseWindows(NamedTuple):
     signal: FloatArray
     """(n, W, c) mean of the signal over each step."""
     change: FloatArray
-    """(n, c) by how much the signal is larger at the end than at the beginning."""
+    """(n, c) increase of the signal from the beginning to the end."""
     displacement: FloatArray
     """(n, 3) motion of the pose point seen from the window's first pose: ahead [m], to the left [m], turned [rad]."""
 
@@ -170,11 +170,11 @@ def pose_windows(
     records
         Records with a pose.
     signal
-        What to cut out beside the poses.
+        Signal to cut into windows beside the poses.
     pose_lag
-        By how much poses describe the robot earlier than their stamp says, against the signal [s].
+        Time by which the poses are older than their stamp states, relative to the signal [s].
     share
-        Of the settings' length [-].
+        Part of the window length of the settings [-].
 
     Raises
     ------
@@ -219,9 +219,9 @@ class PoseCalibration:
     rmse
         Root mean square error over one window: ahead [m], to the left [m], heading [rad]; of a gyro only heading.
     windows
-        How many windows it was found from.
+        Number of windows of the calibration.
     warnings
-        What not to trust.
+        Doubts about the result.
     """
 
     parameters: ParameterEstimate
@@ -240,7 +240,7 @@ def calibrate_wheels(records: Sequence[Record], law: SlipLaw, pose_lag: float = 
     law
         The slip law.
     pose_lag
-        By how much poses describe the robot earlier than their stamp says, against the wheels [s].
+        Time by which the poses are older than their stamp states, relative to the wheels [s].
 
     Raises
     ------
@@ -272,7 +272,7 @@ def calibrate_gyro(records: Sequence[Record], pose_lag: float = 0.0) -> PoseCali
     records
         Records with gyro and pose.
     pose_lag
-        By how much poses describe the robot earlier than their stamp says, against the gyro [s].
+        Time by which the poses are older than their stamp states, relative to the gyro [s].
 
     Raises
     ------
@@ -290,11 +290,11 @@ def calibrate_gyro(records: Sequence[Record], pose_lag: float = 0.0) -> PoseCali
 
 
 def calibrate_lags(records: Sequence[Record]) -> ParameterEstimate:
-    """Find by how much wheels and gyro lag poses, `wheels.lag` and `gyro.lag` [s], and their `wheels.scale` [-].
+    """Find the lags of wheels and gyro against poses, `wheels.lag` and `gyro.lag` [s], and their `wheels.scale` [-].
 
     A reading r that lags by L has the motion s ahead of it: over a window s = (integral of r + L (r_end - r_start)) /
-    scale, plus what a pose point beside the centre adds in turning, or a gyro's bias. The wheels' yaw rate is left out:
-    on a skid-steered robot the body follows it late, by its tyres. Without a gyro there is no `gyro.lag`.
+    scale, plus the effect of a pose point off the centre in turning, or of a gyro's bias. The wheels' yaw rate is left
+    out: on a skid-steered robot the body follows it late, by its tyres. Without a gyro there is no `gyro.lag`.
 
     Raises
     ------
@@ -320,7 +320,7 @@ def calibrate_lags(records: Sequence[Record]) -> ParameterEstimate:
 
 
 def calibrate_delay(records: Sequence[Record]) -> ParameterEstimate:
-    """Find by how much poses are later than the gyro, `pose.delay` [s]; below zero the gyro is later.
+    """Find the delay of poses against the gyro, `pose.delay` [s]; below zero the gyro is later.
 
     The windows are shifted by whole samples to where the rest is less than one, as a lag of the gyro is a shift only
     while its reading changes little.
@@ -343,7 +343,7 @@ def calibrate_delay(records: Sequence[Record]) -> ParameterEstimate:
 def _lag(
     windows: Sequence[PoseWindows], motion: Sequence[FloatArray], beside: Sequence[FloatArray]
 ) -> ParameterEstimate:
-    """Find lag, scale and factor of `beside` of a signal's first column against a motion (n,) in each window."""
+    """Find lag and scale of a signal's first column, and the factor of `beside`, against motions (n,) of windows."""
     signals = [part.signal[..., 0] for part in windows]
     whole = np.concatenate([part.dt * signal.sum(axis=1) for part, signal in zip(windows, signals, strict=True)])
     change = np.concatenate([part.change[:, 0] for part in windows])

@@ -52,7 +52,7 @@ class PoseDrift:
     position_mean, heading_mean
         Mean size of the error [m], [rad].
     starts
-        How many predictions it is taken over.
+        Number of predictions of the mean.
     """
 
     horizon: float
@@ -89,7 +89,7 @@ def pose_drift(
     side_slip
         Lateral speed over -v omega [s].
     pose_lag
-        By how much poses describe the robot earlier than their stamp says [s].
+        Time by which the poses are older than their stamp states [s].
     horizons
         [s]; those of the settings by default.
 
@@ -164,13 +164,13 @@ class PoseResults:
     Attributes
     ----------
     parameters
-        Of wheels and gyro, SI units; empty without poses.
+        Parameters of wheels and gyro, SI units; empty without poses.
     laws
         Slip laws compared: name, and its calibration.
     drift
         Open-loop error of the validation records, one entry for each horizon.
     warnings
-        What not to trust.
+        Doubts about the result.
     """
 
     parameters: ParameterEstimate
@@ -180,7 +180,7 @@ class PoseResults:
 
     @property
     def mount(self) -> tuple[str, ...]:
-        """Names of the two parameters that say where the pose point is, ahead and left; empty without them."""
+        """Names of the two parameters of the pose point's place, ahead and left; empty without them."""
         pairs = (_LEVER_ARM, ("mount.ahead", "mount.left"))
         return next((pair for pair in pairs if set(pair) <= set(self.parameters.names)), ())
 
@@ -213,7 +213,7 @@ NO_POSES = PoseResults(ParameterEstimate((), np.empty(0), np.empty((0, 0))), (),
 def from_poses(data: LogData, fitted: Fitted) -> PoseResults:
     """Calibrate on the training records that have a pose, and predict the poses of the validation records.
 
-    Where there are too few poses, that part is left out and a warning says why.
+    With too few poses, that part is left out with a warning.
     """
     train, validation = _with_pose(data.train), _with_pose(data.validation)
     if not train and not validation:

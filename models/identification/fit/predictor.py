@@ -1,4 +1,4 @@
-"""Models that predict in place of the linear one: functions of a log's samples, found beside it.
+"""Models that replace the linear one for prediction: functions of a log's samples, identified together with it.
 
 Limits, tracks and the poses' calibration stay those of the linear model. To add a kind: a
 `models.function_structure.FunctionStructure`, registered as `models.plug_ins` says.
@@ -43,7 +43,7 @@ class Predictor(Protocol):
 
     @property
     def offset(self) -> FloatArray:
-        """(2,) what v [m/s] and omega [rad/s] are said to be at rest: bias of the sensors, as the model has it."""
+        """(2,) output v [m/s] and omega [rad/s] at rest: bias of the sensors, as the model has it."""
         ...
 
     @property
@@ -53,7 +53,7 @@ class Predictor(Protocol):
 
     @property
     def estimate(self) -> ParameterEstimate | None:
-        """Its own parameters, where they are few enough to be read."""
+        """Its own parameters, if they are few enough to be read."""
         ...
 
     @property
@@ -78,7 +78,7 @@ class Predictor(Protocol):
         ...
 
     def write(self, path: Path, content: Any) -> None:  # noqa: ANN401
-        """Write the parameter file; raises OSError where that cannot be done."""
+        """Write the parameter file; raises OSError where that is not possible."""
         ...
 
 

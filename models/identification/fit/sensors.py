@@ -1,4 +1,4 @@
-"""Sensors of a log that read reversed, scaled or late, as the others tell."""
+"""Detection of reversed, scaled or late sensors by comparison with the others."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class SensorCorrections:
     Attributes
     ----------
     stated
-        By input ("wheels", "yaw_rate", "pose") what the log's mapping puts right already: sign [-], delay [s].
+        By input ("wheels", "yaw_rate", "pose") corrections of the log's mapping: sign [-], delay [s].
     inferred
-        By input what the readings show beside that: scale [-], delay [s].
+        By input additional differences in the readings: scale [-], delay [s].
     findings
         The same in words, with intervals of 95 %.
     """
@@ -35,18 +35,18 @@ class SensorCorrections:
 
     @property
     def settings(self) -> dict[str, dict[str, float]]:
-        """Differences that the robot has to be told, by input."""
+        """Differences that the robot's configuration must contain, by input."""
         merged: dict[str, dict[str, float]] = {}
         for name in ("wheels", "yaw_rate", "pose"):
             stated, inferred = self.stated.get(name, {}), self.inferred.get(name, {})
             delay = round(stated.get("delay", 0.0) + inferred.get("delay", 0.0), 3)
-            # Nobody knows a reading before its time: such a delay is that of the log.
+            # A reading cannot precede its cause: such a delay belongs to the log.
             values = {**stated, **inferred, "delay": delay}
             merged[name] = {key: value for key, value in values.items() if key != "delay" or value > 0.0}
         return {name: values for name, values in merged.items() if values}
 
     def mended(self, records: Sequence[Record]) -> tuple[Record, ...]:
-        """Return the records as the sensors would have read without what was inferred."""
+        """Return the records without the inferred differences of the sensors."""
         return tuple(self._mend(record) for record in records)
 
     def _mend(self, record: Record) -> Record:
@@ -64,7 +64,7 @@ class SensorCorrections:
 
 
 def stated_corrections(mapping: LogMapping | None) -> dict[str, dict[str, float]]:
-    """Return by input what a mapping puts right of the readings: the robot's node reads them without it."""
+    """Return by input the corrections of a mapping: the robot's node reads them without it."""
     if mapping is None:
         return {}
     columns, topics = mapping.columns, mapping.topics
@@ -100,7 +100,7 @@ def find_corrections(
     Parameters
     ----------
     name
-        Of the log, for findings.
+        Name of the log, for findings.
     records
         To be held against each other.
     mapping
@@ -154,7 +154,7 @@ def _level_of_rest(records: Sequence[Record], share: float) -> float:
 
 
 def _commands_agree_with_poses(records: Sequence[Record], scale: float) -> bool:
-    """Return whether poses follow the commands better than encoders do: wheels that slip do as they are told."""
+    """Return whether poses follow the commands better than encoders do: slipping wheels follow their commands."""
     command, wheels = (
         np.concatenate([np.abs(np.asarray(getattr(record, field))[:, 0]) for record in records])
         for field in ("command", "twist")

@@ -52,7 +52,7 @@ def slip_prior(records: Sequence[Record]) -> SlipPrior:
     covariance = np.diag(wide**2)
     if estimate is not None:
         gain = covariance @ np.linalg.inv(covariance + estimate.covariance + np.diag(surfaces**2))
-        # A robot that slips inward is left to the filter: its configuration allows no negative start.
+        # Inward slip is left to the filter: its configuration allows no negative start.
         mean = np.maximum(mean + gain @ (estimate.values - mean), 0.0)
         covariance = covariance - gain @ covariance
     return SlipPrior(ParameterEstimate(NAMES, mean, covariance), bool(covariance[0, 0] < (0.5 * wide[0]) ** 2))
@@ -117,7 +117,7 @@ def _integral(rows: FloatArray, dt: float) -> FloatArray:
     return np.asarray(np.concatenate([np.zeros_like(rows[:1]), np.cumsum(steps, axis=0)]))
 
 
-# The surface that a log was driven on, as far as gyro and encoders tell it: for a model plant of the robot.
+# Surface of a log, as far as gyro and encoders determine it, for a model plant of the robot.
 
 
 SURFACE_FILE = "surface.yaml"
@@ -126,8 +126,8 @@ SURFACE_FILE = "surface.yaml"
 def log_surface(records: Sequence[Record], prior: SlipPrior) -> dict[str, dict[str, float]]:
     """Return keys and values of a surface file: the yaw rate of the body over that of the encoders.
 
-    Without a gyro the model's omega is that of the encoders, and the body is taken to turn as they say.
-    Side-slip is that of `slip_prior`.
+    Without a gyro the model's omega is that of the encoders, and the body is assumed to turn accordingly. Side-slip is
+    that of `slip_prior`.
     """
     both = [
         (record.yaw_rate[used], record.twist[used, 1])
@@ -144,7 +144,7 @@ def log_surface(records: Sequence[Record], prior: SlipPrior) -> dict[str, dict[s
 
 
 def surface_text(surface: Mapping[str, Mapping[str, float]]) -> str:
-    """Return the surface file, with a reason beside each value."""
+    """Format the surface file, with a reason for each value."""
     reasons = {
         "yaw_gain": "true yaw rate over that of the model, which is the log's",
         "wheel_yaw_gain": "true yaw rate over that of the encoders, by the gyro of the log; 1 without one",

@@ -1,6 +1,6 @@
 """Diagnosis of faults of a whole log before a fit: one cause, one sentence, one remedy.
 
-Every rule looks at streams as the rules before it have mended them, so that one fault is told once.
+Every rule examines the streams after the corrections of earlier rules, so that one fault is reported once.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ def diagnose(log: str, streams: Streams, settings: CheckSettings) -> list[Findin
     Parameters
     ----------
     log
-        Its name.
+        Name of the log.
     streams
-        Its streams; they stay as they are.
+        Streams of the log; they are not modified.
     settings
         The thresholds.
     """
-    streams = replace(streams)  # rules put others in their place
+    streams = replace(streams)  # rules replace them
     findings = check_presence(log, streams)
     if not _long_enough(streams, settings):
         return findings

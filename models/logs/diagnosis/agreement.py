@@ -77,7 +77,7 @@ def _by_part(
     edges = np.searchsorted(energy, np.linspace(0, 1, settings.parts + 1)[1:-1])
     gains, times = [], []
     for part in np.split(np.arange(len(u)), edges):
-        # A part in which the stream hardly changes tells of no gain.
+        # A part with an almost constant stream does not determine a gain.
         if len(part) > 2 and np.var(u[part]) > settings.least_part_change * np.var(u):
             slope = np.cov(u[part], y[part])[0, 1] / np.var(u[part], ddof=1)
             if slope > 0:
@@ -103,7 +103,7 @@ def check_jumps(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
             a, b = sizes[first], sizes[second]
             driven = (a > 0) & (b > 0)
             if driven.sum() > settings.parts // 2:
-                # One of the two keeps its size; where both are small the robot rests.
+                # One of the two keeps its magnitude; if both are small, the robot rests.
                 driven &= (a > 0.3 * np.median(a[driven])) | (b > 0.3 * np.median(b[driven]))
                 pairs.append(Relation(first, second, channel, b[driven] / a[driven], times[driven], np.nan))
     return _changed(log, pairs, settings.unit_change, settings)
@@ -167,7 +167,7 @@ def _changed(log: str, pairs: Sequence[Relation], least: float, settings: CheckS
     for relation in steady:
         for name in (relation.first, relation.second):
             counts[name] = counts.get(name, 0) - 1
-    # Of two that disagree the sensor is named: what a robot answers may change, what it was told does not.
+    # Of two that disagree, the sensor is named: a robot's response may change, its commands do not.
     name = max(counts, key=lambda key: (counts[key], key != COMMAND))
     relation, index, size = max(
         (change for change in changes if name in (change[0].first, change[0].second)), key=lambda change: abs(change[2])
@@ -184,7 +184,7 @@ def _changed(log: str, pairs: Sequence[Relation], least: float, settings: CheckS
 def cut(times: FloatArray, index: int) -> tuple[tuple[float, float], tuple[MappingChange, ...]]:
     """Return the span [s] of a change before part `index`, for parts that start at `times` [s], and the cut.
 
-    What is kept is the longer of both sides, without the parts in which the change may lie.
+    The longer side is kept, without the parts in which the change may lie.
     """
     after = min(index + 1, len(times) - 1)
     end = float(2 * times[-1] - times[-2])

@@ -14,9 +14,9 @@ from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, ENCODERS, Strea
 def coherence(streams: Streams, settings: CheckSettings) -> float:
     """Compute the mean FIT of one stream from another over all pairs [%]; NaN without a pair.
 
-    A robot follows its commands behind lags and a dead time, its body turns behind its wheels and by less than they
-    say, and sensors of one body agree at once. A sign, a unit or a clock that is wrong is none of these, whatever a
-    model with free gains and dead times makes of it.
+    A robot follows its commands with lags and a dead time, its body turns after its wheels and less than they indicate,
+    and sensors of one body agree at once. A wrong sign, unit or clock has none of these forms, even if a model with
+    free gains and dead times can fit it.
     """
     pairs = [
         _explained(streams, first, second, channel, settings)

@@ -1,4 +1,4 @@
-"""Commands that are not what the robot was told: odometry in their place, one in many taken over, rounded ones."""
+"""Detection of recorded commands that differ from the robot's: odometry, skipped commands, rounded ones."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _UNITS = ("m/s", "rad/s")
 def check_echo(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
     """Return at most one finding: commands that repeat the encoder readings, at the same time or later.
 
-    Behind commands of its own a robot lags; what its odometry becomes elsewhere is merely later.
+    A robot lags behind its real commands; a copy of its odometry is merely later.
     """
     if streams.twist is None:
         return []
@@ -125,9 +125,10 @@ def _between_holds(
 ) -> float:
     """Compute the standard deviation of the motion under one and the same command, or under zero if that is less.
 
-    Means over each hold from `seconds` after its begin, without what follows the command before: that is not settled.
+    The means are over each hold from `seconds` after its start, without the response to the previous command: that is
+    not settled.
     """
-    starts = np.flatnonzero(np.concatenate([[True], np.diff(command) != 0]))  # also where it is not finite
+    starts = np.flatnonzero(np.concatenate([[True], np.diff(command) != 0]))  # also if it is not finite
     rows = []
     for before, start, stop in zip(starts[:-2], starts[1:-1], starts[2:], strict=True):
         part = values[start + round(seconds / streams.dt) : stop]

@@ -1,4 +1,4 @@
-"""Sensors that lose part of what they measure: those without a sign, and encoders that end at a largest reading."""
+"""Detection of sensors that lose a part of their signal: those without a sign, and encoders that saturate."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from diffdrive_mpc.models.logs.diagnosis.wheels import SIDES, commanded_sides
 from diffdrive_mpc.models.logs.record import Finding
 
 _MOST = 6_000
-"""Samples that are looked at: five minutes."""
+"""Number of examined samples: five minutes."""
 
 
 def check_ramps(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:

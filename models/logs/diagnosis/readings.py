@@ -13,7 +13,7 @@ from diffdrive_mpc.models.logs.sampling import RawLog, RawStretch, Signal
 
 _SENSOR = {"twist": "encoders", "wheels": "encoders", "wheel_speeds": "encoders", "yaw_rate": "gyro", "pose": "pose"}
 _FEWEST = 100
-"""Readings, below which nothing is said about spikes or held values."""
+"""Number of readings below which spikes and held values are not judged."""
 
 
 def without_spikes(raw: RawLog, settings: CheckSettings) -> RawLog:
@@ -25,7 +25,7 @@ def without_spikes(raw: RawLog, settings: CheckSettings) -> RawLog:
         if not fields:
             continue
         masks = [_spikes([stretch.measured[name].value for stretch in stretches], settings) for name in fields]
-        # By their times: where a cell is missing, one signal of a sensor has a reading less than the others.
+        # Compare by time: with a missing cell, one signal of a sensor has one reading less than the others.
         hit = [
             np.unique(
                 np.concatenate([stretch.measured[name].time[part] for name, part in zip(fields, parts, strict=True)])
@@ -113,7 +113,7 @@ def check_stamps(name: str, time: FloatArray, readings: FloatArray, settings: Ch
     Parameters
     ----------
     name
-        Of the log.
+        Name of the log.
     time, readings
         Stamps, and (n,) one measured signal in the order of the rows, by whose smoothness the order is judged.
     settings

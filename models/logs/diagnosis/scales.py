@@ -42,7 +42,7 @@ _WHAT = {
 class _Vote:
     """Relation of a stream to the command: ratio of magnitudes, and signed correlation at the best lag.
 
-    At one speed changes alone do not tell the sign: there are few.
+    At one speed, changes alone do not determine the sign: there are few.
     """
 
     size: float
@@ -87,7 +87,7 @@ def check_axes(log: str, streams: Streams, settings: CheckSettings) -> list[Find
 def _turned(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
     """Return the finding for a constant angle between the heading of the pose and the direction of motion.
 
-    A pose point beside the centre of rotation moves sideways with omega, which is left to omega.
+    A pose point off the centre of rotation moves sideways with omega, and this part is attributed to omega.
     """
     assert streams.pose is not None
     step = streams.motion()
@@ -176,7 +176,7 @@ def _weak(log: str, name: str, channel: int, vote: _Vote, best: float, settings:
         "right column, and "
         "did the robot obey these commands?"
     )
-    # Where another sensor follows, this one is wrong; poses are not what a model is made from.
+    # If another sensor follows, this one is wrong; poses are not used for the model.
     lost = name != POSE and best > settings.clear_correlation
     return Finding("weak response", "error" if lost else "warning", log, words)
 
@@ -196,7 +196,7 @@ def check_units(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
                 break
             if odd == ENCODERS and len(sizes) == 2 and streams.commands_wheels and _command_is_odd(streams, settings):
                 odd = COMMAND
-            # Gyro and pose are of one body, whatever its wheels do; wheels follow commands, however it skids.
+            # Gyro and pose measure the same body; wheels follow commands, even if the robot skids.
             partner = {GYRO: POSE, POSE: GYRO, COMMAND: ENCODERS}.get(odd, "") if channel == 1 else ""
             others = [partner] if partner in sizes else [name for name in sizes if name != odd]
             rest = float(np.exp(np.median([np.log(sizes[name]) for name in others])))
@@ -228,7 +228,7 @@ def _odd_one_out(sizes: dict[str, float], low: float, high: float) -> str | None
         apart = logs[name] - float(np.median(others))
         bound = (low, high) if name != COMMAND else (1 / high, 1 / low)
         outside = not math.log(bound[0]) <= apart <= math.log(bound[1])
-        # The command stands last: of two that disagree, the sensor is named.
+        # The command is last, so that of two that disagree the sensor is named.
         rank = (abs(apart) if outside else -1.0, name != COMMAND)
         if outside and (worst is None or rank > worst[0]):
             worst = (rank, name)
@@ -244,10 +244,10 @@ def _unit(
     wheels = (name == ENCODERS and streams.wheels is not None) or (name == COMMAND and streams.commands_wheels)
     if wheels and radius is not None:
         factors = {unit: 1 / FACTORS[unit] for unit in ("rpm", "deg/s", "rev/s")} | {"m/s": radius}
-    # A body on skidding wheels turns less than they say.
+    # A body on skidding wheels turns less than the wheels indicate.
     usual = settings.usual_skid if skids else 1.0
     apart = {unit: abs(math.log(ratio / (usual * factor))) for unit, factor in factors.items()}
-    # Declared in that unit and logged in SI is the same mistake the other way round.
+    # A wrong declaration of that unit for data in SI has the inverse effect.
     apart |= {
         f"{_si(unit)} (and not {unit})": abs(math.log(ratio * factor / usual))
         for unit, factor in factors.items()
@@ -336,7 +336,7 @@ def _turn(streams: Streams, name: str, channel: int) -> None:
 
 
 def _scale(streams: Streams, name: str, channel: int, factor: float) -> None:
-    """Multiply one channel of a stream, or the whole of one whose channels share their columns."""
+    """Multiply one channel of a stream, or the whole stream if its channels share their columns."""
     columns = np.where(np.arange(2) == channel, factor, 1.0)
     if name == COMMAND:
         shared = streams.commands_wheels and factor > 0

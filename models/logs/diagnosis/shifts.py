@@ -1,4 +1,4 @@
-"""Streams that are shifted in time against the others, causal or not."""
+"""Detection of time shifts between streams, causal or not."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ def _commands(
     deviation = float(
         np.hypot(scatter, np.nan_to_num(np.nanmedian(deviations)) if np.isfinite(deviations).any() else 0.0)
     )
-    # Certain to come first, not by chance: of a short drive the sensors say different things.
+    # Require certainty about the order, since sensors differ in a short drive.
     early = middle + 2 * deviation < 0
     if early and middle < -settings.earliest_response and _foreseen(streams, answers, settings):
         words = (

@@ -17,14 +17,14 @@ from diffdrive_mpc.models.logs.record import BoolArray, Record
 COMMAND, ENCODERS, GYRO, POSE = "command", "encoders", "gyro", "pose"
 SENSORS = (ENCODERS, GYRO, POSE)
 _BLOCKS = 5
-"""Parts of a log from whose scatter an interval is told."""
+"""Number of parts of a log whose scatter gives an interval."""
 
 
 @dataclass
 class Streams:
-    """All stretches of one log in a row, N samples, with NaN between them and where there is no reading.
+    """All stretches of one log in sequence, N samples, with NaN between them and for missing readings.
 
-    Rules mend a stream once its fault is named, so that no fault is told twice; records are never touched.
+    Rules correct a stream after its fault is reported, so that no fault is reported twice; records are never touched.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Streams:
     yaw_rate, pose
         (N,) [rad/s]; (N, 3) x [m], y [m], theta [rad].
     slices
-        Of the stretches.
+        Rows of the stretches.
     reach
         Half the window over which poses become speeds [samples].
     commands_wheels
@@ -183,7 +183,7 @@ def streams_of(records: Sequence[Record], settings: CheckSettings) -> Streams:
     command = gather("command")
     time = gather("time")
     assert command is not None and time is not None
-    # What is left of a rounding is no command.
+    # A rounding residue is no command.
     command = np.where(np.nanmax(np.abs(command), axis=0) > settings.least_command, command, 0.0 * command)
     four = gather("wheel_speeds")
     return Streams(
@@ -220,15 +220,17 @@ class StreamResponse:
     Attributes
     ----------
     dead_time, deviation
-        After which it begins to [s], negative where it comes first, and its standard deviation from parts of the log.
+        Dead time of the response [s], negative where it precedes the command, and its standard deviation from parts of
+        the log.
     lag
-        Of each of two equal lags behind that [s].
+        Each of the two equal lags after the dead time [s].
     gain
         (c, m) steady gains from c inputs to m outputs.
     correlation
         (m,) of each output with the best combination of the inputs; with one input its sign is that of the gain.
     size
-        Of one output over one input, rest included: what a drive at one speed tells, where changes say little.
+        Response of one output to one input, constant part included: the information of a drive at one speed, whose
+        changes contain little.
     """
 
     dead_time: float
@@ -257,8 +259,8 @@ def fit_response(
     """Fit the response of `outputs` (N,) or (N, m) to `inputs` (N,) or (N, c); None if either is constant.
 
     Commands go through two equal lags and a dead time, which may be negative; between two sensors, `both_measured`,
-    there is a shift alone, unless `lags` are given. The correlations with all shifts come from Fourier transforms, over
-    what both hold.
+    there is a shift alone, unless `lags` are given. The correlations with all shifts are computed by Fourier
+    transforms, over the common samples.
     """
     u, y = inputs.reshape(len(inputs), -1), outputs.reshape(len(outputs), -1)
     if both_measured:
@@ -300,7 +302,7 @@ def fit_response(
 def _with_heads(streams: Streams, u: FloatArray, y: FloatArray, settings: CheckSettings) -> tuple[FloatArray, Streams]:
     """Extend inputs by the command before each stretch, which follows from its first readings and the steady gains.
 
-    Where every stretch is one step of the command, the rise at its beginning is all that tells a dead time.
+    If every stretch is one step of the command, only the rise at its start determines a dead time.
     """
     space = round(settings.longest_lag / streams.dt)
     gain, _ = _regress(u, y, round(0.5 * settings.longest_lag / streams.dt))
@@ -320,8 +322,8 @@ def _with_heads(streams: Streams, u: FloatArray, y: FloatArray, settings: CheckS
 def _strength(u: FloatArray, y: FloatArray, low: int, high: int) -> FloatArray | None:
     """Compute the share (lags,) of the variance of y (N, m) that u (N, c) explains at each lag, mean over m.
 
-    With one input a negative gain counts only where the positive one explains clearly less: a drive that repeats
-    itself looks much the same half a period later, turned round.
+    With one input a negative gain counts only where the positive one explains clearly less: a periodic drive looks
+    similar half a period later, inverted.
     """
     present_u, present_y = (np.asarray(np.isfinite(part).all(axis=1)) for part in (u, y))
     if present_u.sum() < 2 or present_y.sum() < 2:
@@ -386,7 +388,7 @@ def _regress(u: FloatArray, y: FloatArray, shift: int) -> tuple[FloatArray, Floa
 def foresight(streams: Streams, inputs: FloatArray, outputs: FloatArray, settings: CheckSettings) -> float:
     """Compute the share of the variance of `outputs` (N,), unexplained by past commands, that later commands explain.
 
-    The past is a basis of lags and dead times wide enough for any base; no robot knows the future.
+    The past is a basis of lags and dead times wide enough for any base; no robot can react to the future.
     """
     ahead = streams.inside(outputs, settings.longest_shift)
     past = [streams.delayed(streams.lagged(inputs, lag), late) for lag in settings.lags for late in (0.0, 0.1, 0.3)]

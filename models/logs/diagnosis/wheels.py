@@ -43,8 +43,8 @@ def check_order(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
     index = int(np.argmax(each))
     if each[index] < settings.clear_correlation:
         return []
-    # Each part has to follow by itself, one of them the other way: a change of speed and a steady stretch after it tell
-    # no order.
+    # Each part must follow by itself, one of them inverted: a change of speed and a steady stretch after it do not
+    # determine the order.
     before = np.arange(len(omega)) < starts[index]
     parts = [fit_response(streams, command, np.where(part, omega, np.nan), settings) for part in (before, ~before)]
     alone = [0.0 if part is None else float(part.correlation[0]) for part in parts]
@@ -100,7 +100,7 @@ def _each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Finding 
     gain = response.gain.T  # rows: wheels; columns: commanded left, right
     direct = np.array([gain[i, i % 2] for i in range(len(names))])
     crossed = np.array([gain[i, 1 - i % 2] for i in range(len(names))])
-    # On a circle what is commanded of one side is that of the other but for a factor: which it follows cannot be told.
+    # On a circle the commands of both sides are proportional, so the followed side is ambiguous.
     distinct = not _one_motion(sides, settings)
     if distinct and (np.abs(crossed) > 2 * np.abs(direct)).all():
         if (crossed < 0).all():
@@ -112,7 +112,7 @@ def _each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Finding 
         )
         return Finding("swapped sides", "error", log, words, changes=(MappingChange("encoders", "sides", "exchanged"),))
     strong = (np.abs(direct) > np.abs(crossed)) | (not distinct)
-    # Where both sides move much alike, gains of both at once scatter widely; by its own side alone a wheel is told.
+    # If both sides move almost alike, joint gains scatter widely; the gain to a wheel's own side is reliable.
     alone = np.array([_size_of_one(streams, sides[:, i % 2], i, settings) for i in range(len(names))])
     reversed_ = strong & (alone < 0)
     if reversed_.any() and not reversed_.all():

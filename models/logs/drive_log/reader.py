@@ -33,20 +33,20 @@ _LEAST_TICK = 20
 
 @dataclass(frozen=True)
 class DriveLog:
-    """A drive of n ticks as its file tells it.
+    """Drive of n ticks in a file.
 
     Attributes
     ----------
     path
         The file.
     metadata
-        What it says of the drive, by name of the record: words by key.
+        Information about the drive, by name of the record: words by key.
     rows
         The row of each tick, by the names of tick.schema.json.
     plans
-        (N + 1, 3) predicted poses of each tick, None where there is none; none at all where they were not asked for.
+        (N + 1, 3) predicted poses of each tick, None where there is none; empty where they were not requested.
     cut
-        Whether the file was cut off: what follows its last whole part is missing.
+        Whether the file was cut off, so that the data after its last whole part is missing.
     """
 
     path: Path
@@ -96,7 +96,7 @@ def is_drive_log(path: Path) -> bool:
     try:
         return any(isinstance(content, McapChannel) and content.topic == topic.STATE for content in mcap_content(path))
     except (OSError, ValueError):
-        return False  # the reader of bags names what is wrong with it
+        return False  # the reader of bags describes the fault
 
 
 def read_drive_log(path: str | Path, *, plans: bool = False) -> DriveLog:
@@ -142,7 +142,7 @@ def messages(path: Path) -> Iterator[McapMessage]:
 
 
 def _check_row(row: object) -> None:
-    """Raise ValueError if a tick is none, or a cell is of another type than its column."""
+    """Raise ValueError if a tick is invalid, or a cell is of another type than its column."""
     if not isinstance(row, dict):
         raise ValueError(f"a tick is {type(row).__name__}, not keys and values")
     for name, cell in row.items():
@@ -188,7 +188,7 @@ def read_drive(path: Path, mapping: LogMapping | None = None) -> RawLog:
     """Read the file of a drive by a mapping or `OWN_FORMAT`; raises models.checked_yaml.ConfigError on failure."""
     log = read_drive_log(path)
     columns = log.columns
-    # At other ticks nobody asked the controller, and nothing was read: the robot may have been pushed meanwhile.
+    # At other ticks the controller did not run and nothing was measured: the robot may have been pushed meanwhile.
     driven = ~np.isin(columns["mode"].astype(str), _IDLE)
     values = {name: column[driven] for name, column in columns.items() if column.dtype != object}
     number = np.flatnonzero(driven)

@@ -17,21 +17,20 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from diffdrive_mpc.models.logs.drive_log.writer import DriveWriter
 
-# Writes a drive in a process of its own: what it is handed over a socket, until the other end closes, however it
-# ends.
+# Write a drive in a separate process: it reads data from a socket until the other end closes for any reason.
 
 
 LARGEST = 1 << 18
 """Bytes of one parcel at most."""
 READY, OVER = "ready", "over"
-"""First words of what is answered: that the file is there, and that no more is written and why."""
+"""First word of the answers: that the file is there, and that no more is written and why."""
 _WAITING = 20_000
 """Parcels that wait for a slow disk at most, some minutes."""
 _NICENESS = 10
 
 
 def main(descriptor: int) -> None:
-    """Write what comes through the socket `descriptor`, from its first parcel on, which says where to and how."""
+    """Write data from the socket `descriptor`; its first parcel names the target."""
     from diffdrive_mpc.models.logs.drive_log.writer import DriveWriter  # noqa: PLC0415 - the node does not write
 
     # It does not interrupt, on its core, the loop that hands it something.
@@ -59,7 +58,7 @@ def _write(link: socket.socket, writer: DriveWriter, stream: Any) -> None:  # no
 
 
 def _receive(link: socket.socket, waiting: queue.Queue[bytes]) -> None:
-    """Take in parcels as they come; an empty one, which ends the drive, is what a closed socket gives."""
+    """Take in parcels as they come; a closed socket gives an empty one, which ends the drive."""
     parcel = b"?"
     while parcel:
         parcel = link.recv(LARGEST)
@@ -82,7 +81,7 @@ def _answer(link: socket.socket, *words: str) -> None:
     try:
         link.send(pickle.dumps(words))
     except OSError:
-        return  # nobody listens any more
+        return  # the other end is closed
 
 
 if __name__ == "__main__":
@@ -90,7 +89,7 @@ if __name__ == "__main__":
 
 
 _BUFFER = 1 << 22
-"""Bytes on their way that are asked for; the system may grant less."""
+"""Maximum pending bytes; the system may grant less."""
 Metadata = Mapping[str, Mapping[str, str]]
 
 
@@ -100,11 +99,11 @@ class DriveRecorder:
     Parameters
     ----------
     path
-        The file; one of that name that is there already stays, and the new one gets a number.
+        The file; an existing one of that name is kept, and the new one gets a number.
     metadata
-        What the file says of the drive.
+        Information about the drive for the file.
     patience
-        How long to wait until the file is there [s].
+        Longest time to wait for the file [s].
     **options
         As for `DriveWriter`.
 
@@ -127,7 +126,7 @@ class DriveRecorder:
         self._link.setblocking(False)
         command = [sys.executable, "-m", "diffdrive_mpc.models.logs.drive_log.recorder", str(theirs.fileno())]
         try:
-            # A session of its own: Ctrl-C is for the robot, and the file is ended after its last command.
+            # A separate session, so that Ctrl-C reaches the robot only, and the file ends after its last command.
             self._process: subprocess.Popen[bytes] | None = subprocess.Popen(
                 command, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, start_new_session=True
             )
@@ -170,7 +169,7 @@ class DriveRecorder:
         except BlockingIOError:
             self.lost += 1
         except OSError as error:
-            # That the other end has gone is what it last said the reason of.
+            # The end of the other process is reported with its last message.
             self._hear(0.0)
             self.fault = self.fault or f"the process that writes has ended ({error.strerror})"
 

@@ -17,7 +17,7 @@ from diffdrive_mpc.models.step_scalars import scalars_of, step_scalars
 
 Cell = float | str
 TickRow = Mapping[str, Cell]
-"""By the names in tick.schema.json; what is not known is not there."""
+"""By the names in tick.schema.json; unknown values are absent."""
 
 _PARTS = ("x_m", "y_m", "theta_rad")
 _POSE_ENTRIES = ("xx_m2", "xy_m2", "xtheta_m_rad", "yy_m2", "ytheta_m_rad", "thetatheta_rad2")
@@ -64,7 +64,7 @@ TOLD = tuple(
     )
 )
 TOLD = (*(name for name in TOLD if name != "pose_t_s"), *_SENT)
-"""Names of what a controller is told beside the readings: with them all is there that a step depends on."""
+"""Names of the controller's inputs besides the readings: with them all is there that a step depends on."""
 
 
 @cache

@@ -15,7 +15,7 @@ PLAN, REFERENCE = "/diffdrive_mpc/predicted_path", "/diffdrive_mpc/reference_pat
 MODE, ERROR = "/diffdrive_mpc/mode", "/diffdrive_mpc/tracking_error"
 DIAGNOSTICS, TRANSFORMS = "/diagnostics", "/tf"
 TICK, DRIVE = "/diffdrive_mpc/tick", "/diffdrive_mpc/drive"
-"""Lines of `models.logs.tick_record`, which a node says."""
+"""Lines of `models.logs.tick_record` from a node."""
 
 KINDS = {
     COMMAND: "geometry_msgs/msg/TwistStamped",

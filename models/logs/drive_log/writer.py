@@ -34,9 +34,9 @@ class DriveWriter:
     Parameters
     ----------
     stream
-        Where to; it is not closed.
+        Target stream; it is not closed.
     metadata
-        What the file says of the drive, by name of the record: words by key.
+        Information about the drive, by name of the record: words by key.
     frame
         Frame that poses, plan and reference are in.
     pose_topic
@@ -83,9 +83,9 @@ class DriveWriter:
         Parameters
         ----------
         now
-            Its instant on the file's clock [ns].
+            Time of the tick on the file's clock [ns].
         row
-            Its row; its `t_s` is the same instant.
+            Row of the tick; its `t_s` is the same time.
         measurement
             Input of the controller, where the row does not hold it yet.
         plan, period

@@ -1,4 +1,4 @@
-"""Transforms of the last seconds, by the frame that they place; looked up along chains of frames, at any time kept.
+"""Transforms of the last seconds, by the frame that they place; looked up along chains of frames, at any stored time.
 
 As tf2 does it: no transform is guessed beyond its newest stamp, and without a time the newest is taken that the whole
 chain has. It also reports faults: loops, frames placed by two parents in turns, stamps from the future.
@@ -30,7 +30,7 @@ _DISPUTED = 2
 
 
 class TransformError(DiffdriveMpcError, ValueError):
-    """Error of an unusable or missing transform; says why, in few words."""
+    """Error of an unusable or missing transform; contains the reason, in few words."""
 
     def __init__(self, reason: str) -> None:
         super().__init__(plain_line(reason))  # its frame names are untrusted text, and logs go to terminals
@@ -86,7 +86,7 @@ class TransformBuffer:
         Raises
         ------
         TransformError
-            If it is no rigid motion, of no use, older than what is kept, or from the future; then nothing changes.
+            If it is no rigid motion, unused, older than the buffer, or from the future; then nothing changes.
         """
         parent, child = parent.removeprefix("/"), child.removeprefix("/")
         link = f"'{parent}' -> '{child}'"

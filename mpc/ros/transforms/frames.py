@@ -28,9 +28,9 @@ class Frames:
     Attributes
     ----------
     buffer
-        What was heard.
+        Transforms that were received.
     accepted, refused
-        How many transforms were.
+        Number of accepted and of refused transforms.
     last_refusal
         Why one was; empty if none was.
     """

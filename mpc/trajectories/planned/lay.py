@@ -139,8 +139,7 @@ def _without_hairpins(run: DirectedPart) -> list[DirectedPart]:
     vertex = run.points[inside]
     before, after = vertex - place(along[inside] - reach), place(along[inside] + reach) - vertex
     turn = np.abs(np.arctan2(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], (before * after).sum(axis=1)))
-    # Next to a reversal, the paths to it and from it cancel, so the chords are longest there. there the chords are
-    # longest.
+    # Next to a reversal, the paths to it and from it cancel, so the chords are longest there.
     sharpness = np.hypot(*before.T) * np.hypot(*after.T)
     cuts: list[int] = []
     for i in sorted(np.flatnonzero(turn > settings.hairpin), key=lambda i: -sharpness[i]):
@@ -166,8 +165,7 @@ def _without_hairpins(run: DirectedPart) -> list[DirectedPart]:
 _PIECES = 3
 # Of a smoothed line that is to bend at all.
 _LEAST_POINTS = 8
-# Points beyond an end that define the direction of a line; curvature there at most [1/m]. curvature there at most
-# [1/m].
+# Points beyond an end that define the direction of a line; curvature there at most [1/m].
 _BEYOND = 3
 _TIGHTEST = 3.0
 # Turn below which it counts as rounding [rad], and speed below which the robot stands [m/s].
@@ -197,7 +195,7 @@ class Laid:
     reference
         To be tracked.
     length
-        Of the path from the robot on [m].
+        Length of the path from the robot on [m].
     deviation
         Furthest distance of the reference from the planner's line [m], beyond where it leads onto it.
     begins
@@ -239,9 +237,9 @@ def lay_poses(
     robot
         (3,) its pose, in the frame of the poses.
     twist
-        Its forward speed [m/s] and yaw rate [rad/s].
+        Forward speed [m/s] and yaw rate [rad/s] of the robot.
     deviation
-        How far the reference may be from the planner's line [m].
+        Largest distance between the reference and the planner's line [m].
     beside
         A robot that is no further beside the path is led onto it by the path itself [m].
     backwards
@@ -361,8 +359,7 @@ def _smoothed(
         if abs(float(wrap_angle(travel - math.atan2(chord[1], chord[0])))) > settings.bendable:
             continue
         ends[-1] = travel
-        # Points beyond the end, on the arc or straight line to it, from which the line continues. the line goes on from
-        # them.
+        # Points beyond the end, on the arc or straight line to it, from which the line continues.
         beyond = spacing * np.arange(1, _BEYOND + 1)
         turn = -0.5 * beyond * (bend if side > 0 and robot is not None else 0.0)
         direction = travel + turn

@@ -45,13 +45,13 @@ def test_more_runs_contain_those_of_fewer(tmp_path: Path) -> None:
     campaign = load_campaign(path)
     assert campaign.definitions(100)[:10] == campaign.definitions(10)
     assert len(set(campaign.definitions(100))) == 100
-    assert [one.case.seed for one in campaign.definitions(3)] == [0, 1, 2]
+    assert [definition.case.seed for definition in campaign.definitions(3)] == [0, 1, 2]
 
 
 def test_a_condition_stands_for_plant_floor_and_settings(tmp_path: Path) -> None:
-    (one,) = load_campaign(written(tmp_path, "condition: long\nconfig.horizon: 20")).definitions(1)
-    assert one.case.plant == "mujoco:long"
-    config = controller_config(one.case.model, None, one.case.overrides)
+    (definition,) = load_campaign(written(tmp_path, "condition: long\nconfig.horizon: 20")).definitions(1)
+    assert definition.case.plant == "mujoco:long"
+    config = controller_config(definition.case.model, None, definition.case.overrides)
     assert (config.wheels.track, config.horizon) == (0.596, 20)
 
 
@@ -60,7 +60,7 @@ def test_files_beside_the_campaign_are_found(tmp_path: Path) -> None:
     (tmp_path / "floor.yaml").write_text("friction: 0.5\n")
     lines = "trajectory: {one_of: [mine.yaml, circle]}\nplant: mujoco:floor.yaml"
     runs = load_campaign(written(tmp_path, lines)).definitions()
-    assert {one.case.trajectory for one in runs} == {str(tmp_path / "mine.yaml"), "circle"}
+    assert {run.case.trajectory for run in runs} == {str(tmp_path / "mine.yaml"), "circle"}
     assert runs[0].columns["plant"] == "mujoco:floor"
 
 
@@ -69,7 +69,7 @@ def test_files_beside_the_campaign_are_found(tmp_path: Path) -> None:
     [
         ("surface.friction: {uniform: [1, 0]}", "factors.surface.friction: give the lower value first (found 1, 0)"),
         ("trajektory: circle", "unknown factor 'trajektory'; did you mean 'trajectory'?"),
-        ("condition: long\nplant: mujoco", "factors.plant: a condition says that already; give one of them"),
+        ("condition: long\nplant: mujoco", "factors.plant: a condition sets that already; give one of them"),
         ("controller: pid", "unknown controller 'pid'; known: mpc"),
         ("top_speed: {normal: {mean: 0, sd: 1, low: 60, high: 70}}", "nothing of the normal distribution lies between"),
     ],

@@ -88,9 +88,9 @@ def test_a_file_that_was_cut_off_is_driven_again(campaign: Path, tmp_path: Path)
     out = tmp_path / "out"
     call("campaign", campaign, "--out", out, "--jobs", "1", "--runs", "2")
     expected = read_table(out / "results.parquet", times=False)
-    kept = sorted(out.glob("runs/*/*.json"))
-    kept[0].write_text(kept[0].read_text(encoding="utf-8")[:100], encoding="utf-8")
-    kept[1].unlink()
+    rows = sorted(out.glob("runs/*/*.json"))
+    rows[0].write_text(rows[0].read_text(encoding="utf-8")[:100], encoding="utf-8")
+    rows[1].unlink()
     call("campaign", campaign, "--out", out, "--jobs", "1", "--runs", "2")
     assert read_table(out / "results.parquet", times=False).equals(expected)
 
@@ -106,24 +106,24 @@ def test_what_a_run_gives_is_what_simulate_gives() -> None:
 
 
 def test_the_hash_knows_everything_that_decides(short: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    one = Definition.from_factors({"trajectory": str(short), "plant": "model:sm"})
-    keys = {key_of(one)}
-    for other in (
-        one.with_seed(1),
-        one.changed({"config.horizon": 20}),
-        one.changed({"sensors.pose.latency": 0.03}),
+    first = Definition.from_factors({"trajectory": str(short), "plant": "model:sm"})
+    keys = {key_of(first)}
+    for second in (
+        first.with_seed(1),
+        first.changed({"config.horizon": 20}),
+        first.changed({"sensors.pose.latency": 0.03}),
         Definition.from_factors({"trajectory": "circle", "plant": "model:sm"}),
     ):
-        keys.add(key_of(other))
+        keys.add(key_of(second))
     assert len(keys) == 5
     moved = tmp_path / "elsewhere.yaml"
     moved.write_bytes(short.read_bytes())
-    assert key_of(replace(one, case=replace(one.case, trajectory=str(moved)))) == key_of(one)
+    assert key_of(replace(first, case=replace(first.case, trajectory=str(moved)))) == key_of(first)
     moved.write_text(SHORT.replace("0.3", "0.35"), encoding="utf-8")
-    assert key_of(replace(one, case=replace(one.case, trajectory=str(moved)))) != key_of(one)
+    assert key_of(replace(first, case=replace(first.case, trajectory=str(moved)))) != key_of(first)
     other_numpy = definition.environment() | {"numpy": "0.1"}
     monkeypatch.setattr(definition, "environment", lambda: other_numpy)
-    assert key_of(one) not in keys
+    assert key_of(first) not in keys
 
 
 def test_the_hash_knows_files_that_a_file_names(tmp_path: Path) -> None:
@@ -162,9 +162,9 @@ def test_a_run_that_cannot_go_on_has_its_error_in_its_row(tmp_path: Path, monkey
 
 def test_a_factor_changes_what_the_robot_has_and_nothing_else(tmp_path: Path) -> None:
     """A robot file with sensors and a floor of its own, as a twin is: late poses do not make its gyro better."""
-    own = {"description": "noisy", "friction": 0.3, "sensors": {"gyro": {"noise_sd": 0.5, "bias_sd": 0.0}}}
+    surface = {"description": "noisy", "friction": 0.3, "sensors": {"gyro": {"noise_sd": 0.5, "bias_sd": 0.0}}}
     path = tmp_path / "robot.yaml"
-    path.write_text(yaml.safe_dump(own), encoding="utf-8")
+    path.write_text(yaml.safe_dump(surface), encoding="utf-8")
 
     def reading_and_gain(**factors: float) -> tuple[float, float]:
         named = {"plant": f"mujoco:{path}", "seed": 3} | factors
@@ -230,8 +230,8 @@ def test_without_poses_it_stops_in_time_and_one_tick_later_would_be_found(tmp_pa
     # What is sent half a second late is motion that was not allowed.
     late = int(0.5 / run.sample_time)
     watched.commands = [*[watched.commands[0]] * late, *watched.commands[:-late]]
-    found = watched.unsafe(definition)
-    assert found.motion >= late - 2
+    counts = watched.unsafe(definition)
+    assert counts.motion >= late - 2
 
 
 def test_a_command_that_the_loop_refuses_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,7 +18,7 @@ LIMITS = StatedLimits(most=(1.0, 2.0), slew=(2.0, 6.0), braking=(1.0, 3.0), max_
 
 
 def made_up(ticks: int = 200) -> tuple[np.ndarray, np.ndarray, list[str], np.ndarray]:
-    """Speeding up at the slew limit, driving, and from half on braking at the braking limit, with poses."""
+    """Build a drive that accelerates at the slew limit, drives, and then brakes at the braking limit, with poses."""
     time = DT * np.arange(ticks)
     v = np.minimum(2.0 * DT * np.arange(1, ticks + 1), 0.5)
     half = ticks // 2
@@ -35,10 +35,10 @@ def test_a_run_that_keeps_everything_passes() -> None:
 def test_a_command_that_is_no_number_is_found(bad: float) -> None:
     time, command, modes, came = made_up()
     command[20, 1] = bad
-    found = check_commands(time, command, modes, came, LIMITS)
-    assert found.not_finite == 1
+    counts = check_commands(time, command, modes, came, LIMITS)
+    assert counts.not_finite == 1
     # The command after it is a step from nothing.
-    assert found.total == 2
+    assert counts.total == 2
 
 
 def test_a_command_that_turns_too_tightly_is_found() -> None:
@@ -118,9 +118,9 @@ def test_motion_after_poses_have_gone_is_found() -> None:
     blind = check_commands(time, command, modes, came, LIMITS)
     patience = round((LIMITS.max_pose_age + DT) / DT)
     assert blind == Unsafe(0, 0, 0, 400 - 100 - patience)
-    begin = 99 + patience + 1
-    command[begin:, 0] = np.maximum(0.5 - 1.0 * DT * np.arange(1, 400 - begin + 1), 0.0)
-    modes[begin:] = ["BRAKING" if speed > 0.0 else "STOPPED" for speed in command[begin:, 0]]
+    start = 99 + patience + 1
+    command[start:, 0] = np.maximum(0.5 - 1.0 * DT * np.arange(1, 400 - start + 1), 0.0)
+    modes[start:] = ["BRAKING" if speed > 0.0 else "STOPPED" for speed in command[start:, 0]]
     assert check_commands(time, command, modes, came, LIMITS) == NONE
     command[-1, 0] = 0.001
     assert check_commands(time, command, modes, came, LIMITS).motion == 1

@@ -25,7 +25,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def told(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the command makes of it, from a motor that is not the robot's."""
+    """Run the command on the log, starting from a motor that is not the robot's."""
     folder = tmp_path_factory.mktemp("told")
     before = folder / "before.yaml"
     text = "name: a guess\ntorque_constant: 0.04\ngear_ratio: 49.8\ngear_efficiency: 0.76\nresistance: 1.5\n"
@@ -52,17 +52,17 @@ def test_constants_and_curves_are_those_of_the_robot(told: Path) -> None:
 
 
 def test_the_slip_law_is_that_of_the_floor(log: Path) -> None:
-    found = learn_log(log, None, "fsu_bot", "fsu_bot").slip
-    normalised = (found.coefficients - SLIPPERY.slip.rows) / found.deviations
+    law = learn_log(log, None, "fsu_bot", "fsu_bot").slip
+    normalised = (law.coefficients - SLIPPERY.slip.rows) / law.deviations
     assert np.abs(normalised).max() < 5
     commands = np.array([[0.4, 0.3], [0.4, -0.3], [0.2, 0.2], [0.6, 0.1]])
-    ours = np.einsum("ij,nj->ni", found.coefficients, np.column_stack([commands, commands.prod(axis=1)]))
+    ours = np.einsum("ij,nj->ni", law.coefficients, np.column_stack([commands, commands.prod(axis=1)]))
     theirs = SLIPPERY.twist(commands) - np.column_stack([commands[:, 0], np.zeros(4), commands[:, 1]])
     assert ours == pytest.approx(theirs, abs=0.03)
 
 
 def columns(log: Path, path: Path, without: str = "", rows: slice = slice(None)) -> Path:
-    """The log without columns whose names begin so, and with some of its rows alone."""
+    """Write the log without columns whose names begin so, and with some of its rows alone."""
     lines = [line.split(",") for line in log.read_text().splitlines()]
     keep = [k for k, name in enumerate(lines[0]) if not (without and name.startswith(without))]
     whole = [lines[0], *lines[1:][rows]]

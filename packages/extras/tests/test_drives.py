@@ -24,19 +24,19 @@ NUMBERS = {"gain": 1.1, "quicker": 1.5, "slower": 2.5, "lag": 0.08, "least": 0.0
 
 
 def reversals() -> np.ndarray:
-    """(K,) ramps through zero, slow and quick, steps, and a stop before the other direction."""
+    """Return (K,) ramps through zero, slow and quick, steps, and a stop before the other direction."""
     corners = [(0, 0.0), (50, 0.0), (100, 0.6), (200, 0.6), (350, -0.6), (420, -0.6), (440, 0.5), (500, 0.5)]
     corners += [(501, -0.4), (600, -0.4), (630, 0.0), (700, 0.0), (760, 0.3), (900, 0.3)]
     return np.interp(np.arange(900), *np.transpose(corners))
 
 
 def by_hand(u: np.ndarray) -> np.ndarray:
-    """(K,) speeds of the experimental model as the paper describes it, in plain Python."""
+    """Compute (K,) speeds of the experimental model as the paper describes it, in plain Python."""
     reference = speed = slope = direction = 0.0
     speeds = []
-    for asked in u:
+    for command in u:
         speeds.append(speed)
-        change = asked - reference
+        change = command - reference
         both = 0.5 * (NUMBERS["quicker"] + NUMBERS["slower"])
         towards_zero = reference * change < 0
         most = DT * (both if reference == 0 or change == 0 else NUMBERS["slower" if towards_zero else "quicker"])
@@ -57,9 +57,9 @@ def by_hand(u: np.ndarray) -> np.ndarray:
 def run(*, sharp: bool) -> np.ndarray:
     step = experimental_step(Channel(DT, STILL), sharp=sharp)
     x, speeds = np.zeros(4), []
-    for asked in reversals():
+    for command in reversals():
         speeds.append(x[1])
-        x = step(x, asked, list(NUMBERS.values())).full().ravel()
+        x = step(x, command, list(NUMBERS.values())).full().ravel()
     return np.array(speeds)
 
 
@@ -76,10 +76,10 @@ def test_gradients_are_those_of_finite_differences(name):
     rng = np.random.default_rng(3)
     for _ in range(20):
         point = np.concatenate([0.3 * rng.standard_normal(model.order), 0.5 * rng.standard_normal(window.numel())])
-        found = differences(lambda x: model.step(x[: model.order], x[model.order :]).full(), point)
+        numeric = differences(lambda x: model.step(x[: model.order], x[model.order :]).full(), point)
         exact = jacobian(point[: model.order], point[model.order :]).full()
         assert np.isfinite(exact).all()
-        assert np.abs(exact - found).max() < 1e-5 * max(1.0, np.abs(exact).max())
+        assert np.abs(exact - numeric).max() < 1e-5 * max(1.0, np.abs(exact).max())
 
 
 def test_the_physical_model_solves_the_equations_of_both_wheels():
@@ -118,13 +118,13 @@ def test_the_physical_model_solves_the_equations_of_both_wheels():
     edges = sorted({0.0, *late, *(late + switched), (count - 1) * dt})
     x, times, speeds = np.zeros(6), [], []
 
-    for begin, end in pairwise(edges):
-        middle = 0.5 * (begin + end)
-        at = [k * dt for k in range(count) if begin - 1e-9 <= k * dt < end - 1e-9]
-        options = {"t_eval": [*at, end], "method": "Radau", "rtol": 1e-9, "atol": 1e-11}
-        solved = solve_ivp(lambda t, x, m=middle: rates(m, x, late), (begin, end), x, **options)
-        times += at
-        speeds += list(solved.y[:2, : len(at)].T)
+    for start, end in pairwise(edges):
+        middle = 0.5 * (start + end)
+        instants = [k * dt for k in range(count) if start - 1e-9 <= k * dt < end - 1e-9]
+        options = {"t_eval": [*instants, end], "method": "Radau", "rtol": 1e-9, "atol": 1e-11}
+        solved = solve_ivp(lambda t, x, m=middle: rates(m, x, late), (start, end), x, **options)
+        times += instants
+        speeds += list(solved.y[:2, : len(instants)].T)
         x = solved.y[:, -1]
     right, left = np.array(speeds).T * c.wheel_radius
     theirs = np.column_stack([(right + left) / 2, (right - left) / c.track])
@@ -161,7 +161,7 @@ UNLIMITED = [np.array([0.95, NO_LIMIT, NO_LIMIT, 0.1, 0.0, 0.0]), np.array([0.8,
 
 
 def driven(coefficients, seed, seconds=40.0, *, backwards=True):
-    """Noisy readings of a sharp experimental drive whose set-points change every 0.8 s."""
+    """Return noisy readings of a sharp experimental drive whose set-points change every 0.8 s."""
     rng = np.random.default_rng(seed)
     low = -1.0 if backwards else 0.3
     commands = np.repeat(rng.uniform(low, 1.0, (round(seconds / 0.8), 2)), round(0.8 / LOG_DT), axis=0)
@@ -182,27 +182,27 @@ def told(coefficients, kind="drive_experimental", **how):
 
 
 def test_slope_limits_that_act_are_told_within_their_uncertainty():
-    found = told(LIMITED)
-    assert not {"v.quicker", "v.slower", "omega.quicker", "omega.slower"} & set(found.identified)
-    assert {"v.threshold", "v.threshold_by_slope"} <= set(found.identified), "this robot never stands still"
+    finding = told(LIMITED)
+    assert not {"v.quicker", "v.slower", "omega.quicker", "omega.slower"} & set(finding.identified)
+    assert {"v.threshold", "v.threshold_by_slope"} <= set(finding.identified), "this robot never stands still"
     # Rounding gives up some of the limit at its corner, which no noise explains.
     for row, channel in enumerate(("v", "omega")):
         for name, truth in zip(("gain", "quicker", "slower"), LIMITED[row], strict=False):
-            assert found.estimate.value(f"{channel}.{name}") == pytest.approx(truth, rel=0.12), name
-    assert found.fit.dead_samples == DEAD
-    assert found.estimate.deviation("v.gain") < 0.02
+            assert finding.estimate.value(f"{channel}.{name}") == pytest.approx(truth, rel=0.12), name
+    assert finding.fit.dead_samples == DEAD
+    assert finding.estimate.deviation("v.gain") < 0.02
 
 
 def test_what_a_log_does_not_show_keeps_its_prior():
     """No slope that acts, and never a change of direction: neither limit nor threshold can be told."""
-    found = told(UNLIMITED, backwards=False)
+    finding = told(UNLIMITED, backwards=False)
     untold = {"quicker", "slower", "threshold", "threshold_by_slope"}
-    assert set(found.identified) == {f"{channel}.{name}" for channel in ("v", "omega") for name in untold}
-    for values in found.fit.values:
+    assert set(finding.identified) == {f"{channel}.{name}" for channel in ("v", "omega") for name in untold}
+    for values in finding.fit.values:
         assert values["quicker"] == values["slower"] == NO_LIMIT
         assert values["threshold"] == values["threshold_by_slope"] == 0.0
-    assert "v.quicker" not in found.estimate.names
-    assert found.estimate.value("v.lag") == pytest.approx(0.1, rel=0.15)
+    assert "v.quicker" not in finding.estimate.names
+    assert finding.estimate.value("v.lag") == pytest.approx(0.1, rel=0.15)
 
 
 @pytest.fixture(scope="module")
@@ -215,21 +215,21 @@ def log(tmp_path_factory):
 
 @pytest.mark.parametrize("structure", ["p2_experimental", "p2_physical"])
 def test_from_a_log_to_a_drive_that_a_controller_loads(log, structure, tmp_path):
-    found = identify(log, log.with_name("map.yaml"), structure)
-    report = found.report
+    identification = identify(log, log.with_name("map.yaml"), structure)
+    report = identification.report
     assert report.fitted.validation.fit_percent.min() > 90.0
     assert f"{structure}.v.gain" in report.as_json()["parameters"]
     assert structure.upper() in report.markdown()
     assert "Parameters of the linear model beside a drive" in report.markdown()
     assert any("none is modelled" in warning for warning in report.warnings), "no slope limit acts here"
-    model = check_written(found, tmp_path, 1e-3, structure)
+    model = check_written(identification, tmp_path, 1e-3, structure)
     assert isinstance(model, DriveModel) and model.dt == 0.04
     # The robot: lags of 0.1 s, and a gyro that sees what it does.
     # PI control with the paper's slow integral makes up for what its gain lacks only after seconds.
     within = 0.02 if structure == "p2_experimental" else 0.04
     assert np.diag(model.dc_gain) == pytest.approx([1.0, 1.0], abs=within)
-    answer = model.simulate(np.full((100, 2), 0.5)) / 0.5
-    risen = LOG_DT * np.argmax(answer > 1 - np.exp(-1), axis=0)
+    response = model.simulate(np.full((100, 2), 0.5)) / 0.5
+    risen = LOG_DT * np.argmax(response > 1 - np.exp(-1), axis=0)
     assert risen == pytest.approx([0.1, 0.1], abs=LOG_DT)
 
 

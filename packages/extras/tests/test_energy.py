@@ -51,9 +51,9 @@ def test_a_turn_costs_more_than_the_straight_way_and_the_sum_is_the_energy():
 
 
 def test_the_prediction_is_that_of_the_terrain_which_the_curves_know():
-    found = side_torques(VEHICLE, load_terrain("asphalt").model_copy(update={"slip": None}), 1.5, 0.4)
+    torques = side_torques(VEHICLE, load_terrain("asphalt").model_copy(update={"slip": None}), 1.5, 0.4)
     expected = float(
-        BOT.side_power(found.outer, found.outer_speed)[0] + BOT.side_power(found.inner, found.inner_speed)[0]
+        BOT.side_power(torques.outer, torques.outer_speed)[0] + BOT.side_power(torques.inner, torques.inner_speed)[0]
     )
     predicted = predict_energy(VEHICLE, BOT, curves(), [[0.4, 0.4 / 1.5]], 1.0)
     assert predicted.energy == pytest.approx(expected, rel=0.1)
@@ -63,7 +63,7 @@ TRUE = BOT.model_copy(update={"torque_constant": 0.03, "resistance": 0.9, "idle_
 
 
 def logged(constants=TRUE, noise=0.2, count=600, seed=2):
-    """Currents and speeds of a drive with rest, fast straights and slow turns, and the battery that feeds it."""
+    """Simulate currents and speeds of a drive with rest, fast straights and slow turns, and its battery."""
     rng = np.random.default_rng(seed)
     speed = np.repeat(rng.uniform(-1, 9, (count // 30, 2)), 30, axis=0)
     torque = np.repeat(rng.uniform(-2, 4, (count // 30, 2)), 30, axis=0)
@@ -80,13 +80,13 @@ def record(speed, current, battery):
 @pytest.mark.parametrize("regeneration", [True, False])
 def test_constants_are_found_again(regeneration):
     true = TRUE.model_copy(update={"regeneration": regeneration})
-    found = identify_constants([record(*logged(true))], BOT.model_copy(update={"regeneration": regeneration}))
+    estimate = identify_constants([record(*logged(true))], BOT.model_copy(update={"regeneration": regeneration}))
     for name in ("torque_constant", "resistance", "idle_power"):
-        value, deviation = getattr(found.constants, name), found.deviation[name]
+        value, deviation = getattr(estimate.constants, name), estimate.deviation[name]
         assert abs(value - getattr(true, name)) < 4 * deviation
         assert deviation < 0.05 * getattr(true, name)
     # Of means over 15 samples.
-    assert found.rms == pytest.approx(0.2 / 15**0.5, rel=0.3)
+    assert estimate.rms == pytest.approx(0.2 / 15**0.5, rel=0.3)
 
 
 def test_four_motors_tell_what_their_sides_hide():
@@ -101,9 +101,9 @@ def test_four_motors_tell_what_their_sides_hide():
     battery = np.stack([np.full(len(speed), 16.0), (power.sum(axis=1) + TRUE.idle_power) / 16.0], axis=-1)
     by_sides = record(speed, motors[:, :2] + motors[:, 2:], battery)
     by_motors = replace(by_sides, motor_currents=motors, wheel_speeds=speeds)
-    found = identify_constants([by_motors], BOT).constants
-    assert found.resistance == pytest.approx(TRUE.resistance, rel=1e-6)
-    assert found.torque_constant == pytest.approx(TRUE.torque_constant, rel=1e-6)
+    estimate = identify_constants([by_motors], BOT).constants
+    assert estimate.resistance == pytest.approx(TRUE.resistance, rel=1e-6)
+    assert estimate.torque_constant == pytest.approx(TRUE.torque_constant, rel=1e-6)
 
 
 def test_a_drive_at_rest_and_reversed_currents_are_refused():
@@ -147,14 +147,14 @@ def test_battery_gives_work_and_heat() -> None:
 @pytest.mark.parametrize("around", [{}, {"scenario": "start_offset"}, {"plant": "world:opening@mujoco:fsu_bot"}])
 def test_energy_is_counted_with_the_motors_of_the_robot_that_drives(around: dict[str, str]) -> None:
     run = driven(STRAIGHT, **({"plant": "mujoco:fsu_bot", "sensors": "power"} | around))
-    own, papers = load_drive_constants("fsu_bot"), load_drive_constants()
+    robot, papers = load_drive_constants("fsu_bot"), load_drive_constants()
     counted = run.counted
 
     def by(constants) -> float:  # type: ignore[no-untyped-def]
         return float(constants.motor_power(run.motor_power, run.motor_square)[counted].sum() * run.sample_time)
 
-    assert run_energy(run).energy_j == pytest.approx(by(own))
-    assert run_energy(run, papers).energy_j == pytest.approx(by(papers)) != pytest.approx(by(own), rel=0.02)
+    assert run_energy(run).energy_j == pytest.approx(by(robot))
+    assert run_energy(run, papers).energy_j == pytest.approx(by(papers)) != pytest.approx(by(robot), rel=0.02)
 
 
 def test_robot_file_names_its_motors_writes_out_differences_or_has_those_of_the_papers(tmp_path: Path) -> None:

@@ -34,9 +34,9 @@ def test_its_square_is_the_power_of_turning(floor):
     for v in (0.0, 0.1, 0.4, -0.3, 0.8):
         omega = np.concatenate([-np.geomspace(0.1, 1.5, 30), np.geomspace(0.1, 1.5, 30)])
         power = COSTS[floor].power(np.column_stack([np.full(60, v), omega])) - COSTS[floor].power([[v, 0.0]])
-        found = np.array([float(RESIDUALS[floor]([v, w], 0.25)) for w in omega])
-        assert np.sign(found) == pytest.approx(np.sign(omega))
-        assert found**2 / 0.25 == pytest.approx(power, rel=0.08, abs=0.25)
+        result = np.array([float(RESIDUALS[floor]([v, w], 0.25)) for w in omega])
+        assert np.sign(result) == pytest.approx(np.sign(omega))
+        assert result**2 / 0.25 == pytest.approx(power, rel=0.08, abs=0.25)
 
 
 @given(
@@ -50,10 +50,10 @@ def test_it_is_smooth_through_rest_and_straight_on(v, omega, weight, floor):
     command, given_weight = ca.SX.sym("command", 2), ca.SX.sym("weight")
     value = RESIDUALS[floor](command, given_weight)
     gradient = ca.Function("g", [command, given_weight], [ca.jacobian(value, command)])
-    here = np.array([v, omega])
-    exact = gradient(here, weight).full()
+    point = np.array([v, omega])
+    exact = gradient(point, weight).full()
     assert np.isfinite(exact).all()
-    slopes = differences(lambda command: RESIDUALS[floor](command, weight), here)
+    slopes = differences(lambda command: RESIDUALS[floor](command, weight), point)
     assert exact == pytest.approx(slopes, abs=2e-3 * np.sqrt(weight) * 60)
 
 
@@ -84,15 +84,15 @@ def test_real_time_iterations_with_it_converge_to_ipopts_solution(floor, weight)
 
 def test_less_is_paid_for_turning_the_more_it_weighs():
     """On the slippery floor, on a square: energy falls until the robot leaves the path too far for that to pay."""
-    found = {}
+    results = {}
     for weight in (0.0, 0.003, 0.02, 0.1):
         overrides = {"energy.weight": weight, "energy.turn_costs": "fsu_bot-slippery"}
         controller = Controller(load_config("ssm", overrides))
         plant = make_plant("mujoco:fsu_bot", "slippery", seed=7)
-        found[weight] = simulate(controller, plant, load_trajectory("square", timing="smooth"))
-    energy = [run_energy(run).energy_j for run in found.values()]
+        results[weight] = simulate(controller, plant, load_trajectory("square", timing="smooth"))
+    energy = [run_energy(run).energy_j for run in results.values()]
     assert energy[0] > energy[1] > energy[2]
-    assert found[0.1].metrics.position_rmse_m > 1.5 * found[0.02].metrics.position_rmse_m
+    assert results[0.1].metrics.position_rmse_m > 1.5 * results[0.02].metrics.position_rmse_m
 
 
 def test_its_weight_is_a_stage_parameter_that_changes_while_driving():
@@ -106,17 +106,17 @@ def test_its_weight_is_a_stage_parameter_that_changes_while_driving():
 
 
 def test_the_least_radius_comes_from_the_turn_costs_where_none_is_given():
-    asked = {"energy.turn_costs": "fsu_bot-default", "energy.use_min_radius": True}
-    controller = Controller(load_config("ssm", asked))
+    settings = {"energy.turn_costs": "fsu_bot-default", "energy.use_min_radius": True}
+    controller = Controller(load_config("ssm", settings))
     assert controller.config.limits.min_commanded_radius == COSTS["default"].least_radius() > 1.0
-    own = load_config("ssm", asked | {"limits.min_commanded_radius": 0.9})
-    assert with_least_radius(own).limits.min_commanded_radius == 0.9
-    none = load_config("ssm", asked | {"energy.turn_costs": "fsu_bot-slippery"})
+    stated = load_config("ssm", settings | {"limits.min_commanded_radius": 0.9})
+    assert with_least_radius(stated).limits.min_commanded_radius == 0.9
+    none = load_config("ssm", settings | {"energy.turn_costs": "fsu_bot-slippery"})
     assert with_least_radius(none).limits.min_commanded_radius is None
 
 
 def test_mistakes_are_said_in_one_line(tmp_path):
-    with pytest.raises(ConfigError, match=r"energy.*turn_costs: say which; shipped are fsu_bot-default and others"):
+    with pytest.raises(ConfigError, match=r"energy.*turn_costs: give a file; shipped are fsu_bot-default and others"):
         load_config("ssm", {"energy.weight": 0.1})
     with pytest.raises(ConfigError, match="unknown turn costs 'nowhere'|nowhere"):
         Controller(load_config("ssm", ON | {"energy.turn_costs": "nowhere"}))

@@ -34,14 +34,16 @@ def test_it_stays_in_its_square_and_tells_the_terms_apart(tmp_path, side, speed,
         assert np.abs(pose[:, :2]).max() <= 0.5 * side - 0.2
     segments = load_segments(tmp_path / "drive.yaml")
     assert told_apart(segments) < 0.5
-    assert max(abs(one.v) for one in segments) <= speed + 1e-9
-    assert max(abs(one.omega) for one in segments) <= yaw_rate + 1e-9
+    assert max(abs(segment.v) for segment in segments) <= speed + 1e-9
+    assert max(abs(segment.omega) for segment in segments) <= yaw_rate + 1e-9
 
 
 def test_shipped_trajectory_is_the_slip_drive_of_six_metres():
     """The root package ships the sequence that this search finds."""
-    shipped, found = load_segments("excitation"), slip_excitation(6.0, 90.0, 0.6, 1.0)
-    rows = [[(one.v, one.omega, one.duration) for one in segments] for segments in (shipped, found)]
+    shipped, excitation = load_segments("excitation"), slip_excitation(6.0, 90.0, 0.6, 1.0)
+    rows = [
+        [(segment.v, segment.omega, segment.duration) for segment in segments] for segments in (shipped, excitation)
+    ]
     np.testing.assert_allclose(*rows, atol=1e-4)
 
 
@@ -143,21 +145,21 @@ def drive_of(found, folder, plant):
 
 @pytest.mark.usefixtures("quick")
 def test_drive_stays_in_its_room_on_robots_of_other_gains(tmp_path):
-    found = excite_model("ssm", Room(3.0, 2.0), seconds=20.0)
-    found.write(tmp_path / "drive.yaml")
+    excitation = excite_model("ssm", Room(3.0, 2.0), seconds=20.0)
+    excitation.write(tmp_path / "drive.yaml")
     for gain, dead_time in ((0.7, 0.1), (1.3, 0.02)):
-        run = drive_of(found, tmp_path, robot(tmp_path / "other.yaml", gain, dead_time))
-        check_drive(run, found.room)
+        run = drive_of(excitation, tmp_path, robot(tmp_path / "other.yaml", gain, dead_time))
+        check_drive(run, excitation.room)
         assert (np.abs(run.true_pose[:, :2]) <= (1.5 - 0.1, 1.0 - 0.1)).all()
 
 
 @pytest.mark.usefixtures("quick")
 def test_robot_that_leaves_its_room_raises_config_error(tmp_path):
-    found = excite_model("ssm", Room(3.0, 2.0), seconds=10.0)
-    found.write(tmp_path / "drive.yaml")
-    run = drive_of(found, tmp_path, robot(tmp_path / "other.yaml", 1.0, 0.04))
+    excitation = excite_model("ssm", Room(3.0, 2.0), seconds=10.0)
+    excitation.write(tmp_path / "drive.yaml")
+    run = drive_of(excitation, tmp_path, robot(tmp_path / "other.yaml", 1.0, 0.04))
     with pytest.raises(ConfigError, match=r"the robot left its room after \d+\.\d s"):
-        check_drive(replace(run, true_pose=run.true_pose + [3.0, 0.0, 0.0]), found.room)
+        check_drive(replace(run, true_pose=run.true_pose + [3.0, 0.0, 0.0]), excitation.room)
 
 
 @pytest.mark.usefixtures("quick")

@@ -110,7 +110,7 @@ def drive_both(
     model: object = "ssm",
     terms=(),
 ):
-    """The Python controller drives a noisy robot, and the exported one sees the same; both give their steps.
+    """Drive a noisy robot with the Python controller; the exported one gets the same data; return the steps of both.
 
     `change(k, measurement, exported, reference)` may spoil things and returns time shift, measurement and hold.
     """
@@ -136,7 +136,7 @@ def drive_both(
 
 
 def differences(steps) -> np.ndarray:
-    """(n, 2) of the commands."""
+    """Return (n, 2) differences of the commands."""
     return np.array([ours.command - theirs.command for ours, theirs in steps])
 
 
@@ -181,7 +181,7 @@ def test_soft_limits_in_double_precision(with_sanitizers):
 
 
 def track_both(folder, trajectory, overrides, ticks, *flags, precision="double", within=DOUBLE, offset=(0, 0, 0), **of):
-    """Steps of an export and of Python's controller, which track, and differ by no more than `within`."""
+    """Compare steps of an export and of Python's controller, which track, and differ by no more than `within`."""
     program = export(folder / precision, trajectory, precision, overrides, "-O0", *flags, **of)
     steps = drive_both(program, trajectory, overrides, ticks, offset=offset, **of)
     check_same(steps, within)
@@ -250,7 +250,7 @@ def later(measurement: Measurement, shift: float) -> Measurement:
 
 
 def events(k, measurement, exported, reference):
-    """What goes wrong, one thing after the other."""
+    """Disturb the drive, with one error after the other."""
     shift, hold = 0.0, None
     if k < 3 or 30 <= k < 60:
         measurement = replace(measurement, pose=None)
@@ -306,7 +306,7 @@ def test_ticks_too_soon_and_pauses(in_double):
 
 
 def saturating_lag() -> NonlinearModel:
-    """A lag of 0.1 s in both channels, whose acceleration saturates; the older command of the window acts."""
+    """Build a lag of 0.1 s in both channels, whose acceleration saturates; the older command of the window acts."""
     x, window, dt = ca.SX.sym("x", 2), ca.SX.sym("window", 4), 0.0202
     most = ca.DM([1.5, 6.0])
     after = x + dt * most * ca.tanh((window[:2] - x) / (0.1 * most))
@@ -315,7 +315,7 @@ def saturating_lag() -> NonlinearModel:
 
 
 def terms_of_the_user(point) -> tuple[Term, ...]:
-    """A residual that does not like to turn, and a soft limit that keeps away from a point."""
+    """Build a residual that penalises turning, and a soft limit on the distance from a point."""
     pose, twist, parameters = ca.SX.sym("pose", 3), ca.SX.sym("twist", 2), ca.SX.sym("parameters", 3)
     calm = ca.Function("calm", [twist], [2 * twist[1]], ["twist"], ["value"])
     distance = ca.sqrt((pose[0] - parameters[0]) ** 2 + (pose[1] - parameters[1]) ** 2 + 1e-4) - parameters[2]
@@ -364,8 +364,8 @@ def test_the_folder_is_complete(tmp_path):
     sources = [str(path) for path in sorted((out / "ddmpc").glob("*.c"))]
     compile_c("-std=c99", f"-I{out / 'ddmpc'}", *sources, str(out / "examples" / "main.c"), "-lm", "-o", str(example))
     # It drives a robot that obeys its model exactly: a few centimetres while it starts, and to the end.
-    said = subprocess.run([str(example)], capture_output=True, text=True, check=True).stdout
-    assert "\nfinished, largest error 0.0" in said
+    output = subprocess.run([str(example)], capture_output=True, text=True, check=True).stdout
+    assert "\nfinished, largest error 0.0" in output
     system = subprocess.run(["nm", "-u", str(example)], capture_output=True, text=True, check=True).stdout
     needed = {line.split()[-1].split("@")[0] for line in system.splitlines()}
     assert not {"malloc", "calloc", "realloc", "free"} & needed

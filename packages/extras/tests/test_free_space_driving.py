@@ -55,7 +55,7 @@ def post(x, y, radius, corners=12):
 
 
 def drive(controller, reference, seen, duration, *, plant="model:ssm", sensors=None, seed=0):
-    """Ticks as dictionaries: time, pose, v, gap (true), step; `seen` gives surroundings, or None for nothing new."""
+    """Return ticks as dictionaries: time, pose, v, gap (true), step; `seen` gives surroundings, None for no news."""
     robot = make_plant(plant, seed=seed, **({} if sensors is None else {"sensors": sensors}))
     robot.reset(reference.sample([0.0]).pose[0])
     controller.start(reference, robot.time)
@@ -64,10 +64,10 @@ def drive(controller, reference, seen, duration, *, plant="model:ssm", sensors=N
     ticks, around, pieces = [], None, None
     for _ in range(int(duration / robot.sample_time)):
         t = robot.time
-        found = seen(t)
-        if found is not None:
-            controller.feature("free_space").set_obstacles(found)
-            around, pieces = found, pieces_of(found, settings, reference)
+        result = seen(t)
+        if result is not None:
+            controller.feature("free_space").set_obstacles(result)
+            around, pieces = result, pieces_of(result, settings, reference)
         step = controller.step(t, robot.measure())
         since = 0.0 if around.time is None else t - around.time
         (gap,), _ = least_gaps(footprint, pieces, np.array([robot.true_pose]), np.array([since]), FAR)
@@ -222,10 +222,10 @@ def test_a_corridor_keeps_it_in():
 
 def test_what_it_says_of_the_gap_is_true():
     ticks = past_a_post(0.0)
-    said = np.array([tick["step"].clearance for tick in ticks])
-    near = np.isfinite(said)
+    stated = np.array([tick["step"].clearance for tick in ticks])
+    near = np.isfinite(stated)
     assert near.sum() > 50
-    assert np.abs(said - column(ticks, "gap"))[near].max() < 0.02
+    assert np.abs(stated - column(ticks, "gap"))[near].max() < 0.02
 
 
 def test_old_surroundings_brake():
@@ -344,7 +344,7 @@ def test_half_spaces_under_pressure_converge_to_the_solution_of_ipopt():
     drive = record(controller, IdealRobot(controller._predicted.sampled, np.zeros(3)), CIRCLE, 160, lambda *_: None)
 
     def keep_rows(again, time):
-        """The planes stay those of the drive: they are data of the problem, not part of it."""
+        """Keep the planes of the drive: they are data of the problem, not part of it."""
         table = again._tick.parameters
         again.feature("free_space")._keeper._set_rows = lambda *_: table.__setitem__(slice(None), tables[time])
 

@@ -31,7 +31,7 @@ CONFIG = FreeSpace()
 
 
 def gap_to(footprint, pieces, piece, pose, time=0.0):
-    """Signed distance to one piece [m], and the direction (2,) in which the gap lies, from the footprint."""
+    """Compute the signed distance to one piece [m], and the direction (2,) of the gap, from the footprint."""
     pose, normal = np.array(pose, dtype=float), np.empty(2)
     to = address(normal, "real *")
     gap = load_free_space()[1].ddmpc_gap(footprint.struct, pieces.struct, piece, address(pose), time, to)
@@ -49,17 +49,17 @@ def to_segment(point, a, b):
     return np.hypot(*(point - a - share * along))
 
 
-def edge_distance(one, other):
-    """The least distance of two polygons' edges."""
-    both = ((one, other), (other, one))
+def edge_distance(first, second):
+    """Compute the least distance between the edges of two polygons."""
+    both = ((first, second), (second, first))
     return min(to_segment(p, b[i - 1], b[i]) for a, b in both for p in a for i in range(len(b)))
 
 
-def widest_gap(one, other, directions=7200):
-    """The largest gap over many directions: the signed distance of convex sets."""
+def widest_gap(first, second, directions=7200):
+    """Compute the largest gap over many directions: the signed distance of convex sets."""
     angle = np.linspace(0.0, 2.0 * np.pi, directions, endpoint=False)
     a = np.stack([np.cos(angle), np.sin(angle)])
-    return float(((other @ a).min(axis=0) - (one @ a).max(axis=0)).max())
+    return float(((second @ a).min(axis=0) - (first @ a).max(axis=0)).max())
 
 
 def random_hull(rng, count, spread):
@@ -74,14 +74,14 @@ def test_a_gap_is_the_distance_of_two_polygons_and_the_depth_where_they_overlap(
     obstacle = random_hull(rng, 9, 0.5)
     pose = np.array([*rng.uniform(-2.0, 2.0, 2), rng.uniform(-4.0, 4.0)])
     pieces = pieces_of(Surroundings([obstacle]), CONFIG)
-    found, normal = gap_to(PlacedFootprint(robot), pieces, 0, pose)
+    gap, normal = gap_to(PlacedFootprint(robot), pieces, 0, pose)
     corners = placed(robot.corners, pose)
     assert np.hypot(*normal) == pytest.approx(1.0)
     along = (obstacle @ normal).min() - (corners @ normal).max() - robot.radius
-    assert along == pytest.approx(found, abs=1e-12)  # it is the gap in the direction that it names
-    if found + robot.radius > 0.0:
-        assert found == pytest.approx(edge_distance(corners, obstacle) - robot.radius, abs=1e-12)
-    assert found == pytest.approx(widest_gap(corners, obstacle) - robot.radius, abs=2e-3)
+    assert along == pytest.approx(gap, abs=1e-12)  # it is the gap in the direction that it names
+    if gap + robot.radius > 0.0:
+        assert gap == pytest.approx(edge_distance(corners, obstacle) - robot.radius, abs=1e-12)
+    assert gap == pytest.approx(widest_gap(corners, obstacle) - robot.radius, abs=2e-3)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -166,11 +166,11 @@ def test_a_corridor_lies_beside_its_reference():
 
 SQUARE = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
 BAD = {
-    "no finite number": Surroundings([[[0, 0], [1, np.nan], [1, 1]]]),
+    "value that is not finite": Surroundings([[[0, 0], [1, np.nan], [1, 1]]]),
     "no area": Surroundings([[[0, 0], [1, 1], [2, 2]]]),
     "cross each other": Surroundings([[SQUARE[0], SQUARE[2], SQUARE[1], SQUARE[3]]]),
     "lengths are in m": Surroundings([[[0, 0], [1e9, 0], [0, 1e9]]]),
-    "no time says": Surroundings(discs=[MovingDisc(0, 0, 0.2, 1.0, 0.0)]),
+    "its position has no time": Surroundings(discs=[MovingDisc(0, 0, 0.2, 1.0, 0.0)]),
     "velocity or radius": Surroundings(discs=[MovingDisc(0, 0, 0.2, np.nan)], time=0.0),
     "faster than": Surroundings(discs=[MovingDisc(0, 0, 0.2, 1e3)], time=0.0),
     "at most 250,000": Surroundings(grid=OccupancyGrid(np.zeros((1000, 1000), dtype=np.int8), 0.05)),
@@ -213,7 +213,7 @@ def test_the_gradient_of_a_half_space_is_that_of_finite_differences():
 
 @pytest.mark.parametrize("seed", range(10))
 def test_planes_leave_the_free_plan_alone_and_part_it_from_everything_near(seed):
-    """Of a free pose no plane cuts off a corner; with rows enough nothing near is left on its side of all planes."""
+    """A free pose stays inside all planes; with enough rows every near obstacle is beyond a plane."""
     rng = np.random.default_rng(seed)
     polygons = [random_hull(rng, 6, 0.2) + rng.uniform(-1.5, 1.5, 2) for _ in range(8)]
     pieces, robot = pieces_of(Surroundings(polygons), CONFIG), PlacedFootprint(Footprint.rectangle(0.5, 0.4))
@@ -224,9 +224,11 @@ def test_planes_leave_the_free_plan_alone_and_part_it_from_everything_near(seed)
     ffi, lib = load_free_space()
     keeping = ffi.new("ddmpc_keeping *", {"margin": 0.0, "factor": 0.0, "doubt": 0.0, "reach": 0.4, "scale": 1.0})
     table, owner = np.zeros((count, rows * 5)), np.zeros((count, rows), dtype=np.intc)
-    at, numbers = address(poses), (address(np.zeros(count)), address(np.zeros((count, 9))))
+    pointer, numbers = address(poses), (address(np.zeros(count)), address(np.zeros((count, 9))))
     out = address(table, "real *"), address(owner, "int *")
-    lib.ddmpc_half_spaces(robot.struct, pieces.struct, keeping, count, at, at, at, *numbers, rows, rows * 5, *out)
+    lib.ddmpc_half_spaces(
+        robot.struct, pieces.struct, keeping, count, pointer, pointer, pointer, *numbers, rows, rows * 5, *out
+    )
     for pose, planes, owners in zip(poses, table.reshape(count, rows, 5), owner, strict=True):
         corners = placed(robot.footprint.corners, pose)
         used = planes[owners >= 0]

@@ -18,20 +18,20 @@ from fuzz.runner import judged
 
 
 def draw_surroundings(random: Random) -> Any:
-    """Polygons, discs, a grid, a corridor; None: nothing is seen any more."""
+    """Draw polygons, discs, a grid, a corridor; None: nothing is seen any more."""
     if random.random() < 0.1:
         return None
-    found: dict[str, Any] = {"later": random.choice((0.0, 0.0, 0.0, -1.0, 5.0, None, odd.number(random)))}
+    result: dict[str, Any] = {"later": random.choice((0.0, 0.0, 0.0, -1.0, 5.0, None, odd.number(random)))}
     if random.random() < 0.6:
-        found["polygons"] = [_polygon(random) for _ in range(random.choice((1, 2, 5, 30)))]
+        result["polygons"] = [_polygon(random) for _ in range(random.choice((1, 2, 5, 30)))]
     if random.random() < 0.6:
-        found["discs"] = [
+        result["discs"] = [
             [_place(random), _place(random), abs(_some(random, 0.2)), _some(random, 0.5), _some(random, 0.5)]
             for _ in range(random.choice((1, 2, 10)))
         ]
     if random.random() < 0.3:
         rows, columns = random.choice(((1, 1), (20, 20), (60, 40), (1, 200), (0, 5)))
-        found["grid"] = {
+        result["grid"] = {
             "shape": [rows, columns],
             "seed": random.randrange(1000),
             "share": random.choice((0.0, 0.02, 0.2, 1.0)),
@@ -41,25 +41,27 @@ def draw_surroundings(random: Random) -> Any:
     if random.random() < 0.3:
         count = random.choice((0, 1, 2, 5, 50))
         lengths = sorted(abs(_some(random, 3.0)) for _ in range(count))
-        found["corridor"] = [
+        result["corridor"] = [
             lengths if random.random() < 0.9 else lengths[::-1],
             [abs(_some(random, 0.5)) for _ in range(count)],
             [abs(_some(random, 0.5)) for _ in range(count)],
         ]
-    return found
+    return result
 
 
 def make_surroundings(said: Any, pose: np.ndarray, t: float) -> Surroundings | None:
-    """The object that a case describes, places being counted from the robot."""
+    """Build the object that a case describes, with places relative to the robot."""
     if said is None:
         return None
     grid = corridor = None
     if "grid" in said:
-        one = said["grid"]
-        drawn = np.random.default_rng(one["seed"])
-        cells = np.where(drawn.random(one["shape"]) < one["share"], 100, drawn.integers(-1, 2, one["shape"]))
-        origin = (pose[0] + one["origin"][0], pose[1] + one["origin"][1], one["origin"][2])
-        grid = OccupancyGrid(cells.astype(np.int8), one["resolution"], origin)
+        costmap = said["grid"]
+        drawn = np.random.default_rng(costmap["seed"])
+        cells = np.where(
+            drawn.random(costmap["shape"]) < costmap["share"], 100, drawn.integers(-1, 2, costmap["shape"])
+        )
+        origin = (pose[0] + costmap["origin"][0], pose[1] + costmap["origin"][1], costmap["origin"][2])
+        grid = OccupancyGrid(cells.astype(np.int8), costmap["resolution"], origin)
     if "corridor" in said:
         corridor = Corridor(*said["corridor"])
     return Surroundings(
@@ -79,7 +81,7 @@ def _polygon(random: Random) -> list[list[float]]:
 
 
 def _place(random: Random) -> float:
-    """Mostly near, seldom where the robot stands."""
+    """Draw a place, mostly near, seldom at the robot."""
     return random.choice((random.uniform(-3.0, 3.0), random.uniform(0.5, 2.0), _some(random, 1.0)))
 
 

@@ -30,7 +30,7 @@ DT = 0.0202
 
 
 def random_correction(seed=0, size=0.02, units=5):
-    """For the four states of an SM; what it adds in a sample is some hundredths of their usual size."""
+    """Draw a correction for the four states of an SM; it adds some hundredths of their usual size in a sample."""
     random = np.random.default_rng(seed)
     root = np.eye(6) + 0.2 * random.normal(size=(6, 6))
     scale = np.array([0.5, 0.05, 0.8, 0.02, 0.5, 0.8])
@@ -49,13 +49,13 @@ numbers = st.lists(st.floats(-3, 3), min_size=6, max_size=6).map(np.array)
 
 
 def by_hand(commands, past):
-    """The definition, number by number."""
+    """Evaluate the definition, number by number."""
     c, line, x, outputs = MODEL.correction, np.vstack([past, commands]), np.zeros(4), []
     for k in range(len(commands)):
         outputs.append(LINEAR.C @ x)
-        at = [k + len(past) - int(delay) for delay in LINEAR.delay]
-        recent = np.array([line[row, j] for j, row in enumerate(at)])
-        older = np.array([line[row - 1, j] for j, row in enumerate(at)])
+        rows = [k + len(past) - int(delay) for delay in LINEAR.delay]
+        recent = np.array([line[row, j] for j, row in enumerate(rows)])
+        older = np.array([line[row - 1, j] for j, row in enumerate(rows)])
         z = np.array([*x, *recent]) / c.scale
         distance = sum(z[i] * c.shape[i, j] * z[j] for i in range(6) for j in range(6))
         past_full = min(max((distance - c.full) / (c.least - c.full), 0.0), 1.0)
@@ -75,7 +75,7 @@ def distance(z):
 
 
 def stepped(model, x, recent):
-    """One step with commands that were held."""
+    """Compute one step with commands that were held."""
     window = np.tile(recent, model.memory + 1)
     return np.asarray(model.step(x, window)).ravel()
 
@@ -87,9 +87,9 @@ def linear_step(x, recent):
 def test_it_computes_its_definition():
     random = np.random.default_rng(0)
     past, commands = random.normal(size=(MODEL.memory, 2)), np.repeat(random.normal(size=(30, 2)), 5, axis=0)
-    found = MODEL.simulate(commands, past=past)
-    assert found == pytest.approx(by_hand(commands, past), abs=1e-12)
-    assert np.abs(found - LINEAR.simulate(commands, past=past)).max() > 0.02, "else the network says nothing"
+    output = MODEL.simulate(commands, past=past)
+    assert output == pytest.approx(by_hand(commands, past), abs=1e-12)
+    assert np.abs(output - LINEAR.simulate(commands, past=past)).max() > 0.02, "else the network says nothing"
 
 
 def test_its_gradient_is_that_of_differences():
@@ -97,15 +97,15 @@ def test_its_gradient_is_that_of_differences():
     x, window = ca.SX.sym("x", 4), ca.SX.sym("w", 2 * (MODEL.memory + 1))
     together = ca.vertcat(x, window)
     by = ca.Function("by", [together], [ca.jacobian(MODEL.step(x, window), together)])
-    random, seen = np.random.default_rng(1), set()
+    random, regions = np.random.default_rng(1), set()
     for size in np.geomspace(0.1, 6.0, 20):
         at = size * random.normal(size=together.numel()) * 0.5
         at[:4] *= MODEL.correction.scale[:4]
         slopes = differences(lambda point: MODEL.step(point[:4], point[4:]).full(), at)
         assert by(at).full() == pytest.approx(slopes, abs=1e-6)
         recent = [at[4:][2 * (MODEL.memory - int(delay)) + j] for j, delay in enumerate(LINEAR.delay)]
-        seen.add(int(np.digitize(distance(features(at[:4], recent)), [9.0, 36.0])))
-    assert seen == {0, 1, 2}
+        regions.add(int(np.digitize(distance(features(at[:4], recent)), [9.0, 36.0])))
+    assert regions == {0, 1, 2}
 
 
 @given(numbers, st.floats(1.0, 50.0))
@@ -139,11 +139,11 @@ def test_its_file_brings_it_back_and_is_the_same_each_time(tmp_path):
     for name in ("one", "other"):
         write_hybrid(tmp_path / f"{name}.yaml", content())
     assert (tmp_path / "one.yaml").read_bytes() == (tmp_path / "other.yaml").read_bytes()
-    found = load_model(tmp_path / "one.yaml")
-    assert isinstance(found, HybridModel)
+    loaded = load_model(tmp_path / "one.yaml")
+    assert isinstance(loaded, HybridModel)
     commands = np.repeat(np.random.default_rng(3).normal(size=(10, 2)), 8, axis=0)
-    assert found.simulate(commands) == pytest.approx(MODEL.simulate(commands), abs=1e-6)
-    assert found.provenance["source"] == "random numbers"
+    assert loaded.simulate(commands) == pytest.approx(MODEL.simulate(commands), abs=1e-6)
+    assert loaded.provenance["source"] == "random numbers"
     assert load_base_effects(tmp_path / "one.yaml") == load_base_effects("ssm")
 
 
@@ -180,7 +180,7 @@ def test_what_a_hybrid_cannot_do_is_said(tmp_path):
 
 
 def sagging(seed, seconds, lag=0.2, sag=0.5, dt=0.04):
-    """Readings of a robot whose motors share a weak supply: each channel loses gain by the command of the other."""
+    """Simulate a robot whose motors share a weak supply: each channel loses gain by the command of the other."""
     random = np.random.default_rng(seed)
     commands = np.repeat(random.uniform(-1, 1, (round(seconds / 0.8), 2)), round(0.8 / dt), axis=0)
     settled, twist = commands * (1.0 - sag * np.abs(commands[:, ::-1])), np.zeros_like(commands)
@@ -197,12 +197,12 @@ def quick(monkeypatch):
 
 def test_it_learns_what_no_linear_model_can_say(quick):
     data = data_of(sagging(1, 60.0), sagging(2, 60.0))
-    found = compare_models(data, ["sm", "hybrid"], parts=2)
-    linear, hybrid = found.scores[1:]
+    comparison = compare_models(data, ["sm", "hybrid"], parts=2)
+    linear, hybrid = comparison.scores[1:]
     assert hybrid.states == linear.states == 4
-    left = [100.0 - found.fits(one) for one in (linear, hybrid)]
+    left = [100.0 - comparison.fits(score) for score in (linear, hybrid)]
     assert (left[1] < 0.6 * left[0]).all()
-    assert found.recommended.kind == "hybrid"
+    assert comparison.recommended.kind == "hybrid"
 
 
 def test_from_a_log_to_a_hybrid_that_a_controller_loads(quick, tmp_path):
@@ -212,14 +212,14 @@ def test_from_a_log_to_a_hybrid_that_a_controller_loads(quick, tmp_path):
     log = write_csv(tmp_path / "drive.csv", columns)
     sides = "encoders: {v: v, omega: omega_wheels}, gyro: {yaw_rate: gyro}"
     write_mapping(tmp_path / "map.yaml", f"columns: {{time: t, command: {{v: v_ref, omega: omega_ref}}, {sides}}}\n")
-    found = identify(log, tmp_path / "map.yaml", "hybrid")
-    report = found.report
+    identification = identify(log, tmp_path / "map.yaml", "hybrid")
+    report = identification.report
     assert report.as_json()["model"] == "hybrid"
     assert "Parameters of the linear model beside a linear model with a network" in report.markdown()
     assert "chosen on held-out blocks" in report.markdown()
     other = report.fitted.predictor.refitted(report.data.validation, "gyro")
     assert isinstance(other, HybridModel)
-    assert check_written(found, tmp_path / "mine", 1e-5).dt == 0.04
+    assert check_written(identification, tmp_path / "mine", 1e-5).dt == 0.04
 
 
 def test_without_the_extra_one_line_says_what_to_install(tmp_path, monkeypatch):
@@ -227,5 +227,5 @@ def test_without_the_extra_one_line_says_what_to_install(tmp_path, monkeypatch):
     with pytest.raises(MissingPackageError) as refused:
         identify(tmp_path / "never read.csv", None, "hybrid")
     assert str(refused.value) == "training a hybrid needs JAX: pip install 'diffdrive-mpc[learn]'"
-    with pytest.raises(ConfigError, match="they stand around an sm, not an hybrid"):
+    with pytest.raises(ConfigError, match="they belong to an sm, not an hybrid"):
         identify(tmp_path / "never read.csv", None, "hybrid", effects=True)

@@ -22,14 +22,14 @@ def no_fifth_order(monkeypatch):
 @pytest.mark.long
 def test_two_decoupled_channels_are_an_sm_and_nothing_more():
     truth = two_channels((0.95, 14.0, 0.9), (0.6, 18.0, 1.0))
-    found = compare_models(data_of(*(noisy_drive(truth, seed, 700) for seed in (1, 2))), ["sm", "ssm"], parts=2)
-    assert found.recommended.kind == "sm"
-    assert [one.kind for one in found.scores] == [NO_MODEL, "sm", "ssm"]
-    low, high = found.gain(found.scores[2], found.recommended)
+    comparison = compare_models(data_of(*(noisy_drive(truth, seed, 700) for seed in (1, 2))), ["sm", "ssm"], parts=2)
+    assert comparison.recommended.kind == "sm"
+    assert [score.kind for score in comparison.scores] == [NO_MODEL, "sm", "ssm"]
+    low, high = comparison.gain(comparison.scores[2], comparison.recommended)
     assert low <= 0.0
     assert high < 1.0
-    assert found.gain(found.scores[0], found.recommended)[1] < -5.0
-    assert found.sentence().startswith("sm: ssm is ")
+    assert comparison.gain(comparison.scores[0], comparison.recommended)[1] < -5.0
+    assert comparison.sentence().startswith("sm: ssm is ")
 
 
 @pytest.mark.long
@@ -38,19 +38,19 @@ def test_channels_that_disturb_each_other_are_an_ssm(monkeypatch):
     monkeypatch.setattr(ssm, "LARGEST_ORDER", 2)
     model = published_ssm()
     model.C[0, 1], model.C[1, 0] = 10 * model.C[0, 1], 10 * model.C[1, 0]
-    found = compare_models(
+    comparison = compare_models(
         data_of(*(noisy_drive(model, seed, 700, noise=(0.003, 0.01)) for seed in (1, 2))), ["sm", "ssm"], parts=2
     )
-    assert found.recommended.kind == "ssm"
+    assert comparison.recommended.kind == "ssm"
 
 
 @pytest.mark.long
 def test_a_base_that_limits_slopes_is_an_sm_with_effects():
     effects = BaseEffects(twist_slew=TwistSlew(v=0.8, omega=1.5))
     records = [record_of(effects, seed, 30.0, noise=0.3) for seed in (1, 2)]
-    found = compare_models(data_of(*records), ["sm", "sm+effects"], parts=2)
-    assert found.recommended.kind == "sm+effects"
-    assert "sm is worse by" in found.sentence()
+    comparison = compare_models(data_of(*records), ["sm", "sm+effects"], parts=2)
+    assert comparison.recommended.kind == "sm+effects"
+    assert "sm is worse by" in comparison.sentence()
 
 
 def scored(kind, powers, failure=""):
@@ -67,14 +67,14 @@ def test_the_interval_is_that_of_the_blocks():
     once[7] = 0.0
     by_one = scored("mbm", once)
     broken = scored("sm+effects", np.empty((0, 2)), "too few rows")
-    found = ModelComparison((base, everywhere, by_one, broken), weights, spread, 2, 5.0)
-    assert found.fits(base) == pytest.approx([80.0, 80.0])
-    assert found.gain(everywhere, base) == pytest.approx(2 * [100 * (0.2 - np.sqrt(0.03))])
-    low, high = found.gain(by_one, base)
+    comparison = ModelComparison((base, everywhere, by_one, broken), weights, spread, 2, 5.0)
+    assert comparison.fits(base) == pytest.approx([80.0, 80.0])
+    assert comparison.gain(everywhere, base) == pytest.approx(2 * [100 * (0.2 - np.sqrt(0.03))])
+    low, high = comparison.gain(by_one, base)
     assert low < 0.0 < high
-    assert found.recommended is everywhere
-    assert "sm+effects was not found: too few rows" in found.sentence()
-    assert [row[0] for row in found.table().rows] == ["sm", "ssm *", "mbm", "sm+effects"]
+    assert comparison.recommended is everywhere
+    assert "sm+effects was not found: too few rows" in comparison.sentence()
+    assert [row[0] for row in comparison.table().rows] == ["sm", "ssm *", "mbm", "sm+effects"]
 
 
 @pytest.mark.parametrize(

@@ -32,7 +32,7 @@ DT = 0.0202
 
 
 def random_network(seed=0, scale=0.4, **kind):
-    """A network that nobody trained; its outputs grow with the commands, as a robot's do."""
+    """Draw an untrained network; its outputs grow with the commands, as a robot's do."""
     architecture, random = Architecture(**kind), np.random.default_rng(seed)
     weights = {
         name: random.normal(size=shape) * (scale if len(shape) > 1 else 0.2)
@@ -47,7 +47,7 @@ def random_network(seed=0, scale=0.4, **kind):
 
 
 def network_gain(network, step=1e-5):
-    """(2, 2) what each input's small command for ever adds to the outputs, by input."""
+    """Compute (2, 2) changes of the outputs by a small constant command at each input, by input."""
     held = np.array([np.tile(step * unit, (network.architecture.window, 1)) for unit in (*np.eye(2), *-np.eye(2))])
     says = network(held)
     return (says[:2] - says[2:]) / (2 * step)
@@ -65,7 +65,7 @@ def write(path, network):
 
 
 def one_window(network, window):
-    """The textbook's equations, unit by unit."""
+    """Evaluate the textbook's equations, unit by unit."""
     w, n = network.weights, network.architecture.units
 
     def squash(x):
@@ -95,9 +95,9 @@ def test_its_graph_and_its_gradient_are_those_of_its_numbers(kind):
     says = network(window[None])[0] - network.at_rest
     assert model.step([9.0, 9.0], window.ravel()).full().ravel() == pytest.approx(says, abs=1e-13)
     symbol = ca.MX.sym("window", 14)
-    found = ca.Function("by", [symbol], [ca.jacobian(model.step(ca.MX(2, 1), symbol), symbol)])(window.ravel()).full()
+    result = ca.Function("by", [symbol], [ca.jacobian(model.step(ca.MX(2, 1), symbol), symbol)])(window.ravel()).full()
     slopes = differences(lambda point: network(point.reshape(1, 7, 2)), window.ravel())
-    assert found == pytest.approx(slopes, abs=1e-8)
+    assert result == pytest.approx(slopes, abs=1e-8)
 
 
 def test_the_model_rests_and_its_gain_is_that_of_small_commands():
@@ -112,11 +112,11 @@ def test_its_file_brings_it_back_and_is_the_same_each_time(tmp_path):
     for name in ("one", "other"):
         write(tmp_path / f"{name}.yaml", network)
     assert (tmp_path / "one.npz").read_bytes() == (tmp_path / "other.npz").read_bytes()
-    found = load_model(tmp_path / "one.yaml")
+    loaded = load_model(tmp_path / "one.yaml")
     windows = np.random.default_rng(4).normal(size=(5, 20, 2))
     # It is kept in the precision that it is trained in.
-    assert found.network(windows) == pytest.approx(network(windows), abs=1e-5)
-    assert found.provenance["source"] == "random numbers"
+    assert loaded.network(windows) == pytest.approx(network(windows), abs=1e-5)
+    assert loaded.provenance["source"] == "random numbers"
     assert load_base_effects(tmp_path / "one.yaml") == load_base_effects("ssm")
 
 
@@ -158,18 +158,18 @@ def step(request, tmp_path_factory):
 
 def call(step, model, window, gradient=True):
     function, kind = step
-    own = model.compiled_step
-    given = [np.array(part, dtype=kind) for part in (np.zeros(2), window, own.parameters)]
+    compiled = model.compiled_step
+    inputs = [np.array(part, dtype=kind) for part in (np.zeros(2), window, compiled.parameters)]
     after, by_x, by_window = np.full(2, 7, kind), np.full(4, 7, kind), np.full(np.size(window) * 2, 7, kind)
     # What lies behind its memory must stay as it is.
-    work = np.full(own.work + 64, 1e30, dtype=kind)
+    work = np.full(compiled.work + 64, 1e30, dtype=kind)
     pointer = ctypes.POINTER(ctypes.c_double if kind is np.float64 else ctypes.c_float)
-    arguments = (pointer * 3)(*(part.ctypes.data_as(pointer) for part in given))
+    arguments = (pointer * 3)(*(part.ctypes.data_as(pointer) for part in inputs))
     results = (pointer * 3)(after.ctypes.data_as(pointer))
     if gradient:
         results[1], results[2] = by_x.ctypes.data_as(pointer), by_window.ctypes.data_as(pointer)
     function(arguments, results, None, work.ctypes.data_as(pointer), 0)
-    assert (work[own.work :] == kind(1e30)).all()
+    assert (work[compiled.work :] == kind(1e30)).all()
     return after, by_x, by_window.reshape(-1, 2).T
 
 
@@ -220,7 +220,7 @@ SHORT = training_settings().model_copy(update={"most_epochs": 3, "dropout": 0.0,
 
 
 def saturating_drive(seed, count=3000, dt=0.05):
-    """A lag whose gain falls with the command, which no linear model has."""
+    """Simulate a lag whose gain falls with the command, which no linear model has."""
     random = np.random.default_rng(seed)
     commands = np.repeat(random.uniform(-1, 1, (count // 10, 2)), 10, axis=0)
     twist = np.zeros((count, 2))
@@ -250,27 +250,31 @@ def test_the_windows_are_the_commands_before_each_reading():
 
 
 def test_it_learns_what_no_linear_model_can_say():
-    found = trained()
+    trained_network = trained()
     other = windows_of([saturating_drive(1)], SMALL.window)
     flat = np.hstack([other.commands.reshape(len(other), -1), np.ones((len(other), 1))])
     best = np.linalg.lstsq(flat, other.twists, rcond=None)[0]
     linear = np.sqrt(np.mean((flat @ best - other.twists) ** 2, axis=0))
-    assert (rmse(found.network, other) < 0.7 * linear).all(), "the linear one was even fitted to these drives"
-    assert fit_percent(found.network, other).min() > 90.0
-    assert found.losses[found.best_step // 20] == found.losses.min() < 0.1 * found.losses[0]
+    assert (rmse(trained_network.network, other) < 0.7 * linear).all(), "the linear one was even fitted to these drives"
+    assert fit_percent(trained_network.network, other).min() > 90.0
+    assert (
+        trained_network.losses[trained_network.best_step // 20]
+        == trained_network.losses.min()
+        < 0.1 * trained_network.losses[0]
+    )
 
 
 def test_a_seed_gives_the_same_weights_and_another_one_others():
-    one, same, other = (trained(seed, most_epochs=1).network.weights for seed in (3, 3, 4))
-    assert all(np.array_equal(one[name], same[name]) for name in one)
-    assert not np.array_equal(one["dense"], other["dense"])
+    first, same, second = (trained(seed, most_epochs=1).network.weights for seed in (3, 3, 4))
+    assert all(np.array_equal(first[name], same[name]) for name in first)
+    assert not np.array_equal(first["dense"], second["dense"])
 
 
 def test_from_a_log_to_a_network_that_a_controller_loads(tmp_path):
     write_mapping(tmp_path / "map.yaml")
     log = write_csv(tmp_path / "drive.csv", drive(seconds=120.0))
-    found = identify(log, tmp_path / "map.yaml", "lstm")
-    assert found.report.fitted.validation.fit_percent.min() > 80.0
-    assert "LSTM from drive.csv" in found.report.markdown()
-    model = check_written(found, tmp_path / "mine", 1e-5)
+    identification = identify(log, tmp_path / "map.yaml", "lstm")
+    assert identification.report.fitted.validation.fit_percent.min() > 80.0
+    assert "LSTM from drive.csv" in identification.report.markdown()
+    model = check_written(identification, tmp_path / "mine", 1e-5)
     assert model.dt == 0.02 and model.network.architecture == Architecture()

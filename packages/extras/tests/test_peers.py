@@ -59,8 +59,8 @@ def test_it_slows_down_in_proportion_to_the_radius_but_not_below_its_least(radiu
 def test_on_approach_it_slows_down_with_the_distance(left):
     x = 4.0 - left
     follower = law(straight())
-    for at in (1.0, 2.0, 3.0, x):
-        v = follower.decide(np.array([at, 0.0, 0.0]), STILL)
+    for place in (1.0, 2.0, 3.0, x):
+        v = follower.decide(np.array([place, 0.0, 0.0]), STILL)
     assert v[0] == pytest.approx(P.desired_linear_vel * left / P.approach_velocity_scaling_dist)
 
 
@@ -79,10 +79,10 @@ def test_at_the_goal_it_turns_to_its_heading_and_ends():
     path = straight(heading=0.0)
     path[-1, 2] = 1.0
     follower = law(path)
-    for at in (1.0, 2.0, 3.0):
-        follower.decide(np.array([at, 0.0, 0.0]), STILL)
-    here = np.array([3.8, 0.0, 0.0])
-    v, omega = follower.decide(here, np.array([0.0, 1.0]))
+    for place in (1.0, 2.0, 3.0):
+        follower.decide(np.array([place, 0.0, 0.0]), STILL)
+    pose = np.array([3.8, 0.0, 0.0])
+    v, omega = follower.decide(pose, np.array([0.0, 1.0]))
     assert v == 0.0
     assert omega > 0.0
     # Slower, the less there is to turn, so that it can be stopped from.
@@ -137,10 +137,10 @@ def test_the_law_is_that_of_the_paper() -> None:
     arc = Arc(duration=100.0)
     controller = KanayamaController()
     controller.start(arc, 0.0)
-    here = arc.sample([50.0]).pose[0]
-    heading = here[2] - 0.1
+    pose = arc.sample([50.0]).pose[0]
+    heading = pose[2] - 0.1
     ahead, left = np.array([np.cos(heading), np.sin(heading)]), np.array([-np.sin(heading), np.cos(heading)])
-    position = here[:2] - 0.02 * ahead - 0.01 * left
+    position = pose[:2] - 0.02 * ahead - 0.01 * left
     measurement = Measurement(pose=Stamped(np.array([*position, heading]), 50.0))
     for k in range(50):  # until slew no longer binds
         command = controller.step(50.0 + 0.02 * k, measurement).command

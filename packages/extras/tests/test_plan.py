@@ -42,7 +42,7 @@ SPEED = 0.4
 
 
 def floor(name, radius, outer, inner, *, drive=MOTORS, slip=None):
-    """A floor with the torques of both sides [N m] at each turning radius [m]."""
+    """Build a floor with the torques of both sides [N m] at each turning radius [m]."""
     columns = {"radius": radius, "outer": outer, "inner": inner}
     columns = {name: tuple(values.tolist()) for name, values in columns.items()}
     curve = TorqueTable(**columns, speed=SPEED, speed_exponent=0.0)
@@ -51,14 +51,14 @@ def floor(name, radius, outer, inner, *, drive=MOTORS, slip=None):
 
 
 def stiff(least, slip=None):
-    """A floor on which the outer side is at its limit below a radius, and asks less the wider the turn."""
+    """Build a floor on which the outer side is at its limit below a radius, and needs less torque in wider turns."""
     radius = np.geomspace(0.2, 500.0, 60)
     turn = np.minimum(4.6, 0.95 * 4.6 * (least / radius) ** 1.2)
     return floor(f"least radius {least:g} m", radius, (turn + 0.2).clip(max=4.6), 0.22 - turn, slip=slip)
 
 
 def sliding(slip=None):
-    """Dry friction: every turn asks the same torques, nothing is given back, and nothing is lost in windings."""
+    """Build a floor with dry friction: every turn needs the same torques, without regeneration and losses."""
     radius = np.geomspace(0.02, 2000.0, 80)
     turn = np.where(radius < 100.0, 2.0, 2.0 * (100.0 / radius))
     inner = np.where(radius < 0.195, -0.21, 0.21) - turn
@@ -67,11 +67,11 @@ def sliding(slip=None):
 
 
 def dubins(start, goal, radius):
-    """Length of the shortest way of bounded curvature: the six words in the closed form of Shkel and Lumelsky, 2001."""
+    """Compute the length of the shortest way of bounded curvature by the six words of Shkel and Lumelsky, 2001."""
     dx, dy = (np.asarray(goal) - start)[:2] / radius
     far, toward = np.hypot(dx, dy), np.arctan2(dy, dx)
     whole = lambda angle: np.mod(angle, 2 * np.pi)  # noqa: E731
-    found = []
+    results = []
     # Words that begin with a turn to the left, and their mirror images.
     for side in (1, -1):
         a, b = whole(side * (start[2] - toward)), whole(side * (goal[2] - toward))
@@ -79,22 +79,22 @@ def dubins(start, goal, radius):
         square = 2 + far**2 - 2 * cab + 2 * far * (sa - sb)
         if square >= 0:
             t = np.arctan2(cb - ca, far + sa - sb)
-            found.append(whole(t - a) + np.sqrt(square) + whole(b - t))
+            results.append(whole(t - a) + np.sqrt(square) + whole(b - t))
         square = -2 + far**2 + 2 * cab + 2 * far * (sa + sb)
         if square >= 0:
             p = np.sqrt(square)
             t = np.arctan2(-ca - cb, far + sa + sb) - np.arctan2(-2.0, p)
-            found.append(whole(t - a) + p + whole(t - b))
+            results.append(whole(t - a) + p + whole(t - b))
         bent = (6 - far**2 + 2 * cab - 2 * far * (sa - sb)) / 8
         if abs(bent) <= 1:
             p = whole(2 * np.pi - np.arccos(bent))
             t = whole(np.arctan2(cb - ca, far + sa - sb) - a + p / 2)
-            found.append(t + p + whole(b - a - t + p))
-    return radius * min(found)
+            results.append(t + p + whole(b - a - t + p))
+    return radius * min(results)
 
 
 def dense_energy(costs, start, goal, radii):
-    """Least energy of arc-straight-arc over pairs of radii, each by forward integration: slow and plain."""
+    """Compute the least energy of arc-straight-arc over pairs of radii by forward integration: slow and simple."""
     best, chosen = np.inf, None
     power = lambda v, w: float(costs.power([[v, w]])[0])  # noqa: E731
     straight = power(SPEED, 0.0) / SPEED
@@ -141,18 +141,18 @@ def inputs_of(costs, commands, minimise="energy"):
 
 
 def ends_of(inputs, words, poses):
-    at = poses[words.start]
+    ends = poses[words.start]
     for piece in range(3):
-        at = placed(at, inputs.moved(words.inputs[:, piece], words.times[:, piece]))
-    return at
+        ends = placed(ends, inputs.moved(words.inputs[:, piece], words.times[:, piece]))
+    return ends
 
 
 @given(goal=goals)
 @settings(max_examples=40, deadline=None)
 def test_without_slip_the_shortest_way_is_that_of_dubins(goal):
     costs = stiff(1.0)
-    found = searched(costs, goal)
-    assert found.cost == pytest.approx(dubins(ORIGIN, goal, sharpest_radius(costs, SPEED, SETTINGS)), rel=1e-9)
+    result = searched(costs, goal)
+    assert result.cost == pytest.approx(dubins(ORIGIN, goal, sharpest_radius(costs, SPEED, SETTINGS)), rel=1e-9)
 
 
 def test_every_way_of_three_pieces_ends_where_it_should():
@@ -182,9 +182,9 @@ def test_on_dry_friction_the_best_arcs_have_half_the_track_as_commanded_radius(g
     best = np.argmin(words.costs)
     for one in words.inputs[best, [0, 2]]:
         assert abs(inputs.commands[one, 0] / inputs.commands[one, 1]) == pytest.approx(HALF)
-    found = searched(costs, goal, "energy")
-    assert found.cost <= words.costs[best] * 1.0001
-    arcs = [one for one in found.pieces if abs(one.omega) > 0.05]
+    result = searched(costs, goal, "energy")
+    assert result.cost <= words.costs[best] * 1.0001
+    arcs = [one for one in result.pieces if abs(one.omega) > 0.05]
     assert arcs and all(abs(one.radius) == pytest.approx(HALF) for one in arcs)
 
 
@@ -193,8 +193,8 @@ def test_the_energy_is_that_of_a_dense_search(goal):
     costs = stiff(0.8)
     sharp = sharpest_radius(costs, SPEED, SETTINGS)
     dense, _ = dense_energy(costs, ORIGIN, np.array(goal), np.geomspace(sharp, 30 * sharp, 25))
-    found = searched(costs, goal, "energy")
-    assert found.bound <= found.cost <= 1.06 * dense
+    result = searched(costs, goal, "energy")
+    assert result.bound <= result.cost <= 1.06 * dense
     # Smooth turns of changing radius cost less than the best of two arcs, ramps and all.
     assert plan(costs, ORIGIN, goal).energy < dense
 
@@ -214,16 +214,16 @@ def test_what_is_left_is_never_said_to_be_more_than_it_is(goal, minimise):
 def test_each_plan_is_the_least_of_what_it_is_for_and_can_be_driven(name, goal):
     costs = load_turn_costs(f"fsu_bot-{name}")
     plans = plan_each(costs, ORIGIN, goal)
-    for objective, one in plans.items():
-        for other in plans.values():
-            assert one.amount(objective) <= other.amount(objective) * 1.0005
-        assert one.status == "polished"
-        assert driven(costs, one.commands, ORIGIN, one.sample_time)[-1] == pytest.approx(goal, abs=1e-7)
-        sample = one.trajectory.sample([0.0, one.duration])
+    for objective, best in plans.items():
+        for rival in plans.values():
+            assert best.amount(objective) <= rival.amount(objective) * 1.0005
+        assert best.status == "polished"
+        assert driven(costs, best.commands, ORIGIN, best.sample_time)[-1] == pytest.approx(goal, abs=1e-7)
+        sample = best.trajectory.sample([0.0, best.duration])
         assert sample.pose == pytest.approx(np.array([ORIGIN, goal]), abs=1e-7)
-        assert one.energy == pytest.approx(costs.power(one.commands).sum() * one.sample_time)
-        v, omega = one.commands.T
-        rise = np.abs(np.diff(np.concatenate([[[0, 0]], one.commands, [[0, 0]]]), axis=0)) / one.sample_time
+        assert best.energy == pytest.approx(costs.power(best.commands).sum() * best.sample_time)
+        v, omega = best.commands.T
+        rise = np.abs(np.diff(np.concatenate([[[0, 0]], best.commands, [[0, 0]]]), axis=0)) / best.sample_time
         assert v.max() <= SPEED * 1.001 and v.min() >= 0
         assert rise[:, 0].max() <= SETTINGS.motion.acceleration * 1.01
         assert rise[:, 1].max() <= SETTINGS.motion.yaw_acceleration * 1.1
@@ -234,30 +234,30 @@ def test_each_plan_is_the_least_of_what_it_is_for_and_can_be_driven(name, goal):
 @settings(max_examples=3, deadline=None)
 def test_the_plan_does_not_depend_on_the_frame(x, y, turn):
     costs, goal = load_turn_costs("fsu_bot-carpet"), np.array([5.0, 2.0, 0.5])
-    begin = np.array([x, y, turn])
-    moved = plan(costs, begin, placed(begin, goal))
+    start = np.array([x, y, turn])
+    moved = plan(costs, start, placed(start, goal))
     usual = plan(costs, ORIGIN, goal)
     assert moved.energy == pytest.approx(usual.energy, rel=2e-3)
-    assert moved.poses[-1][:2] == pytest.approx(placed(begin, goal)[:2], abs=1e-6)
+    assert moved.poses[-1][:2] == pytest.approx(placed(start, goal)[:2], abs=1e-6)
 
 
 def test_it_keeps_clear_of_what_stands_there():
     costs = load_turn_costs("fsu_bot-slippery")
     discs = [MovingDisc(3.0, 0.2, 0.15), MovingDisc(4.5, -0.4, 0.15)]
     box = np.array([[2.0, 0.9], [5.0, 0.9], [5.0, 1.2], [2.0, 1.2]])
-    found = plan(costs, ORIGIN, (7.0, 0.0, 0.0), obstacles=Surroundings(polygons=[box], discs=discs))
+    result = plan(costs, ORIGIN, (7.0, 0.0, 0.0), obstacles=Surroundings(polygons=[box], discs=discs))
     # Points all along the outline of the robot, by their own distances.
     low, high = outline(BOT).corners.min(0), outline(BOT).corners.max(0)
     side = np.linspace(0, 1, 12)[:, None]
     corners = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
     ring = np.concatenate([a + side * (b - a) for a, b in zip(corners, np.roll(corners, -1, 0), strict=True)])
-    for pose in found.poses[::5]:
+    for pose in result.poses[::5]:
         points = placed(np.tile(pose, (len(ring), 1)), np.column_stack([ring, np.zeros(len(ring))]))[:, :2]
         for disc in discs:
             assert np.hypot(*(points - (disc.x, disc.y)).T).min() - disc.radius >= SETTINGS.motion.margin - 1e-3
         beyond = np.maximum(np.maximum(box.min(0) - points, points - box.max(0)), 0)
         assert np.hypot(*beyond.T).min() >= SETTINGS.motion.margin - 1e-3
-    assert found.energy > plan(costs, ORIGIN, (7.0, 0.0, 0.0)).energy
+    assert result.energy > plan(costs, ORIGIN, (7.0, 0.0, 0.0)).energy
 
 
 def test_driving_backward_and_turning_on_the_spot_open_ways():
@@ -270,9 +270,9 @@ def test_driving_backward_and_turning_on_the_spot_open_ways():
 
 def test_where_the_polish_does_not_finish_it_says_so_and_the_plan_still_ends_at_the_goal():
     hurried = SETTINGS.model_copy(update={"polish": SETTINGS.polish.model_copy(update={"iterations": 1})})
-    found = plan(load_turn_costs("fsu_bot-grippy"), ORIGIN, (6.0, 3.0, 0.5), settings=hurried)
-    assert found.status in ("unfinished", "search") and "Maximum_Iterations_Exceeded" in found.solver
-    assert found.poses[-1] == pytest.approx([6.0, 3.0, 0.5], abs=1e-6)
+    loaded = plan(load_turn_costs("fsu_bot-grippy"), ORIGIN, (6.0, 3.0, 0.5), settings=hurried)
+    assert loaded.status in ("unfinished", "search") and "Maximum_Iterations_Exceeded" in loaded.solver
+    assert loaded.poses[-1] == pytest.approx([6.0, 3.0, 0.5], abs=1e-6)
 
 
 BOX = np.array([[4.0, -1.0], [6.0, -1.0], [6.0, 1.0], [4.0, 1.0]])
@@ -314,8 +314,8 @@ def written(tmp_path_factory):
 
 def test_the_trajectory_goes_from_pose_to_pose(written):
     path = load_trajectory(written / "trajectory.csv")
-    begin, end = path.sample([0.0, path.duration]).pose
-    assert begin == pytest.approx([1.0, -1.0, math.pi / 2], abs=1e-6)
+    start, end = path.sample([0.0, path.duration]).pose
+    assert start == pytest.approx([1.0, -1.0, math.pi / 2], abs=1e-6)
     assert end[:2] == pytest.approx([-4.0, 6.0], abs=1e-6)
     assert math.cos(end[2]) == pytest.approx(-1.0)
     way = path.sample(np.linspace(0, path.duration, 2000)).pose

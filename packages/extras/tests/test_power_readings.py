@@ -129,7 +129,7 @@ FLOORS = [("fsu_bot", "default"), ("fsu_bot", "slippery"), ("default", "default"
 
 
 class TorqueDrive(NamedTuple):
-    """What happened, n ticks; the physics does not depend on what is read."""
+    """Motion and torques of n ticks; the physics does not depend on the readings."""
 
     dt: float
     command: FloatArray
@@ -153,7 +153,7 @@ def driven(plant: MujocoPlant, commands: FloatArray) -> TorqueDrive:
 
 
 def record(drive: TorqueDrive, constants: DriveConstants, seed: int, battery: Battery | None = None) -> Record:
-    """What a log of the drive holds with sensors of power, for a robot with these constants."""
+    """Build the record of a log of the drive with sensors of power, for a robot with these constants."""
     reads = PowerReadings(power_sensor(), battery or Battery(voltage=16.8, resistance=0.1), constants, seed)
     rows = []
     for motors in drive.motors:
@@ -166,7 +166,7 @@ def record(drive: TorqueDrive, constants: DriveConstants, seed: int, battery: Ba
 
 
 def drawn(usual: DriveConstants, rng: np.random.Generator) -> DriveConstants:
-    """Constants of another robot with the same gears: a half to twice, and a computer of 2 to 20 W."""
+    """Draw constants of another robot with the same gears: a half to twice, and a computer of 2 to 20 W."""
     torque, resistance = np.exp(rng.uniform(np.log(0.5), np.log(2.0), 2))
     changes = {
         "torque_constant": usual.torque_constant * torque,
@@ -179,7 +179,7 @@ def drawn(usual: DriveConstants, rng: np.random.Generator) -> DriveConstants:
 
 
 def diagnostic(robot: str, surface: str, seed: int) -> TorqueDrive:
-    """Ten turns, half a minute."""
+    """Drive ten turns, half a minute."""
     commands = diagnostic_commands(
         (400.0, -60.0, 15.0, -8.0, 4.5, -2.8, 1.8, -1.1, 0.8, -0.6), (0.2, 0.6, 0.4), 130, 100
     )
@@ -197,12 +197,15 @@ def test_constants_are_found_from_noisy_logs_as_well_as_they_say() -> None:
                 update={name: getattr(true, name) for name in ("regeneration", "driver_efficiency")}
             )
             try:
-                found = identify_constants([record(drive, true, seed=100 * seed + k)], prior)
+                estimate = identify_constants([record(drive, true, seed=100 * seed + k)], prior)
             except ValueError as error:
                 assert "apart" in str(error)
                 continue
             errors.append(
-                [(getattr(found.constants, name) - getattr(true, name)) / found.deviation[name] for name in CONSTANTS]
+                [
+                    (getattr(estimate.constants, name) - getattr(true, name)) / estimate.deviation[name]
+                    for name in CONSTANTS
+                ]
             )
     assert len(errors) >= 12
     normalised = np.array(errors)

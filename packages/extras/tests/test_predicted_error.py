@@ -20,7 +20,7 @@ def controller():
 
 
 def drive(speed=0.4, bend=0.0, change=0.0, seconds=10.0, name="path"):
-    """A path at constant speed whose curvature is `bend` and swings by `change` [1/m]."""
+    """Build a path at constant speed whose curvature is `bend` and swings by `change` [1/m]."""
     t = np.linspace(0.0, seconds, 400)
     omega = speed * (bend + change * np.sin(2.0 * t))
     theta = np.concatenate([[0.0], np.cumsum((omega[1:] + omega[:-1]) / 2 * np.diff(t))])
@@ -54,7 +54,7 @@ def test_features_and_coefficients_are_not_negative(population):
 
 
 def along_path(predicted, direction, places):
-    """Widths at places of a path [m], each as a share of the whole path."""
+    """Return widths at places of a path [m], each given as a ratio of the whole path."""
     share = predicted.arc_length / predicted.arc_length[-1]
     return np.interp(places, share, getattr(predicted, direction).everywhere)
 

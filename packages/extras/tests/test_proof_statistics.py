@@ -47,7 +47,7 @@ class Robot:
 
     def drive(self, runs: list[Definition]) -> list[CampaignRun]:
         self.rounds += 1
-        found = []
+        results = []
         for run in reversed(runs):
             holds = True
             for name, limit in self._limits.items():
@@ -55,8 +55,8 @@ class Robot:
                 if isinstance(value, float):
                     shifted = limit - 0.01 * (run.case.seed == 2)
                     holds &= value >= limit if self._down else value <= shifted
-            found.append(driven(run, lateral_max_m=0.02 if holds else 0.08))
-        return found
+            results.append(driven(run, lateral_max_m=0.02 if holds else 0.08))
+        return results
 
 
 def search(**fields: float) -> BoundarySearch:
@@ -65,11 +65,11 @@ def search(**fields: float) -> BoundarySearch:
 
 def test_bisection_closes_in_on_where_every_seed_holds() -> None:
     robot = Robot(robot__robot__mass=17.3, sensors__pose__latency=0.2)
-    asked = {
+    searches = {
         "robot.robot.mass": search(holds=5.0, beyond=37.0, within=0.5),
         "sensors.pose.latency": search(holds=0.0, beyond=0.5, within=0.02),
     }
-    mass, latency = find_boundaries(asked, PROBE, (1, 2), robot.drive, BAND)
+    mass, latency = find_boundaries(searches, PROBE, (1, 2), robot.drive, BAND)
     assert mass.held <= 17.29 < mass.failed
     assert mass.failed - mass.held <= 0.5
     # The seed that holds less decides.
@@ -79,10 +79,10 @@ def test_bisection_closes_in_on_where_every_seed_holds() -> None:
 
 
 def test_what_never_or_always_holds_is_said_after_one_look_at_each_end() -> None:
-    asked = {"surface.friction": search(holds=0.8, beyond=2.0, within=0.05)}
-    (never,) = find_boundaries(asked, PROBE, (1,), Robot(surface__friction=0.1).drive, BAND)
+    searches = {"surface.friction": search(holds=0.8, beyond=2.0, within=0.05)}
+    (never,) = find_boundaries(searches, PROBE, (1,), Robot(surface__friction=0.1).drive, BAND)
     assert (never.held, never.failed, list(never.values)) == (None, 0.8, [0.8])
-    (always,) = find_boundaries(asked, PROBE, (1,), Robot(surface__friction=9.0).drive, BAND)
+    (always,) = find_boundaries(searches, PROBE, (1,), Robot(surface__friction=9.0).drive, BAND)
     assert (always.held, always.failed, list(always.values)) == (2.0, None, [0.8, 2.0])
 
 
@@ -92,14 +92,19 @@ def test_unsafe_runs_are_counted_and_come_first_among_the_worst() -> None:
     runs[9] = driven(PROBE.with_seed(9), completed=False, position_rmse_m=0.5, lateral_max_m=0.4)
     runs[7] = driven(PROBE.with_seed(7), completed=False, position_rmse_m=2.0, last_mode="STOPPED")
     runs[2] = driven(PROBE.with_seed(2), completed=False, error="ValueError: x", position_rmse_m=None)
-    assert [one.definition.case.seed for one in worst(runs, 3)] == [4, 2, 9]
+    assert [run.definition.case.seed for run in worst(runs, 3)] == [4, 2, 9]
     assert worst(runs, 20)[-1] is runs[7]
-    assert [is_unsafe(one) for one in runs].index(True) == 4
-    of = Outcomes.of(runs, BAND)
-    assert (of.unsafe.count, of.completed.count, of.stopped.count, of.in_band.count) == (1, 17, 1, 17)
-    said = "\n".join(facts(runs, 5))
-    assert "1 of 20 runs had an unsafe command: with 95 % confidence fewer than 21.6 %" in said
-    assert "1 runs ended in an error" in said
+    assert [is_unsafe(run) for run in runs].index(True) == 4
+    outcomes = Outcomes.of(runs, BAND)
+    assert (outcomes.unsafe.count, outcomes.completed.count, outcomes.stopped.count, outcomes.in_band.count) == (
+        1,
+        17,
+        1,
+        17,
+    )
+    text = "\n".join(facts(runs, 5))
+    assert "1 of 20 runs had an unsafe command: with 95 % confidence fewer than 21.6 %" in text
+    assert "1 runs ended in an error" in text
     unsafe = next(table for table in tables(runs, [], {}, 3, BAND) if table.title == "Unsafe commands")
     assert {row[0]: row[1:3] for row in unsafe.rows}["beyond the slew or the braking limit"] == ("3", "1 of 20")
 
@@ -107,8 +112,8 @@ def test_unsafe_runs_are_counted_and_come_first_among_the_worst() -> None:
 def test_proof_of_too_many_runs_raises_config_error(tmp_path: Path) -> None:
     proof = read_yaml(PROOF)
     axis = {"factor": "surface.slope", "low": 0.0, "high": 1.0, "steps": 100}
-    one = next(iter(proof["maps"].values()))
-    axis["factor"] = one["x"]["factor"]
+    first_map = next(iter(proof["maps"].values()))
+    axis["factor"] = first_map["x"]["factor"]
     letters = "abcdefghijklmnopqrstuvwxyz"
     proof["maps"] = {f"map-{a}{b}": {"x": axis, "y": axis} for a in letters for b in letters}
     file = tmp_path / "proof.yaml"
@@ -195,11 +200,13 @@ def test_the_tail_is_the_mean_of_the_worst_twentieth() -> None:
 
 def test_a_bootstrap_interval_is_as_wide_as_theory_says() -> None:
     values = np.random.default_rng(3).normal(5.0, 2.0, size=400)
-    found = BootstrapEstimate.of_runs(values, mean)
+    estimate = BootstrapEstimate.of_runs(values, mean)
     half = 1.96 * np.std(values) / math.sqrt(400)
-    assert found.value == pytest.approx(np.mean(values))
-    assert (found.low, found.high) == pytest.approx((found.value - half, found.value + half), abs=0.2 * half)
+    assert estimate.value == pytest.approx(np.mean(values))
+    assert (estimate.low, estimate.high) == pytest.approx(
+        (estimate.value - half, estimate.value + half), abs=0.2 * half
+    )
     assert BootstrapEstimate.of_runs(values, median).value == pytest.approx(np.median(values))
-    assert BootstrapEstimate.of_runs(values, mean) == found
+    assert BootstrapEstimate.of_runs(values, mean) == estimate
     shift = BootstrapEstimate.of_same_runs([values, values + 1.0], lambda a, b: mean(b) - mean(a))
     assert (shift.low, shift.high) == pytest.approx((1.0, 1.0))

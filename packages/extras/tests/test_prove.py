@@ -66,17 +66,17 @@ def test_a_proof_leaves_report_table_figures_and_worst_runs(
     assert {view["kind"] for view in page["views"]} == {"chart", "map"}
     table = read_table(out / "prove.parquet").to_pydict()
     assert (len(table["run"]), set(table["model"])) == (20, {"sm"})
-    found = json.loads((out / "prove.json").read_text(encoding="utf-8"))
-    assert found["rates"]["completed"]["of"] == 20
-    assert found["boundaries"][0]["tried"]["0.02"] == 2
+    results = json.loads((out / "prove.json").read_text(encoding="utf-8"))
+    assert results["rates"]["completed"]["of"] == 20
+    assert results["boundaries"][0]["tried"]["0.02"] == 2
     files = sorted((out / "worst").iterdir())
     assert [path.name for path in files] == ["01.yaml", "02.yaml", "03.yaml"]
     # The worst are the worst, and each drives again to the same figures, from where it lies.
     errors = sorted((error for error in table["position_rmse_m"]), reverse=True)
-    kept = [yaml.safe_load(path.read_text(encoding="utf-8"))["figures"]["position_rmse_m"] for path in files]
-    assert kept == errors[:3]
-    said = call("repeat", files[0], "--trust-terms", out.parent, "--log", tmp_path / "worst.csv")
-    assert "figures are those of the file, to the last bit" in " ".join(said.split())
+    errors_of_files = [yaml.safe_load(path.read_text(encoding="utf-8"))["figures"]["position_rmse_m"] for path in files]
+    assert errors_of_files == errors[:3]
+    output = call("repeat", files[0], "--trust-terms", out.parent, "--log", tmp_path / "worst.csv")
+    assert "figures are those of the file, to the last bit" in " ".join(output.split())
     assert (tmp_path / "worst.csv").stat().st_size > 0
     # A repeated proof drives nothing, and says the same.
     monkeypatch.setattr("diffdrive_mpc_extras.campaign.engine.drive", None)
@@ -91,14 +91,14 @@ def test_a_run_with_other_figures_is_said(proof: Path, tmp_path: Path) -> None:
     proof.write_text(yaml.safe_dump({key: plain[key] for key in ("description", "runs", "factors")}), encoding="utf-8")
     call("prove", "ssm", "--campaign", proof, "--out", out, "--jobs", "1", "--runs", "2", "--worst", "1")
     (path,) = (out / "worst").iterdir()
-    told = yaml.safe_load(path.read_text(encoding="utf-8"))
-    told["figures"]["position_rmse_m"] *= 1.0 + 1e-12
-    told["environment"]["numpy"] = "1.0"
-    path.write_text(yaml.safe_dump(told), encoding="utf-8")
-    said = " ".join(call("repeat", path, "--trust-terms", tmp_path, code=1).split())
-    assert "1 of " in said
-    assert "figures are other ones: position_rmse_m is" in said
-    assert "other than then: numpy (1.0, now" in said
+    content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    content["figures"]["position_rmse_m"] *= 1.0 + 1e-12
+    content["environment"]["numpy"] = "1.0"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    output = " ".join(call("repeat", path, "--trust-terms", tmp_path, code=1).split())
+    assert "1 of " in output
+    assert "figures are other ones: position_rmse_m is" in output
+    assert "other than then: numpy (1.0, now" in output
 
 
 @pytest.mark.parametrize(
@@ -115,8 +115,8 @@ def test_a_mistake_is_one_line(change: tuple[str, str], line: str, proof: Path, 
     text = proof.read_text(encoding="utf-8")
     assert change[0] in text
     proof.write_text(text.replace(*change, 1), encoding="utf-8")
-    said = call("prove", "ssm", "--campaign", proof, "--out", tmp_path / "out", code=2)
-    assert line in " ".join(said.split())
+    output = call("prove", "ssm", "--campaign", proof, "--out", tmp_path / "out", code=2)
+    assert line in " ".join(output.split())
     assert not (tmp_path / "out").exists()
 
 
@@ -124,7 +124,7 @@ def test_the_shipped_proof_can_be_driven() -> None:
     proof = load_proof(None)
     check_definitions(proof.definitions(64))
     probe = Definition.from_factors(dict(proof.probe.factors))
-    ends = [run for of in proof.maps.values() for run in map_runs(of, probe, 0)]
+    ends = [run for proof_map in proof.maps.values() for run in map_runs(proof_map, probe, 0)]
     ends += [
         probe.changed({factor: value})
         for factor, search in proof.boundaries.items()
@@ -132,5 +132,5 @@ def test_the_shipped_proof_can_be_driven() -> None:
     ]
     check_definitions(ends)
     # No seed of the probe is among those that are drawn.
-    drawn = {one.case.seed for one in proof.definitions()}
+    drawn = {definition.case.seed for definition in proof.definitions()}
     assert not drawn & set(proof.probe.seeds)

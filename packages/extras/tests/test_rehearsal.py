@@ -84,12 +84,14 @@ def test_the_correction_keeps_its_bounds_and_begins_at_nothing():
     learning = controller(max_correction=0.002, max_correction_rate=0.01, max_heading_correction=0.004)
     for _ in range(4):
         lap(learning)
-    found = learning.feature("rehearsal").learned
-    assert np.hypot(*found.correction.T[:2]).max() <= 0.002
-    assert np.hypot(*np.gradient(found.correction[:, :2], found.time, axis=0).T).max() <= 0.01 * (1 + 1e-9)
-    assert np.abs(found.correction[:, 2]).max() <= 0.004
-    assert np.abs(found.correction).max() > 0.001
-    assert not found.correction[0, :2].any()
+    learned_values = learning.feature("rehearsal").learned
+    assert np.hypot(*learned_values.correction.T[:2]).max() <= 0.002
+    assert np.hypot(*np.gradient(learned_values.correction[:, :2], learned_values.time, axis=0).T).max() <= 0.01 * (
+        1 + 1e-9
+    )
+    assert np.abs(learned_values.correction[:, 2]).max() <= 0.004
+    assert np.abs(learned_values.correction).max() > 0.001
+    assert not learned_values.correction[0, :2].any()
 
 
 class Mirrored(Drifting):
@@ -157,8 +159,8 @@ def test_false_poses_teach_nothing():
             )
         by.start(BEND, 0.0)
     assert learning.feature("rehearsal").learned.laps == 2
-    found, undisturbed = (by.feature("rehearsal").learned.correction for by in (learning, clean))
-    assert np.abs(found - undisturbed)[:, :2].max() < 0.003
+    learned_values, undisturbed = (by.feature("rehearsal").learned.correction for by in (learning, clean))
+    assert np.abs(learned_values - undisturbed)[:, :2].max() < 0.003
 
 
 def test_a_corrected_reference_moves_as_its_poses_do():
@@ -193,10 +195,10 @@ CORNER = lay_segments(
 
 
 def coefficients(floor):
-    """Those of Table 2 but for a12: its product with side-slip is a lateral term that only the controller's law has."""
-    found = np.array(load_surface(floor).slip.polynomial.coefficients)
-    found[1] = 0.0
-    return found
+    """Return those of Table 2 except a12: its product with side-slip is a lateral term only of the controller's law."""
+    loaded = np.array(load_surface(floor).slip.polynomial.coefficients)
+    loaded[1] = 0.0
+    return loaded
 
 
 def planned(floor, reference=CORNER, config=CONFIG):
@@ -204,7 +206,7 @@ def planned(floor, reference=CORNER, config=CONFIG):
 
 
 def rolled_out(floor, times, wheels, start):
-    """Poses (n, 3) of a body on this floor by the paper's law, its twist added up in a fine grid."""
+    """Integrate poses (n, 3) of a body on this floor by the paper's law, with its twist on a fine grid."""
     pieces = 20
     fine = np.linspace(0.0, times[-1], pieces * (len(times) - 1) + 1)
     inputs = np.column_stack([np.interp(fine, times, wheels[:, i]) for i in (0, 1)])
@@ -217,21 +219,21 @@ def rolled_out(floor, times, wheels, start):
 
 @pytest.mark.parametrize("floor", FLOORS)
 def test_what_is_planned_is_where_the_floor_takes_the_robot(floor):
-    found = planned(floor)
-    driven = rolled_out(floor, found.times, found.wheels, found.reference.pose[0])
+    motion = planned(floor)
+    driven = rolled_out(floor, motion.times, motion.wheels, motion.reference.pose[0])
     # Within an interval the twist is taken for its mean.
-    assert np.abs(driven - found.pose).max() < 5e-4
-    assert found.distance.max() > 0.003
+    assert np.abs(driven - motion.pose).max() < 5e-4
+    assert motion.distance.max() > 0.003
 
 
 @pytest.mark.parametrize("floor", FLOORS)
 def test_limits_are_kept(floor):
-    found, limits = planned(floor), CONFIG.limits
-    commands = found.wheels @ INVERSE_GAIN.T
-    rates = np.diff(commands, axis=0) / found.times[1]
+    motion, limits = planned(floor), CONFIG.limits
+    commands = motion.wheels @ INVERSE_GAIN.T
+    rates = np.diff(commands, axis=0) / motion.times[1]
     assert (np.abs(commands) <= np.array([limits.v, limits.omega]) + 1e-6).all()
     assert (np.abs(rates) <= np.array([limits.v_slew, limits.omega_slew]) + 1e-5).all()
-    rim = np.abs(found.wheels[:, 0]) + 0.5 * CONFIG.wheels.track * np.abs(found.wheels[:, 1])
+    rim = np.abs(motion.wheels[:, 0]) + 0.5 * CONFIG.wheels.track * np.abs(motion.wheels[:, 1])
     assert rim.max() <= limits.wheel_speed + 1e-6
 
 
@@ -247,30 +249,30 @@ def test_sides_that_the_reference_does_not_use_change_nothing():
 def test_no_motion_nearby_is_better():
     """Small changes of the wheels' twist that keep the limits never lower the cost, found by integration."""
     floor, price, rng = "p4_asphalt", rehearsal_of(CONFIG).drivable, np.random.default_rng(5)
-    found = planned(floor)
-    step, given = found.times[1], found.reference
+    motion = planned(floor)
+    step, sample = motion.times[1], motion.reference
     # What gives the reference's twist where nothing slips sideways, by Newton's method on the paper's law.
-    own = np.array(given.twist)
+    twist = np.array(sample.twist)
     for _ in range(30):
-        own += given.twist - polynomial_twist(coefficients(floor), own)[:, [0, 2]]
-    aim = given.pose[:, 2] - np.arctan(coefficients(floor)[3] / (1 + coefficients(floor)[0]))
+        twist += sample.twist - polynomial_twist(coefficients(floor), twist)[:, [0, 2]]
+    aim = sample.pose[:, 2] - np.arctan(coefficients(floor)[3] / (1 + coefficients(floor)[0]))
 
     def cost(wheels):
-        pose = rolled_out(floor, found.times, wheels, given.pose[0])
-        off, turned = np.sum((pose - given.pose)[1:, :2] ** 2, axis=1), (pose[:, 2] - aim)[1:] ** 2
-        beside = np.diff(wheels - own, axis=0) / step
+        pose = rolled_out(floor, motion.times, wheels, sample.pose[0])
+        off, turned = np.sum((pose - sample.pose)[1:, :2] ** 2, axis=1), (pose[:, 2] - aim)[1:] ** 2
+        beside = np.diff(wheels - twist, axis=0) / step
         rates = np.sum((beside * [price.v_rate, price.omega_rate]) ** 2)
         ends = price.end * off[-1] + price.end_heading**2 * turned[-1]
         return step * (off.sum() + price.heading**2 * turned.sum() + rates) + ends
 
-    least = cost(found.wheels)
-    assert cost(own) > 3 * least
+    least = cost(motion.wheels)
+    assert cost(twist) > 3 * least
     for _ in range(8):
-        centre, width = rng.uniform(0.5, found.times[-1] - 0.5), rng.uniform(0.1, 0.3)
-        bump = np.exp(-(((found.times - centre) / width) ** 2))
+        centre, width = rng.uniform(0.5, motion.times[-1] - 0.5), rng.uniform(0.1, 0.3)
+        bump = np.exp(-(((motion.times - centre) / width) ** 2))
         bump[[0, -1]] = 0.0
         change = 0.01 * bump[:, None] * rng.normal(size=2)
-        assert min(cost(found.wheels + change), cost(found.wheels - change)) > least * (1 - 1e-3)
+        assert min(cost(motion.wheels + change), cost(motion.wheels - change)) > least * (1 - 1e-3)
 
 
 @settings(max_examples=12, deadline=None)
@@ -284,9 +286,9 @@ def test_without_sideways_slip_it_is_the_reference(v, omega, turn, gains):
     segments = [Segment(v=v, omega=omega, duration=1.0), Segment(v=0.0, omega=turn, duration=0.8)]
     reference = lay_segments(segments, TrajectoryLimits.of_robot(), name="any")
     slip = Slip(longitudinal_gain=gains[0], yaw_gain=gains[1])
-    found = nearest_drivable(reference, slip, CONFIG, INVERSE_GAIN)
+    motion = nearest_drivable(reference, slip, CONFIG, INVERSE_GAIN)
     # An interval in which the reference changes its acceleration has another mean twist.
-    assert found.distance.max() < 5e-4
+    assert motion.distance.max() < 5e-4
 
 
 def test_a_least_turn_radius_is_kept():
@@ -297,8 +299,8 @@ def test_a_least_turn_radius_is_kept():
         name="wide",
     )
     config = load_config("ssm", SETTINGS | {"limits.min_turn_radius": radius})
-    found = planned("p4_grass", wide, config)
-    v, _, omega = polynomial_twist(coefficients("p4_grass"), found.wheels[1:-1]).T
+    motion = planned("p4_grass", wide, config)
+    v, _, omega = polynomial_twist(coefficients("p4_grass"), motion.wheels[1:-1]).T
     assert (radius * np.abs(omega) <= v + 1e-6).all()
 
 
@@ -321,7 +323,7 @@ def test_where_nothing_is_to_be_tracked_the_reference_is_as_given(settings, word
 
 
 def floor_lap(by, floor, reference, seed=0):
-    """Root mean square of the position error against the reference as it was given [m], and the messages."""
+    """Return the root mean square of the position error against the given reference [m], and the messages."""
     run = simulate(by, make_plant("model:ssm", floor, seed=seed), reference)
     return run.metrics.position_rmse_m, run.messages, run.true_pose
 
@@ -337,7 +339,7 @@ def test_the_square_is_driven_to_ten_millimetres_after_three_laps():
     assert errors[0] > 0.020
     assert errors[3] < 0.010
     assert any("slip learned from 3 laps" in message for message in laps[0][3][1])
-    assert all(np.array_equal(one[2], other[2]) for one, other in zip(*laps, strict=False))
+    assert all(np.array_equal(first[2], second[2]) for first, second in zip(*laps, strict=False))
 
 
 def test_the_first_lap_is_as_without():

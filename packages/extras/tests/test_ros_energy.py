@@ -24,8 +24,8 @@ TURN_COSTS = {"energy.turn_costs": COSTS}
 def test_a_meter_is_the_trapezoid_of_what_it_hears(rows):
     steps, power = np.array(rows).T
     meter, time = EnergyMeter(1.0), np.cumsum(steps)
-    for at, value in zip(time.tolist(), power.tolist(), strict=True):
-        meter.take(at, value)
+    for instant, value in zip(time.tolist(), power.tolist(), strict=True):
+        meter.take(instant, value)
     assert meter.energy == pytest.approx(np.trapezoid(power, time), rel=1e-9, abs=1e-9)
     assert meter.counted == pytest.approx(time[-1] - time[0]) and meter.gaps == 0
 
@@ -44,10 +44,10 @@ class Watched:
         self.s, self.said = s, []
         node = s.base.node
         self.battery = s.publisher(BatteryState, "battery_state", qos_profile_sensor_data)
-        node.create_subscription(DiagnosticArray, "/diagnostics", lambda one: self.said.append(one.status[0]), 10)
+        node.create_subscription(DiagnosticArray, "/diagnostics", lambda array: self.said.append(array.status[0]), 10)
 
     def heard(self):
-        """The next status, once the node hears the battery."""
+        """Return the next status after the node has received data of the battery."""
         count = len(self.said)
         self.s.base.until(lambda: len(self.said) > count, "diagnostics")
         return self.said[-1]
@@ -138,6 +138,8 @@ def test_the_recording_holds_the_battery_and_what_was_said(tmp_path):
         s.base.run(2)
     (path,) = tmp_path.iterdir()
     columns = read_drive_log(path).columns
-    told = np.isfinite(columns["battery_voltage_v"])
-    assert told.sum() >= 30  # several that came between two ticks are one row
-    assert (columns["battery_voltage_v"][told] == 12.0).all() and (columns["battery_current_a"][told] == 2.0).all()
+    received = np.isfinite(columns["battery_voltage_v"])
+    assert received.sum() >= 30  # several that came between two ticks are one row
+    assert (columns["battery_voltage_v"][received] == 12.0).all() and (
+        columns["battery_current_a"][received] == 2.0
+    ).all()

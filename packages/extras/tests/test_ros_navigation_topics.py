@@ -52,7 +52,7 @@ def base(request, monkeypatch, tmp_path):
 
 
 def drive(base, kind, topic, qos, command=(0.3, 0.4), ticks=60):
-    """What arrived on a topic while the robot drove."""
+    """Drive the robot and return the received messages of a topic."""
     heard = []
     base.node.create_subscription(kind, topic, heard.append, qos)
     end = time.monotonic() + ros_driver.BOUND
@@ -69,9 +69,11 @@ def drive(base, kind, topic, qos, command=(0.3, 0.4), ticks=60):
 
 
 def matrix(transform):
-    at, turn = transform.transform.translation, transform.transform.rotation
+    position, turn = transform.transform.translation, transform.transform.rotation
     yaw = 2.0 * math.atan2(turn.z, turn.w)
-    return np.array([[math.cos(yaw), -math.sin(yaw), at.x], [math.sin(yaw), math.cos(yaw), at.y], [0.0, 0.0, 1.0]])
+    return np.array(
+        [[math.cos(yaw), -math.sin(yaw), position.x], [math.sin(yaw), math.cos(yaw), position.y], [0.0, 0.0, 1.0]]
+    )
 
 
 class Publishers:

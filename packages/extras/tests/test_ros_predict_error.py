@@ -25,9 +25,9 @@ PART = {"parts.predicted_error.enabled": True}
 
 def test_it_answers_what_the_controller_predicts():
     with stack(trajectory="s", **PART) as s:
-        answer = s.trigger("predict_error")
-        assert answer.success, answer.message
-        predicted = json.loads(answer.message)
+        response = s.trigger("predict_error")
+        assert response.success, response.message
+        predicted = json.loads(response.message)
         expected = predict_error(Controller("ssm"), "s")
         widest = expected.widest("lateral")
         assert (predicted["reference"], predicted["population"], predicted["warnings"]) == ("s", "drawn", [])
@@ -37,21 +37,21 @@ def test_it_answers_what_the_controller_predicts():
 
 
 def test_no_tick_waits_for_an_answer_and_cleaning_up_gives_one(monkeypatch):
-    service, asked = "/diffdrive_mpc/predict_error", []
+    service, jobs = "/diffdrive_mpc/predict_error", []
     with stack(drive=True, **PART) as s:
         s.base.run(20)
-        monkeypatch.setattr(s.node._aside, "submit", lambda *job: asked.append(job))
+        monkeypatch.setattr(s.node._aside, "submit", lambda *job: jobs.append(job))
         client = s.base.node.create_client(Trigger, service)
         s.base.until(lambda: client.service_is_ready() and s.node.count_clients(service), "the service")
         future = client.call_async(Trigger.Request())
-        s.base.until(lambda: asked, "the request")
+        s.base.until(lambda: jobs, "the request")
         commands = s.base.run(10)
         assert not future.done() and commands[-1, 0] > 0.1
-        asked.pop()[3]("what the side process answers")
+        jobs.pop()[3]("what the side process answers")
         s.base.until(future.done, "the answer")
         assert (future.result().success, future.result().message) == (True, "what the side process answers")
         future = client.call_async(Trigger.Request())
-        s.base.until(lambda: asked, "the request")
+        s.base.until(lambda: jobs, "the request")
         s.node.trigger_deactivate()
         s.node.trigger_cleanup()
         s.base.until(future.done, "the answer")
@@ -67,8 +67,8 @@ def test_no_tick_waits_for_an_answer_and_cleaning_up_gives_one(monkeypatch):
 )
 def test_it_says_why_nothing_is_predicted(parameters, words):
     with stack(**PART, **parameters) as s:
-        answer = s.trigger("predict_error")
-        assert not answer.success and words in answer.message
+        response = s.trigger("predict_error")
+        assert not response.success and words in response.message
 
 
 @pytest.mark.parametrize(
@@ -105,9 +105,9 @@ def error_limit(limit, response="slow", v=0.0):
 
 
 def speed_share(laid):
-    """Share of speed in the note of a laid path."""
-    found = re.match(r"driven at (\d+) % of its speed for follow_error_limit$", laid.note)
-    return 1.0 if found is None else 0.01 * int(found[1])
+    """Return the ratio of the speeds in the note of a laid path."""
+    match = re.match(r"driven at (\d+) % of its speed for follow_error_limit$", laid.note)
+    return 1.0 if match is None else 0.01 * int(match[1])
 
 
 def test_a_path_is_slowed_until_its_predicted_error_keeps_to_the_limit():

@@ -30,7 +30,7 @@ SEEING = {"free_space.enabled": True}
 
 
 def costmap(now, wall=None):
-    """6 m by 6 m around the origin, with a wall at x [m]."""
+    """Build a costmap of 6 m by 6 m around the origin, with a wall at x [m]."""
     message = OccupancyGrid()
     message.header.frame_id, message.header.stamp = "odom", time_message(now)
     message.info.resolution, message.info.width, message.info.height = 0.05, 120, 120
@@ -53,23 +53,23 @@ def cloud(now, rows, names=("x", "y", "radius", "vx", "vy")):
 
 
 def test_a_costmap_is_read_as_rectangles():
-    found = read_costmap(serialize_message(costmap(5, wall=1.0)), FreeSpace())
-    assert found.grid.boxes.shape == (1, 4, 2)
-    assert found.grid.boxes[0].min(axis=0) == pytest.approx([1.0, -3.0])
-    assert found.grid.boxes[0].max(axis=0) == pytest.approx([1.2, 3.0])
-    assert (found.frame, found.stamp) == ("odom", 5)
+    message = read_costmap(serialize_message(costmap(5, wall=1.0)), FreeSpace())
+    assert message.grid.boxes.shape == (1, 4, 2)
+    assert message.grid.boxes[0].min(axis=0) == pytest.approx([1.0, -3.0])
+    assert message.grid.boxes[0].max(axis=0) == pytest.approx([1.2, 3.0])
+    assert (message.frame, message.stamp) == ("odom", 5)
 
 
 def test_points_are_read_as_discs():
-    found = read_obstacles(serialize_message(cloud(7, [[1.0, 2.0, 0.3, 0.4, -0.5]])))
-    assert found.discs.tolist() == [[1.0, 2.0, 0.3, 0.4, -0.5]]
+    message = read_obstacles(serialize_message(cloud(7, [[1.0, 2.0, 0.3, 0.4, -0.5]])))
+    assert message.discs.tolist() == [[1.0, 2.0, 0.3, 0.4, -0.5]]
     standing = read_obstacles(serialize_message(cloud(7, [[1.0, 2.0, 0.3]], ("x", "y", "radius"))))
     assert standing.discs.tolist() == [[1.0, 2.0, 0.3, 0.0, 0.0]]
     assert read_obstacles(serialize_message(cloud(7, []))).discs.shape == (0, 5)
 
 
 def change(**values):
-    """Sets fields of a message, those of fields by names with `__`; the rest stays honest."""
+    """Set fields of a message, those of fields by names with `__`; the rest stays valid."""
 
     def apply(message):
         for name, value in values.items():
@@ -127,7 +127,7 @@ BAD_CLOUDS = {
     "past": (change(header__stamp__sec=-(2**31)), "before the last"),
 }
 OF_THE_NODE = {"frame", "no frame", "words", "future", "past"}
-"""Whether a message is of here and now is not known where it is read."""
+"""Errors of time and place, which the reader of a message cannot detect."""
 POINT = [[5.0, 5.0, 0.2, 0.0, 0.0]]
 
 
@@ -153,10 +153,15 @@ def test_bad_messages_between_honest_ones_change_nothing_and_alone_they_stop_the
         drive=True,
         **{"parts.free_space.use_costmap": True, "parts.free_space.use_obstacles": True},
     ) as s:
-        base, seen = s.base, s.node.parts["free_space"].surroundings
+        base, surroundings_input = s.base, s.node.parts["free_space"].surroundings
         topics = (
-            (seen.costmap, s.publisher(OccupancyGrid, "costmap"), costmap, BAD_GRIDS),
-            (seen.obstacles, s.publisher(PointCloud2, "obstacles"), lambda now: cloud(now, POINT), BAD_CLOUDS),
+            (surroundings_input.costmap, s.publisher(OccupancyGrid, "costmap"), costmap, BAD_GRIDS),
+            (
+                surroundings_input.obstacles,
+                s.publisher(PointCloud2, "obstacles"),
+                lambda now: cloud(now, POINT),
+                BAD_CLOUDS,
+            ),
         )
         heard = {watch.name: set() for watch, *_ in topics}
         turns = {watch.name: list(bad.values()) for watch, _, _, bad in topics}
@@ -167,7 +172,7 @@ def test_bad_messages_between_honest_ones_change_nothing_and_alone_they_stop_the
             base.until(lambda: getattr(watch, count) > before, f"{watch.name} {count}")
 
         def drive(ticks, *, honest):
-            """Bad ones each second or third tick, honest ones each tenth."""
+            """Send an invalid message each second or third tick, a valid one each tenth."""
             for tick in range(ticks):
                 for watch, publisher, message, _ in topics:
                     if honest and tick % 10 == 0:
@@ -188,10 +193,10 @@ def test_bad_messages_between_honest_ones_change_nothing_and_alone_they_stop_the
             watch.name: len({words for _, words in bad.values()}) for watch, _, _, bad in topics
         }
         most = 1 + (time.monotonic() - began) / 5.0
-        said = capfd.readouterr().err
+        output = capfd.readouterr().err
         for watch, *_ in topics:
-            assert 1 <= said.count(f"{watch.name} refused") <= most
-        assert "Traceback" not in said and "\x1b" not in said.replace("\x1b[0m", "").replace("\x1b[33m", "")
+            assert 1 <= output.count(f"{watch.name} refused") <= most
+        assert "Traceback" not in output and "\x1b" not in output.replace("\x1b[0m", "").replace("\x1b[33m", "")
         # Nothing honest any more.
         last = drive(45, honest=False)
         assert last.mode == Mode.STOPPED and "the surroundings are" in last.message
@@ -203,39 +208,42 @@ def test_a_combination_that_is_refused_does_not_pass_for_fresh():
     controller = Controller(load_config("ssm", SEEING | {"free_space.max_pieces": 4}))
     inbox = SimpleNamespace(now=100.0, frame="odom", time_of=lambda stamp: stamp * 1e-9)
     aside = SimpleNamespace(submit=lambda _, job, arguments, done, failed: done(job(*arguments)))
-    said = []
-    seen = SurroundingsInput(
-        SurroundingsSettings(use_costmap=True, use_obstacles=True), controller, inbox, aside, said.append
+    messages = []
+    surroundings_input = SurroundingsInput(
+        SurroundingsSettings(use_costmap=True, use_obstacles=True), controller, inbox, aside, messages.append
     )
 
     def tell(count):
         stamp = round(inbox.now * 1e9)
-        seen.take_obstacles(serialize_message(cloud(stamp, count * POINT)))
+        surroundings_input.take_obstacles(serialize_message(cloud(stamp, count * POINT)))
 
-    seen.take_costmap(serialize_message(costmap(round(inbox.now * 1e9), wall=1.0)))
+    surroundings_input.take_costmap(serialize_message(costmap(round(inbox.now * 1e9), wall=1.0)))
     tell(1)
-    assert not seen.fault and seen.obstacles.accepted == 1
+    assert not surroundings_input.fault and surroundings_input.obstacles.accepted == 1
     inbox.now += 0.9 * free_space_of(controller.config).max_age
-    seen.take_costmap(serialize_message(costmap(round(inbox.now * 1e9), wall=1.0)))
+    surroundings_input.take_costmap(serialize_message(costmap(round(inbox.now * 1e9), wall=1.0)))
     tell(4)
-    assert "5 convex pieces" in said[-1] and (seen.obstacles.accepted, seen.obstacles.refused) == (1, 1)
+    assert "5 convex pieces" in messages[-1] and (
+        surroundings_input.obstacles.accepted,
+        surroundings_input.obstacles.refused,
+    ) == (1, 1)
     inbox.now += 0.2 * free_space_of(controller.config).max_age
-    assert "obstacles is" in seen.fault and "costmap" not in seen.fault
+    assert "obstacles is" in surroundings_input.fault and "costmap" not in surroundings_input.fault
     tell(1)
-    assert not seen.fault
+    assert not surroundings_input.fault
 
 
 def test_without_a_costmap_it_does_not_drive_and_with_one_it_stays_before_the_wall():
     with stack(SEEING, trajectory="s", drive=True, **{"parts.free_space.use_costmap": True}) as s:
-        base, seen = s.base, s.node.parts["free_space"].surroundings
+        base, surroundings_input = s.base, s.node.parts["free_space"].surroundings
         assert not base.run(20).any()
         assert "the surroundings are" in s.loop.last.message
         publisher = s.publisher(OccupancyGrid, "costmap")
 
         def show(wall):
-            count = seen.costmap.accepted
+            count = surroundings_input.costmap.accepted
             publisher.publish(costmap(base.now, wall))
-            base.until(lambda: seen.costmap.accepted > count, "the costmap to be read")
+            base.until(lambda: surroundings_input.costmap.accepted > count, "the costmap to be read")
 
         commands = []
         for tick in range(60):
@@ -255,7 +263,7 @@ def test_without_a_costmap_it_does_not_drive_and_with_one_it_stays_before_the_wa
         base.run(60)
         assert s.loop.last.mode == Mode.STOPPED
         assert "s old; free_space.max_age" in s.loop.last.message
-        assert "old" in seen.fault
+        assert "old" in surroundings_input.fault
 
 
 def test_topics_of_surroundings_need_a_controller_that_sees():

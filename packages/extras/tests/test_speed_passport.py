@@ -99,7 +99,7 @@ def held_out(
     runs: int,
     jobs: int | None = 1,
 ) -> Rate:
-    """How many robots stay inside on paths that no passport was measured on: robots and seeds are others, too."""
+    """Count the robots that stay inside on paths without a passport; robots and seeds are new, too."""
     factors = ROBOTS | SHIPPED.passport.surfaces[surface] | {"seed": {"each": 90000}, "trajectory": {"one_of": []}}
     use = {"speed_passport": {"file": str(passport), "surface": surface, "tolerance": tolerance}} if passport else {}
     files = []
@@ -111,21 +111,26 @@ def held_out(
     campaign = Campaign(description="held out", runs=runs, sampler="random", draw_seed=90, factors=factors)
     with ProgressBar("") as bar:
         place = CampaignPlace(folder / "runs", jobs)
-        outcomes = drive_all([one.changed({"model": "ssm"}) for one in campaign.definitions()], place, bar)
+        outcomes = drive_all(
+            [definition.changed({"model": "ssm"}) for definition in campaign.definitions()], place, bar
+        )
     assert not [run.row["error"] for run in outcomes if run.row["error"]]
     return Rate.of_runs(sum(largest_lateral(run) <= tolerance for run in outcomes), runs)
 
 
 def drawn(name: str) -> dict[str, object]:
-    """A path as fast as the limits allow: bends [1/m], random waypoints, or segments with their speed raised."""
+    """Draw a path as fast as the limits allow: bends [1/m], random waypoints, or segments with their speed raised."""
     if name.startswith("spline-"):
         return {"waypoints": random_splines().waypoints(int(name.removeprefix("spline-"))).tolist()}
     if name == "bends":
         bends = (0.0, 1.8, -1.4, 0.9)
         return {"segments": [{"v": 0.9, "omega": 0.9 * bend, "duration": 1.0} for bend in bends]}
     segments = load_segments(name)
-    faster = min(min(1.5 / abs(one.v), 2.0 / max(abs(one.omega), 1e-9)) for one in segments)
-    rows = [{"v": faster * one.v, "omega": faster * one.omega, "duration": one.duration / faster} for one in segments]
+    faster = min(min(1.5 / abs(segment.v), 2.0 / max(abs(segment.omega), 1e-9)) for segment in segments)
+    rows = [
+        {"v": faster * segment.v, "omega": faster * segment.omega, "duration": segment.duration / faster}
+        for segment in segments
+    ]
     return {"segments": rows}
 
 

@@ -125,7 +125,7 @@ _DRAWN = ("hold", "speed", "turning", "widening", "limit", "slew_time", "second_
 def _followed(
     commands: FloatArray, slew: FloatArray, lags: FloatArray, dead_time: float, damping: float | None
 ) -> FloatArray:
-    """(n, 2) what the motors do of commands (n, 2): each ramped, delayed and behind two poles."""
+    """Simulate (n, 2) responses of the motors to commands (n, 2): each ramped, delayed and behind two poles."""
     ramped = np.empty_like(commands)
     now = np.zeros(2)
     for k, wanted in enumerate(commands):
@@ -141,14 +141,14 @@ def _followed(
 
 
 def _coloured(stream: np.random.Generator, count: int, correlation: float) -> FloatArray:
-    """(count, 2) noise of deviation 1 that is correlated over so many seconds."""
+    """Draw (count, 2) noise of deviation 1 with a correlation over this number of seconds."""
     keep = np.exp(-_FINE / correlation)
     white = stream.normal(size=(count, 2)) * np.sqrt(1.0 - keep**2)
     return np.asarray(signal.lfilter([1.0], [1.0, -keep], white, axis=0))
 
 
 def _poses(twist: FloatArray, every: int, latency: float) -> FloatArray:
-    """(K, 3) poses of each sample as they were `latency` seconds before."""
+    """Return (K, 3) poses of each sample as they were `latency` seconds before."""
     theta = np.cumsum(twist[:, 1]) * _FINE
     pose = np.column_stack([np.cumsum(twist[:, 0] * np.cos(theta)), np.cumsum(twist[:, 0] * np.sin(theta))]) * _FINE
     late = round(latency / _FINE)

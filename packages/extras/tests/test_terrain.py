@@ -21,10 +21,10 @@ def ground(mu=0.6, modulus=1e-3, inner=None, slip=None):
 
 def test_straight_on_costs_drag_and_rolling_alone():
     heavy = CENTRED.model_copy(update={"rolling_coefficient": 0.02})
-    found = side_torques(heavy, ground(), np.inf, 0.4)
+    torques = side_torques(heavy, ground(), np.inf, 0.4)
     expected = heavy.drag_torque + 0.02 * heavy.wheel_radius * heavy.weight / 2
-    assert found.outer == pytest.approx(expected, rel=1e-9)
-    assert found.inner == pytest.approx(expected, rel=1e-9)
+    assert torques.outer == pytest.approx(expected, rel=1e-9)
+    assert torques.inner == pytest.approx(expected, rel=1e-9)
 
 
 def test_ever_wider_turns_come_to_the_straight():
@@ -35,41 +35,41 @@ def test_ever_wider_turns_come_to_the_straight():
 
 def test_a_locked_vehicle_turned_in_place_meets_coulomb_s_moment():
     # All wheels slide across their lever: moment = mu W times the distance of a wheel from the middle.
-    found = floor_forces(CENTRED, np.full((1, 2), 0.5), 1e-7, np.zeros((1, 2)), np.array([[0.0, 0.0, 0.3]]), (24, 24))
+    forces = floor_forces(CENTRED, np.full((1, 2), 0.5), 1e-7, np.zeros((1, 2)), np.array([[0.0, 0.0, 0.3]]), (24, 24))
     lever = np.hypot(BOT.track, BOT.wheel_base) / 2
     # A patch of finite size has a slightly larger mean lever.
-    assert found.moment[0] == pytest.approx(-0.5 * BOT.weight * lever, rel=2e-3)
-    assert found.loss[0] == pytest.approx(0.3 * 0.5 * BOT.weight * lever, rel=2e-3)
-    assert np.allclose(found.wrench[0, :2], 0.0, atol=1e-9)
+    assert forces.moment[0] == pytest.approx(-0.5 * BOT.weight * lever, rel=2e-3)
+    assert forces.loss[0] == pytest.approx(0.3 * 0.5 * BOT.weight * lever, rel=2e-3)
+    assert np.allclose(forces.wrench[0, :2], 0.0, atol=1e-9)
 
 
 def test_sliding_all_one_way_takes_friction_times_weight():
-    found = floor_forces(CENTRED, np.full((1, 2), 0.7), 1e-7, np.zeros((1, 2)), np.array([[0.3, 0.4, 0.0]]))
-    assert found.wrench[0] == pytest.approx([-0.7 * BOT.weight * 0.6, -0.7 * BOT.weight * 0.8, 0.0], abs=1e-6)
+    forces = floor_forces(CENTRED, np.full((1, 2), 0.7), 1e-7, np.zeros((1, 2)), np.array([[0.3, 0.4, 0.0]]))
+    assert forces.wrench[0] == pytest.approx([-0.7 * BOT.weight * 0.6, -0.7 * BOT.weight * 0.8, 0.0], abs=1e-6)
 
 
 def test_a_stiff_tread_in_a_slow_turn_has_the_coulomb_plateau():
     # Slow, so without centripetal force; K to zero: every tyre slides, mostly across, and the moments balance.
-    found = side_torques(CENTRED.model_copy(update={"drag_torque": 0.0}), ground(0.6, 1e-6), 1.0, 0.01)
+    torques = side_torques(CENTRED.model_copy(update={"drag_torque": 0.0}), ground(0.6, 1e-6), 1.0, 0.01)
     share = BOT.wheel_base / np.hypot(BOT.track, BOT.wheel_base)
-    assert found.outer[0] == pytest.approx(BOT.wheel_radius * 0.6 * BOT.weight / 2 * share, rel=0.02)
-    assert found.inner[0] == pytest.approx(-found.outer[0], rel=0.02)
-    assert found.twist[0, 2] == pytest.approx(0.01 / (1 + (BOT.wheel_base / BOT.track) ** 2), rel=0.02)
+    assert torques.outer[0] == pytest.approx(BOT.wheel_radius * 0.6 * BOT.weight / 2 * share, rel=0.02)
+    assert torques.inner[0] == pytest.approx(-torques.outer[0], rel=0.02)
+    assert torques.twist[0, 2] == pytest.approx(0.01 / (1 + (BOT.wheel_base / BOT.track) ** 2), rel=0.02)
 
 
 @pytest.mark.parametrize("speed", [0.2, 0.6])
 @pytest.mark.parametrize("terrain", [VINYL, ASPHALT.model_copy(update={"slip": None})], ids=["vinyl", "asphalt"])
 def test_what_the_motors_give_becomes_heat(terrain, speed):
-    found = side_torques(BOT, terrain, np.concatenate([RADII, -RADII]), speed)
-    assert found.power == pytest.approx(found.forces.loss + found.rolling_loss, rel=1e-4)
-    assert (found.forces.loss >= 0).all()
+    torques = side_torques(BOT, terrain, np.concatenate([RADII, -RADII]), speed)
+    assert torques.power == pytest.approx(torques.forces.loss + torques.rolling_loss, rel=1e-4)
+    assert (torques.forces.loss >= 0).all()
 
 
 def test_the_floor_gives_what_the_turn_takes():
-    found = side_torques(CENTRED, VINYL, RADII, 0.6)
-    u, w, omega = found.twist.T
-    assert found.forces.wrench[:, 1] == pytest.approx(CENTRED.mass * omega * u, abs=1e-3)
-    assert found.forces.wrench[:, 0] == pytest.approx(-CENTRED.mass * omega * w, abs=1e-3)
+    torques = side_torques(CENTRED, VINYL, RADII, 0.6)
+    u, w, omega = torques.twist.T
+    assert torques.forces.wrench[:, 1] == pytest.approx(CENTRED.mass * omega * u, abs=1e-3)
+    assert torques.forces.wrench[:, 0] == pytest.approx(-CENTRED.mass * omega * w, abs=1e-3)
 
 
 def test_left_turns_and_right_turns_are_mirrored():
@@ -116,21 +116,21 @@ def test_shear_begins_at_zero_and_grows_by_the_sliding_speed():
 
 def test_the_inner_side_turns_backward_below_half_the_track_and_drives_beyond_20_m_as_printed():
     radii = np.array([0.15, 0.19, 0.2, 0.3, 1.0, 10.0, 18.0, 25.0, 100.0])
-    found = side_torques(BOT, VINYL, radii, 0.2)
-    assert (found.inner_speed[:2] < 0).all() and (found.inner_speed[2:] > 0).all()
-    assert (found.inner[:2] < 0).all(), "it slips backward: power is positive"
-    assert (found.inner[2:7] < 0).all(), "it skids and gives power back"
-    assert (found.inner[7:] > 0).all(), "it drives, too"
-    assert (found.outer > 0).all()
+    torques = side_torques(BOT, VINYL, radii, 0.2)
+    assert (torques.inner_speed[:2] < 0).all() and (torques.inner_speed[2:] > 0).all()
+    assert (torques.inner[:2] < 0).all(), "it slips backward: power is positive"
+    assert (torques.inner[2:7] < 0).all(), "it skids and gives power back"
+    assert (torques.inner[7:] > 0).all(), "it drives, too"
+    assert (torques.outer > 0).all()
 
 
 def test_no_least_radius_on_vinyl_and_one_on_asphalt():
-    found = [
+    result = [
         least_radius(lambda r, on=on: side_torques(BOT, on, r, 0.4).outer, BOT.torque_limit) for on in (VINYL, ASPHALT)
     ]
-    assert found[0] == 0.0
+    assert result[0] == 0.0
     # P4 prints 1.8 m; its friction and modulus give less in these equations, as packages/extras/docs/energy.md says.
-    assert 0.3 < found[1] < ASPHALT.published_least_radius
+    assert 0.3 < result[1] < ASPHALT.published_least_radius
     # With the modulus of vinyl it would be theirs.
     stiff = ASPHALT.model_copy(update={"shear": ASPHALT.shear.model_copy(update={"modulus": 0.0004})})
     assert least_radius(lambda r: side_torques(BOT, stiff, r, 0.4).outer, BOT.torque_limit) == pytest.approx(

@@ -18,11 +18,11 @@ def network(**changes):
     return MranNetwork(SETTINGS.network.model_copy(update=changes))
 
 
-def swept(found, function, passes=30, rng=None):
+def swept(result, function, passes=30, rng=None):
     x = np.linspace(-1.0, 6.0, 60)
     for k in range(passes):
-        for one in x[:: 1 if k % 2 else -1]:
-            found.learn(one, function(one) + (0.0 if rng is None else 0.08 * rng.normal()))
+        for sample in x[:: 1 if k % 2 else -1]:
+            result.learn(sample, function(sample) + (0.0 if rng is None else 0.08 * rng.normal()))
     return x
 
 
@@ -31,55 +31,55 @@ def with_exponent(value):
 
 
 def test_the_first_unit_makes_up_for_the_error_that_called_it():
-    found = network(window=1, distance=(0.3, 0.3))
-    error = found.learn(2.0, 0.5)
+    learner = network(window=1, distance=(0.3, 0.3))
+    error = learner.learn(2.0, 0.5)
     assert error == 0.5
-    assert found(2.0) == pytest.approx(0.5)
-    assert found.units.tolist() == [[0.5, 2.0, SETTINGS.network.width[1]]]
+    assert learner(2.0) == pytest.approx(0.5)
+    assert learner.units.tolist() == [[0.5, 2.0, SETTINGS.network.width[1]]]
 
 
 @pytest.mark.parametrize(
     "changes", [{"instant_error": 0.6}, {"window_error": 0.6}], ids=["small error", "small error of the window"]
 )
 def test_no_unit_is_added_unless_all_criteria_are_met(changes):
-    found = network(**changes)
+    learner = network(**changes)
     for _ in range(50):
-        found.learn(2.0, 0.5)
-    assert len(found.units) == 0
-    assert found(2.0) == pytest.approx(0.5, abs=0.05), "it adapts what it has"
+        learner.learn(2.0, 0.5)
+    assert len(learner.units) == 0
+    assert learner(2.0) == pytest.approx(0.5, abs=0.05), "it adapts what it has"
 
 
 def test_it_learns_a_smooth_curve_from_noise():
     def curve(x):
         return 0.9 / (1 + np.exp(1.5 * (x - 1.5)))
 
-    found = network()
-    x = swept(found, curve, rng=np.random.default_rng(3))
-    assert np.sqrt(np.mean((found(x) - curve(x)) ** 2)) < 0.03
-    assert len(found.units) < 20
+    learner = network()
+    x = swept(learner, curve, rng=np.random.default_rng(3))
+    assert np.sqrt(np.mean((learner(x) - curve(x)) ** 2)) < 0.03
+    assert len(learner.units) < 20
 
 
 def test_one_update_of_the_offset_alone_is_kalman_s():
     # A network without units that may not grow is one number with a variance.
-    found = network(instant_error=9.0, drift=0.0)
+    learner = network(instant_error=9.0, drift=0.0)
     settings = SETTINGS.network
-    found.learn(0.0, 1.0)
-    assert found.offset == pytest.approx(settings.doubt / (settings.doubt + settings.noise**2))
+    learner.learn(0.0, 1.0)
+    assert learner.offset == pytest.approx(settings.doubt / (settings.doubt + settings.noise**2))
     for _ in range(99):
-        found.learn(0.0, 1.0)
+        learner.learn(0.0, 1.0)
     # After n equal samples: the prior counts as noise^2 / doubt samples of zero.
-    assert found.offset == pytest.approx(100 / (100 + settings.noise**2 / settings.doubt))
+    assert learner.offset == pytest.approx(100 / (100 + settings.noise**2 / settings.doubt))
 
 
 def test_nonsense_is_left_out():
-    found = network(window=1)
-    found.learn(1.0, 0.4)
-    before = found.units
+    learner = network(window=1)
+    learner.learn(1.0, 0.4)
+    before = learner.units
     for x, y in ((np.nan, 0.0), (1.0, np.inf), (np.inf, 0.1)):
-        assert np.isnan(found.learn(x, y))
-    assert np.array_equal(found.units, before)
-    found.learn(1.0, 1e300)
-    assert np.isfinite(found(np.linspace(-5, 8, 20))).all()
+        assert np.isnan(learner.learn(x, y))
+    assert np.array_equal(learner.units, before)
+    learner.learn(1.0, 1e300)
+    assert np.isfinite(learner(np.linspace(-5, 8, 20))).all()
 
 
 def test_the_prior_is_learned_from_30_triplets():
@@ -94,10 +94,10 @@ def test_the_prior_is_learned_from_30_triplets():
 def drive(terrain, hold=3.5, dt=0.02):
     radii = np.geomspace(200.0, 0.5, 24) * np.tile([1, -1], 12)
     speeds = np.tile([0.2, 0.4, 0.6], 8)
-    found = side_torques(BOT, terrain, radii, speeds)
+    torques = side_torques(BOT, terrain, radii, speeds)
     count = round(hold / dt)
-    left = np.where(radii < 0, found.outer, found.inner)
-    right = np.where(radii < 0, found.inner, found.outer)
+    left = np.where(radii < 0, torques.outer, torques.inner)
+    right = np.where(radii < 0, torques.inner, torques.outer)
     commands = np.repeat(np.stack([speeds, speeds / radii], -1), count, axis=0)
     return commands, np.repeat(left, count), np.repeat(right, count), dt
 

@@ -48,8 +48,8 @@ def test_a_slip_law_is_found_again_within_its_doubt():
     off = []
     for _ in range(60):
         noisy = polynomial_twist(TRUE, commands) + rng.normal(0, [0.01, 0.01, 0.03], (len(commands), 3))
-        found = identify_slip(commands, noisy)
-        off.append((found.coefficients - TRUE) / found.deviations)
+        estimate = identify_slip(commands, noisy)
+        off.append((estimate.coefficients - TRUE) / estimate.deviations)
     # Normal errors: their spread over the stated deviation is one.
     assert np.std(off) == pytest.approx(1.0, abs=0.15)
 
@@ -103,28 +103,28 @@ def test_the_expression_is_the_power_and_smooth(name, symbol):
     v, omega = symbol("v"), symbol("w")
     power = costs.symbolic_power(v, omega)
     both = ca.vertcat(v, omega)
-    said = ca.Function("power", [v, omega], [power, ca.gradient(power, both), ca.hessian(power, both)[0]])
+    function = ca.Function("power", [v, omega], [power, ca.gradient(power, both), ca.hessian(power, both)[0]])
     rows = GRID[GRID[:, 0] > 0]
-    values = np.array([float(said(*row)[0]) for row in rows])
+    values = np.array([float(function(*row)[0]) for row in rows])
     true = costs.power(rows)
     assert np.abs(values - true).max() < 0.03 * true.max() + 0.1
     # Even and flat in curvature at straight on, curved upward; finite everywhere.
-    value, gradient, hessian = (np.array(one) for one in said(0.4, 0.0))
+    value, gradient, hessian = (np.array(value_part) for value_part in function(0.4, 0.0))
     assert gradient[1] == pytest.approx(0.0, abs=1e-9)
-    ahead = float(said(0.4, 1e-5)[0])
+    ahead = float(function(0.4, 1e-5)[0])
     assert (ahead - float(value.squeeze())) * 2e10 == pytest.approx(hessian[1, 1], rel=0.05)
-    assert all(np.isfinite(np.array(one)).all() for row in GRID for one in said(*row))
+    assert all(np.isfinite(np.array(value_part)).all() for row in GRID for value_part in function(*row))
 
 
 def test_without_regeneration_a_side_that_brakes_gives_nothing():
     costs = load_turn_costs("fsu_bot-grippy")
-    kept = costs.model_copy(update={"drive": MOTORS.model_copy(update={"regeneration": False})})
+    changed = costs.model_copy(update={"drive": MOTORS.model_copy(update={"regeneration": False})})
     turn = [[0.4, 0.1]]
-    inner = kept.torques(turn)[0, 0] * kept.vehicle.rims(np.array(turn))[0, 0] / kept.vehicle.wheel_radius
-    assert inner < 0 and kept.power(turn) > costs.power(turn)
+    inner = changed.torques(turn)[0, 0] * changed.vehicle.rims(np.array(turn))[0, 0] / changed.vehicle.wheel_radius
+    assert inner < 0 and changed.power(turn) > costs.power(turn)
     v, omega = ca.SX.sym("v"), ca.SX.sym("w")
-    said = ca.Function("power", [v, omega], [kept.symbolic_power(v, omega)])
-    assert float(said(0.4, 0.1)) == pytest.approx(kept.power(turn)[0], rel=0.02)
+    function = ca.Function("power", [v, omega], [changed.symbolic_power(v, omega)])
+    assert float(function(0.4, 0.1)) == pytest.approx(changed.power(turn)[0], rel=0.02)
 
 
 def test_least_radii_are_those_of_the_curves_and_go_with_speed():

@@ -39,7 +39,7 @@ twin:
 
 
 def drawn_truth(seed):
-    """Friction, dead time, lags, gain, tracks and mass of a plant, in the terms of a fit."""
+    """Draw friction, dead time, lags, gain, tracks and mass of a plant, in the terms of a fit."""
     stream = np.random.default_rng(seed)
 
     def factor(spread):
@@ -68,7 +68,7 @@ def known_robot(truth):
 
 
 def record_of(robot, seed, seconds):
-    """An open-loop drive with the default sensors."""
+    """Simulate an open-loop drive with the default sensors."""
     plant = MujocoPlant(
         robot.friction, robot.sensors, seed, robot=robot.robot, twin=robot.twin, firmware=robot.firmware
     )
@@ -87,7 +87,7 @@ def record_of(robot, seed, seconds):
 
 
 def fitted(record, file, seconds):
-    """The fit to the first 60 % of a record."""
+    """Fit the first 60 % of a record."""
     train, rest = map(tuple, divide([record], 0.6))
     data = LogData(train, rest, ("drive",), "the rest", "gyro", (), ())
     runs = joined(sensed(train))
@@ -98,7 +98,7 @@ def fitted(record, file, seconds):
 
 
 def in_terms_of(fit, truth):
-    """The truth in the units of the fit's parameters."""
+    """Return the truth in the units of the fit's parameters."""
     robot = fit.space.nominal.robot
     return truth | {
         "mass": truth["mass"] / robot.robot.mass,
@@ -108,7 +108,7 @@ def in_terms_of(fit, truth):
 
 
 def rolling_record(radius, track, count=60):
-    """Wheels that do what they are told."""
+    """Build a record of wheels that follow their commands exactly."""
     commands = np.tile([1.0, 0.4], (count, 1))
     wheels = np.column_stack([1.0 - 0.2 * track, 1.0 + 0.2 * track]) / radius
     return Record("r", 0.0, 0.05, commands, twist=commands, yaw_rate=commands[:, 1], wheels=np.tile(wheels, (count, 1)))
@@ -147,11 +147,11 @@ def test_sensors_of_the_log_come_late_and_smoothed():
     run = SampledExperiment(
         "r", parts * step, np.zeros((count, 2)), np.zeros((count, 3)), np.ones((count, 3), dtype=bool)
     )
-    seen = readings(motion, run, {"encoders_delay": 0.03, "encoders_lag": 0.05, "gyro_offset": 0.2})
+    signals = readings(motion, run, {"encoders_delay": 0.03, "encoders_lag": 0.05, "gyro_offset": 0.2})
     time = parts * step * np.arange(count)[20:]
-    np.testing.assert_allclose(seen[20:, 0], time - 0.08, atol=1e-3)
-    np.testing.assert_allclose(seen[20:, 1], 2 * (time - 0.08), atol=2e-3)
-    np.testing.assert_allclose(seen[20:, 2], 3 * time + 0.2, atol=1e-12)
+    np.testing.assert_allclose(signals[20:, 0], time - 0.08, atol=1e-3)
+    np.testing.assert_allclose(signals[20:, 1], 2 * (time - 0.08), atol=2e-3)
+    np.testing.assert_allclose(signals[20:, 2], 3 * time + 0.2, atol=1e-12)
 
 
 def test_of_two_that_act_together_one_is_told():
@@ -159,9 +159,9 @@ def test_of_two_that_act_together_one_is_told():
     together = np.array([1.0, 1.0, 0.0])
     alone = np.array([0.0, 0.0, 1.0])
     information = np.eye(3) + 400.0 * np.outer(together, together) + 400.0 * np.outer(alone, alone)
-    told = told_apart(information, 0.7)
-    assert sorted(told[:2]) == [False, True]
-    assert told[2]
+    determined = told_apart(information, 0.7)
+    assert sorted(determined[:2]) == [False, True]
+    assert determined[2]
     assert told_apart(np.eye(3), 0.7) == [False, False, False]
 
 
@@ -185,7 +185,7 @@ def test_without_wheels_the_robot_must_be_told():
 
 
 SEEDS = (21, 22, 23, 24, 25, 26)
-"""Not among those that anything was chosen on (11 to 14)."""
+"""Seeds that were not used for any choice (11 to 14 were)."""
 
 
 @pytest.mark.long
@@ -198,9 +198,9 @@ def test_parameters_are_inside_their_intervals(tmp_path):
         truth = drawn_truth(seed)
         fit = fitted(record_of(known_robot(truth), seed, 60.0), file, 30.0)
         expected = in_terms_of(fit, truth)
-        for one in fit.told:
-            if one.name in expected and not one.low <= expected[one.name] <= one.high:
-                missed.append((seed, one.name, expected[one.name], one.low, one.high))
+        for parameter in fit.told:
+            if parameter.name in expected and not parameter.low <= expected[parameter.name] <= parameter.high:
+                missed.append((seed, parameter.name, expected[parameter.name], parameter.low, parameter.high))
     assert len(missed) <= 8, missed
 
 
@@ -220,16 +220,18 @@ def test_a_log_becomes_a_plant(log):
     twin, model = (numbers[name]["fit_percent"] for name in ("twin", "model"))
     # The log is of this physics: a velocity model cannot beat it by much, whatever the noise.
     assert all(twin[channel] > model[channel] - 2.0 for channel in ("v", "omega"))
-    found = {one["name"]: one for one in numbers["parameters"]}
+    result = {parameter["name"]: parameter for parameter in numbers["parameters"]}
     robot = load_simulated_robot(out / "plant.yaml")
-    assert robot.friction == pytest.approx(found["friction"]["value"], rel=1e-6)
-    assert robot.twin.link.dead_time == pytest.approx(found["dead_time"]["value"], rel=1e-6)
-    assert found["dead_time"]["low"] <= 0.040 <= found["dead_time"]["high"]
-    assert found["gain_v"]["low"] <= 1.0 <= found["gain_v"]["high"]
+    assert robot.friction == pytest.approx(result["friction"]["value"], rel=1e-6)
+    assert robot.twin.link.dead_time == pytest.approx(result["dead_time"]["value"], rel=1e-6)
+    assert result["dead_time"]["low"] <= 0.040 <= result["dead_time"]["high"]
+    assert result["gain_v"]["low"] <= 1.0 <= result["gain_v"]["high"]
     stated = yaml.safe_load((out / "plant.yaml").read_text())["firmware"]["provenance"]["parameters"]
-    assert {name: one["told"] for name, one in stated.items()} == {name: one["told"] for name, one in found.items()}
+    assert {name: parameter["told"] for name, parameter in stated.items()} == {
+        name: parameter["told"] for name, parameter in result.items()
+    }
     report = (out / "twin.md").read_text()
-    assert all(f"| {name} |" in report for name in found)
+    assert all(f"| {name} |" in report for name in result)
     assert (out / "figures" / "held_out.png").stat().st_size > 0
     make_plant(f"mujoco:{out / 'plant.yaml'}").advance((0.2, 0.0))
 

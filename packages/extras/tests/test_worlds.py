@@ -25,7 +25,7 @@ from diffdrive_mpc_extras.worlds.world_plant import TouchedError, WorldPlant
 from refusals import one_line_error
 
 WIDTH, LENGTH = 0.38, 0.30
-"""Of the robot of the papers: over its tyres, and of its body [m]."""
+"""Width over the tyres and length of the body of the robot of the papers [m]."""
 
 
 def written(folder: Path, text: str) -> Path:
@@ -94,11 +94,13 @@ def test_the_same_seed_gives_the_same_run_and_the_same_looks(tmp_path: Path) -> 
     for _ in range(2):
         plant = make_plant("world:crossing", seed=4)
         plant.reset((0, 0, 0))
-        seen = []
+        views = []
         for _ in range(60):
-            seen.append(plant.look())
+            views.append(plant.look())
             plant.advance((0.3, 0.1))
-        looks.append([(one.time, one.discs, one.grid.cells.tobytes()) for one in seen if one is not None and one.grid])
+        looks.append(
+            [(look.time, look.discs, look.grid.cells.tobytes()) for look in views if look is not None and look.grid]
+        )
         poses.append(plant.true_pose)
     assert looks[0] == looks[1] and len(looks[0]) == 12
     np.testing.assert_array_equal(*poses)
@@ -150,10 +152,10 @@ def test_the_costmap_knows_what_rays_have_met_and_nothing_beyond(tmp_path: Path)
 
 def test_looks_come_late_and_in_their_rate(tmp_path: Path) -> None:
     eyes = Eyes(load_world(written(tmp_path, "sight: {period: 0.1, latency: 0.06, kind: shapes}\n")), 0)
-    arrived = [(k / 50, seen.time) for k in range(50) if (seen := eyes.look(k / 50, [0, 0, 0])) is not None]
+    arrived = [(k / 50, view.time) for k in range(50) if (view := eyes.look(k / 50, [0, 0, 0])) is not None]
     assert len(arrived) == 10
-    for now, of in arrived:
-        assert 0.06 - 1e-9 <= now - of <= 0.08 + 1e-9
+    for now, stamp in arrived:
+        assert 0.06 - 1e-9 <= now - stamp <= 0.08 + 1e-9
 
 
 def test_the_velocity_of_a_person_is_found_and_the_noise_is_as_stated(tmp_path: Path) -> None:
@@ -175,19 +177,19 @@ def test_the_velocity_of_a_person_is_found_and_the_noise_is_as_stated(tmp_path: 
 
 @pytest.mark.parametrize("through", [False, True])
 def test_drawn_worlds_can_be_passed_and_are_the_same_each_time(through: bool) -> None:
-    of, densities = drawing(), []
+    settings, densities = drawing(), []
     for seed in range(6):
         world = drawn_world(seed, through=through)
         drawn_world.cache_clear()
         assert drawn_world(seed, through=through) == world
         densities.append(len(world.posts))
-        assert filled(world, of.disc_radius)
+        assert filled(world, settings.disc_radius)
         way = np.array(world.way.waypoints)
         if through:
             # Some post stands in the way of the robot's hull.
             assert world.shapes(0.0).distance(dense(way)).min() < WIDTH / 2
         else:
-            assert world.shapes(0.0).distance(dense(way)).min() > of.disc_radius - 0.02
+            assert world.shapes(0.0).distance(dense(way)).min() > settings.disc_radius - 0.02
     assert len(set(densities)) > 3
 
 

@@ -28,14 +28,14 @@ class Tab:
         self._call("browsingContext.navigate", context=self._context, url=address, wait="complete")
 
     def evaluate(self, function: str, *arguments: object) -> Any:
-        """What a function of JavaScript returns or resolves to, by JSON both ways."""
+        """Return the result of a function of JavaScript, also of a promise, by JSON both ways."""
         text = ", ".join(map(json.dumps, arguments))
         expression = f"(async () => JSON.stringify(await ({function})({text})))()"
-        answer = self._call(
+        response = self._call(
             "script.evaluate", expression=expression, target={"context": self._context}, awaitPromise=True
         )
-        assert answer["type"] == "success", answer["exceptionDetails"]["text"]
-        return json.loads(answer["result"]["value"])
+        assert response["type"] == "success", response["exceptionDetails"]["text"]
+        return json.loads(response["result"]["value"])
 
     def _call(self, method: str, **parameters: object) -> dict[str, Any]:
         number = next(self._numbers)
@@ -49,7 +49,7 @@ class Tab:
 
 @contextmanager
 def opened_firefox(program: str, profile: Path) -> Iterator[Tab]:
-    """A tab of a Firefox of its own with an empty `profile`."""
+    """Open a tab of a separate Firefox with an empty `profile`."""
     process = subprocess.Popen([program, *_OPTIONS, str(profile)], stderr=subprocess.PIPE, text=True)
     try:
         lines = (re.search(r"WebDriver BiDi listening on (ws://\S+)", line) for line in process.stderr)

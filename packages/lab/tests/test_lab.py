@@ -61,7 +61,7 @@ def test_digest_names_changed_numbers_and_ignores_rounding(monkeypatch: pytest.M
 
 @contextmanager
 def laboratory(page_file: Path, link: str = "", **options: Any) -> Iterator[Any]:
-    """The page, opened from the file system without a network; in the end nothing was complained about or asked for."""
+    """Open the page from the file system without a network; at the end there must be no errors and no requests."""
     complaints: list[str] = []
     requests: list[str] = []
     with opened_browser() as browser:
@@ -85,7 +85,7 @@ def visit(page: Any, page_file: Path, link: str = "") -> None:
 
 
 def judged(page: Any) -> float:
-    """Position RMSE [m] of the whole drive with what is set, once the page has driven it."""
+    """Return the position RMSE [m] of the whole drive with the present settings, after the page has driven it."""
     page.wait_for_function("() => laboratory.whole !== null")
     return float(page.evaluate("laboratory.whole.rms"))
 
@@ -95,7 +95,7 @@ def choices(page: Any) -> dict[str, Any]:
 
 
 def middle(node: Any) -> tuple[float, float]:
-    """Where the middle of an element is on the screen, once it is there."""
+    """Return the middle of an element on the screen, after it appears."""
     node.scroll_into_view_if_needed()
     box = node.bounding_box()
     return box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]

@@ -85,12 +85,12 @@ class OracleJudge:
         self._rest()
 
     def _answer(self):
-        """Between the largest commands on their way, and what is left of larger ones."""
-        r, at = self.rules.answer, self.now
+        """Compute the range between the largest pending commands and the decayed larger ones."""
+        r, now = self.rules.answer, self.now
         row = self.odometry[-1]
         ends = [t for t, _ in self.sent[1:]] + [np.inf]
-        held = [u for (_, u), end in zip(self.sent, ends, strict=False) if end >= at - r.dead_time]
-        for i, (name, found, lag, gain, margin) in enumerate(
+        held = [u for (_, u), end in zip(self.sent, ends, strict=False) if end >= now - r.dead_time]
+        for i, (name, result, lag, gain, margin) in enumerate(
             [
                 ("answer_v", row[1], r.lag_v, r.gain_v, r.margin_v),
                 ("answer_omega", row[6], r.lag_omega, r.gain_omega, r.margin_omega),
@@ -99,11 +99,11 @@ class OracleJudge:
             most = gain * max([0.0, *(u[i] for u in held)])
             least = gain * min([0.0, *(u[i] for u in held)])
             before, high, low = self.bounds.get(name, (self.began, 0.0, 0.0))
-            share = (at - before) / (lag + at - before)
+            share = (now - before) / (lag + now - before)
             high = most if most > high else high + share * (most - high)
             low = least if least < low else low + share * (least - low)
-            self.bounds[name] = (at, high, low)
-            self.judge(name, not low - margin <= found <= high + margin, r.lasting)
+            self.bounds[name] = (now, high, low)
+            self.judge(name, not low - margin <= result <= high + margin, r.lasting)
 
     def _rest(self):
         """Sum up the motion of the wheels since the robot has rolled out."""
@@ -142,7 +142,7 @@ class OracleJudge:
         self._poses_against_odometry()
 
     def summed(self, times):
-        """(k, 4) x, y, theta and distance by wheels and gyro at these times; NaN where that is not known."""
+        """Integrate (k, 4) x, y, theta and distance by wheels and gyro at these times; NaN where unknown."""
         t = np.array([row[0] for row in self.odometry])
         if not len(t):
             return np.full((len(times), 4), np.nan)
@@ -151,12 +151,12 @@ class OracleJudge:
         theta = np.cumsum(turning * dt)
         middle = theta - 0.5 * turning * dt
         sums = np.cumsum([v * np.cos(middle) * dt, v * np.sin(middle) * dt, turning * dt, np.abs(v) * dt], axis=1)
-        found = np.array([np.interp(times, t, row) for row in sums]).T
-        found[np.asarray(times) < t[0] - 1e-9] = np.nan
-        return found
+        result = np.array([np.interp(times, t, row) for row in sums]).T
+        result[np.asarray(times) < t[0] - 1e-9] = np.nan
+        return result
 
     def _place(self):
-        """Where the robot is, and what poses corrected lately; all of it anew where something came."""
+        """Estimate the pose, and the recent corrections by poses; both are computed again after each message."""
         if len(self.events) != self.placed[0]:
             self.placed = (len(self.events), self._place_anew())
         return self.placed[1]
@@ -226,16 +226,18 @@ class OracleJudge:
         limits = ((r.v_slew, r.v_braking), (r.omega_slew, r.omega_braking))
         for i, name in enumerate(("slew", "yaw_slew")):
             follower, away, broken = 0.0, 0.0, False
-            for k, one in enumerate(self.commands):
-                if one[2] == 0.0 and one[3] == 0.0:
+            for k, command in enumerate(self.commands):
+                if command[2] == 0.0 and command[3] == 0.0:
                     follower, broken = 0.0, False
                     continue
                 step = 0.0
                 if k:
                     last = next((old[1] for old in self.commands[k - 1 :: -1] if old[1]), None)
-                    step = one[1] - last if one[1] and last is not None else one[0] - self.commands[k - 1][0]
+                    step = (
+                        command[1] - last if command[1] and last is not None else command[0] - self.commands[k - 1][0]
+                    )
                 step = min(max(step, 0.0), 1.0)
-                u = one[2 + i]
+                u = command[2 + i]
                 slower = u * follower >= 0 and abs(u) < abs(follower)
                 slew = max(limits[i]) if slower else limits[i][0]
                 follower = float(np.clip(u, follower - slew * step, follower + slew * step))
@@ -247,8 +249,8 @@ class OracleJudge:
         r = self.rules.commands
         middle = 0.5 * (r.slowest + r.quickest)
         pace = middle
-        for before, one in zip([None, *self.commands], self.commands, strict=False):
-            pace = pace + 0.05 * (min(one[0] - before[0], 1.0) - pace) if before and one[4] else middle
+        for before, command in zip([None, *self.commands], self.commands, strict=False):
+            pace = pace + 0.05 * (min(command[0] - before[0], 1.0) - pace) if before and command[4] else middle
         self.judge("slow", moving and pace > r.slowest)
         self.judge("flood", pace < r.quickest)
 
@@ -273,17 +275,17 @@ class OracleJudge:
             self.judge(name, moved and most > 0 and age > most)
         self._path(output, moved)
 
-    def stretch(self, begin, end):
-        """(n, 3) poses of the reference at two instants, and those between that it was given with."""
+    def stretch(self, start, end):
+        """Return (n, 3) poses of the reference at two times, and the given ones between them."""
         path = self.path
-        begin, end = min(begin, path[-1, 0]), max(end, path[0, 0])
-        inside = path[(path[:, 0] > begin) & (path[:, 0] < end), 0]
-        times = np.concatenate([[max(begin, path[0, 0])], inside, [min(end, path[-1, 0])]])
+        start, end = min(start, path[-1, 0]), max(end, path[0, 0])
+        inside = path[(path[:, 0] > start) & (path[:, 0] < end), 0]
+        times = np.concatenate([[max(start, path[0, 0])], inside, [min(end, path[-1, 0])]])
         turned = np.unwrap(path[:, 3])
         return np.column_stack([np.interp(times, path[:, 0], column) for column in (path[:, 1], path[:, 2], turned)])
 
     def away(self, at, begin, end, close):
-        """Distance from a stretch, and the least angle to the headings of its parts that are close."""
+        """Compute the distance from a stretch, and the least angle to the headings of its near parts."""
         rows = self.stretch(begin, end)
         a, b = (rows[:-1], rows[1:]) if len(rows) > 1 else (rows, rows)
         along = b[:, :2] - a[:, :2]
@@ -321,9 +323,9 @@ class OracleJudge:
             gyro = self.gyros[-1][1] if self.gyros and self.rules.sensors.gyro_age > 0 else None
             rate = gyro if gyro is not None else self.odometry[-1][2] if self.odometry else 0.0
             middle = place[2] + 0.5 * rate * time
-            at = place + time * np.array([v * np.cos(middle), v * np.sin(middle), rate])
+            predicted = place + time * np.array([v * np.cos(middle), v * np.sin(middle), rate])
             late, early = (back.late, back.early) if self.returning else (r.late, r.early)
-            off, _ = self.away(at, now - late, now + time + early, np.inf)
+            off, _ = self.away(predicted, now - late, now + time + early, np.inf)
             far = off > (back.distance if self.returning else r.far + unexplained)
             strays, heading = (distance > r.distance, turned > r.heading) if not self.returning else (False, False)
         self.path_at = now

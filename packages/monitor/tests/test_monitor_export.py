@@ -34,8 +34,8 @@ def test_the_example_runs_with_sanitizers(folder):
     command += [f"-I{folder / 'ddmon'}", *map(str, sorted((folder / "ddmon").glob("*.c")))]
     program = folder / "example"
     subprocess.run([*command, str(folder / "examples" / "main.c"), "-lm", "-o", str(program)], check=True)
-    said = subprocess.run([program], capture_output=True, text=True, check=True).stdout
-    assert "the robot is off its path" in said and "it stands at" in said
+    output = subprocess.run([program], capture_output=True, text=True, check=True).stdout
+    assert "the robot is off its path" in output and "it stands at" in output
 
 
 def test_a_name_is_no_code():
@@ -61,9 +61,9 @@ class Emulated:
         assert len(data) == 8 * count, "the program does not answer"
         return np.frombuffer(data)
 
-    def __call__(self, what, *numbers):
+    def __call__(self, name, *numbers):
         frame = np.zeros(8)
-        frame[: 1 + len(numbers)] = (WHAT.index(what), *numbers)
+        frame[: 1 + len(numbers)] = (WHAT.index(name), *numbers)
         self.process.stdin.write(frame.tobytes())
         self.process.stdin.flush()
         return self.read(8)
@@ -75,7 +75,7 @@ class Emulated:
 
 
 def flat(name, arguments, words):
-    """Numbers of a call: now, stamp, values."""
+    """Return the numbers of a call: now, stamp, values."""
     if name == "says":
         return (arguments[0], 0.0, float(words["drives"]))
     if name == "tick":
@@ -96,7 +96,7 @@ def test_the_microcontroller_decides_the_same(folder):
     try:
         board("begin", START)
         for name, arguments, words in random_drive(0):
-            found = getattr(judge, name)(*arguments, **words)
+            result = getattr(judge, name)(*arguments, **words)
             if name == "reference":
                 for point in arguments[1]:
                     board("point", arguments[0], 0.0, *point)
@@ -111,8 +111,8 @@ def test_the_microcontroller_decides_the_same(folder):
             if verdict:
                 assert reply[4] == verdict.at
             if name in ("command", "tick"):
-                assert bool(reply[0]) == (found is not None)
-                assert found is None or np.abs(reply[1:3] - found).max() <= 1e-9
+                assert bool(reply[0]) == (result is not None)
+                assert result is None or np.abs(reply[1:3] - result).max() <= 1e-9
         assert judge.verdict
     finally:
         board.close()

@@ -224,7 +224,7 @@ def test_a_robot_that_is_held_up_may_be_late(robot):
 
 
 def pause(robot, seconds):
-    """The controller says that it stands, and does; then it drives on from rest."""
+    """Let the controller report a stop, and stop; then it drives on from rest."""
     robot.judge.says(robot.now, drives=False)
     robot.drive(seconds, (0.0, 0.0))
     robot.judge.says(robot.now, drives=True)
@@ -261,7 +261,7 @@ def test_one_that_stood_for_long_needs_its_reference_anew(again, rule):
 
 @pytest.mark.parametrize("renewed", ["reference", "word", "motion", "nothing"])
 def test_one_that_never_returns_is_stopped_in_time(renewed):
-    """Whatever is sent anew, said or done to it: beside its path for as long as it has to return, and no longer."""
+    """Whatever is sent, the robot may be beside its path for the time to return, and no longer."""
     robot = Robot(Judge(RULES, START), duration=60.0)
     robot.judge.says(robot.now, drives=True)
     robot.drive(2.0)
@@ -310,11 +310,11 @@ def test_a_burst_of_late_messages_is_no_jump():
     now = START
     judge.reference(now, [[START, 0, 0, 0], [START + 9, 9, 0, 0]])
     for k in range(1, 60):
-        at = now + DT * (k - k % 5 + 5)
-        judge.gyro(at, at, 0.0)
-        judge.odometry(at, at, (0.0, 0.0), (0.0, 0.0, 0.0))
-        judge.pose(at, at, (0.0, 0.0, 0.0))
-        judge.command(at, now + DT * k, 0.5 * DT * k, 0.0)
+        arrival = now + DT * (k - k % 5 + 5)
+        judge.gyro(arrival, arrival, 0.0)
+        judge.odometry(arrival, arrival, (0.0, 0.0), (0.0, 0.0, 0.0))
+        judge.pose(arrival, arrival, (0.0, 0.0, 0.0))
+        judge.command(arrival, now + DT * k, 0.5 * DT * k, 0.0)
     assert not judge.verdict
 
 
@@ -419,27 +419,27 @@ def test_the_oracle_agrees(seed):
     for name, arguments, words in random_drive(seed):
         getattr(ours, name)(*arguments, **words)
         getattr(theirs, "odometry_" if name == "odometry" else name)(*arguments, **words)
-        found = ours.verdict
-        assert bool(found) == (theirs.stopped is not None), (name, arguments, found, theirs.stopped)
-        if found:
-            assert found.at == theirs.stopped[0] and found.rule in theirs.stopped[1]
+        result = ours.verdict
+        assert bool(result) == (theirs.stopped is not None), (name, arguments, result, theirs.stopped)
+        if result:
+            assert result.at == theirs.stopped[0] and result.rule in theirs.stopped[1]
             break
 
 
 def test_the_oracle_was_asked_for_many_rules():
-    found = set()
+    result = set()
     for seed in range(18):
         judge = Judge(RULES if seed < 12 else RULES.with_sensors(pose=False, gyro=seed % 2 == 0), START)
         for name, arguments, words in random_drive(seed):
             getattr(judge, name)(*arguments, **words)
-        found.add(judge.verdict.rule)
-    assert len(found - {""}) >= 6, found
+        result.add(judge.verdict.rule)
+    assert len(result - {""}) >= 6, result
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("commands.slowest: 0.001", "commands.quickest has to be shorter than commands.slowest"),
+        ("commands.slowest: 0.001", "commands.quickest must be shorter than commands.slowest"),
         ("commands.vv: 1", "did you mean 'commands.v'"),
         ("path.distance: .nan", "path.distance"),
     ],

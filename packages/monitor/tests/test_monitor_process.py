@@ -75,10 +75,10 @@ class Scene:
         self.controller.send(0.0)
         base, controller = self.base, self.controller
         readers = (base.odom, base.imu, base.clock, controller.path, controller.mode)
-        return base.commands and controller.state and all(one.get_subscription_count() for one in readers)
+        return base.commands and controller.state and all(reader.get_subscription_count() for reader in readers)
 
     def step(self, v=None, omega=0.0, stamp=None):
-        """A tick: sensors, clock, the command if there is one; what the base then does."""
+        """Simulate a tick: sensors, clock, the command if there is one; return the resulting command of the base."""
         base, count = self.base, len(self.base.commands)
         base.advance_clock()
         for _ in range(5):
@@ -92,7 +92,7 @@ class Scene:
         return base.commands[-1]
 
     def drive(self, seconds):
-        """Soundly."""
+        """Drive without faults."""
         for _ in range(round(seconds / DT)):
             self.controller.v = min(SPEED, self.controller.v + 1.5 * DT)
             self.step(self.controller.v)

@@ -1,4 +1,4 @@
-"""The environment of the peers that cannot share ours: made once, kept in the user's cache folder."""
+"""The environment of the peers that cannot share ours: made once, and kept in the user's cache folder."""
 
 from __future__ import annotations
 

@@ -38,14 +38,14 @@ class TimedStep(NamedTuple):
 
 
 class Subject:
-    """A persistent process; everything it is asked for is answered before the next question.
+    """A persistent process; every request is answered before the next one.
 
     Parameters
     ----------
     kind
         See `studies.speed.process.worker.KINDS`.
     folder
-        Its own, for code that it generates and for what it prints.
+        Folder of the subject, for its generated code and its output.
     python
         Interpreter and environment variables, by default our own.
     """
@@ -91,11 +91,11 @@ class Subject:
         return dict(self._ask("build", problem, settings, str(self._folder), core))
 
     def reset(self, data: tuple[Any, ...]) -> None:
-        """Start a drive anew with the data of its first tick."""
+        """Restart a drive with the data of its first tick."""
         self._ask("reset", *data)
 
     def run(self, ticks: list[tuple[Any, ...]]) -> tuple[list[TimedStep], Effort]:
-        """Step through ticks, and what they took of the process."""
+        """Step through ticks, and measure the effort of the process."""
         answers, effort = self._ask("run", *ticks)
         return [TimedStep(*step) for step in answers], Effort(*effort)
 

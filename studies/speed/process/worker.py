@@ -1,8 +1,8 @@
 """A process that solves the problem in one way, on request: `python worker.py FD KIND FOLDER`.
 
 It serves a connection at the file descriptor FD; FOLDER holds our package. A request is a pair (what, argument) and its
-answer what came of it, or the exception. So that it also runs in an environment of others, nothing of ours is imported
-but what it needs.
+answer what came of it, or the exception. So that it also runs in a peer's environment, it imports only the necessary
+modules of this project.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Answer = tuple[list[float], float, float, int, bool]
 
 
 class Worker:
-    """Holds one subject; public methods are what can be asked of it."""
+    """Holds one subject; its public methods can be requested."""
 
     def __init__(self, kind: str) -> None:
         module, name = KINDS[kind]
@@ -51,7 +51,7 @@ class Worker:
         return {"build_s": time.perf_counter() - began, "before_bytes": before}
 
     def reset(self, *data: object) -> None:
-        """Start a drive anew; `data` are those of its first tick."""
+        """Restart a drive; `data` are those of its first tick."""
         self._subject.reset(*data)
 
     def run(self, *ticks: tuple[object, ...]) -> tuple[list[Answer], tuple[float, float, int, float]]:

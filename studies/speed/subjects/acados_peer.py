@@ -1,6 +1,6 @@
 """acados: one real-time iteration (SQP_RTI) with HPIPM on generated and compiled C; see docs/performance.md.
 
-Runs in an environment of its own (`studies.speed.process.environment`): of ours it knows `StageProblem`'s plain
+Runs in its own environment (`studies.speed.process.environment`): of this project it uses only `StageProblem`'s plain
 values.
 """
 
@@ -36,7 +36,7 @@ class AcadosPeer:
         `qp_solver`, `stages_per_block` (of partial condensing), `mode` (HPIPM's), `tolerance`,
         `max_iterations`, `warm_start`, `shift`, `soft_limits`, `flags` (compiler).
     folder
-        Where code is generated and compiled. The current folder must be this one.
+        Folder of the generated and compiled code. The current folder must be this one.
     """
 
     def __init__(self, problem: dict[str, Any], settings: dict[str, Any], folder: Path) -> None:
@@ -53,7 +53,7 @@ class AcadosPeer:
         self._status = 0
 
     def reset(self, state: np.ndarray, parameters: np.ndarray) -> None:
-        """Start anew along the feed-forward."""
+        """Restart along the feed-forward."""
         self._solver.reset()
         self._data[0] = 0.0
         z = state

@@ -1,6 +1,6 @@
 """do-mpc with IPOPT; see docs/performance.md.
 
-Runs in an environment of its own (`studies.speed.process.environment`): of ours it knows `StageProblem`'s plain
+Runs in its own environment (`studies.speed.process.environment`): of this project it uses only `StageProblem`'s plain
 values.
 """
 
@@ -63,7 +63,7 @@ class DoMpcPeer:
         self._mpc = mpc
 
     def reset(self, state: np.ndarray, parameters: np.ndarray) -> None:
-        """Start anew along the feed-forward of the first stage."""
+        """Restart along the feed-forward of the first stage."""
         mpc = self._mpc
         mpc.reset_history()
         mpc.x0["state"] = state

@@ -36,7 +36,7 @@ class NlpPeer:
         self._guess: dict[str, Any] = {}
 
     def reset(self, state: np.ndarray, parameters: np.ndarray) -> None:
-        """Start anew along the feed-forward."""
+        """Restart along the feed-forward."""
         commands, states = parameters[:-1, 4:6], [state]
         for u, p in zip(commands, parameters[:-1], strict=True):
             states.append(np.array(self._step(states[-1], u, p)).ravel())

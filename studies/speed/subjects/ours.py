@@ -1,4 +1,4 @@
-"""Our controller as a subject: the whole step from measurement to command, and what of it is the solve."""
+"""Our controller as a subject: the whole step from measurement to command, and the solve as a part of it."""
 
 from __future__ import annotations
 

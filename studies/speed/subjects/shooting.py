@@ -26,9 +26,9 @@ class ShootingProgram:
     bounds
         lbx, ubx, lbg, ubg.
     equality
-        Which rows of g are equations.
+        Rows of g that are equations.
     stride, states
-        Length of one stage in x, and of z; u_k stands after z_k.
+        Length of one stage in x, and of z; u_k follows z_k.
     """
 
     nlp: dict[str, ca.SX]

@@ -1,4 +1,4 @@
-"""Features beside the main job of diffdrive-mpc: models of the papers, obstacles, planning, campaigns, export to C."""
+"""Additional features of diffdrive-mpc: models of the papers, obstacles, planning, campaigns, export to C."""
 
 from importlib.metadata import version
 

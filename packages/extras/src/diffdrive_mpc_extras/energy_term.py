@@ -36,7 +36,7 @@ class Energy(FeatureGroup):
     @model_validator(mode="after")
     def _has_costs(self) -> Self:
         if (self.weight or self.use_min_radius) and not self.turn_costs:
-            raise ValueError("turn_costs: say which; shipped are fsu_bot-default and others, torque writes yours")
+            raise ValueError("turn_costs: give a file; shipped are fsu_bot-default and others, torque writes yours")
         return self
 
     @property

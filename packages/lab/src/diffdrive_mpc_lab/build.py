@@ -43,11 +43,11 @@ from diffdrive_mpc_lab.numbers import (
 BASES = ("model", "horizon", "told")
 """Choices whose constants are kept for each combination."""
 VARIED = ("across", "along", "smooth", "slew", "wheel")
-"""Choices of which each changes numbers of its own, whatever the others are."""
+"""Choices that each change their own numbers, independent of the others."""
 
 
 class Pool:
-    """Arrays by their place; equal ones are kept once."""
+    """Arrays by their place; equal ones are stored once."""
 
     def __init__(self) -> None:
         self._places: dict[bytes, int] = {}

@@ -175,7 +175,7 @@ def flat(struct: Struct) -> FloatArray:
     return np.concatenate(list(struct.values()))
 
 
-# What is no struct: arrays that C points into.
+# Everything but structs: arrays that C points into.
 
 
 def plant_model(name: str, dead_time: float) -> FloatArray:
@@ -213,8 +213,8 @@ def reference(path: str, speed: float) -> FloatArray | None:
 def configuration(model: str, choices: Mapping[str, Any]) -> ControllerConfig:
     """Build the configuration of the page's controller: the shipped one of `model`, with `choices`, without re-entry.
 
-    Weights on increments are stated, so that no choice changes those that follow from others. Delays are not learned:
-    the page shows what an unknown one costs.
+    Weights on increments are stated, so that no choice changes those computed from others. Delays are not learned: the
+    page shows the cost of an unknown one.
 
     Raises
     ------

@@ -23,10 +23,10 @@ def monitor(
         typer.Option(help="Write the judge in C with these rules into a folder instead.", show_default=False),
     ] = None,
 ) -> None:
-    """Stand between a controller and its base: pass on what keeps all rules, stop the robot at what breaks one.
+    """Check commands between a controller and its base: pass them on, or stop the robot where a rule is violated.
 
-    The controller has to publish `cmd_vel_unchecked` (node: `--ros-args -r cmd_vel:=cmd_vel_unchecked`). What follows
-    `--ros-args` goes to ROS: remappings, parameters.
+    The controller has to publish `cmd_vel_unchecked` (node: `--ros-args -r cmd_vel:=cmd_vel_unchecked`). Arguments
+    after `--ros-args` are passed to ROS: remappings, parameters.
     """
     arguments = ros_arguments(context)
     if export is not None:

@@ -1,4 +1,4 @@
-"""The judge for Python: what it is told, and what it says of it in words."""
+"""The judge for Python: its inputs, and its verdict in words."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from diffdrive_mpc.models.compiled.compiler import digest_of
 from diffdrive_mpc.models.compiled.packaged import BASELINE, Level, Packaged
 from diffdrive_mpc_monitor.rules import Rules
 
-# The judge through cffi; `core/judge.h` says what is in it.
+# The judge through cffi; `core/judge.h` describes it.
 
 
 CORE = Path(__file__).parent / "core"
 """Folder of the C file and its header."""
 SOURCES = ("judge.c", "judge.h")
 
-# The same bits on every processor: what the monitor of a microcontroller decides can be looked at on a desk.
+# The same bits on every processor: decisions of the monitor of a microcontroller can be repeated on a PC.
 _FLAGS = ("-ffp-contract=off",)
 
 
@@ -70,9 +70,9 @@ class MonitorVerdict(NamedTuple):
     Attributes
     ----------
     rule
-        Its name, such as "off_path"; empty where all is well.
+        Name of the rule, such as "off_path"; empty without a violation.
     at
-        When [s].
+        Time of the verdict [s].
     words
         A sentence for a person; empty where all is well.
     """
@@ -87,14 +87,14 @@ class MonitorVerdict(NamedTuple):
 
 
 class Judge:
-    """Looks at commands and sensors, and says whether to let commands pass. Times are seconds that never go back.
+    """Checks commands and sensors, and decides whether commands pass. Times are seconds that never go back.
 
     Parameters
     ----------
     rules
-        What has to hold.
+        Rules to check.
     now
-        When it begins [s].
+        Start time [s].
 
     Raises
     ------
@@ -118,7 +118,7 @@ class Judge:
 
     def reference(self, now: float, points: Sequence[Sequence[float]]) -> bool:
         """Take a reference: (n, 4) when [s], x [m], y [m], theta [rad]; whether it can be followed. Empty: none."""
-        # What the judge looks at lives as long as it does; the old one until it has the new one.
+        # The judge's reference exists as long as the judge; the old one until it has the new one.
         path = self._ffi.new("ddmon_point[]", [tuple(map(float, point)) for point in points] or 1)
         sound = bool(self._lib.ddmon_reference(self._judge, now, path, len(points)))
         self._path = path
@@ -141,7 +141,7 @@ class Judge:
         self._lib.ddmon_says(self._judge, now, drives)
 
     def outside(self, now: float, *, wrong: bool) -> None:
-        """Take that somebody else commands the base, or no longer."""
+        """Record whether another node commands the base."""
         self._lib.ddmon_outside(self._judge, now, wrong)
 
     def command(self, now: float, stamp: float, v: float, omega: float) -> tuple[float, float]:
@@ -150,15 +150,15 @@ class Judge:
         return self._out[0], self._out[1]
 
     def tick(self, now: float) -> tuple[float, float] | None:
-        """Let time pass. What is to be sent to the base where the robot was stopped, else None."""
+        """Update the time; return the command for the base where the robot was stopped, else None."""
         if not self._lib.ddmon_tick(self._judge, now, self._out):
             return None
         return self._out[0], self._out[1]
 
     def reset(self, now: float) -> MonitorVerdict:
-        """Resume if all rules hold, the robot stands and nobody moves it; return the verdict.
+        """Resume if all rules hold, the robot stands and no other node moves it; return the verdict.
 
-        A robot that is off its path goes on without a reference: the controller has to begin anew.
+        A robot that is off its path continues without a reference: the controller must start again.
         """
         return self._said(self._lib.ddmon_reset(self._judge, now))
 

@@ -1,4 +1,4 @@
-"""The rules of the monitor: one typed schema of the file that holds them. Units stand in brackets."""
+"""The rules of the monitor: one typed schema of the file that holds them. Units are in brackets."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Age = Annotated[float, Field(ge=0, le=60)]
 
 
 class CommandRules(StrictModel):
-    """Limits of commands, whatever the robot does."""
+    """Limits of commands, independent of the robot's motion."""
 
     v: Positive = Field(description="largest |v| [m/s]")
     omega: Positive = Field(description="largest |omega| [rad/s]")
@@ -53,7 +53,7 @@ class CommandRules(StrictModel):
     @model_validator(mode="after")
     def _paces_in_order(self) -> Self:
         if self.quickest >= self.slowest:
-            raise ValueError("commands.quickest has to be shorter than commands.slowest")
+            raise ValueError("commands.quickest must be shorter than commands.slowest")
         return self
 
 
@@ -157,6 +157,6 @@ def load_rules(name: str | Path = "default") -> Rules:
     Raises
     ------
     models.checked_yaml.ConfigError
-        If there are none, or a value is missing, unknown or out of range.
+        If there is no such file, or a value is missing, unknown or out of range.
     """
     return load_checked(Rules, named_file("rules", FOLDER, name, shipped_names(FOLDER)))

@@ -6,7 +6,7 @@ from collections import deque
 
 _FALLS = 3
 _MESSAGES, _TIME = 6, 0.3
-"""The numbers of two publishers fall three times within so many messages, or so much time [s]."""
+"""The numbers of two publishers decrease three times within this number of messages, or this time [s]."""
 
 
 class Senders:

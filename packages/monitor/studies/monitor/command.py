@@ -23,10 +23,11 @@ def run(
     tuning: Annotated[bool, typer.Option("--tuning", help="The seeds that the rules were tuned on.")] = False,
     jobs: Jobs = None,
 ) -> None:
-    """Break controllers on purpose and drive for hours with sound ones: what the monitor catches, when, and what not.
+    """Break controllers on purpose and drive for hours with sound ones, to test the monitor.
 
-    The exit code is 1 when a fault was missed or found late, or a nominal drive alarmed in which the robot stays near
-    its path and on time; the report is written all the same.
+    It reports detected and missed faults and the times of the detections. The exit code is 1 when a fault was missed or
+    found late, or a nominal drive alarmed in which the robot stays near its path and on time; the report is written all
+    the same.
     """
     from studies.monitor.study import MonitorStudy, complaint  # noqa: PLC0415
 

@@ -1,4 +1,4 @@
-"""Controllers, robots and sensors broken on purpose: one class a fault, and what the monitor is held to for it."""
+"""Controllers, robots and sensors broken on purpose: one class for each fault, and the monitor's task."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Fault:
     Parameters
     ----------
     begins
-        When it begins [s].
+        Time of the fault's start [s].
     """
 
     def __init__(self, begins: float = math.inf) -> None:
@@ -94,7 +94,7 @@ class Fault:
 
 
 class _Late(Fault):
-    """Keeps what came, to give it again later."""
+    """Stores the measurements, to return them later."""
 
     def __init__(self, begins: float, ticks: int) -> None:
         super().__init__(begins)
@@ -126,7 +126,7 @@ class Frozen(Fault):
 
 
 class NotANumber(Fault):
-    """Sends what is no number."""
+    """Sends values that are no numbers."""
 
     def sends(self, command: Sent) -> list[Sent]:
         return [command._replace(omega=math.nan)]
@@ -172,7 +172,7 @@ class TooFast(Fault):
 
 
 class LateAndStamped(_Late):
-    """Its commands are half a second old when they leave, and say so."""
+    """Its commands are half a second old when they are sent, as their stamp states."""
 
     def went(self, sent: list[Sent]) -> None:
         self.pending.extend(sent if len(self.pending) < 25 else ())
@@ -211,7 +211,7 @@ class Swings(Fault):
 
 
 class NeverStops(Fault):
-    """Goes on at the end of its path as if there were none."""
+    """Continues beyond the end of its path."""
 
     def active(self, t: float) -> bool:
         return t >= self._end - 0.6
@@ -225,7 +225,7 @@ class NeverStops(Fault):
 
 
 class NeverStopsButSaysSo(NeverStops):
-    """The same, and says that it has finished."""
+    """The same, and reports that it has finished."""
 
     def says(self, mode: str) -> str:
         return mode
@@ -256,7 +256,7 @@ class Spins(Fault):
 
 
 class Drifts(Fault):
-    """Believes to be where it is not, by 0.1 m more every second."""
+    """Its assumed position moves away from the true one by 0.1 m every second."""
 
     since: float | None = None
 
@@ -278,7 +278,7 @@ class ScaledOmega(Fault):
 
 
 class NoOmega(Fault):
-    """Its yaw rate is lost on the way."""
+    """Its yaw rate is lost during transmission."""
 
     def sends(self, command: Sent) -> list[Sent]:
         return self.smooth(command.stamp, command.v, 0.0)
@@ -318,7 +318,7 @@ class Replays(Fault):
 
 
 class MovesWhilePaused(Fault):
-    """Says that it stands, and drives on."""
+    """Reports that it stands, and drives on."""
 
     def says(self, mode: str) -> str:
         return "PAUSED"
@@ -332,7 +332,7 @@ class Silent(Fault):
 
 
 class SeesThePast(Fault):
-    """Takes what its sensors said for what they say, for ever."""
+    """Uses the first sensor readings for ever."""
 
     last: Measurement | None = None
 
@@ -366,7 +366,7 @@ class JumpingReference(Fault):
 
 
 class NoReference(Fault):
-    """Drives without telling anybody where."""
+    """Drives without publishing a reference."""
 
     def published(self, points: FloatArray) -> FloatArray:
         return points[:0]
@@ -412,7 +412,7 @@ class Shakes(Fault):
 
 
 class DeafBase(Fault):
-    """The robot does what it was last told, whatever it is told then: stopped, it drives on."""
+    """The robot executes its last command, independent of later ones: stopped, it drives on."""
 
     held: tuple[float, float] | None = None
 
@@ -423,14 +423,14 @@ class DeafBase(Fault):
 
 
 class Runaway(Fault):
-    """The robot drives as fast as it can, whatever it is told."""
+    """The robot drives as fast as it can, independent of its commands."""
 
     def obeys(self, command: tuple[float, float]) -> tuple[float, float]:
         return 1.5, command[1]
 
 
 class Miswired(Fault):
-    """The robot turns to the other side than it is told."""
+    """The robot turns to the other side than commanded."""
 
     def obeys(self, command: tuple[float, float]) -> tuple[float, float]:
         return command[0], -command[1]
@@ -475,13 +475,13 @@ class FaultBounds:
     make
         The fault, from when it begins [s].
     stated
-        So long after that the monitor has stopped the robot [s].
+        Time after it within which the monitor stops the robot [s].
     of
-        What is broken: "controller", or "robot" for robot and sensors.
+        Broken part: "controller", or "robot" for robot and sensors.
     stoppable
         Whether the robot can be stopped by commands.
     controller
-        Who drives. The MPC finds some faults itself and stops; then one drives that has no checks.
+        Controller of the drive. The MPC finds some faults itself and stops; then one drives that has no checks.
     """
 
     make: Callable[[float], Fault]

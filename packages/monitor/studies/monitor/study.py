@@ -67,9 +67,9 @@ class MonitorStudy(Study[list[Task], MonitorStudyResult]):
     seeds
         Drives of each fault.
     hours
-        Of nominal drives, at least [h].
+        Least duration of the nominal drives [h].
     tuning
-        Whether on the seeds that the rules were tuned on.
+        Whether to use the seeds that the rules were tuned on.
     """
 
     name, title = "monitor", "What the monitor catches, and how soon"

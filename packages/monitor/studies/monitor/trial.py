@@ -1,4 +1,4 @@
-"""One drive with the monitor behind its controller, and what came of it."""
+"""One drive with the monitor behind its controller, and the result."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from diffdrive_mpc_monitor.judge import Judge, MonitorVerdict
 from diffdrive_mpc_monitor.rules import Rules
 
 BASE_TIMEOUT = 0.5
-"""The base stops by itself so long after the last command [s], as `sim/ros/base.yaml` has it."""
+"""Time after the last command at which the base stops by itself [s], as in `sim/ros/base.yaml`."""
 _STANDING = frozenset({"STOPPED", "FINISHED", "PAUSED", "IDLE"})
-"""Modes in which a controller says that it does not drive."""
+"""Modes in which a controller reports that it does not drive."""
 _TOLD_AGAIN = 0.2
-"""The node sends its reference anew where that is due so much later or earlier [s]."""
+"""Shift of the reference in time at which the node sends it again [s]."""
 _BEFORE = 1000.0
 """The clock at time 0 [s]: a stamp of 0 means "none", as in ROS."""
 
@@ -46,11 +46,11 @@ class MonitoredController:
     Parameters
     ----------
     inner
-        Who decides.
+        Controller of the robot.
     rules
-        Of the monitor.
+        Rules of the monitor.
     fault
-        What breaks it; None: nothing.
+        Fault of the drive; None without one.
     """
 
     def __init__(self, inner: TrackingController, rules: Rules, fault: Fault | None = None) -> None:
@@ -126,7 +126,7 @@ class MonitoredController:
         self._summed = [x + step * v * math.cos(middle), y + step * v * math.sin(middle), theta + step * omega]
 
 
-# Drives in which nothing is wrong: drawn from controllers, paths, floors, what happens there, and sensors.
+# Drives without a fault: drawn from controllers, paths, floors, scenarios, and sensors.
 
 
 CONTROLLERS = (
@@ -140,11 +140,11 @@ THROWN_OFF = frozenset({"push", "start_offset"})
 no sound drive (two alarms in 276 drives from seed 10000 on were of these, and right)."""
 PATHS = ("circle", "square", "s", "cane", "figure8", "fast_circle", "slalom", "reverse_slalom", "k_turn", "spiral")
 SPLINES = 40
-"""Beside these, so many random paths."""
+"""Number of additional random paths."""
 _FLOORS = ("default", "default", "carpet", "deep_carpet", "grippy", "slippery")
 _HAPPENINGS = ("push", "patches", "payload", "slope", "start_offset")
 PLACES = (*((floor, "none") for floor in _FLOORS), *(("default", happening) for happening in _HAPPENINGS))
-"""Floors, and what happens there."""
+"""Floors and scenarios."""
 SENSORS = (
     *("default", "default", "slam", "noise_2cm", "poses_100ms"),
     *("poses_20hz", "poses_10hz", "poses_5hz", "poses_2hz"),
@@ -177,17 +177,17 @@ def nominal_case(seed: int) -> Case:
 
 
 FAULTY_PATHS = ("s", "square", "cane", "figure8", "slalom", "spline-0", "spline-1", "spline-2")
-"""Paths that faulty controllers drive: they bend, or what goes on as before would be right."""
+"""Paths that faulty controllers drive: they bend, or continuing as before would be right."""
 AFTER, _AFTER_FAULT = 3.0, 8.0
-"""So long a drive goes on after the end of its reference [s]."""
+"""Time that a drive continues after the end of its reference [s]."""
 _FIRST, _LAST = 2.5, 5.0
 """A fault begins between these [s]."""
 HARM = 1.0
 """A robot does harm that comes so far from the stretch of path around its reference [m], or cannot be stopped."""
 _AT_REST = 0.05
-"""A robot slower than this stands [m/s, rad/s]."""
+"""A slower robot counts as standing [m/s, rad/s]."""
 _NEAR = (6.0, 1.0)
-"""Harm is measured to where the reference was up to so long ago, and will be up to so much later [s]."""
+"""Harm is measured to the part of the reference from this time ago to this time ahead [s]."""
 
 
 @dataclass(frozen=True)
@@ -197,13 +197,13 @@ class MonitorTrial:
     Attributes
     ----------
     case
-        What was driven.
+        Case of the drive.
     fault
         Name of the fault; empty without one.
     driven
-        How long [s].
+        Duration of the drive [s].
     rule, words
-        Of the verdict; empty without one.
+        Rule and words of the verdict; empty without one.
     after
         From the fault, or else the start, to the verdict [s]; NaN without one.
     farthest

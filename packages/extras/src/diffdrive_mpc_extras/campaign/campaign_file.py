@@ -73,14 +73,16 @@ def load_conditions(file: Path | None = None) -> Conditions:
 
 
 CONDITION = "condition"
-"""Factor whose value is a condition of the robustness study: plant, surface, sensors, scenario and what is told."""
+"""Factor whose value is a condition of the robustness study: plant, surface, sensors, scenario and the values given to
+the controller.
+"""
 MOST_RUNS = 100 * MOST_SEEDS
 _SEED = "seed"
 _INSIDE = 2.0**-33
 
 
 class Campaign(StrictModel):
-    """A list of runs, as distributions of what they are made of."""
+    """A list of runs, given by distributions of their factors."""
 
     description: str = Field(min_length=1, description="what it is for, in one line")
     runs: Annotated[int, Field(ge=1, le=MOST_RUNS)] = Field(description="how many runs")
@@ -104,7 +106,7 @@ class Campaign(StrictModel):
 
     @property
     def draws(self) -> dict[str, Draw | Value]:
-        """Every factor, in the order of the file; each run has a seed of its own where the file does not say."""
+        """Every factor, in the order of the file; each run has its own seed where the file has none."""
         read = {name: read_factor(data, f"factors.{name}") for name, data in self.factors.items()}
         return read if _SEED in read else read | {_SEED: read_factor({"each": 0}, _SEED)}
 
@@ -153,7 +155,7 @@ def spread_points(sampler: str, count: int, dimensions: int, seed: int) -> Float
 
 
 def load_campaign(path: str | Path) -> Campaign:
-    """Read a campaign; files that stand beside it may be named by their path from there.
+    """Read a campaign; files in its folder may be named by their relative path.
 
     Raises ConfigError when the file has a mistake.
     """
@@ -193,5 +195,5 @@ def _with_condition(values: dict[str, Value], conditions: Conditions) -> dict[st
     }
     twice = [place for place in places if place in values]
     if twice:
-        raise ConfigError(f"factors.{twice[0]}: a condition says that already; give one of them")
+        raise ConfigError(f"factors.{twice[0]}: a condition sets that already; give one of them")
     return places | {f"config.{key}": value for key, value in condition.settings.items()} | values

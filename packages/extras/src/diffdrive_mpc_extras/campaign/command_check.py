@@ -47,7 +47,7 @@ class StatedLimits:
 
 @dataclass(frozen=True)
 class Unsafe:
-    """At how many ticks of a run the command broke what is stated.
+    """Number of ticks of a run at which the command violated a limit.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Unsafe:
         It was beyond the largest command.
     slew
         It changed by more in a tick than its mode allows: the slew limit in TRACKING and REUSED_PLAN; in BRAKING and
-        FINISHED the braking limit, towards zero only; in STOPPED anything, but it has to be zero.
+        FINISHED the braking limit, towards zero only; in STOPPED any change, but the command must be zero.
     motion
         It asked for more motion than a ramp at the braking limits that begins when no pose has come for `max_pose_age`,
         or for any before the first pose.
@@ -79,7 +79,7 @@ class Unsafe:
 
 
 def stated_limits(config: str | Path | None, overrides: Mapping[str, object]) -> StatedLimits:
-    """Read the limits in plain YAML: what is stated, over it a configuration file, over it values by dotted key.
+    """Read the limits in plain YAML: the stated limits, then a configuration file, then values by dotted key.
 
     Raises KeyError or TypeError where a number is missing, OSError where a file is.
     """
@@ -108,7 +108,7 @@ def stated_limits(config: str | Path | None, overrides: Mapping[str, object]) ->
 def check_commands(
     time: ArrayLike, command: ArrayLike, modes: Sequence[str], pose_came: ArrayLike, limits: StatedLimits
 ) -> Unsafe:
-    """Count what was unsafe in a run of n ticks, which began with a robot at rest.
+    """Count the unsafe commands in a run of n ticks, which began with a robot at rest.
 
     Parameters
     ----------
@@ -117,15 +117,15 @@ def check_commands(
     command
         (n, 2) v [m/s], omega [rad/s].
     modes
-        (n,) what the controller said it was doing; a word that is not known keeps no limit.
+        (n,) mode that the controller reported; an unknown word has no limit.
     pose_came
         (n,) whether a finite pose was delivered at the tick.
     limits
-        What is stated.
+        Limits of the robot.
     """
     times, commands = np.asarray(time, dtype=float), np.asarray(command, dtype=float)
     finite = np.isfinite(commands).all(axis=1)
-    # What is not finite is counted once; for the ticks around it the command counts as zero.
+    # A command that is not finite is counted once; for the ticks around it the command counts as zero.
     sound = np.where(finite[:, None], commands, 0.0)
     before = np.vstack([np.zeros(2), sound[:-1]])
     most = np.where(sound < 0.0, limits.behind or limits.most, limits.most)

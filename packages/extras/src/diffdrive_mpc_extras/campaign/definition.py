@@ -43,7 +43,7 @@ _TYPES: dict[str, tuple[type, ...]] = {
 
 @dataclass(frozen=True)
 class Definition:
-    """Everything that fixes one run, beside the product itself.
+    """Everything that defines one run, except the product itself.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class Definition:
             fields_of_case[name] = value
         peer = fields_of_case.get("controller") in PEERS
         if peer and groups["config"]:
-            # A peer has no configuration: what varies there varies for the predictive controller only.
+            # A peer has no configuration: factors of it vary only for the predictive controller.
             groups["config"] = {}
         if peer:
             fields_of_case |= {"model": NO_MODEL, "config": None}
@@ -88,14 +88,14 @@ class Definition:
 
     @property
     def factors(self) -> dict[str, Value | None]:
-        """All of it by name of the factors; what has its default, too. `of` gives it back."""
+        """All of it by name of the factors; values with their default, too. `of` gives it back."""
         of_case = {name: getattr(self.case, name) for name in FACTORS_OF_A_CASE}
         grouped = {f"{group}.{key}": value for group in GROUPS for key, value in self._group(group)}
         return of_case | grouped
 
     @property
     def columns(self) -> dict[str, Value | None]:
-        """`factors` for tables: of a path only the stem, which says nothing of the machine."""
+        """`factors` for tables: of a path only the stem, which is independent of the machine."""
         return {name: label(value) if isinstance(value, str) else value for name, value in self.factors.items()}
 
     def changed(self, changes: Mapping[str, Value]) -> Definition:
@@ -135,7 +135,7 @@ def _said(kinds: tuple[type, ...]) -> str:
     return {bool: "true or false", int: "a whole number", float: "a number", str: "a name"}[kinds[-1]]
 
 
-# What plant, floor and sensors of a run say, for factors that are spread about it.
+# Values of plant, floor and sensors of a run, for factors that vary around them.
 
 
 def stated(key: str, factors: Mapping[str, object]) -> float:

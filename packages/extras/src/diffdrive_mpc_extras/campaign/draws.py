@@ -96,7 +96,7 @@ class NormalValues(StrictModel):
 
 
 class Normal(Draw):
-    """A normal distribution, truncated where it says so."""
+    """A normal distribution, truncated where bounds are given."""
 
     normal: NormalValues
 
@@ -112,7 +112,7 @@ class Normal(Draw):
 
 
 class OneOf(Draw):
-    """A choice: a list whose values are as likely, or values with their weights."""
+    """A choice: a list of equally likely values, or values with their weights."""
 
     one_of: tuple[Value, ...] | dict[str, Annotated[float, Field(gt=0)]]
 

@@ -1,4 +1,4 @@
-"""Robots of the market that can drive the benchmark paths, by a rule that knows their physics and no controller."""
+"""Robots of the market that can drive the benchmark paths, selected by their physics without a controller."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Drive one run of a campaign: build what its definition names, and watch the controller's commands."""
+"""Drive one run of a campaign: build the parts of its definition, and check the controller's commands."""
 
 from __future__ import annotations
 
@@ -51,13 +51,13 @@ def row_of(run: Run | None, unsafe: Unsafe | None, error: str, processor: float,
     Parameters
     ----------
     run
-        What was driven; None where it ended in an error.
+        The drive; None where it ended in an error.
     unsafe
         Counts by the checker; None where the controller is not this project's.
     error
         Why it could not be driven or driven on, in one line; empty where it could.
     processor, wall
-        What it took of the processor and of the clock [s].
+        Processor time and clock time of the drive [s].
     """
     row: Row = {"completed": run is not None and run.metrics.completed, "error": error}
     row |= {f"unsafe_{name}": count for name, count in (asdict(unsafe) if unsafe else {}).items()}
@@ -76,7 +76,7 @@ _PHYSICS = "mujoco"
 
 
 class RecordedController:
-    """A controller, and what it commanded when: also commands that the loop refuses."""
+    """A controller with a record of its commands: also commands that the loop refuses."""
 
     def __init__(self, controller: TrackingController) -> None:
         self._controller = controller
@@ -90,7 +90,7 @@ class RecordedController:
         self._controller.start(reference, t0)
 
     def step(self, t: float, measurement: Measurement) -> ControlStep:
-        """Pass on, and keep what was said."""
+        """Pass on the step, and store its result."""
         step = self._controller.step(t, measurement)
         pose = measurement.pose
         values = np.asarray(step.command, dtype=float).ravel()
@@ -121,7 +121,7 @@ def built(definition: Definition) -> Iterator[tuple[TrackingController, Plant, R
 
 
 def drive(definition: Definition) -> Row:
-    """Drive the run and keep its row; whatever goes wrong with it becomes the row's `error`."""
+    """Drive the run and keep its row; every error of it becomes the row's `error`."""
     return drive_whole(definition)[1]
 
 
@@ -140,7 +140,7 @@ def drive_whole(
                 run = simulate(watched, plant, reference, keep_plans=keep_plans, on_tick=on_tick)
                 _ = run.errors
         except (MemoryError, OSError, UntrustedFileError):
-            raise  # the machine's or the caller's fault, not the run's: it is to be done again
+            raise  # an error of the machine or the caller, not of the run: it can be repeated
         except Exception as fault:
             error = f"{type(fault).__name__}: {' '.join(str(fault).split())}"
         unsafe = watched.unsafe(definition) if watched else None
@@ -159,7 +159,7 @@ def _with_files(definition: Definition, folder: Path) -> Any:  # noqa: ANN401 - 
         base = ROBOTS.read(name)[0] if name else {}
         changed = _changed({"description": "drawn by a campaign"} | base, definition.robot)
         case = replace(case, plant=f"{_PHYSICS}:{_written(changed, folder / 'robot.yaml')}")
-    # A robot file may have a floor and sensors of its own in place of the default ones: they are what is changed.
+    # A robot file may have its own floor and sensors in place of the default ones: those are changed.
     kind, _, name = case.plant.partition(":")
     robot = load_simulated_robot(name) if kind == _PHYSICS and name else None
     if definition.surface:

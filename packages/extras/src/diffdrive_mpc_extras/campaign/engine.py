@@ -1,7 +1,7 @@
 """Drive the runs of a campaign that are not there yet, and give the rows of all of them.
 
-Every command that drives many runs goes through `drive_all`: what was interrupted goes on, what was driven before
-costs nothing.
+Every command that drives many runs goes through `drive_all`: an interrupted campaign is continued, and runs that were
+driven before are not repeated.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def check_definitions(definitions: Sequence[Definition]) -> None:
 
     Combinations of them are not all built: a run that cannot be has its error in its row.
 
-    Raises ConfigError, which names the factor that was looked at, if one cannot be built.
+    Raises ConfigError, which names the factor, if one cannot be built.
     """
     for index, factor in sorted(_telling(definitions).items()):
         try:
@@ -67,7 +67,7 @@ def _telling(definitions: Sequence[Definition]) -> dict[int, str]:
     return named_values | {index: f"{name} = {value:g}" for name, (value, index) in ends}
 
 
-# One run on its way to whoever drives it.
+# One run on its way to the process that drives it.
 
 
 class OtherVersionError(StudyFailedError):
@@ -93,7 +93,7 @@ class CampaignTask:
 
 
 def do(task: CampaignTask) -> Row:
-    """Drive the run and give its row; raises OtherVersionError where it would not be the run that was asked for."""
+    """Drive the run and give its row; raises OtherVersionError where it would be another run than the requested one."""
     if key_of(task.definition) != task.key:
         raise OtherVersionError(
             f"{platform.node()} has another version of this product, of Python or of {', '.join(LIBRARIES)}, or other "
@@ -124,7 +124,7 @@ class Store:
             raise ConfigError(f"--out {folder}: cannot be written to ({reason(error)}); give a folder") from error
 
     def clear_drafts(self) -> None:
-        """Remove what writers left that were ended from outside."""
+        """Remove files of writers that were ended from outside."""
         for draft in self._folder.glob("*/.unfinished-*"):
             with suppress(FileNotFoundError):  # another process has just put its file in place
                 if time.time() - draft.stat().st_mtime > _LEFT_OVER:
@@ -135,7 +135,7 @@ class Store:
         return {path.stem for path in self._folder.glob("*/*.json")}
 
     def save(self, key: str, identity: dict[str, object], row: Row) -> None:
-        """Keep the row of the run with `key`, and beside it all that the key is the hash of."""
+        """Store the row of the run with `key`, and with it all data that the key is the hash of."""
         record = {"key": key, **identity, "row": row, "sums": _sums(key, row)}
         with whole_file(self._path(key), rewrites=True) as draft:
             draft.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
@@ -178,9 +178,9 @@ def _sums(key: str, row: Row) -> dict[str, str]:
 
 
 _WORTH = 8
-"""A process that starts, and ends with the runs, costs as much as so many of them."""
+"""A process that starts and ends with the runs costs as much time as this number of runs."""
 _TRIES = 3
-"""So many pools in a row may break without a run done in between."""
+"""Number of pools in a row that may break without a finished run in between."""
 
 
 def drive_here(tasks: Iterable[CampaignTask], folder: Path, jobs: int, on_done: OnDone) -> None:
@@ -211,12 +211,12 @@ def _keep(task: CampaignTask, folder: Path) -> None:
 
 @dataclass(frozen=True)
 class CampaignRun:
-    """A run of a campaign and what came of it.
+    """A run of a campaign and its result.
 
     Attributes
     ----------
     definition
-        What was driven.
+        Definition of the run.
     key
         The hash under which it is stored.
     row
@@ -245,7 +245,7 @@ class CampaignPlace:
     Attributes
     ----------
     folder
-        Of the store.
+        Folder of the store.
     jobs
         Processes on this machine; None for one for each core.
     """
@@ -265,13 +265,13 @@ def drive_all(
     Parameters
     ----------
     definitions
-        What to drive.
+        Definitions of the runs.
     place
-        Where.
+        Store and workers of the runs.
     bar
         Shows how far it is.
     text
-        What the bar says.
+        Text of the progress bar.
 
     Raises ConfigError where the store cannot be written to, a stored row was changed, or a run cannot be built, before
     anything is driven;

@@ -20,7 +20,7 @@ from diffdrive_mpc_extras.campaign.engine import CampaignPlace, CampaignRun, dri
 
 
 def write_table(rows: Sequence[Mapping[str, object]], path: Path, facts: Mapping[str, str] | None = None) -> None:
-    """Write one row a run, compressed by zstd; what a row lacks is null.
+    """Write one row a run, compressed by zstd; missing values of a row are null.
 
     The same rows give the same columns in the same order. Whole numbers and others in one column become floating-point
     numbers, texts and numbers texts. `facts` are kept as metadata of the file's schema.
@@ -90,18 +90,18 @@ class Part:
 def run_campaign(
     file: Path, place: CampaignPlace, runs: int | None = None, part: Part | None = None
 ) -> list[CampaignRun]:
-    """Drive a campaign, print what it came to, and write the table of its runs into the folder of `place`.
+    """Drive a campaign, print its results, and write the table of its runs into the folder of `place`.
 
     Parameters
     ----------
     file
         The campaign.
     place
-        Where its runs are driven and kept.
+        Store and workers of the runs.
     runs
-        How many of them, in place of what the file says.
+        Number of runs, in place of that of the file.
     part
-        Which of them; None for all.
+        Part of the runs; None for all.
 
     Raises ConfigError or ValueError if the file has a mistake, and MissingPackageError without pyarrow, before anything
     is driven; StudyFailedError if runs could not be driven.

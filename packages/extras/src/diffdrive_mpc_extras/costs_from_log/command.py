@@ -1,4 +1,4 @@
-"""`diffdrive-mpc torque`: what a turn costs a robot, from a log of it."""
+"""`diffdrive-mpc torque`: energy costs of a robot's turns, from a log of it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def torque(
         typer.Option(metavar="NAME|FILE", help="Drive constants to begin with (YAML).", show_default=False),
     ] = None,
 ) -> None:
-    """Learn what a turn costs a robot from its log: drive constants, torque curves and slip law."""
+    """Identify the energy costs of a robot's turns from its log: drive constants, torque curves and slip law."""
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415 - --help does without it
     from diffdrive_mpc_extras.costs_from_log.study import TorqueLogStudy  # noqa: PLC0415
 

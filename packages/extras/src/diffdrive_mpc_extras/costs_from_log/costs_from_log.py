@@ -31,12 +31,12 @@ from diffdrive_mpc_extras.turn_costs.slip import body_twists
 PRIOR = "vinyl"
 """The terrain that the curves know before the log: published, and wrong on purpose."""
 
-# Within these a command counts as held: so much and this share [m/s, rad/s].
+# A command counts as held within this difference [m/s, rad/s], plus this part of the command.
 _HELD, _HELD_SHARE = 0.02, 0.05
 _LEAST_ROWS = 200
-# Least and greatest radius of the log have to be so far apart for a curve.
+# Least ratio of greatest to smallest radius of the log for a curve.
 _LEAST_RANGE = 3.0
-# Poses so far apart [s] tell the twist between them.
+# Time between the poses [s] that determine a twist.
 _BETWEEN_POSES = 1.0
 _EVERY = 0.1
 
@@ -77,7 +77,7 @@ def learn_log(log: str | Path, mapping: str | Path | None, vehicle: str | Path, 
         Shipped name or file.
     drive
         Constants to begin with, shipped name or file: gears and number of motors are theirs in any case. By default
-        those of the papers' robot, and then the log has to tell torque constant and resistance.
+        those of the papers' robot, and then the log must determine torque constant and resistance.
 
     Raises
     ------
@@ -98,7 +98,9 @@ def learn_log(log: str | Path, mapping: str | Path | None, vehicle: str | Path, 
         constants = identified.constants
     except ConfigError as error:
         if drive is None:
-            raise ConfigError(f"{error}; or give --drive, whose constants turn currents into torques") from error
+            raise ConfigError(
+                f"{error}; or give --drive with the constants that convert currents to torques"
+            ) from error
         note = str(error)
     curves = TorqueCurves.from_prior(car, load_terrain(PRIOR).model_copy(update={"slip": None}))
     parts = [_learn(curves, record, constants) for record in records]

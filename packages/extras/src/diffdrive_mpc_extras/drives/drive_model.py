@@ -23,7 +23,7 @@ _CORNER = 4
 
 
 class DriveFunctions(Protocol):
-    """The functions of which the equations of a drive are made."""
+    """The functions in the equations of a drive."""
 
     def limited(self, x: ca.SX) -> ca.SX:
         """Clip x to -1 to 1."""
@@ -98,13 +98,13 @@ class Smooth:
         return (1 + ca.tanh(x / width)) / 2
 
 
-# One channel of a drive from sample to sample, v or omega: what the reference becomes, and how the robot follows it.
+# One channel of a drive from sample to sample, v or omega: the processed reference, and the robot's response.
 
 
 STATES = 4
 """Number of states of a channel: both models start with slope-limited reference and speed."""
 SLOPE_LAG = 0.1
-"""Time constant with which the slope of the reference is told [s]: the sample time of the paper."""
+"""Time constant with which the slope of the reference is estimated [s]: the sample time of the paper."""
 FORGETTING = 10.0
 """After this time at rest [s] the last direction of travel no longer counts: a state must not stay for ever."""
 
@@ -138,7 +138,7 @@ def experimental_step(channel: Channel, *, sharp: bool) -> ca.Function:
     rising = shapes.exceeds(slope - steady, steady)
     below = shapes.exceeds(least + by_slope * slope - shapes.size(ramped, still), still)
     speed = speed + (1 - ca.exp(-dt / lag)) * (gain * ramped * (1 - against * rising * below) - speed)
-    # Rounded with a high power: what leaks through the threshold must not count as travel.
+    # Rounded with a high power: the small values that pass the threshold must not count as travel.
     pace = speed / (2 * still)
     moving = shapes.exceeds(shapes.size(speed, still) - still, still) if sharp else pace**4 / (pace**4 + 1)
     direction = direction * np.exp(-dt / FORGETTING)
@@ -217,7 +217,7 @@ class DriveModel(NonlinearModel):
     Attributes
     ----------
     kind
-        Which of the paper's two models.
+        One of the paper's two models.
     sharp
         `step` without what rounds it off.
     """
@@ -252,7 +252,7 @@ def drive_model(
     dt
         Sample time [s].
     dead_samples, still, coefficients
-        For v and omega: dead time in samples, and what `Channel` and the step of the kind say.
+        For v and omega: dead time in samples, and the values of `Channel` and of the step of the kind.
 
     Raises
     ------

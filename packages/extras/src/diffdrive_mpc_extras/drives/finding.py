@@ -1,4 +1,4 @@
-"""A drive model from records: what the log tells, and what keeps its prior."""
+"""A drive model from records: numbers that the log determines, and numbers that keep their prior."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def drive_content(
     fields
         Name, provenance, scores and warnings.
     geometry
-        Of the robot's wheels; by default that of the papers' robot, whose mass it has in any case.
+        Geometry of the robot's wheels; by default that of the papers' robot, whose mass it has in any case.
 
     Raises
     ------
@@ -108,7 +108,7 @@ def _physical(fit: DriveFit, geometry: WheelGeometry | None) -> dict[str, dict[s
     return {"chassis": chassis.model_dump(), "wheel_drive": drive}
 
 
-# What a log tells of a drive model's numbers, and what it does not: that keeps its prior.
+# Numbers of a drive model that a log determines; the others keep their prior.
 
 
 _SHARED = "integral_time"
@@ -122,18 +122,18 @@ _NEVER_SEEN = 1e12
 
 @dataclass(frozen=True)
 class ToldDrive:
-    """A drive model whose numbers a log tells, or which are their priors.
+    """A drive model with numbers that are determined by a log or equal their priors.
 
     Attributes
     ----------
     fit
         The model.
     estimate
-        The numbers that the log tells, named "v.gain" and so on, with their covariance; then both dead times [s].
+        The numbers that the log determines, named "v.gain" and so on, with their covariance; then both dead times [s].
     kept
         Names of the numbers that keep their prior.
     at_bound
-        Names of others that lie on a bound of the search.
+        Names of other numbers on a bound of the search.
     """
 
     fit: DriveFit
@@ -145,8 +145,8 @@ class ToldDrive:
 def told_by(fit: DriveFit, records: Sequence[Record], yaw: YawSource = "gyro") -> ToldDrive:
     """Hold every number of `fit` that has a prior against it, on the records that it was fitted to.
 
-    A number keeps its prior where that explains the records nearly as well, the other numbers fitted anew, or where its
-    standard deviation is larger than itself and than a usual change of it.
+    A number keeps its prior where that explains the records nearly as well after the other numbers are fitted again, or
+    where its standard deviation is larger than itself and than a usual change of it.
     """
     numbers = _Numbers(fit, joined(twist_experiments(records, yaw)))
     point, free, identified = numbers.start, list(numbers.names), []
@@ -194,7 +194,7 @@ def _is_known(numbers: _Numbers, point: dict[str, float], free: list[str], name:
 
 
 class _Numbers:
-    """The numbers of both channels in one row, and what they leave of the records."""
+    """The numbers of both channels in one row, and the residuals of the records."""
 
     def __init__(self, fit: DriveFit, runs: Sequence[SampledExperiment]) -> None:
         self._fit = fit
@@ -224,7 +224,7 @@ class _Numbers:
 
     @cached_property
     def _scale(self) -> list[float]:
-        """Errors of both channels count by what each leaves."""
+        """Errors of both channels are weighted by the residual of each."""
         return [
             float(np.sqrt(np.mean(np.concatenate(self._errors(row, tuple(values.items()))) ** 2)))
             for row, values in enumerate(self.apart(self.start))
@@ -300,11 +300,11 @@ class FoundDrive:
     Attributes
     ----------
     structure
-        As `models list` calls it.
+        Name of the structure in `models list`.
     determined
-        The model, and what the log says of it.
+        The model, and the numbers that the log determines.
     geometry
-        Of the log's wheels; None without any.
+        Geometry of the log's wheels; None without any.
     """
 
     structure: str
@@ -334,7 +334,7 @@ class FoundDrive:
             doubts.append(doubt.of(channel) if channel else doubt)
         for name in self.determined.at_bound:
             doubts.append(Doubt("effect", f"{name} lies on a bound of the search: the data do not determine it"))
-        # A dead time or an offset may be near zero; what has a prior is known, or it would be kept.
+        # A dead time or an offset may be near zero; a number with a prior is determined, or the prior would be kept.
         sized = [name for name in self.estimate.names if name.rpartition(".")[2] in _KINDS]
         for name in sized:
             doubts += badly_known(self.estimate.part([name]), _KINDS[name.rpartition(".")[2]])

@@ -71,7 +71,7 @@ class DriveFit:
     Attributes
     ----------
     kind, dt
-        Which model, and the sample time [s] that it is for.
+        Kind of the model and its sample time [s].
     values
         Numbers of v and of omega by name, units as in `settings.yaml`.
     dead_samples
@@ -195,7 +195,7 @@ def _share_integral_time(
     names = [parameter_names("drive_physical", row) for row in (0, 1)]
     separate_names = [[name for name in group if name != "integral_time"] for group in names]
     channels = [[run.channel(row, row) for run in runs] for row in (0, 1)]
-    # Errors of both channels count by what each left on its own.
+    # Errors of both channels are weighted by the residual of each on its own.
     scale = [
         np.sqrt(np.mean(_errors("drive_physical", row, channels[row], values[row], dead[row]) ** 2)) for row in (0, 1)
     ]
@@ -301,5 +301,5 @@ def _plain_delay(runs: Sequence[SampledExperiment]) -> int:
         u, y = (np.concatenate(part) for part in zip(*power, strict=True))
         scale = float(u @ y) / max(float(u @ u), 1e-12)
         costs.append(float(np.sum((y - scale * u) ** 2)))
-    # A plain delay stands for dead time and lag together; about half of it is a fair beginning.
+    # A plain delay represents dead time and lag together; about half of it is a good start.
     return int(np.argmin(costs)) // 2

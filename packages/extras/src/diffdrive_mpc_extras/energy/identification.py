@@ -13,19 +13,19 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc_extras.turn_costs.vehicle import DriveConstants
 
-# Samples are taken together over so long [s], with their trend: noise of a current squared would weaken what it says.
+# Samples are combined over this time [s], with their trend: noise of a squared current would reduce its information.
 _BLOCK = 0.3
 _LEAST_SAMPLES = 5  # of a block: two are its mean and its trend
 _LEAST_BLOCKS = 20
-# What is left over in this many blocks in a row is alike, and counts as one where that makes it less certain.
+# The residuals of this many consecutive blocks are correlated, and count as one where that increases the uncertainty.
 _ALIKE_BLOCKS = 4
-# Columns more alike than this cannot be told apart.
+# Columns with a higher correlation than this cannot be separated.
 _ALIKE = 1e6
 # Below this share of the greatest wheel speed in the log a block is at rest.
 _RESTING = 0.02
 # A constant whose deviation is a greater share of it is not told.
 _TOLD = 0.5
-# So often it is decided anew which motors brake.
+# Number of times that the braking motors are determined again.
 _PASSES = 4
 
 
@@ -45,29 +45,30 @@ class IdentifiedConstants(NamedTuple):
 def identify_constants(records: Sequence[Record], prior: DriveConstants) -> IdentifiedConstants:
     """Identify torque constant, resistance and idle power by least squares on the power of the battery.
 
-    The battery gives V I = sum over the motors of k (wheel speed times current) + R_e current^2, + idle power:
-    k = K_T g eta turns current into torque by equations 25 and 26 of P4, so the three are linear in what is logged. Of
-    a motor that brakes the part counts that `regeneration` and `driver_efficiency` leave. Where only the sides are
+    The battery gives V I = sum over the motors of k (wheel speed times current) + R_e current^2, + idle power: k = K_T
+    g eta turns current into torque by equations 25 and 26 of P4, so the three are linear in the logged values. Of a
+    motor that brakes the part counts that `regeneration` and `driver_efficiency` leave. Where only the sides are
     logged, their motors share the current evenly.
 
-    Two things of a real drive are told apart by columns of their own, where the log has them: power that is there
-    only while the wheels turn (idle power is that at rest), and the heat of currents that change faster than the log:
-    it is taken to be in proportion to what is left of the logged current within 0.3 s.
+    Two effects of a real drive are separated by their own columns, where the log has them: power that is there only
+    while the wheels turn (idle power is that at rest), and the heat of currents that change faster than the log: it is
+    taken to be in proportion to the residual of the logged current within 0.3 s.
 
-    The deviations hold what is left over, alike for 1.2 s where that is more, and half of what the ripple's column
-    changes.
+    The deviations contain the residual, correlated over 1.2 s where that gives more, and half of the change by the
+    ripple's column.
 
     Parameters
     ----------
     records
-        With `battery`, `motor_current` and `wheels`; `motor_currents` and `wheel_speeds` of four motors tell more.
+        With `battery`, `motor_current` and `wheels`; `motor_currents` and `wheel_speeds` of four motors contain more
+        information.
     prior
-        Its gears, efficiencies and number of motors are kept.
+        Model whose gears, efficiencies and number of motors are kept.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the log lacks a column, has too few samples, or its drive does not tell the three apart.
+        If the log lacks a column, has too few samples, or its drive does not determine the three separately.
     """
     blocks = _blocks(records)
     if len(blocks.power) < _LEAST_BLOCKS:
@@ -95,7 +96,7 @@ def identify_constants(records: Sequence[Record], prior: DriveConstants) -> Iden
     if not (fitted["torque_constant"] > 0 and fitted["resistance"] > 0):
         raise ConfigError(
             f"torque constant {fitted['torque_constant']:.3g} N m/A and resistance {fitted['resistance']:.3g} ohm "
-            "follow from the log: both have to be positive; check signs and units of the currents in the mapping"
+            "follow from the log: both must be positive; check signs and units of the currents in the mapping"
         )
     fitted["idle_power"] = max(0.0, fitted["idle_power"])
     words = (
@@ -126,7 +127,7 @@ class _Blocks(NamedTuple):
     square: FloatArray
     """(n, m) current squared, of mean and trend [A^2]"""
     ripple: FloatArray
-    """(n, m) what is left of it [A^2]"""
+    """(n, m) residual [A^2]"""
     moving: NDArray[np.bool_]
     """(n,)"""
     samples: int

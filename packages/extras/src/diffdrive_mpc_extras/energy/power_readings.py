@@ -19,11 +19,11 @@ from diffdrive_mpc.sim.run import Run
 from diffdrive_mpc.sim.sensing.sensor_set import Deviation, load_sensor_set
 from diffdrive_mpc_extras.turn_costs.vehicle import DriveConstants, NamedDrive, papers_drive
 
-# A battery as voltage and current make it: what its drive takes, through its own resistance.
+# A battery with voltage and current: the power of its drive, through its internal resistance.
 
 
 class Battery(StrictModel):
-    """For what sensors say of it; the motors of the simulated robot do not feel its voltage."""
+    """For its sensor readings; the motors of the simulated robot do not feel its voltage."""
 
     voltage: Positive = Field(default=12.0, description="without load [V]")
     resistance: NotNegative = Field(default=0.05, description="of cells and leads [ohm]")
@@ -31,7 +31,7 @@ class Battery(StrictModel):
     def loaded(self, power: float) -> tuple[float, float]:
         """Compute voltage [V] and current [A] at an output of `power` [W], negative while charging.
 
-        What is more than it can give counts as the most: half of its voltage is left then.
+        A larger power than it can supply counts as the largest: half of its voltage is left then.
         """
         # U = U_0 - R I and P = U I; of the two voltages the greater is the one that batteries have.
         beyond = 4 * self.resistance * power > self.voltage**2
@@ -42,7 +42,7 @@ class Battery(StrictModel):
 
 
 READINGS = ("battery_voltage_v", "battery_current_a", "motor_fl_a", "motor_fr_a", "motor_rl_a", "motor_rr_a")
-"""Names of what is read, in its order."""
+"""Names of the readings, in their order."""
 
 # Spawn keys of the other sensors' streams are 0, 1, 2, ...: this one can never meet them.
 _KEY = 1_001
@@ -126,7 +126,7 @@ def robot_power(name: str) -> RobotPower:
 
 
 def _checked_power(values: Any, where: str) -> RobotPower:  # noqa: ANN401 - content of a file
-    """Check values of a robot file; a drive that is written out may leave out what equals that of the papers."""
+    """Check values of a robot file; a drive given in full may omit values that equal those of the papers."""
     usual = {"drive": papers_drive().model_dump()}
     return check(RobotPower, laid_over(usual, values) if isinstance(values, Mapping) else values, where)
 
@@ -161,18 +161,18 @@ POWER, COLUMNS = PowerKind(), PowerRunColumns()
 
 
 class PowerReadings:
-    """Reads at each tick, with noise of a stream of its own.
+    """Reads at each tick, with noise of its own random stream.
 
     Parameters
     ----------
     sensor
         Noise and resolution.
     battery
-        What feeds the drive.
+        Battery of the drive.
     drive
         Constants by which torque is current.
     seed
-        Of the noise.
+        Seed of the noise.
     """
 
     def __init__(self, sensor: PowerSensor, battery: Battery, drive: DriveConstants, seed: int) -> None:

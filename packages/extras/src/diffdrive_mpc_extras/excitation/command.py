@@ -56,8 +56,9 @@ def excite(
 ) -> None:
     """Write a trajectory that is worth learning from, for `simulate --trajectory` and the node.
 
-    For slip it tells the slip's terms apart. For the model it tells most of gains, lags and dead times: of held moves
-    and of sums of sines the ones with the largest information (D-optimal), and how well these will be known.
+    For slip it separates the slip's terms. For the model it contains the most information about gains, lags and dead
+    times: of held moves and of sums of sines the ones with the largest information (D-optimal), and how well these will
+    be known.
     """
     from diffdrive_mpc.models.checked_yaml import ConfigError  # noqa: PLC0415 - --help does without it
 

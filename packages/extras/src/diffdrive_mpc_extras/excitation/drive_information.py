@@ -1,8 +1,8 @@
 """Fisher information on a velocity model that a drive will give, from its commands alone.
 
 The information is J' J / noise^2, J the derivatives of the readings by the parameters of an SM as `identify` moves them
-(Ljung, System Identification, 2nd edition, 1999, section 9.4, with white noise). What `identify` has to find beside
-them, the second time constant, the gyro's bias and the state before the drive, is free here, too.
+(Ljung, System Identification, 2nd edition, 1999, section 9.4, with white noise). The other unknowns of `identify`, the
+second time constant, the gyro's bias and the state before the drive, are free here, too.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class DriveInformation:
         return joined([self._channel(row, commands[:, [row]], dt).renamed(name) for row, name in enumerate(CHANNELS)])
 
     def log_determinant(self, commands: FloatArray, dt: float) -> float:
-        """Return that of the information on `TOLD` of both channels, which is to be large (D-optimality).
+        """Return that of the information on `TOLD` of both channels, which is maximised (D-optimality).
 
         Its size depends on units; the difference between two drives does not.
         """
@@ -75,7 +75,7 @@ class DriveInformation:
         slopes = OutputErrorProblem(layout, [drive], [np.full(outputs.shape, 1 / self._noise[row])]).jacobian(point)
         information = slopes.T @ slopes
         information[2, 2] += _SHORT_DEVIATION**-2
-        # A channel that never moves tells nothing: as little as rounding keeps it invertible.
+        # A channel that never moves contains no information: a value at rounding level keeps the matrix invertible.
         scale = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny ** 0.25))
         inverse = np.linalg.pinv(information / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
         estimate = ParameterEstimate(layout.names, point, inverse)

@@ -1,4 +1,4 @@
-"""A drive that tells a model, for a controller: looked for, driven on what is believed of the robot, and on a plant."""
+"""A drive that determines a model: found by a search, then driven on the controller's robot and on a plant."""
 
 from __future__ import annotations
 
@@ -40,18 +40,18 @@ _LATE = "lag and dead time"
 
 @dataclass(frozen=True)
 class Excitation:
-    """A drive and what it is expected to tell.
+    """A drive and its expected information.
 
     Attributes
     ----------
     case
         The controller, in the fence of the room; its trajectory and its plant are still to be named.
     room
-        Where it stays.
+        Room of the drive.
     drive
         The twists of the reference.
     expected
-        Parameters as the configuration believes them, and how well they will be known.
+        Parameters of the configuration, and their expected uncertainty after the drive.
     """
 
     case: Case
@@ -111,20 +111,20 @@ def excite_model(
     seed: int = 0,
     on_drive: Callable[[int, int], None] | None = None,
 ) -> Excitation:
-    """Look for the drive that tells most of gains, lags and dead times of the robot that a configuration believes in.
+    """Search for the drive with the most information about gains, lags and dead times of a configuration's robot.
 
     Parameters
     ----------
     config
         Configuration of the controller that drives it: a file, or the shipped one of a model.
     room
-        Where the robot stays; it begins in the middle, the length straight ahead.
+        Room of the drive; it begins in the middle, the length straight ahead.
     seconds
-        How long [s].
+        Duration of the drive [s].
     speed, yaw_rate
         Largest ones [m/s, rad/s].
     seed
-        Of the search and of the noise on the believed robot.
+        Seed of the search and of the noise on the assumed robot.
     on_drive
         Called with how many drives were tried, and of how many.
 
@@ -176,7 +176,9 @@ def excite_into(
     seed: int = 0,
     **options: float,
 ) -> Excitation:
-    """Write the drive, and its log on a plant where asked, and print what it will tell; otherwise as `excite_model`.
+    """Write the drive, and its log on a plant where requested, and print its expected information.
+
+    The arguments are those of `excite_model`.
 
     Raises ConfigError if a file cannot be written, or the robot did not keep to its room: then there is no log.
     """
@@ -227,7 +229,7 @@ def check_drive(run: Run, room: Room) -> None:
         raise ConfigError(f"the robot left its room after {run.time[out[0]]:.1f} s; give a larger one, or less --speed")
     stood = next((word for mode, word in zip(run.modes, run.messages, strict=True) if mode == "STOPPED"), None)
     if stood is not None:
-        raise ConfigError(f"the controller stopped on the way ({stood}); give a larger room, or less --speed")
+        raise ConfigError(f"the controller stopped during the drive ({stood}); give a larger room, or less --speed")
 
 
 def case_of(config: str) -> Case:

@@ -1,10 +1,10 @@
-"""A drive that tells most of a velocity model, inside a room: for `diffdrive-mpc excite --for model`.
+"""A drive with the most information about a velocity model, inside a room: for `diffdrive-mpc excite --for model`.
 
-Two families of twists over time: moves that are held, and sums of sines. Of each, the one that tells most is looked for
-by differential evolution (Storn, Price, Journal of Global Optimization 1997, 11, 341-359; `scipy.optimize`); the better
-of the two is the drive. What "tells" means comes from outside, as a function of commands: see
-`excitation.drive_information`. Every member of a family keeps to the room and to the limits by its construction,
-so the search has no constraints.
+Two families of twists over time: moves that are held, and sums of sines. In each, the drive with the most information
+is searched by differential evolution (Storn, Price, Journal of Global Optimization 1997, 11, 341-359;
+`scipy.optimize`); the better of the two is the drive. The measure of information is a function of the commands:
+see `excitation.drive_information`. Every member of a family is inside the room and the limits by its construction, so
+the search has no constraints.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ class Room:
 
 @dataclass(frozen=True)
 class ModelDrive:
-    """Twists that tell most.
+    """Twists with the most information.
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ class ModelDrive:
     twists
         (K, 2) v [m/s] and omega [rad/s], each for `tick`; the robot comes from rest and ends at rest.
     worth
-        What the best of each family is worth.
+        Value of the best drive of each family.
     """
 
     family: str
@@ -120,30 +120,30 @@ class ModelDrive:
 
 
 def model_excitation(room: Room, seconds: float, limits: TrajectoryLimits, worth: Worth, seed: int = 0) -> ModelDrive:
-    """Look for the twists that are worth most.
+    """Search for the twists with the highest value.
 
     Parameters
     ----------
     room
-        Where they stay, from its middle.
+        Room of the drive, from its middle.
     seconds
-        How long the drive is [s].
+        Duration of the drive [s].
     limits
         Speeds and accelerations of it.
     worth
-        What is made large.
+        Function to maximise.
     seed
-        Of the search; the same seed finds the same drive.
+        Seed of the search; the same seed finds the same drive.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the time is too short, or no drive of either family tells anything.
+        If the time is too short, or no drive of either family contains information.
     """
     settings = model_excitation_settings()
     least = 2 * settings.holds[1] + 2 * settings.calm
     if not (math.isfinite(seconds) and seconds >= least):
-        raise ConfigError(f"{seconds:g} s: a drive that tells lags and dead times takes {least:g} s or more")
+        raise ConfigError(f"{seconds:g} s: a drive that determines lags and dead times takes {least:g} s or more")
     longest = load_settings().longest_excitation
     if seconds > longest:
         raise ConfigError(f"{seconds:g} s: give at most {longest:g} s; drive it several times for more")
@@ -155,7 +155,7 @@ def model_excitation(room: Room, seconds: float, limits: TrajectoryLimits, worth
     values = {name: worth(twists) for name, twists in candidates.items()}
     best = max(values, key=lambda name: values[name])
     if not math.isfinite(values[best]):
-        raise ConfigError("no drive tells all of the model's parameters; give more time, room or speed")
+        raise ConfigError("no drive determines all of the model's parameters; give more time, room or speed")
     return ModelDrive(best, candidates[best], values)
 
 
@@ -284,7 +284,7 @@ class _Steps:
             way = self._way(pose, np.vstack([move, self._ramp(move[-1], np.zeros(2), stop)]))
             if (np.abs(way[:, :2]) <= self._reach).all():
                 return move
-        # Slowing down is always inside: what came before made sure of it.
+        # Slowing down is always inside the room: the steps before ensure it.
         return self._ramp(twist, np.array([0.0, 0.0]), max(ticks, 1))
 
     def _ramp(self, twist: FloatArray, target: FloatArray, ticks: int) -> FloatArray:

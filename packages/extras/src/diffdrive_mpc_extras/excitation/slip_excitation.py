@@ -1,4 +1,4 @@
-"""A drive that tells slip terms apart, inside a square: for `diffdrive-mpc excite --for slip`."""
+"""A drive that separates the slip terms, inside a square: for `diffdrive-mpc excite --for slip`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SPEEDS = (1 / 3, 2 / 3, 1.0)
 YAW_RATES = (-1.0, -0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75, 1.0)
 """Shares of the largest yaw rate; theirs go left and right in turn, from straight ahead to a radius of 0.56 m."""
 
-# A reversal costs time and tells nothing: by so much more must it be worth.
+# A reversal costs time and contains no information: its value must exceed the alternative by this factor.
 _REVERSAL = 1.1
 
 
@@ -30,22 +30,22 @@ def slip_excitation(
 ) -> list[Segment]:
     """Design twists, each held, that identify nine slip terms best, for a robot in the middle of a square.
 
-    All three rows of slip have the terms v, w and v w (see `models.slip_laws.polynomial_twist`), so what a drive tells
-    of them is the matrix M of their products, summed over time. The next twist is the one that lets det M grow most (a
-    greedy D-optimal design), among those that stay inside and from whose end one can go on.
+    All three rows of slip have the terms v, w and v w (see `models.slip_laws.polynomial_twist`), so the information of
+    a drive about them is the matrix M of their products, summed over time. The next twist is the one that lets det M
+    grow most (a greedy D-optimal design), among those that stay inside and from whose end one can go on.
 
     Parameters
     ----------
     side
-        Of the square [m].
+        Side length of the square [m].
     seconds
-        How long to drive, about [s].
+        Approximate duration of the drive [s].
     speed, yaw_rate
         Largest ones [m/s, rad/s].
     hold
-        How long each twist lasts [s].
+        Duration of each twist [s].
     margin
-        How far from the square's edge the robot's centre stays [m].
+        Least distance of the robot's centre from the square's edge [m].
 
     Raises
     ------
@@ -58,7 +58,7 @@ def slip_excitation(
     longest = load_settings().longest_excitation
     if seconds > longest:
         raise ValueError(f"time {seconds:g} s: give at most {longest:g} s; drive it several times for more")
-    # Both directions of travel: a robot that backs up stays in small squares, and tells the same terms.
+    # Both directions of travel: a robot that reverses stays in small squares, and determines the same terms.
     twists = [
         np.array([sign * share * speed, turn * yaw_rate])
         for sign, share, turn in itertools.product((1, -1), SPEEDS, YAW_RATES)

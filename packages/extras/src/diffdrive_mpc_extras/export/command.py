@@ -26,7 +26,7 @@ def export(
         bool, typer.Option("--emulate", help="Drive it on QEMU's STM32F4, and count the instructions of each step.")
     ] = False,
 ) -> None:
-    """Write estimator, prediction, QP and failure ladder as C99 without allocation, and say how large they are."""
+    """Write estimator, prediction, QP and failure ladder as C99 without allocation, and print their sizes."""
     from diffdrive_mpc_extras.export.report import export_library  # noqa: PLC0415 - --help does without it
 
     export_library(

@@ -59,7 +59,7 @@ def request_bytes(t: float, measurement: Measurement, hold: Hold | None = None, 
 
 
 def read_reply(data: bytes) -> Reply:
-    """Undo what the other end did."""
+    """Undo the changes of the other end."""
     v, omega, mode, *counts, cycles = np.frombuffer(data, dtype="<f8").tolist()
     reasons, status, iterations, soft, operations = map(int, counts)
     return Reply(np.array([v, omega]), MODES[int(mode)], reasons, status, iterations, soft, operations, cycles)
@@ -139,7 +139,7 @@ class EmulatedController:
 
 
 _PLANT, _SEED = "mujoco", 0
-# What the commands are compared with: the same problem, solved to the end.
+# Reference for the commands: the same problem, solved to convergence.
 _EXACT = {"solver.tolerance": 1e-9, "solver.max_iterations": 100_000}
 
 
@@ -158,7 +158,7 @@ class Emulation:
     operations
         The most of one step, counted as `mpc.solver.report.SolverReport.operations`.
     modes
-        How often the controller was in each mode.
+        Number of steps in each mode of the controller.
     position_rmse
         Against the true pose [m].
     difference

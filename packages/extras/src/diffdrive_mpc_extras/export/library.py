@@ -26,7 +26,7 @@ core_sources.require(1)
 _SOURCES = Path(__file__).parent / "sources"
 
 FOLDERS, FILES = ("ddmpc", "examples", "stm32f4"), ("CMakeLists.txt",)
-"""Names of what is written."""
+"""Names of the written files and functions."""
 
 
 class Precision(StrEnum):
@@ -45,7 +45,7 @@ class ExportedLibrary:
     model
         Name of the velocity model.
     states
-        Its order.
+        Order of the model.
     terms
         Names of the user's functions.
     operations_bound
@@ -74,7 +74,7 @@ def export_controller(
     Parameters
     ----------
     config, model, terms
-        As of `Controller`; weights and limits become constants. There is no re-entry, and no backend.
+        Arguments as of `Controller`; weights and limits become constants. There is no re-entry, and no backend.
     reference
         Trajectory for the table and the examples; the application may track any other.
     folder

@@ -27,12 +27,12 @@ from diffdrive_mpc_extras.export.library import FILES, FOLDERS, Precision, expor
 
 
 def readme(facts: Mapping[str, object], tables: Sequence[Table]) -> str:
-    """Return the README of an export that `facts` describe, with the tables of what was measured."""
+    """Return the README of an export that `facts` describe, with the tables of the measurements."""
     text = Path(__file__).with_name("sources").joinpath("readme.md").read_text(encoding="utf-8")
     return text.format(**facts) + "\n".join(table.markdown() for table in tables)
 
 
-# How large an exported controller is, where a compiler is there to say.
+# Size of an exported controller, where a compiler is available.
 
 
 # As in stm32f4/toolchain.cmake and stm32f4/stm32f4.ld of the exported folder.
@@ -54,7 +54,7 @@ class Size:
     Attributes
     ----------
     target
-        What was built.
+        Target of the build.
     compiler
         Name of the compiler.
     flash
@@ -62,7 +62,7 @@ class Size:
     ram
         Variables, the stack that is set aside included.
     stack
-        That stack; 0 where the system provides it.
+        Size of that stack; 0 where the system provides it.
     """
 
     target: str

@@ -1,4 +1,4 @@
-"""The schema of free space: the robot's outline, how far it keeps away from things, and how far ahead it looks."""
+"""The schema of free space: the robot's outline, its distance to obstacles, and the range of its search."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from diffdrive_mpc_extras.free_space.config import FreeSpace
 from diffdrive_mpc_extras.free_space.guide import Guide
 from diffdrive_mpc_extras.free_space.pieces import Pieces, PlacedFootprint, least_gaps
 
-_STRIDE = 2  # nodes of the way that are looked at
+_STRIDE = 2  # nodes of the way that are checked
 _STEP = 0.15  # between two instants at which a place to wait is compared with the discs [s]
 
 
@@ -43,8 +43,9 @@ def crossing(
 ) -> Crossing | None:
     """Find the place to wait for moving discs; None if the path is free.
 
-    The robot is taken to go on along its way, gaining speed up to the reference's. Where a disc would then come nearer
-    than `keeps` and what is not known of its speed, the robot waits at the last place before that which no disc passes.
+    The robot is assumed to continue on its way and to accelerate to the reference's speed. Where a disc would then come
+    nearer than `keeps` plus the uncertainty of its speed, the robot waits at the last place before it that no disc
+    passes.
 
     Parameters
     ----------
@@ -53,9 +54,9 @@ def crossing(
     motion
         Arc length now [m], the robot's speed, and that of the reference [m/s].
     since
-        Time since the discs were where they are said to be [s].
+        Age of the discs' positions [s].
     keeps
-        Gap that is kept [m].
+        Gap to keep [m].
     """
     arc, v, wanted = motion
     spacing = guide.table.spacing
@@ -75,7 +76,7 @@ def crossing(
     if meets.size == 0:
         return None
     first = int(meets[0])
-    # Of a place to wait: from the robot's arrival on nobody passes it.
+    # Condition of a place to wait: from the robot's arrival on no disc passes it.
     instants = np.arange(0.0, settings.disc_horizon + 1e-9, _STEP)
     count = first + 1
     stays = np.repeat(poses[:count], len(instants), axis=0)
@@ -83,7 +84,7 @@ def crossing(
     passing, _ = least_gaps(footprint, moving, stays, since + when, enough)
     late = when >= np.repeat(times[:count], len(instants))
     places = np.zeros(0, dtype=int)
-    # Rather where nobody comes near even if he walks somewhat otherwise than he is said to.
+    # Preferred is a place that no disc approaches even if its motion differs somewhat from the reported one.
     for wide in (keeps + settings.disc_doubt * when, np.full(when.shape, keeps)):
         safe = np.all(np.reshape((passing >= wide) | ~late, (count, -1)), axis=1)
         if not places.size and first:

@@ -1,8 +1,8 @@
-"""The way round things: how far the reference is moved aside, node by node, and where it has to end.
+"""The way around obstacles: shift of the reference to the side, node by node, and its end.
 
-Beyond the horizon the planner sees nothing. So a way is sought along the path as far as `look_ahead`: offsets to the
-side by dynamic programming, made smooth, and checked with the footprint at each node. It begins with the way of before,
-and a way that differs from it costs, so the side on which a thing is passed does not change without need.
+Beyond the horizon the planner sees nothing. So a way is searched along the path as far as `look_ahead`: offsets to the
+side by dynamic programming, made smooth, and checked with the footprint at each node. The search starts from the last
+way, and a different way has a cost, so the side on which an obstacle is passed does not change without need.
 """
 
 from __future__ import annotations
@@ -44,7 +44,8 @@ class PathTable:
     speed
         (m,) of the reference [m/s].
     fixed
-        (m,) whether a node must not be moved aside: the end, and where it turns on the spot or changes its direction.
+        (m,) whether a node must stay on the reference: the end, and where it turns on the spot or changes its
+        direction.
     """
 
     spacing: float
@@ -85,18 +86,18 @@ class PathTable:
 _STEP = 0.025  # between two offsets that are tried [m]: a doorway leaves some 4 cm
 _STRIDE = 2  # nodes from one station of the search to the next
 _SLOPES, _STRAIGHT = 9, 4
-# Prices of a smooth way by node: of its bend and the change of that, beside the distance from the way found.
+# Costs of a smooth way by node: for its bend and its change, in addition to the distance from the way found.
 _BEND, _JERK = 0.02, 0.02
 _TRUST = (0.02, 0.2, 2.0, 20.0)
 # Nodes of the way that are never changed: the robot is there.
 _KEPT = 3
-# So long before a change of the way is reached [s]: the planner follows it already.
+# Time before a change of the way is reached [s]: the controller's plan follows it already.
 _AHEAD = 0.4
-_ROUNDING = 0.001  # a gap that lacks no more than this is wide enough [m]
+_ROUNDING = 0.001  # a gap that is too narrow by at most this is wide enough [m]
 
 
 class Guide:
-    """The way round things along one reference.
+    """The way around obstacles along one reference.
 
     Parameters
     ----------
@@ -105,7 +106,7 @@ class Guide:
     footprint
         The robot's.
     settings
-        How far it looks, and how far it may be moved.
+        Range of the search, and largest shift of a node.
 
     Attributes
     ----------
@@ -171,7 +172,7 @@ class Guide:
         comfort = max(settings.comfort, keeps + 0.01)
         gaps, nearest = self._gaps_along(window, pieces, comfort)
         if gaps[0] < keeps:
-            # Where it is in a narrow place already it may go on through it, as near as it is.
+            # A robot that is already in a narrow place may continue through it, at its present distance.
             keeps = max(least, float(gaps[0]) - 2.0 * _ROUNDING)
         if self.bent or gaps.min() < comfort:
             fixed = min(start + _KEPT + int(abs(v) * _AHEAD / table.spacing), end)
@@ -180,7 +181,7 @@ class Guide:
                 self._seek(fixed, end, pieces, keeps, comfort)
                 gaps, nearest = self._gaps_along(window, pieces, comfort)
                 if gaps.min() < keeps - _ROUNDING <= before[3].min():
-                    # The way that it had is free; the one that was found, made smooth, is not.
+                    # The previous way is free; the new one, after smoothing, is not.
                     self.offset, self.slope, self.bent, gaps, nearest = before
         short = np.flatnonzero(gaps < keeps - _ROUNDING)
         self.ends, self.blocked_by = math.inf, -1

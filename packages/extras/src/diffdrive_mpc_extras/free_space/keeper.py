@@ -34,20 +34,20 @@ from diffdrive_mpc_extras.free_space.surroundings import Surroundings
 
 AT_REST = 0.02
 """Slower than this a robot does no harm [m/s]."""
-# Further than this beyond the margin nothing gets a half-space [m]; so far a plan of one horizon may reach beside that.
+# Obstacles farther than this beyond the margin get no half-space [m]; a plan of one horizon may deviate by that much.
 _NEAR = 0.5
-# A thing nearer than the margin may be passed nearer by so much more [m]; but not below this share of the margin.
+# An obstacle nearer than the margin may come nearer by this distance [m]; but not below this ratio of the margin.
 _PLAY, _LEAST_SHARE = 0.004, 0.5
-# Longer than this after its last command no robot rolls on [s].
+# Time after its last command within which every robot stops [s].
 _ROLLS_ON = 0.6
-# Samples of braking that are looked at, or those from the end of the range: a tick has to end, however fast the command
-# of somebody else was.
+# Samples of braking that are checked, or those from the end of the range: the time of a tick is limited, also for fast
+# commands.
 _MOST_RAMP = 1000
-# Slower than this a disc stands: it is gone round, not waited for [m/s].
+# A slower disc counts as standing: the robot drives around it and does not wait for it [m/s].
 _STANDS = 0.05
-# Ticks from one search of a way to the next, and after other surroundings.
+# Ticks from one search of a way to the next, and after a change of the surroundings.
 _EVERY, _SOON = 5, 3
-# So near to its end the way is not driven any more [m].
+# Distance to the end of the way at which the robot stops [m].
 _AT_END = 0.03
 # A plan this near to a plane is pressed against it [m].
 _TOUCHES = 0.002
@@ -143,9 +143,10 @@ class FreeSpaceKeeper:
         self._last = None
 
     def before(self, t: float, time: float, tracked: Reference) -> Hold | None:
-        """Prepare the tick at `t` [s]: a reason to stand, or half-spaces for the plan and a pace for the reference.
+        """Prepare the tick at `t` [s]: a reason to stop, or half-spaces for the plan and a rate for the reference.
 
-        `time` [s] is where the reference will be about now, and `tracked` what is pursued: it, or the way back to it.
+        `time` [s] is the approximate present time of the reference, and `tracked` the motion to track: it, or the way
+        back to it.
         """
         self.pace = math.inf
         if self._pieces is None or self._guide is None:
@@ -171,7 +172,7 @@ class FreeSpaceKeeper:
         if self._since_search >= (_SOON if self._news else _EVERY):
             self._since_search, self._news = 0, False
             guide.update(arc, v, self._standing, (self._keeps(), _LEAST_SHARE * self._settings.margin), self._top())
-            # Named now: until it is sought again the surroundings may be others.
+            # Named now: the surroundings may change until the next search.
             self._closed_by = self._standing.names[guide.blocked_by] if guide.blocked_by >= 0 else "something"
         self._crossing = None
         if self._moving is not None:
@@ -226,7 +227,7 @@ class FreeSpaceKeeper:
         return effort * config.limits.omega, load_robot().reference_acceleration.lateral, config.limits.v
 
     def after(self, t: float, result: StepResult, sent: FloatArray) -> StepResult:
-        """Check the way to rest that the tick's command leads to; brake before it is not free.
+        """Check the braking path after the tick's command; brake before it is not free.
 
         `sent` (2,) is the last command before this one.
         """
@@ -273,7 +274,7 @@ class FreeSpaceKeeper:
         keeps = self._keeps()
         last = self._last
         if last is not None and math.isfinite(last.clearance):
-            # Where it stands too near already, it may drive as near.
+            # A robot that is already too near may drive at this distance.
             keeps = min(keeps, last.clearance - _PLAY)
         gaps, _ = least_gaps(self._footprint, self._standing, poses, np.zeros(len(poses)), keeps + _PLAY)
         return gaps >= keeps
@@ -290,7 +291,7 @@ class FreeSpaceKeeper:
         return f"the surroundings are {t - time:.2f} s old; {most}"
 
     def _since(self, t: float) -> float:
-        """Time since what is seen was so [s]."""
+        """Return the age of the surroundings [s]."""
         assert self._around is not None
         return 0.0 if self._around.time is None else t - self._around.time
 

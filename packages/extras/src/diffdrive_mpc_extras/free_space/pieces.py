@@ -110,14 +110,14 @@ def _texts() -> dict[str, str]:
     )
 
 
-_AROUND = 100.0  # width of what lies beyond a grid, where that is occupied [m]
+_AROUND = 100.0  # width of the region beyond a grid, where that is occupied [m]
 _WALL_STEP = 0.1  # between two points of a corridor's wall [m]
 _MOST_WALLS = 5000
 
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Convex pieces: their corners, by how much they are widened, how they move, and what each is called.
+    """Convex pieces: their corners, radii, velocities and names.
 
     Attributes
     ----------
@@ -221,7 +221,7 @@ def pieces_of(
 ) -> Pieces:
     """Build the convex pieces of `around`; a corridor needs its reference.
 
-    What is the same object as in the last call with `known` is not worked out again.
+    Pieces of an object from the last call, given with `known`, are not computed again.
 
     Raises
     ------
@@ -349,7 +349,7 @@ def rectangles(occupied: NDArray[np.bool_], most: int = 2**31) -> NDArray[np.int
     end = np.nonzero(edges == -1)[1]
     if len(row) == 0:
         return np.zeros((0, 4), dtype=np.int64)
-    # In the order of their columns, runs that go on lie one after the other.
+    # In the order of their columns, continued runs are adjacent.
     order = np.lexsort((row, end, start))
     row, start, end = row[order], start[order], end[order]
     goes_on = (start[1:] == start[:-1]) & (end[1:] == end[:-1]) & (row[1:] == row[:-1] + 1)
@@ -371,7 +371,7 @@ def _of_corridor(corridor: Corridor, reference: Reference) -> tuple[list[FloatAr
     sample = reference.sample(times)
     count = int(min(float(arc[-1] - arc[0]) / _WALL_STEP + 2, _MOST_WALLS))
     arc_lengths = np.unique(np.concatenate([np.linspace(arc[0], arc[-1], count), arc[:_MOST_WALLS]]))
-    # Where the reference stands or turns it has one arc length at many times: any of them.
+    # Where the reference stands or turns, many times have the same arc length: any of them.
     pose = np.stack([np.interp(arc_lengths, sample.arc_length, column) for column in sample.pose.T], axis=1)
     side = np.stack([-np.sin(pose[:, 2]), np.cos(pose[:, 2])], axis=1)
     walls = []

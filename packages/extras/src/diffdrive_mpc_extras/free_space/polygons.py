@@ -54,7 +54,7 @@ def crosses_itself(corners: FloatArray) -> bool:
     along = b - a
 
     def side(point: FloatArray) -> FloatArray:
-        """Return [i, j]: the side of edge i on which point j lies."""
+        """Return [i, j]: the side of edge i of point j."""
         d = point[None, :, :] - a[:, None, :]
         return np.asarray(np.sign(along[:, None, 0] * d[..., 1] - along[:, None, 1] * d[..., 0]))
 
@@ -83,7 +83,7 @@ def convex_pieces(corners: FloatArray) -> list[FloatArray]:
     while len(ring) > 3:
         ear = next((i for i in range(len(ring)) if _is_ear(ring, i)), None)
         if ear is None:
-            # Rounding has left no ear: what remains is covered by its hull.
+            # Because of rounding there is no ear: the remaining corners are covered by their hull.
             break
         pieces.append(np.array([ring[ear - 1], ring[ear], ring[(ear + 1) % len(ring)]]))
         del ring[ear]
@@ -113,7 +113,7 @@ class Footprint:
     polygon
         (k, 2) points x, y seen from the base point [m], in any order; one point and a radius are a disc.
     radius
-        By how much their hull is widened [m].
+        Distance by which their hull is widened [m].
 
     Raises
     ------
@@ -135,7 +135,7 @@ class Footprint:
         if not 1 <= len(points) <= _MOST:
             raise ValueError(f"footprint: {len(points)} corners; give 1 to {_MOST}")
         if not (np.isfinite(points).all() and np.isfinite(self.radius) and self.radius >= 0.0):
-            raise ValueError("footprint: corners and radius have to be finite, and the radius not negative")
+            raise ValueError("footprint: corners and radius must be finite, and the radius not negative")
         corners = hull(points)
         if len(corners) < 3 and self.radius == 0.0:
             raise ValueError("footprint: it has no area; give three corners that are not in a line, or a radius")

@@ -82,7 +82,7 @@ class Corridor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surroundings:
-    """Everything that the robot has to keep clear of; it replaces what was seen before.
+    """All obstacles of the robot; it replaces what was seen before.
 
     Polygons and grids that are the same objects as before are not worked out again: do not change them in place.
 
@@ -91,7 +91,7 @@ class Surroundings:
     polygons
         (k, 2) corners of each obstacle, in either direction [m]; simple polygons, convex or not.
     discs
-        Things that stand or move.
+        Standing or moving obstacles.
     grid
         A costmap, or none.
     corridor
@@ -135,14 +135,14 @@ def check_disc(disc: MovingDisc, name: str, *, timed: bool) -> None:
     values = _numbers((disc.x, disc.y, disc.vx, disc.vy, disc.radius), name)
     _require_place(values[:2], name)
     if not np.isfinite(values).all():
-        raise SurroundingsError(f"{name}: its velocity or radius is not finite; leave out what is not known")
+        raise SurroundingsError(f"{name}: its velocity or radius is not finite; leave out unknown values")
     if not 0.0 <= disc.radius <= 1e3:
         raise SurroundingsError(f"{name}: radius {disc.radius:g} m; give 0 to 1000")
     speed = math.hypot(disc.vx, disc.vy)
     if speed > _FASTEST:
         raise SurroundingsError(f"{name}: {speed:.3g} m/s is faster than {_FASTEST:g}; velocities are in m/s")
     if speed > 0.0 and not timed:
-        raise SurroundingsError(f"{name}: it moves, and no time says when it was there; give surroundings a time")
+        raise SurroundingsError(f"{name}: it moves, and its position has no time; give surroundings a time")
 
 
 def checked_grid(grid: OccupancyGrid, max_cells: int) -> NDArray[np.int8]:
@@ -191,7 +191,7 @@ def checked_corridor(corridor: Corridor) -> tuple[FloatArray, FloatArray, FloatA
             "numbers of each, at least two"
         )
     if not all(np.isfinite(column).all() for column in (arc, left, right)):
-        raise SurroundingsError("corridor: it holds what is no finite number")
+        raise SurroundingsError("corridor: it contains a value that is not finite")
     if not (np.diff(arc) > 0.0).all():
         raise SurroundingsError("corridor: arc_length does not increase")
     if min(left.min(), right.min()) < 0.0:
@@ -203,11 +203,11 @@ def _numbers(value: object, name: str) -> FloatArray:
     try:
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError, OverflowError) as error:
-        raise SurroundingsError(f"{name}: it holds what is no number") from error
+        raise SurroundingsError(f"{name}: it contains a value that is not a number") from error
 
 
 def _require_place(values: FloatArray, name: str) -> None:
     if not np.isfinite(values).all():
-        raise SurroundingsError(f"{name}: it holds what is no finite number")
+        raise SurroundingsError(f"{name}: it contains a value that is not finite")
     if np.abs(values).max() > _FARTHEST:
         raise SurroundingsError(f"{name}: it lies more than {_FARTHEST:g} m away; lengths are in m")

@@ -1,1 +1,1 @@
-"""An identified linear model with a small network on what it leaves, which is silent where data are thin."""
+"""An identified linear model with a small network for its residuals, which is zero where data are sparse."""

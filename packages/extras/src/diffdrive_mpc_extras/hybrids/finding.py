@@ -1,4 +1,4 @@
-"""A linear model with a network on what it leaves, from records."""
+"""A linear model with a network for its residuals, from records."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ class FoundHybrid:
     Attributes
     ----------
     identified
-        Its linear model.
+        The identified linear model.
     correction
-        Its network.
+        The network.
     dt
         Sample time [s].
     decay
@@ -129,7 +129,7 @@ class FoundHybrid:
 
 
 def find_hybrid(data: LogData, fitted: Fitted) -> FoundHybrid:
-    """Train a network on what the linear model leaves of the training records: of long ones a part, as effects.
+    """Train a network on the residuals of the linear model on the training records: of long ones a part, as effects.
 
     The penalty of its weights is chosen on blocks of these records, each predicted by a network trained without it; the
     linear model is that of all of them.
@@ -165,7 +165,7 @@ def _log_power(linear: DiscreteModel, correction: Correction, runs: Sequence[Tra
     """Compute the logarithm of the squared errors over those of the linear model, mean over v and omega."""
     try:
         model = hybrid_model(_NAME, linear, correction)
-    except ModelError:  # what cannot be a robot is not chosen
+    except ModelError:  # a model that cannot be a robot is not chosen
         return float("inf")
     errors, alone = (
         np.concatenate([(predicted - run.outputs) * run.counts for run, predicted in zip(runs, rows, strict=True)])

@@ -1,4 +1,4 @@
-"""A linear model with a small network on what it leaves, as the velocity model of controller and plants."""
+"""A linear model with a small network for its residuals, as the velocity model of controller and plants."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from diffdrive_mpc.models.structures.identified import rounded
 from diffdrive_mpc.models.structures.model_file import Finite, FunctionFile, SmFile, build_model, write_parameters
 from diffdrive_mpc.models.velocity_model import ModelError
 
-# What the network of a hybrid says, and how much of it counts, for any library: CasADi or JAX.
+# Output of the network of a hybrid, and its weight, for any library: CasADi or JAX.
 
 
 def network(m: Any, z: Any, inward: Any, outward: Any) -> Any:  # noqa: ANN401 - arrays and symbols of any library
@@ -45,14 +45,14 @@ def gate(m: Any, z: Any, shape: Any, full: float, least: float) -> Any:  # noqa:
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """A network on n states and two commands, and where it counts.
+    """A network on n states and two commands, and its weight.
 
     Attributes
     ----------
     scale
         (n + 2,) usual size of the states and of v_ref [m/s], omega_ref [rad/s]; features are these over their size.
     inward, outward
-        (n + 2, units), (units, n) weights; what comes out adds to the states in units of their size.
+        (n + 2, units), (units, n) weights; its output is added to the states in units of their size.
     shape
         (n + 2, n + 2) inverse covariance of the features in the data.
     full, least
@@ -80,7 +80,7 @@ class HybridModel(NonlinearModel):
     linear
         The linear model.
     correction
-        The network and where it counts.
+        The network and its weight.
     """
 
     linear: DiscreteModel = field(kw_only=True)
@@ -141,7 +141,7 @@ Rows = Annotated[list[_Row], Field(min_length=1, max_length=file_limits().units)
 
 
 class CorrectionContent(StrictModel):
-    """The network, and where it counts; see `hybrid_model.Correction`."""
+    """The network, and its weight; see `hybrid_model.Correction`."""
 
     scale: list[Positive] = Field(description="usual size of each state, of v_ref and of omega_ref")
     inward: Rows = Field(description="weights from features to units [-]")
@@ -153,7 +153,7 @@ class CorrectionContent(StrictModel):
     @model_validator(mode="after")
     def _ordered(self) -> CorrectionContent:
         if not self.least > self.full:
-            raise ValueError(f"least {self.least} has to be more than full {self.full}; train it again")
+            raise ValueError(f"least {self.least} must be greater than full {self.full}; train it again")
         for name in ("inward", "outward", "shape"):
             if len({len(row) for row in getattr(self, name)}) > 1:
                 raise ValueError(f"{name} has rows of different length; train it again")

@@ -1,7 +1,7 @@
 """Training the network of a hybrid on free runs with JAX, which the extra `learn` installs; nothing else needs it.
 
-The network stands inside the loop of the states, so what it says at a sample acts on all later ones: errors are those
-of runs from the commands alone, cut into segments that are run side by side.
+The network is inside the loop of the states, so its output at a sample affects all later ones: errors are those of runs
+from the commands alone, cut into segments that are run side by side.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def hybrid_settings() -> HybridSettings:
 _FORGOTTEN = 0.01
 """Rest of an initial error of the linear model when errors of a segment start to count [-]."""
 _SEGMENT = 4
-"""Length of a segment over the time in which its start is forgotten."""
+"""Length of a segment over the time in which the influence of its start decays."""
 _MULTIPLE = 16
 _NARROWEST = 1e-4
 """Least variance of the features in any direction [-]."""
@@ -90,7 +90,7 @@ class Segments(NamedTuple):
     commands: FloatArray
     """(S, L, 2)"""
     drives: FloatArray
-    """(S, L, n) what commands add to the states of the linear model"""
+    """(S, L, n) contribution of the commands to the states of the linear model"""
     outputs: FloatArray
     """(S, L, 2)"""
     weights: FloatArray
@@ -118,7 +118,7 @@ def runs_of(linear: DiscreteModel, system: LinearSystem, experiments: Sequence[S
 def silent(runs: Sequence[TrainingRun], settings: HybridSettings) -> Correction:
     """Build a correction of zero for the features of `runs`.
 
-    Their covariance is about rest: as the network is odd, what was seen in one direction is known in the other.
+    Their covariance is about rest: as the network is odd, data of one direction hold for the other.
     """
     rows = np.vstack([np.hstack([run.states, run.commands]) for run in runs])
     scale = np.maximum(np.sqrt(np.mean(rows**2, axis=0)), 1e-9)
@@ -126,7 +126,7 @@ def silent(runs: Sequence[TrainingRun], settings: HybridSettings) -> Correction:
     shape = np.linalg.inv(z.T @ z / len(z) + _NARROWEST * np.eye(len(scale)))
     full = float(np.quantile(np.einsum("ki,ij,kj->k", z, shape, z), settings.full))
     n = runs[0].states.shape[1]
-    # Silent by what leads out: what leads in has to differ from unit to unit.
+    # The output weights are zero at first: the input weights must differ from unit to unit.
     inward = np.random.default_rng(settings.seed).normal(size=(n + 2, settings.units)) / np.sqrt(n + 2)
     return Correction(scale, inward, np.zeros((settings.units, n)), shape, full, settings.reach**2 * full)
 
@@ -136,7 +136,8 @@ def trained(
 ) -> list[Correction]:
     """Train the network for the least mean squared error, for each penalty of squared weights in turn.
 
-    Errors count by what the linear model leaves of each output. Each search (L-BFGS, scipy) goes on from the last.
+    Errors are weighted by the residual of the linear model in each output. Each search (L-BFGS, scipy) continues from
+    the last.
 
     Raises
     ------
@@ -167,7 +168,8 @@ def trained(
 def segments(linear: DiscreteModel, runs: Sequence[TrainingRun]) -> Segments:
     """Cut runs into segments of equal length, each preceded by a time in which its initial state decays.
 
-    Length and number are whole multiples, the last segments weighing nothing: what is compiled for one serves others.
+    Length and number are whole multiples, the last segments weighing nothing: code that is compiled for one is used for
+    others.
     """
     radius = float(np.abs(np.linalg.eigvals(linear.A)).max())
     before = _whole(np.log(_FORGOTTEN) / np.log(radius))

@@ -30,7 +30,7 @@ def compare(
     ] = "",
     parts: Annotated[int, typer.Option(min=2, help="Parts of the log that are held out in turn.")] = 3,
 ) -> None:
-    """Identify every kind of model from a log, cross-validated, and say which one it supports."""
+    """Identify every kind of model from a log, cross-validated, and select the one that it supports."""
     from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
     from diffdrive_mpc.bench.table import rich_table  # noqa: PLC0415
     from diffdrive_mpc.models.identification.log_data import read_data  # noqa: PLC0415

@@ -42,7 +42,7 @@ class Kind(NamedTuple):
 
 
 _SSM, _EFFECTS, _SLOW = 5.0, 10.0, 20.0
-# Efforts are rough: what is left is told to the order of size, and better with every kind that is done.
+# Efforts are rough: the remaining time is known to the order of magnitude, and better after every kind.
 
 
 def _functions(*, slow: bool) -> Iterator[Kind]:
@@ -72,17 +72,17 @@ class Scored:
     Attributes
     ----------
     kind
-        Its name.
+        Name of the kind.
     states
-        Of the model from the last part's rest; 0 without one.
+        States of the model from the last part's rest; 0 without one.
     powers
         (B, 2) mean square error of v [m/s] and omega [rad/s] in each block of time held out.
     pose_error
         Root mean square of the open-loop position error after the longest time measured [m]; NaN without poses.
     seconds
-        How long all its identifications took [s].
+        Duration of all identifications of the kind [s].
     failure
-        Why there is none, in a line; empty where there is.
+        Reason for a missing score, in a line; empty where there is.
     """
 
     kind: str
@@ -104,9 +104,9 @@ class ModelComparison:
     weights
         (B, 2) readings behind each block.
     spread
-        (2,) variance of what was measured, about its mean.
+        (2,) variance of the measurements, about their mean.
     parts
-        How many parts were held out in turn.
+        Number of parts that were held out in turn.
     horizon
         Time after which `pose_error` is measured [s].
     """
@@ -211,11 +211,11 @@ def compare_models(
     kinds
         Names in `KINDS`, or "all"; by default all that are not slow.
     parts
-        Of equal length in time, at least 2.
+        Number of parts of equal length in time, at least 2.
     on_progress
-        Called with what is done next, and the share of the work that is done.
+        Called with the next step, and the finished part of the work.
     on_scored
-        Called with what there is so far whenever a kind is scored, the last of its scores.
+        Called with the scores so far whenever a kind is scored, the new one last.
 
     Raises
     ------

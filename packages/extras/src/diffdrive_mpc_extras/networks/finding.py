@@ -76,7 +76,7 @@ def find_network(
     data
         The records.
     fitted
-        What was made of them without a network.
+        Linear model and data of the same records.
     settings
         By default the shipped ones.
     on_look
@@ -85,7 +85,7 @@ def find_network(
     Raises
     ------
     models.errors.MissingPackageError
-        If what trains is not installed.
+        If the package for training is not installed.
     ValueError
         If the records are too few.
     """

@@ -18,7 +18,7 @@ from diffdrive_mpc.models.lstm_cell import hidden, next_cell
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 
 NETWORK = "lstm"
-"""By which files and options call such a network."""
+"""Name of such a network in files and options."""
 GATES = ("enter", "keep", "candidate", "leave")
 """Gates of a unit, in the order of their columns."""
 _CHUNK = 4096
@@ -28,8 +28,8 @@ class Architecture(StrictModel):
     """Window, layers and activation of a network of Guffanti, Pavon, Sensors 2025, 25(18), 5821, section 3.5.
 
     The last `window` commands (v_ref [m/s], omega_ref [rad/s]) go through `layers` layers of long short-term memory
-    with `units` units each; what the last one says after the newest command goes through a dense layer of `dense` units
-    with `activation`, and through a linear one to (v [m/s], omega [rad/s]) one sample later. Nothing is fed back.
+    with `units` units each; the output of the last one after the newest command passes through a dense layer of `dense`
+    units with `activation`, and through a linear one to (v [m/s], omega [rad/s]) one sample later. Nothing is fed back.
     """
 
     window: Annotated[int, Field(ge=1, le=file_limits().window)] = 20
@@ -47,7 +47,7 @@ class Architecture(StrictModel):
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
-        """Shapes of the weights by name; columns of gates lie in the order of `GATES`, a block of `units` for each."""
+        """Shapes of the weights by name; columns of gates are in the order of `GATES`, a block of `units` for each."""
         shapes: dict[str, tuple[int, ...]] = {}
         for layer in range(self.layers):
             width = 2 if layer == 0 else self.units

@@ -33,7 +33,7 @@ from diffdrive_mpc_extras.networks.network import Architecture, Network, packed,
 class NetworkModel(NonlinearModel):
     """A `NonlinearModel` whose state is the network's last output; make it with `network_model`.
 
-    A network does not rest under commands of zero by itself, so what it says of them is taken off everything it says.
+    A network does not rest under commands of zero by itself, so its output for them is subtracted from every output.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class NetworkModel(NonlinearModel):
     ) -> FloatArray:
         """Free run from commands alone; as `NonlinearModel.simulate`, all windows at once."""
         before = np.zeros((self.memory, 2)) if past is None else np.asarray(past, dtype=float)
-        # The sample 0 is the state's own; what came before the past does not matter to the others.
+        # The sample 0 is the state's own; values before the past do not affect the others.
         outputs = self.network.simulate(commands, np.vstack([np.zeros((1, 2)), before])) - self.network.at_rest
         outputs[:1] = 0.0 if state is None else np.asarray(state, dtype=float)
         return outputs
@@ -189,7 +189,7 @@ def load_network(path: Path, data: Any) -> NetworkModel:  # noqa: ANN401 - what 
 def _unpacked(packed: bytes, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, FloatArray]:
     """Unpack the arrays of an npz archive, which must contain numbers in these shapes and nothing else.
 
-    NumPy would allocate and unpack what the archive says: here sizes are counted from its directory first.
+    NumPy would allocate and unpack the declared size: here sizes are counted from its directory first.
     """
     with zipfile.ZipFile(io.BytesIO(packed)) as archive:
         entries = {entry.filename.removesuffix(".npy"): entry for entry in archive.infolist()}

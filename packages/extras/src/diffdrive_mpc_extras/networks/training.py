@@ -56,7 +56,7 @@ class Training:
     Attributes
     ----------
     network
-        That of the best look at the validation part.
+        Network at the smallest error on the validation part.
     steps
         Number of steps in all, and until the best look.
     best_step
@@ -86,7 +86,7 @@ def train(
     Parameters
     ----------
     architecture
-        What to train.
+        Architecture of the network.
     training, validation
         Windows of the architecture's length.
     settings

@@ -32,7 +32,7 @@ class KanayamaController:
     gains
         Gains of the law; by default the shipped ones.
     robot
-        Whose command and slew limits hold; by default the robot of the papers.
+        Robot whose command and slew limits hold; by default the robot of the papers.
     """
 
     def __init__(self, gains: KanayamaGains | None = None, robot: Robot | None = None) -> None:

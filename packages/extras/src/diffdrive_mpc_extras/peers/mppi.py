@@ -21,7 +21,7 @@ from diffdrive_mpc.models.pose import ahead_and_left
 
 Floats32 = NDArray[np.float32]
 SAMPLES, STEPS = 1000, 25
-"""Plans of so many ticks; docs/edge/edge.md says how long they take."""
+"""Number of ticks of the plans; docs/edge/edge.md has their computing times."""
 _SEED = 0
 
 
@@ -49,7 +49,7 @@ class MppiLaw:
         decay = np.exp(-robot.sample_time / robot.time_constant)
         ends = np.arange(steps + 1)
         since = ends[:, None] - 1 - ends[None, :-1]
-        # Twist at the ends of all steps: what is left of the first, and what every command since has added.
+        # Twist at the ends of all steps: the decayed first one, and the contribution of every command since.
         self._left = (decay[:, None] ** ends).astype(np.float32)
         response = (1 - decay)[:, None, None] * np.where(since >= 0, decay[:, None, None] ** np.maximum(since, 0), 0.0)
         self._response = response.transpose(0, 2, 1).astype(np.float32)

@@ -1,9 +1,9 @@
 """Regulated pure pursuit of a path without times, as Nav2's controller has it, with Nav2's defaults.
 
-The law is that of nav2_regulated_pure_pursuit_controller as its documents and the paper state it: S. Macenski,
-S. Singh, F. Martin, J. Gines, "Regulated pure pursuit for robot path tracking", Autonomous Robots 2023.
-What differs: no costmap, so no collision check and no speed by cost; a goal counts only once half of the path lies
-behind, so that a closed path is driven at all.
+The law is that of nav2_regulated_pure_pursuit_controller as its documents and the paper state it: S. Macenski, S.
+Singh, F. Martin, J. Gines, "Regulated pure pursuit for robot path tracking", Autonomous Robots 2023. What differs: no
+costmap, so no collision check and no speed by cost; a goal counts only after half of the path, so that a closed path is
+driven at all.
 """
 
 from __future__ import annotations
@@ -61,14 +61,14 @@ def load_parameters() -> PathFollowerParameters:
 
 
 class PurePursuit:
-    """The law: from a path, a pose and a twist to the twist that is asked for.
+    """The law: from a path, a pose and a twist to the commanded twist.
 
     Parameters
     ----------
     path
         (n, 3) x, y [m], heading [rad]; the last pose is the goal.
     parameters
-        As in Nav2.
+        Parameters as in Nav2.
     period
         Between two decisions [s].
     """
@@ -185,7 +185,7 @@ def path_of(reference: Reference, spacing: float) -> FloatArray:
     wanted = np.append(np.arange(0.0, travelled[-1], spacing), travelled[-1])
     keep = np.concatenate([[True], np.diff(travelled) > 0.0])
     path = np.column_stack([np.interp(wanted, travelled[keep], sampled.pose[keep, i]) for i in range(3)])
-    # Where it turns on the spot at last, the goal is how it stands then.
+    # Where it turns on the spot at the end, the goal is its final heading.
     path[-1, 2] = sampled.pose[-1, 2]
     return path
 
@@ -200,7 +200,7 @@ def _at_distance(x: FloatArray, y: FloatArray, distance: float) -> tuple[float, 
         return float(x[0]), float(y[0])
     ax, ay, bx, by = x[index - 1], y[index - 1], x[index], y[index]
     dx, dy = bx - ax, by - ay
-    # |a + s (b - a)| = distance, the root on the way out.
+    # |a + s (b - a)| = distance, the root where the path leaves the circle.
     a, b, c = dx * dx + dy * dy, ax * dx + ay * dy, ax * ax + ay * ay - distance**2
     share = (-b + math.sqrt(max(0.0, b * b - a * c))) / a if a > 0.0 else 1.0
     return float(ax + share * dx), float(ay + share * dy)

@@ -1,8 +1,8 @@
-"""Peers in a world: pursuit with the collision stop of Nav2, and MPPI with what is seen in its cost.
+"""Peers in a world: pursuit with the collision stop of Nav2, and MPPI with the seen obstacles in its cost.
 
-Both are told what our controller is told (`sim.worlds.sight.Seen`): the same grid, the same persons. Persons stand for
-both, at the place where they were seen, as in a costmap. Nav2's paths have no times: the reference's clock
-waits here for a robot that lags.
+Both receive the data of our controller (`sim.worlds.sight.Seen`): the same grid, the same persons. Both assume that
+persons stand still at the place where they were seen, as in a costmap. Nav2's paths have no times: the reference's
+clock waits here for a robot that lags.
 """
 
 from __future__ import annotations
@@ -79,10 +79,10 @@ class SeenDistanceField:
 
     Parameters
     ----------
-    seen
-        What arrived of the last look.
-    here
-        (2,) the robot [m]: shapes are drawn into a square around it.
+    obstacles
+        Obstacles of the last look.
+    position
+        (2,) of the robot [m]: shapes are drawn into a square around it.
     """
 
     def __init__(self, obstacles: Seen, position: FloatArray) -> None:
@@ -131,7 +131,7 @@ class SeeingPeer(TrackingPeer):
         self._look, self._around = None, None
 
     def set_obstacles(self, obstacles: Seen, /) -> None:
-        """Take in what arrived of a look."""
+        """Store the received data of a look."""
         self._look = obstacles
 
     def _since_start(self, t: float, estimate: Estimate | None) -> float:
@@ -218,7 +218,7 @@ class GridMppiLaw(MppiLaw):
 
 
 class MppiWithGrid(SeeingPeer):
-    """MPPI with what was seen in its cost."""
+    """MPPI with the seen obstacles in its cost."""
 
     def __init__(self) -> None:
         settings = seeing_settings()

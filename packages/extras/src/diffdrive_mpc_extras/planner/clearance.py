@@ -20,7 +20,7 @@ from diffdrive_mpc_extras.planner.settings import PlanSettings
 from diffdrive_mpc_extras.turn_costs import TurnCosts
 from diffdrive_mpc_extras.turn_costs.vehicle import Vehicle
 
-# By which a way over eight neighbours is longer than the straight one, at most.
+# Largest ratio of a way over eight neighbours to the straight one.
 _EIGHT = 1.0824
 
 
@@ -50,9 +50,9 @@ class Clearance:
     Parameters
     ----------
     surroundings
-        Polygons and discs; discs that move are taken where they are.
+        Polygons and discs; moving discs are used at their present place.
     footprint
-        Of the robot.
+        Footprint of the robot.
 
     Raises
     ------
@@ -119,7 +119,7 @@ class ClearanceMap:
     points
         (n, 2) that have to be inside.
     room, cell
-        How far beyond them and the obstacles it reaches, and the edge of its cells [m].
+        Distance that the map extends beyond them and the obstacles, and the edge of its cells [m].
     """
 
     def __init__(self, clearance: Clearance, points: FloatArray, room: float, cell: float) -> None:
@@ -147,7 +147,7 @@ class ClearanceMap:
         """Compute path lengths to a point around all obstacles, for a disc as narrow as the robot."""
         every = max(1, round(0.15 / self._cell))
         gaps = self._gaps[::every, ::every]
-        # What is narrower than the way between two cells is let pass: the field must not say more than the truth.
+        # A gap narrower than the distance of two cells is passable: the field must not overestimate the distance.
         slack = (1 + math.sqrt(0.5)) * every * self._cell
         return WayLowerBound(gaps + slack > self._clearance.robot[0, 2] + margin, self._low, every * self._cell, target)
 
@@ -201,7 +201,7 @@ def _from_polygon(points: FloatArray, corners: FloatArray) -> tuple[FloatArray, 
     return gap, np.where((inside | (gap < 1e-9))[:, None], outward[deepest], unit)
 
 
-# What a plan is asked for: refused in one sentence where it cannot be.
+# The request of a plan: refused in one sentence where it is impossible.
 
 
 _FARTHEST = 1e4
@@ -209,7 +209,7 @@ _SAME_PLACE, _SAME_HEADING = 1e-3, 1e-3
 
 
 class PlanError(ConfigError):
-    """There is no such plan. The message is one line: what is in the way, with its figures, and the remedy."""
+    """There is no such plan. The message is one line: the obstacle, with its figures, and the remedy."""
 
 
 def checked(

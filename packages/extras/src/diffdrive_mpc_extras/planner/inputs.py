@@ -1,4 +1,4 @@
-"""The inputs that the search tries: yaw rates at a speed, what the body does under each, and what that costs.
+"""The inputs that the search tries: yaw rates at a speed, the motion of the body under each, and its cost.
 
 Ways of three pieces from a pose to a pose, in closed form for any constant twists, side-slip included.
 
@@ -70,7 +70,7 @@ class Inputs(NamedTuple):
     def multipliers(self) -> tuple[FloatArray, FloatArray]:
         """Compute prices (k,) of a metre and of a radian at which no input costs less than its gain.
 
-        For distance s and turning b, price_s s + price_b b is then a lower bound of what any sequence of inputs costs:
+        For distance s and turning b, price_s s + price_b b is then a lower bound of the cost of any sequence of inputs:
         the dual of the linear program that mixes inputs.
         """
         speeds, turning = self.speeds, np.abs(self.twists[:, 2])
@@ -86,7 +86,7 @@ class Inputs(NamedTuple):
 def sharpest_radius(costs: TurnCosts, speed: float, settings: PlanSettings) -> float:
     """Compute the least commanded radius of the plan [m]: that of the motors, but at least half the track.
 
-    At half the track the inner wheels stand; sharper turns cost as much and do not come on.
+    At half the track the inner wheels are at rest; sharper turns cost as much and do not come on.
     """
     half = 0.5 * (costs.vehicle.command_track or costs.vehicle.track)
     return max(half, costs.least_radius(speed) * (1 + settings.polish.radius_margin))
@@ -145,7 +145,7 @@ class Words(NamedTuple):
     """k ways."""
 
     start: Index
-    """(k,) from which of the poses"""
+    """(k,) index of the start pose"""
     inputs: Index
     """(k, 3)"""
     times: FloatArray
@@ -240,7 +240,7 @@ def _placed(poses: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def _turned(inputs: Inputs, index: Index, angle: FloatArray) -> FloatArray:
-    """Time that an input takes to turn the body by `angle`, the way it turns [s]."""
+    """Time that an input takes to turn the body by `angle` in its direction [s]."""
     omega = inputs.twists[index, 2]
     around = np.mod(np.sign(omega) * angle, _WHOLE)
     return np.asarray(np.where(around > _WHOLE - 1e-7, 0.0, around) / np.abs(omega))

@@ -42,7 +42,7 @@ def plan(
     start, goal
         (3,) x, y [m], theta [rad].
     via
-        (n, 2) x, y [m] to pass in this order, in whatever heading.
+        (n, 2) x, y [m] to pass in this order, with any heading.
     minimise
         "energy", "time" or "distance".
     speed
@@ -56,7 +56,7 @@ def plan(
     on_the_spot
         Whether it may turn on the spot.
     sample_time
-        Of the commands [s]; by default that of the robot of the papers.
+        Sample time of the commands [s]; by default that of the robot of the papers.
     settings
         By default the shipped ones.
 

@@ -15,7 +15,7 @@ from diffdrive_mpc_extras.planner.schedule import Schedule
 from diffdrive_mpc_extras.planner.settings import PlanSettings
 from diffdrive_mpc_extras.turn_costs import TurnCosts
 
-# Obstacles that each disc of the robot looks at from each node, and how near they have to be [m].
+# Number of obstacles that are checked for each disc of the robot at each node, and their largest distance [m].
 _NEAREST, _WITHIN = 2, 2.0
 # Durations of a phase, from [s] and to over that of the search.
 _SHORTEST_PHASE, _LONGER = 0.02, 1.5
@@ -51,7 +51,7 @@ def polish(
     costs
         Slip law and power.
     minimise
-        What.
+        Quantity to minimise.
     schedule
         Phases of the search.
     start, goal
@@ -61,7 +61,7 @@ def polish(
     settings
         Accelerations, and how it is solved.
     clearance
-        What has to be kept clear of; None for nothing.
+        Distances to the obstacles; None without obstacles.
     """
     polish_settings, motion, count = settings.polish, settings.motion, len(schedule.phase)
     x, w, d = ca.MX.sym("x", 3, count + 1), ca.MX.sym("w", 1, count + 1), ca.MX.sym("d", len(schedule.durations))
@@ -204,6 +204,6 @@ def _planes_at(clearance: Clearance, poses: FloatArray, settings: PlanSettings) 
         near = gap < _WITHIN
         plane = np.where(near[:, None], np.column_stack([unit, beyond]), [0.0, 0.0, -1.0])
         planes[:, k::_NEAREST, :] = plane.reshape(nodes, discs, 3)
-    # The plan begins and ends where it was told to, however near that is; both were looked at before.
+    # The plan begins and ends at the given poses, also if they are near obstacles; both were checked before.
     planes[[0, -1]] = (0.0, 0.0, -1.0)
     return planes.reshape(nodes, -1).ravel()

@@ -1,4 +1,4 @@
-"""A plan: the timed reference, what it is predicted to take, and how it was found."""
+"""A plan: the timed reference, its predicted energy and time, and the method."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from diffdrive_mpc_extras.planner.search import Piece, PlanSearchResult
 from diffdrive_mpc_extras.turn_costs import TurnCosts
 
 POLISHED, UNFINISHED, SEARCHED = "polished", "unfinished", "search"
-"""IPOPT found a minimum; it did not finish, and what it has is a plan; the way of the search stands."""
+"""IPOPT found a minimum; it did not finish, but its result is a plan; the way of the search is used."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A timed reference from rest to rest, and what it is predicted to take.
+    """A timed reference from rest to rest, with its predicted energy and time.
 
     Attributes
     ----------
     minimise
-        What it is the least of.
+        Quantity that was minimised.
     trajectory
         The reference.
     poses
@@ -36,22 +36,22 @@ class Plan:
     sample_time
         [s].
     energy
-        Predicted, of `commands` [J]; what speeding up takes is not in it.
+        Predicted, of `commands` [J]; the energy of accelerating is not included.
     duration
         [s].
     length
-        Of the way of the body's middle [m].
+        Length of the way of the body's middle [m].
     pieces
-        Of the search: inputs that are held, before they were made smooth.
+        Pieces of the search: inputs that are held, before they were made smooth.
     sharpest
         Least commanded radius that was allowed [m].
     clearance
         Least distance from an obstacle [m]; infinite where there is none.
     search
-        What the search has to say: cost, lower bound, states.
+        Results of the search: cost, lower bound, states.
     status
-        "polished"; "unfinished" where IPOPT did not converge and what it has is proven to be a plan all the same;
-        "search" where it failed and the search's way stands, at rest between its pieces.
+        "polished"; "unfinished" where IPOPT did not converge, but its result fulfils all conditions of a plan; "search"
+        where it failed and the search's way is used, with a stop between its pieces.
     solver
         IPOPT's own words.
     """
@@ -74,7 +74,7 @@ class Plan:
 
     @property
     def rows(self) -> FloatArray:
-        """(n + 1, 4) t [s], x, y [m], theta [rad]: what `load_trajectory` reads."""
+        """(n + 1, 4) t [s], x, y [m], theta [rad]: the format of `load_trajectory`."""
         return np.column_stack([self.sample_time * np.arange(len(self.poses)), self.poses])
 
     def amount(self, objective: Objective) -> float:

@@ -23,7 +23,7 @@ _SHARE_OF_RAMPS = 0.8
 
 @dataclass(frozen=True, eq=False)
 class Schedule:
-    """Nodes at which the command stands, straight in time between them.
+    """Nodes of the command, which is linear in time between them.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ def laid_out(
     costs, start
         Slip law, and the pose (3,) at the start.
     pieces
-        Of the search.
+        Pieces of the search.
     sharpest
         Least commanded radius [m].
     spot
@@ -141,7 +141,7 @@ class _Layer:
         total = sum(piece.duration for piece in pieces)
         self._interval = max(self._asked.interval, total / self._asked.most_nodes)
         self._speeds, self._rates, self._most = [0.0], [0.0], [0.0]
-        # How much of which piece was driven at each node, and where.
+        # Driven part of each piece at each node, and the poses.
         self._places = [start]
         self._phase: list[int] = []
         self._legs: list[int] = []

@@ -1,9 +1,10 @@
 """Sampling-based A* over inputs: the shape of the way.
 
 After SBMPO (Sampling-Based Model Predictive Optimization), with which Ordonez et al., 2017 (P4), section 4.3, plan: a
-graph grows by sampled inputs through the slip-calibrated kinematics, the cheapest state first by what it cost and a
-lower bound of what is left. Added here: of states in one cell of the grid the cheapest is kept; from every state the
-goal is tried in closed form (`words`), so that the end is exact and the best way known bounds the search at any time.
+graph grows by sampled inputs through the slip-calibrated kinematics, the state with the least sum of its cost and a
+lower bound of the remaining cost first. Added here: of states in one cell of the grid the cheapest is kept; from every
+state the goal is tried in closed form (`words`), so that the end is exact and the best way known bounds the search at
+any time.
 """
 
 from __future__ import annotations
@@ -32,9 +33,9 @@ from diffdrive_mpc_extras.planner.settings import SearchSettings
 
 # Between two poses that are held against the map [m, rad].
 _CHECK, _CHECK_ANGLE = 0.12, 0.3
-# Within this distance of a target its direction tells no turn that has to be made [m].
+# Within this distance of a target its direction does not determine a necessary turn [m].
 _NEAR = 0.3
-# So many ways from a batch are held against the map, cheapest first.
+# Number of ways from a batch that are checked against the map, cheapest first.
 _TRIED = 120
 
 
@@ -80,7 +81,7 @@ class _Tree:
     def __init__(self, start: FloatArray, estimate: float, settings: SearchSettings) -> None:
         self.poses, self.costs, self.legs = [start], [0.0], [0]
         self._estimates = [estimate]
-        # Eager until a way is known, then the best first.
+        # Greedy until a way is known, then the best first.
         self._eager = settings.eager
         self._heap = [(estimate, 0)]
         self._settings = settings
@@ -124,7 +125,7 @@ class _Tree:
                 self._eager = 1.0
                 self._heap = [(self._estimates[node], node) for _, node in self._heap]
                 heapq.heapify(self._heap)
-                # What was taken up in a hurry may be reached more cheaply.
+                # A state that was expanded early may be reached at less cost.
                 self._taken.clear()
 
     def batch(self, most: int) -> list[int]:
@@ -168,9 +169,9 @@ class PlanSearch:
     via
         (n, 2) points to pass in this order.
     settings
-        How.
+        Settings of the search.
     free
-        Map of clearances and the margin [m]; None where there is nothing to keep clear of.
+        Map of clearances and the margin [m]; None without obstacles.
     """
 
     def __init__(
@@ -198,7 +199,7 @@ class PlanSearch:
         self._inside = inputs.moved(self._every[:, None], self._times[:, None] * share)
         self._shot_rows = self._few()
         self._shots = inputs.chosen(self._shot_rows)
-        # A body that drifts sideways does not travel where it points.
+        # A body that drifts sideways does not move along its heading.
         moving = inputs.twists[inputs.speeds > 1e-9]
         drift = np.arctan2(moving[:, 1], np.abs(moving[:, 0]))
         self._drift = float(np.abs(drift).max())
@@ -297,7 +298,7 @@ class PlanSearch:
         return np.sort(np.concatenate([np.flatnonzero(special), sides[picks].ravel()]))
 
     def _left(self, poses: FloatArray, leg: int) -> FloatArray:
-        """Lower bound (n,) of what is left from poses (n, 3) on a leg."""
+        """Lower bound (n,) of the remaining cost from poses (n, 3) on a leg."""
         targets = self._targets[leg:]
         gap = targets[0] - poses[:, :2]
         far = np.hypot(*gap.T)
@@ -320,7 +321,7 @@ class PlanSearch:
         return np.asarray(np.maximum(bounds.max(axis=1), flat))
 
     def _angle(self, angle: FloatArray) -> FloatArray:
-        """Turn that has to be made [rad]: less for a robot that goes either way."""
+        """Return the necessary turn [rad]: less for a robot that goes either way."""
         magnitude = np.abs(wrap_angle(angle))
         return np.minimum(magnitude, np.pi - magnitude) if self._both_ways else magnitude
 

@@ -1,4 +1,4 @@
-"""Settings of the planner: `settings.yaml` says what each is."""
+"""Settings of the planner: `settings.yaml` describes them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The plan for one objective, with the plans for the others beside it."""
+"""The plan for one objective, compared with the plans for the others."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from diffdrive_mpc_extras.turn_costs import TurnCosts
 from diffdrive_mpc_extras.worlds.drawing import draw_world
 from diffdrive_mpc_extras.worlds.world import World
 
-# A way of least energy that is so many times as long as the shortest is pointed out.
+# A note is given where the way of least energy is longer than the shortest by this factor.
 _LONG = 1.5
 
 
@@ -47,15 +47,15 @@ class PlanRequest:
     via
         (n, 2) [m].
     minimise
-        What the trajectory is the least of.
+        Quantity to minimise.
     speed
         [m/s].
     world
-        What stands there at the beginning; movers are not looked at.
+        World at the beginning; movers are ignored.
     reverse, on_the_spot
-        What is allowed.
+        Whether the robot may drive backward and turn on the spot.
     settings
-        Of the planner.
+        Settings of the planner.
     """
 
     costs: TurnCosts
@@ -82,12 +82,12 @@ Plans = dict[Objective, Plan]
 
 
 class PlanStudy(Study[PlanRequest, Plans]):
-    """Plans for every objective, and the trajectory of the one that is asked for.
+    """Plans for every objective, and the trajectory of the requested one.
 
     Parameters
     ----------
     asked
-        What is asked for.
+        The request.
     """
 
     name = "plan"

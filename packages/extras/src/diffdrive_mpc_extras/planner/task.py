@@ -21,7 +21,7 @@ from diffdrive_mpc_extras.planner.search import PlanSearch, PlanSearchResult
 from diffdrive_mpc_extras.planner.settings import PlanSettings
 from diffdrive_mpc_extras.turn_costs import TurnCosts
 
-# By how much a plan may miss its end [m, rad], exceed a limit (share), and pass beside a via point [m].
+# Tolerances of a plan for its end [m, rad], the limits (ratio), and the via points [m].
 _END_TOLERANCE, _EXCESS, _BESIDE = 1e-4, 5e-3, 0.02
 _EQUAL = 1e-4
 
@@ -43,13 +43,13 @@ class Task:
     sharpest
         Least commanded radius [m].
     clearance, free
-        What has to be kept clear of, and the map of it for the search; None for nothing.
+        Exact distances to the obstacles, and their map for the search; None without obstacles.
     reverse, on_the_spot
-        What is allowed.
+        Whether the robot may drive backward and turn on the spot.
     sample_time
         [s].
     settings
-        How.
+        Settings of the planner.
     """
 
     costs: TurnCosts
@@ -193,7 +193,7 @@ class Task:
         poses, power = driven(self.costs, commands, self.start, dt), self.costs.power(commands)
         twists = self.costs.twist(commands)
         rows = np.column_stack([dt * np.arange(len(poses)), poses])
-        # What is checked here is that the rows are a path; limits were looked at above.
+        # This checks that the rows are a path; limits were checked above.
         limits = TrajectoryLimits(10.0, 100.0, 100.0, 1000.0)
         try:
             trajectory = lay_timed_poses(rows, limits, name=f"plan-{minimise}", where="plan")

@@ -1,1 +1,1 @@
-"""Drive the same path again: what repeats from lap to lap is learned."""
+"""Drive the same path again: errors that repeat from lap to lap are learned."""

@@ -1,4 +1,4 @@
-"""The schema of what is learned where the same reference is started again."""
+"""The schema of the learning where the same reference is started again."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """The path nearest to a reference that a robot can drive on a floor whose slip is known: one optimal control problem.
 
-A robot that turns about a point beside its middle cannot hold its middle in a corner: whatever it knows, it has to move
-aside, and best it begins before the corner. A horizon does not see that far; here the whole reference is looked at.
+A robot that turns about a point outside its middle cannot keep its middle on the path in a corner: a deviation is
+unavoidable, and is smallest if it begins before the corner. A horizon does not see that far; here the whole reference
+is considered.
 
 With N intervals of h seconds, y (N + 1, 2) what the velocity model says (`formulas.py`), poses p (N + 1, 3) and y_ref
 what would give the reference's twist if nothing slipped sideways, minimise
@@ -41,7 +42,7 @@ _DRIVEN = "Solve_Succeeded", "Solved_To_Acceptable_Level"
 
 
 class NotDrivableError(DiffdriveMpcError, RuntimeError):
-    """The solver found no such path; says why."""
+    """The solver found no such path; contains the reason."""
 
 
 @dataclass(frozen=True)
@@ -57,9 +58,9 @@ class Drivable:
     pose
         (n, 3) x, y [m], theta [rad] of the robot.
     wheels
-        (n, 2) what the velocity model has to say for it: v [m/s], omega [rad/s].
+        (n, 2) required output of the velocity model: v [m/s], omega [rad/s].
     slip
-        What lies between the two; its offset is taken for none of the floor's.
+        Slip between the two; its offset is not used as one of the floor.
     """
 
     reference: ReferenceSample
@@ -105,7 +106,7 @@ def nearest_drivable(reference: Reference, slip: Slip, config: ControllerConfig,
     reference
         From beginning to end.
     slip
-        Of the floor.
+        Slip on the floor.
     config
         Its groups rehearsal.drivable, limits and wheels, and the sample time.
     inverse_gain

@@ -22,7 +22,7 @@ class Rehearse(Feature):
     Attributes
     ----------
     learned
-        What was learned of a reference that is driven again, or of the floor.
+        Values learned about a reference that is driven again, or about the floor.
     """
 
     schema = Rehearsal

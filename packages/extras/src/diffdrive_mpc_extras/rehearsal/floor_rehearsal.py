@@ -1,4 +1,4 @@
-"""Rehearsal by the floor: what was learned of its slip becomes a reference that can be driven there.
+"""Rehearsal by the floor: the learned slip becomes a reference that can be driven there.
 
 The estimate of slip is taken from each tick of a lap, weighted by how certain it is. At the next start, of any
 reference, the estimate begins with it, and the motion nearest to the reference that the floor allows is tracked in its
@@ -22,7 +22,7 @@ from diffdrive_mpc_extras.rehearsal.drivable import Drivable, NotDrivableError, 
 from diffdrive_mpc_extras.rehearsal.rehearsal import same_motion
 
 _DRIVING = (Mode.TRACKING, Mode.REUSED_PLAN)
-# A path that can be driven is sought for a reference of so long at most [s]: memory grows by 0.8 MB for each second.
+# Longest reference for which a path that can be driven is searched [s]: memory grows by 0.8 MB for each second.
 _LONGEST = 600.0
 _AS_GIVEN = "the reference is tracked as it is given"
 
@@ -44,14 +44,14 @@ class FloorRehearsal:
     laps
         From how many laps slip was learned.
     slip
-        What was learned, and the next estimate begins with; its offset is not of the floor and stays as configured.
+        Learned slip, with which the next estimate begins; its offset is not of the floor and stays as configured.
     time
         (n,) times of the reference [s] at which the correction is kept.
     correction
         (n, 3) by how much the motion to track lies along and across the given reference [m], and the robot is turned
         against it [rad].
     said
-        What was prepared at the last start, in words.
+        Preparation of the last start, in words.
     """
 
     def __init__(self, config: ControllerConfig, inverse_gain: FloatArray) -> None:
@@ -99,7 +99,7 @@ class FloorRehearsal:
         return drivable.as_reference(reference.name, rehearsal_of(self.config).smoothing)
 
     def take(self, t: float, measurement: Measurement, result: StepResult) -> StepResult:
-        """Learn from the tick at `t` [s]; returns `result`, at the first tick with what was prepared in its message."""
+        """Learn from the tick at `t` [s]; returns `result`, at the first tick with the preparation in its message."""
         del measurement
         words = f"rehearsal: {self.message}" if self.message and not self._told else ""
         self._told = True

@@ -61,7 +61,7 @@ _ENABLED = "expert.rehearsal.enabled"
 
 @dataclass(frozen=True)
 class Laps:
-    """Runs along one reference, in order, and what was learned before the last."""
+    """Runs along one reference, in order, and the corrections learned before the last."""
 
     runs: tuple[Run, ...]
     rehearsal: LapLearner | FloorRehearsal | None
@@ -80,7 +80,7 @@ def drive_laps(
     Parameters
     ----------
     case
-        Of the predictive controller.
+        Case of the predictive controller.
     laps
         Number of laps. The first has the noise of the case, each later lap noise of a seed that follows from it.
     on_tick
@@ -102,7 +102,7 @@ def drive_laps(
 
 
 def _learned(controller: TrackingController) -> LapLearner | FloorRehearsal | None:
-    """Return what the feature `rehearsal` of a controller learned; None if it has no such feature."""
+    """Return the values that the feature `rehearsal` of a controller learned; None if it has no such feature."""
     if not isinstance(controller, Controller) or not rehearsal_of(controller.config).is_enabled:
         return None
     feature: Rehearse = controller.feature("rehearsal")

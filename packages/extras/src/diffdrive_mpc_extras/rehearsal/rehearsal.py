@@ -1,16 +1,15 @@
 """Iterative learning: the errors of the laps before become a correction of the reference for the next lap.
 
-Of what goes wrong on a path, part is the same on every lap: what the model gets wrong in a start, a stop or a curve.
-Feedback finds it when it has happened; on a path driven again it is known beforehand. The controller then tracks
-the reference moved by a correction c, along and across itself, over its own time. As it looks ahead, the robot follows
-slow motions of its reference, so a lap's errors are e = d + c with d what repeats. After the lap k
+A part of the errors on a path is the same on every lap: errors of the model in a start, a stop or a curve. Feedback
+finds it when it has happened; on a path driven again it is known beforehand. The controller then tracks the reference
+moved by a correction c, along and across itself, over its own time. Because of its prediction, the robot follows slow
+motions of its reference, so a lap's errors are e = d + c with d the repeating part. After the lap k
 
     d <- (1 - forgetting) (d + max(gain, 1 / k) (e - c - d)),    c = -Q trust d
 
-The 1 / k makes d the mean of all laps at first. `trust` is how much of d stands out of what differs from lap to lap, as
-a Wiener filter has it: 1 - variance of d / local power of d. Q smooths without phase, as the robot does not follow what
-is quick. The law is iterative learning control with a Q-filter: Bristow, Tharayil, Alleyne, IEEE Control Systems
-Magazine 26(3), 2006.
+The 1 / k makes d the mean of all laps at first. `trust` is the reliable part of d, as in a Wiener filter:
+1 - variance of d / local power of d. Q smooths without phase, as the robot does not follow fast changes. The law is
+iterative learning control with a Q-filter: Bristow, Tharayil, Alleyne, IEEE Control Systems Magazine 26(3), 2006.
 """
 
 from __future__ import annotations
@@ -29,11 +28,11 @@ from diffdrive_mpc.mpc.step_result import Mode, StepResult
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 from diffdrive_mpc_extras.rehearsal.config import rehearsal_of
 
-# Share of the only lap that is trusted: what differs from lap to lap is not known yet.
+# Weight of a single lap: the variation from lap to lap is not known yet.
 _FIRST_TRUST = 0.5
-# Over how much time power and variance are averaged, in times of smoothing.
+# Averaging times of power and variance, in multiples of the smoothing time.
 _POWER, _VARIANCE = 6, 20
-# References count as the same: less than this apart, at instants so far from each other [s].
+# References count as the same below this distance, compared at times with this spacing [s].
 _SAME, _INSTANT = 1e-6, 0.02
 LONGEST = 3600.0
 """Maximum duration of a reference for learning [s]: memory and time of a start grow with it."""
@@ -70,7 +69,7 @@ class LapLearner:
         (n, 3) by how much the tracked reference lies along and across the given one [m], and is turned against it
         [rad].
     said
-        What was learned or forgotten at the last start, in words.
+        Learned and forgotten corrections of the last start, in words.
     """
 
     def __init__(self, config: ControllerConfig) -> None:
@@ -89,7 +88,7 @@ class LapLearner:
         count = len(self.time)
         self.laps, self.message = 0, why
         self.correction: FloatArray = np.zeros((count, 3))
-        # What repeats, its variance from lap to lap, and the share of that variance that is left in the mean.
+        # The repeating part, its variance from lap to lap, and the part of that variance that remains in the mean.
         self._repeating, self._spread, self._left = np.zeros((count, 2)), np.zeros((count, 2)), 0.0
         self._gains: FloatArray = np.ones(2)
         self._first_error = np.inf
@@ -116,7 +115,7 @@ class LapLearner:
         return corrected(reference, self.time, self.correction) if self.correction.any() else reference
 
     def take(self, t: float, measurement: Measurement, result: StepResult) -> StepResult:
-        """Record the tick at `t` [s]; returns `result`, at the first tick with what was learned in its message."""
+        """Record the tick at `t` [s]; returns `result`, with the corrections in the first message."""
         lap, now = self._lap, t - self._t0
         words = f"rehearsal: {self.message}" if self.message and not self._told else ""
         self._told = True

@@ -111,7 +111,7 @@ def _start(
 
 
 def _numbered(records: Sequence[Any]) -> list[tuple[tuple[int, int], Any]]:
-    """Add activation of the node and drive to each record; numbers begin anew with an activation."""
+    """Pair each record with its activation of the node and its drive; numbers restart with an activation."""
     activation, previous, numbered = 0, 0, []
     for record in records:
         number = record.number if isinstance(record, DriveRecord) else record.drive

@@ -40,7 +40,7 @@ class RecordedTick:
     mode, message
         Mode and message of the recorded controller; empty if they are not in the log.
     hold
-        Reason for which the controller had to stand.
+        Reason for which the controller was held.
     start
         Start of the controller before this tick.
     config

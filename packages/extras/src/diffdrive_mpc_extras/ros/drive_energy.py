@@ -20,9 +20,9 @@ from diffdrive_mpc.mpc.ros.topic_watch import TopicWatch
 from diffdrive_mpc_extras.energy_term import energy_of
 from diffdrive_mpc_extras.turn_costs import TurnCosts, load_turn_costs
 
-# No robot of this kind has more; what is beyond is a broken message.
+# No robot of this kind has more; a larger value is a broken message.
 _MOST_VOLTS, _MOST_AMPERES = 1e3, 1e4
-# A battery that was charged on the whole, after so long a drive, has its sign the other way round [s].
+# If the battery was charged on the whole after a drive of this duration, the sign of its current is wrong [s].
 _TELLS_AFTER = 3.0
 
 
@@ -41,7 +41,7 @@ class EnergyMeter:
     counted, missing
         Time that is in it, and that is left out [s].
     gaps
-        How often something was left out.
+        Number of gaps.
     power
         The last reading [W]; NaN before the first.
     """

@@ -27,7 +27,7 @@ from diffdrive_mpc_extras.worlds.world_plant import WorldPlant
 TRANSFORMS, SCAN = "/tf", "scan"
 _TIME_TOLERANCE = 1e-9
 _NEAREST = 0.05
-"""Ranges below are none [m]; the scanner is inside the hull."""
+"""Shorter ranges are invalid [m]; the scanner is inside the hull."""
 
 
 class TransformSender:
@@ -124,9 +124,9 @@ class Scanner:
     Parameters
     ----------
     world
-        What there is, and how the scanner sees.
+        World and settings of the scanner.
     seed
-        Of the noise, not negative.
+        Seed of the noise, not negative.
     """
 
     def __init__(self, world: World, seed: int = 0) -> None:

@@ -64,7 +64,7 @@ class ErrorPredictor:
     lag
         (2,) of the model [s].
     population
-        Which drives count; `calibration` has it.
+        Population of drives; `calibration` has it.
     calibration
         Coefficients and quantiles.
     """
@@ -75,7 +75,7 @@ class ErrorPredictor:
 
     @classmethod
     def build(cls, controller: Controller, settings: PredictedErrorSettings) -> ErrorPredictor:
-        """Read the calibration; ConfigError or ValueError where it cannot be used, or not for this model."""
+        """Read the calibration; ConfigError or ValueError where it cannot be used, or is for another model."""
         calibration = load_calibration(settings.error_calibration or None)
         calibration.population(settings.error_population)
         check_origin(controller.model)
@@ -131,7 +131,7 @@ class ErrorLimit:
         Raises
         ------
         ConfigError
-            If no allowed speed keeps to the limit, with the excess and its place.
+            If no allowed speed observes the limit, with the excess and its place.
         """
         limit = self.settings.follow_error_limit
         slower = _SLOWER if self.settings.follow_error_response == "slow" else ()
@@ -181,7 +181,7 @@ class PredictedErrorPart(NodePart):
         self._predictor: ErrorPredictor | None = None
         self._unpredictable = ""
         self._pending: set[Future] = set()
-        # The reentrant group lets ticks go on while the service awaits the side process.
+        # The reentrant group lets ticks continue while the service awaits the side process.
         group = ReentrantCallbackGroup()
         node.create_service(Trigger, "~/predict_error", self._predict, callback_group=group)
 

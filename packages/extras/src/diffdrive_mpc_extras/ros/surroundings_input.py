@@ -2,7 +2,7 @@
 
 `costmap` is a nav_msgs/OccupancyGrid. `obstacles` is a sensor_msgs/PointCloud2 with the fields x, y, radius, and vx, vy
 where they move: of the types with a wheel it is the one that carries named numbers of many things in one block, and
-RViz shows it; markers and polygons have no velocity. Both are looked at for their size first, read in the process
+RViz shows it; markers and polygons have no velocity. The size of both is checked first, they are read in the process
 beside the loop, and are in the frame of control.
 """
 
@@ -75,7 +75,7 @@ def read_costmap(raw: bytes, settings: FreeSpace) -> CostmapMessage:
     Raises
     ------
     MessageError, SurroundingsError
-        With one line that says what is wrong.
+        With the error in one line.
     """
     message: GridMessage = deserialize_message(raw, GridMessage)
     info = message.info
@@ -96,7 +96,7 @@ def read_obstacles(raw: bytes) -> SeenDiscs:
     Raises
     ------
     MessageError, SurroundingsError
-        With one line that says what is wrong.
+        With the error in one line.
     """
     message: PointCloud2 = deserialize_message(raw, PointCloud2)
     count = message.width * message.height
@@ -107,7 +107,7 @@ def read_obstacles(raw: bytes) -> SeenDiscs:
     fields = {field.name: field for field in message.fields}
     missing = [name for name in _NEEDED if name not in fields]
     if missing:
-        raise MessageError(f"it has no field {missing[0]}; give x, y, radius, and vx, vy of what moves")
+        raise MessageError(f"it has no field {missing[0]}; give x, y, radius, and vx, vy of moving ones")
     columns = []
     for name in (*_NEEDED, *_MOTION):
         field = fields.get(name)
@@ -145,14 +145,14 @@ class SurroundingsSettings(PartSettings):
 
 
 class SurroundingsInput:
-    """Puts together what the topics tell, and lets the controller see it.
+    """Combines the data of the topics, and gives them to the controller.
 
     Parameters
     ----------
     settings
-        Which topics are used.
+        Settings of the topics.
     controller
-        Who sees it.
+        Controller that uses the surroundings.
     inbox
         Clock and frame of control.
     aside
@@ -250,7 +250,7 @@ class SurroundingsInput:
         try:
             self._keep_clear.set_obstacles(Surroundings(discs=discs, grid=self._grid, time=oldest))
         except ValueError as error:
-            # What cannot be used together must not spoil the messages to come, nor pass for fresh.
+            # Messages that cannot be used together must not affect later ones, nor count as fresh.
             watch.take_back(self._kept[2].get(watch.name))
             self._refuse(watch, str(error))
             self._grid, self._discs, self._stamps = self._kept[0], self._kept[1], dict(self._kept[2])

@@ -1,7 +1,8 @@
 """Tracks, radii, delays, limits and noises that other packages take as parameters, from a log, with intervals.
 
 One free run from the commands explains encoders and gyro at once (`effects`), so that delay, limits and the ratio of
-the two yaw rates come with one covariance. Poses tell the radii. What a log does not tell has a reason and no value.
+the two yaw rates come with one covariance. Poses determine the radii. A number that a log does not determine has a
+reason and no value.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from diffdrive_mpc.models.velocity_model import CHANNELS
 from diffdrive_mpc_extras.stack.settings import stack_settings
 
 _TRIED = ("clipped commands", "twist slew", "veer")
-"""Effects of the base that change what is estimated here."""
+"""Effects of the base that change the estimates."""
 _ALSO = ("damping.v", "damping.omega")
 _UNITS = {"v": "m/s", "omega": "rad/s"}
 DIGITS = 4
@@ -47,18 +48,18 @@ DIGITS = 4
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number that a log tells, or the reason why it does not.
+    """A number that a log determines, or the reason for its absence.
 
     Attributes
     ----------
     value
-        None where the log does not tell it.
+        None where the log does not determine it.
     interval
         (2,) of 95 %; equal ends where the value is stated, or follows without an error.
     unit
-        Of both.
+        Unit of both.
     reason
-        Where the value comes from, or why there is none.
+        Source of the value, or the reason for its absence.
     """
 
     value: float | None
@@ -74,7 +75,7 @@ Quantities = Mapping[str, Quantity]
 def estimate_stack(
     data: LogData, limits: Mapping[str, float] | None = None, base: IdentifiedBase | None = None
 ) -> dict[str, Quantity]:
-    """Estimate what ros2_control, Nav2 and robot_localization need to know of a robot.
+    """Estimate the values of a robot that ros2_control, Nav2 and robot_localization need.
 
     Names: wheel_separation, wheel_radius [m]; separation_multiplier, left_radius_multiplier, right_radius_multiplier
     [-]; delay.v, delay.omega [s]; max.v, max.omega, rate.v, rate.omega, driven.v [SI units]; look_ahead_time [s],
@@ -88,7 +89,7 @@ def estimate_stack(
     limits
         Levels at which a model of the log clips its commands, by channel: where the search for limits begins.
     base
-        A model with all effects of the base, where that was looked for: its effects are taken in place of a search.
+        A model with all effects of the base, where it was identified: its effects are taken in place of a search.
 
     Raises
     ------
@@ -130,7 +131,7 @@ def _free(point: Point) -> list[str]:
 
 
 def _estimated(estimate: ParameterEstimate, unit: str, reason: str) -> Quantity:
-    """Return the first parameter of an estimate with its interval of 95 %; missing where one of them is not finite."""
+    """Return the first parameter of an estimate with its interval of 95 %; none if one is not finite."""
     value, half = float(estimate.values[0]), 1.96 * float(estimate.standard_deviation[0])
     if not math.isfinite(value):
         return _missing(unit, "the estimate is not a finite number: drive steps of both signs in v and in omega")
@@ -148,7 +149,7 @@ def _missing(unit: str, reason: str) -> Quantity:
 
 
 def _calibrated(data: LogData, geometry: WheelGeometry | None, point: Point) -> ParameterEstimate | str:
-    """Return left_radius, right_radius and track [m] from poses, or the reason why the log does not tell them."""
+    """Return left_radius, right_radius and track [m] from poses, or the reason why the log does not determine them."""
     records = [record for record in data.train if record.pose is not None and record.wheels is not None]
     if geometry is None:
         return "the log has no wheel speeds: log joint states with the velocity of each wheel"
@@ -255,7 +256,7 @@ def _sure(quantity: Quantity) -> Quantity:
 
 
 def _delays(point: Point, estimate: ParameterEstimate, dt: float) -> dict[str, Quantity]:
-    """Return dead time and both lags together [s] of either channel: the delay that stands for the whole answer."""
+    """Return dead time and both lags together [s] of either channel: the delay that represents the whole response."""
     # A ramp is taken at the end of each part of a sample, so that the rest of the delay seems longer by half a part.
     ahead = 0.5 * dt / PARTS if "slew.v" in point else 0.0
     result = {}
@@ -272,7 +273,7 @@ def _delays(point: Point, estimate: ParameterEstimate, dt: float) -> dict[str, Q
             estimate.derived(["delay"], late), "s", f"dead time of {dead:.3g} s and lag of the answer of {channel}"
         )
         if delay.value is not None:
-            # Errors that stay through a log, such as a slow disturbance, are larger than the residuals tell.
+            # Errors that last through a log, such as a slow disturbance, are larger than the residuals indicate.
             half = 0.5 * stack_settings().delay_widening * (delay.interval[1] - delay.interval[0])
             delay = replace(delay, interval=(max(0.0, delay.value - half), delay.value + half))
         result[f"delay.{channel}"] = delay
@@ -296,7 +297,7 @@ def _limits(
         if multiplied:
             part, words = ["body"], f", times its gain; only with the {name} of ros2_control.yaml"
         top, rate = (_in_the_body(estimate, kind, channel) for kind in ("limit", "slew"))
-        # Of an interval that is not finite nobody knows whether it reaches so far: `_estimated` says so.
+        # An interval that is not finite cannot be checked here: `_estimated` says so.
         reached = top is not None and not top.values[1] + 1.96 * top.deviation("command") >= most
         result[f"max.{channel}"] = (
             _sure(_estimated(top.part(part), unit, f"where the robot clips its command{words}"))
@@ -341,7 +342,7 @@ def _variances(data: LogData) -> dict[str, Quantity]:
 
 
 def _scatter_by_block(records: Sequence[Record], signal: str, column: int) -> FloatArray:
-    """Return the variance (B,) of what is random in one column of a signal, in each block of the settings' length.
+    """Return the variance (B,) of the random part of one column of a signal, in each block of the settings' length.
 
     Each block counts the second differences of its readings; blocks with fewer than fifty are left out.
     """

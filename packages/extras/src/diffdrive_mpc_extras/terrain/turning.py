@@ -1,8 +1,8 @@
 """Torque of the outer and the inner side against turn radius and speed.
 
 Ordonez et al., 2017 (P4), sections 2.2 and 2.3: a command gives wheel speeds by the base's own kinematics and the
-motion of the body by the slip law, both together the sliding under the tyres, and that the torque (equation 13). What
-the paper leaves to its references is chosen here:
+motion of the body by the slip law, both together the sliding under the tyres, and that the torque (equation 13).
+Details that the paper takes from its references are chosen here:
 
 * **S_o**, how far the centre of the turn lies ahead of the middle, is where the lateral forces of the tyres balance the
   centripetal one.
@@ -16,9 +16,9 @@ Forces under the four tyres of a vehicle in a steady turn, by quadrature over th
 Ordonez et al., 2017 (P4), equations 5 to 12, for all wheels at once and in this project's frame: x ahead, y left,
 turning counter-clockwise positive. A point of the tread meets the floor where the patch begins, at its front edge if
 the wheel turns forward and at its rear edge if it turns backward, and then goes through it at the rim speed while the
-vehicle turns about a fixed centre. How far it is from where it met the floor is its shear displacement j. In equation 9
-the subtracted term has to be the coordinate n_a of the front edge, or j would not begin at zero; the arctangent (12)
-does not know the quadrant: here the stress points against the sliding velocity.
+vehicle turns about a fixed centre. Its distance from the place of its first contact is its shear displacement j. In
+equation 9 the subtracted term must be the coordinate n_a of the front edge, or j would not begin at zero; the
+arctangent (12) does not know the quadrant: here the stress points against the sliding velocity.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ from diffdrive_mpc_extras.turn_costs.vehicle import Vehicle
 NODES = (16, 3)
 """Gauss points along and across a patch: torques are within 1e-4 of those of four times as many (tested)."""
 
-# Rim speeds below this [m/s] are those of a wheel that stands: its tread has been in the patch for ever.
+# Rim speeds below this [m/s] are those of a standing wheel: its tread has been in the patch for ever.
 _STANDING = 1e-9
-# exp(-40) is nothing beside one.
+# exp(-40) is negligible compared with one.
 _SLIDING = 40.0
 
 
@@ -76,7 +76,7 @@ def floor_forces(
     Parameters
     ----------
     vehicle
-        Its loads are those of the steady turn, with the transfer by its own acceleration.
+        Vehicle with the loads of the steady turn, with the transfer by its own acceleration.
     friction
         (n, 2) coefficients of friction left, right.
     modulus
@@ -99,7 +99,7 @@ def floor_forces(
     edge = vehicle.places[:, :1] + np.where(backward, -0.5, 0.5) * vehicle.patch_length
     moving = np.maximum(np.abs(rim), _STANDING)
     speed = np.hypot(along, across)
-    # Past so many moduli the tread slides at its limit, and no way round brings that back.
+    # Beyond this number of moduli the tread slides at its limit, and its path has no effect on the force.
     duration = np.minimum(np.abs(edge - x) / moving, _SLIDING * modulus / np.maximum(speed, 1e-300))
     displacement = _displacement(u, w, omega, x, y, edge, duration)
     stress = -np.expm1(-displacement / modulus) / np.maximum(speed, 1e-300)
@@ -166,7 +166,7 @@ def _patch(length: float, width: float, nodes: tuple[int, int]) -> tuple[FloatAr
 
 
 _ITERATIONS = 200
-# Balance counts as found when what is left is so small over the weight.
+# Balance counts as found when the remaining force over the weight is below this.
 _BALANCED = 1e-7
 
 
@@ -190,12 +190,12 @@ class SideTorques(NamedTuple):
 
     @property
     def power(self) -> FloatArray:
-        """(n,) mechanical power of both sides [W]; what the inner wheels give back counts as negative."""
+        """(n,) mechanical power of both sides [W]; power that the inner wheels return counts as negative."""
         return self.outer * self.outer_speed + self.inner * self.inner_speed
 
     @property
     def radius(self) -> FloatArray:
-        """(n,) radius of the way that the body's middle really takes, positive counter-clockwise [m]."""
+        """(n,) actual radius of the path of the body's middle, positive counter-clockwise [m]."""
         with np.errstate(divide="ignore"):
             return np.asarray(np.hypot(self.twist[:, 0], self.twist[:, 1]) / self.twist[:, 2])
 
@@ -253,13 +253,13 @@ def _balance(
     """Solve for twists (n, 3) at which the floor's forces are those of the turn; given yaw rates are fixed.
 
     Levenberg-Marquardt for all conditions at once. The stress grows with the sliding: the forces are monotone in the
-    twist, and what is found is all that there is.
+    twist, so the solution is unique.
     """
     count, free = len(rims), 3 if yaw_rates is None else 2
     twist = np.stack([commands[:, 0], np.zeros(count), commands[:, 1] if yaw_rates is None else yaw_rates], axis=-1)
     lever = 0.5 * np.hypot(vehicle.track, vehicle.wheel_base)
     scale = vehicle.weight * np.array([1.0, 1.0, lever])
-    # By how much a rim speed is the step of a difference, and the yaw rate so that the wheels move as much.
+    # Step of a difference: a part of the rim speed, and a yaw rate that moves the wheels as much.
     reach = np.abs(rims).max(axis=1, keepdims=True) * np.array([1.0, 1.0, 1.0 / lever])
 
     def missing(motion: FloatArray, rows: NDArray[np.intp]) -> FloatArray:

@@ -52,7 +52,7 @@ _COLUMNS = (
     *(f"pose_{part}" for part in ("x_m", "y_m", "theta_rad")),
     *READINGS,
 )
-# Before and after the turns it stands [s]: what is drawn at rest is told by that.
+# Time at rest before and after the turns [s]: it determines the power drawn at rest.
 _REST = 3.0
 
 

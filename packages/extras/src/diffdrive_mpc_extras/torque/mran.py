@@ -29,7 +29,7 @@ def _rising(name: str, values: Range) -> None:
 
 
 class MranSettings(StrictModel):
-    """A minimal resource-allocating network: when it grows, shrinks, and how fast it learns."""
+    """A minimal resource-allocating network: conditions of its growth and pruning, and its learning rate."""
 
     most_units: int = Field(ge=1, le=1000, description="hidden units at most")
     instant_error: Positive = Field(description="E1: a unit more only for an error above this")
@@ -90,13 +90,13 @@ _PER_UNIT = 3
 class MranNetwork:
     """y = a0 + sum of a_j exp(-(x - d_j)^2 / s_j^2), learned sample by sample.
 
-    A sample that is not finite is left out. What it says is always finite: parameters that an update would make not
+    A sample that is not finite is left out. Its output is always finite: parameters that an update would make not
     finite are kept as they were.
 
     Parameters
     ----------
     settings
-        When it grows and shrinks, and how fast it learns.
+        Settings of growth, pruning and learning.
     """
 
     def __init__(self, settings: MranSettings) -> None:
@@ -191,7 +191,7 @@ class MranNetwork:
         self._parameters, self._covariance = parameters, 0.5 * (covariance + covariance.T)
 
     def _prune(self, x: float) -> None:
-        """Take out units that have said next to nothing for long, near enough to have been asked."""
+        """Remove units whose output was negligible for long, although the inputs were near them."""
         amplitude, centre, width = self._parameters[1:].reshape(-1, _PER_UNIT).T
         if not amplitude.size:
             return

@@ -21,8 +21,8 @@ from diffdrive_mpc_extras.turn_costs.vehicle import DriveConstants, Vehicle
 class TorqueCurves:
     """Two networks over the logarithm of the radius, whose outputs are torques over the limit of a side.
 
-    What a curve says is finite and within the limit; beyond the radii that were shown it holds what it says at their
-    end. A turn is the same to the left and to the right, and backward the torques change their signs.
+    The value of a curve is finite and within the limit; beyond the learned radii it keeps the value at their end. A
+    turn is the same to the left and to the right, and backward the torques change their signs.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class TorqueCurves:
 
     @property
     def shown(self) -> tuple[float, float]:
-        """Least and greatest radius that was shown [m]; what lies beyond is held."""
+        """Least and greatest radius that was shown [m]; beyond it the value is held."""
         low, high = self._shown
         return (math.exp(low), math.exp(high)) if low <= high else (math.nan, math.nan)
 
@@ -81,7 +81,7 @@ class TorqueCurves:
         self._inner.restart_doubt()
 
     def learn(self, radius: float, speed: float, outer: float, inner: float) -> None:
-        """Take in one sample of a steady turn; what is not finite is left out.
+        """Take in one sample of a steady turn; values that are not finite are left out.
 
         Parameters
         ----------
@@ -205,12 +205,12 @@ def costs_of_curves(
     Parameters
     ----------
     curves, slip
-        What was learned.
+        Learned curves and slip.
     name, vehicle, drive, provenance
-        What the file holds besides.
+        Other content of the file.
     radii
-        Over which the curves are tabled, from and to, at the speed at which they stand [m]: those of the drive; by
-        default all that were shown to the curves, their prior's too.
+        Smallest and largest radius of the tabled curves, at their speed [m]: those of the drive; by default all that
+        were shown to the curves, their prior's too.
 
     Raises
     ------
@@ -257,7 +257,7 @@ def predict_energy(
 ) -> PredictedEnergy:
     """Predict the energy of driving `commands` (n, 2) v [m/s], omega [rad/s], each for `sample_time` [s].
 
-    Torques are those of steady turns: what speeding up takes and braking gives back is left out, as in P4, which is for
+    Torques are those of steady turns: the energy of accelerating and braking is neglected, as in P4, which is for
     gentle driving. Wheel speeds are those that the base makes of the commands.
 
     Raises

@@ -12,7 +12,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.slip_laws import POLYNOMIAL
 
 _LEAST_ROWS = 30
-# Terms more alike than this cannot be told apart.
+# Terms with a higher correlation than this cannot be separated.
 _ALIKE = 1e4
 
 
@@ -22,9 +22,9 @@ class IdentifiedSlip(NamedTuple):
     coefficients: FloatArray
     """(3, 3) a11 to a33 of `models.slip_laws.polynomial_twist`, lateral to the left"""
     deviations: FloatArray
-    """(3, 3) standard deviation of each; rows that follow one another count as what they tell anew"""
+    """(3, 3) standard deviation of each; consecutive rows are weighted by their new information"""
     rms: FloatArray
-    """(3,) what remains of forward speed, lateral speed [m/s] and yaw rate [rad/s]"""
+    """(3,) residuals of forward speed, lateral speed [m/s] and yaw rate [rad/s]"""
     rows: int
     """Number of samples used."""
 
@@ -54,14 +54,14 @@ def identify_slip(
     sample_time
         Between two rows [s]; needed for `settling` alone.
     settling
-        For so long after a change of the command a row is left out: the robot is not there yet [s].
+        Time after a change of the command in which rows are left out: the robot is not there yet [s].
     used
-        (n,) of bool: which rows to use; by default all. What is not finite is left out in any case.
+        (n,) of bool: which rows to use; by default all. Rows that are not finite are left out in any case.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the shapes do not fit, too few rows are left, or the drive does not tell the coefficients apart.
+        If the shapes do not fit, too few rows are left, or the drive does not separate the coefficients.
     """
     rows, body = np.asarray(commands, dtype=float), np.asarray(twist, dtype=float)
     if rows.ndim != 2 or rows.shape[1] != 2 or body.shape != (len(rows), 3):
@@ -76,13 +76,15 @@ def identify_slip(
         index = np.arange(len(rows))
         keep &= (index - np.maximum.accumulate(np.where(changed, index, 0))) * sample_time >= settling
     if keep.sum() < _LEAST_ROWS:
-        raise ConfigError(f"{keep.sum()} samples tell the slip: give {_LEAST_ROWS} or more in which the robot drives")
+        raise ConfigError(
+            f"{keep.sum()} samples determine the slip: give {_LEAST_ROWS} or more in which the robot drives"
+        )
     v, omega = rows[keep].T
     terms = np.stack([v, omega, v * omega], axis=-1)
     scale = np.linalg.norm(terms, axis=0)
     if (scale == 0).any() or np.linalg.cond(terms / scale) > _ALIKE:
         raise ConfigError(
-            "the drive does not tell the slip coefficients apart: drive turns to both sides at two speeds or more"
+            "the drive does not separate the slip coefficients: drive turns to both sides at two speeds or more"
         )
     missing = body[keep] - np.stack([v, np.zeros_like(v), omega], axis=-1)
     solution, *_ = np.linalg.lstsq(terms / scale, missing, rcond=None)

@@ -59,7 +59,7 @@ def least_radius(
     limit
         Largest torque of a side [N m].
     radii
-        Where to look, from and to [m].
+        Smallest and largest radius [m].
     share
         Share of the limit.
 
@@ -139,7 +139,7 @@ class TorqueSpline:
     def symbolic(self, curvature: Any) -> tuple[Any, Any]:  # noqa: ANN401 - SX or MX
         """Build the same CasADi expressions, with continuous second derivatives except at the ends of the table."""
         scaled = ca.fmax(-self._most, ca.fmin(self._most, ca.asinh(curvature / _BEND)))
-        # Uniform B-splines as cubes of what lies beyond each knot: no cases, so derivatives hold everywhere.
+        # Uniform B-splines as cubes of the distance beyond each knot: no cases, so derivatives are valid everywhere.
         binomial = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0
         weights = [np.convolve(spline.c, binomial) for spline in self._splines]
         mean: Any = 0.0
@@ -163,7 +163,7 @@ def _vehicle(value: Any) -> Any:  # noqa: ANN401 - what a file holds there
 
 
 class SlipCoefficients(StrictModel):
-    """`models.slip_laws.polynomial_twist`: what is added to commands; lateral is to the left."""
+    """`models.slip_laws.polynomial_twist`: value that is added to commands; lateral is to the left."""
 
     a11: float = Field(default=0.0, description="forward speed over v_c [-]")
     a12: float = Field(default=0.0, description="forward speed over w_c [m]")
@@ -215,8 +215,8 @@ class TorqueTable(StrictModel):
 class TurnCosts(StrictModel):
     """One robot on one floor.
 
-    What lies beyond the table is held at its ends: sharper turns than were driven, where the motors are at their limit
-    or the tyres slide, ask what the sharpest one asked.
+    Values beyond the table are those at its ends: sharper turns than were driven, where the motors are at their limit
+    or the tyres slide, have the cost of the sharpest one.
     """
 
     name: str = Field(min_length=1)

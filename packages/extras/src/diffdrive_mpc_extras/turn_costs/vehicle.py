@@ -74,7 +74,7 @@ class Vehicle(StrictModel):
         """Compute the load of each wheel (n, 4) [N] under accelerations (n, 2) of the centre of mass [m/s^2].
 
         A rigid body on four equal springs: the loads lie in a plane. A wheel that would lift carries nothing, and the
-        others then carry more than the weight by what it would pull.
+        others then carry more than the weight by its missing negative load.
         """
         ahead, left, height = self.centre_of_mass
         # Where the line of weight and inertia meets the floor.

@@ -40,7 +40,7 @@ def twin(
     jobs: Jobs = None,
     force: Annotated[bool, typer.Option("--force", help="Go on where the logs speak against it.")] = False,
 ) -> None:
-    """Fit the physics plant to a log: what it tells, what not, and a plant file for `simulate --plant mujoco:FILE`."""
+    """Fit the physics plant to a log: its parameters, and a plant file for `simulate --plant mujoco:FILE`."""
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415 - --help does not need it
     from diffdrive_mpc_extras.twin.study import TwinStudy  # noqa: PLC0415
 

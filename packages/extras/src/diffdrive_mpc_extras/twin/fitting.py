@@ -1,9 +1,9 @@
-"""Fit a plant to a log, and say what the log told.
+"""Fit a plant to a log, and report the determined parameters.
 
 Bounded least squares on the errors of free runs (`scipy.optimize.least_squares`, trust region reflective): the errors
 are smooth, a start within the right valley comes from the identified model, and a drive of the plant takes seconds, so
 slopes by differences pay where a population of candidates (differential evolution, CMA-ES) would need hundreds of
-drives more. Priors stand beside the readings, so what these do not tell stays where it was believed to be.
+drives more. Priors are used with the readings, so parameters that these do not determine keep their prior value.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ class FittedParameter:
     Attributes
     ----------
     name, unit, words
-        What it is.
+        Name, unit and description of the parameter.
     value
         In the plant.
     low, high
-        Its 95 % interval: of the posterior where the log tells it, else of the prior.
+        Bounds of its 95 % interval: of the posterior where the log determines it, else of the prior.
     share
         Posterior deviation over the prior's [-].
     told
-        Whether the log tells it; otherwise `value` is the prior's.
+        Whether the log determines it; otherwise `value` is the prior's.
     """
 
     name: str
@@ -65,11 +65,11 @@ class TwinFit:
     values
         Their values, by name.
     told
-        What is known of each, in the order of the space.
+        Result of each parameter, in the order of the space.
     drives
-        How many sets of parameters were driven.
+        Number of sets of parameters that were driven.
     seconds
-        Of the log that was fitted.
+        Duration of the log that was fitted [s].
     """
 
     space: Space
@@ -90,11 +90,11 @@ def fit_twin(problem: TwinProblem, start: Values, on_stage: Callable[[str, int],
     Parameters
     ----------
     problem
-        What to fit; its weights are found here.
+        Problem to fit; its weights are found here.
     start
         Values to begin with, by name; other parameters begin at their prior.
     on_stage
-        Called with what is done next, and about how many drives it takes.
+        Called with the next step, and the approximate number of its drives.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def fit_twin(problem: TwinProblem, start: Values, on_stage: Callable[[str, int],
     moved = z.copy()
     fixed = [i for i in every if not distinct[i]]
     if fixed and free:
-        # Where the others go when these go back to their prior, to first order.
+        # Values of the others when these return to their prior, to first order.
         moved[free] += np.linalg.solve(information[np.ix_(free, free)], information[np.ix_(free, fixed)] @ z[fixed])
     moved[fixed] = 0.0
     low, high = space.bounds
@@ -145,7 +145,7 @@ def fit_twin(problem: TwinProblem, start: Values, on_stage: Callable[[str, int],
 def told_apart(information: FloatArray, threshold: float) -> list[bool]:
     """Select the identifiable parameters: the least identifiable ones return to their prior one by one.
 
-    Of two that it cannot tell apart, one stays: the one that it tells better by a little.
+    Of two that it cannot separate, one is kept: the slightly better determined one.
     """
     free = list(range(len(information)))
     while free:

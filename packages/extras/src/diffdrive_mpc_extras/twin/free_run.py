@@ -1,4 +1,4 @@
-"""The plant driven by a log's commands alone, and what the log's sensors would have read of it."""
+"""The plant driven by a log's commands alone, and the readings that the log's sensors would have had."""
 
 from __future__ import annotations
 

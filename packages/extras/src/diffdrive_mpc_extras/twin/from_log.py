@@ -48,7 +48,7 @@ class FittedTwin:
     Attributes
     ----------
     name
-        Of the robot.
+        Name of the robot.
     data
         The log, divided.
     fit
@@ -56,13 +56,13 @@ class FittedTwin:
     model
         The identified velocity model beside it, and its name.
     model_name
-        What it is called.
+        Name of the model.
     twin_held, model_held
         Both on the rows held out.
     experiments
         Those rows.
     notes
-        What could not be done, or should be known.
+        Notes about missing results and other peculiarities.
     """
 
     name: str
@@ -91,26 +91,26 @@ def twin_of(
     on_stage: Callable[[str, int], None] | None = None,
     on_drive: Callable[[], None] | None = None,
 ) -> FittedTwin:
-    """Fit the physics to logs of one robot; the first 60 % of each are fitted, the others score.
+    """Fit the physics to logs of one robot; the first 60 % of each are fitted, the others are for the scores.
 
     Parameters
     ----------
     logs, mapping, force, on_findings
         As `models.identification.identify`.
     robot
-        Robot file with what is known of the robot: mass, wheel base, motors; shipped name or path.
+        Robot file with known values of the robot: mass, wheel base, motors; shipped name or path.
     model
-        Identified model to begin with and to stand beside; by default SM is identified from the same rows.
+        Identified model to begin with and to compare with; by default SM is identified from the same rows.
     effects
-        Whether to look for effects of the base around that SM.
+        Whether to identify the effects of the base around that SM.
     seconds
-        How much of the log is fitted [s]; by default that of the settings.
+        Duration of the log that is fitted [s]; by default that of the settings.
     name
-        Of the robot; by default from the logs.
+        Name of the robot; by default from the logs.
     together
-        How several drives of the plant are done.
+        Function that runs several drives of the plant.
     on_stage
-        Called with what is done next, and about how many drives it takes.
+        Called with the next step, and the approximate number of its drives.
     on_drive
         Called after each drive.
 

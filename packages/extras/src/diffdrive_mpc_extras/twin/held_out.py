@@ -25,7 +25,7 @@ from diffdrive_mpc_extras.twin.free_run import drive, readings, stretch
 from diffdrive_mpc_extras.twin.nominal import Nominal
 from diffdrive_mpc_extras.twin.settings import twin_settings
 
-# The identified velocity model beside a twin: what it predicts of a log, and where the fit of the twin begins.
+# The identified velocity model compared with a twin: its prediction of a log, and the start of the twin's fit.
 
 
 _LOOP = 0.03
@@ -40,9 +40,9 @@ class Identified:
     Attributes
     ----------
     model, effects
-        The model, and what its base does around it.
+        The model, and the effects of its base.
     point
-        Of a model with effects, its parameters by the names of `models.identification.effects.free_run`; else empty.
+        Parameters of a model with effects, by the names of `models.identification.effects.free_run`; else empty.
     sensors
         "encoders.yaw_ratio", "gyro.offset", and where the model's file has them "encoders.delay", "encoders.lag".
     """
@@ -259,7 +259,7 @@ def drift_of(
     Parameters
     ----------
     records
-        Those that were predicted.
+        Records that were predicted.
     predictions
         One for each.
     mount

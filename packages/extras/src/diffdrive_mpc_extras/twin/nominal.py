@@ -1,4 +1,4 @@
-"""The robot that a fit begins with: the user's file, and what it leaves out scaled from the papers' robot.
+"""The robot that a fit begins with: the user's file, and missing values scaled from the papers' robot.
 
 Lengths of the body go with the track, wheel masses with the mass, torques with weight times wheel radius, gains of the
 motors' loops with one over their speed. MuJoCo's contact has time constants and ratios alone, so it is as soft for
@@ -69,16 +69,16 @@ def nominal_robot(name: str, records: Sequence[Record], file: str | Path | None 
     Parameters
     ----------
     name
-        What it is, in a line.
+        Description of the robot, in a line.
     records
-        Those to fit.
+        Records to fit.
     file
         Robot file, of which nothing is compulsory where the records have wheel speeds; shipped name or path.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the file has a mistake, or neither it nor the records tell track and wheel radius.
+        If the file has a mistake, or neither it nor the records determine track and wheel radius.
     """
     stated_data: Mapping[str, Any] = {}
     where = name
@@ -94,7 +94,7 @@ def nominal_robot(name: str, records: Sequence[Record], file: str | Path | None 
     radius = geometry.radius if geometry else body.get("wheel_radius")
     if not all(isinstance(length, (int, float)) and length > 0 for length in (track, radius)):
         raise ConfigError(
-            f"{where}: the log has no wheel speeds, so nothing tells track and wheel radius; give --robot a file with "
+            f"{where}: the log has no wheel speeds, so track and wheel radius are unknown; give --robot a file with "
             "robot: {track: ..., wheel_radius: ...} [m]"
         )
     assert track is not None and radius is not None

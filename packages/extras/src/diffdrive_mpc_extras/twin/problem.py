@@ -45,9 +45,9 @@ class TwinProblem:
     space
         The parameters.
     stretches
-        What is fitted.
+        Stretches of the log that are fitted.
     together
-        How several drives are done.
+        Function that runs several drives.
     on_drive
         Called after each set of parameters that was driven.
     weight

@@ -1,4 +1,4 @@
-"""The parameters of a fit, and the robot that their values stand for."""
+"""The parameters of a fit, and the robot that their values describe."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Space:
     nominal
         The robot that factors multiply.
     effects
-        What the identified model says about the base: slope limits are fitted, steps and coasting are taken over.
+        Effects of the base in the identified model: slope limits are fitted, steps and coasting are taken over.
     priors
         By name.
     travel
@@ -119,13 +119,14 @@ def space_of(nominal: Nominal, effects: BaseEffects, *, gyro: bool, lagging: boo
     nominal
         The robot to begin with.
     effects
-        Of the identified model.
+        Effects of the base in the identified model.
     gyro
-        Whether the log has one; without it, what lies between wheels and body or encoders and robot is not told.
+        Whether the log has a gyro; without one, the parameters between wheels and body and between encoders and robot
+        cannot be determined.
     lagging
         Whether the identified model found the log's encoders to lag.
     travel
-        As `Space`.
+        Region of the drive, as of `Space`.
     """
     skipped = set() if effects.twist_slew else set(_SLEW)
     skipped |= set() if gyro else set(_WITH_GYRO)

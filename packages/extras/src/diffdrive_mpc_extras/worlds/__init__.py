@@ -1,1 +1,1 @@
-"""Worlds: what stands and moves around the robot, what touches it, and what it sees of that."""
+"""Worlds: obstacles and persons around the robot, contacts, and the robot's view of them."""

@@ -1,9 +1,9 @@
 """Worlds that a seed draws: fields of posts of graded density with a way through them that a planner has found.
 
 The idea is that of the BARN benchmark: D. Perille, A. Truong, X. Xiao, P. Stone, "Benchmarking metric ground
-navigation", SSRR 2020. A cellular automaton clusters a random field; what has no way for the disc around the robot is
-drawn again. In `drawn:SEED` the smooth path is free and may pass near obstacles. In `drawn:SEED:through` posts have
-been put onto that path afterwards, as after the planner has looked: there is a way around them that stays near.
+navigation", SSRR 2020. A cellular automaton clusters a random field; a world without a way for the disc around the
+robot is drawn again. In `drawn:SEED` the smooth path is free and may pass near obstacles. In `drawn:SEED:through` posts
+have been put onto that path afterwards, as after the planner has looked: there is a way around them near the field.
 """
 
 from __future__ import annotations
@@ -190,7 +190,7 @@ def drawn_world(seed: int, *, through: bool = False) -> World:
     seed
         Not negative.
     through
-        Whether posts are put onto the way that was planned.
+        Whether posts are put onto the planned way.
 
     Raises
     ------
@@ -243,7 +243,7 @@ def _shapes(posts: FloatArray) -> Shapes:
 
 
 def _map(settings: Drawing, posts: FloatArray) -> ObstacleDistanceGrid:
-    # Half a metre beside the field is free, so that the way round it is one, too.
+    # Half a metre beside the field is free, so that a way around it exists.
     low = np.array([-0.3, -settings.width / 2 - 0.0])
     return ObstacleDistanceGrid.build(
         _shapes(posts),

@@ -12,7 +12,7 @@ from diffdrive_mpc_extras.worlds.settings import world_settings
 from diffdrive_mpc_extras.worlds.shapes import Shapes
 from diffdrive_mpc_extras.worlds.world import World
 
-# What the robot touched: MuJoCo's contacts put together to events.
+# Contacts of the robot: MuJoCo's contacts combined to events.
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,11 +24,11 @@ class Contact:
     time, until
         First and last instant [s].
     obstacle
-        Name of what was touched: kind and number in the world's file, from zero.
+        Name of the touched object: kind and number in the world's file, from zero.
     x, y
         Place of the first contact [m].
     speed
-        Of the robot's own hull at that place, just before [m/s].
+        Speed of the robot's own hull at that place, just before [m/s].
     fastest
         The same, the largest over the whole contact [m/s].
     """
@@ -80,7 +80,7 @@ class ContactLog:
 
 
 _LOOKED_AT = 5
-"""Every so many ticks the clearance is taken."""
+"""Number of ticks between two measurements of the clearance."""
 _OUTLINE_STEP = 0.03
 """Between points of the outline at which it is taken [m]."""
 
@@ -94,18 +94,18 @@ class Passage:
     arrived
         Whether it stood at the end of its way within the time limit, and had touched nothing while it moved.
     time_s
-        When it came to stand there [s]; NaN where it did not.
+        Time at which it came to stand there [s]; NaN where it did not.
     contacts
-        How many obstacles it touched while it moved.
+        Number of obstacles that it touched while it moved.
     walked_into
-        How many persons touched it while it stood.
+        Number of persons who touched it while it stood.
     contact_speed_m_s
         Fastest of its own hull at a contact; NaN without one.
     clearance_m
         Least distance of its outline from anything, zero at a contact; infinite in an empty world. Taken every five
         ticks at points of the outline 3 cm apart.
     standing_s
-        How long it stood on the way [s].
+        Time for which it stood on the way [s].
     """
 
     arrived: bool

@@ -1,4 +1,4 @@
-"""Plants in a world, called "world:NAME" or "world:NAME@PLANT", and what a world adds to a run."""
+"""Plants in a world, called "world:NAME" or "world:NAME@PLANT", and the additional results of a run in a world."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class WorldKind:
         return WorldPlant(make_plant(plant, seed=seed, scene=scene, **options), scene, seed)
 
     def settings(self, name: str, plant: str) -> Mapping[str, object]:
-        """Return settings by which the controller keeps clear with the outline of the robot."""
+        """Return settings with the outline of the robot, with which the controller avoids obstacles."""
         del name
         length, width = plant_outline(plant)
         corners = [[x * length / 2, y * width / 2] for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1))]

@@ -14,7 +14,8 @@ from diffdrive_mpc_extras.worlds.world import World, stands
 
 HULL = "hull"
 _OBSTACLE_BIT = 2
-# A mover is felt by nobody: who walks into a robot does not push it through a wall. MuJoCo's least impedance, and slow.
+# A mover exerts no force: a person who walks into a robot does not push it through a wall. MuJoCo's least impedance,
+# and slow.
 _UNFELT = 'solref="1000 1" solimp="0.0001 0.0001 0.001" priority="1"'
 _CLEARANCE = 0.02
 """Clearance of the hull above the floor [m]."""
@@ -28,7 +29,7 @@ class WorldScene:
     world
         The obstacles.
     length, width
-        Of the robot's hull [m].
+        Length and width of the robot's hull [m].
     """
 
     def __init__(self, world: World, length: float, width: float) -> None:

@@ -1,4 +1,4 @@
-"""Obstacles as their files say them, and as polygons and discs in the plane."""
+"""Obstacles as in their files, and as polygons and discs in the plane."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ class Mover(StrictModel):
 
 @dataclass(frozen=True, eq=False)
 class Shapes:
-    """Obstacles that stand at an instant.
+    """Obstacles at an instant.
 
     Attributes
     ----------

@@ -1,8 +1,8 @@
 """Sight of the robot: rays to the first obstacle, a costmap of them, persons and their apparent motion.
 
-Everything comes from the truth through a model of the sensors: what is hidden is not seen, what is seen is late and
-noisy, and the costmap remembers what was seen before, as one that is marked and cleared does. The frame is that of the
-true poses: the error of localisation is that of the rays. The fields of `Seen` have the names that
+Everything comes from the truth through a model of the sensors: hidden objects are not seen, readings are late and
+noisy, and the costmap keeps earlier obstacles, like one that is marked and cleared. The frame is that of the true
+poses: the error of localisation is that of the rays. The fields of `Seen` have the names that
 `mpc.free_space.Surroundings` has, so that `Controller.set_obstacles` and peers take it as it is.
 """
 
@@ -24,7 +24,7 @@ from diffdrive_mpc_extras.worlds.world import World
 UNKNOWN, FREE, OCCUPIED = -1, 0, 100
 """Cells, as nav_msgs/OccupancyGrid has them."""
 _TIME_TOLERANCE = 1e-9
-# Ends of rays that met a disc or a corner lie on the outline: they count as on it within this [m].
+# Tolerance for ends of rays on the outline, where they met a disc or a corner [m].
 _ON_OUTLINE = 0.03
 _SPAWN_KEY = 3_003
 
@@ -70,11 +70,11 @@ class Seen:
     grid
         The costmap, where the sight is one.
     polygons
-        (k, 2) outlines of obstacles of which something has been seen [m], where the sight is of shapes.
+        (k, 2) outlines of obstacles that were seen at least in part [m], where the sight is of shapes.
     discs
-        Persons in view, and round obstacles of which something has been seen where the sight is of shapes.
+        Persons in view, and round obstacles that were seen at least in part, where the sight is of shapes.
     corridor
-        None: nobody says where to drive.
+        None: no region to drive in is prescribed.
     """
 
     time: float
@@ -90,9 +90,9 @@ class Eyes:
     Parameters
     ----------
     world
-        What there is.
+        World that is seen.
     seed
-        Of the noise, not negative.
+        Seed of the noise, not negative.
     """
 
     def __init__(self, world: World, seed: int) -> None:
@@ -142,7 +142,7 @@ class Eyes:
             Shapes((), disc[None]) for disc in shapes.discs
         ]
         keys = [shape.tobytes() for shape in (*shapes.polygons, *shapes.discs)]
-        self._known &= set(keys)  # what has been taken away is forgotten
+        self._known &= set(keys)  # removed obstacles are deleted
         if len(ends):
             new = (key for key, shape in zip(keys, single, strict=True) if key not in self._known and _met(shape, ends))
             self._known.update(new)
@@ -152,14 +152,14 @@ class Eyes:
     def _persons(self, time: float, pose: FloatArray, shapes: Shapes) -> tuple[SeenDisc, ...]:
         persons = []
         for i, mover in enumerate(self._world.movers):
-            # Drawn for every person at every look: who is in view changes nobody's noise.
+            # Drawn for every person at every look: the noise is independent of the persons in view.
             noise = self._sight.person_sd * self._random.standard_normal(2)
             if not in_view(mover, time, pose, shapes, self._sight):
                 track = self._tracks.get(i)
                 if track is None or time - track.time > self._sight.person_memory + _TIME_TOLERANCE:
                     self._tracks.pop(i, None)
                     continue
-                # Who was there a moment ago is believed to walk on.
+                # A person who was seen a moment ago is assumed to walk on.
                 state = track.predict(time)
             else:
                 state = self._update(i, time, mover.position(time) + noise)

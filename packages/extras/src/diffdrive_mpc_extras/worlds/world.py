@@ -1,4 +1,4 @@
-"""A world: obstacles, persons and the way through them."""
+"""A world: obstacles, persons and the way between them."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class World(StrictModel):
 
     @property
     def outlines(self) -> tuple[tuple[str, Wall | Box | Polygon], ...]:
-        """Every polygon that stands at the beginning, with its name."""
+        """Every polygon at the beginning, with its name."""
         return (
             *((f"wall {i}", wall) for i, wall in enumerate(self.walls)),
             *((f"box {i}", box) for i, box in enumerate(self.boxes)),
@@ -90,7 +90,7 @@ def load_world(name: str | Path, seed: int = 0) -> World:
     name
         A shipped world, the path of a file, or `drawn:SEED` or `drawn:SEED:through` (see `drawn_world`).
     seed
-        Of the run, not negative: what a file leaves open for its movers is drawn from it.
+        Seed of the run, not negative: values of the movers that a file leaves open are drawn from it.
 
     Raises
     ------

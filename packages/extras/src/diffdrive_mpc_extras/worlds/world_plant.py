@@ -20,7 +20,7 @@ from diffdrive_mpc_extras.worlds.world import World
 
 
 class TouchedError(RobotLostError):
-    """The robot touched something, and the world's file says that this ends the run."""
+    """The robot touched something, which ends the run according to the world's file."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class WorldPlant(PlantAround):
     scene
         The world in it.
     seed
-        Of the noise of what is seen.
+        Seed of the noise of the sensors.
     """
 
     def __init__(self, plant: Plant, scene: WorldScene, seed: int) -> None:
@@ -88,7 +88,7 @@ class WorldPlant(PlantAround):
 
     @property
     def time_limit(self) -> float:
-        """Time by which the robot has to arrive [s]."""
+        """Latest time of the robot's arrival [s]."""
         return self.world.time_limit
 
     @property
@@ -106,7 +106,7 @@ class WorldPlant(PlantAround):
             observe(sighting)
 
     def is_over(self, goal: FloatArray) -> bool:
-        """Return True if the robot stands at `goal`, a pose (3,), or has stood too long where nothing changes."""
+        """Return True if the robot stands at `goal`, a pose (3,), or has stood too long in unchanged surroundings."""
         stood = self.time - self._moved_at
         return self._arrived(goal) or (not self.world.changes and stood > self._rules.goal.give_up)
 

@@ -66,11 +66,11 @@ def command(twist: tuple[float, float], stamp: Message, frame: str, *, stamped: 
     return message
 
 
-# Settings of the monitor's process, beside its rules.
+# Settings of the monitor's process, without its rules.
 
 
 class MonitorSettings(StrictModel, strict=True):
-    """Topics, frames and what is watched. They are its ROS parameters, with these descriptions, read at start-up."""
+    """Topics, frames and the watched signals. They are ROS parameters, with these descriptions, read at start-up."""
 
     rules: str = Field("default", min_length=1, description="rules: a shipped name or the path of a YAML file [-]")
     controller: str = Field(
@@ -91,11 +91,11 @@ class MonitorSettings(StrictModel, strict=True):
 
 
 UNCHECKED, CHECKED = "cmd_vel_unchecked", "cmd_vel"
-"""Topics of commands: what the controller sends, and what the base gets."""
+"""Topics of commands: the controller's commands, and the commands to the base."""
 PASSING, STOPPED = "PASSING", "STOPPED"
 """States on `~/state`; the reason follows after a colon."""
 _PERIOD = 0.02
-# Who else publishes commands is looked up so often, and diagnostics are sent [s].
+# Period of the search for other publishers of commands, and of the diagnostics [s].
 _LOOK_PERIOD, _DIAGNOSTICS_PERIOD = 0.5, 1.0
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _STANDING = frozenset({"IDLE", "PAUSED", "FAULT", "STOPPED", "FINISHED", "unconfigured", "inactive", "finalized"})
