@@ -26,7 +26,7 @@ def structure(lag, limit, gain):
 
 
 def predict(parameters, commands):
-    """Twist (n, 2) of the structure for commands (n, 2), from rest."""
+    """Return the twist (n, 2) of the structure for commands (n, 2), from rest."""
     model = structure(*np.reshape(parameters, (3, 2)))
     sent = np.vstack([np.zeros((MEMORY, 2)), commands])
     windows = np.hstack([sent[i : i + len(commands)] for i in range(MEMORY + 1)])

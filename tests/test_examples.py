@@ -20,9 +20,9 @@ RUN = re.compile(r"position \[m\] +(0\.\d+).*steps, completed; in the band 100\.
 
 def run(name, folder):
     """In this process, which saves its imports."""
-    with chdir(folder), redirect_stdout(StringIO()) as said:
+    with chdir(folder), redirect_stdout(StringIO()) as output:
         runpy.run_path(str(EXAMPLES / name), run_name="__main__")
-    return said.getvalue()
+    return output.getvalue()
 
 
 def test_no_example_is_left_out():
@@ -36,14 +36,14 @@ def test_an_example_is_short(path):
 
 
 def test_track_a_circle(tmp_path):
-    said = run("track_a_circle.py", tmp_path)
-    assert float(RUN.search(said)[1]) < 0.01
-    assert "ways the solver took: {" in said
+    output = run("track_a_circle.py", tmp_path)
+    assert float(RUN.search(output)[1]) < 0.01
+    assert "ways the solver took: {" in output
 
 
 def test_identify_and_drive(tmp_path):
-    shipped, found = map(float, re.findall(r"position RMSE (\S+) mm", run("identify_and_drive.py", tmp_path)))
-    assert found < 0.75 * shipped
+    shipped, identified = map(float, re.findall(r"position RMSE (\S+) mm", run("identify_and_drive.py", tmp_path)))
+    assert identified < 0.75 * shipped
     assert (tmp_path / "identified" / "model.yaml").exists()
 
 
@@ -52,9 +52,9 @@ def test_own_plant(tmp_path):
 
 
 def test_narrow_places(tmp_path):
-    said = run("narrow_places.py", tmp_path)
-    assert "waits for disc 0, which crosses its way" in said
-    assert abs(float(re.search(r"at x = (\S+) m", said)[1]) - 8.0) < 0.05
+    output = run("narrow_places.py", tmp_path)
+    assert "waits for disc 0, which crosses its way" in output
+    assert abs(float(re.search(r"at x = (\S+) m", output)[1]) - 8.0) < 0.05
     assert (tmp_path / "narrow-places.png").stat().st_size > 10_000
 
 
@@ -83,10 +83,10 @@ def test_interrupted_the_loop_without_ros_sends_zero_last(tmp_path):
         assert process.stdout.readline() == "driving\n"
         time.sleep(0.4)
         process.send_signal(signal.SIGINT)
-        said, complained = process.communicate(timeout=60)
+        output, complained = process.communicate(timeout=60)
     assert process.returncode == 0, complained
-    assert "interrupted" in said
-    assert re.search(r"last command \(0\.0, 0\.0\), at x = 0\.\d+ m", said)
+    assert "interrupted" in output
+    assert re.search(r"last command \(0\.0, 0\.0\), at x = 0\.\d+ m", output)
 
 
 def test_own_cost(tmp_path):
@@ -96,9 +96,9 @@ def test_own_cost(tmp_path):
 
 
 def test_own_path(tmp_path):
-    said = run("own_path.py", tmp_path)
-    assert [float(error) < 4.0 for error in re.findall(r"RMSE (\S+) mm, completed: True", said)] == [True, True]
-    assert "ends at x = 5.00 m, y = 2.00 m" in said
+    output = run("own_path.py", tmp_path)
+    assert [float(error) < 4.0 for error in re.findall(r"RMSE (\S+) mm, completed: True", output)] == [True, True]
+    assert "ends at x = 5.00 m, y = 2.00 m" in output
 
 
 def test_osqp_directly(tmp_path):
@@ -108,15 +108,15 @@ def test_osqp_directly(tmp_path):
 
 
 def test_horizon_sweep(tmp_path):
-    said = run("horizon_sweep.py", tmp_path)
-    errors = {int(row[0]): float(row[1]) for row in map(str.split, said.splitlines()[2:6])}
+    output = run("horizon_sweep.py", tmp_path)
+    errors = {int(row[0]): float(row[1]) for row in map(str.split, output.splitlines()[2:6])}
     assert errors[5] > 1.5 * errors[20]
-    assert "enough: horizon 20" in said
+    assert "enough: horizon 20" in output
 
 
 def test_own_structure(tmp_path):
-    said = run("own_structure.py", tmp_path)
-    limits = re.search(r"limit (\S+) m/s\^2, (\S+) rad/s\^2", said).groups()
+    output = run("own_structure.py", tmp_path)
+    limits = re.search(r"limit (\S+) m/s\^2, (\S+) rad/s\^2", output).groups()
     assert [float(limit) for limit in limits] == pytest.approx([0.3, 1.5], rel=0.03)
-    shipped, own = map(float, re.findall(r"RMSE (\S+) mm", said))
-    assert own < 0.5 * shipped
+    shipped, fitted = map(float, re.findall(r"RMSE (\S+) mm", output))
+    assert fitted < 0.5 * shipped

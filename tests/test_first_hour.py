@@ -17,6 +17,8 @@ from typer.testing import CliRunner
 from diffdrive_mpc import load_config, load_trajectory
 from diffdrive_mpc.app.cli import app
 
+pytestmark = pytest.mark.system
+
 PERIOD, TRUTH_STEP = 0.05, 0.005
 DEAD_TIME, LAG_V, LAG_OMEGA, YAW_GAIN = 0.12, 0.22, 0.18, 0.7
 TOP_SPEED = 3.0
@@ -99,7 +101,6 @@ def test_a_path_at_the_speed_of_the_robot_is_driven(session):
     assert position_rmse(typed(f"diffdrive-mpc simulate {own} --trajectory fast.yaml")) < 0.05
 
 
-@pytest.mark.system
 def test_node_and_simulated_robot_drive_it_as_one_process_does(session, tmp_path):
     own = ["--config", "mine/config.yaml", "--trajectory", "mine/first_circle.yaml"]
     plant = ["--plant", "model:mine/model.yaml", "--surface", "mine/surface.yaml"]

@@ -114,7 +114,7 @@ def test_an_interrupted_command_says_so(kind: type[BaseException], monkeypatch: 
     assert result.stdout == ""
 
 
-@pytest.mark.parametrize("jobs", ["1", "2"])
+@pytest.mark.parametrize("jobs", [pytest.param("1", marks=pytest.mark.system), "2"])
 def test_sigterm_leaves_no_draft_and_no_process_behind(jobs: str, tmp_path: Path) -> None:
     command = [sys.executable, "-c", "from diffdrive_mpc.app.cli import main; main()", "bench", "--seeds", "20"]
     words = ["--models", "ssm,sm", "--trajectories", "circle,s", "--jobs", jobs, "--out", str(tmp_path / "out")]

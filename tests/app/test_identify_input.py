@@ -78,7 +78,7 @@ def test_bad_input_is_one_line_and_exit_code_2(arguments, message, folder, tmp_p
     assert sorted(folder.rglob("*")) == before  # nothing of a file was executed either
 
 
-@pytest.mark.parametrize("name", ["degrees", "reversed"])
+@pytest.mark.parametrize("name", [pytest.param("degrees", marks=pytest.mark.system), "reversed"])
 def test_a_refused_log_leaves_the_mapping_that_mends_it_and_no_more(name, folder, tmp_path):
     words = ["identify", folder / f"{name}.csv", "--out", tmp_path / "out", "--mapping"]
     result = invoke(app, *words, folder / "map.yaml", code=2)

@@ -9,6 +9,7 @@ from log_parts import MAPPING, bag_topics, drive, write_bag, write_csv, write_ma
 from commands import invoke
 from diffdrive_mpc import ConfigError, Controller, identify, load_config, load_trajectory
 from diffdrive_mpc.app.cli import app
+from diffdrive_mpc.app.identification import trial_drives
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import load_reference, other_robots
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
@@ -78,6 +79,7 @@ def identified(tmp_path_factory):
     log, mapping = write_csv(folder / "drive.csv", columns), write_mapping(folder / "map.yaml", OWN)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
+        patch.setattr(trial_drives, "PATHS", ("circle",))
         return folder, invoke(app, "identify", log.name, "--mapping", mapping.name, "--out", "my robot").stdout
 
 

@@ -49,6 +49,7 @@ def test_part_of_a_missing_package_is_one_line_with_the_remedy(tmp_path, words, 
     assert (done.returncode, done.stderr) == (1, line)
 
 
+@pytest.mark.system
 def test_a_drive_is_driven_and_identified(tmp_path):
     driven = run(tmp_path, "simulate", "--trajectory", "s", "--log", "s.csv")
     assert driven.returncode == 0, driven.stderr

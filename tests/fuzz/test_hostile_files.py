@@ -78,6 +78,7 @@ def ends_late(_):
         raise
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(
     ("reader", "words"),
     [

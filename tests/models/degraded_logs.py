@@ -3,11 +3,12 @@
 The bases are simulated robots and slices of the logs of a Husky and two Warthogs.
 """
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
-from real_log_files import log_path
 
 from diffdrive_mpc.models.pose import integrate_pose
 
@@ -759,3 +760,19 @@ CAUSES = (
 )
 
 CASES = (*FIRST_TEN, *SOUND, *SCALES, *TIMES, *READINGS, *CAUSES)
+
+
+# Logs of real robots, in the folder that DIFFDRIVE_MPC_DATA names. Tests of them have the mark `real_logs`.
+
+
+FOLDERS = {
+    "husky_tile": "norlab_husky_tile",
+    "warthog_asphalt": "norlab_warthog_terrains",
+    "warthog_gravel": "norlab_warthog_terrains",
+}
+"""Folder of each log by its name, which is also the name of its mapping."""
+
+
+def log_path(name):
+    """Return the path of a log; raise KeyError without DIFFDRIVE_MPC_DATA."""
+    return Path(os.environ["DIFFDRIVE_MPC_DATA"]) / FOLDERS[name] / f"{name}.csv"

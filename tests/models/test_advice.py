@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from degraded_logs import (
     CASES,
+    CAUSES,
     DEGREES,
+    READINGS,
     REAL_BASES,
     RPM,
     SIMULATED,
+    TIMES,
     Case,
     held,
     in_bursts,
@@ -95,7 +98,20 @@ MENDED = {
 }
 
 
-@pytest.mark.parametrize("name", MENDED)
+QUICK_CASES = {
+    "commands late",
+    "encoders in rpm",
+    "gyro upside down",
+    "gyro held",
+    "milliseconds",
+    "gyro in deg/s, sides swapped",
+}
+"""Mended logs of each kind of change that `make test` tries; the system suite tries all."""
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name in QUICK_CASES else pytest.mark.system) for name in MENDED]
+)
 def test_what_is_advised_predicts_better_and_mends_the_log(tmp_path, name):
     case, expected = MENDED[name]
     advice = advice_on(case, tmp_path)
@@ -191,13 +207,15 @@ def judged(case, folder):
     return [*(finding for log in logs for finding in log.findings), *compare_logs(logs)], None
 
 
-@pytest.mark.parametrize(
-    "case",
-    [
-        pytest.param(case, id=case.name, marks=[pytest.mark.real_logs] if case.base in REAL_BASES else [])
-        for case in CASES
-    ],
-)
+def marks_of(case):
+    """Return the marks of a case: many bases belong to the system suite, robots of others to the tests of real logs."""
+    system = case in (*TIMES, *READINGS, *CAUSES) and case.base not in REAL_BASES
+    return [
+        mark for mark, has in ((pytest.mark.real_logs, case.base in REAL_BASES), (pytest.mark.system, system)) if has
+    ]
+
+
+@pytest.mark.parametrize("case", [pytest.param(case, id=case.name, marks=marks_of(case)) for case in CASES])
 def test_the_cause_is_named_and_no_other(case, tmp_path):
     findings, raised = judged(case, tmp_path)
     said = [f"{finding.severity}: {finding}" for finding in findings] + [raised]

@@ -7,7 +7,7 @@ from itertools import pairwise, product
 
 import numpy as np
 import pytest
-from real_log_files import FOLDERS, log_path
+from degraded_logs import FOLDERS, log_path
 
 from diffdrive_mpc.models.identification.effects.fitting import fit_effects, weighted
 from diffdrive_mpc.models.identification.effects.free_run import base_track, sensed

@@ -5,7 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diffdrive_mpc import make_plant
+from diffdrive_mpc import load_model, make_plant
+from diffdrive_mpc.bench.table import Table
+from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.twin_parameters import Firmware, load_firmware
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
@@ -16,6 +18,7 @@ from studies.shipped_models.calibration import (
     validate_calibration,
 )
 from studies.shipped_models.known_truths import recover_all
+from studies.shipped_models.model_fitting import IDENTIFICATIONS, PaperExperiments, fit_models
 
 
 @pytest.fixture(scope="module")
@@ -87,3 +90,33 @@ def test_truths_lie_within_four_standard_deviations():
     assert np.abs(scores).max() < 4.0
     # Deviations that were far too large would pass the line above.
     assert 0.6 < np.sqrt(np.mean(scores**2)) < 1.5
+
+
+# `models fit` and `models calibrate`: checked before the long work, counted while it goes on.
+
+
+FITTING = "studies.shipped_models.model_fitting"
+
+
+def _step(v: float, omega: float) -> OpenLoopDrive:
+    commands: FloatArray = np.vstack([np.zeros((10, 2)), np.tile([v, omega], (100, 1))])
+    return drive_open_loop(make_plant("model:ssm", surface="ideal", sensors="perfect"), commands)
+
+
+@pytest.fixture
+def quick_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Short experiments on a velocity model."""
+
+    straight, turn = [_step(0.5, 0.0)], [_step(0.0, 1.0)]
+    monkeypatch.setattr(f"{FITTING}.run_experiments", lambda: PaperExperiments(straight, straight, turn, []))
+    monkeypatch.setattr(f"{FITTING}.validation_table", lambda folder: Table("FIT", ("model",), (("sm",),)))
+
+
+@pytest.mark.usefixtures("quick_parts")
+def test_every_identification_is_announced_against_the_right_total(tmp_path: Path) -> None:
+    counts: list[tuple[int, int]] = []
+    fit_models(tmp_path, on_progress=lambda done, total: counts.append((done, total)))
+    assert IDENTIFICATIONS == 10
+    assert counts == [(k, IDENTIFICATIONS) for k in range(IDENTIFICATIONS + 1)]
+    assert load_model(tmp_path / "sm.yaml").order == 4
+    assert load_model(tmp_path / "mbm.yaml").order == 8

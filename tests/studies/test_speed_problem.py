@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from speed_parts import oracle_tick
 
 from diffdrive_mpc import Controller, load_config, load_model, load_trajectory, make_plant
 from oracle.nonlinear import nonlinear_program
 from oracle.problem import TrackingProblem
+from oracle.tick import Tick
 from studies.speed.stage import stage_data, stage_problem
 from studies.speed.subjects.nlp_peer import NlpPeer
+
+pytestmark = pytest.mark.system
 
 SOFT = {
     "none": {},
@@ -144,3 +146,22 @@ def test_a_peers_solution_is_that_of_the_controllers_problem(plugin, options, na
     command = peer.solve(*it.data)
     assert peer.report().solved
     np.testing.assert_allclose(command, found[:2], atol=1e-5)
+
+
+# Ticks of a real drive, as the oracle and as peers are told them.
+
+
+def oracle_tick(program, estimate, past):
+    """Return the oracle's tick for a controller's `program` and `estimate`, a copy; `past` (memory, 2) is under way."""
+    return Tick(
+        pose=estimate.pose.copy(),
+        state=estimate.state.copy(),
+        slip=estimate.slip,
+        past=past.copy(),
+        last_command=program.last_command.copy(),
+        aim=program.aim[:, :3].copy(),
+        heading=program.aim[:, 3].copy(),
+        feed_forward=program.feed_forward.copy(),
+        fed_before=program.fed_before.copy(),
+        late=program.late.copy(),
+    )
