@@ -119,6 +119,7 @@ def files_of(folder):
     return {path.relative_to(folder): without_times(path) for path in files}
 
 
+@pytest.mark.system
 def test_the_same_log_gives_the_same_files(tmp_path, monkeypatch):
     monkeypatch.setattr(trial_drives, "PATHS", ("circle",))
     first, second = (files_of(identify_order_3(tmp_path / name / "out")[0]) for name in ("first", "second"))

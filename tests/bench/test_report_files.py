@@ -375,7 +375,7 @@ def _hold(out: str, ready: object, shared: bool) -> None:
         time.sleep(60)
 
 
-@pytest.mark.parametrize("shared", [False, True])
+@pytest.mark.parametrize("shared", [False, pytest.param(True, marks=pytest.mark.system)])
 def test_a_second_command_is_refused_until_the_first_has_ended_however_it_ends(tmp_path: Path, shared: bool) -> None:
     """A killed one leaves no lock, and what it left unfinished is removed; those who share a folder are let in."""
     context = multiprocessing.get_context("spawn")

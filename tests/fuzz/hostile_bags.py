@@ -109,47 +109,52 @@ def _looped_pages(random: Random, folder: Path) -> Path:
 
 # MCAP files.
 
-_MAGIC = b"\x89MCAP0\r\n"
+MAGIC = b"\x89MCAP0\r\n"
 
 
-def _text(words: str | bytes) -> bytes:
+def mcap_text(words: str | bytes) -> bytes:
     data = words if isinstance(words, bytes) else words.encode("utf-8", "surrogatepass")
     return struct.pack("<I", len(data)) + data
 
 
-def _record(kind: int, content: bytes) -> bytes:
+def mcap_record(kind: int, content: bytes) -> bytes:
     return struct.pack("<BQ", kind, len(content)) + content
 
 
-def _message(content: bytes = b"", time: int = 5, channel: int = 1) -> bytes:
-    return _record(5, struct.pack("<HIQQ", channel, 0, time, time) + content)
+def mcap_message(content: bytes = b"", time: int = 5, channel: int = 1) -> bytes:
+    return mcap_record(5, struct.pack("<HIQQ", channel, 0, time, time) + content)
 
 
-def _topic(name: str, kind: str = "geometry_msgs/msg/Twist", number: int = 1, encoding: str = "cdr", data: bytes = b"") -> bytes:  # fmt: skip
-    schema = _record(3, struct.pack("<H", number) + _text(kind) + _text("ros2msg") + _text(data))
-    return schema + _record(4, struct.pack("<HH", number, number) + _text(name) + _text(encoding) + _text(data))
+def mcap_topic(name: str, kind: str = "geometry_msgs/msg/Twist", number: int = 1, encoding: str = "cdr", data: bytes = b"") -> bytes:  # fmt: skip
+    schema = mcap_record(3, struct.pack("<H", number) + mcap_text(kind) + mcap_text("ros2msg") + mcap_text(data))
+    return schema + mcap_record(
+        4, struct.pack("<HH", number, number) + mcap_text(name) + mcap_text(encoding) + mcap_text(data)
+    )
 
 
-def _chunk(packed: bytes, how: str, size: int) -> bytes:
-    return _record(6, struct.pack("<QQQI", 0, 10, size, 0) + _text(how) + struct.pack("<Q", len(packed)) + packed)
+def mcap_chunk(packed: bytes, how: str, size: int) -> bytes:
+    return mcap_record(
+        6, struct.pack("<QQQI", 0, 10, size, 0) + mcap_text(how) + struct.pack("<Q", len(packed)) + packed
+    )
 
 
-def _zeros(megabytes: int, how: str, head: bytes = b"") -> bytes:
-    if how == "lz4":
-        return bytes(lz4.frame.compress(bytes(megabytes * 1_000_000)))
-    packer = zstandard.ZstdCompressor().compressobj()
-    return b"".join((packer.compress(head), *(packer.compress(bytes(10**6)) for _ in range(megabytes)), packer.flush()))
+def zeros(megabytes: int, how: str, head: bytes = b"") -> bytes:
+    """Return packed zeros after `head`."""
+    packer = lz4.frame.LZ4FrameCompressor() if how == "lz4" else zstandard.ZstdCompressor().compressobj()
+    first = packer.begin() if how == "lz4" else b""
+    packed = (packer.compress(part) for part in (head, *[bytes(10**6)] * megabytes) if part)
+    return b"".join((first, *packed, packer.flush()))
 
 
 def _bomb(random: Random) -> bytes:
     how, megabytes = random.choice(("zstd", "lz4")), random.choice((60, 300))
     size = random.choice((megabytes * 1_000_000, 100, 2**62))
-    return _chunk(_zeros(megabytes, how), how, size) * random.choice((1, 5))
+    return mcap_chunk(zeros(megabytes, how), how, size) * random.choice((1, 5))
 
 
 def _lying_length(random: Random) -> bytes:
     kind, name = random.choice((3, 4, 5, 6, 9, 12)), random.choice((2**32 - 1, 10**6))
-    sound = _record(kind, struct.pack("<HI", 1, name) + bytes(10**6))
+    sound = mcap_record(kind, struct.pack("<HI", 1, name) + bytes(10**6))
     length = struct.pack("<BQ", kind, random.choice((2**32, 2**63 - 1, 2**64 - 1, 10**8)))
     return random.choice((sound, length + sound[9:]))
 
@@ -159,21 +164,21 @@ def _ticks(row: str, count: int, random: Random) -> bytes:
     drawn = random.choice(("9" * 5_000, "1e999", "9" * 400, '"x"', "null", "[1]", "[" * 2_000, "[" * 10**6))
     data = row.replace("*", drawn).encode()
     step = max(1, 10**7 // len(data))
-    chunks = [b"".join(_message(data, k) for k in range(n, min(n + step, count))) for n in range(0, count, step)]
-    packed = [_chunk(zstandard.compress(chunk), "zstd", len(chunk)) for chunk in chunks]
-    return _topic("/diffdrive_mpc/state", "diffdrive_mpc.State", encoding="json") + b"".join(packed)
+    chunks = [b"".join(mcap_message(data, k) for k in range(n, min(n + step, count))) for n in range(0, count, step)]
+    packed = [mcap_chunk(zstandard.compress(chunk), "zstd", len(chunk)) for chunk in chunks]
+    return mcap_topic("/diffdrive_mpc/state", "diffdrive_mpc.State", encoding="json") + b"".join(packed)
 
 
 _BODIES: dict[str, Content] = {
     "bomb": _bomb,
     "lying length": _lying_length,
-    "chunk in a chunk": lambda random: _chunk(_chunk(_message(), "", len(_message())) * 100, "", 100 * len(_chunk(_message(), "", 0))),
-    "channels": lambda random: b"".join(_topic(f"/t{k}", number=k) for k in range(1, 65_536)),
-    "odd names": lambda random: _topic(odd_name(random), odd_name(random)) + _message(),
-    "unknown records": lambda random: _record(0x80, b"") * 500_000,
-    "metadata": lambda random: _record(12, _text("configuration") + _text(b"".join(_text(f"k{k}") + _text("v") for k in range(100_000)))),
-    "messages": lambda random: _topic("/cmd_vel") + _message() * 500_000,
-    "arrays": lambda random: _topic("/odom", "nav_msgs/msg/Odometry") + _topic("/cmd_vel", number=2) + _message(bytes(60), channel=2) + _message(bytes(12) + b"\xff" * 60),
+    "chunk in a chunk": lambda random: mcap_chunk(mcap_chunk(mcap_message(), "", len(mcap_message())) * 100, "", 100 * len(mcap_chunk(mcap_message(), "", 0))),
+    "channels": lambda random: b"".join(mcap_topic(f"/t{k}", number=k) for k in range(1, 65_536)),
+    "odd names": lambda random: mcap_topic(odd_name(random), odd_name(random)) + mcap_message(),
+    "unknown records": lambda random: mcap_record(0x80, b"") * 500_000,
+    "metadata": lambda random: mcap_record(12, mcap_text("configuration") + mcap_text(b"".join(mcap_text(f"k{k}") + mcap_text("v") for k in range(100_000)))),
+    "messages": lambda random: mcap_topic("/cmd_vel") + mcap_message() * 500_000,
+    "arrays": lambda random: mcap_topic("/odom", "nav_msgs/msg/Odometry") + mcap_topic("/cmd_vel", number=2) + mcap_message(bytes(60), channel=2) + mcap_message(bytes(12) + b"\xff" * 60),
     "nested ticks": partial(_ticks, '{"a":*', 20),
     "values of ticks": partial(_ticks, '{"t_s": *, "mode": "TRACKING"}', 100),
     "empty ticks": partial(_ticks, "{}", 450_000),
@@ -184,8 +189,13 @@ _BODIES: dict[str, Content] = {
 
 
 def _mcap(make: Content, random: Random, folder: Path) -> Path:
-    end = _record(2, struct.pack("<QQI", random.choice((0, 8, 10**6)), 0, 0)) + _MAGIC
-    content = _MAGIC + _record(1, _text("ros2") + _text("x")) + make(random) + random.choice((end, end, b"", bytes(9)))
+    end = mcap_record(2, struct.pack("<QQI", random.choice((0, 8, 10**6)), 0, 0)) + MAGIC
+    content = (
+        MAGIC
+        + mcap_record(1, mcap_text("ros2") + mcap_text("x"))
+        + make(random)
+        + random.choice((end, end, b"", bytes(9)))
+    )
     return written("bag.mcap", lambda _: content, random, folder)
 
 
@@ -216,12 +226,12 @@ def _folder(kind: str, random: Random, folder: Path) -> Path:
         path.unlink()
         special(path, random)
     elif kind == "packed whole":
-        head = random.choice((_MAGIC + struct.pack("<BQ", 9, 2**62), b"SQLite format 3\0", b""))
+        head = random.choice((MAGIC + struct.pack("<BQ", 9, 2**62), b"SQLite format 3\0", b""))
         sound = zstandard.compress(path.read_bytes())
-        path.write_bytes(random.choice((_zeros(random.choice((15, 500)), "zstd", head), sound, sound[:5_000])))
+        path.write_bytes(random.choice((zeros(random.choice((15, 500)), "zstd", head), sound, sound[:5_000])))
     elif kind == "packed messages":
         with sqlite3.connect(path) as base:
-            base.execute("UPDATE messages SET data = ? WHERE id <= 10", (_zeros(random.choice((15, 500)), "zstd"),))
+            base.execute("UPDATE messages SET data = ? WHERE id <= 10", (zeros(random.choice((15, 500)), "zstd"),))
         base.close()
     stated = {"rosbag2_bagfile_information": information}
     text = yaml.dump(stated, Dumper=getattr(yaml, "CSafeDumper", yaml.SafeDumper))
@@ -229,7 +239,7 @@ def _folder(kind: str, random: Random, folder: Path) -> Path:
     return bag
 
 
-_BEGINNINGS = {"bag.db3": b"SQLite format 3\0", "bag.mcap": _MAGIC, "bag.bag": b"#ROSBAG V2.0\n"}
+_BEGINNINGS = {"bag.db3": b"SQLite format 3\0", "bag.mcap": MAGIC, "bag.bag": b"#ROSBAG V2.0\n"}
 _ODD_TOPICS = f"{_BAG} UPDATE topics SET name = '\x1b[2J' || char(8238), type = char(155) || '31m' || char(10);"
 BAGS: dict[str, Maker] = {
     **{f"log: SQLite {name}": partial(_data_base, script) for name, script in _SCHEMAS.items()},

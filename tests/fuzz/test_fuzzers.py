@@ -58,6 +58,7 @@ def test_quick_fuzzers_find_nothing(name, tmp_path):
     assert (result.cases, result.lines) == (12, [])
 
 
+@pytest.mark.system
 def test_steps_of_all_models_keep_the_promises_of_safety(tmp_path):
     """The long form of it is `.ci/long properties`."""
     ran = runner.run(Order("controller", seed=36, first=0, count=130, seconds=300.0), tmp_path)

@@ -8,9 +8,11 @@ from degraded_logs import (
     CASES,
     CAUSES,
     DEGREES,
+    READINGS,
     REAL_BASES,
     RPM,
     SIMULATED,
+    TIMES,
     Case,
     held,
     in_bursts,
@@ -207,7 +209,7 @@ def judged(case, folder):
 
 def marks_of(case):
     """Return the marks of a case: many bases belong to the system suite, robots of others to the tests of real logs."""
-    system = case in CAUSES and case.base not in REAL_BASES
+    system = case in (*TIMES, *READINGS, *CAUSES) and case.base not in REAL_BASES
     return [
         mark for mark, has in ((pytest.mark.real_logs, case.base in REAL_BASES), (pytest.mark.system, system)) if has
     ]

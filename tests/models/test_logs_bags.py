@@ -7,7 +7,6 @@ import struct
 import subprocess
 import sys
 import tracemalloc
-from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -28,6 +27,7 @@ from diffdrive_mpc.models.logs.bag_bounds import MOST_UNPACKED, unpacked
 from diffdrive_mpc.models.logs.bag_topics import opened
 from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log, read_drive_log
 from diffdrive_mpc.models.logs.record import MappingChange
+from fuzz.hostile_bags import MAGIC, mcap_chunk, mcap_message, mcap_record, mcap_text, mcap_topic, zeros
 from refusals import one_line_error
 
 COLUMNS = drive(seconds=6.0)
@@ -307,61 +307,31 @@ def test_a_message_of_ones_own_is_read_by_its_definition(tmp_path):
     assert np.array_equal(record.twist[:, 1], COLUMNS["omega_wheels"][: len(record.twist)])
 
 
-_MAGIC = b"\x89MCAP0\r\n"
-_BLOCK = bytes(1_000_000)
-
-
-def _text(words: str) -> bytes:
-    return struct.pack("<I", len(words)) + words.encode()
-
-
-def _record(kind: int, content: bytes) -> bytes:
-    return struct.pack("<BQ", kind, len(content)) + content
-
-
-def _message(content: bytes, time: int = 5) -> bytes:
-    return _record(5, struct.pack("<HIQQ", 1, 0, time, time) + content)
-
-
-_SCHEMA = _record(3, struct.pack("<H", 1) + _text("geometry_msgs/msg/Twist") + _text("ros2msg") + _text(""))
-_CHANNEL = _record(4, struct.pack("<HH", 1, 1) + _text("/cmd_vel") + _text("cdr") + _text(""))
-
-
-def _chunk(packed: bytes, how: str, size: int) -> bytes:
-    return _record(6, struct.pack("<QQQI", 0, 10, size, 0) + _text(how) + struct.pack("<Q", len(packed)) + packed)
+HEAD = MAGIC + mcap_record(1, mcap_text("ros2") + mcap_text("test")) + mcap_topic("/cmd_vel")
+ZSTD = mcap_text("zstd")
 
 
 def _footer(summary: int = 0) -> bytes:
-    return _record(2, struct.pack("<QQI", summary, 0, 0)) + _MAGIC
+    return mcap_record(2, struct.pack("<QQI", summary, 0, 0)) + MAGIC
 
 
 def _mcap(path: Path, body: bytes) -> Path:
-    path.write_bytes(_MAGIC + _record(1, _text("ros2") + _text("test")) + _SCHEMA + _CHANNEL + body + _footer())
+    path.write_bytes(HEAD + body + _footer())
     return path
 
 
 def _indexed(path: Path, chunks: list[bytes], mentioned: int = 1) -> Path:
     """A file whose index names each chunk so often."""
-    body, index = _MAGIC + _record(1, _text("ros2") + _text("test")) + _SCHEMA + _CHANNEL, b""
+    body, index = HEAD, b""
     for chunk in chunks:
         size = struct.unpack("<Q", chunk[25:33])[0]
         offsets = struct.pack("<I", 10) + struct.pack("<HQ", 1, len(body) + len(chunk))
         place = struct.pack("<QQQQ", 0, 10, len(body), len(chunk))
-        index += _record(8, place + offsets + struct.pack("<Q", 31) + _text("zstd") + struct.pack("<QQ", 0, size))
+        index += mcap_record(8, place + offsets + struct.pack("<Q", 31) + ZSTD + struct.pack("<QQ", 0, size))
         body += chunk
-    body += _record(15, bytes(4))
-    path.write_bytes(body + _SCHEMA + _CHANNEL + index * mentioned + _footer(len(body)))
+    body += mcap_record(15, bytes(4))
+    path.write_bytes(body + mcap_topic("/cmd_vel") + index * mentioned + _footer(len(body)))
     return path
-
-
-def _zeros_in_zstd(megabytes: int, head: bytes = b"") -> bytes:
-    packer = zstandard.ZstdCompressor().compressobj()
-    return b"".join([packer.compress(head), *(packer.compress(_BLOCK) for _ in range(megabytes)), packer.flush()])
-
-
-def _zeros_in_lz4(megabytes: int) -> bytes:
-    packer = lz4.frame.LZ4FrameCompressor()
-    return b"".join([packer.begin(), *(packer.compress(_BLOCK) for _ in range(megabytes)), packer.flush()])
 
 
 def _refused(path: Path) -> str:
@@ -377,35 +347,33 @@ def _refused(path: Path) -> str:
     return str(error.value)
 
 
-@pytest.mark.parametrize(("how", "pack"), [("zstd", _zeros_in_zstd), ("lz4", _zeros_in_lz4)])
+@pytest.mark.parametrize("how", ["zstd", "lz4"])
 @pytest.mark.parametrize("said", [1_000, 400_000_000])
-def test_a_bomb_is_not_unpacked_whether_or_not_it_says_what_it_is(
-    tmp_path: Path, how: str, pack: Callable[[int], bytes], said: int
-) -> None:
+def test_a_bomb_is_not_unpacked_whether_or_not_it_says_what_it_is(tmp_path: Path, how: str, said: int) -> None:
     """400 MB in some kilobytes."""
-    path = _mcap(tmp_path / "bomb.mcap", _chunk(pack(400), how, said))
+    path = _mcap(tmp_path / "bomb.mcap", mcap_chunk(zeros(400, how), how, said))
     assert "chunk" in _refused(path)
 
 
 def test_many_chunks_are_counted_together(tmp_path: Path) -> None:
     """Each is small enough; all of them are far more than such a file holds."""
-    whole = _message(bytes(1_000_000))
+    whole = mcap_message(bytes(1_000_000))
     packed = zstandard.ZstdCompressor().compress(whole)
-    path = _mcap(tmp_path / "many.mcap", _chunk(packed, "zstd", len(whole)) * 40)
+    path = _mcap(tmp_path / "many.mcap", mcap_chunk(packed, "zstd", len(whole)) * 40)
     assert "100 times its size" in _refused(path)
 
 
 def test_chunks_of_one_time_are_not_held_together(tmp_path: Path) -> None:
     """They are made of noise, so that each is worth its size."""
-    whole = _message(os.urandom(700_000) + bytes(40_000_000))
+    whole = mcap_message(os.urandom(700_000) + bytes(40_000_000))
     packed = zstandard.ZstdCompressor().compress(whole)
-    path = _indexed(tmp_path / "overlap.mcap", [_chunk(packed, "zstd", len(whole))] * 4)
+    path = _indexed(tmp_path / "overlap.mcap", [mcap_chunk(packed, "zstd", len(whole))] * 4)
     assert "neither /odom nor /imu" in _refused(path)
 
 
 def test_an_index_that_names_a_chunk_again_and_again_repeats_nothing(tmp_path: Path) -> None:
-    whole = _message(b"")
-    chunk = _chunk(zstandard.ZstdCompressor().compress(whole), "zstd", len(whole))
+    whole = mcap_message(b"")
+    chunk = mcap_chunk(zstandard.ZstdCompressor().compress(whole), "zstd", len(whole))
     with opened(_indexed(tmp_path / "again.mcap", [chunk], mentioned=3)) as reader:
         assert reader.connections == [("/cmd_vel", "geometry_msgs/msg/Twist", 1)]
 
@@ -416,8 +384,8 @@ def test_absurd_lengths_are_not_allocated(tmp_path: Path, length: int, place: st
     """Neither by the library of bags nor by that of drives."""
     body = {
         "record": struct.pack("<BQ", 5, length),
-        "chunk": _record(6, struct.pack("<QQQI", 0, 1, 100, 0) + _text("zstd") + struct.pack("<Q", length) + b"abc"),
-        "text": _record(4, struct.pack("<HHI", 1, 1, min(length, 2**32 - 1))),
+        "chunk": mcap_record(6, struct.pack("<QQQI", 0, 1, 100, 0) + ZSTD + struct.pack("<Q", length) + b"abc"),
+        "text": mcap_record(4, struct.pack("<HHI", 1, 1, min(length, 2**32 - 1))),
     }[place]
     path = _mcap(tmp_path / "length.mcap", body)
     _refused(path)

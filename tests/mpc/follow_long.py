@@ -8,8 +8,8 @@ A hundred goals take some ten minutes in lock step, faster than the clock. Memor
 import argparse
 import json
 import math
-import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -18,7 +18,6 @@ import numpy as np
 # What the interpreter may take more, after it has settled [MB].
 _GROWTH = 4.0
 FOLDER = Path(__file__).parent
-NODE = (sys.executable, "-c", "from diffdrive_mpc.app.cli import main; main()", "node", "--autostart", "--ros-args")
 
 
 def random_path(rng, start):
@@ -35,20 +34,15 @@ def random_path(rng, start):
     return path
 
 
-def resources(process):
-    """Return memory [MB] and threads of a process."""
-    lines = dict(line.split(":", 1) for line in Path(f"/proc/{process.pid}/status").read_text().splitlines())
-    return int(lines["VmRSS"].split()[0]) / 1024.0, int(lines["Threads"])
-
-
 def run(goals, seed):
     from follow_parts import SUCCEEDED, Client
     from ros_parts import DT, FakeBase
 
+    from fuzz.live.node_process import NodeProcess
+
     rng = np.random.default_rng(seed)
-    process = subprocess.Popen(
-        [*NODE, "-p", "use_sim_time:=true", "-p", "start_at_robot:=false", "--log-level", "warn"]
-    )
+    settings = {"autostart": True, "use_sim_time": True, "start_at_robot": False}
+    node = NodeProcess(Path(tempfile.mkdtemp(), "node.log"), settings)
     base, client = FakeBase(lambda: time.sleep(0.0005)), Client()
     found, errors, used = 0, [], []
 
@@ -59,7 +53,7 @@ def run(goals, seed):
             base.spin()
 
     def alive():
-        assert process.poll() is None
+        assert node.alive, node.log.read_text()[-2000:]
         base.silent(1)
         return bool(base.commands)
 
@@ -75,14 +69,13 @@ def run(goals, seed):
             result, gap = client.result(name), np.asarray(base.plant.true_pose) - path[-1]
             found += result["status"] == SUCCEEDED
             errors.append((math.hypot(gap[0], gap[1]), abs(math.remainder(gap[2], math.tau))))
-            used.append(resources(process))
+            used.append(node.used())
             client.events.clear()
             if result["status"] != SUCCEEDED or number % 10 == 9:
                 print(number + 1, result["status"], result["words"], used[-1], flush=True)
     finally:
         client.close()
-        process.terminate()
-        process.wait(20)
+        node.end()
         base.close()
     place, heading = np.array(errors).T
     settled = used[min(9, goals - 1)]

@@ -21,7 +21,7 @@ def recorded(folder, ticks, **parameters):
     return path, sent
 
 
-@pytest.mark.parametrize("pose_topic", [False, True])
+@pytest.mark.parametrize("pose_topic", [pytest.param(False, marks=pytest.mark.system), True])
 def test_recording_contains_commands_and_measurements(tmp_path, pose_topic):
     path, sent = recorded(tmp_path / "drives", 150, pose_topic=pose_topic)
     log = read_drive_log(path, plans=True)

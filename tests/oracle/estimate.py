@@ -84,11 +84,6 @@ class Estimate:
         return float(self.mean[-6])
 
     @property
-    def gyro_bias_deviation(self) -> float:
-        """Its standard deviation."""
-        return float(self.deviation[-6])
-
-    @property
     def delays(self) -> FloatArray:
         """(2,) delays of v and omega that the model lacks [s]."""
         return self.mean[-5:-3]

@@ -11,6 +11,8 @@ from diffdrive_mpc_monitor.judge import rule_names
 from diffdrive_mpc_monitor.rules import load_rules
 from studies.cli import app
 
+pytestmark = pytest.mark.system
+
 RULES = load_rules()
 SEED = 90_000
 """Of no other drives."""

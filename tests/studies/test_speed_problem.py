@@ -16,6 +16,8 @@ from oracle.tick import Tick
 from studies.speed.stage import stage_data, stage_problem
 from studies.speed.subjects.nlp_peer import NlpPeer
 
+pytestmark = pytest.mark.system
+
 SOFT = {
     "none": {},
     "twist": {"limits.predicted_v": 0.46, "limits.predicted_omega": 0.45},
