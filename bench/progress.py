@@ -88,8 +88,8 @@ class ProgressBar:
             self._progress.refresh()
         if self._lines and now - self._written >= _LINE_PERIOD:
             self._written, task = now, self._progress.tasks[0]
-            of = "" if task.total is None else f" of {task.total:g}"
-            sys.stderr.write(f"{plain_text(task.description)}: {task.completed:g}{of}\n")
+            total = "" if task.total is None else f" of {task.total:g}"
+            sys.stderr.write(f"{plain_text(task.description)}: {task.completed:g}{total}\n")
             sys.stderr.flush()
 
 

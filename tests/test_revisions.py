@@ -22,9 +22,9 @@ def git(*words: str, text: str = "") -> str:
 
 def quoted_revisions(text: str) -> set[str]:
     """Return the revisions that a text quotes."""
-    found = {revision for match in QUOTED.finditer(text) for revision in match.groups() if revision}
+    quoted = {revision for match in QUOTED.finditer(text) for revision in match.groups() if revision}
     # A date or another number of decimal digits is none.
-    return {revision for revision in found if re.search("[a-f]", revision) or len(revision) > 8}
+    return {revision for revision in quoted if re.search("[a-f]", revision) or len(revision) > 8}
 
 
 def test_quoted_revisions_are_recognised():

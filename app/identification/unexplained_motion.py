@@ -81,7 +81,7 @@ def identified_robot(identification: Identification, config: ControllerConfig) -
     variance = np.array([nnls(known, column**2)[0] for column in rows.T])
     variance[:, 0] = np.maximum(variance[:, 0], _LEAST_SHARE * (rows**2).mean(axis=0))
     variance = np.maximum(variance, [[np.finfo(float).eps, 0, 0, 0, 0, 0]])
-    scaled = [row / np.sqrt(of @ variance.T) for row, of in zip(motion, features, strict=True)]
+    scaled = [row / np.sqrt(squares @ variance.T) for row, squares in zip(motion, features, strict=True)]
     return IdentifiedRobot(
         model=MODEL_FILE,
         slip=log_slip(identification, pose_point=True),

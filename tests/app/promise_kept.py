@@ -90,8 +90,8 @@ def _variations(identification: Identification, config: ControllerConfig, seed: 
     data = identification.report.data
     held_out = replace(data, train=data.validation, validation=data.train)
     fitted = fit(held_out, STRUCTURES["ssm"], trial_settings().stand_in_order)
-    other = replace(identification, report=replace(identification.report, data=held_out, fitted=fitted))
-    robot = identified_robot(other, config)
+    exchanged = replace(identification, report=replace(identification.report, data=held_out, fitted=fitted))
+    robot = identified_robot(exchanged, config)
     assert robot is not None
     slip, sensors = log_slip(identification, pose_point=True), log_sensors(identification, config)
     (estimate,) = fitted.identified.fits

@@ -28,7 +28,7 @@ segments: [{v: 0.4, omega: 0.5, duration: 1.0}, {v: 0.4, omega: 0.0, duration: 1
 
 
 def robot(size=0.01):
-    """A robot whose motion beyond its model has this standard deviation [m/s, rad/s]."""
+    """Return a robot whose motion beyond its model has this standard deviation [m/s, rad/s]."""
     rows = np.repeat(np.random.default_rng(3).normal(size=(60, 3)), 25, axis=0)
     return IdentifiedRobot(
         model="model.yaml",
@@ -83,18 +83,18 @@ def test_runs_differ_by_seed_and_repeat_and_grow_with_the_unexplained_motion(fol
 
 
 def made_up(count, seed):
-    """Errors (count, 300) of drives that are alike: small on a straight, large in a turn."""
+    """Return errors (count, 300) of drives that are alike: small on a straight, large in a turn."""
     rng = np.random.default_rng(seed)
     scale = np.where(np.arange(300) < 150, 0.002, 0.01) * rng.lognormal(sigma=0.4, size=(count, 1))
     return np.abs(scale * np.cumsum(rng.normal(size=(count, 300)), axis=1) / np.sqrt(np.arange(300) + 1.0))
 
 
 def test_a_tube_holds_the_stated_share_of_other_drives():
-    of = tube(made_up(200, 1), 0.02)
-    inside = (made_up(2000, 2) <= of.everywhere).all(axis=1).mean()
+    width = tube(made_up(200, 1), 0.02)
+    inside = (made_up(2000, 2) <= width.everywhere).all(axis=1).mean()
     assert 0.92 < inside < 0.98
-    assert 0.93 < (made_up(2000, 3) <= of.at_each_place).mean() < 0.97
-    assert of.everywhere[20:130].mean() < 0.6 * of.everywhere[170:280].mean()
+    assert 0.93 < (made_up(2000, 3) <= width.at_each_place).mean() < 0.97
+    assert width.everywhere[20:130].mean() < 0.6 * width.everywhere[170:280].mean()
 
 
 def test_drives_that_do_not_arrive_widen_a_tube_or_refuse_it():

@@ -92,7 +92,7 @@ def test_an_assumed_model_is_refused():
 
 
 def with_delay(controller, delay):
-    """The controller's model with this dead time plus lag of omega [s]."""
+    """Return a controller whose model has this dead time plus lag of omega [s]."""
     model = controller.model
     return Controller(controller.config, model.with_extra_dead_time([0.0, delay - model.lag[1]]))
 

@@ -47,6 +47,10 @@ class ErrorTube:
     everywhere: FloatArray
     shares: Mapping[str, FloatArray]
 
+    def times(self, factor: float) -> ErrorTube:
+        """Return the tube with `factor` times its width."""
+        return replace(self, at_each_place=factor * self.at_each_place, everywhere=factor * self.everywhere)
+
 
 @dataclass(frozen=True)
 class WidestPlace:

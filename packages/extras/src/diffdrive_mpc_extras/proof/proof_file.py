@@ -196,14 +196,14 @@ def _scaled_to(plant: str, proof: Proof) -> Proof:
     def scaled(part: BaseModel, key: str, names: Sequence[str]) -> BaseModel:
         return part.model_copy(update={name: getattr(part, name) * ratio(key) for name in names})
 
-    axes = {
-        name: Map.model_validate({axis: scaled(of, of.factor, ("low", "high")).model_dump() for axis, of in map_})
-        for name, map_ in proof.maps.items()
+    maps = {
+        name: Map.model_validate({key: scaled(axis, axis.factor, ("low", "high")).model_dump() for key, axis in axes})
+        for name, axes in proof.maps.items()
     }
-    boundaries = {key: scaled(of, key, ("holds", "beyond", "within")) for key, of in proof.boundaries.items()}
+    boundaries = {key: scaled(search, key, ("holds", "beyond", "within")) for key, search in proof.boundaries.items()}
     plan = proof.passport.model_copy(update={"factors": factors(proof.passport.factors)})
     return proof.model_copy(
-        update={"factors": factors(proof.factors), "passport": plan, "maps": axes, "boundaries": boundaries}
+        update={"factors": factors(proof.factors), "passport": plan, "maps": maps, "boundaries": boundaries}
     )
 
 
