@@ -23,7 +23,7 @@ from diffdrive_mpc_extras.predicted_error.predicted_error import ErrorTube, Pred
 MODEL_ERROR = 1.25
 """Factor by which a tube is wider than simulated drives need: the plant has the structure of the model.
 
-Chosen so that drives of the robots mujoco:hauler and drawn:481 stay inside.
+Chosen on the robots mujoco:hauler and drawn:481: all drives of the second stay inside, half of the first on s.
 """
 DRAWS = 60
 """Drives of a prediction; the tube everywhere needs at least level / (1 - level) of them."""
