@@ -120,3 +120,9 @@ def test_own_structure(tmp_path):
     assert [float(limit) for limit in limits] == pytest.approx([0.3, 1.5], rel=0.03)
     shipped, fitted = map(float, re.findall(r"RMSE (\S+) mm", output))
     assert fitted < 0.5 * shipped
+
+
+def test_gymnasium_loop(tmp_path):
+    output = run("gymnasium_loop.py", tmp_path)
+    assert "lost: False" in output
+    assert float(re.search(r"RMSE (\S+) mm", output)[1]) < 20
