@@ -37,11 +37,11 @@ class FailingSolver:
     def during(self, ticks, change=lambda k, m: m):
         """Return a change for `ideal_robot.drive` that makes these ticks fail."""
 
-        def at(k, measurement):
+        def change_during(k, measurement):
             self.failing = k in ticks
             return change(k, measurement)
 
-        return at
+        return change_during
 
     def _osqp(self, solve):
         def wrapped(solver, *args, **kwargs):

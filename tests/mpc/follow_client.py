@@ -19,8 +19,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 
 
-def say(**what):
-    sys.stdout.write(json.dumps(what | {"time": time.monotonic()}) + "\n")
+def say(**fields):
+    sys.stdout.write(json.dumps(fields | {"time": time.monotonic()}) + "\n")
     sys.stdout.flush()
 
 
@@ -82,10 +82,12 @@ class Client:
             self.submit(line["send"], goal_message(line))
 
     def submit(self, name, goal):
-        sent = self.action.send_goal_async(goal, feedback_callback=lambda told: self.told(name, told.feedback))
+        sent = self.action.send_goal_async(
+            goal, feedback_callback=lambda message: self.report_feedback(name, message.feedback)
+        )
         sent.add_done_callback(lambda future: self.answered(name, future.result()))
 
-    def told(self, name, feedback):
+    def report_feedback(self, name, feedback):
         say(id=name, event="feedback", distance=feedback.distance_to_goal, speed=feedback.speed)
 
     def answered(self, name, handle):

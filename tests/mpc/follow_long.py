@@ -44,7 +44,7 @@ def run(goals, seed):
     settings = {"autostart": True, "use_sim_time": True, "start_at_robot": False}
     node = NodeProcess(Path(tempfile.mkdtemp(), "node.log"), settings)
     base, client = FakeBase(lambda: time.sleep(0.0005)), Client()
-    found, errors, used = 0, [], []
+    reached, errors, used = 0, [], []
 
     def tick(pace=0.2 * DT):
         began = time.monotonic()
@@ -59,7 +59,7 @@ def run(goals, seed):
 
     try:
         base.until(alive, "the node")
-        while not any(one["event"] == "ready" for one in client.events):
+        while not any(event["event"] == "ready" for event in client.events):
             tick()
         for number in range(goals):
             path, name = random_path(rng, base.plant.true_pose), str(number)
@@ -67,7 +67,7 @@ def run(goals, seed):
             while client.result(name) is None:
                 tick()
             result, gap = client.result(name), np.asarray(base.plant.true_pose) - path[-1]
-            found += result["status"] == SUCCEEDED
+            reached += result["status"] == SUCCEEDED
             errors.append((math.hypot(gap[0], gap[1]), abs(math.remainder(gap[2], math.tau))))
             used.append(node.used())
             client.events.clear()
@@ -85,7 +85,7 @@ def run(goals, seed):
             {
                 "goals": goals,
                 "seed": seed,
-                "succeeded": int(found),
+                "succeeded": int(reached),
                 "place_m": {"median": float(np.median(place)), "max": float(place.max())},
                 "heading_rad": {"median": float(np.median(heading)), "max": float(heading.max())},
                 "memory_mb": {
@@ -99,7 +99,7 @@ def run(goals, seed):
 
     grown = memory[-1] - settled[0]
     faults = [
-        f"{goals - found} goals were not reached" * (found < goals),
+        f"{goals - reached} goals were not reached" * (reached < goals),
         f"memory grew by {grown:.1f} MB after the tenth goal" * bool(grown > _GROWTH),
         f"threads went from {settled[1]} to {threads[-1]}" * bool(threads[-1] > settled[1]),
     ]

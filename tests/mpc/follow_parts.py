@@ -31,12 +31,12 @@ class Client:
         for line in self.process.stdout:
             self.events.append(json.loads(line))
 
-    def tell(self, **what):
-        self.process.stdin.write(json.dumps(what) + "\n")
+    def tell(self, **fields):
+        self.process.stdin.write(json.dumps(fields) + "\n")
         self.process.stdin.flush()
 
-    def send(self, name, poses, **what):
-        self.tell(send=name, poses=np.asarray(poses, dtype=float).tolist(), **what)
+    def send(self, name, poses, **options):
+        self.tell(send=name, poses=np.asarray(poses, dtype=float).tolist(), **options)
 
     def burst(self, name, goals, times, rate):
         """Send these goals, with `poses` and what `send` takes, in turn, `rate` [Hz] a second; returns their names."""
@@ -44,11 +44,11 @@ class Client:
         self.tell(burst=name, goals=goals, times=times, rate=rate)
         return [f"{name} {number}" for number in range(times)]
 
-    def of(self, name, event):
-        return [one for one in list(self.events) if one.get("id") == name and one["event"] == event]
+    def events_for(self, name, event):
+        return [entry for entry in list(self.events) if entry.get("id") == name and entry["event"] == event]
 
     def result(self, name):
-        return next(iter(self.of(name, "result")), None)
+        return next(iter(self.events_for(name, "result")), None)
 
     def close(self):
         self.process.stdin.close()
@@ -69,17 +69,18 @@ class Follow:
             while time.monotonic() - began < pace:
                 self.base.spin()
 
-    def until(self, condition, what, pace=0.5 * DT, most=4000):
+    def until(self, condition, awaited, pace=0.5 * DT, most=4000):
         for _ in range(most):
             if condition():
                 return
             self.tick(pace=pace)
-        raise AssertionError(f"waited in vain: {what}; {self.client.events[-3:]}")
+        raise AssertionError(f"waited in vain: {awaited}; {self.client.events[-3:]}")
 
     def driven(self, name="a"):
         """Wait until the robot moves for a goal."""
         self.until(
-            lambda: self.client.of(name, "feedback") and abs(self.base.commands[-1][0]) > 0.2, "the robot drives"
+            lambda: self.client.events_for(name, "feedback") and abs(self.base.commands[-1][0]) > 0.2,
+            "the robot drives",
         )
 
     def ended(self, name, **how):

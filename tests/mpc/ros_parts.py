@@ -118,10 +118,10 @@ class FakeBase:
         self.executor.spin_once(timeout_sec=0.0)
         self.spin_node()
 
-    def until(self, condition, what):
+    def until(self, condition, awaited):
         end = time.monotonic() + PATIENCE
         while not condition():
-            assert time.monotonic() < end, f"waited in vain: {what}"
+            assert time.monotonic() < end, f"waited in vain: {awaited}"
             self.spin()
 
     def publish_sensors(self):
@@ -219,8 +219,8 @@ class Stack:
         # Nobody else has this test's domain: there is nobody to wait for.
         parameters = {"discovery_wait": 0.0, **parameters}
         # Files first: of two rules that fit a node, the one whose kind came last counts.
-        given = [word for file in files for word in ("--params-file", str(file))]
-        words = ["--ros-args", *given, "-p", f"use_sim_time:={str(sim_time).lower()}", "--log-level", "warn"]
+        parameter_words = [word for file in files for word in ("--params-file", str(file))]
+        words = ["--ros-args", *parameter_words, "-p", f"use_sim_time:={str(sim_time).lower()}", "--log-level", "warn"]
         for name, value in parameters.items():
             words += ["-p", f"{name}:={str(value).lower() if isinstance(value, bool) else value}"]
         self.context = Context()

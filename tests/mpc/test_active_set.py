@@ -150,10 +150,10 @@ def cost(p, plan):
     return plan @ p.H @ plan / 2 + p.g @ plan + (p.price * beyond + p.slope * beyond**2 / 2).sum()
 
 
-def assert_optimal(p, found, tolerance=1e-6):
+def assert_optimal(p, solution, tolerance=1e-6):
     """Check all optimality conditions of a convex program."""
-    values, pressing = p.A @ found.plan, found.multipliers
-    beyond = excess(p, found.plan)
+    values, pressing = p.A @ solution.plan, solution.multipliers
+    beyond = excess(p, solution.plan)
     # Hard limits are kept, rows press at their bounds only, and on the right side.
     assert beyond[: p.hard].max(initial=0.0) <= tolerance
     upper, lower = pressing > 0, pressing < 0
@@ -166,8 +166,8 @@ def assert_optimal(p, found, tolerance=1e-6):
     # Where a soft limit is exceeded its price is paid.
     exceeded = soft & (beyond > tolerance)
     assert np.abs(pressing[exceeded]) == pytest.approx(p.price + p.slope * beyond[exceeded], abs=p.slope * tolerance)
-    gradient = p.H @ found.plan + p.g + pressing @ p.A
-    scale = 1 + np.abs(pressing[:, None] * p.A).max(initial=0.0) + np.abs(p.H).max() * np.abs(found.plan).max()
+    gradient = p.H @ solution.plan + p.g + pressing @ p.A
+    scale = 1 + np.abs(pressing[:, None] * p.A).max(initial=0.0) + np.abs(p.H).max() * np.abs(solution.plan).max()
     assert np.abs(gradient).max() <= tolerance * scale
 
 

@@ -81,9 +81,9 @@ def random_program(seed, tightness=0.5, softness=1.0):
 
 
 def solver_settings(backend, max_iterations=100_000):
-    own = {"tolerance": 1e-8, "max_iterations": max_iterations}
+    common = {"tolerance": 1e-8, "max_iterations": max_iterations}
     of_osqp = {"eps_abs": 1e-8, "eps_rel": 1e-8, "max_iter": max_iterations, "check_termination": 10}
-    return load_config("ssm", {"solver": {"method": backend, "osqp": of_osqp, **own}}).solver
+    return load_config("ssm", {"solver": {"method": backend, "osqp": of_osqp, **common}}).solver
 
 
 def solve(program, backend, **changes):
@@ -113,27 +113,30 @@ def assert_optimal(program, plan, pressing, within):
 @given(st.integers(0, 10_000), st.floats(0.2, 2.0))
 def test_solution_of_daqp_is_optimal(seed, tightness):
     program = random_program(seed, tightness)
-    found = solve(program, "daqp")
-    assert found.status is SolverStatus.SOLVED
-    assert_optimal(program, found.plan, found.multipliers, 1e-7)
+    solution = solve(program, "daqp")
+    assert solution.status is SolverStatus.SOLVED
+    assert_optimal(program, solution.plan, solution.multipliers, 1e-7)
 
 
 @settings(max_examples=15)
 @given(st.integers(0, 10_000))
 def test_solution_of_osqp_is_optimal(seed):
     program = random_program(seed)
-    found = solve(program, "osqp")
-    assume(found.status is SolverStatus.SOLVED)
-    assert_optimal(program, found.plan, found.multipliers, 1e-5)
+    solution = solve(program, "osqp")
+    assume(solution.status is SolverStatus.SOLVED)
+    assert_optimal(program, solution.plan, solution.multipliers, 1e-5)
 
 
 def test_random_programs_exercise_all_limits():
     """Else the conditions above would hold of problems without limits only."""
     programs = [random_program(seed) for seed in range(40)]
-    found = [solve(program, "daqp") for program in programs]
-    pressing = np.array([np.abs(one.multipliers).max(axis=1) > 0 for one in found])
+    solutions = [solve(program, "daqp") for program in programs]
+    pressing = np.array([np.abs(solution.multipliers).max(axis=1) > 0 for solution in solutions])
     assert (pressing.mean(axis=0) > 0.1).all()
-    exceeded = [(program.excess(one.plan)[HARD:] > 1e-6).any() for program, one in zip(programs, found, strict=True)]
+    exceeded = [
+        (program.excess(solution.plan)[HARD:] > 1e-6).any()
+        for program, solution in zip(programs, solutions, strict=True)
+    ]
     assert 0.2 < np.mean(exceeded) < 1.0
 
 
@@ -143,9 +146,11 @@ def test_random_programs_exercise_all_limits():
 def test_adding_violated_limits_gives_the_full_solution(backend, seed, tightness):
     program = random_program(seed, tightness, softness=0.3)
     whole = solve(program, "daqp")
-    asked, report = ask(load_backend(backend)(STEPS, KINDS, solver_settings(backend), WEIGHTS), program, backend, 1e-9)
+    solution, report = ask(
+        load_backend(backend)(STEPS, KINDS, solver_settings(backend), WEIGHTS), program, backend, 1e-9
+    )
     assume(report.status is SolverStatus.SOLVED)
-    assert asked.plan == pytest.approx(whole.plan, abs=1e-5)
+    assert solution.plan == pytest.approx(whole.plan, abs=1e-5)
     assert report.method == backend
 
 
@@ -201,9 +206,9 @@ def test_backend_plan_equals_the_active_set_with_active_limits(backend):
         step = controller.step(plant.time, plant.measure())
         plant.advance(step.command)
         if step.solver.method == "active_set":
-            asked, report = ask(exact, controller.program, backend, 1e-9)
+            solution, report = ask(exact, controller.program, backend, 1e-9)
             assert report.status is SolverStatus.SOLVED
-            assert asked.plan == pytest.approx(step.planned_commands.reshape(-1), abs=2e-5)
+            assert solution.plan == pytest.approx(step.planned_commands.reshape(-1), abs=2e-5)
             compared += 1
     assert compared > 20
 
@@ -245,7 +250,7 @@ def drive(driven, robot, ticks, **bounds):
     results = []
     for number in range(ticks):
         measured = robot.measure()
-        results.append(driven.step(robot.time, measured, **{name: of(number) for name, of in bounds.items()}))
+        results.append(driven.step(robot.time, measured, **{name: bound(number) for name, bound in bounds.items()}))
         robot.advance(results[-1].command)
     return results
 
@@ -263,13 +268,13 @@ def priced(program, plan):
 
 def inside(limits, dt, plan, last):
     """Return the plan (2 N,) clipped to ranges and slew, command by command."""
-    kept = plan.reshape(-1, 2).copy()
+    clipped = plan.reshape(-1, 2).copy()
     before = np.array(last)
-    for command in kept:
+    for command in clipped:
         most, slew = np.array([limits.v, limits.omega]), np.array([limits.v_slew, limits.omega_slew]) * dt
         command[:] = np.clip(command, np.maximum(-most, before - slew), np.minimum(most, before + slew))
         before = command
-    return kept.reshape(-1)
+    return clipped.reshape(-1)
 
 
 def test_stopped_plan_is_feasible_and_no_worse_than_the_previous_plan():
@@ -321,9 +326,9 @@ def test_node_bounds_solves_by_the_clock_and_replay_is_exact(time_limit, tmp_pat
     )  # fmt: skip
     deadlines, inner = [], driven.step
 
-    def step(*given, deadline):
+    def step(*arguments, deadline):
         deadlines.append(deadline - time.monotonic())
-        return inner(*given, deadline=deadline)
+        return inner(*arguments, deadline=deadline)
 
     driven.step = step
     reference = load_trajectory("s")
@@ -331,7 +336,7 @@ def test_node_bounds_solves_by_the_clock_and_replay_is_exact(time_limit, tmp_pat
     lines, results = [], []
     for _ in range(50):
         inbox.now, measured = robot.time, robot.measure()
-        inbox.measurement, inbox.newest_pose = lambda kept=measured: kept, measured.pose
+        inbox.measurement, inbox.newest_pose = lambda latest=measured: latest, measured.pose
         tick = loop.tick()
         if tick.result is not None:
             lines += records.lines(loop.begun, tick)

@@ -67,16 +67,16 @@ def test_what_is_known_of_slip_is_a_part_of_the_scatter_that_adds_up():
     assert np.array_equal(whole.mean, certain.mean)
     assert whole.pose_covariance[2, 2] > certain.pose_covariance[2, 2]
     # Another slip turns the robot elsewhere.
-    other = controller.predict_belief(belief.with_slip(Slip()), commands)
-    assert abs(other.pose[2] - whole.pose[2]) > 0.1
+    without_slip = controller.predict_belief(belief.with_slip(Slip()), commands)
+    assert abs(without_slip.pose[2] - whole.pose[2]) > 0.1
 
 
 small = st.lists(st.floats(-0.3, 0.3), min_size=len(SLIPS), max_size=len(SLIPS))
 
 
 @given(small, small)
-def test_the_gradient_of_the_terms_is_their_slope(at, towards):
-    slip = Slip(*(np.array(astuple(Slip())) + at))
+def test_the_gradient_of_the_terms_is_their_slope(offset, towards):
+    slip = Slip(*(np.array(astuple(Slip())) + offset))
     step = 1e-6 * np.array(towards)
     moved = Slip(*(np.array(astuple(slip)) + step))
     assert moved.polynomial - slip.polynomial == pytest.approx(slip.polynomial_gradient @ step, abs=1e-11)

@@ -42,7 +42,9 @@ def test_every_key_stands_in_one_room_and_users_come_first():
     assert keys[: len(users)] == users
     assert [key for key in users if not is_for_users(plain_key(key))] == []
     assert all(shown_key(plain_key(key)) == key for key in keys)
-    assert all(any(key == one or key.startswith((f"{one}.", f"{one}[]")) for key in users) for one in USER)
+    assert all(
+        any(key == section or key.startswith((f"{section}.", f"{section}[]")) for key in users) for section in USER
+    )
 
 
 def test_present_names_are_keys_and_former_ones_are_not():
@@ -109,7 +111,7 @@ def test_strategy_and_backend_of_an_earlier_file_are_one_method(tmp_path):
 
 def test_a_key_may_be_named_with_its_room_or_without_and_by_its_former_name():
     named = [{"expert.estimator.history": 0.5}, {"estimator.history": 0.5}]
-    assert [load_config("ssm", one).estimator.history for one in named] == [0.5, 0.5]
+    assert [load_config("ssm", overrides).estimator.history for overrides in named] == [0.5, 0.5]
     assert load_config("ssm", {"reentry.look_ahead_max": 1.4}).reentry.max_look_ahead == 1.4
     assert load_config("ssm", {"reentry": {"look_ahead_max": 1.4}}).reentry.max_look_ahead == 1.4
     assert load_config({"model": "ssm", "expert": {"estimator": {"history": 0.5}}}).estimator.history == 0.5

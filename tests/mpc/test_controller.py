@@ -177,19 +177,19 @@ def test_restart_while_driving_keeps_slew_limit_and_twist_estimate():
 
 
 def test_reported_command_replaces_the_sent_one_in_the_estimate():
-    """A base that halves every command: told so, the estimator needs no offset to explain it."""
+    """The base halves every command; the estimator needs no offset if it receives the halved commands."""
     reference, offsets = load_trajectory("circle"), {}
-    for told in (False, True):
+    for is_reported in (False, True):
         robot, driver, sent = robot_for(reference), controller(), None
         driver.start(reference, 0.0)
         for _ in range(60):
             measurement = robot.measure()
-            if told and sent is not None:
+            if is_reported and sent is not None:
                 measurement = replace(measurement, sent=tuple(sent))
             result = driver.step(robot.time, measurement)
             sent = 0.5 * result.command
             robot.advance(sent)
-        offsets[told] = abs(result.estimate.slip.v_offset)
+        offsets[is_reported] = abs(result.estimate.slip.v_offset)
     assert offsets[True] < 1e-6
     assert offsets[False] > 0.01
 
@@ -299,8 +299,8 @@ def test_compiled_core_drives_models_of_every_order():
 
     Two channels have two states at least.
     """
-    here = Path(__file__).parent
-    path = os.pathsep.join([str(here), str(here.parent), *filter(None, sys.path)])
+    folder = Path(__file__).parent
+    path = os.pathsep.join([str(folder), str(folder.parent), *filter(None, sys.path)])
     run = subprocess.run(
         [sys.executable, "-c", EVERY_ORDER],
         capture_output=True,

@@ -456,13 +456,13 @@ class Estimating:
         self.both.start(load_trajectory("circle"), 0.0)
         self.queue, self.sent = [], (0.0, 0.0)
 
-    def tick(self, spoiler, *, skip=False, told=True):
+    def tick(self, spoiler, *, skip=False, is_reported=True):
         robot, k = self.robot, self.robot.k
         m = robot.measure()
         self.queue.append(m.pose)
         if not skip:
             m = SPOILERS[spoiler](m, self.queue)
-            self.both.step(robot.time, changed(m, sent=self.sent) if told else m)
+            self.both.step(robot.time, changed(m, sent=self.sent) if is_reported else m)
         self.sent = (0.5 + 0.2 * np.sin(k / 15), 0.8 * np.sin(k / 25))
         robot.advance(np.array(self.sent))
 
@@ -485,7 +485,7 @@ def test_faults_of_single_measurements(first):
 def test_whatever_arrives(events, name):
     drive = Estimating(name)
     for spoiler, choice in events:
-        drive.tick(spoiler, skip=choice == 0, told=choice != 1)
+        drive.tick(spoiler, skip=choice == 0, is_reported=choice != 1)
 
 
 def test_more_than_is_kept_for_one_sample_is_rejected_and_named():

@@ -85,7 +85,7 @@ def compilations(monkeypatch):
     return made
 
 
-def answer():
+def load_result():
     """Return the result of a function of a freshly loaded core."""
     library.load_core.cache_clear()
     _, lib = library.load_core()
@@ -110,18 +110,18 @@ def private(tmp_path):
 
 
 def test_core_is_compiled_once_and_cached(folder, compilations):
-    assert answer() == 42
+    assert load_result() == 42
     written = only(folder).stat().st_mtime_ns
-    assert answer() == 42
+    assert load_result() == 42
     assert len(compilations) == 1
     assert only(folder).stat().st_mtime_ns == written
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
 
 
 def test_changed_sources_give_a_new_library(folder, core, compilations):
-    answer()
+    load_result()
     (core / "answer.c").write_text(STAND_IN["answer.c"].replace("42", "43"))
-    assert answer() == 43
+    assert load_result() == 43
     assert len(compilations) == 2
 
 
@@ -150,11 +150,11 @@ def no_library(path):
 
 
 def foreign(path):
-    """Put a sound library of other content at the path."""
-    other = path.with_suffix(".c")
-    other.write_text("int ddmpc_answer(void) { return 666; }")
-    subprocess.run(["gcc", "-shared", "-fPIC", other, "-o", path], check=True)
-    other.unlink()
+    """Put a valid library with different content at the path."""
+    source = path.with_suffix(".c")
+    source.write_text("int ddmpc_answer(void) { return 666; }")
+    subprocess.run(["gcc", "-shared", "-fPIC", source, "-o", path], check=True)
+    source.unlink()
 
 
 def one_bit(path):
@@ -167,10 +167,10 @@ def one_bit(path):
 def test_damaged_or_foreign_library_is_compiled_again(folder, compilations, damage):
     make()
     damage(only(folder))
-    assert answer() == 42
+    assert load_result() == 42
     assert len(compilations) == 2
     # What took its place is found again.
-    assert answer() == 42
+    assert load_result() == 42
     assert len(compilations) == 2
 
 
@@ -207,7 +207,7 @@ def test_library_that_fails_to_load_is_compiled_in_the_private_folder(folder, tm
         return dlopen(self, name, *flags)
 
     monkeypatch.setattr(ffi_class, "dlopen", refused)
-    assert answer() == 42
+    assert load_result() == 42
     assert only(private(tmp_path)).suffix == ".so"
 
 
@@ -220,7 +220,7 @@ def test_folder_writable_by_others_is_not_used(folder, tmp_path, caplog):
     foreign(planted)
     planted.rename(planted.with_name(f"{planted.stem.rpartition('-')[0]}-{cache.content_digest(planted)}.so"))
     folder.chmod(0o777)
-    assert answer() == 42
+    assert load_result() == 42
     assert f"others can write to {folder}" in caplog.text
     assert cache.CACHE_VARIABLE in caplog.text
     assert stat.S_IMODE(private(tmp_path).stat().st_mode) == 0o700
@@ -237,7 +237,7 @@ def give_to_somebody_else(path, monkeypatch):
 def test_folder_of_another_user_is_not_used(folder, tmp_path, monkeypatch, caplog):
     folder.mkdir(0o700)
     give_to_somebody_else(folder, monkeypatch)
-    assert answer() == 42
+    assert load_result() == 42
     assert list(folder.iterdir()) == []
     assert f"{folder} belongs to somebody else" in caplog.text
 
@@ -247,19 +247,19 @@ def test_prepared_temporary_folder_of_another_user_is_not_used(folder, tmp_path,
     """Another user has prepared the place of the private folder."""
     folder.mkdir()
     folder.chmod(0o777)
-    other = private(tmp_path)
+    prepared = private(tmp_path)
     if trap == "open":
-        other.mkdir()
-        other.chmod(0o777)
+        prepared.mkdir()
+        prepared.chmod(0o777)
     elif trap == "link":
         (tmp_path / "elsewhere").mkdir(0o700)
-        other.symlink_to(tmp_path / "elsewhere")
+        prepared.symlink_to(tmp_path / "elsewhere")
     else:
-        other.write_text("in the way")
-    assert answer() == 42
+        prepared.write_text("in the way")
+    assert load_result() == 42
     assert list(folder.iterdir()) == []
     if trap != "file":
-        assert list(other.iterdir()) == []
+        assert list(prepared.iterdir()) == []
 
 
 # The compiler.
@@ -268,10 +268,10 @@ def test_prepared_temporary_folder_of_another_user_is_not_used(folder, tmp_path,
 def test_missing_compiler_error_names_the_wheel(no_compiler):
     with pytest.raises(NotCompiledError) as refused:
         library.load_core()
-    said = str(refused.value)
-    assert "no C compiler (no-such-compiler) was found" in said
-    assert "install gcc, or diffdrive-mpc from a wheel (pip install diffdrive_mpc-*.whl)" in said
-    assert "\n" not in said
+    message = str(refused.value)
+    assert "no C compiler (no-such-compiler) was found" in message
+    assert "install gcc, or diffdrive-mpc from a wheel (pip install diffdrive_mpc-*.whl)" in message
+    assert "\n" not in message
 
 
 # The package's own library.
@@ -286,7 +286,7 @@ def wheel_core(core, folder):
 
 
 def test_packaged_library_needs_no_compiler_and_no_cache(wheel_core, no_compiler, folder):
-    assert answer() == 42
+    assert load_result() == 42
     assert not folder.exists()
 
 
@@ -294,7 +294,7 @@ def test_packaged_library_needs_no_compiler_and_no_cache(wheel_core, no_compiler
 def test_damaged_packaged_library_is_not_loaded(wheel_core, folder, caplog, compilations, damage):
     for path in wheel_core.glob("*.so"):
         damage(path)
-    assert answer() == 42
+    assert load_result() == 42
     assert "is damaged; reinstall diffdrive-mpc" in caplog.text
     assert len(compilations) == 1
 
@@ -309,7 +309,7 @@ def test_damaged_packaged_library_without_compiler_raises_error(wheel_core, no_c
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"origin": 1, "machine": 2, "libraries": 3}', "\0"])
 def test_damaged_manifest_is_ignored(wheel_core, compilations, text):
     (wheel_core / "ddmpc_core.json").write_text(text)
-    assert answer() == 42
+    assert load_result() == 42
     assert len(compilations) == 1
 
 

@@ -62,9 +62,9 @@ def test_a_command_of_the_ladder_keeps_range_slew_and_radius_and_says_so():
     assert reported > 30
 
 
-def direction(v, at, end):
+def direction(v, sample, end):
     """Return 1 or -1: the direction at a sample, as the reference moves next up to `end`, else as it moved last."""
-    moving = [x for x in [*v[at : end + 1], *v[: at + 1][::-1], v[0]] if abs(x) > 1.0]
+    moving = [x for x in [*v[sample : end + 1], *v[: sample + 1][::-1], v[0]] if abs(x) > 1.0]
     return -1.0 if (moving[0] if moving else v[0]) < 0 else 1.0
 
 
@@ -93,11 +93,11 @@ def test_a_reference_that_is_refused_changes_nothing(t0, duration):
     """The one before is tracked on, whoever starts or relays another."""
     inner = InnerController(horizon=STEPS)
     inner.controller.start(load_trajectory("circle"), 1.0)
-    other = inner.ffi.new("ddmpc_reference *", inner.c.reference)
-    other.duration = duration
-    for begin in (inner.lib.ddmpc_start, inner.lib.ddmpc_switch_reference):
-        assert begin(inner.c, other, t0) == 0
+    reference = inner.ffi.new("ddmpc_reference *", inner.c.reference)
+    reference.duration = duration
+    for start in (inner.lib.ddmpc_start, inner.lib.ddmpc_switch_reference):
+        assert start(inner.c, reference, t0) == 0
         assert (inner.c.t0, inner.c.reference.duration) == (1.0, load_trajectory("circle").duration)
-    other.duration = 5.0
-    assert inner.lib.ddmpc_start(inner.c, other, 2.0) == 1
+    reference.duration = 5.0
+    assert inner.lib.ddmpc_start(inner.c, reference, 2.0) == 1
     assert (inner.c.t0, inner.c.reference.duration) == (2.0, 5.0)

@@ -93,7 +93,7 @@ def test_every_setting_reaches_the_estimate_in_its_own_place(name):
     controller.start(load_trajectory("s"), 0.0)
     slip = controller.step(0.0, Measurement(pose=Stamped(np.zeros(3), 0.0))).estimate
     assert slip.slip == replace(Slip(), **{name: 0.011})
-    assert {one for one in SLIPS if getattr(slip.slip_deviation, one) > 0} == {name}
+    assert {slip_name for slip_name in SLIPS if getattr(slip.slip_deviation, slip_name) > 0} == {name}
     assert getattr(slip.slip_deviation, name) == pytest.approx(0.02)
 
 

@@ -73,11 +73,11 @@ def test_missing_poses_lead_to_dead_reckoning_braking_and_standstill(dead_reckon
     assert (results[-1].command == 0).all()
 
 
-def without_poses(begin, *, wheels=True):
-    """Return a change for `drive`: from tick `begin` on no pose arrives for 1.2 s of each 1.8 s."""
+def without_poses(start, *, wheels=True):
+    """Return a change for `drive`: from tick `start` on no pose arrives for 1.2 s of each 1.8 s."""
 
     def change(k, m):
-        if k < begin or (k - begin) * DT % 1.8 >= 1.2:
+        if k < start or (k - start) * DT % 1.8 >= 1.2:
             return m
         return replace(m, pose=None) if wheels else Measurement(yaw_rate=m.yaw_rate)
 

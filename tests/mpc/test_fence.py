@@ -99,11 +99,11 @@ def test_it_stands_until_it_is_started_and_then_drives_in_but_not_out():
 def test_it_lies_where_it_is_said_to_lie(frame):
     start = np.array([3.0, -2.0, 1.1])
     reference = starting_at(way_out(0.5, 0.0), start)
-    seen = np.array([0.6, -0.2, 0.7])
-    turn = np.exp(1j * start[2]) * complex(*seen[:2])
-    middle = start + [turn.real, turn.imag, seen[2]]
-    given = seen if frame == "start" else middle
-    place = {f"fence.{name}": float(value) for name, value in zip(("x", "y", "heading"), given, strict=True)}
+    relative = np.array([0.6, -0.2, 0.7])
+    turn = np.exp(1j * start[2]) * complex(*relative[:2])
+    middle = start + [turn.real, turn.imag, relative[2]]
+    configured = relative if frame == "start" else middle
+    place = {f"fence.{name}": float(value) for name, value in zip(("x", "y", "heading"), configured, strict=True)}
     controller = Controller(load_config("ssm", {**FENCE, **place, "fence.frame": frame}))
     run = simulate(controller, make_plant("model:ssm", seed=2), reference)
     assert run.modes[-1] == "STOPPED"

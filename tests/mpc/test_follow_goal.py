@@ -1,4 +1,4 @@
-"""Goals of follow_path beside the loop, without ROS: what becomes of them when nobody answers, who ends whom."""
+"""Goals of follow_path without ROS: missing responses of the side process, and which goal ends which."""
 
 from types import SimpleNamespace
 
@@ -17,13 +17,13 @@ CONFIG, SETTINGS = load_config("ssm"), NodeSettings()
 
 
 class Loop:
-    """Stands where it is, and remembers what it was told."""
+    """Loop of a robot at rest, which records the calls that it receives."""
 
     def __init__(self):
         self.inbox = SimpleNamespace(now=0.0)
         self.state, self.begun, self.held, self.blocked = LoopState.IDLE, None, False, False
         self.wait_reason = ""
-        self.told = []
+        self.calls = []
 
     def missing(self):
         return ""
@@ -32,26 +32,26 @@ class Loop:
         return np.zeros(3), (0.0, 0.0)
 
     def follow(self, reference, t0):
-        self.told.append("follow")
+        self.calls.append("follow")
 
     def brake(self, reason):
-        self.told.append("brake")
+        self.calls.append("brake")
 
     def release(self):
-        self.told.append("release")
+        self.calls.append("release")
 
 
 class Beside:
-    """Requests to the side process, which the test answers."""
+    """Requests to the side process; the test responds to them."""
 
     def __init__(self):
-        self.asked = []
+        self.requests = []
 
     def __call__(self, arguments, done, failed):
-        self.asked.append((arguments, done, failed))
+        self.requests.append((arguments, done, failed))
 
-    def answer(self):
-        arguments, done, failed = self.asked.pop(0)
+    def respond(self):
+        arguments, done, failed = self.requests.pop(0)
         try:
             done(lay_for_robot(*arguments))
         except ValueError as error:
@@ -74,9 +74,9 @@ def test_a_goal_waits_for_its_path_and_then_for_the_loop(made):
     goal = FollowGoal(STRAIGHT, "odom")
     following.take(goal)
     following.after(standing())
-    assert loop.told == [] and goal.end is None
-    beside.answer()
-    assert loop.told == ["follow"] and goal.laid.length == pytest.approx(1.0)
+    assert loop.calls == [] and goal.end is None
+    beside.respond()
+    assert loop.calls == ["follow"] and goal.laid.length == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(
@@ -93,25 +93,25 @@ def test_a_robot_that_stands_at_the_end_has_arrived(made, robot, poses):
     loop, beside, following = made
     loop.whereabouts = lambda: (np.array(robot), (0.0, 0.0))
     following.take(goal := FollowGoal(poses, "odom"))
-    beside.answer()
+    beside.respond()
     assert (goal.end.outcome, goal.end.code) == (GoalOutcome.SUCCEEDED, Code.NONE)
-    assert loop.told == []
+    assert loop.calls == []
 
 
-@pytest.mark.parametrize("there", [((1.0, 0.0, 0.0), (0.1, 0.0)), ((1.2, 0.0, 0.0), (0.0, 0.0)), None])
-def test_nothing_left_to_drive_is_no_arrival_where_the_robot_moves_or_is_elsewhere(made, there):
+@pytest.mark.parametrize("whereabouts", [((1.0, 0.0, 0.0), (0.1, 0.0)), ((1.2, 0.0, 0.0), (0.0, 0.0)), None])
+def test_nothing_left_to_drive_is_no_arrival_where_the_robot_moves_or_is_elsewhere(made, whereabouts):
     loop, beside, following = made
     following.take(old := FollowGoal(STRAIGHT, "odom"))
-    beside.answer()
-    loop.whereabouts = lambda: (np.array([1.0, 0.0, 0.0]), (0.0, 0.0) if there is None else there[1])
+    beside.respond()
+    loop.whereabouts = lambda: (np.array([1.0, 0.0, 0.0]), (0.0, 0.0) if whereabouts is None else whereabouts[1])
     following.take(goal := FollowGoal(STRAIGHT, "odom"))
-    loop.whereabouts = lambda: there and (np.array(there[0]), there[1])
-    beside.answer()
-    code = Code.TF_ERROR if there is None else Code.INVALID_PATH
+    loop.whereabouts = lambda: whereabouts and (np.array(whereabouts[0]), whereabouts[1])
+    beside.respond()
+    code = Code.TF_ERROR if whereabouts is None else Code.INVALID_PATH
     assert (goal.end.outcome, goal.end.code) == (GoalOutcome.ABORTED, code)
     # The drive that it was to replace ends, too.
     following.after(standing())
-    assert loop.told == ["follow", "brake", "release"] and old.end.outcome is GoalOutcome.ABORTED
+    assert loop.calls == ["follow", "brake", "release"] and old.end.outcome is GoalOutcome.ABORTED
 
 
 def test_a_newer_goal_ends_one_that_has_not_begun(made):
@@ -121,25 +121,25 @@ def test_a_newer_goal_ends_one_that_has_not_begun(made):
     following.take(second)
     assert (first.end.outcome, first.end.code) == (GoalOutcome.ABORTED, Code.NONE)
     # Its path comes too late.
-    beside.answer()
-    assert loop.told == []
-    beside.answer()
-    assert loop.told == ["follow"] and second.end is None
+    beside.respond()
+    assert loop.calls == []
+    beside.respond()
+    assert loop.calls == ["follow"] and second.end is None
 
 
 def test_cancelling_what_has_not_begun_ends_the_drive_that_it_was_to_replace(made):
     loop, beside, following = made
     old, newer = FollowGoal(STRAIGHT, "odom"), FollowGoal(STRAIGHT, "odom")
     following.take(old)
-    beside.answer()
+    beside.respond()
     following.take(newer)
     newer.cancelled = True
     following.after(standing())
     assert newer.end.outcome is GoalOutcome.CANCELED
-    assert loop.told == ["follow", "brake", "release"]
+    assert loop.calls == ["follow", "brake", "release"]
     assert (old.end.outcome, old.end.words) == (GoalOutcome.ABORTED, "a newer goal was cancelled")
-    beside.answer()
-    assert loop.told == ["follow", "brake", "release"]
+    beside.respond()
+    assert loop.calls == ["follow", "brake", "release"]
 
 
 def test_a_path_that_is_never_laid_is_given_up(made, monkeypatch):
@@ -150,7 +150,7 @@ def test_a_path_that_is_never_laid_is_given_up(made, monkeypatch):
     following.after(standing())
     assert goal.end.code is Code.CONTROLLER_TIMED_OUT
     following.take(slow := FollowGoal(STRAIGHT, "odom"))
-    beside.asked[-1][2]("to read it takes longer than 10 s")
+    beside.requests[-1][2]("to read it takes longer than 10 s")
     assert slow.end.code is Code.CONTROLLER_TIMED_OUT
 
 
@@ -158,7 +158,7 @@ def test_a_fault_of_the_loop_ends_the_goal(made):
     _, beside, following = made
     goal = FollowGoal(STRAIGHT, "odom")
     following.take(goal)
-    beside.answer()
+    beside.respond()
     following.after(LoopTick(np.zeros(2), LoopState.FAULT, "ValueError: nothing"))
     assert (goal.end.code, goal.end.words) == (Code.UNKNOWN, "ValueError: nothing")
 
@@ -167,7 +167,7 @@ def test_without_a_pose_it_waits_for_its_patience_and_no_longer(made):
     loop, beside, following = made
     goal = FollowGoal(STRAIGHT, "odom")
     following.take(goal)
-    beside.answer()
+    beside.respond()
     loop.inbox.now = 0.9 * SETTINGS.follow_patience
     following.after(standing())
     assert goal.end is None
@@ -188,7 +188,7 @@ def test_robot_waits_for_a_silent_client_drives_on_and_then_gives_up(made, monke
     loop, beside, following = made
     goal = FollowGoal(STRAIGHT, "odom")
     following.take(goal)
-    beside.answer()
+    beside.respond()
     start = goal.heard_at
     drives = LoopTick(np.array([0.6, 0.0]), LoopState.DRIVING, "")
     distance = 0.0

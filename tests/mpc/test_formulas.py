@@ -484,13 +484,13 @@ def test_function_with_external_calls_raises_error():
 
 
 @pytest.mark.parametrize(
-    ("names", "sizes", "said"),
+    ("names", "sizes", "message"),
     [
         (["x", "u"], [2, 2], "name them x and window"),
         (["x", "window"], [2, 3], "give it two for each command"),
         (["x", "window"], [2, 2], "has 4 entries, x has 2"),
     ],
 )
-def test_wrong_step_function_raises_error(names, sizes, said):
-    with pytest.raises(ConfigError, match=said):
+def test_wrong_step_function_raises_error(names, sizes, message):
+    with pytest.raises(ConfigError, match=message):
         user_step(a_function(names, sizes), "step")

@@ -111,8 +111,8 @@ def test_robot_cuts_a_tight_curve_and_returns_to_its_path():
         name="corner",
     )
     config = load_config("ssm", {KEY: 0.7})
-    said = sharper_than_commands(reference, config.limits, config.sample_time)
-    assert "for 2.1 s it turns tighter than limits.min_commanded_radius = 0.7, down to 0.5" in said
+    warning = sharper_than_commands(reference, config.limits, config.sample_time)
+    assert "for 2.1 s it turns tighter than limits.min_commanded_radius = 0.7, down to 0.5" in warning
     run = driven(config, reference, name="model:ssm", sensors="perfect")
     assert excess(run.command, 0.7).max() <= 1e-12
     off = np.hypot(*(run.true_pose - reference.sample(run.time).pose)[:, :2].T)
@@ -222,11 +222,11 @@ def test_scaled_path_keeps_the_minimum_radius():
 def test_way_back_keeps_the_minimum_radius(side):
     reference = circle(4.0)
     window = PathWindow.around(reference, 2.0, 4.0, 0.05)
-    here = int(np.argmin(np.abs(window.times - 2.0)))
-    pose = window.pose[here] + [0.0, side, 0.0]
+    index = int(np.argmin(np.abs(window.times - 2.0)))
+    pose = window.pose[index] + [0.0, side, 0.0]
     for radius in (0.0, 0.8):
         limits = TrajectoryLimits(0.7, 1.5, 0.7, 2.0, min_turn_radius=radius)
-        found = rejoin(reference, window, here, Course(pose, 0.5, 0.125), 2.0, (0.3, 2.0), limits)
-        assert found is not None
-        twist = found.connection.sample(np.linspace(0, found.connection.duration, 300)).twist
+        rejoined = rejoin(reference, window, index, Course(pose, 0.5, 0.125), 2.0, (0.3, 2.0), limits)
+        assert rejoined is not None
+        twist = rejoined.connection.sample(np.linspace(0, rejoined.connection.duration, 300)).twist
         assert radius == 0.0 or excess(twist, radius).max() <= 0.02

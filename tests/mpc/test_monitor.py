@@ -91,8 +91,8 @@ def spoilt(field, value):
     def change(k, m):
         if k < FAULT:
             return m
-        said = getattr(m, field)
-        return replace(m, **{field: replace(said, value=value(np.asarray(said.value), (k - FAULT) * DT))})
+        reading = getattr(m, field)
+        return replace(m, **{field: replace(reading, value=value(np.asarray(reading.value), (k - FAULT) * DT))})
 
     return change
 
@@ -176,8 +176,8 @@ def test_robot_brakes_if_poses_are_faulty(fault, model):
     change, trajectory, soon = POSE_FAULTS[fault]
     results, apart = run(change, trajectory, model)
     assert first(results, "pose") < soon
-    found = next(k for k, result in enumerate(results) if "pose" in result.unused_sensors)
-    assert {result.mode for result in results[found:]} <= {Mode.BRAKING, Mode.STOPPED}
+    detected = next(k for k, result in enumerate(results) if "pose" in result.unused_sensors)
+    assert {result.mode for result in results[detected:]} <= {Mode.BRAKING, Mode.STOPPED}
     assert (results[-1].command == 0.0).all()
     assert apart.max() < 0.3
 
@@ -338,11 +338,11 @@ def test_verdicts_are_invariant_under_reflection_and_rotation(fault):
         assert result.message == left.message == elsewhere.message
 
 
-@pytest.mark.parametrize(("track", "told"), [(TRACK, False), (0.5 * TRACK, True), (2.0 * TRACK, True)])
-def test_wrong_track_is_reported_within_ten_seconds_of_turning(track, told):
+@pytest.mark.parametrize(("track", "is_reported"), [(TRACK, False), (0.5 * TRACK, True), (2.0 * TRACK, True)])
+def test_wrong_track_is_reported_within_ten_seconds_of_turning(track, is_reported):
     results, _ = run(None, "circle", seconds=10.0, **{"wheels.encoder_track": track})
     assert accused(results) == set()
-    assert ("wrong wheels.track" in results[-1].message) == told
+    assert ("wrong wheels.track" in results[-1].message) == is_reported
 
 
 @pytest.mark.parametrize("seed", range(3))

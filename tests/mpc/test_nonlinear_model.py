@@ -165,12 +165,12 @@ def test_what_cannot_be_a_robots_model_is_refused_in_one_line():
             "bad", ca.Function("step", [x, window], [after], ["x", "window"], ["a"]), output, DT, memory
         )
 
-    for after, said in (
+    for after, message in (
         (1.1 * x + window[2:], "unstable at rest"),
         (0.5 * x + window[2:] + 1.0, "rest at x = 0"),
         (0.5 * x, "gain 0 from v_ref"),
     ):
-        with pytest.raises(ModelError, match=said):
+        with pytest.raises(ModelError, match=message):
             model(after)
     with pytest.raises(ModelError, match="step has 4 numbers in window, expected 6"):
         model(0.5 * x + window[2:], memory=2)

@@ -46,8 +46,8 @@ means = st.lists(st.floats(-0.5, 0.5), min_size=SIZE, max_size=SIZE).map(
 commands = st.lists(st.floats(-1, 1), min_size=2, max_size=2).map(np.array)
 
 
-def gradient(function, at):
-    columns = [(function(at + STEP * e) - function(at - STEP * e)) / (2 * STEP) for e in np.eye(len(at))]
+def gradient(function, point):
+    columns = [(function(point + STEP * e) - function(point - STEP * e)) / (2 * STEP) for e in np.eye(len(point))]
     return np.column_stack(columns) if np.ndim(columns[0]) else np.array(columns)
 
 

@@ -127,8 +127,8 @@ def check_record(folder, commands):
         assert time.monotonic() < end
         time.sleep(0.05)
     with opened(path) as reader:
-        said = read_topics(reader, path, {"commands": TopicRequest(Topic(topic="/cmd_vel"), COMMANDS)})["commands"]
-    decided = dict(zip(said.stamped.tolist(), said.value.tolist(), strict=True))
+        recorded = read_topics(reader, path, {"commands": TopicRequest(Topic(topic="/cmd_vel"), COMMANDS)})["commands"]
+    decided = dict(zip(recorded.stamped.tolist(), recorded.value.tolist(), strict=True))
     # The last may have been sent in the tick in which the node was killed.
     sent = dict(zip(commands.stamped.tolist()[:-1], commands.value.tolist(), strict=False))
     assert len(sent) > 10 and {stamp: decided[stamp] for stamp in sent} == sent

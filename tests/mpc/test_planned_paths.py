@@ -40,9 +40,9 @@ def headed(points, goal=None):
     return np.column_stack([points, np.append(heading, heading[-1] if goal is None else goal)])
 
 
-def sampled(found):
-    times = np.linspace(0.0, found.reference.duration, 2 + int(found.reference.duration / 0.005))
-    return times, found.reference.sample(times)
+def sampled(plan):
+    times = np.linspace(0.0, plan.reference.duration, 2 + int(plan.reference.duration / 0.005))
+    return times, plan.reference.sample(times)
 
 
 def distance(points, line):

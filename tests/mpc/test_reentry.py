@@ -73,8 +73,8 @@ def test_speeds_keep_every_limit_on_every_piece(end, bend, enter, leave):
     assert np.abs(acceleration).max() <= LIMITS.v_acceleration * slack
     # d(k v)/dt = dk/ds v^2 + k a at both ends of each piece.
     change = np.diff(k) / ds
-    for at in (slice(None, -1), slice(1, None)):
-        yaw = np.abs(change) * speed[at] ** 2 + np.abs(k[at] * acceleration)
+    for piece_ends in (slice(None, -1), slice(1, None)):
+        yaw = np.abs(change) * speed[piece_ends] ** 2 + np.abs(k[piece_ends] * acceleration)
         assert yaw.max() <= LIMITS.omega_acceleration * slack
     assert travel_times(path, speed[None])[0, -1] >= ds.sum() / LIMITS.v * (1 - 1e-6)
 

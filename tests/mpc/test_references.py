@@ -76,13 +76,13 @@ def test_planned_reference_equals_the_tracked_one(rate, delay):
     clock.advance(5.0, driving=True)
     clock.set(delay, rate)
     clock.plan(FASTEST, catch_up=True)
-    seen = clock.clocked(reference).sample(5.0 + DT * np.arange(1, 60)).pose
+    sampled = clock.clocked(reference).sample(5.0 + DT * np.arange(1, 60)).pose
     came = []
     for k in range(1, 60):
         time = clock.advance(5.0 + k * DT, driving=True)
         clock.plan(FASTEST, catch_up=True)
         came.append(reference.sample([time]).pose[0])
-    assert seen == pytest.approx(np.array(came), abs=1e-7)
+    assert sampled == pytest.approx(np.array(came), abs=1e-7)
 
 
 @given(rates, delays)
@@ -165,11 +165,11 @@ def test_switched_reference_starts_its_clock_and_finishes():
     controller.start(first, plant.time)
     for _ in range(60):
         plant.advance(controller.step(plant.time, plant.measure()).command)
-    other = load_trajectory("cane")
-    moved = MovedReference(other, plant.true_pose - other.sample([0.0]).pose[0])
+    cane = load_trajectory("cane")
+    moved = MovedReference(cane, plant.true_pose - cane.sample([0.0]).pose[0])
     controller.switch_reference(moved, plant.time)
     assert controller.reference is moved
-    until = plant.time + other.duration + 4.0
+    until = plant.time + cane.duration + 4.0
     while plant.time < until:
         step = controller.step(plant.time, plant.measure())
         plant.advance(step.command)

@@ -15,11 +15,11 @@ PERIOD = 0.1
 
 
 class Side:
-    """One side of a bond and all that it has said."""
+    """One side of a bond, with the heartbeats that it has published."""
 
     def __init__(self):
-        self.time, self.said = 0.0, []
-        self.protocol = BondProtocol(self.said.append, lambda: self.time)
+        self.time, self.heartbeats = 0.0, []
+        self.protocol = BondProtocol(self.heartbeats.append, lambda: self.time)
 
     def pass_by(self, seconds, *, hears=None):
         for _ in range(round(seconds / PERIOD)):
@@ -33,17 +33,17 @@ class Side:
 def test_it_waits_is_bound_and_leaves_when_the_sister_has_heard():
     side = Side()
     assert side.pass_by(5.0) is BondState.WAITING
-    assert all(side.said)
+    assert all(side.heartbeats)
     assert side.pass_by(60.0, hears=True) is BondState.ALIVE
-    assert all(side.said)
+    assert all(side.heartbeats)
     side.protocol.leave()
-    assert side.said[-1] is False
+    assert side.heartbeats[-1] is False
     assert side.pass_by(1.0, hears=True) is BondState.LEAVING
-    assert not any(side.said[-10:])
+    assert not any(side.heartbeats[-10:])
     side.protocol.hear(lives=False)
-    count = len(side.said)
+    count = len(side.heartbeats)
     assert side.pass_by(10.0, hears=True) is BondState.DEAD
-    assert len(side.said) == count
+    assert len(side.heartbeats) == count
     assert not side.protocol.lost
 
 
@@ -57,31 +57,31 @@ def test_without_a_sister_it_falls_silent_after_a_while(bound, timeout, lost):
     assert side.pass_by(timeout - 0.3) is not BondState.DEAD
     assert side.pass_by(0.6) is BondState.DEAD
     assert side.protocol.lost == lost
-    count = len(side.said)
+    count = len(side.heartbeats)
     side.pass_by(20.0, hears=True)
-    assert len(side.said) == count
+    assert len(side.heartbeats) == count
 
 
 def test_a_sister_that_dies_is_answered_once_and_one_that_never_answers_is_left():
     side = Side()
     side.pass_by(1.0, hears=True)
     side.protocol.hear(lives=False)
-    assert side.said[-1] is False
+    assert side.heartbeats[-1] is False
     assert side.protocol.lost == "it has ended the bond"
-    count = len(side.said)
+    count = len(side.heartbeats)
     assert side.pass_by(5.0, hears=False) is BondState.DEAD
-    assert len(side.said) == count
-    other = Side()
-    other.pass_by(1.0, hears=True)
-    other.protocol.leave()
-    assert other.pass_by(DISCONNECT_TIMEOUT + 0.5) is BondState.DEAD
+    assert len(side.heartbeats) == count
+    leaving = Side()
+    leaving.pass_by(1.0, hears=True)
+    leaving.protocol.leave()
+    assert leaving.pass_by(DISCONNECT_TIMEOUT + 0.5) is BondState.DEAD
 
 
 @given(st.lists(st.sampled_from(["beat", "alive", "dead", "leave", "late"]), max_size=40))
 def test_whatever_happens_the_dead_stay_dead_and_say_nothing(events):
     side, dead = Side(), False
     for event in events:
-        count = len(side.said)
+        count = len(side.heartbeats)
         if event == "late":
             side.time += 30.0
         elif event == "beat":
@@ -93,7 +93,7 @@ def test_whatever_happens_the_dead_stay_dead_and_say_nothing(events):
             side.protocol.hear(lives=event == "alive")
         if dead:
             assert side.protocol.state is BondState.DEAD
-            assert len(side.said) == count
+            assert len(side.heartbeats) == count
         dead = side.protocol.state is BondState.DEAD
 
 

@@ -47,8 +47,8 @@ def test_grid_path_of_a_planner_is_driven_to_its_goal(parts):
         result = follow.client.result("a")
         assert (result["status"], result["code"]) == (parts.SUCCEEDED, 0)
         assert np.abs(pose(follow) - path[-1]).max() < 0.02
-        assert max(np.hypot(*(path[:, :2] - at[:2]).T).min() for at in driven) < 0.05 + 0.05
-        messages = follow.client.of("a", "feedback")
+        assert max(np.hypot(*(path[:, :2] - position[:2]).T).min() for position in driven) < 0.05 + 0.05
+        messages = follow.client.events_for("a", "feedback")
         distance = [feedback["distance"] for feedback in messages]
         assert len(messages) > 20 and np.all(np.diff(distance) < 0.01)
         assert 1.5 < distance[0] < 2.1 and distance[-1] < 0.05
@@ -284,7 +284,7 @@ def test_goal_survives_hold_and_pause_and_ends_on_deactivation(parts):
         result = follow.client.result("a")
         assert (result["status"], result["code"], result["words"]) == (parts.ABORTED, 100, "the node was deactivated")
         follow.client.send("b", STRAIGHT)
-        follow.base.until(lambda: follow.client.of("b", "rejected"), "no")
+        follow.base.until(lambda: follow.client.events_for("b", "rejected"), "no")
 
 
 def test_node_drives_without_the_action_type():

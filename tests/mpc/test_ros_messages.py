@@ -50,10 +50,10 @@ def stamped_points(frame="odom", last="odom"):
     x = 0.5 - 0.5 * np.cos(np.pi * times / 4.0)
     points = [
         SimpleNamespace(
-            header=SimpleNamespace(stamp=time_message(10**12 + round(1e9 * at)), frame_id=frame),
+            header=SimpleNamespace(stamp=time_message(10**12 + round(1e9 * t)), frame_id=frame),
             pose=pose_message((ahead, 0.0, 0.0)),
         )
-        for at, ahead in zip(times, x, strict=True)
+        for t, ahead in zip(times, x, strict=True)
     ]
     points[-1].header.frame_id = last
     return SimpleNamespace(header=SimpleNamespace(stamp=time_message(0), frame_id=frame), points=points)
@@ -82,8 +82,8 @@ def test_trajectory_of_the_installed_type_is_driven(ros_types):
             timed = type(message).SLOT_TYPES[1].value_type
             assert timed.name == "TrajectoryPoint"
             made = __import__(timed.namespaces[0] + ".msg", fromlist=["msg"]).TrajectoryPoint(pose=point.pose)
-            at = nanoseconds(point.header.stamp) - 10**12
-            made.time_from_start.sec, made.time_from_start.nanosec = divmod(at, 10**9)
+            elapsed = nanoseconds(point.header.stamp) - 10**12
+            made.time_from_start.sec, made.time_from_start.nanosec = divmod(elapsed, 10**9)
             message.points.append(made)
         drive_along(s, message, "set_timed_trajectory")
 
@@ -97,15 +97,15 @@ def test_estimate_is_published_with_frames_and_covariance():
         message, estimate = heard[-1], s.loop.last.result.estimate
         assert (message.header.frame_id, message.child_frame_id) == ("odom", "base_link")
         pose = message.pose.pose
-        said = (pose.position.x, pose.position.y, yaw_of(pose.orientation))
-        np.testing.assert_allclose(said, estimate.pose, atol=1e-9)
+        published = (pose.position.x, pose.position.y, yaw_of(pose.orientation))
+        np.testing.assert_allclose(published, estimate.pose, atol=1e-9)
         np.testing.assert_allclose((message.twist.twist.linear.x, message.twist.twist.angular.z), estimate.twist)
         covariance = np.reshape(message.pose.covariance, (6, 6))
         np.testing.assert_allclose(np.diag(covariance)[[0, 1, 5]], estimate.pose_deviation**2)
         assert np.diag(covariance)[[0, 1, 5]].min() > 0.0
         assert np.count_nonzero(covariance) == 3
         # Before the last command moved it; the plant is a tick further.
-        np.testing.assert_allclose(said[:2], s.base.plant.true_pose[:2], atol=0.03)
+        np.testing.assert_allclose(published[:2], s.base.plant.true_pose[:2], atol=0.03)
 
 
 def as_twist(speeds, track):
@@ -130,7 +130,7 @@ def wheels(overrides=None, **parameters):
     return stack(overrides, **{"command_output": "wheels", "wheel_radius": RADIUS, "autostart": False, **parameters})
 
 
-def begin(s, *, crossed=False):
+def start_driving(s, *, crossed=False):
     """Activate the node and have it drive, its base listening to wheel speeds."""
     base = WheelBase(s, crossed=crossed)
     s.node.trigger_configure()
@@ -142,7 +142,7 @@ def begin(s, *, crossed=False):
 
 def test_wheel_speeds_drive_a_base_without_twist_commands():
     with wheels() as s:
-        base = begin(s)
+        base = start_driving(s)
         s.base.run(100)
         assert s.loop.last.mode == Mode.TRACKING
         assert s.base.plant.true_pose[0] > 0.3
@@ -154,7 +154,7 @@ def test_wheel_speeds_drive_a_base_without_twist_commands():
 
 def test_wheel_speeds_keep_limits_and_slew():
     with wheels({"limits.wheel_speed": 0.4}, wheel_sides="'right,left'") as s:
-        base = begin(s, crossed=True)
+        base = start_driving(s, crossed=True)
         before = len(base.heard)
         s.base.run(60)
         rim = RADIUS * np.array(base.heard[before:])
@@ -222,12 +222,12 @@ def path_of(poses, frame="odom"):
 
 
 @settings(deadline=None, max_examples=30)
-@given(poses=st.integers(0, 50), name=st.integers(0, LONGEST_NAME), other=st.integers(0, LONGEST_NAME))
-def test_bound_of_bytes_covers_every_usable_path(poses, name, other):
+@given(poses=st.integers(0, 50), name=st.integers(0, LONGEST_NAME), frame_length=st.integers(0, LONGEST_NAME))
+def test_bound_of_bytes_covers_every_usable_path(poses, name, frame_length):
     path = Path(poses=[PoseStamped()] * poses)
     path.header.frame_id = "x" * name
     for pose in path.poses:
-        pose.header.frame_id = "y" * other
+        pose.header.frame_id = "y" * frame_length
     assert len(serialize_message(path)) <= path_bytes(poses)
 
 

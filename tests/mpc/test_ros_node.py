@@ -82,18 +82,20 @@ def test_lifecycle_passes_every_state():
 
 
 @pytest.mark.parametrize(
-    ("asked", "named"),
+    ("transition", "named"),
     [
         (Transition(id=Transition.TRANSITION_CONFIGURE), "1"),
         (Transition(id=0), "0"),
         (Transition(label="activate"), "'activate'"),
     ],
 )
-def test_disallowed_transition_is_rejected_and_the_node_drives_on(asked, named, capfd):
+def test_disallowed_transition_is_rejected_and_the_node_drives_on(transition, named, capfd):
     with stack(drive=True) as s:
         s.base.run(5)
         capfd.readouterr()
-        assert not s.call(ChangeState, "/diffdrive_mpc/change_state", ChangeState.Request(transition=asked)).success
+        assert not s.call(
+            ChangeState, "/diffdrive_mpc/change_state", ChangeState.Request(transition=transition)
+        ).success
         warnings = [line for line in capfd.readouterr().err.splitlines() if "[WARN]" in line]
         assert len(warnings) == 1
         refusal = f"transition {named} refused: the node is active; allowed: deactivate (4), shutdown (7)"

@@ -80,7 +80,9 @@ def test_files_installed_by_setup_exist(monkeypatch):
     assert callable(getattr(import_module(module), function))
     for launch in (ROS / "launch").glob("*.py"):
         text = launch.read_text(encoding="utf-8")
-        assert all(found == name for found in re.findall(r'package="diffdrive_mpc_ros",\s*executable="(\w+)"', text))
+        assert all(
+            executable == name for executable in re.findall(r'package="diffdrive_mpc_ros",\s*executable="(\w+)"', text)
+        )
     assert f"lib/{NAME}" in (ROS / "setup.cfg").read_text(encoding="utf-8")
 
 

@@ -162,8 +162,8 @@ def distance_to_reference(robot, name):
 def test_each_robot_follows_its_own_path(driven, name):
     distances, _, _ = driven
     assert distances[name] < 0.05
-    others = [reference_at_end(other) for other in PATHS if other != name]
-    assert all(np.hypot(*(reference_at_end(name)[:2] - other[:2])) > 0.1 for other in others)
+    others = [reference_at_end(robot) for robot in PATHS if robot != name]
+    assert all(np.hypot(*(reference_at_end(name)[:2] - end[:2])) > 0.1 for end in others)
 
 
 def test_diagnostics_name_each_robot(driven):
@@ -179,13 +179,13 @@ def test_robots_of_other_namespaces_are_no_rivals(driven):
 
 @pytest.mark.parametrize("name", ["", "r1"])
 def test_parameter_file_fits_every_namespace(name):
-    given = yaml.safe_load(NODE_YAML.read_text())["/**/diffdrive_mpc"]["ros__parameters"]
-    assert set(given) <= set(NodeSettings.model_fields)
+    parameters = yaml.safe_load(NODE_YAML.read_text())["/**/diffdrive_mpc"]["ros__parameters"]
+    assert set(parameters) <= set(NodeSettings.model_fields)
     context = Context()
     rclpy.init(context=context, args=["--ros-args", "--params-file", str(NODE_YAML), *in_name_space(name)[1:]])
     node = TrackingNode(context=context)
     try:
-        assert {key: node.get_parameter(key).value for key in given} == given
+        assert {key: node.get_parameter(key).value for key in parameters} == parameters
         assert node.resolve_topic_name("cmd_vel") == f"/{name}/cmd_vel".replace("//", "/")
     finally:
         node.destroy_node()

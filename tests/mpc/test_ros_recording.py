@@ -13,8 +13,8 @@ from diffdrive_mpc.models.logs.mapping import Topic
 def recorded(folder, ticks, **parameters):
     """Drive along the circle; the file, and the commands that arrived at the base."""
     # Diagnostics go by the clock on the wall, and a quick machine drives for less than a second of it.
-    asked = {"record": True, "record_folder": str(folder), "diagnostics_rate": 20.0}
-    with stack(drive=True, **asked, **parameters) as s:
+    settings = {"record": True, "record_folder": str(folder), "diagnostics_rate": 20.0}
+    with stack(drive=True, **settings, **parameters) as s:
         s.base.run(ticks)
         sent = [*zip(s.base.times, s.base.commands, strict=True)]
     (path,) = folder.iterdir()
@@ -29,13 +29,13 @@ def test_recording_contains_commands_and_measurements(tmp_path, pose_topic):
     columns = log.columns
     commands = np.column_stack([columns["v_ref_m_s"], columns["omega_ref_rad_s"]])
     with opened(path) as reader:
-        (said,) = read_topics(reader, path, {"command": TopicRequest(Topic(topic="/cmd_vel"), COMMANDS)}).values()
-        there = {known.topic: known.msgcount for known in reader.connections}
-    assert np.array_equal(said.value, commands)
+        (samples,) = read_topics(reader, path, {"command": TopicRequest(Topic(topic="/cmd_vel"), COMMANDS)}).values()
+        counts = {known.topic: known.msgcount for known in reader.connections}
+    assert np.array_equal(samples.value, commands)
     stamps = dict(sent)
-    common = [row for row, stamp in enumerate(said.stamped.tolist()) if stamp in stamps]
+    common = [row for row, stamp in enumerate(samples.stamped.tolist()) if stamp in stamps]
     assert len(common) >= 150
-    assert all(tuple(commands[row]) == stamps[int(said.stamped[row])] for row in common)
+    assert all(tuple(commands[row]) == stamps[int(samples.stamped[row])] for row in common)
     driven = np.flatnonzero(columns["mode"] == "TRACKING")
     assert len(driven) >= 145
     assert np.allclose(np.diff(columns["t_s"][driven]), DT, atol=1e-6)
@@ -45,8 +45,8 @@ def test_recording_contains_commands_and_measurements(tmp_path, pose_topic):
     )
     assert np.isfinite(columns["estimate_x_sd_m"][driven]).all()
     assert all(log.plans[row] is not None for row in driven)
-    assert there[REFERENCE] == 1 and there[PLAN] >= len(driven) and there[DIAGNOSTICS] >= 1
-    assert TRUE_POSE not in there and ("/pose" in there) == pose_topic
+    assert counts[REFERENCE] == 1 and counts[PLAN] >= len(driven) and counts[DIAGNOSTICS] >= 1
+    assert TRUE_POSE not in counts and ("/pose" in counts) == pose_topic
     assert log.metadata["case"]["trajectory"] == "circle" and "horizon" in log.metadata["configuration"]["yaml"]
 
 

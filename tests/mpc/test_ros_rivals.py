@@ -80,8 +80,8 @@ def test_rival_found_while_driving_brakes_the_robot_until_it_leaves():
         assert (np.abs(np.diff(np.vstack([before, braking]), axis=0)) <= SLEW).all()
         assert "/fake_base of this project drives by /cmd_vel too" in s.loop.last.message
         assert not s.trigger("reset").message.startswith("pause")
-        answer = s.trigger("start")
-        assert not answer.success
+        response = s.trigger("start")
+        assert not response.success
         s.base.node.destroy_publisher(claim)
         s.base.until(lambda: not s.loop.objection, "the end of it")
         s.base.run(2)
@@ -122,15 +122,15 @@ def test_teleop_publisher_is_reported_while_the_robot_drives_on():
         s.base.until(lambda: not s.loop.warning, "the end of it")
 
 
-@pytest.mark.parametrize(("stamped", "other", "remedy"), [(True, Twist, "false"), (False, TwistStamped, "true")])
-def test_base_with_another_command_type_is_reported_with_the_remedy(stamped, other, remedy):
+@pytest.mark.parametrize(("stamped", "command_type", "remedy"), [(True, Twist, "false"), (False, TwistStamped, "true")])
+def test_base_with_another_command_type_is_reported_with_the_remedy(stamped, command_type, remedy):
     with stack(stamped=stamped) as s:
         context = Context()
         rclpy.init(context=context, args=[])
         deaf = rclpy.create_node("deaf_base", context=context)
-        deaf.create_subscription(other, "cmd_vel", lambda _: None, 1)
+        deaf.create_subscription(command_type, "cmd_vel", lambda _: None, 1)
         s.base.until(lambda: "/deaf_base" in s.loop.warning, "the warning")
-        assert s.loop.warning.startswith(f"/deaf_base listens on /cmd_vel to {other.__name__} and cannot hear")
+        assert s.loop.warning.startswith(f"/deaf_base listens on /cmd_vel to {command_type.__name__} and cannot hear")
         assert s.loop.warning.endswith(f"set the parameter stamped:={remedy}")
         deaf.destroy_node()
         rclpy.shutdown(context=context)

@@ -85,7 +85,7 @@ def drive_past(term, point, overrides, *, foreseen=True):
 
 
 @pytest.mark.parametrize(
-    ("term", "point", "way", "kept"),
+    ("term", "point", "way", "clearance"),
     [
         (KEEP_OFF, crossing, WAITS, 0.39),
         (PUSH_OFF, crossing, WAITS, 0.41),
@@ -94,11 +94,11 @@ def drive_past(term, point, overrides, *, foreseen=True):
         (PUSH_OFF, standing, SWERVES, 0.34),
     ],
 )
-def test_distance_term_keeps_the_robot_off_a_point(term, point, way, kept):
+def test_distance_term_keeps_the_robot_off_a_point(term, point, way, clearance):
     _, without = drive_past(None, point, way)
     results, least = drive_past(term, point, way)
     assert without < 0.26
-    assert least > kept
+    assert least > clearance
     assert {result.mode for result in results} == {Mode.TRACKING, Mode.FINISHED}
     check_limits(results)
     assert results[-1].estimate.pose == pytest.approx(GOAL, abs=0.02)
@@ -233,7 +233,7 @@ def taking(inputs, output="pose[0]", names=None):
 
 
 @pytest.mark.parametrize(
-    ("text", "changes", "said"),
+    ("text", "changes", "message"),
     [
         (FILE, {"file": "none.py"}, "none.py: no such Python file; a term names the file of its function"),
         (taking("pose, x", names=["pose", "twst"]), {}, MINE + "unknown input 'twst'; name it twist"),
@@ -242,27 +242,27 @@ def taking(inputs, output="pose[0]", names=None):
         (FILE, {"uper": [1.0]}, "unknown key 'terms.0.uper'; did you mean"),
     ],
 )
-def test_mistake_in_a_configured_term_is_one_line(tmp_path, text, changes, said):
+def test_mistake_in_a_configured_term_is_one_line(tmp_path, text, changes, message):
     with pytest.raises(ConfigError) as refused:
         Controller(configured(tmp_path, text, term_entries(**changes)))
     line = str(refused.value)
-    assert said in line
+    assert message in line
     assert str(tmp_path) in line, "it names the file"
     assert "\n" not in line
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"defaults": (1.0, float("nan"))}, "term 'mine': parameters [1.0, nan]; give finite numbers"),
         ({"function": lambda pose: pose}, "term 'mine': function is no casadi.Function; build one with named inputs"),
     ],
 )
-def test_mistake_in_a_python_term_raises_config_error(changes, said):
+def test_mistake_in_a_python_term_raises_config_error(changes, message):
     arguments = {"name": "mine", "function": DEFINED["keep_off"], "kind": "soft", "lower": [4.0], "defaults": FAR_AWAY}
     with pytest.raises(ConfigError) as refused:
         Term(**(arguments | changes))
-    assert str(refused.value).startswith(said)
+    assert str(refused.value).startswith(message)
 
 
 def wide(rows):
@@ -284,18 +284,18 @@ def test_duplicate_term_names_raise_error():
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "said"),
+    ("name", "value", "message"),
     [
         ("push_of", [1.0, 2.0], "term 'push_of': there is none; there are: keep_off, push_off"),
         ("push_off", [1.0], "term 'push_off': give 2 parameters, or 31 rows of them (found shape (1,))"),
         ("push_off", [1.0, float("nan")], "term 'push_off': its parameters contain a value that is not finite"),
     ],
 )
-def test_wrong_term_parameters_raise_error_and_change_nothing(name, value, said):
+def test_wrong_term_parameters_raise_error_and_change_nothing(name, value, message):
     controller = Controller(CONFIG, terms=[KEEP_OFF, PUSH_OFF])
     with pytest.raises(ConfigError) as refused:
         controller.set_parameters(**{"keep_off": [5.0, 5.0], name: value})
-    assert str(refused.value) == said
+    assert str(refused.value) == message
     assert (controller._tick.parameters == np.tile(FAR_AWAY, 2)).all()
 
 

@@ -63,12 +63,12 @@ def test_timed_poses_reproduce_their_trajectory(tmp_path: Path, name: str) -> No
     assert copy.name == "copy"
     assert copy.duration == pytest.approx(original.duration)
     between = np.linspace(0, original.duration, 3001)
-    expected, found = original.sample(between), copy.sample(between)
+    expected, actual = original.sample(between), copy.sample(between)
     # A corner of the speed, where the acceleration jumps by up to 2 rad/s^2, is rounded over about a row of 20 ms.
-    np.testing.assert_allclose(found.pose, expected.pose, rtol=0, atol=2 * 0.02**2 / 8)
-    np.testing.assert_allclose(found.twist, expected.twist, rtol=0, atol=2 * 0.02 / 4)
+    np.testing.assert_allclose(actual.pose, expected.pose, rtol=0, atol=2 * 0.02**2 / 8)
+    np.testing.assert_allclose(actual.twist, expected.twist, rtol=0, atol=2 * 0.02 / 4)
     # At each of at most eight starts and stops of 1 m/s^2 that rounding moves the robot to and fro a little.
-    np.testing.assert_allclose(found.arc_length, expected.arc_length, rtol=0, atol=8 * 1 * 0.02**2 / 8)
+    np.testing.assert_allclose(actual.arc_length, expected.arc_length, rtol=0, atol=8 * 1 * 0.02**2 / 8)
     assert_holds_its_ends(copy)
 
 
@@ -99,10 +99,10 @@ def test_cubic_pieces_equal_those_of_scipy() -> None:
     trajectory = SplineTrajectory.through("test", times, poses, rates)
     expected = CubicHermiteSpline(times, poses, rates)
     assert np.array_equal(trajectory.table.reshape(4, 4, -1)[:, :3], expected.c.transpose(0, 2, 1))
-    at = random.uniform(0.0, times[-1], 200)
-    sampled = trajectory.sample(at)
-    assert sampled.pose == pytest.approx(expected(at), abs=1e-12)
-    change = expected(at, 1)
+    sample_times = random.uniform(0.0, times[-1], 200)
+    sampled = trajectory.sample(sample_times)
+    assert sampled.pose == pytest.approx(expected(sample_times), abs=1e-12)
+    change = expected(sample_times, 1)
     forward = change[:, 0] * np.cos(sampled.pose[:, 2]) + change[:, 1] * np.sin(sampled.pose[:, 2])
     assert sampled.twist == pytest.approx(np.column_stack([forward, change[:, 2]]), abs=1e-11)
 
@@ -158,9 +158,9 @@ def test_too_many_points_segments_or_joints_raise_error_with_their_number() -> N
     rows[:, 0] = np.arange(len(rows))
     with pytest.raises(ConfigError, match=r"here: 500,001 points"):
         lay_timed_poses(rows, _LIMITS, name="x", where="here")
-    one = Segment(v=0.1, omega=0.0, duration=1.0)
+    segment = Segment(v=0.1, omega=0.0, duration=1.0)
     with pytest.raises(ConfigError, match=r"here: 100,001 segments"):
-        lay_segments([one] * (settings.most_segments + 1), _LIMITS, name="x", where="here")
+        lay_segments([segment] * (settings.most_segments + 1), _LIMITS, name="x", where="here")
     bent = [Segment(v=0.2, omega=1e-5 * i, duration=1.0) for i in range(settings.most_joints + 2)]
     with pytest.raises(ConfigError, match=r"here: 5,001 different joints"):
         lay_smooth(bent, _LIMITS, name="x", where="here")

@@ -77,12 +77,12 @@ def test_commanded_twists_equal_the_segments(segments: list[Segment]) -> None:
     # A step in front, and one behind, which have the ramps.
     ends = [segment(0.5, 0.0, 1.0)]
     trajectory = lay_commanded([*ends, *segments, *ends], LIMITS, name="test")
-    start = trajectory.duration - 1.25 - sum(one.duration for one in segments)
+    start = trajectory.duration - 1.25 - sum(piece.duration for piece in segments)
     assert start == pytest.approx(1.25)
-    for one in segments:
-        inside = start + one.duration * np.array([1e-6, 0.3, 0.5, 1 - 1e-6])
-        np.testing.assert_allclose(trajectory.sample(inside).twist, [(one.v, one.omega)] * 4, rtol=0, atol=1e-12)
-        start += one.duration
+    for piece in segments:
+        inside = start + piece.duration * np.array([1e-6, 0.3, 0.5, 1 - 1e-6])
+        np.testing.assert_allclose(trajectory.sample(inside).twist, [(piece.v, piece.omega)] * 4, rtol=0, atol=1e-12)
+        start += piece.duration
 
 
 @settings(max_examples=40, deadline=None)

@@ -23,8 +23,8 @@ def largest_integration_gap(trajectory: Trajectory, breaks: FloatArray, pieces: 
     theta = sample.pose[:, 2]
     rates = np.stack([v * np.cos(theta), v * np.sin(theta), omega, np.abs(v)]).reshape(4, *inside.shape)
     steps = (rates @ _WEIGHTS) * np.diff(times) / 2
-    at = trajectory.sample(times)
-    sampled = np.column_stack([at.pose, at.arc_length]).T
+    reference = trajectory.sample(times)
+    sampled = np.column_stack([reference.pose, reference.arc_length]).T
     return float(np.abs(sampled[:, :1] + np.cumsum(steps, axis=1) - sampled[:, 1:]).max(initial=0.0))
 
 

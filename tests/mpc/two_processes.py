@@ -120,10 +120,10 @@ class Process:
         """Output so far."""
         return self._path.read_text(encoding="utf-8")
 
-    def failure(self, what: str) -> DriveFailedError:
+    def failure(self, reason: str) -> DriveFailedError:
         """Return an error with the last words of this process."""
         words = " ".join(self.output.split())[-_WORDS_SHOWN:]
-        return DriveFailedError(f"{self.name}: {what}; it said: {words or 'nothing'}")
+        return DriveFailedError(f"{self.name}: {reason}; it said: {words or 'nothing'}")
 
     def end(self) -> None:
         """Interrupt the process as Ctrl-C does; kill it if it goes on."""
