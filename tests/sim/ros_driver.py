@@ -57,7 +57,7 @@ class Driver(threading.Thread):
         executor.add_node(node)
         clock_qos = QoSProfile(depth=1, reliability=rclpy.qos.ReliabilityPolicy.BEST_EFFORT)
         node.create_subscription(Odometry, "odom", self.odometry.append, qos_profile_sensor_data)
-        node.create_subscription(Clock, "/clock", self.answer, clock_qos)
+        node.create_subscription(Clock, "/clock", self.send_command, clock_qos)
         self.publisher = node.create_publisher(TwistStamped if self.stamped else Twist, "cmd_vel", QoSProfile(depth=1))
         end = time.monotonic() + BOUND
         while not self.done.is_set() and time.monotonic() < end:
@@ -69,7 +69,7 @@ class Driver(threading.Thread):
         node.destroy_node()
         context.shutdown()
 
-    def answer(self, message):
+    def send_command(self, message):
         now = message.clock.sec * 10**9 + message.clock.nanosec
         tick = round(now * 1e-9 / self.sample) - FIRST_TICK
         if tick < 0:

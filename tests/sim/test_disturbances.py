@@ -94,12 +94,12 @@ def test_a_drop_out_empties_its_fields_and_no_others(name: str, sensor: str, fie
 @pytest.mark.parametrize("name", PLANTS)
 def test_a_false_command_moves_the_robot_and_nobody_is_told(name: str) -> None:
     false = {"v": 0.0, "omega": 1.0, "start": 10 * DT - 1e-6, "duration": 0.5}
-    plant, told = _disturbed(name, false_commands=[false]), make_plant(name, sensors="perfect")
+    plant, undisturbed = _disturbed(name, false_commands=[false]), make_plant(name, sensors="perfect")
     for k in range(60):
         acts = 10 <= k < 10 + int(np.ceil(0.5 / DT))
         plant.advance([0.4, 0.0])
-        told.advance([0.0, 1.0] if acts else [0.4, 0.0])
-        np.testing.assert_array_equal(plant.true_pose, told.true_pose)
+        undisturbed.advance([0.0, 1.0] if acts else [0.4, 0.0])
+        np.testing.assert_array_equal(plant.true_pose, undisturbed.true_pose)
         assert plant.measure().sent == (0.4, 0.0)
     assert plant.true_pose[2] > 0.3
 

@@ -143,9 +143,9 @@ def test_a_file_that_was_cut_off_is_read_as_far_as_it_goes(run, file, tmp_path):
     count = len(log.rows)
     assert log.cut and 0.5 * len(run.time) < count < len(run.time)
     assert np.array_equal(log.columns["t_s"], run.time[:count])
-    found = read_log(cut)
-    assert [(finding.kind, finding.severity) for finding in found.findings] == [("cut file", "note")]
-    assert "mcap recover" in str(found.findings[0])
+    partial = read_log(cut)
+    assert [(finding.kind, finding.severity) for finding in partial.findings] == [("cut file", "note")]
+    assert "mcap recover" in str(partial.findings[0])
 
 
 @pytest.mark.parametrize("content", [b"", b"t_s,v_ref\n0,1\n", b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" + 100 * b"\x01"])

@@ -95,9 +95,9 @@ def test_a_robot_that_is_lost_after_the_end_of_its_reference_has_not_completed_e
 
 
 def test_every_tick_is_announced() -> None:
-    seen: list[tuple[int, int]] = []
-    simulate(FeedForward(), KinematicPlant(), CIRCLE, on_tick=lambda done, total: seen.append((done, total)))
-    assert seen == [(k + 1, 151) for k in range(151)]
+    announced: list[tuple[int, int]] = []
+    simulate(FeedForward(), KinematicPlant(), CIRCLE, on_tick=lambda done, total: announced.append((done, total)))
+    assert announced == [(k + 1, 151) for k in range(151)]
 
 
 DT, BAND = 0.01, 0.05
@@ -115,12 +115,12 @@ def _after(start: float, series: FloatArray) -> FloatArray:
     return np.where(start <= TIME, series, 0.0)
 
 
-@given(height=st.floats(0.06, 1.0), rate=st.floats(0.5, 5.0), begin=st.floats(0.0, 3.0), lasts=st.floats(0.0, 0.5))
+@given(height=st.floats(0.06, 1.0), rate=st.floats(0.5, 5.0), start=st.floats(0.0, 3.0), lasts=st.floats(0.0, 0.5))
 def test_an_exponential_return_recovers_when_it_enters_the_band(
-    height: float, rate: float, begin: float, lasts: float
+    height: float, rate: float, start: float, lasts: float
 ) -> None:
-    end = begin + lasts
-    figures = _recovery(_after(end, height * np.exp(-rate * (TIME - end))), (begin, end))
+    end = start + lasts
+    figures = _recovery(_after(end, height * np.exp(-rate * (TIME - end))), (start, end))
     exact = math.log(height / BAND) / rate
     if end + exact < TIME[-1] - DT:
         assert figures.recovery_time_s == pytest.approx(exact, abs=DT + 1e-9)

@@ -24,7 +24,7 @@ def _twin(surface: str = "default") -> MujocoPlant:
 
 
 def _held(plant: MujocoPlant, v: float, omega: float, samples: int = 200) -> OpenLoopDrive:
-    """Steady part of a held command."""
+    """Return the steady part of a drive with a constant command."""
     log = drive_open_loop(plant, np.tile([v, omega], (samples, 1)))
     half = samples // 2
     return OpenLoopDrive(*(getattr(log, name)[half:] for name in OpenLoopDrive.__dataclass_fields__))
@@ -203,7 +203,10 @@ def _braked(chassis: Chassis, seconds: float) -> None:
 
 
 def _drag(surface: str, direction: float, heading: float = 0.5) -> float:
-    """Friction coefficient of a robot with braked wheels that is dragged along the floor, from forward to the left."""
+    """Return the friction coefficient of a robot with braked wheels that is dragged over the surface.
+
+    `direction` is the angle [rad] of the drag from forward to the left.
+    """
     floor = load_surface(surface)
     chassis = Chassis(ROBOT, TWIN, floor.friction or 0.0, STEP, sideways=floor.sideways)
     chassis.reset([0.0, 0.0, heading])

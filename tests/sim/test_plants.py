@@ -1,4 +1,4 @@
-"""What all plants promise: determinism, clean errors, and the model plant's exact agreement with its model."""
+"""Properties of all plants: determinism, clean errors, and exact agreement of the model plant with its model."""
 
 import os
 import subprocess
@@ -126,15 +126,15 @@ def test_delivered_pose_between_ticks_lies_on_the_path() -> None:
     """Poses at 10 Hz fall between ticks: on a steady circle they must lie on that circle all the same."""
     exact_slam = PERFECT.model_copy(update={"pose": PERFECT.pose.model_copy(update={"period": 0.1, "latency": 0.06})})
     plant = ModelPlant(load_model("ssm"), load_surface("ideal").slip, exact_slam)
-    truth, seen = [], []
+    truth, delivered = [], []
     for _ in range(300):
         measurement = plant.measure()
         truth.append([plant.time, *plant.true_pose])
         if measurement.pose is not None:
-            seen.append([measurement.pose.time, *np.asarray(measurement.pose.value)[:2]])
+            delivered.append([measurement.pose.time, *np.asarray(measurement.pose.value)[:2]])
         plant.advance([0.4, 0.6])
     times, xy = np.array(truth)[:, 0], np.array(truth)[:, 1:3]
-    late = np.array([row for row in seen if row[0] > 0])
+    late = np.array([row for row in delivered if row[0] > 0])
     assert len(late) > 50
     for column in (0, 1):
         # Chord against arc over one sample: v omega dt^2 / 8 = 1.2e-5 m.
@@ -144,15 +144,15 @@ def test_delivered_pose_between_ticks_lies_on_the_path() -> None:
 @pytest.mark.parametrize("name", PLANTS)
 @pytest.mark.parametrize("dt", [0.01, 0.05, 0.1])
 def test_how_often_a_command_is_repeated_changes_nothing(name: str, dt: float) -> None:
-    plants = [make_plant(name, sensors="perfect", sample_time=one) for one in (None, dt)]
+    plants = [make_plant(name, sensors="perfect", sample_time=sample_time) for sample_time in (None, dt)]
     for plant in plants:
         while plant.time < 2.0 - 1e-9:
             plant.advance([0.4, 0.5])
-    usual, other = plants
+    usual, resampled = plants
     # Steps of the physics differ by a few per cent, and the ends of the drives by less than a tick.
-    off = integrate_pose(usual.true_pose, usual.true_twist[0], usual.true_twist[2], other.time - usual.time)
-    assert other.sample_time == dt
-    np.testing.assert_allclose(other.true_pose, off, atol=2e-3)
+    off = integrate_pose(usual.true_pose, usual.true_twist[0], usual.true_twist[2], resampled.time - usual.time)
+    assert resampled.sample_time == dt
+    np.testing.assert_allclose(resampled.true_pose, off, atol=2e-3)
 
 
 def test_a_model_plant_carries_what_its_robot_is_allowed() -> None:
@@ -185,7 +185,7 @@ for seed in (3, 4):
 
 
 def _digests(trajectory: Path, model: str, hash_seed: str) -> list[str]:
-    """Seed, ticks, and the digests of commands, true and measured poses, of runs in a process of its own."""
+    """Return seed, ticks and digests of commands, true and measured poses of runs in a separate process."""
     environment = {**os.environ, "PYTHONHASHSEED": hash_seed, "PYTHONPATH": str(REPOSITORY / "src")}
     done = subprocess.run(
         [sys.executable, "-c", SCRIPT, str(trajectory), model],

@@ -193,7 +193,7 @@ COMMAND = str(Path(sys.executable).with_name("diffdrive-mpc"))
 
 @contextmanager
 def started(*words, says):
-    """The process, once it has said these words; it does not outlive the context, nor the bound."""
+    """Yield the process once it has printed these words; it ends with the context or after `BOUND` seconds."""
     robot = subprocess.Popen([COMMAND, "sim-robot", "--plant", "model:ssm", *words], stderr=subprocess.PIPE, text=True)
     watchdog = threading.Timer(BOUND, robot.kill)
     watchdog.start()

@@ -23,7 +23,7 @@ KINEMATICS = WheelKinematics(0.0675, 0.330)
 
 
 def _run(parameters: SensorSet, ticks: int, seed: int = 0, yaw_rate: float = 0.0) -> list[Measurement]:
-    """Measurements at ticks 0 to `ticks` of a robot whose x [m] equals the time [s] after 0."""
+    """Return the measurements at ticks 0 to `ticks` of a robot whose x [m] equals the time [s] after 0."""
     sensors = Sensors(parameters, KINEMATICS, DT, seed=seed, noisy_encoders=True)
     measurements = [sensors.collect(0.0, None)]
     for k in range(1, ticks + 1):
@@ -112,9 +112,9 @@ def test_gyro_bias_is_constant_in_a_run_and_differs_between_seeds() -> None:
 
 def test_changing_one_sensor_leaves_the_noise_of_the_others() -> None:
     default, slam = (_run(load_sensor_set(name), 30, seed=3) for name in ("default", "slam"))
-    for one, other in zip(default, slam, strict=True):
-        assert one.yaw_rate.value == other.yaw_rate.value
-        np.testing.assert_array_equal(one.wheel_speeds.value, other.wheel_speeds.value)
+    for usual, changed in zip(default, slam, strict=True):
+        assert usual.yaw_rate.value == changed.yaw_rate.value
+        np.testing.assert_array_equal(usual.wheel_speeds.value, changed.wheel_speeds.value)
 
 
 @given(theta=st.floats(-50.0, 50.0))
@@ -141,11 +141,11 @@ START, END = 0.5, 1.0
 def _drive(plant: Plant, ticks: int = 75) -> list[tuple[float, Measurement, list[float]]]:
     """Time, measurement and true pose of each tick of a curve."""
     plant.reset(np.zeros(3))
-    seen = []
+    samples = []
     for _ in range(ticks):
-        seen.append((plant.time, plant.measure(), plant.true_pose.tolist()))
+        samples.append((plant.time, plant.measure(), plant.true_pose.tolist()))
         plant.advance([0.4, 0.3])
-    return seen
+    return samples
 
 
 def _value(stamped: Stamped | None) -> list[float] | None:
@@ -166,13 +166,13 @@ def _value(stamped: Stamped | None) -> list[float] | None:
 def test_poor_poses_arrive_as_often_and_as_old_as_their_name_says(name: str, rate: float, age: float) -> None:
     """Ages by the stamp; how old a pose really is shows its place: it is where the robot was that long ago."""
     latency = load_sensor_set(name).pose.latency
-    seen = _drive(make_plant("mujoco", sensors=name), 300)[1:]
-    arrived = [(time, m.pose) for time, m, _ in seen if m.pose is not None]
-    assert len(arrived) == pytest.approx(rate * len(seen) * TICK, rel=0.03, abs=1)
+    samples = _drive(make_plant("mujoco", sensors=name), 300)[1:]
+    arrived = [(time, m.pose) for time, m, _ in samples if m.pose is not None]
+    assert len(arrived) == pytest.approx(rate * len(samples) * TICK, rel=0.03, abs=1)
     ages = np.array([time - pose.time for time, pose in arrived])
     assert ages.min() >= age - 1e-9
     assert ages.max() < age + TICK + 1e-9
-    times, truth = np.array([time for time, _, _ in seen]), np.array([pose for _, _, pose in seen])
+    times, truth = np.array([time for time, _, _ in samples]), np.array([pose for _, _, pose in samples])
     late = [(time, np.asarray(pose.value)) for time, pose in arrived if time > latency + 0.1]
     # The instant that a pose shows, by where it is along the way: of the noise the mean over many.
     then = [np.argmin(np.hypot(*(truth[:, :2] - pose[:2]).T)) for _, pose in late]
@@ -183,14 +183,14 @@ def test_poor_poses_arrive_as_often_and_as_old_as_their_name_says(name: str, rat
 
 @pytest.mark.parametrize(("name", "noise"), [("noise_2cm", 0.02), ("noise_5cm", 0.05)])
 def test_noise_that_is_not_stated(name: str, noise: float) -> None:
-    seen = [
+    samples = [
         (np.asarray(m.pose.value), m.pose, truth)
         for _, m, truth in _drive(make_plant("mujoco", sensors=name), 400)
         if m.pose
     ]
-    errors = np.array([value[:2] - truth[:2] for value, _, truth in seen])
+    errors = np.array([value[:2] - truth[:2] for value, _, truth in samples])
     assert errors.std() == pytest.approx(noise, rel=0.1)
-    stated = np.sqrt(np.diag(np.asarray(seen[0][1].covariance)))
+    stated = np.sqrt(np.diag(np.asarray(samples[0][1].covariance)))
     usual = load_sensor_set("default").pose
     np.testing.assert_allclose(stated, [usual.position_sd, usual.position_sd, usual.heading_sd])
 
@@ -206,30 +206,32 @@ def test_a_sensor_set_says_only_what_differs_from_the_default_one(tmp_path: Path
 
 def _both(name: str, **faults: Any) -> list[tuple[float, Measurement, Measurement]]:
     """Time, sound and faulty measurement of each tick; the robots are the same in every bit."""
-    for fault in (one for kind in faults.values() for one in kind):
+    for fault in (fault for kind in faults.values() for fault in kind):
         fault |= {"start": START, "duration": END - START}
     scenario = check(Scenario, {"description": "test", **faults}, "test")
     sound = _drive(make_plant(name, seed=1))
     faulty = _drive(DisturbedPlant(make_plant(name, seed=1), scenario, load_robot()))
     assert [true for _, _, true in sound] == [true for _, _, true in faulty]
-    return [(time, one, other) for (time, one, _), (_, other, _) in zip(sound, faulty, strict=True)]
+    return [(time, intact, affected) for (time, intact, _), (_, affected, _) in zip(sound, faulty, strict=True)]
 
 
 def _check_only(
-    seen: list[tuple[float, Measurement, Measurement]], fields: set[str]
+    ticks: list[tuple[float, Measurement, Measurement]], fields: set[str]
 ) -> list[tuple[float, Measurement, Measurement]]:
-    """The ticks of the fault, after a check that it changes these fields then and nothing else, and no stamp at all."""
-    during = [one for one in seen if START <= one[0] < END]
-    assert 20 < len(during) < len(seen)
-    for time, sound, faulty in seen:
+    """Return the ticks of the fault; check that only these fields differ, only then, and that no stamp differs."""
+    during = [tick for tick in ticks if START <= tick[0] < END]
+    assert 20 < len(during) < len(ticks)
+    for time, sound, faulty in ticks:
         for field in FIELDS:
-            one, other = getattr(sound, field), getattr(faulty, field)
-            assert (one is None) == (other is None)
-            if one is not None:
-                assert one.time == other.time
-                assert one.covariance is other.covariance or np.array_equal(one.covariance, other.covariance)
+            expected, actual = getattr(sound, field), getattr(faulty, field)
+            assert (expected is None) == (actual is None)
+            if expected is not None:
+                assert expected.time == actual.time
+                assert expected.covariance is actual.covariance or np.array_equal(
+                    expected.covariance, actual.covariance
+                )
                 if not (START <= time < END and field in fields):
-                    assert _value(one) == _value(other), (field, time)
+                    assert _value(expected) == _value(actual), (field, time)
     for field in fields:
         assert all(_value(getattr(sound, field)) != _value(getattr(faulty, field)) for _, sound, faulty in during[1:])
     return during
@@ -240,9 +242,9 @@ def _check_only(
     ("sensor", "fields"), [("pose", {"pose"}), ("wheels", {"wheel_twist", "wheel_speeds"}), ("gyro", {"yaw_rate"})]
 )
 def test_a_stuck_sensor_repeats_its_last_value_with_fresh_stamps(plant: str, sensor: str, fields: set[str]) -> None:
-    seen = _both(plant, stuck_sensors=[{"sensor": sensor}])
-    during = _check_only(seen, fields)
-    last = [sound for time, sound, _ in seen if time < START][-1]
+    ticks = _both(plant, stuck_sensors=[{"sensor": sensor}])
+    during = _check_only(ticks, fields)
+    last = [sound for time, sound, _ in ticks if time < START][-1]
     for field in fields:
         assert {tuple(_value(getattr(faulty, field)) or ()) for _, _, faulty in during} == {
             tuple(_value(getattr(last, field)) or ())
@@ -286,8 +288,8 @@ def test_a_sensor_that_is_lost_and_then_stuck_repeats_what_came_last(tmp_path: P
         },
         "test",
     )
-    seen = _drive(DisturbedPlant(make_plant("model:ssm"), scenario, load_robot()))
-    rates = [_value(m.yaw_rate) for time, m, _ in seen if time >= 0.5]
-    assert all(m.yaw_rate is None for time, m, _ in seen if time < 0.5)
+    samples = _drive(DisturbedPlant(make_plant("model:ssm"), scenario, load_robot()))
+    rates = [_value(m.yaw_rate) for time, m, _ in samples if time >= 0.5]
+    assert all(m.yaw_rate is None for time, m, _ in samples if time < 0.5)
     assert rates[0] is not None
     assert all(rate == rates[0] for rate in rates)

@@ -66,9 +66,9 @@ def test_a_file_that_changes_nothing_is_the_twin_bit_for_bit(tmp_path: Path) -> 
     path = tmp_path / "same.yaml"
     path.write_text("description: the same\n")
     commands = random_commands(7, duration=2.0)
-    one, other = (drive_open_loop(make_plant(name, seed=3), commands) for name in ("mujoco", f"mujoco:{path}"))
+    shipped, configured = (drive_open_loop(make_plant(name, seed=3), commands) for name in ("mujoco", f"mujoco:{path}"))
     for name in OpenLoopDrive.__dataclass_fields__:
-        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+        np.testing.assert_array_equal(getattr(shipped, name), getattr(configured, name))
 
 
 @pytest.mark.parametrize("name", ["default", *(name for name in SHIPPED if name.startswith("dead_time"))])
@@ -83,12 +83,12 @@ def test_nothing_moves_before_the_dead_time(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["long", "long_naive", "wide", "wide_naive"])
 def test_another_build_turns_on_the_spot_as_coulomb_friction_and_its_firmware_say(name: str) -> None:
-    """Wheels turn at firmware track / track of what is told, the body at track^2 / (track^2 + wheel base^2) of that."""
+    """Wheels turn at firmware track / track of the command, the body at track^2 / (track^2 + wheel base^2) of that."""
     build = load_simulated_robot(name)
     track, base = build.robot.track, build.twin.chassis.wheel_base
-    told = build.firmware.track / track * track**2 / (track**2 + base**2)
+    expected = build.firmware.track / track * track**2 / (track**2 + base**2)
     turned = _hold(name, 0.0, 0.8).true_twist[75:, 2].mean() / 0.8
-    assert turned == pytest.approx(told, abs=0.03)
+    assert turned == pytest.approx(expected, abs=0.03)
     assert (abs(turned - 1.0) < 0.03) == (not name.endswith("naive"))
 
 
@@ -177,7 +177,7 @@ def test_an_answer_is_known_by_its_stamp_or_else_by_its_receipt():
 
 
 def ramp(k):
-    """Twist (v, omega) of a robot that speeds up in a curve."""
+    """Return the twist (v, omega) at tick k of a robot that speeds up in a curve."""
     return 0.01 * k, 0.02 * k
 
 
@@ -213,11 +213,11 @@ def test_a_late_pose_is_carried_on_by_the_motion_since(latency):
             mean = 0.5 * (np.array(ramp(k - 1)) + np.array(ramp(k)))
             truth.append(integrate_pose(truth[-1], mean[0], mean[1], DT))
         pose = Stamped(truth[k - latency], (k - latency) * DT) if k == 50 else None
-        found = odometry.update(k * DT, sensed(k, pose))
+        estimate = odometry.update(k * DT, sensed(k, pose))
         if k >= 50:
-            assert np.allclose(found, truth[k], rtol=0, atol=1e-12)
+            assert np.allclose(estimate, truth[k], rtol=0, atol=1e-12)
         else:
-            assert np.linalg.norm(found - truth[k]) > 1.0
+            assert np.linalg.norm(estimate - truth[k]) > 1.0
 
 
 @given(st.floats(-10, 10), st.floats(-10, 10), st.floats(-30, 30))
@@ -237,8 +237,8 @@ def test_times_keep_every_nanosecond(now):
 def test_covariances_stand_where_ros_has_them():
     """Row by row over x, y, z, roll, pitch, yaw."""
     known = np.array([[1.0, 2.0, 3.0], [2.0, 4.0, 5.0], [3.0, 5.0, 6.0]])
-    found = np.reshape(messages.sensed_pose(0, Stamped((0, 0, 0), 0.0, known)).pose.covariance, (6, 6))
-    assert np.array_equal(found[np.ix_([0, 1, 5], [0, 1, 5])], known)
+    covariance = np.reshape(messages.sensed_pose(0, Stamped((0, 0, 0), 0.0, known)).pose.covariance, (6, 6))
+    assert np.array_equal(covariance[np.ix_([0, 1, 5], [0, 1, 5])], known)
     twist = messages.odometry(0, (0, 0, 0), Stamped((0.5, 0.1), 0.0, known[:2, :2])).twist
     assert (twist.covariance[0], twist.covariance[5], twist.covariance[35]) == (1.0, 2.0, 4.0)
-    assert np.count_nonzero(found) == 9 and np.count_nonzero(twist.covariance) == 4
+    assert np.count_nonzero(covariance) == 9 and np.count_nonzero(twist.covariance) == 4
