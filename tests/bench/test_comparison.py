@@ -42,10 +42,12 @@ def experiment(**changes: object) -> ComparisonSettings:
     return default_settings().model_copy(update={**QUICK, **changes})
 
 
-def asked(**given: Any) -> ComparisonSettings:
-    """What the options ask for, dimensions by their names in the plural."""
-    values = {one.several: given.pop(one.several) for one in DIMENSIONS if one.several in given}
-    return read_options(values, **given)
+def settings_for(**options: Any) -> ComparisonSettings:
+    """Return the settings that these options select; dimensions go by their plural names."""
+    values = {
+        dimension.several: options.pop(dimension.several) for dimension in DIMENSIONS if dimension.several in options
+    }
+    return read_options(values, **options)
 
 
 def test_a_horizon_case_that_is_a_main_case_runs_once() -> None:
@@ -82,7 +84,7 @@ def test_a_file_with_the_label_of_a_shipped_model_or_a_peer_is_refused(tmp_path:
 def test_a_configuration_file_brings_its_model(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text("model: ssm\nhorizon: 12\n")
-    chosen = asked(config=path)
+    chosen = settings_for(config=path)
     assert chosen.models == ("ssm",)
     plan = plan_cases(experiment(config=str(path), horizons=(), trajectories=("s",), seeds=(0,)))
     assert plan.all[0].horizon == 12
@@ -118,9 +120,11 @@ def test_another_top_speed_is_another_time_along_the_same_path() -> None:
     (_, _, slow), (_, _, fast) = (build(quick_case(trajectory="s", top_speed=speed)) for speed in (0.5, 1.0))
     (_, _, shipped) = build(quick_case(trajectory="s"))
     times = np.linspace(0.0, 1.0, 400)
-    references = [one.sample(times * one.duration) for one in (shipped, slow, fast)]
+    references = [trajectory.sample(times * trajectory.duration) for trajectory in (shipped, slow, fast)]
     assert np.allclose(references[0].pose, references[1].pose)
-    assert [np.abs(one.twist[:, 0]).max() for one in references] == pytest.approx([0.5, 0.5, 1.0], rel=1e-2)
+    assert [np.abs(trajectory.twist[:, 0]).max() for trajectory in references] == pytest.approx(
+        [0.5, 0.5, 1.0], rel=1e-2
+    )
     assert references[2].arc_length[-1] == pytest.approx(references[0].arc_length[-1])
     assert references[2].pose[-1] == pytest.approx(references[0].pose[-1])
 
@@ -145,8 +149,8 @@ def test_a_late_plant_does_the_same_so_many_ticks_later() -> None:
 def test_a_plant_that_is_earlier_than_told_is_told_of_more_dead_time() -> None:
     settings = default_settings().model_copy(update={"trajectories": ("s",), "seeds": (0,), "beyond": True})
     (case,) = (case for case in plan_cases(settings).dead_time if (case.model, case.late) == ("ssm", -2))
-    told, shipped = controller_config("ssm", None, case.overrides), controller_config("ssm")
-    assert told.extra_dead_time.omega == pytest.approx(shipped.extra_dead_time.omega + 2 * shipped.sample_time)
+    adjusted, shipped = controller_config("ssm", None, case.overrides), controller_config("ssm")
+    assert adjusted.extra_dead_time.omega == pytest.approx(shipped.extra_dead_time.omega + 2 * shipped.sample_time)
     assert not isinstance(build(case)[1], LatePlant)
     assert isinstance(build(replace(case, overrides=(), late=2))[1], LatePlant)
 
@@ -157,7 +161,7 @@ def outcome() -> RunOutcome:
 
 
 def scores(outcome: RunOutcome, **errors: list[float]) -> DataFrame:
-    """Controllers with these position RMSE [m] over two trajectories and as many seeds as it takes."""
+    """Return results of controllers with these position RMSE [m], over two trajectories and enough seeds."""
     cases = [
         (Case(model=model, trajectory=("s", "cane")[i % 2], seed=i // 2), error)
         for model, values in errors.items()
@@ -205,10 +209,13 @@ def test_the_bootstrap_covers_the_mean_and_repeats_itself() -> None:
 def test_the_plants_own_model_explains_it_and_another_does_not(outcome: RunOutcome) -> None:
     cases = [quick_case(model=model, seed=seed) for model in ("ssm", "sm") for seed in (0, 1)]
     cases.append(quick_case(model="ssm", overrides=BY_OSQP))
-    own, other = measure_properties([*cases, quick_case(controller="kanayama", model="none")], 1)
+    matching, mismatched = measure_properties([*cases, quick_case(controller="kanayama", model="none")], 1)
     # The plant lacks the extra dead time of the shipped configuration, a quarter of a sample.
-    assert own.fit_v > 97 and own.fit_omega > 95
-    assert own.fit_omega > other.fit_omega + 2
-    assert 0 <= own.drift < other.drift
+    assert matching.fit_v > 97 and matching.fit_omega > 95
+    assert matching.fit_omega > mismatched.fit_omega + 2
+    assert 0 <= matching.drift < mismatched.drift
     runs = frame(row_of(case, outcome.run) for case in cases).assign(position_rmse_m=[1, 3, 5, 7, 8])
-    assert [row["position_rmse_m"] for row in property_rows([own, other], runs)] == [(1 + 3 + 8) / 3, (5 + 7) / 2]
+    assert [row["position_rmse_m"] for row in property_rows([matching, mismatched], runs)] == [
+        (1 + 3 + 8) / 3,
+        (5 + 7) / 2,
+    ]

@@ -15,23 +15,23 @@ from diffdrive_mpc.bench.sweep import sweep_settings
 from diffdrive_mpc.mpc.config.typed_settings import parse_setting, single_settings
 
 
-@pytest.mark.parametrize("of", DIMENSIONS, ids=lambda of: of.name)
-def test_every_dimension_has_its_options_and_its_default(of: Dimension) -> None:
+@pytest.mark.parametrize("dimension", DIMENSIONS, ids=lambda dimension: dimension.name)
+def test_every_dimension_has_its_options_and_its_default(dimension: Dimension) -> None:
     options = {command: set(re.findall(r"--[\w-]+", help_of(command))) for command in ("simulate", "bench")}
-    assert of.option in options["simulate"]
-    assert of.list_option in options["bench"]
-    assert default_settings().values(of.several) == of.compared
-    assert getattr(Case(), of.name) == of.default
+    assert dimension.option in options["simulate"]
+    assert dimension.list_option in options["bench"]
+    assert default_settings().values(dimension.several) == dimension.compared
+    assert getattr(Case(), dimension.name) == dimension.default
 
 
 def help_of(command: str) -> str:
     return CliRunner().invoke(app, [command, "--help"]).stdout
 
 
-@pytest.mark.parametrize("of", DIMENSIONS, ids=lambda of: of.name)
-def test_an_option_chooses_its_values(of: Dimension) -> None:
-    text = {"controller": "mpc,kanayama", "seed": "3,7"}.get(of.name, "a,b")
-    chosen = read_options({of.several: text}).values(of.several)
+@pytest.mark.parametrize("dimension", DIMENSIONS, ids=lambda dimension: dimension.name)
+def test_an_option_chooses_its_values(dimension: Dimension) -> None:
+    text = {"controller": "mpc,kanayama", "seed": "3,7"}.get(dimension.name, "a,b")
+    chosen = read_options({dimension.several: text}).values(dimension.several)
     assert [str(value) for value in chosen] == text.split(",")
 
 

@@ -124,7 +124,7 @@ def test_the_same_run_gives_the_same_page_but_for_times(outcome: RunOutcome) -> 
 
 
 def every_kind(name: str, outcome: RunOutcome) -> Page:
-    """A page with every kind of view, in which all that a file may name is `name`."""
+    """Build a page with every kind of view, whose names that can come from a file are all `name`."""
     labels = {"controller": name, "path": "p"}
     series = [Series(name, [1.0, 2.0], [1.0, None], text=[name, name], labels=labels)]
     series += [Series(f"{name}2", [1.0, 2.0], [2.0, 3.0], 1, "bars", low=[1.0, 2.0], high=[3.0, 4.0])]
@@ -164,16 +164,16 @@ def test_content_cannot_end_its_script() -> None:
 
 def test_thinned_runs_keep_their_peaks_and_series_their_values(outcome: RunOutcome) -> None:
     run = outcome.run
-    kept = kept_ticks(run, 60)
-    assert len(kept) == 60
-    assert (np.diff(kept) > 0).all()
-    assert run.errors.position[kept].max() == run.errors.position.max()
+    ticks = kept_ticks(run, 60)
+    assert len(ticks) == 60
+    assert (np.diff(ticks) > 0).all()
+    assert run.errors.position[ticks].max() == run.errors.position.max()
     series = run_series(run, "a", points=60)
     driven = next(entry for entry in series.plane if entry.name == "driven")
-    assert np.array(driven.x, float) == pytest.approx(run.true_pose[kept, 0], abs=5.1e-4)
+    assert np.array(driven.x, float) == pytest.approx(run.true_pose[ticks, 0], abs=5.1e-4)
     lateral, along = (np.array(entry.y, float) for entry in series.panes[ERROR])
-    assert lateral == pytest.approx(1e3 * run.errors.lateral[kept], abs=0.051)
-    assert (np.abs(along) <= 1e3 * run.errors.position[kept] + 0.1).all()
+    assert lateral == pytest.approx(1e3 * run.errors.lateral[ticks], abs=0.051)
+    assert (np.abs(along) <= 1e3 * run.errors.position[ticks] + 0.1).all()
     assert rounded_list(np.array([np.nan, 1.26]), 1) == [None, 1.3]
 
 
@@ -188,24 +188,25 @@ def test_what_needs_attention_is_said_with_what_to_do(outcome: RunOutcome) -> No
     modes = ("BRAKING",) * 4 + ("REUSED_PLAN",) * 2 + run.modes[6:]
     times = np.where(np.arange(count) == 7, 1.0, 1e-3)
     blind = tuple(
-        replace(one, pose=None) if count // 3 < k < 2 * count // 3 else one for k, one in enumerate(run.measurements)
+        replace(measurement, pose=None) if count // 3 < k < 2 * count // 3 else measurement
+        for k, measurement in enumerate(run.measurements)
     )
     fast = np.full((count, 2), [config.limits.v, 0.0])
     away = replace(
         run, modes=modes, measurements=blind, command=fast, ended="it was lost", messages=("why",) * count,
         true_pose=run.true_pose + 9.0, solver_methods=("osqp",) * count,
     )  # fmt: skip
-    found = run_warnings(away.with_step_time(times), config, "SSM")
-    told = " ".join(one.text for one in found)
-    for said in (
+    warnings = run_warnings(away.with_step_time(times), config, "SSM")
+    texts = " ".join(warning.text for warning in warnings)
+    for expected in (
         "it was lost",
         "BRAKING at 4 ticks",
         "REUSED_PLAN at 2 ticks",
         "1 tick took longer",
         "Poses failed to come once",
     ):
-        assert said in told
-    assert "v at 100 %" in told
-    assert "A backend had to solve 100 %" in told
-    assert "“why”" in told
-    assert all(one.text.startswith("SSM: ") and one.remedy for one in found)
+        assert expected in texts
+    assert "v at 100 %" in texts
+    assert "A backend had to solve 100 %" in texts
+    assert "“why”" in texts
+    assert all(warning.text.startswith("SSM: ") and warning.remedy for warning in warnings)

@@ -347,10 +347,10 @@ def test_results_whose_move_fails_leave_the_old_ones(tmp_path: Path, monkeypatch
     assert {name: (tmp_path / name).read_bytes() for name in ("a", "b", CONTENTS)} == before
 
 
-@pytest.mark.parametrize("said", ["", "[]", "{", '{"a": 1}', '{"a": {"by": "bench"}}', '{"../x": null}'])
-def test_a_damaged_list_of_contents_is_as_good_as_none(tmp_path: Path, said: str) -> None:
+@pytest.mark.parametrize("contents", ["", "[]", "{", '{"a": 1}', '{"a": {"by": "bench"}}', '{"../x": null}'])
+def test_a_damaged_list_of_contents_is_as_good_as_none(tmp_path: Path, contents: str) -> None:
     """Then everything there is somebody else's."""
-    (tmp_path / CONTENTS).write_text(said, encoding="utf-8")
+    (tmp_path / CONTENTS).write_text(contents, encoding="utf-8")
     (tmp_path / "a").write_text("mine", encoding="utf-8")
     _write(tmp_path, "bench", "b")
     assert _there(tmp_path) == {"a", "b"}
@@ -362,8 +362,8 @@ def test_no_file_outside_is_ever_stale(tmp_path: Path) -> None:
     mine.write_text("mine", encoding="utf-8")
     _write(out, "bench", "a")
     state = mine.stat()
-    said = f'{{"../mine": {{"by": "bench", "bytes": {state.st_size}, "changed_ns": {state.st_mtime_ns}}}}}'
-    (out / CONTENTS).write_text(said, encoding="utf-8")
+    contents = f'{{"../mine": {{"by": "bench", "bytes": {state.st_size}, "changed_ns": {state.st_mtime_ns}}}}}'
+    (out / CONTENTS).write_text(contents, encoding="utf-8")
     _write(out, "bench", "b")
     assert mine.read_text(encoding="utf-8") == "mine"
 

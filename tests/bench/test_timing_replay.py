@@ -86,8 +86,8 @@ def test_disturbed_ticks_are_left_out_of_all_controllers_or_of_none(
         times.append(TurnTimes(np.ones((1, ticks, 2)), np.arange(ticks)[None] < undisturbed))
     monkeypatch.setattr("diffdrive_mpc.bench.timing.take_turns", lambda *_, **__: ([times], 1e-5))
     timed, _ = time_outcomes(outcomes, lambda: None)
-    kept = [int(np.isfinite(outcome.run.step_time).sum()) for outcome in timed]
-    assert kept == ([1, 5] if clean else [len(outcome.run.time) for outcome in outcomes])
+    counts = [int(np.isfinite(outcome.run.step_time).sum()) for outcome in timed]
+    assert counts == ([1, 5] if clean else [len(outcome.run.time) for outcome in outcomes])
 
 
 def test_a_difference_in_the_last_bit_is_found() -> None:
@@ -136,13 +136,13 @@ def a_clock_that_stands(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Scripted:
-    """A replay whose blocks are disturbed as told; the time of a tick is the number of the pass that it is from."""
+    """Replay with blocks that are disturbed as specified; the time of a tick is the number of its pass."""
 
-    def __init__(
-        self, name: str, ticks: int, said: list[str], disturbed: dict[int, list[Effort]] | None = None
-    ) -> None:
-        self.name, self.ticks, self._said = name, ticks, said
-        self._efforts: dict[int, Iterator[Effort]] = {first: iter(told) for first, told in (disturbed or {}).items()}
+    def __init__(self, name: str, ticks: int, log: list[str], disturbed: dict[int, list[Effort]] | None = None) -> None:
+        self.name, self.ticks, self._log = name, ticks, log
+        self._efforts: dict[int, Iterator[Effort]] = {
+            first: iter(efforts) for first, efforts in (disturbed or {}).items()
+        }
         self.passes = 0
 
     def restart(self) -> None:
@@ -152,24 +152,24 @@ class Scripted:
     def run(self, first: int, last: int) -> tuple[FloatArray, Effort] | None:
         assert first == self._at, "a controller goes through its ticks in order"
         self._at = last
-        self._said.append(f"{self.name}{first}")
+        self._log.append(f"{self.name}{first}")
         effort = next(self._efforts.get(first, iter(())), QUIET)
         return np.full((last - first, 2), float(self.passes)), effort
 
 
 def test_blocks_take_turns_and_each_is_the_first_once_in_a_while() -> None:
-    said: list[str] = []
-    take_turns([[Scripted("a", 6, said), Scripted("b", 4, said)], [Scripted("c", 2, said)]], block=2)
-    assert said == ["a0", "b0", "b2", "a2", "a4", "c0"]
+    log: list[str] = []
+    take_turns([[Scripted("a", 6, log), Scripted("b", 4, log)], [Scripted("c", 2, log)]], block=2)
+    assert log == ["a0", "b0", "b2", "a2", "a4", "c0"]
 
 
 def test_a_disturbed_block_is_measured_again_and_the_others_keep_their_first_times() -> None:
-    a, b = Scripted("a", 6, said := [], {2: [PUT_ASIDE, PUT_ASIDE]}), Scripted("b", 6, said)
+    a, b = Scripted("a", 6, log := [], {2: [PUT_ASIDE, PUT_ASIDE]}), Scripted("b", 6, log)
     ((times, untouched),), best = take_turns([[a, b]], block=2)
     assert times.times[0, 1::2, 0].tolist() == [1, 3, 1]
     assert times.share == untouched.share == 1.0
     assert (a.passes, b.passes) == (3, 1)
-    assert said[6:] == ["a0", "a2"] * 2, "as far as the disturbed block, and not further"
+    assert log[6:] == ["a0", "a2"] * 2, "as far as the disturbed block, and not further"
     assert best == QUIET.pace
 
 
@@ -185,9 +185,9 @@ def test_what_stays_disturbed_is_marked_and_left_out() -> None:
 def test_a_slow_controller_is_watched_in_stretches_and_only_the_disturbed_one_is_measured_again() -> None:
     slow = QUIET._replace(elapsed=1.2 * turns.STRETCH, processor=1.2 * turns.STRETCH)
     efforts = {0: [slow], 2: [slow, slow], 3: [PUT_ASIDE, slow]}
-    replay = Scripted("a", 4, said := [], efforts)
+    replay = Scripted("a", 4, log := [], efforts)
     ((times,),), _ = take_turns([[replay]], block=2)
-    assert said == ["a0", "a2", "a3"] + ["a0", "a2", "a3"]
+    assert log == ["a0", "a2", "a3"] + ["a0", "a2", "a3"]
     assert times.clean.all()
     # The third tick is the first of a turn, so it is cold; the fourth is from the second pass.
     assert times.times[0, :, 0].tolist() == pytest.approx([np.nan, 1, np.nan, 2], nan_ok=True)
