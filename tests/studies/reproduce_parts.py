@@ -24,7 +24,7 @@ def pose_error(size: float) -> PathError:
 
 
 def mbm_sm(repetition: int = 1, *, mbm: float = 0.1, tracks: float = 0.2, sm: float = 0.3, **changes) -> MbmSmResult:
-    """Errors grow from the last trajectory to the first, as in the paper."""
+    """Return a result whose errors grow from the last trajectory to the first, as in the paper."""
     sizes = {MBM: mbm, MBM_TRACKS: tracks, SM: sm}
     path = np.column_stack([np.linspace(0.0, 1.0, 5)] * 3)
     values = {
@@ -57,7 +57,7 @@ def ssm(repetition: int = 1, *, omega: tuple[float, ...] = (0.0, 90.0, 90.1, 90.
 
 
 def lstm(repetition: int = 1, *, ssm: float = 95.0, lstm: float = 93.0) -> NetworkResult:
-    """FIT by model; errors of odometry grow where FIT falls."""
+    """Return a result with this FIT [%] per model; errors of odometry grow as FIT falls."""
     drives = {
         name: (FreeDrive(VelocityFit((fit, fit - 2.0), (0.01, 0.05)), pose_error(0.1 * (100.0 - fit))),)
         for name, fit in ((networks.SSM, ssm), (networks.LSTM, lstm), (networks.LONGER, lstm))
@@ -66,7 +66,7 @@ def lstm(repetition: int = 1, *, ssm: float = 95.0, lstm: float = 93.0) -> Netwo
 
 
 def network_rows(best: int = 2) -> NetworkRows:
-    """All of P1's Table 2."""
+    """Return all rows of Table 2 of P1; row `best` has the highest FIT."""
     fits = {row: 95.0 if row == best else 94.0 for row in load_published().networks}
     return NetworkRows(
         tuple(
@@ -76,8 +76,8 @@ def network_rows(best: int = 2) -> NetworkRows:
     )
 
 
-def cost(mbm: float = 4e-6, sm: float = 3e-6, one: float = 2e-7) -> dict[str, Cost]:
-    times = {"mbm": (8, mbm), "sm": (4, sm), "ssm": (2, one)}
+def cost(mbm: float = 4e-6, sm: float = 3e-6, ssm: float = 2e-7) -> dict[str, Cost]:
+    times = {"mbm": (8, mbm), "sm": (4, sm), "ssm": (2, ssm)}
     return {
         name: Cost(order, (500 * time, 1e-5), (time, 1e-7), (0.01 * order, 0.0))
         for name, (order, time) in times.items()

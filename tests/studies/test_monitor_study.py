@@ -15,28 +15,28 @@ pytestmark = pytest.mark.system
 
 RULES = load_rules()
 SEED = 90_000
-"""Of no other drives."""
+"""Seed that no other drive uses."""
 
 
 @pytest.mark.parametrize("fault", ["wrong sign", "never stops", "sees the past", "miswired", "frozen pose"])
 def test_what_keeps_all_limits_is_caught_by_what_the_robot_does(fault):
     """Before harm, within the time that is stated; commands were within range and slew all the while."""
-    found = faulty_trial(fault, SEED, RULES)
-    assert found.rule in rule_names() and found.rule not in ("", "speed", "slew")
-    assert 0.0 <= found.after <= FAULTS[fault].stated
-    assert found.farthest <= HARM and found.at_rest
+    trial = faulty_trial(fault, SEED, RULES)
+    assert trial.rule in rule_names() and trial.rule not in ("", "speed", "slew")
+    assert 0.0 <= trial.after <= FAULTS[fault].stated
+    assert trial.farthest <= HARM and trial.at_rest
 
 
 def test_a_robot_that_does_not_obey_is_told_of():
     """Commands cannot stop it: a person has to be told."""
-    found = faulty_trial("runaway", SEED, RULES)
-    assert found.rule == "answer_v" and found.after <= FAULTS["runaway"].stated and not found.at_rest
+    trial = faulty_trial("runaway", SEED, RULES)
+    assert trial.rule == "answer_v" and trial.after <= FAULTS["runaway"].stated and not trial.at_rest
 
 
 @pytest.mark.parametrize("seed", [SEED, SEED + 1])
 def test_sound_drives_pass(seed):
-    found = nominal_trial(seed, RULES)
-    assert not found.rule and found.at_rest and found.driven > 5.0
+    trial = nominal_trial(seed, RULES)
+    assert not trial.rule and trial.at_rest and trial.driven > 5.0
 
 
 def test_the_study_says_what_was_missed(monkeypatch, tmp_path):

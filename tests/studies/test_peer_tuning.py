@@ -8,7 +8,7 @@ from studies.peers.study import GainSearch
 RANGES = {"a": (0.1, 10.0), "b": (1.0, 1000.0)}
 
 
-def found(evaluations: int) -> GainSearch:
+def run_search(evaluations: int) -> GainSearch:
     search = GainSearch(
         lambda values: np.log(values["a"] / 3.0) ** 2 + np.log(values["b"] / 2000.0) ** 2, RANGES, evaluations
     )
@@ -18,14 +18,14 @@ def found(evaluations: int) -> GainSearch:
 
 
 def test_it_finds_the_minimum_inside_the_ranges() -> None:
-    values, _ = found(80).best
+    values, _ = run_search(80).best
     assert values["a"] == pytest.approx(3.0, rel=0.03)
     assert values["b"] == pytest.approx(1000.0)
 
 
 @pytest.mark.parametrize("evaluations", [8, 20])
 def test_it_keeps_to_its_budget_and_repeats_itself(evaluations: int) -> None:
-    tried = found(evaluations).tried
+    tried = run_search(evaluations).tried
     assert len(tried) == evaluations
-    assert tried == found(evaluations).tried
+    assert tried == run_search(evaluations).tried
     assert all(low <= values[name] <= high for values, _ in tried for name, (low, high) in RANGES.items())

@@ -32,10 +32,10 @@ def scale():
 
 
 def test_the_calibration_covers_other_drives(scale):
-    of = coverage(made_up(1000, 3), scale, "lateral")
-    assert 0.93 < of.at_each_place < 0.97
-    assert 0.92 < of.everywhere.share < 0.98
-    assert of.width < of.width_everywhere
+    covered = coverage(made_up(1000, 3), scale, "lateral")
+    assert 0.93 < covered.at_each_place < 0.97
+    assert 0.92 < covered.everywhere.share < 0.98
+    assert covered.width < covered.width_everywhere
 
 
 def test_the_scale_is_made_of_what_made_the_error(scale):
@@ -63,8 +63,8 @@ def planned_names(study):
 def test_a_drive_repeats_and_is_kept_as_it_was(tmp_path):
     study = load_study(None, quick=True)
     drawn = study.populations["drawn"]
-    one = planned(drawn.fit, drawn.factors)[0]
-    first, second = drive(study, one), drive(study, one)
+    plan = planned(drawn.fit, drawn.factors)[0]
+    first, second = drive(study, plan), drive(study, plan)
     assert first.errors["lateral"].tobytes() == second.errors["lateral"].tobytes()
     assert first.features.shape == (len(first.errors["along"]), len(FEATURES))
     keep([first], tmp_path / "set.npz")

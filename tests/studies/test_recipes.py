@@ -1,4 +1,4 @@
-"""What the recipes show works as it stands there."""
+"""The code in the recipes works as printed."""
 
 import re
 import textwrap
@@ -10,9 +10,9 @@ from diffdrive_mpc.bench.study import carry_out
 RECIPES = (Path(__file__).parents[2] / "docs" / "recipes.md").read_text(encoding="utf-8")
 
 
-def code(begin):
-    """The indented block of the recipes that begins so."""
-    block = re.search(rf"^    {re.escape(begin)}.*\n(?:(?:    .*)?\n)*", RECIPES, re.MULTILINE)
+def code(start):
+    """Return the indented block of the recipes that starts with this text."""
+    block = re.search(rf"^    {re.escape(start)}.*\n(?:(?:    .*)?\n)*", RECIPES, re.MULTILINE)
     return textwrap.dedent(block[0])
 
 
@@ -28,9 +28,9 @@ def test_the_study_is_carried_out(tmp_path, one_process):
 def test_the_peer_drives():
     from diffdrive_mpc import load_trajectory, make_plant, simulate
 
-    given = {"__name__": "recipe"}
-    exec(code("# my_package/feed_forward.py").partition("# pyproject.toml of my_package")[0], given)
-    run = simulate(given["FeedForwardController"](), make_plant("model:sm"), load_trajectory("s"))
+    namespace = {"__name__": "recipe"}
+    exec(code("# my_package/feed_forward.py").partition("# pyproject.toml of my_package")[0], namespace)
+    run = simulate(namespace["FeedForwardController"](), make_plant("model:sm"), load_trajectory("s"))
     assert run.metrics.steps > 100
 
 
@@ -42,9 +42,9 @@ def test_the_backend_is_asked(monkeypatch):
     from diffdrive_mpc.mpc.solver.backend import Solved
     from diffdrive_mpc.mpc.solver.report import SolverStatus
 
-    given = {"__name__": "recipe", "np": np, "Solved": Solved, "SolverStatus": SolverStatus}
-    exec(code("class ClippingBackend:"), given)
-    monkeypatch.setattr(controller, "load_backend", lambda name: given["ClippingBackend"])
+    namespace = {"__name__": "recipe", "np": np, "Solved": Solved, "SolverStatus": SolverStatus}
+    exec(code("class ClippingBackend:"), namespace)
+    monkeypatch.setattr(controller, "load_backend", lambda name: namespace["ClippingBackend"])
     driven = Controller(load_config("sm", {"solver.method": "daqp"}))
     run = simulate(driven, make_plant("model:sm"), load_trajectory("s"))
     assert run.metrics.completed and run.solver_methods.count("daqp") > 100

@@ -47,13 +47,13 @@ def test_open_loop_commands_trace_the_reference(name):
 
 
 def test_every_drive_has_noise_of_its_own_and_every_repetition_repeats():
-    one, other = RobotLogs(31), RobotLogs(31)
-    first, second = one.free(2, 2.0)
-    again = other.free(1, 2.0)[0]
+    logs, repeated = RobotLogs(31), RobotLogs(31)
+    first, second = logs.free(2, 2.0)
+    again = repeated.free(1, 2.0)[0]
     assert np.array_equal(first.yaw_rate, again.yaw_rate)
     assert np.array_equal(first.pose, again.pose)
     assert not np.array_equal(first.command, second.command)
-    steps = one.steps("v")
+    steps = logs.steps("v")
     assert np.array_equal(steps[0].command[0], steps[1].command[0])
     assert not np.array_equal(steps[0].yaw_rate[:20], steps[1].yaw_rate[:20])
 

@@ -26,8 +26,8 @@ def verdict(results, *words):
 
 def test_the_paper_s_own_numbers_hold():
     """Results made up after the papers: everything holds but what the papers' own tables contradict, or leave open."""
-    other = {claim: value for claim, value in verdicts(made_up()).items() if value != "yes"}
-    assert other == {
+    exceptions = {claim: value for claim, value in verdicts(made_up()).items() if value != "yes"}
+    assert exceptions == {
         "the printed tests give the printed p1 within 2 standard deviations": "no",
         "tracks exchanged by mistake (tests 1, 2 with 7, 8; ours) explain the printed p1 within 2 standard "
         "deviations": "inconclusive",

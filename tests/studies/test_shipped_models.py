@@ -1,4 +1,4 @@
-"""What ships found again: the firmware's calibration, and whether the identification finds known truths."""
+"""Shipped values reproduced: the firmware's calibration, and identification of known true parameters."""
 
 from pathlib import Path
 

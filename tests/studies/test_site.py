@@ -108,8 +108,8 @@ def test_a_dead_link_a_dead_anchor_and_a_lost_page_fail_the_build(tmp_path):
         [sys.executable, "-m", "mkdocs", "build"], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert built.returncode == 1
-    said = [line for line in built.stderr.splitlines() if "lost.md" in line or "nowhere" in line]
-    assert len(said) == 4, built.stderr
+    complaints = [line for line in built.stderr.splitlines() if "lost.md" in line or "nowhere" in line]
+    assert len(complaints) == 4, built.stderr
 
 
 # The robot in pictures of MuJoCo.

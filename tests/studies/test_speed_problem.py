@@ -33,7 +33,7 @@ KINDS = {"none": set(), "twist": {0, 1}, "wheels": {2, 3}, "corridor": {4}}
 
 
 def setting(name, horizon, soft="none", seed=0):
-    """A tick of a real drive: what the controller did at it, the oracle's problem, and the same for peers."""
+    """Return a tick of a simulated drive: the controller's step, the oracle's problem, and the same for peers."""
     # On its way back the robot would track something gentler than its reference; a stage has no learned delay.
     calm = {"horizon": horizon, "reentry.enabled": False, "compensation.delay": False, "weights.v_increment": 20.0}
     config = load_config("ssm", calm | SOFT[soft])
@@ -64,7 +64,7 @@ def setting(name, horizon, soft="none", seed=0):
 
 
 def pressing(it, plan):
-    """The kinds of soft limit that `plan` (N, 2) reaches."""
+    """Return the kinds of soft limit that `plan` (N, 2) reaches."""
     _, values = it.problem.outcome(it.tick, plan[:, :, None], it.ahead)
     limits = it.problem.soft_limits(values[:, 0, 0])
     return set(np.flatnonzero(np.abs(values[:, 1:, 0]).max(axis=1) > limits - 1e-6).tolist())
@@ -137,15 +137,15 @@ def test_a_peers_solution_is_that_of_the_controllers_problem(plugin, options, na
         "reference", "ipopt", program, {"ipopt.print_level": 0, "print_time": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
     )
     start = np.concatenate([it.tick.feed_forward.ravel(), np.zeros(120)])
-    found = np.array(reference(x0=start, **bounds)["x"]).ravel()
+    solution = np.array(reference(x0=start, **bounds)["x"]).ravel()
     assert reference.stats()["success"]
-    assert pressing(it, found[:24].reshape(-1, 2)) <= KINDS[soft], "nothing else may press"
-    assert bool(pressing(it, found[:24].reshape(-1, 2))) == (soft != "none"), "the case must exercise its limits"
+    assert pressing(it, solution[:24].reshape(-1, 2)) <= KINDS[soft], "nothing else may press"
+    assert bool(pressing(it, solution[:24].reshape(-1, 2))) == (soft != "none"), "the case must exercise its limits"
     peer = NlpPeer(asdict(it.stages), {"plugin": plugin, "options": options}, None)
     peer.reset(*it.data)
     command = peer.solve(*it.data)
     assert peer.report().solved
-    np.testing.assert_allclose(command, found[:2], atol=1e-5)
+    np.testing.assert_allclose(command, solution[:2], atol=1e-5)
 
 
 # Ticks of a real drive, as the oracle and as peers are told them.

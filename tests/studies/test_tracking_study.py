@@ -48,10 +48,10 @@ def run():
 
 
 def test_along_and_across_are_the_position_error_in_the_frame_of_the_reference(run):
-    kept = measured(case(surface="slippery"), run)
-    assert np.hypot(kept["along"], kept["across"]) == pytest.approx(run.errors.position[run.counted])
-    assert (kept["along"][0], kept["across"][0]) == pytest.approx((0.0, 0.2))
-    assert len(kept["time"]) == run.metrics.steps
+    series = measured(case(surface="slippery"), run)
+    assert np.hypot(series["along"], series["across"]) == pytest.approx(run.errors.position[run.counted])
+    assert (series["along"][0], series["across"][0]) == pytest.approx((0.0, 0.2))
+    assert len(series["time"]) == run.metrics.steps
 
 
 def test_a_repeated_error_is_bias_in_the_arc_and_transient_outside_and_noise_is_neither():
@@ -71,7 +71,7 @@ def test_a_repeated_error_is_bias_in_the_arc_and_transient_outside_and_noise_is_
 def test_the_parts_add_up_to_the_mean_square_whatever_the_errors(seeds, key):
     random = np.random.default_rng(key)
     rows = [row(case(seed=k), across=random.normal(size=100), along=random.normal(size=100)) for k in range(seeds)]
-    total = np.mean([one["across"] ** 2 + one["along"] ** 2 for one in rows])
+    total = np.mean([parts["across"] ** 2 + parts["along"] ** 2 for parts in rows])
     assert decompose(frame(rows)).total == pytest.approx(total)
 
 
@@ -84,7 +84,7 @@ def verdicts(change=lambda case: {}):
 
 
 def only(**conditions):
-    """Whether a case is the one that the conditions describe."""
+    """Return a predicate that is true for cases that meet the conditions."""
     return lambda case: all(getattr(case, name) == value for name, value in conditions.items())
 
 
@@ -92,7 +92,7 @@ PLAIN = {"scenario": "none", "sensors": "default"}
 
 
 @pytest.mark.parametrize(
-    ("where", "changes", "what", "place"),
+    ("where", "changes", "claim", "place"),
     [
         ({**PLAIN, "surface": "default"}, {"position_rmse_m": 0.0061}, "position RMSE [m]", "default"),
         ({**PLAIN, "surface": "default"}, {"arcs": (0.001, -0.0031)}, "lateral error of the worst arc [m]", "default"),
@@ -117,13 +117,13 @@ PLAIN = {"scenario": "none", "sensors": "default"}
         ),
     ],
 )
-def test_one_model_beyond_a_limit_is_a_no_for_it_alone(where, changes, what, place):
-    found = verdicts(lambda case: changes if only(model="sm", **where)(case) else {})
-    verdict = found[what, place]
+def test_one_model_beyond_a_limit_is_a_no_for_it_alone(where, changes, claim, place):
+    results = verdicts(lambda case: changes if only(model="sm", **where)(case) else {})
+    verdict = results[claim, place]
     assert not verdict.met
     assert not verdict.met_by("SM")
     assert verdict.met_by("SSM")
-    others = {key for key, other in found.items() if not other.met} - {(what, place)}
+    others = {key for key, result in results.items() if not result.met} - {(claim, place)}
     assert others <= {("position RMSE [m], the aim", "default"), ("largest overshoot [m]", place)}
     (cells,) = target_table([verdict]).rows
     sm, ssm = cells[3:5]
@@ -145,13 +145,13 @@ def tables(results=None):
 
 
 def test_a_variant_is_told_by_its_values():
-    """Each variant gets an error of its own; the table must give it back under the right name."""
+    """Each variant has a different error; the table must show it under the right name."""
     study = load_study(quick=True)
-    own = {name: 0.010 + 0.001 * k for k, name in enumerate(study.variants)}
+    errors = {name: 0.010 + 0.001 * k for k, name in enumerate(study.variants)}
     rows = made_up()
-    rows = rows.assign(position_rmse_m=rows["variant"].map(own).fillna(rows["position_rmse_m"]))
-    found = {cells[1]: float(cells[3]) for cells in tables(rows)["Ablation"].rows}
-    assert found == pytest.approx({name: 1e3 * error for name, error in own.items()} | {"clairvoyant bound": 2.0})
+    rows = rows.assign(position_rmse_m=rows["variant"].map(errors).fillna(rows["position_rmse_m"]))
+    ablation = {cells[1]: float(cells[3]) for cells in tables(rows)["Ablation"].rows}
+    assert ablation == pytest.approx({name: 1e3 * error for name, error in errors.items()} | {"clairvoyant bound": 2.0})
 
 
 def test_the_report_has_figures_and_every_run_once(report: Path):
