@@ -45,9 +45,9 @@ static real wild(double value, int seldom)
     return once_in(6) ? R(0.0) : (real)(value * pow(10.0, uniform(-9.0, 9.0)));
 }
 
-static void fail(const char *what, const ddmpc_result *result)
+static void fail(const char *message, const ddmpc_result *result)
 {
-    fprintf(stderr, "%s: command %g %g, mode %d, reasons %u\n", what, (double)result->command[0],
+    fprintf(stderr, "%s: command %g %g, mode %d, reasons %u\n", message, (double)result->command[0],
             (double)result->command[1], result->mode, result->reasons);
     abort();
 }
@@ -168,9 +168,9 @@ static void fill_model(const ddmpc_sizes *s, ddmpc_constants *k)
                     after = A[j * n + j] * before + past;
                     if (m <= N)
                         response[(2 * channel + input) * (N + 1) + m] += C[channel * n + j] * after;
-                    /* of those on their way only the rest acts from the state now on */
                     before = after;
                 }
+                /* Only the remaining part of a command in flight acts after the current state. */
                 for (int w = 0; w < W; w++) {
                     before = R(0.0);
                     for (int m = 1; m <= N; m++) {
@@ -396,7 +396,7 @@ static void check(const ddmpc_result *result, const ddmpc_constants *k, const re
         fail("no such mode", result);
 }
 
-/* What is asked for in the middle of a tick; returns whether the tick is done. */
+/* Answer a request of the core in the middle of a tick; return 1 if the tick is done. */
 static int go_on(ddmpc_controller *c, const ddmpc_sizes *s, int pending)
 {
     const int rows = (HARD + s->soft) * s->steps, choice = below(12);
@@ -540,11 +540,11 @@ static void overrule(ddmpc_controller *c, double t, ddmpc_input *input)
         abort();
 }
 
-static void drive(const subject *one)
+static void drive(const subject *tested)
 {
-    const ddmpc_sizes *s = &one->sizes;
+    const ddmpc_sizes *s = &tested->sizes;
     const ddmpc_constants constants[2] = {make_constants(s), make_constants(s)};
-    const ddmpc_functions functions = {step, output, one->term};
+    const ddmpc_functions functions = {step, output, tested->term};
     const ddmpc_reference reference = {sample_reference, 0, 20.0};
     /* Exactly as much as the core asks for. */
     real *reals = malloc((size_t)ddmpc_reals(s) * sizeof(real));
@@ -563,7 +563,7 @@ static void drive(const subject *one)
     check(ddmpc_result_of(c), constants, (const real[2]){R(0.0), R(0.0)});
     ddmpc_start(c, &reference, 0.0);
     put_at_start(&r);
-    for (int k = 0; k < one->ticks; k++) {
+    for (int k = 0; k < tested->ticks; k++) {
         const double t = next_time(r.t), dt = isfinite(t) && fabs(t - r.t) < 1.0 ? t - r.t : 0.0;
         disturb(c, s, constants, &r);
         /* A clock that leaps stays there, or is set right again. */
@@ -592,8 +592,8 @@ static void drive(const subject *one)
     ddmpc_give_up(c);
     overrule(c, r.t, &input);
     printf("%-20s %5d ticks: tracking %d, reused %d, braking %d, stopped %d, finished %d; unlimited %d, active set %d, "
-           "backend %d\n", one->name, one->ticks, counts[0], counts[1], counts[2], counts[3], counts[4], ways[1], ways[2],
-           ways[3]);
+           "backend %d\n", tested->name, tested->ticks, counts[0], counts[1], counts[2], counts[3], counts[4], ways[1],
+           ways[2], ways[3]);
     for (int i = 0; i < 2; i++)
         free_model(constants + i);
     DDMPC_RELEASE(reals, (size_t)ddmpc_reals(s) * sizeof(real));
@@ -611,7 +611,7 @@ static void check_bounds(void)
         for (int bad = 0; bad < 3; bad++) {
             ddmpc_sizes sizes = good;
             (&sizes.steps)[field] = bad == 0 ? -1 : bad == 1 ? 100000 : -2147483647;
-            /* How far it looks back or ahead is bounded by memory alone. */
+            /* These fields have no fixed maximum; only memory bounds them. */
             if (bad == 1 && (field == 5 || field == 6 || field == 7 || field == 8 || field == 10))
                 continue;
             if (ddmpc_reals(&sizes) != 0 || ddmpc_init(c, &sizes, 0, 0, 0, 0, 0))

@@ -222,8 +222,8 @@ class TwistGate:
         if values is None:
             fault = "not finite" if size == 1 else f"not {size} finite numbers"
         elif (np.abs(values) > self.largest).any():
-            at = int(np.argmax(np.abs(values) > self.largest))
-            fault = f"{values[at]:.3g} is more than {self.largest[at]:g}"
+            index = int(np.argmax(np.abs(values) > self.largest))
+            fault = f"{values[index]:.3g} is more than {self.largest[index]:g}"
         elif stamped.covariance is not None:
             matrix = covariance(stamped.covariance, size)
             if matrix is None:
@@ -235,8 +235,8 @@ class TwistGate:
             # A wheel that hits a wall does jump, and stays where it is: the next sample confirms it.
             jumps = np.abs(values - last) > self.jump
             if jumps.any():
-                at = int(np.argmax(jumps))
-                fault = f"it jumps from {last[at]:.2f} to {values[at]:.2f}"
+                index = int(np.argmax(jumps))
+                fault = f"it jumps from {last[index]:.2f} to {values[index]:.2f}"
         if fault:
             rejected.append(f"{self.message} rejected: {fault}")
             return []

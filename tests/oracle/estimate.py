@@ -1,4 +1,4 @@
-"""What the oracle believes at one tick."""
+"""Estimate of the oracle at one tick."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Estimate:
 
     @property
     def slip(self) -> Slip:
-        """What lies between the model's twist and that of the body."""
+        """Slip: the difference between the twist of the model and that of the body."""
         return Slip(*self.mean[self._order : self._order + 10].tolist())
 
     @property
@@ -96,5 +96,5 @@ class Estimate:
     @property
     def innovations(self) -> Mapping[str, float]:
         """By sensor, the newest squared innovation over its variance: 1 on average where the assumptions hold [-]."""
-        found = zip(SENSORS, self.values[-4:].tolist(), strict=True)
-        return {sensor: value for sensor, value in found if not np.isnan(value)}
+        pairs = zip(SENSORS, self.values[-4:].tolist(), strict=True)
+        return {sensor: value for sensor, value in pairs if not np.isnan(value)}

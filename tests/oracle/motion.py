@@ -61,19 +61,21 @@ def slid(
     return 0.5 * turned * (slide[0] + left_x * across), 0.5 * turned * (slide[1] + left_y * across)
 
 
-def linearised(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return value (m,) and derivative (m, n) of `function` at `at` (n,); it maps points (n, k), in columns, to (m, k).
+def linearised(function: Callable[[FloatArray], FloatArray], point: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return value (m,) and derivative (m, n) of `function` at `point` (n,).
+
+    `function` maps points (n, k), in columns, to values (m, k).
 
     f(x + i h) = f(x) + i h f'(x) + O(h^2): the imaginary part is the derivative, without a difference (Squire, Trapp,
     SIAM Review 40(1), 1998).
     """
-    values = function(at[:, None] + 1j * _STEP * np.eye(len(at)))
+    values = function(point[:, None] + 1j * _STEP * np.eye(len(point)))
     return np.real(values[:, 0]), np.imag(values) / _STEP
 
 
-def jacobian(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> FloatArray:
+def jacobian(function: Callable[[FloatArray], FloatArray], point: FloatArray) -> FloatArray:
     """Return the derivative alone."""
-    return linearised(function, at)[1]
+    return linearised(function, point)[1]
 
 
 # sin(x) / x is replaced by a short series below this |x|.

@@ -40,8 +40,8 @@ class Arcs(_OfAnother):
         """Evaluate at `times` (n,) [s]."""
         t = np.clip(np.atleast_1d(np.asarray(times, dtype=float)), 0.0, self.duration)
         phase = np.searchsorted(self.original.breaks, t, side="right") - 1
-        begin, x, y, theta, arc_length, forward, turn, offset, rate, half_acceleration = self.original.table[:, phase]
-        tau = t - begin
+        start, x, y, theta, arc_length, forward, turn, offset, rate, half_acceleration = self.original.table[:, phase]
+        tau = t - start
         progress = offset + rate * tau + half_acceleration * tau**2
         speed = rate + 2 * half_acceleration * tau
         # Over its progress the path is the arc of a constant twist.
