@@ -44,7 +44,7 @@ deselected_tests = pytest.StashKey[dict[str, int]]()
 
 @cache
 def is_installed(name):
-    """Whether a program is on the path, or a shared library loads."""
+    """Return True if a program is on the path or a shared library loads."""
     if ".so" not in name:
         return shutil.which(name) is not None
     try:
@@ -55,7 +55,7 @@ def is_installed(name):
 
 
 def missing_packages(needs):
-    """One line that names missing programs and the Debian packages that bring them; empty if nothing is missing."""
+    """Return a line that names missing programs and their Debian packages; empty if nothing is missing."""
     wanted = {name: packages for need in needs for name, packages in SYSTEM_PACKAGES[need].items()}
     missing = {name: packages for name, packages in wanted.items() if not is_installed(name)}
     if not missing:

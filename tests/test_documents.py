@@ -99,7 +99,7 @@ def test_every_command_and_example_runs(document, tmp_path, monkeypatch):
 
 
 def command(words, folder):
-    """In this process, which saves each its imports; but nodes take over signals and contexts of theirs."""
+    """Run a command in this process to save its imports; nodes, which take over signals, get their own process."""
     if words[0] in OWN_PROCESS:
         run([str(COMMAND), *words], folder)
         return
@@ -120,10 +120,10 @@ def run(command, folder):
 
 @pytest.mark.parametrize("document", PAGES, ids=named)
 def test_a_page_is_named_by_its_question_and_begins_with_the_answer(document):
-    title, answer = document.read_text(encoding="utf-8").split("\n\n")[:2]
+    title, opening = document.read_text(encoding="utf-8").split("\n\n")[:2]
     assert re.fullmatch(r"# .*\?", title)
-    assert re.match(r"[A-Z`\[*]", answer), answer
-    assert not answer.startswith(("```", "* ", "<!--"))
+    assert re.match(r"[A-Z`\[*]", opening), opening
+    assert not opening.startswith(("```", "* ", "<!--"))
 
 
 def test_ci_runs_what_the_documents_leave_to_it():

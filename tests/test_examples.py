@@ -19,7 +19,7 @@ RUN = re.compile(r"position \[m\] +(0\.\d+).*steps, completed; in the band 100\.
 
 
 def run(name, folder):
-    """In this process, which saves its imports."""
+    """Run an example in this process, which saves its imports."""
     with chdir(folder), redirect_stdout(StringIO()) as output:
         runpy.run_path(str(EXAMPLES / name), run_name="__main__")
     return output.getvalue()

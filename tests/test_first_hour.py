@@ -27,7 +27,7 @@ HEADER = "stamp_ms,speed_cmd,turn_cmd,wheel_speed,wheel_turn,gyro_z,east,north,y
 
 
 def write_log(path, duration=150.0):
-    """The log of a drive with steps of the command, by first-order lags behind a dead time."""
+    """Write the log of a drive with steps of the command; the robot has a dead time and first-order lags."""
     random = np.random.default_rng(11)
     rows = round(duration / PERIOD)
     commands, row = np.zeros((rows, 2)), 20
@@ -56,7 +56,7 @@ def write_log(path, duration=150.0):
 
 
 def typed(line):
-    """What a command prints; it has to end well."""
+    """Run a command that has to succeed; return its output."""
     result = CliRunner().invoke(app, shlex.split(line)[1:], prog_name="diffdrive-mpc")
     assert result.exit_code == 0, f"{line}: {result.output}"
     return result.output
@@ -74,7 +74,7 @@ def session(tmp_path_factory):
 
 
 def position_rmse(output):
-    """In m, as `identify` and `simulate` say it."""
+    """Read the position RMSE [m] from the output of `identify` or `simulate`."""
     value, unit = re.search(r"position RMSE (\d+\.\d+) (mm|m)\b", output).groups()
     return float(value) * {"mm": 1e-3, "m": 1.0}[unit]
 
@@ -83,9 +83,9 @@ def test_what_was_identified_is_the_robot(session):
     config = load_config(session[0] / "mine" / "config.yaml")
     assert config.sample_time == PERIOD
     assert config.limits.v == pytest.approx(TOP_SPEED, rel=0.01)
-    found = re.search(r"omega becomes (\S+) times its command, (\S+) s later", session[1])
-    assert float(found[1]) == pytest.approx(YAW_GAIN, rel=0.01)
-    assert float(found[2]) == pytest.approx(DEAD_TIME + LAG_OMEGA, abs=0.01)
+    match = re.search(r"omega becomes (\S+) times its command, (\S+) s later", session[1])
+    assert float(match[1]) == pytest.approx(YAW_GAIN, rel=0.01)
+    assert float(match[2]) == pytest.approx(DEAD_TIME + LAG_OMEGA, abs=0.01)
 
 
 def test_the_next_command_gives_the_figure_of_the_table_above_it(session):
@@ -97,23 +97,23 @@ def test_the_next_command_gives_the_figure_of_the_table_above_it(session):
 
 def test_a_path_at_the_speed_of_the_robot_is_driven(session):
     (session[0] / "fast.yaml").write_text("segments:\n- {v: 2.8, omega: 0.3, duration: 6.0}\n", encoding="utf-8")
-    own = "--config mine/config.yaml --plant model:mine/model.yaml --surface mine/surface.yaml"
-    assert position_rmse(typed(f"diffdrive-mpc simulate {own} --trajectory fast.yaml")) < 0.05
+    options = "--config mine/config.yaml --plant model:mine/model.yaml --surface mine/surface.yaml"
+    assert position_rmse(typed(f"diffdrive-mpc simulate {options} --trajectory fast.yaml")) < 0.05
 
 
 def test_node_and_simulated_robot_drive_it_as_one_process_does(session, tmp_path):
-    own = ["--config", "mine/config.yaml", "--trajectory", "mine/first_circle.yaml"]
+    options = ["--config", "mine/config.yaml", "--trajectory", "mine/first_circle.yaml"]
     plant = ["--plant", "model:mine/model.yaml", "--surface", "mine/surface.yaml"]
     environment = own_domain(tmp_path)
     config = load_config("mine/config.yaml")
     reference = load_trajectory("mine/first_circle.yaml", config)
     duration = ["--duration", str(reference.duration + 2.0), "--record", str(tmp_path / "bag")]
-    node = ["node", *own, "--drive", "--ros-args", "-p", "use_sim_time:=true", "-p", "use_pose_topic:=true"]
+    node = ["node", *options, "--drive", "--ros-args", "-p", "use_sim_time:=true", "-p", "use_pose_topic:=true"]
     # The path stays where it is in the map; by default it begins where the first pose is measured.
     node += ["-p", "start_at_robot:=false"]
     with (
         running("node", node, environment, tmp_path) as controller,
-        running("robot", ["sim-robot", *own, *plant, "--lock-step", *duration], environment, tmp_path) as robot,
+        running("robot", ["sim-robot", *options, *plant, "--lock-step", *duration], environment, tmp_path) as robot,
     ):
         end = time.monotonic() + BOUND
         while robot.popen.poll() is None:
@@ -121,6 +121,6 @@ def test_node_and_simulated_robot_drive_it_as_one_process_does(session, tmp_path
             time.sleep(0.05)
         assert robot.popen.returncode == 0, robot.output
     over_dds = read_drive(tmp_path / "bag", reference, config.sample_time).metrics
-    alone = position_rmse(typed(" ".join(["diffdrive-mpc", "simulate", *own, *plant])))
+    alone = position_rmse(typed(" ".join(["diffdrive-mpc", "simulate", *options, *plant])))
     assert over_dds.completed
     assert over_dds.position_rmse_m == pytest.approx(alone, rel=0.05)

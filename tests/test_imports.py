@@ -1,4 +1,4 @@
-"""What is loaded, and when: a command or a robot loads what it needs, and a step loads nothing."""
+"""Imports: a command or a robot loads only the modules that it needs, and a step loads none."""
 
 import json
 import subprocess
@@ -46,9 +46,9 @@ def run(*words):
     return subprocess.run([sys.executable, *words], capture_output=True, text=True, check=True).stdout
 
 
-@pytest.mark.parametrize("what", LOADED)
-def test_what_is_not_needed_is_not_loaded(what):
-    code, unwanted = LOADED[what]
+@pytest.mark.parametrize("case", LOADED)
+def test_what_is_not_needed_is_not_loaded(case):
+    code, unwanted = LOADED[case]
     loaded = run("-c", f"{code}\nimport sys; print(*sys.modules)").splitlines()[-1].split()
     assert "diffdrive_mpc" in loaded
     assert not unwanted & set(loaded)
@@ -112,8 +112,8 @@ FOLDER = Path(sim.__file__).parent
 
 
 def _imported(path: Path) -> set[str]:
-    """Modules of `sim` that a file imports, inside functions and for type checking too."""
-    names = {one for module, name in imported(path) for one in (module, f"{module}.{name}".rstrip("."))}
+    """Return the modules of `sim` that a file imports, also inside functions and for type checking."""
+    names = {candidate for module, name in imported(path) for candidate in (module, f"{module}.{name}".rstrip("."))}
     return {name for name in names if name.startswith("diffdrive_mpc.sim.")}
 
 
@@ -143,11 +143,11 @@ def modules() -> dict[str, set[str]]:
 
 
 def test_no_module_needs_itself_in_a_circle() -> None:
-    found = modules()
-    assert {"diffdrive_mpc.sim.metrics.metrics", "diffdrive_mpc.sim.metrics.tracking_errors"} <= found[
+    graph = modules()
+    assert {"diffdrive_mpc.sim.metrics.metrics", "diffdrive_mpc.sim.metrics.tracking_errors"} <= graph[
         "diffdrive_mpc.sim.run"
     ]
-    TopologicalSorter(found).prepare()  # raises CycleError
+    TopologicalSorter(graph).prepare()  # raises CycleError
 
 
 def test_rooms_build_on_each_other_in_one_direction() -> None:

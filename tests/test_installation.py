@@ -1,4 +1,4 @@
-"""What says how to install the project names things that are there."""
+"""Installation instructions and settings name things that exist."""
 
 import os
 import re
@@ -52,10 +52,10 @@ def test_scripts_of_the_image_can_be_run(script):
 
 
 def test_wheels_are_tried_with_every_python_that_is_promised():
-    asked = [sys.executable, "-m", "cibuildwheel", "--print-build-identifiers", "--platform", "linux", str(ROOT)]
-    said = subprocess.run(asked, capture_output=True, text=True, check=True).stdout.split()
+    command = [sys.executable, "-m", "cibuildwheel", "--print-build-identifiers", "--platform", "linux", str(ROOT)]
+    builds = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
     promised = [f"cp{python.replace('.', '')}" for python in PYTHONS]
-    assert said == [f"{python}-manylinux_{machine}" for machine in ("x86_64", "aarch64") for python in promised]
+    assert builds == [f"{python}-manylinux_{machine}" for machine in ("x86_64", "aarch64") for python in promised]
     classifiers = PROJECT["project"]["classifiers"]
     assert [f"Programming Language :: Python :: {python}" in classifiers for python in PYTHONS] == [True] * 4
     assert PROJECT["project"]["requires-python"] == f">={PYTHONS[0]}"
@@ -95,8 +95,8 @@ def test_every_package_is_pinned_with_the_hashes_of_its_files(file: Path) -> Non
 def test_what_was_asked_for_is_what_is_pinned(file: Path) -> None:
     """The lists that people write are those that were pinned."""
     text = file.read_text(encoding="utf-8")
-    asked = file.with_suffix(".in").read_text(encoding="utf-8").splitlines()
-    for line in asked:
+    requirements = file.with_suffix(".in").read_text(encoding="utf-8").splitlines()
+    for line in requirements:
         name, _, version = re.match(r"([\w.-]+)([=<>]+)?(.*)", line).groups() if line[0] != "#" else ("", "", "")
         assert f"\n{name}==" in f"\n{text}" or not name
         if "==" in line:
@@ -104,7 +104,7 @@ def test_what_was_asked_for_is_what_is_pinned(file: Path) -> None:
 
 
 def test_the_page_tells_the_licences_of_what_is_installed() -> None:
-    """As the packages state them now."""
+    """The table equals the one generated from the installed packages."""
     page = PAGE.read_text(encoding="utf-8")
     assert with_table(page) == page
     assert "| casadi | GNU Lesser General Public License v3" in page
