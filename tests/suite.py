@@ -127,7 +127,7 @@ def pytest_sessionfinish(session):
 
 @pytest.fixture
 def one_process(monkeypatch):
-    """Commands that are told no number of jobs take one process: to start others takes seconds each."""
+    """Commands without a number of jobs use one process: starting each further one takes seconds."""
     from diffdrive_mpc.bench import runner
 
     monkeypatch.setattr(runner, "os", SimpleNamespace(**vars(os) | {"sched_getaffinity": lambda process: {0}}))
@@ -135,7 +135,7 @@ def one_process(monkeypatch):
 
 @pytest.fixture
 def quick_search():
-    """Drives to learn from are searched for, networks trained and twins fitted as shortly as can be."""
+    """Search for training drives, training of networks and fit of twins at minimum duration."""
     from quick_settings import quick_settings
 
     with quick_settings():

@@ -1,4 +1,4 @@
-"""The documents tell the truth: every command in them runs, every link leads somewhere, every figure is the bench's."""
+"""The documents are correct: every command runs, every link resolves, every figure is a bench result."""
 
 import json
 import re
@@ -70,7 +70,7 @@ def marked(document):
 @pytest.mark.usefixtures("one_process", "quick_search")
 @pytest.mark.parametrize("document", [*map(marked, sorted({*DOCUMENTS} - TOURED))], ids=named)
 def test_every_command_and_example_runs(document, tmp_path, monkeypatch):
-    """In order, in one folder: files first written as the document shows them."""
+    """They run in order in one folder, after files are written as shown in the document."""
     monkeypatch.chdir(tmp_path)
     names = {"__name__": "__main__"}
     for language, body in blocks(document):
@@ -156,7 +156,7 @@ def test_what_ci_runs_with_more_is_run_there(line, part):
 
 @pytest.mark.parametrize(("line", "file"), RUN_IN_TESTS.items())
 def test_what_a_test_runs_is_run_there_as_the_documents_say(line, file):
-    """Every word of the line stands quoted in that file, but for the places of files."""
+    """Every word of the line is quoted in that file, except for paths of files."""
     words = shlex.split(line.removeprefix("python -m studies ").removeprefix("diffdrive-mpc "))
     named_there = [f'"{word}"' for word in words if "." not in word and word not in PLACES]
     test = (ROOT / file).read_text(encoding="utf-8")
@@ -175,7 +175,7 @@ def test_a_toured_page_has_only_what_the_tour_runs(document):
 
 @pytest.mark.parametrize("document", LINKING, ids=named)
 def test_links_lead_somewhere(document):
-    """Inside the repository; of other addresses only the form is known without a network."""
+    """Links inside the repository; external addresses are only checked for their form."""
     for target in re.findall(r"\]\(([^)#]+)[^)]*\)", FENCE.sub("", document.read_text(encoding="utf-8"))):
         if "://" in target:
             assert re.fullmatch(r"https://[\w.-]+\.[a-z]+(/[\w./%~-]*)?", target), f"{named(document)}: {target}"

@@ -1,4 +1,4 @@
-"""The examples run as they stand, from any folder, and do what they say."""
+"""The examples run unchanged from any folder and do what they describe."""
 
 import re
 import runpy
@@ -59,7 +59,7 @@ def test_narrow_places(tmp_path):
 
 
 def test_loop_without_ros(tmp_path, monkeypatch):
-    """By a clock that only sleep moves; interrupted, below, it runs by the true one."""
+    """Only `sleep` advances this clock; the interrupted loop below uses the real one."""
     now = [0.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     monkeypatch.setattr(time, "sleep", lambda seconds: now.append(now.pop() + seconds))

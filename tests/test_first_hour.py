@@ -64,7 +64,7 @@ def typed(line):
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory):
-    """The user's folder after a drafted mapping, which needs no correction here, and `identify`; what that printed."""
+    """Folder of the user after `identify` with a drafted mapping, which needs no correction here; and the output."""
     folder = tmp_path_factory.mktemp("user")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)

@@ -55,7 +55,7 @@ def test_what_is_not_needed_is_not_loaded(case):
 
 
 def test_a_simulation_loads_no_more_of_us_than_it_is_allowed():
-    """Modules with something in them: a folder's empty `__init__` is none."""
+    """Count modules with code: an empty `__init__` does not count."""
     code = COMMAND.format(["simulate", "--trajectory", "circle"])
     files = (
         "[m.__file__ for n, m in sys.modules.items() if n.startswith('diffdrive_mpc') and getattr(m, '__file__', 0)]"

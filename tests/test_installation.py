@@ -35,7 +35,7 @@ def test_an_image_copies_only_what_is_there():
 
 
 def test_pins_of_the_image_are_those_of_the_project():
-    """The image's own command makes them of the file with hashes."""
+    """The image's command generates them from the file with hashes."""
     (command,) = re.findall(r"sed .*?> \S+", DOCKERFILE)
     shell = command.replace("/source", str(ROOT)).rpartition(">")[0]
     pins = subprocess.run(["/bin/sh", "-c", shell], check=True, **SHELL).stdout.splitlines()
@@ -80,7 +80,7 @@ LISTS = (
 
 @pytest.mark.parametrize("file", LISTS, ids=lambda file: f"{file.parent.name}/{file.name}")
 def test_every_package_is_pinned_with_the_hashes_of_its_files(file: Path) -> None:
-    """One version, and one hash at least, for each; no address of an index, as nobody's is everybody's."""
+    """Each has one version and at least one hash; no index address, since none suits every user."""
     text = file.read_text(encoding="utf-8")
     assert "://" not in text
     parts = re.split(r"^(?=[A-Za-z0-9])", re.sub(r"^\s*#.*\n", "", text, flags=re.MULTILINE), flags=re.MULTILINE)
@@ -93,7 +93,7 @@ def test_every_package_is_pinned_with_the_hashes_of_its_files(file: Path) -> Non
 
 @pytest.mark.parametrize("file", LISTS[1:], ids=lambda file: f"{file.parent.name}/{file.name}")
 def test_what_was_asked_for_is_what_is_pinned(file: Path) -> None:
-    """The lists that people write are those that were pinned."""
+    """The handwritten lists match the pinned ones."""
     text = file.read_text(encoding="utf-8")
     requirements = file.with_suffix(".in").read_text(encoding="utf-8").splitlines()
     for line in requirements:

@@ -1,4 +1,4 @@
-"""Tutorials: their notebooks run and draw the pictures of the pages."""
+"""Tutorials: their notebooks run and draw the figures of the pages."""
 
 from pathlib import Path
 

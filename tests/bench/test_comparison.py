@@ -1,4 +1,4 @@
-"""The comparison: which cases it consists of, and what it shows beyond its tables of errors."""
+"""The comparison: its cases, and its results besides the error tables."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Reports as pages: the linked views in a real browser, what they hold of a run, and what they warn of."""
+"""Reports as pages: linked views in a real browser, their contents, and their warnings."""
 
 from dataclasses import replace
 from pathlib import Path

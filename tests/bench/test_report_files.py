@@ -76,7 +76,7 @@ def results(outcome: RunOutcome) -> ComparisonResults:
 
 
 def written(results: ComparisonResults, folder: Path, done: Callable[[], None] = lambda: None) -> dict[str, object]:
-    """Write the report into `folder`; its `meta` part."""
+    """Write the report into `folder`; return its `meta` part."""
     study = ComparisonStudy(results.settings)
     report = study.report(results, 12.3)
     meta = describe_run(12.3) | report.meta
@@ -304,7 +304,7 @@ def _there(out: Path) -> set[str]:
 
 
 def test_results_of_the_same_command_are_replaced_wholly(tmp_path: Path) -> None:
-    """Its old figures go; what somebody else has put there, or has changed, stays."""
+    """Old figures of the command are removed; files that others added or changed stay."""
     _write(tmp_path, "bench", "bench.md", "figures/a.png", "figures/b.png", "old/c.png")
     (tmp_path / "figures" / "mine.png").write_text("mine", encoding="utf-8")
     (tmp_path / "figures" / "b.png").write_text("retouched by hand", encoding="utf-8")
@@ -314,7 +314,7 @@ def test_results_of_the_same_command_are_replaced_wholly(tmp_path: Path) -> None
 
 
 def test_two_commands_keep_both_their_results(tmp_path: Path) -> None:
-    """The page of the second has a name of its own, then and later; a file of the first is not replaced."""
+    """The page of the second has a different name, also in later runs; files of the first are not replaced."""
     _write(tmp_path, "bench", "bench.md", "report.html")
     _write(tmp_path, "tracking", "tracking.md", "report.html")
     _write(tmp_path, "tracking", "tracking.md", "report.html")
@@ -330,7 +330,7 @@ def test_two_commands_keep_both_their_results(tmp_path: Path) -> None:
 
 
 def test_results_whose_move_fails_leave_the_old_ones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Stale ones included."""
+    """This includes stale results."""
     _write(tmp_path, "bench", "a", "b")
     before = {name: (tmp_path / name).read_bytes() for name in ("a", "b", CONTENTS)}
     move = Path.replace
@@ -349,7 +349,7 @@ def test_results_whose_move_fails_leave_the_old_ones(tmp_path: Path, monkeypatch
 
 @pytest.mark.parametrize("contents", ["", "[]", "{", '{"a": 1}', '{"a": {"by": "bench"}}', '{"../x": null}'])
 def test_a_damaged_list_of_contents_is_as_good_as_none(tmp_path: Path, contents: str) -> None:
-    """Then everything there is somebody else's."""
+    """Every file then counts as foreign."""
     (tmp_path / CONTENTS).write_text(contents, encoding="utf-8")
     (tmp_path / "a").write_text("mine", encoding="utf-8")
     _write(tmp_path, "bench", "b")
@@ -357,7 +357,7 @@ def test_a_damaged_list_of_contents_is_as_good_as_none(tmp_path: Path, contents:
 
 
 def test_no_file_outside_is_ever_stale(tmp_path: Path) -> None:
-    """A list of contents that names one there, as somebody may write it."""
+    """The list of contents, which a user may edit, names a file outside the folder."""
     out, mine = tmp_path / "out", tmp_path / "mine"
     mine.write_text("mine", encoding="utf-8")
     _write(out, "bench", "a")
@@ -377,7 +377,7 @@ def _hold(out: str, ready: object, shared: bool) -> None:
 
 @pytest.mark.parametrize("shared", [False, pytest.param(True, marks=pytest.mark.system)])
 def test_a_second_command_is_refused_until_the_first_has_ended_however_it_ends(tmp_path: Path, shared: bool) -> None:
-    """A killed one leaves no lock, and what it left unfinished is removed; those who share a folder are let in."""
+    """A killed command leaves no lock, and its unfinished files are removed; commands may share a folder."""
     context = multiprocessing.get_context("spawn")
     ready = context.Event()
     process = context.Process(target=_hold, args=(str(tmp_path), ready, shared))
@@ -400,7 +400,7 @@ def test_a_second_command_is_refused_until_the_first_has_ended_however_it_ends(t
 
 
 def test_workers_end_when_their_parent_is_killed() -> None:
-    """They cannot be told; an idle one used to wait for two minutes."""
+    """The parent cannot notify them; an idle worker used to wait for two minutes."""
     program = (
         "import os, time\n"
         "from functools import partial\n"

@@ -1,4 +1,4 @@
-"""The timing pass replays a run exactly, or says that it cannot; every outcome gets its own times."""
+"""The timing pass replays a run exactly or raises an error; every outcome gets its own times."""
 
 import gc
 import os
@@ -21,7 +21,7 @@ from diffdrive_mpc.sim import Run, simulate
 
 
 class Moody(FeedForward):
-    """Remembers something that `start` does not reset."""
+    """Controller with state that `start` does not reset."""
 
     calls = 0
 
@@ -32,7 +32,7 @@ class Moody(FeedForward):
 
 
 class Dawdling(FeedForward):
-    """Takes 2 ms longer than it says: time outside its own clock."""
+    """Controller that takes 2 ms longer than it reports: time outside its own clock."""
 
     def step(self, t: float, measurement: Measurement) -> FixedStep:
         step = super().step(t, measurement)
@@ -78,7 +78,7 @@ def test_every_outcome_gets_the_times_of_its_own_replay(monkeypatch: pytest.Monk
 def test_disturbed_ticks_are_left_out_of_all_controllers_or_of_none(
     clean: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A peer's disturbed ticks must not stand beside times of others that have none."""
+    """Disturbed ticks of a peer must not be compared with undisturbed ticks of others."""
     outcomes = [quick_outcome(controller="kanayama", model="none"), quick_outcome()]
     times = []
     for outcome, undisturbed in zip(outcomes, (clean, 5), strict=True):
@@ -131,7 +131,7 @@ PUT_ASIDE = QUIET._replace(switches=1)
 
 @pytest.fixture(autouse=True)
 def a_clock_that_stands(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing here is out of patience, however busy the machine is."""
+    """A frozen clock, so that no retry times out on a busy machine."""
     monkeypatch.setattr(turns, "perf_counter", lambda: 0.0)
 
 
@@ -202,7 +202,7 @@ def test_so_many_undisturbed_repetitions_as_wanted_are_taken() -> None:
 
 
 def test_a_machine_that_was_slow_is_found_out_when_it_is_fast_again() -> None:
-    """The first block looks well until the yardstick is seen to be shorter."""
+    """The first block counts as undisturbed until a shorter reference time is measured."""
     slow = QUIET._replace(pace=1.01 * SLOWER * QUIET.pace)
     ((times,),), best = take_turns([[Scripted("a", 4, [], {0: [slow]})]], block=2)
     assert best == QUIET.pace

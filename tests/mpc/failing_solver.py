@@ -1,4 +1,4 @@
-"""Let solves fail as the solvers' packages report it, and references that no plan can be made for."""
+"""Failing solves, as reported by the solvers' packages, and references for which no plan exists."""
 
 from __future__ import annotations
 

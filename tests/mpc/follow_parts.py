@@ -15,7 +15,7 @@ SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 
 
 class Client:
-    """The other process; `events` is all that it said."""
+    """Client process; `events` holds its messages."""
 
     def __init__(self):
         self.process = subprocess.Popen(

@@ -44,7 +44,7 @@ DISCOVERY = 20.0
 
 
 class KeptProcess(SideProcess):
-    """The node's side process, which outlasts its node: that of the next test need not start Python again."""
+    """Side process of the node that outlives it: the next test does not start Python again."""
 
     _spare = None
     _busy = False
@@ -182,7 +182,7 @@ class FakeBase:
 
 
 class WallClockBase(FakeBase):
-    """The same in real time, more or less: it does not wait for commands, and publishes no clock."""
+    """Base in approximately real time: it does not wait for commands and publishes no clock."""
 
     @property
     def now(self):
@@ -201,7 +201,7 @@ class WallClockBase(FakeBase):
 
 
 class Stack:
-    """The node in a context of its own, and the base that it drives; with `drive` it has just been told to start."""
+    """Node in a separate context, and the base that it drives; with `drive` it has just received `start`."""
 
     def __init__(
         self,
@@ -359,7 +359,7 @@ def stack(*arguments, **parameters):
 
 
 def drive_along(s, message, topic):
-    """Send a reference that leads forward, and see that the robot drives along it."""
+    """Send a reference that leads forward; check that the robot follows it."""
     publisher = s.publisher(type(message), topic)
     s.base.silent(5)
     publisher.publish(message)

@@ -325,7 +325,7 @@ def test_a_start_at_the_solution_ends_there_at_once(seed):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_neighbour_s_multipliers_save_iterations(seed):
-    """The gradient of the cost changes a little, as from tick to tick."""
+    """The gradient of the cost changes slightly, as from tick to tick."""
     p, cold = pressing_problem(seed)
     p.g = p.g + 0.002 * np.abs(p.g).max() * np.random.default_rng(seed).normal(size=p.g.shape)
     anew, warm = solve(p), solve(p, cold.multipliers)

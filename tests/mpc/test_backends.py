@@ -1,4 +1,4 @@
-"""Every backend of the registry, against conditions of optimality that do not care how a solution was found."""
+"""Every backend of the registry, against optimality conditions that do not depend on the method."""
 
 import math
 import time
@@ -128,7 +128,7 @@ def test_solution_of_osqp_is_optimal(seed):
 
 
 def test_random_programs_exercise_all_limits():
-    """Else the conditions above would hold of problems without limits only."""
+    """Otherwise the conditions above would only cover problems without active limits."""
     programs = [random_program(seed) for seed in range(40)]
     solutions = [solve(program, "daqp") for program in programs]
     pressing = np.array([np.abs(solution.multipliers).max(axis=1) > 0 for solution in solutions])
@@ -194,7 +194,7 @@ def test_backend_solves_if_the_active_set_has_no_iterations():
 
 @every_backend
 def test_backend_plan_equals_the_active_set_with_active_limits(backend):
-    """On the problems of a drive, solved again from the core's memory."""
+    """The problems of a drive are solved again from the core's memory."""
     limits = {"limits.v_slew": 0.9, "limits.omega_slew": 1.5, "limits.omega": 0.51, "limits.predicted_v": 0.48}
     controller = Controller(load_config("ssm", limits | {"horizon": 15}))
     plant, reference = make_plant("model:ssm", "ideal", "perfect"), load_trajectory("circle")
@@ -214,7 +214,7 @@ def test_backend_plan_equals_the_active_set_with_active_limits(backend):
 
 
 def test_violated_limit_is_detected_at_every_step():
-    """Above and below, by more than the margin, and of the other command nothing."""
+    """Above and below, by more than the margin; limits of the other command are not violated."""
     reference = load_trajectory("s")
     controller = Controller(load_config("ssm", {"limits.v": 0.6, "limits.omega": 1.0}))
     controller.start(reference, 0.0)

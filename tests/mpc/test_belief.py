@@ -1,4 +1,4 @@
-"""The belief of the filter as a whole, and its prediction of the pose."""
+"""The full belief of the filter, and its prediction of the pose."""
 
 from dataclasses import astuple
 

@@ -1,4 +1,4 @@
-"""Configurations: keys, words of the field, and the rooms that they belong to."""
+"""Configurations: keys, their terms, and the sections that they belong to."""
 
 from __future__ import annotations
 

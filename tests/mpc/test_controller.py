@@ -1,4 +1,4 @@
-"""The controller on a robot that obeys its model: it tracks, through pi and from any clock, and repeats itself."""
+"""The controller on a robot that matches its model: tracking through pi, from any clock time, repeatably."""
 
 import os
 import subprocess
@@ -91,7 +91,7 @@ def with_and_without_side_slip(first_share=0.5, noise=1.0, slip=None, **settings
     ids=["ahead", "left", "dips"],
 )
 def test_robot_with_a_displaced_turning_point_is_tracked(slip, worse_without, noise):
-    """Within millimetres once it has been learned; and each number of its slip within three of its deviations."""
+    """Millimetre errors after learning; each slip is within three standard deviations of the true one."""
     errors, estimate = with_and_without_side_slip(slip=slip, noise=noise)
     error = np.abs(np.subtract(astuple(estimate.slip), astuple(slip)))
     assert (error < 3 * np.array(astuple(estimate.slip_deviation)) + 1e-6).all()
@@ -111,7 +111,7 @@ def test_robot_that_slides_while_turning_is_tracked(noise):
 
 @pytest.mark.parametrize("prior", [0.0, 0.06])
 def test_slip_estimation_does_not_harm_a_robot_without_slip(prior):
-    """With a prior that is wrong for it, once it has been learned."""
+    """The prior is wrong for this robot; errors count after learning."""
     priors = {"estimator.side_slip": prior, "estimator.load_shift": prior}
     errors, _ = with_and_without_side_slip(first_share=0.5 if prior else 0.0, **priors)
     assert errors[True] < errors[False] + 0.0005
@@ -195,7 +195,7 @@ def test_reported_command_replaces_the_sent_one_in_the_estimate():
 
 
 def test_estimate_follows_commands_of_another_controller():
-    """A robot that is driven at 0.3 m/s with poses alone: the estimate follows the commands of the other one."""
+    """Another controller drives the robot at 0.3 m/s with poses alone; the estimate follows its commands."""
     robot, watching = robot_for(load_trajectory("circle")), controller()
     watching.start(load_trajectory("circle"), robot.time)
     for _ in range(150):

@@ -46,7 +46,7 @@ def pair(name="ssm", accuracy=1e-9, **changes):
     ("name", "reference"), [("ssm", "circle"), ("ssm", "s"), ("sm", "square"), ("sm", "circle"), ("mbm", "cane")]
 )
 def test_a_drive(name, reference):
-    """With the configuration as it is shipped."""
+    """The configuration is the shipped one."""
     both = Pair(load_config(name))
     both.drive(make_plant("mujoco", seed=0), load_trajectory(reference), 60)
     assert both.modes == ["TRACKING"]
@@ -130,7 +130,7 @@ def overruled(k, t, m, both):
 
 @pytest.mark.parametrize("solver", [{}, {"solver.method": "daqp"}])
 def test_a_change_of_direction_with_limits_of_two_sides(solver):
-    """Forwards and back at once, with a turn from the left to the right: commands pass through zero within a tick."""
+    """The reference reverses direction and turn at once: commands pass through zero within a tick."""
     reference = lay_commanded(
         [Segment(v=0.3, omega=0.5, duration=0.8), Segment(v=-0.18, omega=-0.5, duration=1.2)],
         TrajectoryLimits.of_robot(),
@@ -197,7 +197,7 @@ def paused(k, t, m, both):
 
 
 class Blocked:
-    """The robot stands against something: what its sensors say does not change."""
+    """The robot is blocked: its sensor readings do not change."""
 
     def __call__(self, k, t, m, both):
         if k == 30:
@@ -348,7 +348,7 @@ def test_an_end_that_is_not_reached_is_told():
 
 
 class SlowRobot(IdealRobot):
-    """Answers to at most 0.4 m/s and 0.4 rad/s."""
+    """Robot that reaches at most 0.4 m/s and 0.4 rad/s."""
 
     def reset(self, pose):
         self.poses = [pose]
@@ -445,7 +445,7 @@ SPOILERS = {
 
 
 class Estimating:
-    """Both controllers on a robot that does something else than they ask, and says so."""
+    """Both controllers on a robot that applies, and reports, commands different from theirs."""
 
     def __init__(self, name="ssm", noise=1.0):
         model = load_model(name).with_extra_dead_time([0.01, 0.03])

@@ -1,4 +1,4 @@
-"""The compiled core: never loaded unless it is whole and our own, made anew where it is not, or refused in one line."""
+"""The compiled core: loaded only if complete and trusted, else compiled again or rejected with one line."""
 
 import json
 import os
@@ -73,7 +73,7 @@ def no_compiler(folder, monkeypatch):
 
 @pytest.fixture
 def compilations(monkeypatch):
-    """Counts them."""
+    """List with one entry per compilation."""
     made = []
     build = compiler.build_library
 
@@ -129,7 +129,7 @@ def test_changed_sources_give_a_new_library(folder, core, compilations):
 
 
 def test_digest_covers_every_module_of_the_formulas():
-    """One that is left out could change, and the library of before would be taken from the cache."""
+    """If a module were left out, a change of it would still load the old library from the cache."""
     origins = set(sources._FORMULAS)
     modules = {module for module, _ in imported(ROOT / "mpc" / "problem" / "formulas.py")}
     ours = {module.removeprefix("diffdrive_mpc.") for module in modules if module.startswith("diffdrive_mpc.")}
@@ -197,7 +197,7 @@ def test_concurrent_compilations_do_not_collide(folder, core):
 
 
 def test_library_that_fails_to_load_is_compiled_in_the_private_folder(folder, tmp_path, monkeypatch):
-    """The folder forbids execution."""
+    """The file system forbids execution."""
     ffi_class = library.cffi.FFI
     dlopen = ffi_class.dlopen
 
@@ -244,7 +244,7 @@ def test_folder_of_another_user_is_not_used(folder, tmp_path, monkeypatch, caplo
 
 @pytest.mark.parametrize("trap", ["open", "link", "file"])
 def test_prepared_temporary_folder_of_another_user_is_not_used(folder, tmp_path, trap):
-    """Another user has prepared the place of the private folder."""
+    """Another user has created the path of the private folder."""
     folder.mkdir()
     folder.chmod(0o777)
     prepared = private(tmp_path)
@@ -279,7 +279,7 @@ def test_missing_compiler_error_names_the_wheel(no_compiler):
 
 @pytest.fixture
 def wheel_core(core, folder):
-    """The small core as a wheel brings it."""
+    """The small core as installed from a wheel."""
     packaged.write_packaged(core)
     forget()
     return core
@@ -314,7 +314,7 @@ def test_damaged_manifest_is_ignored(wheel_core, compilations, text):
 
 
 def test_package_with_a_changed_header_is_compiled_again(wheel_core, compilations):
-    """Declarations and library must be of one text, or fields are read where they are not."""
+    """Declarations and library must come from the same source, or fields are read at wrong offsets."""
     header = wheel_core / "core.h"
     header.write_text(header.read_text().replace("v, omega", "omega, v"))
     ffi, lib = library.load_core()
@@ -348,7 +348,7 @@ def test_library_of_each_level_computes(wheel_core):
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    """A wheel of the sources as they are, built beside them."""
+    """A wheel built from the current sources."""
     folder = tmp_path_factory.mktemp("wheel")
     tree = folder / "tree"
     tree.mkdir()

@@ -1,4 +1,4 @@
-"""Parts of the core that no drive isolates, called directly, against rules that are written here once more."""
+"""Parts of the core that no drive isolates, called directly and compared with independent formulas."""
 
 import math
 
@@ -90,7 +90,7 @@ def test_turns_are_limited_in_the_direction_in_which_the_reference_moves():
 
 @pytest.mark.parametrize(("t0", "duration"), [(math.nan, 5.0), (math.inf, 5.0), (0.0, math.nan), (0.0, -math.inf)])
 def test_a_reference_that_is_refused_changes_nothing(t0, duration):
-    """The one before is tracked on, whoever starts or relays another."""
+    """The previous reference remains active after a failed start or switch."""
     inner = InnerController(horizon=STEPS)
     inner.controller.start(load_trajectory("circle"), 1.0)
     reference = inner.ffi.new("ddmpc_reference *", inner.c.reference)

@@ -1,4 +1,4 @@
-"""Slip that curves the body's twist: the prediction, what the estimator learns of it, and the settings."""
+"""Slip that curves the body's twist: prediction, estimation and settings."""
 
 from dataclasses import replace
 
@@ -98,7 +98,7 @@ def test_every_setting_reaches_the_estimate_in_its_own_place(name):
 
 
 def learned(surface, seed):
-    """Estimate after the diagnostic drive of 90 s, from a start that knows nothing of the floor."""
+    """Estimate after the diagnostic drive of 90 s, without prior knowledge of the surface."""
     still = {"longitudinal_gain": 2e-4, "turn_ahead": 1e-3, "turn_left": 1e-3, "side_slip": 2e-3, "yaw_gain": 1.5e-3}
     settings = in_config(
         {f"{name}_drift": drift for name, drift in (still | {"load_shift": 3e-4, "v_offset": 3e-3}).items()}
@@ -126,7 +126,7 @@ def test_the_terms_of_a_floor_are_learned_from_the_diagnostic_drive(surface):
 
 
 def test_terms_that_a_drive_does_not_tell_stay_where_they_were():
-    """On one circle at one speed yaw gain, veer and coupling are one: only their sum is learned."""
+    """On one circle at one speed, only the sum of yaw gain, veer and coupling is observable."""
     settings = in_config({"veer_uncertainty": 0.02, "yaw_coupling_uncertainty": 0.1})
     controller, plant = Controller(load_config("ssm", settings)), make_plant("model:ssm", "p4_asphalt", seed=3)
     reference = load_trajectory("circle")

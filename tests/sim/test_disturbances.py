@@ -150,7 +150,7 @@ def _drive(plant: MujocoPlant, v: float, omega: float, seconds: float) -> None:
 
 @pytest.mark.parametrize("direction", [0.7, 1.5708])
 def test_a_push_on_ice_gives_force_times_time(direction: float) -> None:
-    """The begin and end of the push fall between physics steps: the momentum is that of its exact duration."""
+    """Start and end of the push fall between physics steps: the momentum matches its exact duration."""
     push = {"force": 20.0, "direction": direction, "height": 0.09, "start": 0.1013, "duration": 0.2507}
     plant = _plant(ICE, pushes=[push])
     plant.reset([1.0, 2.0, 0.5])
@@ -245,7 +245,7 @@ def _disturbances(**parts: Any) -> tuple[DisturbedPhysics, VelocityLoops]:
 
 
 def test_a_slipping_wheel_pushes_no_harder_than_its_friction() -> None:
-    """Under full throttle the sound side pulls ahead: the robot turns towards the slipping one."""
+    """Under full throttle the side with grip pulls ahead: the robot turns towards the slipping wheel."""
     slipping = [{"wheel": wheel, "friction": 0.02, "start": 0.0, "duration": 1.0} for wheel in LEFT]
     plant = _plant(slipping_wheels=slipping)
     _drive(plant, 0.8, 0.0, 0.6)
@@ -281,7 +281,7 @@ def test_on_a_patch_the_robot_slips_as_on_a_floor_of_that_kind() -> None:
 
 
 def test_a_patch_begins_and_ends_where_it_lies() -> None:
-    """The front wheels get onto it half a wheel base before the middle, the rear wheels leave it as much after."""
+    """The front wheels reach it half a wheel base before the centre, the rear wheels leave it as much later."""
     half = TWIN.chassis.wheel_base / 2
     plant = _plant(patches=[{"start": 0.5, "length": 0.6, "friction": 0.5}, {"start": 50.0, "friction": 0.5}])
     log = drive_open_loop(plant, np.tile([0.5, 0.0], (200, 1)))

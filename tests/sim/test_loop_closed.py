@@ -1,4 +1,4 @@
-"""The closed loop: what happens at which time, and how a disturbed robot recovers."""
+"""The closed loop: timing of its events, and recovery of a disturbed robot."""
 
 import math
 from dataclasses import asdict
@@ -27,7 +27,7 @@ def test_a_perfect_plant_under_feed_forward_stays_on_the_reference() -> None:
 
 
 class Workshop(KinematicPlant):
-    """A user's plant with attributes of its own that are called as those of our plants in a world."""
+    """User plant with attributes that have the same names as those of the shipped plants in a world."""
 
     world, disturbance = "the workshop", "a draught"
 
@@ -64,7 +64,7 @@ def test_a_command_that_is_not_two_finite_numbers_ends_the_run(command: list[flo
 
 
 class Fragile(KinematicPlant):
-    """Is lost in the sample after its tenth tick."""
+    """Plant that fails in the sample after its tenth tick."""
 
     def advance(self, command: ArrayLike) -> None:
         if self.time > 9.5 * self.sample_time:
@@ -156,7 +156,7 @@ def test_a_robot_that_never_leaves_the_band_recovers_at_once_and_overshoots_noth
 
 
 def test_the_side_of_the_excursion_is_not_that_of_the_wobble_at_its_begin() -> None:
-    """At the end of a push the robot is still inside the band, on whatever side; it leaves the band to the left."""
+    """At the end of a push the robot is still inside the band, on either side; it leaves the band to the left."""
     lateral = _after(2.2, 0.3 * np.exp(-3 * (TIME - 2.2))) + np.where(TIME < 2.2, -0.01, 0.0)
     assert _recovery(lateral, (2.0, 2.1)).overshoot_m == 0.0
 

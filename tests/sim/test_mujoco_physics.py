@@ -1,4 +1,4 @@
-"""The physics plant against what mechanics says."""
+"""The physics plant against the laws of mechanics."""
 
 import math
 
@@ -32,7 +32,7 @@ def _held(plant: MujocoPlant, v: float, omega: float, samples: int = 200) -> Ope
 
 @pytest.fixture(scope="module")
 def steady() -> dict[str, OpenLoopDrive]:
-    """The same gentle curve on every surface."""
+    """Steady part of the same gentle curve on every surface."""
     return {surface: _held(_twin(surface), 0.5, 0.5) for surface in FRICTION}
 
 
@@ -84,7 +84,7 @@ def test_weak_motors_limit_the_speed_and_obey_again_when_less_is_asked() -> None
 
 
 def test_a_robot_without_motors_only_loses_energy() -> None:
-    """Friction takes energy away; only what rocking on the soft tyres holds may come back for a moment."""
+    """Friction dissipates energy; only energy stored in the soft tyres may return briefly."""
     robot, twin = load_robot(), load_twin_parameters()
     chassis = Chassis(robot, twin, FRICTION["default"], robot.sample_time / twin.substeps)
     for _ in range(250):
@@ -144,7 +144,7 @@ def test_zero_command_stops_the_robot_and_keeps_it_there() -> None:
 
 
 def test_acceleration_stays_within_friction() -> None:
-    """Pitching shifts load for an instant, but over a tenth of a second the floor carries the weight and no more."""
+    """Pitching shifts load briefly, but averaged over 0.1 s the surface carries exactly the weight."""
     log = drive_open_loop(_twin("slippery"), np.tile([1.2, 0.0], (60, 1)))
     samples = 5
     gained = log.true_twist[samples:, 0] - log.true_twist[:-samples, 0]
@@ -232,7 +232,7 @@ def test_the_force_to_drag_it_is_that_of_the_friction_in_each_direction(surface:
 
 @pytest.mark.parametrize("surface", ["default", "carpet", "deep_carpet"])
 def test_a_carpet_keeps_it_from_turning_as_coulomb_friction_says(surface: str) -> None:
-    """Moment balance of four sliding wheels whose friction is an ellipse: forces are as friction squared times slip."""
+    """Moment balance of four sliding wheels with elliptic friction: force is friction squared times slip."""
     ratio = load_surface(surface).sideways * TWIN.chassis.wheel_base / ROBOT.track
     log = drive_open_loop(make_plant("mujoco", surface, "perfect"), np.tile([0.0, 1.0], (150, 1)))
     gain = log.true_twist[75:, 2].mean() / log.wheel_twist[75:, 1].mean()
@@ -240,7 +240,7 @@ def test_a_carpet_keeps_it_from_turning_as_coulomb_friction_says(surface: str) -
 
 
 def test_two_contact_points_a_wheel_are_as_good_as_one() -> None:
-    """The capsules of a carpet with hardly any difference between its directions drive like the spheres."""
+    """The capsules of a carpet that is nearly isotropic drive like the spheres."""
     floor = load_surface("default").friction or 0.0
     poses = []
     for sideways in (1.0, 1.0 + 1e-9):

@@ -44,7 +44,7 @@ def commands(ticks=TICKS, seed=0):
 
 
 def driven(bag, rows, *, plant="mujoco", seed=0, base=None, ticks=None, start=(1.0, 2.0, 0.5), storage="mcap", **how):
-    """Drive in lock step and record; the driver."""
+    """Drive in lock step and record; return the driver."""
     base = base or settings()
     with Driver(rows, DT, stamped=base.stamped, **how) as driver:
         run_robot(
@@ -98,7 +98,7 @@ def test_a_recording_is_the_log_of_the_drive(tmp_path, stamped, storage):
 
 
 def test_commands_of_the_other_type_are_named_with_the_remedy(capfd):
-    """However long discovery takes on a loaded machine."""
+    """This holds independently of the discovery time on a loaded machine."""
     plant, warnings = make_plant("model:ssm"), []
     advance = plant.advance
 
@@ -118,7 +118,7 @@ def test_commands_of_the_other_type_are_named_with_the_remedy(capfd):
 
 
 def test_a_silent_driver_lets_the_robot_stop(tmp_path):
-    """It drives on for the command timeout, no longer, and comes to rest."""
+    """The robot continues for the command timeout, then comes to rest."""
     rows = np.tile([0.5, 0.0], (30, 1))
     driven(tmp_path / "bag", rows, ticks=100)
     speed = np.array([m.twist.linear.x for m in recorded(tmp_path / "bag", "/ground_truth/twist")[1]])
@@ -130,7 +130,7 @@ def test_a_silent_driver_lets_the_robot_stop(tmp_path):
 
 
 def test_commands_that_cannot_be_meant_do_not_move_it(tmp_path):
-    """NaN, and stamps of another clock."""
+    """The commands contain NaN, or stamps of another clock."""
     bad, good = np.full((20, 2), np.nan), np.tile([0.5, 0.0], (20, 1))
     base = settings(answer_timeout=0.05)
     driven(tmp_path / "nan", bad, plant="model:ssm", base=base)
@@ -158,7 +158,7 @@ def test_topics_carry_frames_and_rates(tmp_path):
 
 @pytest.mark.parametrize(("source", "bound"), [("dead_reckoning", 0.03), ("pose_sensor", 0.03)])
 def test_the_pose_in_odom_is_where_the_robot_is(tmp_path, source, bound):
-    """Either way within centimetres after a curve of 1.2 s, at the instant of its stamp in spite of late poses."""
+    """Errors are centimetres after a curve of 1.2 s, at the time of the stamp in spite of late poses."""
     rows = np.tile([0.8, 0.8], (TICKS, 1))
     driven(tmp_path / "bag", rows, base=settings(odometry_pose=source))
     poses = [message.pose.pose.position for message in recorded(tmp_path / "bag", "/odom")[1]]
@@ -212,7 +212,7 @@ def started(*words, says):
     [(signal.SIGINT, "--real-time", "ready, in real time"), (signal.SIGTERM, "--lock-step", "waiting for")],
 )
 def test_a_signal_ends_it_cleanly(number, mode, says, tmp_path):
-    """Also in lock step with nobody there, where it waits."""
+    """This also holds in lock step without a driver, while the robot waits."""
     with started(mode, "--record", str(tmp_path / "bag"), says=says) as robot:
         robot.send_signal(number)
         _, errors = robot.communicate()

@@ -1,4 +1,4 @@
-"""Sensors: what they measure, and their faults."""
+"""Sensors: measurements and faults."""
 
 from pathlib import Path
 from typing import Any
@@ -139,7 +139,7 @@ START, END = 0.5, 1.0
 
 
 def _drive(plant: Plant, ticks: int = 75) -> list[tuple[float, Measurement, list[float]]]:
-    """Time, measurement and true pose of each tick of a curve."""
+    """Return time, measurement and true pose of each tick of a curve."""
     plant.reset(np.zeros(3))
     samples = []
     for _ in range(ticks):
@@ -164,7 +164,7 @@ def _value(stamped: Stamped | None) -> list[float] | None:
     ],
 )
 def test_poor_poses_arrive_as_often_and_as_old_as_their_name_says(name: str, rate: float, age: float) -> None:
-    """Ages by the stamp; how old a pose really is shows its place: it is where the robot was that long ago."""
+    """Ages follow from the stamps; the value of a pose shows its true age: the robot was there at that time."""
     latency = load_sensor_set(name).pose.latency
     samples = _drive(make_plant("mujoco", sensors=name), 300)[1:]
     arrived = [(time, m.pose) for time, m, _ in samples if m.pose is not None]
@@ -205,7 +205,7 @@ def test_a_sensor_set_says_only_what_differs_from_the_default_one(tmp_path: Path
 
 
 def _both(name: str, **faults: Any) -> list[tuple[float, Measurement, Measurement]]:
-    """Time, sound and faulty measurement of each tick; the robots are the same in every bit."""
+    """Return time, sound and faulty measurement of each tick; the robots' states are bitwise equal."""
     for fault in (fault for kind in faults.values() for fault in kind):
         fault |= {"start": START, "duration": END - START}
     scenario = check(Scenario, {"description": "test", **faults}, "test")

@@ -1,4 +1,4 @@
-"""Robots of the simulation: shipped, drawn, and put together of parts."""
+"""Robots of the simulation: shipped, drawn at random, and assembled from parts."""
 
 import math
 from pathlib import Path
@@ -123,7 +123,7 @@ def test_who_drives_is_told_a_slew_that_grip_allows():
 
 
 def test_castors_turn_the_robot_about_its_driven_axle():
-    """Two driven wheels turn as their geometry says, about the middle of their axle."""
+    """Two driven wheels turn the robot about the middle of their axle, as their geometry predicts."""
     robot = MANY[CASTORS[0]]
     assert robot.build.twin.chassis.castors and not robot.scenario.kinds
     plant = make_plant(f"drawn:{robot.seed}", sensors="perfect", seed=robot.seed)
@@ -205,7 +205,7 @@ def test_a_silent_sensor_keeps_its_last_value():
 
 @pytest.mark.parametrize("latency", [0, 1, 4])
 def test_a_late_pose_is_carried_on_by_the_motion_since(latency):
-    """The sum is a metre and a radian off; one exact pose, however late, puts it right."""
+    """Odometry is off by a metre and a radian; one exact pose corrects it, however late it arrives."""
     truth = [np.array([0.0, 0.0, 0.0])]
     odometry = Odometry([1.0, 0.0, 1.0], latency, use_pose_sensor=True)
     for k in range(60):

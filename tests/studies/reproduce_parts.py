@@ -1,4 +1,4 @@
-"""Results of a reproduction that was never driven."""
+"""Artificial results of a reproduction."""
 
 from pathlib import Path
 

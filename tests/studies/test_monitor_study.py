@@ -20,7 +20,7 @@ SEED = 90_000
 
 @pytest.mark.parametrize("fault", ["wrong sign", "never stops", "sees the past", "miswired", "frozen pose"])
 def test_what_keeps_all_limits_is_caught_by_what_the_robot_does(fault):
-    """Before harm, within the time that is stated; commands were within range and slew all the while."""
+    """The rule trips before harm and within the stated time; commands never leave range and slew."""
     trial = faulty_trial(fault, SEED, RULES)
     assert trial.rule in rule_names() and trial.rule not in ("", "speed", "slew")
     assert 0.0 <= trial.after <= FAULTS[fault].stated
@@ -28,7 +28,7 @@ def test_what_keeps_all_limits_is_caught_by_what_the_robot_does(fault):
 
 
 def test_a_robot_that_does_not_obey_is_told_of():
-    """Commands cannot stop it: a person has to be told."""
+    """Commands cannot stop the robot: a person has to be notified."""
     trial = faulty_trial("runaway", SEED, RULES)
     assert trial.rule == "answer_v" and trial.after <= FAULTS["runaway"].stated and not trial.at_rest
 
@@ -40,7 +40,7 @@ def test_sound_drives_pass(seed):
 
 
 def test_the_study_says_what_was_missed(monkeypatch, tmp_path):
-    """With rules under which a robot may be anywhere the wrong sign is missed: exit code 1, and the report stands."""
+    """With rules that allow any position, the wrong sign is missed: exit code 1, and the report is written."""
     rules = tmp_path / "blind.yaml"
     values = RULES.model_dump()
     values["path"] |= {"distance": 900.0, "far": 900.0, "heading": 9.0}

@@ -1,4 +1,4 @@
-"""The study of the predicted error: from drives to a calibration that covers others, and drives that repeat."""
+"""The study of the predicted error: calibration that covers further drives, and repeatable drives."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The experiments of `reproduce`: kinematics, drives, lines and what is taken from the papers."""
+"""The experiments of `reproduce`: kinematics, drives, lines and values from the papers."""
 
 from itertools import pairwise
 
@@ -37,7 +37,7 @@ def test_dead_reckoning_goes_arc_by_arc(twist):
 
 @pytest.mark.parametrize("name", ["circle", "square", "s", "cane"])
 def test_open_loop_commands_trace_the_reference(name):
-    """A robot that obeyed at once would end where the reference ends, but for the part of a sample at each jump."""
+    """A robot without lag would end where the reference ends, except for part of a sample at each jump."""
     commands = trajectory_commands(name)
     pose = np.zeros(3)
     for v, omega in commands:

@@ -1,4 +1,4 @@
-"""Findings of the reproduction, and the report that says them."""
+"""Findings of the reproduction, and their report."""
 
 import json
 import re
@@ -25,7 +25,7 @@ def verdict(results, *words):
 
 
 def test_the_paper_s_own_numbers_hold():
-    """Results made up after the papers: everything holds but what the papers' own tables contradict, or leave open."""
+    """Artificial results like the papers': claims hold unless the papers' own tables contradict or omit them."""
     exceptions = {claim: value for claim, value in verdicts(made_up()).items() if value != "yes"}
     assert exceptions == {
         "the printed tests give the printed p1 within 2 standard deviations": "no",

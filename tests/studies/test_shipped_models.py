@@ -43,7 +43,7 @@ def test_file_states_the_fit_that_the_plant_has(fits: list[PredictionFit]) -> No
 
 
 def test_stated_encoder_noise_is_that_of_the_counting_encoders() -> None:
-    """The sensor set changes what is delivered and not the physics, so `perfect` shows the truth behind `default`."""
+    """The sensor set changes measurements, not physics, so `perfect` gives the true values for `default`."""
     commands = random_commands(9, smooth=False)
     estimated, true = (drive_open_loop(make_plant("mujoco", sensors=name), commands) for name in ("default", "perfect"))
     np.testing.assert_array_equal(estimated.true_pose, true.true_pose)
@@ -57,7 +57,7 @@ def test_stated_encoder_noise_is_that_of_the_counting_encoders() -> None:
 
 @pytest.fixture
 def drives(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Short drives of a velocity model in place of the physics; the seeds that were driven."""
+    """Seeds of short drives with a velocity model instead of the physics."""
     driven: list[int] = []
 
     def drive(firmware: Firmware, seed: int, smooth: bool) -> OpenLoopDrive:
@@ -105,7 +105,7 @@ def _step(v: float, omega: float) -> OpenLoopDrive:
 
 @pytest.fixture
 def quick_parts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Short experiments on a velocity model."""
+    """Short experiments with a velocity model."""
 
     straight, turn = [_step(0.5, 0.0)], [_step(0.0, 1.0)]
     monkeypatch.setattr(f"{FITTING}.run_experiments", lambda: PaperExperiments(straight, straight, turn, []))

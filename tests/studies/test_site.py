@@ -1,4 +1,4 @@
-"""The documents as a site: links, formulas, pages made from the code, and that what is wrong fails the build."""
+"""The documents as a site: links, formulas, generated pages, and builds that fail on errors."""
 
 import re
 import shutil

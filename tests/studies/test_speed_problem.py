@@ -1,4 +1,4 @@
-"""Peers solve the controller's own problem: stage by stage it has the same predictions, cost, limits and solution."""
+"""Peers solve the controller's problem: each stage has the same predictions, cost, limits and solution."""
 
 from dataclasses import asdict
 from types import SimpleNamespace
@@ -152,7 +152,7 @@ def test_a_peers_solution_is_that_of_the_controllers_problem(plugin, options, na
 
 
 def oracle_tick(program, estimate, past):
-    """Return the oracle's tick for a controller's `program` and `estimate`, a copy; `past` (memory, 2) is under way."""
+    """Return a copy of the oracle's tick for `program` and `estimate`; `past` (memory, 2) is in flight."""
     return Tick(
         pose=estimate.pose.copy(),
         state=estimate.state.copy(),

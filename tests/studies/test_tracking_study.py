@@ -1,4 +1,4 @@
-"""The tracking study: plan, rows, targets and report, from rows that were made up and from runs that were driven."""
+"""The tracking study: plan, rows, targets and report, from artificial rows and simulated runs."""
 
 import json
 import math
@@ -43,7 +43,7 @@ def test_a_mistake_in_a_study_is_one_line_before_anything_is_driven(old: str, ne
 
 @pytest.fixture(scope="module")
 def run():
-    """Starts 0.2 m to the left of an arc and comes back."""
+    """Run that starts 0.2 m to the left of an arc and returns to it."""
     return simulate(make_peer("kanayama"), DisplacedUnicycle([0.0, 0.2, 0.0]), Arc(duration=8.0))
 
 
@@ -166,7 +166,7 @@ def test_the_report_has_figures_and_every_run_once(report: Path):
 
 @pytest.fixture(scope="module")
 def driven(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """The folder of a small study, and what the command printed."""
+    """Folder of a small study, and the output of the command."""
     folder = tmp_path_factory.mktemp("driven")
     words = ["--study", str(tiny_study(folder)), "--only", "ablation,cross,bound", "--jobs", "1"]
     result = invoke(app, "tracking", "--out", folder / "out", *words)
