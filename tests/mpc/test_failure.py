@@ -108,7 +108,7 @@ def test_speed_falls_with_position_uncertainty_before_braking():
 
 @pytest.mark.parametrize(("wheels", "band"), [(False, 0.08), (True, 0.015)])
 def test_dead_reckoning_ends_without_wheels_or_beyond_the_band(wheels, band):
-    """Blind means blind: then the usual age of a pose counts."""
+    """Dead reckoning is unreliable here: the usual age limit of poses applies."""
     patient = controller(**{"failure.dead_reckoning": 2.0, "reentry.band": band})
     results, _, _ = drive(patient, robot(), REFERENCE, 4.0, change=without_poses(100, wheels=wheels))
     assert Mode.BRAKING in modes(results)
@@ -136,7 +136,7 @@ def rare_poses(interval, latency, until=math.inf):
     [(26, 5, 0.5, 1), (10, 18, 0.5, 1), (26, 5, 0.65, 0), (10, 18, 0.65, 0), (60, 0, 0.5, 1)],
 )
 def test_too_rare_poses_stop_the_robot_once_with_the_remedy(interval, latency, largest, most):
-    """It brakes as often as `most`, and then stands: what it is told to raise lets it drive."""
+    """It brakes `most` times, then stops; the setting named in its message lets it drive."""
     tracker = controller(**{"failure.max_pose_age": largest, "failure.dead_reckoning": 0.0})
     results, _, _ = drive(tracker, robot(), REFERENCE, 6.0, change=rare_poses(interval, latency))
     order = modes(results)
@@ -194,7 +194,7 @@ def test_backward_time_brakes_and_is_reported():
 
 
 def test_early_call_repeats_the_command():
-    """Else a burst of calls would add up to any acceleration: the slew limit is one per sample."""
+    """Otherwise a burst of calls could reach any acceleration: the slew limit applies per sample."""
     driver, base = controller(), robot()
     results, _, _ = drive(driver, base, REFERENCE, 0.2)
     for k in range(8):
@@ -330,7 +330,7 @@ def test_plan_that_is_not_finite_is_not_driven(monkeypatch, backend):
 
 @every_backend
 def test_failed_warm_start_is_discarded(monkeypatch, backend):
-    """After a failure the solver starts cold: the next solves succeed, whatever the failed one left behind."""
+    """After a failure the solver starts cold: the next solves succeed, whatever the state after the failed one."""
     solver = FailingSolver(monkeypatch, garbage=1e12)
     results, _, _ = drive(controller(**BACKENDS[backend]), robot(), REFERENCE, 2.0, change=solver.during({50}))
     assert [r.solver.status.usable for r in results].count(False) == 1
@@ -370,7 +370,7 @@ BRAKE = {"limits.v_braking": 0.7, "limits.omega_braking": 1.1}
 
 @pytest.mark.parametrize("slew", [{"limits.v_slew": 0.001, "limits.omega_slew": 0.001}, {}])
 def test_braking_keeps_its_limits_for_any_slew(slew):
-    """With all sensors gone the robot stands in time, though a tiny slew was set while it drove."""
+    """Without any sensors the robot stops in time, although a tiny slew was set during the drive."""
     driver, base = controller(**BRAKE), robot()
     drive(driver, base, REFERENCE, 3.0)
     driver.update(limits={key.partition(".")[2]: value for key, value in slew.items()})

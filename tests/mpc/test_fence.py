@@ -1,4 +1,4 @@
-"""The fence: a robot comes to rest inside its rectangle, whatever path leads out, and stands until it is started."""
+"""The fence: the robot stops inside its rectangle on every path that leaves it, and waits for a restart."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Least radii: of commands, and of what the robot turns."""
+"""Minimum radii of commands and of the robot's motion."""
 
 import numpy as np
 import pytest
@@ -42,7 +42,7 @@ def driven(config, reference, **plant):
 
 @st.composite
 def paths(draw):
-    """Draw paths forwards and backwards, with cusps and stops, as sharp as the robot turns at all."""
+    """Draw paths forwards and backwards, with cusps and stops, up to the robot's sharpest turns."""
     parts = []
     for _ in range(draw(st.integers(1, 4))):
         v = draw(st.sampled_from([-1.0, 1.0])) * draw(st.floats(0.2, 0.8))
@@ -60,7 +60,7 @@ def paths(draw):
     seed=st.integers(0, 2**31),
 )
 def test_every_command_keeps_range_slew_and_radius(path, radius, slew, braking, seed):
-    """A robot that goes where it likes: poses wander, jump and stay away, and somebody has it stand meanwhile."""
+    """A robot with arbitrary motion: poses drift, jump and go missing, and stops are requested meanwhile."""
     limits = dict(zip(("v_slew", "omega_slew", "v_braking", "omega_braking"), (*slew, *braking), strict=True))
     overrides = {KEY: radius, "horizon": 12} | {f"limits.{name}": value for name, value in limits.items()}
     controller, random = Controller(load_config("ssm", overrides)), np.random.default_rng(seed)
@@ -86,7 +86,7 @@ def test_every_command_keeps_range_slew_and_radius(path, radius, slew, braking, 
 
 @pytest.mark.parametrize(("sent", "held"), [((0.0, 1.0), 0.0), ((0.2, 1.0), 0.2), ((-0.3, -1.2), 0.3)])
 def test_foreign_tight_turn_is_left_at_the_slew_limit_without_speeding_up(sent, held):
-    """The yaw rate gives way; the speed is not raised beyond what it was for the radius' sake."""
+    """The yaw rate is reduced; the speed is not raised to satisfy the radius."""
     config = load_config("ssm", {KEY: 2.0, "limits.omega_slew": 2.0})
     rest = lay_segments([Segment(v=0.0, omega=0.0, duration=5.0)], TrajectoryLimits.of_robot(), name="rest")
     controller = Controller(config)
@@ -103,7 +103,7 @@ def test_foreign_tight_turn_is_left_at_the_slew_limit_without_speeding_up(sent, 
 
 
 def test_robot_cuts_a_tight_curve_and_returns_to_its_path():
-    """A quarter turn of radius 0.5 m where commands may turn on 0.7 m."""
+    """A quarter turn of radius 0.5 m; commands may turn on 0.7 m."""
     reference = lay_segments(
         [Segment(v=0.5, omega=0.0, duration=3.0), Segment(v=0.5, omega=1.0, duration=np.pi / 2)]
         + [Segment(v=0.5, omega=0.0, duration=6.0)],

@@ -1,4 +1,4 @@
-"""Sensors that contradict each other: who is found, who is let off, and what the robot does about it."""
+"""Sensors that contradict each other: detection, false alarms, and the robot's reaction."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TRACK = Wheels().encoder_track
 
 
 class HeldRobot(IdealRobot):
-    """From the fault on the body stands for 1.2 s; its wheels stand with it, or spin."""
+    """Robot whose body is held for 1.2 s from the fault on; its wheels stop, too, or spin."""
 
     spins = False
 
@@ -43,7 +43,7 @@ class SpinningRobot(HeldRobot):
 
 
 class QuietHeldRobot(HeldRobot):
-    """It is held for 2.6 s, and its encoders read exactly zero meanwhile, as real ones do."""
+    """Robot that is held for 2.6 s; its encoders read exactly zero meanwhile, as real ones do."""
 
     @property
     def held(self):
@@ -57,7 +57,7 @@ class QuietHeldRobot(HeldRobot):
 
 
 class PushedRobot(IdealRobot):
-    """Something moves it by 0.25 m and turns it by 0.2 rad within 0.2 s; gyro and poses see that."""
+    """Robot that is moved by 0.25 m and turned by 0.2 rad within 0.2 s; gyro and poses measure that."""
 
     push = 0.0
 
@@ -137,7 +137,7 @@ FAULTS = {
 @pytest.mark.parametrize("model", ["ssm", "sm", "mbm"])
 @pytest.mark.parametrize("fault", FAULTS)
 def test_sensor_contradicted_by_two_others_is_not_used(fault, model):
-    """The robot goes on: the others are enough."""
+    """The robot continues with the remaining sensors."""
     change, trajectory, name, soon = FAULTS[fault]
     results, apart = run(change, trajectory, model)
     assert accused(results) == {name}
@@ -183,7 +183,7 @@ def test_robot_brakes_if_poses_are_faulty(fault, model):
 
 
 def test_biased_gyro_is_not_accused():
-    """The bias is learned, as slip is."""
+    """The bias is estimated, as slip is."""
     results, apart = run(spoilt("yaw_rate", lambda rate, _: rate + 0.05))
     assert accused(results) == set()
     assert not any("later than their stamps" in result.message for result in results)
@@ -193,7 +193,7 @@ def test_biased_gyro_is_not_accused():
 
 
 class SlidingRobot(IdealRobot):
-    """On a slope: while it turns it slides to the east, by 0.1 m for each radian."""
+    """Robot on a slope that slides to the east while it turns, by 0.1 m per radian."""
 
     def advance(self, command):
         super().advance(command)
@@ -209,7 +209,7 @@ def test_robot_sliding_down_a_slope_is_not_stopped(trajectory):
 
 @pytest.mark.parametrize("every", [1, 5, 10])
 def test_command_stays_small_for_a_held_robot_with_quiet_encoders(every):
-    """Zeros are right there, and poses say so, however seldom they come."""
+    """Zero readings are correct here, and even rare poses confirm them."""
 
     def seldom(k, m):
         return m if k % every == 0 else replace(m, pose=None)
@@ -223,7 +223,7 @@ def test_command_stays_small_for_a_held_robot_with_quiet_encoders(every):
 
 @pytest.mark.parametrize(("field", "name", "channel"), [("wheel_twist", "wheel speed", 0), ("yaw_rate", "yaw rate", 1)])
 def test_zero_readings_mislead_the_estimate_for_less_than_200_ms(field, name, channel):
-    """Then they repeat themselves for too long, well before poses have told that the sensor is at fault."""
+    """The reading then repeats for too long, well before poses reveal the faulty sensor."""
     results, _ = run(spoilt(field, lambda value, _: 0.0 * value), "circle", seconds=3.6)
     twists = np.array([result.estimate.twist[channel] for result in results[FAULT:]])
     assert (np.abs(twists[:5]) < 0.1).all()
@@ -276,7 +276,7 @@ def test_poses_later_than_their_stamps_are_reported_within_5_s_but_not_accused(t
 
 
 class MirroredReference:
-    """A reference of which left is right."""
+    """Reference that is mirrored left to right."""
 
     def __init__(self, original):
         self.original, self.name, self.duration = original, original.name, original.duration
@@ -347,7 +347,7 @@ def test_wrong_track_is_reported_within_ten_seconds_of_turning(track, is_reporte
 
 @pytest.mark.parametrize("seed", range(3))
 def test_false_reports_of_the_base_keep_the_slew_limit(seed):
-    """Slew counts from the controller's own last command, whatever the base says it got."""
+    """Slew is relative to the controller's last command, whatever the base reports."""
     rng, limits = np.random.default_rng(seed), load_config("ssm").limits
 
     def lie(k, m):

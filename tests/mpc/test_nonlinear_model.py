@@ -1,4 +1,4 @@
-"""A velocity model that is a function: prediction, its plan against IPOPT's, and what it is worth where it matters."""
+"""A velocity model that is a function: prediction, plans compared with IPOPT's, and benefit under saturation."""
 
 import casadi as ca
 import numpy as np
@@ -39,7 +39,7 @@ MODELS = {"states": saturating(), "window": windowed()}
 
 
 class ExactRobot:
-    """Obeys a nonlinear model; its sensors are exact."""
+    """Robot that obeys a nonlinear model, with exact sensors."""
 
     def __init__(self, model):
         self.model, self.k, self.state, self.pose = model, 0, np.zeros(model.order), np.zeros(3)
@@ -179,7 +179,7 @@ def test_what_cannot_be_a_robots_model_is_refused_in_one_line():
 
 
 def test_the_feed_forward_holds_a_speed_at_which_the_gain_is_another_than_at_rest():
-    """The plan of a robot that already moves as asked is the command that keeps it so: no cost, no deviation."""
+    """For a robot at the reference's speed, the plan is the command that keeps it: no cost, no deviation."""
     model = windowed()
     config = load_config("ssm", {"reentry.enabled": False} | NO_SLIP | EXACT)
     controller, robot = Controller(config, model=model), ExactRobot(model)

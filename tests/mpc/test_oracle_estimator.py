@@ -186,7 +186,7 @@ def test_exact_data_give_the_exact_estimate():
 
 @pytest.mark.parametrize("late", [1, 3, 8])
 def test_late_poses_give_the_estimate_of_punctual_ones(late):
-    """Poses in time up to some tick, or the same poses late: the same estimate."""
+    """Poses in time up to some tick and the same poses late lead to the same estimate."""
     in_time, delayed = StateEstimator(MODEL, Estimator()), StateEstimator(MODEL, Estimator())
     queue = []
 
@@ -240,7 +240,7 @@ def test_turning_point_and_slip_are_estimated_within_two_deviations(slip):
 
 
 def test_wheel_gain_is_not_attributed_to_slip():
-    """Encoders see what the wheels do: their gain goes into omega_gain, not into yaw_gain."""
+    """Encoders measure the wheels: their gain goes into omega_gain, not into yaw_gain."""
 
     class AdaptsAtOnce(Estimator):
         gain_evidence: ClassVar[float] = 0.0
@@ -282,7 +282,7 @@ def yaw_gains(after, ticks):
 
 @pytest.mark.parametrize("after", [0.35, 0.6, 1.8])
 def test_sudden_change_of_floor_is_learned_within_seconds(after):
-    """However large the surprise: one that lasts is slip."""
+    """A lasting deviation counts as slip, however large it is."""
     result = yaw_gains(after, 400)
     assert result[295] == pytest.approx(1.0, abs=0.05)
     assert np.median(result[500:]) == pytest.approx(after, rel=0.1)

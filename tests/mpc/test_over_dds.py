@@ -1,4 +1,4 @@
-"""Drives over DDS: recorded, compared with those in one process, and watched."""
+"""Drives over DDS: recorded, compared with those in one process, and monitored."""
 
 import time
 from contextlib import contextmanager
@@ -92,7 +92,7 @@ def true_twists(environment):
 
 
 def test_robot_stops_if_its_controller_is_killed(tmp_path, monkeypatch):
-    """No zero is sent then: the robot's own timeout has to act."""
+    """A killed controller sends no zero command: the robot's timeout has to act."""
     environment, bag = own_domain(tmp_path), tmp_path / "bag"
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     node = ["node", "--drive", "--ros-args", "-p", "use_sim_time:=true", "-p", "use_pose_topic:=true"]
@@ -120,7 +120,7 @@ def test_robot_stops_if_its_controller_is_killed(tmp_path, monkeypatch):
 
 
 def check_record(folder, commands):
-    """Check that the file of a killed node is whole and holds every command that the robot received."""
+    """Check that the file of a killed node is complete and holds every command that the robot received."""
     (path,) = folder.iterdir()
     end = time.monotonic() + BOUND
     while not path.read_bytes().endswith(MAGIC):

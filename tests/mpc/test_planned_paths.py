@@ -1,4 +1,4 @@
-"""A planner's path as a reference: close to the planned line, within the limits, stopping where it has to."""
+"""A planner's path as a reference: close to the planned line, within the limits, with stops where needed."""
 
 import math
 import time

@@ -250,7 +250,7 @@ def lateral(reference, results, poses, times):
 
 
 def back_and_overshoot(away, times, since):
-    """Time [s] after `since` from which the robot stays in the band, and how far it then swings to the other side."""
+    """Return the time [s] after `since` from which the robot stays in the band, and its overshoot after that."""
     after = times >= since
     outside = np.flatnonzero(after & (np.abs(away) > BAND))
     worst = np.flatnonzero(after)[np.argmax(np.abs(away[after]))]
@@ -408,7 +408,7 @@ def slowed_by_wheels(results):
 
 @pytest.mark.parametrize("path", ["circle", "s", "slalom"])
 def test_robot_with_slow_wheels_stays_on_its_path_and_is_late(path):
-    """The outer wheel cannot follow: asking for more of either speed would only straighten the curve."""
+    """The outer wheel cannot follow: a higher command of either speed would only straighten the curve."""
     reference = load_trajectory(path)
     results, poses, _ = drive(reference, 1.2 * reference.duration, base=wheels(most=0.44))
     assert off_the_path(reference, poses) < 0.06

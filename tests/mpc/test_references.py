@@ -1,4 +1,4 @@
-"""References: their clock, shapes that are wrong, and planners that speak each second."""
+"""References: their clock, wrong shapes, and planners that update every second."""
 
 import numpy as np
 import pytest
@@ -147,7 +147,7 @@ def planned(each_second, seconds=8.0, t0_of=lambda reference, t: t, **options):
 
 
 def test_switched_reference_keeps_the_estimate():
-    """A start each second forgets the floor each second; going on does not."""
+    """A start every second discards the learned slip every second; a switch does not."""
     _, plain = planned(None)
     _, goes_on = planned(lambda controller, reference, t: controller.switch_reference(reference, 0.0))
     _, anew = planned(lambda controller, reference, t: controller.start(reference, 0.0))

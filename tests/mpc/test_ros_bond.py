@@ -1,4 +1,4 @@
-"""The bond with a lifecycle manager: its protocol by a clock, and over DDS with a sister that keeps bondcpp's rules."""
+"""The bond with a lifecycle manager: its protocol on a simulated clock, and over DDS with a bondcpp-like sister."""
 
 import time
 import uuid
@@ -98,7 +98,7 @@ def test_whatever_happens_the_dead_stay_dead_and_say_nothing(events):
 
 
 class Manager:
-    """The manager's side of a bond, as bondcpp keeps it: it publishes by itself, and judges what it hears."""
+    """Manager's side of a bond, as in bondcpp: it publishes periodically and evaluates received heartbeats."""
 
     def __init__(self, s, name="diffdrive_mpc"):
         from bond.msg import Status

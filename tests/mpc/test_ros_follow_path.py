@@ -1,4 +1,4 @@
-"""Nav2's action over DDS, with a client in another process: how goals are driven, replaced, cancelled and ended."""
+"""Nav2's action over DDS, with a client in another process: goals driven, replaced, cancelled and ended."""
 
 import math
 import subprocess
@@ -139,7 +139,7 @@ def answered_once(client, names):
     ids=["1000 poses", "a thousand", "zigzag"],
 )
 def test_each_goal_of_a_fast_burst_gets_one_answer_and_one_result(parts, goals, rate, path):
-    """Goals of many poses come faster than they can be read, and only the last is driven to its end."""
+    """Goals of many poses arrive faster than they can be read; only the last is driven to its end."""
     with parts.following() as follow:
         names = follow.client.burst("a", [{"poses": path}], times=goals, rate=rate)
         follow.until(

@@ -1,4 +1,4 @@
-"""Messages: what they say of a tick, and conversions."""
+"""Messages: contents for a tick, and conversions."""
 
 import math
 import os
@@ -131,7 +131,7 @@ def wheels(overrides=None, **parameters):
 
 
 def start_driving(s, *, crossed=False):
-    """Activate the node and have it drive, its base listening to wheel speeds."""
+    """Activate the node and start the drive; the base receives wheel speeds."""
     base = WheelBase(s, crossed=crossed)
     s.node.trigger_configure()
     s.node.trigger_activate()
@@ -320,7 +320,7 @@ def test_odometry_with_a_too_long_name_is_rejected_and_the_robot_brakes():
 
 
 class Aside:
-    """A side process whose answers are kept, and waited for."""
+    """Side process whose responses are awaited and recorded."""
 
     def __init__(self, patience=PATIENCE):
         self.done, self.failed = [], []
@@ -339,7 +339,7 @@ class Aside:
 
 @pytest.fixture(scope="module")
 def begun():
-    """One for several tests: a process takes a second to begin."""
+    """Side process for several tests: its start takes a second."""
     made = Aside()
     yield made
     made.process.close()
@@ -431,7 +431,7 @@ def test_second_publisher_is_detected_within_the_bound(count):
 
 @pytest.mark.parametrize("count", [15, LONG])
 def test_restarts_are_one_publisher(count):
-    """At most one alarm in 10,000 restarts, in which up to a twentieth of the messages is overtaken."""
+    """At most one false alarm in 10,000 restarts, with up to 5 % of the messages out of order."""
     alarms = [seed for seed in range(RESERVED, RESERVED + count) if false_alarm(seed)]
     assert len(alarms) <= count * 50 // 10_000, alarms
 

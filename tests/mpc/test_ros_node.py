@@ -1,4 +1,4 @@
-"""Lifecycle, services, references by topic and what the node publishes, over DDS."""
+"""Lifecycle, services, references by topic and published messages of the node, over DDS."""
 
 import itertools
 import math

@@ -87,7 +87,7 @@ def test_files_installed_by_setup_exist(monkeypatch):
 
 
 class Recorded(types.ModuleType):
-    """Stands for a module of ROS's launch system, which has no wheel: every name makes a record of its call."""
+    """Replacement of a module of ROS's launch system, which has no wheel: every name records its call."""
 
     def __getattr__(self, name):
         if name.startswith("__"):
@@ -112,7 +112,7 @@ def entities(monkeypatch, name):
 
 
 def test_monitored_launch_gives_the_base_to_the_monitor_only(monkeypatch):
-    """The node's commands go to the topic that the monitor reads, and its words are those of the command line."""
+    """The node's commands go to the monitor's input topic, and its arguments are those of the command line."""
     listed = entities(monkeypatch, "monitored")
     (node,) = [words for kind, _, words in listed if kind == "LifecycleNode"]
     assert node["remappings"] == [(CHECKED, UNCHECKED)]

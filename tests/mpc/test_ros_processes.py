@@ -26,7 +26,7 @@ COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 
 @pytest.fixture
 def driving(request):
-    """A base, and the process that drives it in simulated time; the parameter is the node's `shutdown_time`."""
+    """Base, and the process that drives it in simulated time; the parameter is the node's `shutdown_time`."""
     words = ["-p", "use_sim_time:=true", "-p", "start_at_robot:=false"]
     words += ["-p", f"shutdown_time:={getattr(request, 'param', 1.0)}"]
     process = subprocess.Popen([COMMAND, "node", "--drive", "--ros-args", *words], stderr=subprocess.PIPE, text=True)
@@ -43,7 +43,7 @@ def driving(request):
 
 
 def moving(base, process):
-    """Let a tick pass; whether the robot is driven."""
+    """Let a tick pass; return True if the robot is driven."""
     assert process.poll() is None, process.stderr.read()
     base.silent(1)
     return base.commands and any(base.commands[-1])
@@ -94,7 +94,7 @@ def test_second_signal_or_no_shutdown_time_sends_zero_at_once(driving, numbers):
 
 
 def test_killed_node_sends_no_command(driving):
-    """It cannot send zero then: the base has to stop by itself when commands cease."""
+    """A killed node cannot send zero: the base has to stop by itself when commands cease."""
     base, process = driving
     process.kill()
     process.wait()

@@ -11,7 +11,7 @@ from diffdrive_mpc.models.logs.mapping import Topic
 
 
 def recorded(folder, ticks, **parameters):
-    """Drive along the circle; the file, and the commands that arrived at the base."""
+    """Drive along the circle; return the file, and the commands that arrived at the base."""
     # Diagnostics go by the clock on the wall, and a quick machine drives for less than a second of it.
     settings = {"record": True, "record_folder": str(folder), "diagnostics_rate": 20.0}
     with stack(drive=True, **settings, **parameters) as s:

@@ -1,4 +1,4 @@
-"""Rivals for the same base over DDS: rejected, braked for, or reported."""
+"""Rivals for the same base over DDS: reject, brake or report."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ SLEW = np.array([CONFIG.limits.v_slew, CONFIG.limits.omega_slew]) * DT + 1e-9
 
 
 class Second:
-    """Another node of this project, in a context of its own."""
+    """Second node of this project, in a separate context."""
 
     def __init__(self, name="diffdrive_mpc", commands="cmd_vel"):
         words = ["--ros-args", "-r", f"__node:={name}", "-r", f"cmd_vel:={commands}", "-p", "use_sim_time:=true"]
@@ -70,7 +70,7 @@ def test_second_node_on_the_same_topic_is_not_activated(name):
 
 
 def test_rival_found_while_driving_brakes_the_robot_until_it_leaves():
-    """Discovery was slower than both nodes: another participant claims the topic while the robot drives."""
+    """Discovery is slower than both nodes: another participant claims the topic during the drive."""
     with stack(drive=True) as s:
         before = s.base.run(40)
         claim = s.base.node.create_publisher(Empty, "/cmd_vel/_diffdrive_mpc", 1)

@@ -1,4 +1,4 @@
-"""Terms of the user: what they do to a drive, where they are given, and what is refused."""
+"""User terms: effect on a drive, sources, and rejected definitions."""
 
 import multiprocessing
 import pickle
@@ -105,14 +105,14 @@ def test_distance_term_keeps_the_robot_off_a_point(term, point, way, clearance):
 
 
 def test_predicted_positions_of_the_point_increase_the_distance():
-    """Rows of parameters for each sample to come, against the point as it is now at all of them."""
+    """One parameter row per future sample, compared with the current point at all samples."""
     _, blind = drive_past(PUSH_OFF, crossing, SWERVES, foreseen=False)
     _, foreseen = drive_past(PUSH_OFF, crossing, SWERVES)
     assert foreseen > blind + 0.01
 
 
 def test_violated_soft_limit_still_acts():
-    """A speed limit that comes while it drives: it slows down, and the reference waits."""
+    """A speed limit is set during the drive: the robot slows down, and the reference waits."""
     twist, limit = ca.SX.sym("twist", 2), ca.SX.sym("parameters", 1)
     function = ca.Function("slow", [twist, limit], [20 * (twist[0] - limit)], ["twist", "parameters"], ["excess"])
     controller = Controller(CONFIG, terms=[Term("slow", function, "soft", upper=0.0, defaults=[1.0])])
@@ -134,7 +134,7 @@ def test_violated_soft_limit_still_acts():
 
 
 def test_residual_of_constant_weight_equals_the_shipped_cost():
-    """The heading's error times the root of its weight, in place of the weight."""
+    """The heading error times the square root of its weight replaces the weight."""
     pose, reference = ca.SX.sym("pose", 3), ca.SX.sym("reference", 4)
     value = np.sqrt(28.0) * (pose[2] - reference[3])
     term = Term("heading", ca.Function("f", [reference, pose], [value], ["reference", "pose"], ["r"]))

@@ -1,4 +1,4 @@
-"""Trajectory files: what they say, bounds of what they may ask for, and arrays."""
+"""Trajectory files: contents, bounds and arrays."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ def test_limits_hold_on_legs_with_few_pieces() -> None:
     ],
 )
 def test_path_with_too_many_pieces_is_rejected_before_it_is_laid(segments: list[Segment]) -> None:
-    """The first would take 149 GiB."""
+    """The first path would need 149 GiB."""
     tracemalloc.start()
     with pytest.raises(ConfigError, match=r"^here: it is so long that it is cut into .* pieces"):
         lay_smooth(segments, _LIMITS, name="x", where="here")
@@ -150,7 +150,7 @@ def test_path_with_too_many_pieces_is_rejected_before_it_is_laid(segments: list[
 
 
 def test_too_many_points_segments_or_joints_raise_error_with_their_number() -> None:
-    """Each before any work is done on it."""
+    """Each is rejected before any work on it."""
     settings = load_settings()
     with pytest.raises(ConfigError, match=r"here: 50,001 points, at most 50,000"):
         lay_waypoints(_wave(50_001), _LIMITS, name="x", where="here")
@@ -167,7 +167,7 @@ def test_too_many_points_segments_or_joints_raise_error_with_their_number() -> N
 
 
 def test_reading_of_poses_stops_at_the_maximum_length(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With the memory of the rows that may be, not of those that are there."""
+    """Memory is limited to that of the allowed rows, not of the existing ones."""
     fewer = load_settings().model_copy(update={"max_pieces": 2000})
     monkeypatch.setattr("diffdrive_mpc.mpc.trajectories.timed_poses.load_settings", lambda: fewer)
     file = tmp_path / "long.csv"
@@ -180,7 +180,7 @@ def test_reading_of_poses_stops_at_the_maximum_length(tmp_path: Path, monkeypatc
 
 
 def test_path_of_two_millimetres_is_driven_from_rest_to_rest() -> None:
-    """It is one piece long: without a node between it would never move."""
+    """It is one piece long: without an inner node it would never move."""
     path = lay_smooth([Segment(v=1.0, omega=0.0, duration=0.002)], _LIMITS, name="x")
     end = path.sample([path.duration]).pose[0]
     assert end == pytest.approx([0.002, 0.0, 0.0], abs=1e-9)

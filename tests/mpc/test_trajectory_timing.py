@@ -100,7 +100,7 @@ def test_pose_integrates_commanded_twists_along_the_drawn_path(segments: list[Se
 
 
 def test_reference_beyond_the_reachable_speed_of_the_model_raises_error() -> None:
-    """A robot that turns 0.7 times as fast as commanded reaches 0.7 of the limit, and that is told at the start."""
+    """A robot that turns 0.7 times as fast as commanded reaches 0.7 of the limit; the start reports that."""
     config = load_config("ssm", {"limits.omega": 1.0})
     turning = lay_segments([segment(0.5, 1.0, 3.0)], LIMITS, name="arc")
     fast = float(np.abs(turning.sample(np.linspace(0, turning.duration, 400)).twist[:, 1]).max())

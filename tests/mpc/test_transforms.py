@@ -1,4 +1,4 @@
-"""Transforms: algebra against matrices, chains and times against a robot that is known, and all that can be wrong."""
+"""Transforms: algebra against matrices, chains and times against a known robot, and errors."""
 
 import math
 
@@ -58,7 +58,7 @@ def test_between_two_attitudes_it_turns_at_a_constant_rate(first, turn, share):
     parents=st.tuples(*(st.integers(0, index) for index in range(5))),
 )
 def test_along_any_tree_it_is_the_product_of_matrices(transforms, ends, parents):
-    """Frames 1 to 5 hang on one before them: each is known in frame 0 by a product, and so in each other."""
+    """Frames 1 to 5 have an earlier frame as parent: products give each frame in frame 0, and in all frames."""
     buffer, world = TransformBuffer(), [np.eye(4)]
     for child, (parent, transform) in enumerate(zip(parents, transforms, strict=True), start=1):
         buffer.insert(f"f{parent}", f"f{child}", NOW, transform, NOW, static=child % 2 == 0)
@@ -83,7 +83,7 @@ def test_at_a_time_between_two_stamps_it_is_between_them(elapsed):
 
 
 def test_without_a_time_it_is_the_newest_that_the_whole_chain_has():
-    """A localisation that is slow, and one that dates its transform ahead."""
+    """One localisation is slow, another dates its transform ahead."""
     buffer = moving()
     last = NOW + 1_900_000_000
     for stamp, x in ((NOW, 5.0), (NOW + 10**9, 6.0)):

@@ -1,4 +1,4 @@
-"""Drive the simulated robot with the node, each a process of its own, over DDS."""
+"""Drive the simulated robot with the node, each in a separate process, over DDS."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _PATIENCE = 20.0
 
 
 class DriveFailedError(DiffdriveMpcError, RuntimeError):
-    """One of the two processes failed or took too long; says which, with its last words."""
+    """Failure or timeout of one of the two processes; the message names it and quotes its last output."""
 
 
 def drive_over_dds(
@@ -112,8 +112,8 @@ class Process:
     def __init__(self, name: str, words: Sequence[str], environment: dict[str, str], folder: Path) -> None:
         self.name = name
         self._path = folder / name
-        self._said = self._path.open("w", encoding="utf-8")
-        self.popen = subprocess.Popen([*_COMMAND, *words], env=environment, stdout=self._said, stderr=self._said)
+        self._log = self._path.open("w", encoding="utf-8")
+        self.popen = subprocess.Popen([*_COMMAND, *words], env=environment, stdout=self._log, stderr=self._log)
 
     @property
     def output(self) -> str:
@@ -121,12 +121,12 @@ class Process:
         return self._path.read_text(encoding="utf-8")
 
     def failure(self, reason: str) -> DriveFailedError:
-        """Return an error with the last words of this process."""
+        """Return an error with the last output of this process."""
         words = " ".join(self.output.split())[-_WORDS_SHOWN:]
         return DriveFailedError(f"{self.name}: {reason}; it said: {words or 'nothing'}")
 
     def end(self) -> None:
-        """Interrupt the process as Ctrl-C does; kill it if it goes on."""
+        """Interrupt the process as Ctrl-C does; kill it if it continues."""
         if self.popen.poll() is None:
             self.popen.send_signal(signal.SIGINT)
             try:
@@ -134,7 +134,7 @@ class Process:
             except subprocess.TimeoutExpired:
                 self.popen.kill()
                 self.popen.wait()
-        self._said.close()
+        self._log.close()
 
 
 @contextmanager

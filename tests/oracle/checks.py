@@ -89,7 +89,7 @@ class PoseRate:
         self.rare = False
 
     def accept(self, stamp: float, last_stamp: float, now: float) -> None:
-        """Take note of an accepted pose that came at the tick `now` [s]."""
+        """Record an accepted pose that arrived at the tick `now` [s]."""
         self.too_old = 0.0
         if not math.isfinite(last_stamp):
             return
@@ -103,7 +103,7 @@ class PoseRate:
 
     @property
     def usual_age(self) -> float:
-        """To which poses grow old where they are rare [s]."""
+        """Usual maximum age of rare poses [s]."""
         return self.interval + self.latency if self.rare else 0.0
 
     def words(self) -> list[str]:
@@ -128,7 +128,7 @@ class PoseRate:
 
 
 class PoseGate:
-    """Checks poses and remembers those that jumped."""
+    """Gate that checks poses and stores those that jumped."""
 
     def __init__(self, settings: Estimator, rate: PoseRate, known: PoseResponse) -> None:
         self.settings, self.rate, self.now = settings, rate, math.nan
@@ -170,13 +170,13 @@ class PoseGate:
         return False
 
     def accept(self, pose: CheckedPose) -> None:
-        """Count `pose` as believed, which clears the memory of jumps."""
+        """Accept `pose`, which clears the stored jumps."""
         self.rate.accept(pose.stamp, self.accepted_stamp, self.now)
         self.accepted_stamp, self.jumped = pose.stamp, []
 
     @property
     def elsewhere(self) -> CheckedPose | None:
-        """The newest of several poses that agree with each other but not with the estimate: the robot was moved."""
+        """Newest of several poses that agree with each other but not with the estimate: the robot was moved."""
         return self.jumped[-1] if len(self.jumped) >= _AGREEING else None
 
     def _near(self, value: FloatArray, expected: FloatArray) -> bool:
@@ -190,7 +190,7 @@ def _apart(first: FloatArray, second: FloatArray) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class CheckedTwist:
-    """One number of a measured twist, true at `stamp` [s]; `message` names what it came with."""
+    """One component of a measured twist, valid at `stamp` [s]; `message` names its message."""
 
     message: str
     sensor: str
@@ -200,7 +200,7 @@ class CheckedTwist:
 
 
 class TwistGate:
-    """Checks one message that has a number for each of `sensors`: largest values, and jumps from the last one."""
+    """Gate for a message with one number for each of `sensors`: maximum values, and jumps from the last message."""
 
     def __init__(
         self, message: str, sensors: dict[str, tuple[float, float, float]], history: float, known: SpeedResponse
@@ -212,7 +212,7 @@ class TwistGate:
         self.stamp, self.last = -np.inf, np.zeros(len(sensors))
 
     def check(self, t: float, stamped: Stamped | None, rejected: list[str]) -> list[CheckedTwist]:
-        """Return the usable reading, or add a sentence to `rejected`."""
+        """Return the usable reading; add a sentence to `rejected` if there is none."""
         if stamped is None:
             return []
         size, last = len(self.sensors), self.last
@@ -247,7 +247,7 @@ class TwistGate:
 
 
 class TwistGates:
-    """Checks encoders and gyro."""
+    """Gates for encoders and gyro."""
 
     def __init__(self, settings: Estimator, known: SensorResponses) -> None:
         s = settings

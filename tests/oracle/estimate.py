@@ -70,7 +70,7 @@ class Estimate:
 
     @property
     def slip(self) -> Slip:
-        """Slip: the difference between the twist of the model and that of the body."""
+        """Slip between the twist of the model and that of the body."""
         return Slip(*self.mean[self._order : self._order + 10].tolist())
 
     @property

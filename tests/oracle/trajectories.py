@@ -1,4 +1,4 @@
-"""Trajectories sampled in numpy, from the tables that the product lays."""
+"""Trajectories sampled with NumPy, from the tables of the product."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from oracle.motion import arc
 
 
 class _OfAnother:
-    """Named as another trajectory, and as long."""
+    """Trajectory with the name and duration of another one."""
 
     original: ArcTrajectory | SplineTrajectory
 
@@ -73,7 +73,7 @@ class Splines(_OfAnother):
 
 
 def sampled(reference: Reference) -> Reference:
-    """Return the same reference, sampled here where it has a table."""
+    """Return the reference; if it has a table, samples are computed here."""
     if isinstance(reference, MovedReference):
         return replace(reference, original=sampled(reference.original))
     if isinstance(reference, ArcTrajectory):
