@@ -95,7 +95,7 @@ def test_unsafe_runs_are_counted_and_come_first_among_the_worst() -> None:
     assert [run.definition.case.seed for run in worst(runs, 3)] == [4, 2, 9]
     assert worst(runs, 20)[-1] is runs[7]
     assert [is_unsafe(run) for run in runs].index(True) == 4
-    outcomes = Outcomes.of(runs, BAND)
+    outcomes = Outcomes.of_runs(runs, BAND)
     assert (outcomes.unsafe.count, outcomes.completed.count, outcomes.stopped.count, outcomes.in_band.count) == (
         1,
         17,

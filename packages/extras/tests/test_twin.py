@@ -198,7 +198,7 @@ def test_parameters_are_inside_their_intervals(tmp_path):
         truth = drawn_truth(seed)
         fit = fitted(record_of(known_robot(truth), seed, 60.0), file, 30.0)
         expected = in_terms_of(fit, truth)
-        for parameter in fit.told:
+        for parameter in fit.parameters:
             if parameter.name in expected and not parameter.low <= expected[parameter.name] <= parameter.high:
                 missed.append((seed, parameter.name, expected[parameter.name], parameter.low, parameter.high))
     assert len(missed) <= 8, missed
