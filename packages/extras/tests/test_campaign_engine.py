@@ -132,10 +132,10 @@ def test_the_hash_knows_files_that_a_file_names(tmp_path: Path) -> None:
     model.write_text(shipped.read_text(encoding="utf-8"), encoding="utf-8")
     config = tmp_path / "config.yaml"
     config.write_text("model: model.yaml\nhorizon: 20\n", encoding="utf-8")
-    one = Definition.from_factors({"config": str(config)})
-    before = key_of(one)
+    run = Definition.from_factors({"config": str(config)})
+    before = key_of(run)
     model.write_text(f"# another text\n{model.read_text(encoding='utf-8')}", encoding="utf-8")
-    assert key_of(one) != before
+    assert key_of(run) != before
 
 
 def test_who_has_other_files_does_not_drive(short: Path) -> None:

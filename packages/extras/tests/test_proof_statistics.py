@@ -171,20 +171,20 @@ def test_too_few_groups_and_lost_drives_give_no_bound():
     assert conformal_quantile([np.array([1.0])] * 18 + [np.array([math.nan])], 0.95) == math.inf
 
 
-@pytest.mark.parametrize(("count", "of"), [(0, 9), (59, 59), (117, 119), (20, 40)])
-def test_a_share_is_at_least_what_the_exact_test_does_not_reject(count, of):
-    bound = Rate.of_runs(count, of).at_least(0.95)
-    assert 0.0 <= bound < count / of or count == bound == 0
+@pytest.mark.parametrize(("count", "total"), [(0, 9), (59, 59), (117, 119), (20, 40)])
+def test_a_share_is_at_least_what_the_exact_test_does_not_reject(count, total):
+    bound = Rate.of_runs(count, total).at_least(0.95)
+    assert 0.0 <= bound < count / total or count == bound == 0
     # With the bound as the true share so many or more happen with the probability that is left.
-    assert count == 0 or binom.sf(count - 1, of, bound) == pytest.approx(0.05)
+    assert count == 0 or binom.sf(count - 1, total, bound) == pytest.approx(0.05)
 
 
-@pytest.mark.parametrize(("count", "of"), [(3, 40), (39, 40), (20, 40), (1, 300)])
-def test_an_exact_interval_leaves_a_fortieth_on_each_side(count: int, of: int) -> None:
-    rate = Rate.of_runs(count, of)
-    assert binom.sf(count - 1, of, rate.low) == pytest.approx(0.025)
-    assert binom.cdf(count, of, rate.high) == pytest.approx(0.025)
-    assert binom.cdf(count, of, rate.bound) == pytest.approx(0.05)
+@pytest.mark.parametrize(("count", "total"), [(3, 40), (39, 40), (20, 40), (1, 300)])
+def test_an_exact_interval_leaves_a_fortieth_on_each_side(count: int, total: int) -> None:
+    rate = Rate.of_runs(count, total)
+    assert binom.sf(count - 1, total, rate.low) == pytest.approx(0.025)
+    assert binom.cdf(count, total, rate.high) == pytest.approx(0.025)
+    assert binom.cdf(count, total, rate.bound) == pytest.approx(0.05)
 
 
 def test_the_tail_is_the_mean_of_the_worst_twentieth() -> None:

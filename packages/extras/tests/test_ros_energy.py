@@ -41,16 +41,18 @@ class Watched:
     """A stack with a battery, and what /diagnostics says of the node."""
 
     def __init__(self, s):
-        self.s, self.said = s, []
+        self.s, self.reports = s, []
         node = s.base.node
         self.battery = s.publisher(BatteryState, "battery_state", qos_profile_sensor_data)
-        node.create_subscription(DiagnosticArray, "/diagnostics", lambda array: self.said.append(array.status[0]), 10)
+        node.create_subscription(
+            DiagnosticArray, "/diagnostics", lambda array: self.reports.append(array.status[0]), 10
+        )
 
     def heard(self):
         """Return the next status after the node has received data of the battery."""
-        count = len(self.said)
-        self.s.base.until(lambda: len(self.said) > count, "diagnostics")
-        return self.said[-1]
+        count = len(self.reports)
+        self.s.base.until(lambda: len(self.reports) > count, "diagnostics")
+        return self.reports[-1]
 
     def values(self):
         return {pair.key: pair.value for pair in self.heard().values}

@@ -261,7 +261,7 @@ def test_one_that_stood_for_long_needs_its_reference_anew(again, rule):
 
 @pytest.mark.parametrize("renewed", ["reference", "word", "motion", "nothing"])
 def test_one_that_never_returns_is_stopped_in_time(renewed):
-    """Whatever is sent, the robot may be beside its path for the time to return, and no longer."""
+    """The time off the path is limited to the time to return, no matter which messages arrive."""
     robot = Robot(Judge(RULES, START), duration=60.0)
     robot.judge.says(robot.now, drives=True)
     robot.drive(2.0)
