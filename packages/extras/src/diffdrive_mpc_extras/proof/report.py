@@ -52,7 +52,7 @@ _SAID = {
 
 @dataclass(frozen=True)
 class Outcomes:
-    """Rates of the rates of a proof's runs."""
+    """Rates of the outcomes of a proof's runs."""
 
     completed: Rate
     in_band: Rate
@@ -61,7 +61,7 @@ class Outcomes:
 
     @classmethod
     def of_runs(cls, driven: Sequence[CampaignRun], band: float) -> Outcomes:
-        """Count rates; the band [m] is that of `boundaries.holds`."""
+        """Count the outcomes; the band [m] is that of `boundaries.holds`."""
         count = len(driven)
         return cls(
             Rate.of_runs(sum(run.row["completed"] is True for run in driven), count),
