@@ -24,7 +24,7 @@ _KINDS = {
     "effective_track": "track",
     "dead_time": "dead time",
 }
-"""Kind of doubt by what a parameter is."""
+"""Kind of doubt by group of parameters."""
 
 
 def answer_delays(fit: OutputErrorFit, names: Sequence[str], inputs: Sequence[int]) -> ParameterEstimate:

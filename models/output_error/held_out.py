@@ -1,4 +1,4 @@
-"""Blocks of the records held out in turn: what a model predicts of them that was made without them."""
+"""Blocks of the records held out in turn, and their prediction by models fitted without them."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ _Drive = tuple[FloatArray, FloatArray]
 
 
 class _Model(NamedTuple):
-    """A system sampled at one rate, with what every experiment of that rate shares."""
+    """A system sampled at one rate, with the quantities shared by all experiments of that rate."""
 
     system: LinearSystem
     sampled: SampledSystem

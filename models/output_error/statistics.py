@@ -96,7 +96,7 @@ def _median(values: FloatArray) -> float:
 
 
 class Sandwich(NamedTuple):
-    """Covariance and what it says about the data."""
+    """Covariance of the parameters, with measures of the information in the data."""
 
     covariance: FloatArray
     """(q, q)"""

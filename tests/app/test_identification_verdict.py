@@ -116,7 +116,7 @@ def test_limits_are_lowered_until_the_drives_pass(identification, share, monkeyp
 
 
 @pytest.mark.usefixtures("one_path")
-def test_where_nothing_drives_nothing_is_written(tmp_path, monkeypatch):
+def test_configuration_is_not_written_if_no_stand_in_drives(tmp_path, monkeypatch):
     """A robot that hardly turns: exit 2, the report alone, and by force the configuration as it was."""
 
     def hardly_turns(identified):
@@ -175,7 +175,7 @@ def test_an_unknown_delay_is_a_no(identification):
 
 @pytest.mark.long
 @pytest.mark.real_logs
-def test_what_is_promised_of_the_husky_holds_in_variations_of_a_model_of_other_rows():
+def test_promise_for_the_husky_holds_in_variations_of_a_held_out_model():
     """A few of the 300 of `.ci/long real`; what would be too small a promise is seen by the first of them."""
     result = keep_promise(load_protocol().log("husky"), Path(os.environ["DIFFDRIVE_MPC_DATA"]), 3, 1000)
     assert result.verdict.grade == "With care" and "pose point" in result.verdict.reasons[0]

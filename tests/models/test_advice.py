@@ -112,7 +112,7 @@ QUICK_CASES = {
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[] if name in QUICK_CASES else pytest.mark.system) for name in MENDED]
 )
-def test_what_is_advised_predicts_better_and_mends_the_log(tmp_path, name):
+def test_advised_change_predicts_better_and_repairs_the_log(tmp_path, name):
     case, expected = MENDED[name]
     advice = advice_on(case, tmp_path)
     assert {f"{change.stream} {change.key}" for change in advice.changes} == expected
@@ -139,7 +139,7 @@ NOT_MENDED = {
 
 
 @pytest.mark.parametrize("name", NOT_MENDED)
-def test_what_predicts_no_better_is_not_advised(tmp_path, name):
+def test_change_without_better_prediction_is_not_advised(tmp_path, name):
     paths, mapping = logs_of(NOT_MENDED[name], tmp_path)
     findings = findings_of(paths, mapping)
     assert advise(LogSelection(tuple(paths), (), mapping, 0.6), findings) is None

@@ -53,7 +53,7 @@ def test_sides_and_twist_are_inverse(twist):
 
 
 @given(TWISTS)
-def test_what_the_motors_are_asked_for_is_whole_steps_not_beyond_the_command(twist):
+def test_motor_commands_are_whole_steps_within_the_command(twist):
     wanted, sides = STEPS.sides(twist), STEPS.sides(STEPS.apply(twist))
     steps = sides[~STEPS.coasts(twist)] / STEPS.resolution
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
@@ -231,7 +231,7 @@ def fitted():
     return identify_with_effects([record_of(TRUE, 7, 150.0, yaw_ratio=RATIO)])
 
 
-def test_every_effect_is_found(fitted):
+def test_every_effect_is_identified(fitted):
     assert set(fitted.effects) == {"twist slew", "steps and coasting of the wheels", "yaw relaxation", "veer"}
 
 

@@ -76,7 +76,7 @@ def test_only_fresh_readings_count():
     assert parameters.deviation("v.gain") > 1.5 * identify_sm([full], limits=False).parameters.deviation("v.gain")
 
 
-def test_a_gyro_bias_is_told_from_a_turn():
+def test_gyro_bias_is_distinguished_from_a_turn():
     drive = noisy_drive(SM, 5)
     biased = Record("biased", 0.0, DT, drive.command, twist=drive.twist, yaw_rate=drive.yaw_rate + 0.04)
     parameters = identify_sm([biased], limits=False).parameters

@@ -351,7 +351,7 @@ def _refused(path: Path) -> str:
 
 @pytest.mark.parametrize("how", ["zstd", "lz4"])
 @pytest.mark.parametrize("stated_size", [1_000, 400_000_000])
-def test_a_bomb_is_not_unpacked_whether_or_not_it_says_what_it_is(tmp_path: Path, how: str, stated_size: int) -> None:
+def test_decompression_bomb_is_refused_for_any_stated_size(tmp_path: Path, how: str, stated_size: int) -> None:
     """400 MB in some kilobytes."""
     path = _mcap(tmp_path / "bomb.mcap", mcap_chunk(zeros(400, how), how, stated_size))
     assert "chunk" in _refused(path)
@@ -399,7 +399,7 @@ def test_absurd_lengths_are_not_allocated(tmp_path: Path, length: int, place: st
     tracemalloc.stop()
 
 
-def test_what_is_unpacked_is_what_was_packed() -> None:
+def test_unpacked_data_equal_the_packed_data() -> None:
     """Bit for bit, also in several frames, and no byte more than is said."""
     data = os.urandom(1000) * 3
     frames = zstandard.ZstdCompressor().compress(data[:1000]) + zstandard.ZstdCompressor().compress(data[1000:])
@@ -467,7 +467,7 @@ def test_file_that_is_compressed_as_a_whole_is_named(tmp_path: Path) -> None:
     assert "bag.mcap.zst: compressed as a whole; unpack it: `zstd -d bag.mcap.zst`" in _refused(path)
 
 
-def test_of_two_types_on_a_topic_the_more_frequent_is_read(tmp_path: Path) -> None:
+def test_more_frequent_of_two_types_on_a_topic_is_read(tmp_path: Path) -> None:
     topics = bag_topics(COLUMNS)
     _, *rows = topics["/cmd_vel"]
     few = ("geometry_msgs/msg/TwistStamped", *(part[:50] + 0.5 for part in rows))

@@ -129,7 +129,7 @@ def test_a_plain_fit_is_no_better(log):
 
 @pytest.mark.real_logs
 @pytest.mark.parametrize(("log", "cut"), CUT_CASES)
-def test_nor_is_it_where_nothing_is_known_before_a_stretch(log, cut):
+def test_cut_without_known_past_costs_little_fit(log, cut):
     train, held_out = halves(log)
     train = stretches(train, cut, past=False)
     fits = validate(identify_sm(train, limits=False).system, held_out).fit_percent

@@ -104,6 +104,6 @@ def test_readings_that_are_no_numbers_are_left_out_and_said(tmp_path):
         ),
     ],
 )
-def test_what_cannot_be_read_gets_a_sentence(tmp_path, words, message):
+def test_unreadable_topic_raises_one_sentence(tmp_path, words, message):
     with pytest.raises(ConfigError, match=message):
         read(tmp_path, words)

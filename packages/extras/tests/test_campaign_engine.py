@@ -95,7 +95,7 @@ def test_a_file_that_was_cut_off_is_driven_again(campaign: Path, tmp_path: Path)
     assert read_table(out / "results.parquet", times=False).equals(expected)
 
 
-def test_what_a_run_gives_is_what_simulate_gives() -> None:
+def test_run_gives_the_result_of_simulate() -> None:
     case = quick_case(sensors="default")
     row = drive(Definition(case))
     run, _ = drive_whole(Definition(case))

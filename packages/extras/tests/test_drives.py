@@ -193,7 +193,7 @@ def test_slope_limits_that_act_are_told_within_their_uncertainty():
     assert finding.estimate.deviation("v.gain") < 0.02
 
 
-def test_what_a_log_does_not_show_keeps_its_prior():
+def test_parameters_undetermined_by_a_log_keep_their_prior():
     """No slope that acts, and never a change of direction: neither limit nor threshold can be told."""
     finding = doubts_of(UNLIMITED, backwards=False)
     untold = {"quicker", "slower", "threshold", "threshold_by_slope"}

@@ -50,7 +50,7 @@ def test_shipped_trajectory_is_the_slip_drive_of_six_metres():
 @pytest.mark.parametrize(
     ("arguments", "message"), [((0.5, 60.0, 0.6, 1.0), "give 2.1 m or more"), ((6.0, 1e9, 0.6, 1.0), "at most 1800 s")]
 )
-def test_what_cannot_be_driven_is_refused(arguments, message):
+def test_infeasible_excitation_is_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         slip_excitation(*arguments)
 

@@ -163,7 +163,7 @@ def test_a_blocked_path_stops_it_before_and_it_drives_on_when_the_way_is_free():
     assert np.hypot(*(ticks[-1]["pose"] - [4.0, 0.0, 0.0])[:2]) < 0.03
 
 
-def test_what_appears_right_before_it_is_braked_for():
+def test_robot_brakes_for_a_suddenly_appearing_wall():
     """A wall falls into its way, hardly further away than a stop takes."""
     nothing, wall = Surroundings(), Surroundings([box(2.13, 0.0, 0.2, 4.0)])
 
@@ -192,7 +192,7 @@ def test_the_check_of_the_way_to_rest_holds_where_the_reference_does_not_wait():
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_who_crosses_its_way_is_never_touched_while_it_moves(seed):
+def test_moving_robot_never_touches_a_crossing_disc(seed):
     rng = np.random.default_rng(seed)
     speed, side = rng.uniform(0.3, 1.4), rng.choice([-1.0, 1.0])
     arrives, x = rng.uniform(3.0, 6.0), rng.uniform(1.2, 2.5)

@@ -169,7 +169,7 @@ def test_a_bad_file_is_one_line(tmp_path, change, message):
         load_model(path)
 
 
-def test_what_a_hybrid_cannot_do_is_said(tmp_path):
+def test_unsupported_call_of_a_hybrid_raises_model_error(tmp_path):
     write_hybrid(tmp_path / "mine.yaml", content())
     with pytest.raises(ModelError, match=r"it is a function for samples of 0.0202 s"):
         MODEL.discretise(0.01)
@@ -195,7 +195,7 @@ def quick(monkeypatch):
     monkeypatch.setattr("diffdrive_mpc_extras.hybrids.finding.hybrid_settings", lambda: QUICK)
 
 
-def test_it_learns_what_no_linear_model_can_say(quick):
+def test_network_fits_better_than_any_linear_model(quick):
     data = data_of(sagging(1, 60.0), sagging(2, 60.0))
     comparison = compare_models(data, ["sm", "hybrid"], parts=2)
     linear, hybrid = comparison.scores[1:]

@@ -249,7 +249,7 @@ def test_the_windows_are_the_commands_before_each_reading():
     assert sum(map(len, parts)) == len(windows)
 
 
-def test_it_learns_what_no_linear_model_can_say():
+def test_network_fits_better_than_any_linear_model():
     trained_network = trained()
     fresh = windows_of([saturating_drive(1)], SMALL.window)
     flat = np.hstack([fresh.commands.reshape(len(fresh), -1), np.ones((len(fresh), 1))])

@@ -268,7 +268,7 @@ def test_driving_backward_and_turning_on_the_spot_open_ways():
     assert spot.length < 3.0 and spot.poses[-1] == pytest.approx([0.0, 2.0, math.pi], abs=1e-6)
 
 
-def test_where_the_polish_does_not_finish_it_says_so_and_the_plan_still_ends_at_the_goal():
+def test_unfinished_polish_is_reported_and_the_plan_ends_at_the_goal():
     hurried = SETTINGS.model_copy(update={"polish": SETTINGS.polish.model_copy(update={"iterations": 1})})
     loaded = plan(load_turn_costs("fsu_bot-grippy"), ORIGIN, (6.0, 3.0, 0.5), settings=hurried)
     assert loaded.status in ("unfinished", "search") and "Maximum_Iterations_Exceeded" in loaded.solver
@@ -297,7 +297,7 @@ RING = [
         ((0.0, 1.0, 0.0), {}, r"least radius of .* m for 1.00 m of distance; allow driving backward"),
     ],
 )
-def test_what_cannot_be_planned_is_refused_in_one_sentence(goal, changes, words):
+def test_impossible_plan_is_refused_in_one_sentence(goal, changes, words):
     assert issubclass(PlanError, ConfigError)
     with one_line_error(PlanError, match=words):
         plan(load_turn_costs("fsu_bot-default"), ORIGIN, goal, **changes)

@@ -78,7 +78,7 @@ def test_bisection_closes_in_on_where_every_seed_holds() -> None:
     assert (len(mass.values), robot.rounds) == (8, 8)
 
 
-def test_what_never_or_always_holds_is_said_after_one_look_at_each_end() -> None:
+def test_search_ends_after_one_value_at_each_end_without_a_boundary() -> None:
     searches = {"surface.friction": search(holds=0.8, beyond=2.0, within=0.05)}
     (never,) = find_boundaries(searches, PROBE, (1,), Robot(surface__friction=0.1).drive, BAND)
     assert (never.held, never.failed, list(never.values)) == (None, 0.8, [0.8])

@@ -103,7 +103,7 @@ class Mirrored(Drifting):
     [(2, {"slip": Slip(yaw_gain=0.7)}, "another floor"), (3, {"robot": Mirrored}, "forgotten")],
     ids=["another floor", "what makes it worse"],
 )
-def test_what_no_longer_holds_is_forgotten(laps, change, word):
+def test_outdated_correction_is_discarded(laps, change, word):
     learning = controller()
     for _ in range(laps):
         lap(learning)
@@ -312,7 +312,7 @@ def test_a_least_turn_radius_is_kept():
         ({"rehearsal.drivable.min_shift": 0.09}, "mm at most"),
     ],
 )
-def test_where_nothing_is_to_be_tracked_the_reference_is_as_given(settings, words):
+def test_reference_is_unchanged_if_there_is_no_lap_to_track(settings, words):
     controller = Controller(load_config("ssm", SETTINGS | settings))
     floor_lap(controller, "p4_concrete", CORNER)
     rehearsal = controller.feature("rehearsal").learned
@@ -372,7 +372,7 @@ def test_the_estimate_begins_with_what_was_learned_until_reset():
     assert controller.feature("rehearsal").learned.laps == 0
 
 
-def test_what_makes_it_worse_is_forgotten():
+def test_harmful_correction_is_discarded():
     """Learned where the robot turns about a point behind its middle, driven where it turns about one ahead of it."""
     controller = Controller(CONFIG)
     for _ in range(2):

@@ -98,7 +98,7 @@ def test_predicted_and_measured_energy_stand_beside_each_other(battery):
     assert float(values["power predicted [W]"]) == pytest.approx(power[-1], abs=0.06)
 
 
-def test_what_the_battery_cannot_mean_is_named_and_not_counted(battery):
+def test_implausible_battery_readings_are_named_and_not_counted(battery):
     battery.drive(20, 12.0, -2.0)
     before = battery.values()["energy of this drive measured [J]"]
     battery.tell(12.0, math.nan)

@@ -154,7 +154,7 @@ def test_sensors_of_the_log_come_late_and_smoothed():
     np.testing.assert_allclose(signals[20:, 2], 3 * time + 0.2, atol=1e-12)
 
 
-def test_of_two_that_act_together_one_is_told():
+def test_one_of_two_inseparable_parameters_is_identified():
     """Readings that see the sum alone leave each at 0.7 of its prior; with one at its prior the other is known."""
     together = np.array([1.0, 1.0, 0.0])
     alone = np.array([0.0, 0.0, 1.0])

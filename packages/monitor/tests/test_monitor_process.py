@@ -161,7 +161,7 @@ def test_faults_one_after_the_other_and_resets(scene):
         assert scene.state_text == "PASSING" and scene.base.commands[-1] == (SPEED, 0.0)
 
 
-def test_somebody_else_on_its_topic_stops_the_robot(scene):
+def test_second_publisher_of_commands_stops_the_robot(scene):
     second_publisher = scene.base.node.create_publisher(TwistStamped, "cmd_vel", QoSProfile(depth=1))
     deadline = time.monotonic() + 30.0
     while not scene.state_text.startswith("STOPPED"):
@@ -193,7 +193,7 @@ def test_two_robots_of_one_name_on_an_input_stop_the_robot(scene, topic):
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_where_it_ends_nothing_passes_any_more(scene, number):
+def test_no_command_passes_after_the_monitor_ends(scene, number):
     """Ended, its last word is zero; killed it says nothing, and the base's own timeout has to act."""
     scene.process.send_signal(number)
     scene.process.wait()

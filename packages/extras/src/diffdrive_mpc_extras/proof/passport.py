@@ -1,8 +1,9 @@
-"""The speed passport of a controller: how fast which robots may drive which curvature within a tolerance.
+"""Speed passport of a controller: proven speeds by surface, curvature and tolerance.
 
-For each floor, curvature and tolerance a bisection gives the greatest speed of a grid at which the robots of the search
-stay inside. Robots that played no part in it then drive that speed; where too few of them stay inside, others drive the
-next slower one. The level of these tests is divided by the number of tries, so the confidence holds for what passes.
+For each surface, curvature and tolerance, a bisection finds the maximum speed of a grid at which the robots of the
+search stay inside. Fresh robots then drive this speed. If too few of them stay inside, further fresh robots drive the
+next lower speed. The level of these tests is divided by the number of tries, so the confidence holds for the speed that
+passes.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from diffdrive_mpc_extras.proof.study import controller_factors
 PASSPORT = "speed-passport.yaml"
 """File name of the passport, which `timing: smooth` reads."""
 _OTHER_PATHS = ("trajectory", "timing", "scenario", "world", "top_speed", "scaled")
-"""Factors of a campaign that a passport does without: it has paths of its own, and no faults."""
+"""Campaign factors that a passport omits: it has its own paths, and no faults."""
 _AT_A_TIME = 20
 _HEAD = "# Speeds in m/s, curvatures in 1/m, tolerances in m: measured by diffdrive-mpc prove --tolerance.\n"
 
@@ -53,20 +54,20 @@ def read_tolerances(text: str) -> tuple[float, ...]:
 
 @dataclass
 class SpeedSearch:
-    """The search for one speed, and its proof.
+    """Search for one speed, and its proof.
 
     Attributes
     ----------
     surface, curvature, tolerance
-        What it is for [1/m, m].
+        Surface, curvature [1/m] and tolerance [m] of the speed.
     speeds
-        The grid [m/s], rising.
+        Grid [m/s], increasing.
     plan
-        How often, and how sure.
+        Numbers of robots and confidence.
     searched
-        How many stayed inside, by number of the speed.
+        Rate of robots inside, by number of the speed.
     fresh
-        The same of the fresh robots, in the order of the tries.
+        Number of the speed and rate of fresh robots inside, in the order of the tries.
     """
 
     surface: str
@@ -77,7 +78,7 @@ class SpeedSearch:
     searched: dict[int, Rate] = field(default_factory=dict)
     fresh: list[tuple[int, Rate]] = field(default_factory=list)
     _begun: tuple[int, int] = (0, 0)
-    """Inside, and driven, of a block that is not done."""
+    """Numbers of robots inside and driven in an unfinished block."""
 
     @property
     def query(self) -> tuple[int, int, int] | None:
@@ -109,9 +110,9 @@ class SpeedSearch:
         return self.speeds[number + 1] if number + 1 < len(self.speeds) else None
 
     def take(self, lateral: FloatArray) -> None:
-        """Take the largest |lateral| (n,) [m] of the drives that `query` asked for.
+        """Take the largest |lateral| (n,) [m] of the drives of `query`.
 
-        A block ends early where so many are outside that the rest cannot show the share: no level depends on that.
+        A block ends early if the share is out of reach of its remaining robots. This affects no confidence level.
         """
         assert self.query is not None
         number, block, _ = self.query
@@ -148,7 +149,7 @@ def members(plan: PassportPlan, block: int, first: int) -> range:
 
 
 def measure(searches: Sequence[SpeedSearch], drive: Callable[[list[Key]], Mapping[Key, FloatArray]]) -> None:
-    """Carry out all searches, whose drives serve all tolerances; `drive` gives the largest |lateral| (n,) [m]."""
+    """Carry out all searches; they share drives. `drive` returns the largest |lateral| (n,) [m]."""
     driven: dict[Key, FloatArray] = {}
     while open_searches := [(search, query) for search in searches if (query := search.query) is not None]:
         keys = [(search.surface, search.curvature, *query) for search, query in open_searches]
@@ -159,7 +160,7 @@ def measure(searches: Sequence[SpeedSearch], drive: Callable[[list[Key]], Mappin
 
 @dataclass(frozen=True)
 class MeasuredSpeeds:
-    """A passport as it was measured, and all drives that it took."""
+    """Measured passport, and all its drives."""
 
     searches: list[SpeedSearch]
     driven: list[CampaignRun]

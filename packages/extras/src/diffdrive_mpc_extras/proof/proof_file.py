@@ -217,7 +217,7 @@ def _times(value: object, ratio: float) -> object:
 
 
 Drive = Callable[[list[Definition]], list[CampaignRun]]
-"""Drives runs and gives them in order; each is another one."""
+"""Drives distinct runs and returns them in order."""
 
 
 @dataclass
@@ -229,13 +229,13 @@ class Boundary:
     factor
         Its name.
     search
-        What was asked.
+        Its search.
     held
-        The value nearest to the boundary that held with every seed; None where not even the first did.
+        Value nearest to the boundary that held with every seed; None if the first did not.
     failed
-        The nearest that did not; None where all did.
+        Nearest value that did not; None if all did.
     values
-        Every value that was tried, and with how many seeds it held.
+        Number of seeds with which each tried value held.
     """
 
     factor: str
@@ -257,7 +257,7 @@ class Boundary:
         return None if middle in self.values else middle  # no number of nine digits lies between
 
     def take(self, value: float, held: int, seeds: int) -> None:
-        """Take what came of a value."""
+        """Take the result of a value."""
         self.values[value] = held
         if held == seeds:
             self.held = value
@@ -275,7 +275,7 @@ def find_boundaries(
 ) -> list[Boundary]:
     """Search for the boundaries of several factors at once, each by itself from `probe`; `band` [m] as in `holds`.
 
-    Between what held and what did not everything is taken to be monotone; what lies beyond is not looked at.
+    Results are assumed monotone in the factor; values beyond the search range are not tried.
     """
     boundaries = [Boundary(factor, search) for factor, search in searches.items()]
     while queries := [(boundary, value) for boundary in boundaries if (value := boundary.next_value) is not None]:
@@ -291,23 +291,23 @@ def _with(probe: Definition, factor: str, value: Value) -> Definition:
     return probe.changed({factor: value})
 
 
-# The runs of a map, and what they came to.
+# Runs of a map, and their results.
 
 
 @dataclass(frozen=True)
 class DrivenMap:
-    """A map that was driven: (rows, columns), a row for each value of y, a column for each of x.
+    """Driven map: (rows, columns), a row for each value of y, a column for each of x.
 
     Attributes
     ----------
     name, axes
         Its name and its axes.
     error
-        Position RMSE [m]; NaN where nothing could be driven.
+        Position RMSE [m]; NaN if no tick was driven.
     lateral
         Largest |lateral| [m].
     completed
-        1 where the run came to its end, else 0.
+        1 if the run was completed, else 0.
     """
 
     name: str
