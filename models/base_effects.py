@@ -1,8 +1,8 @@
-"""What a real base does around its linear dynamics: limits on the way in, slip on the way out.
+"""Effects around the linear dynamics of a real base: limits of the command before them, slip after them.
 
-On the way in, `TwistRange`, `TwistSlew`, `WheelCommand`; then the velocity model; on the way out, `YawRelaxation` and
-`Veer`. `PoseMount` is where the pose sensor sits. Each is optional; `BaseEffects` is their group in a model file, and
-`respond` puts them in a row.
+`TwistRange`, `TwistSlew` and `WheelCommand` precede the velocity model; `YawRelaxation` and `Veer` follow it.
+`PoseMount` is the position of the pose sensor. Each is optional; `BaseEffects` is their group in a model file, and
+`respond` applies them in this order.
 """
 
 from __future__ import annotations
@@ -51,11 +51,11 @@ class TwistSlew(StrictModel):
         return np.minimum(list(limits), _AT_ONCE)
 
     def step(self, previous: ArrayLike, command: ArrayLike, dt: float) -> FloatArray:
-        """Twist (..., 2) that the base has reached `dt` seconds after `previous` on its way to `command`."""
+        """Return the twist (..., 2) that the base reaches `dt` seconds after `previous` on the path to `command`."""
         return reached(np.asarray(previous, dtype=float), np.asarray(command, dtype=float), *self._rates.T * dt)
 
     def follow(self, commands: ArrayLike, dt: float, start: ArrayLike) -> FloatArray:
-        """Twists (K, 2) inside the base after each sample of `dt` [s] under `commands` (K, 2), from `start` (2,)."""
+        """Return twists (K, 2) inside the base after samples of `dt` [s] under `commands` (K, 2), from `start` (2,)."""
         columns = zip(np.asarray(commands, dtype=float).T, self._rates, np.asarray(start, dtype=float), strict=True)
         return np.stack([ramps(column, rates * dt, float(first)) for column, rates, first in columns], axis=-1)
 
@@ -144,37 +144,37 @@ class WheelCommand(StrictModel):
         return self
 
     def sides(self, twist: ArrayLike) -> FloatArray:
-        """Rim speeds (..., 2) left, right [m/s] of twists (..., 2) v [m/s], omega [rad/s]."""
+        """Return rim speeds (..., 2) left, right [m/s] of twists (..., 2) v [m/s], omega [rad/s]."""
         v, omega = np.moveaxis(np.asarray(twist, dtype=float), -1, 0)
         half = 0.5 * self.track * omega
         return np.stack([v - half, v + half], axis=-1)
 
     def twist(self, sides: ArrayLike) -> FloatArray:
-        """Twists (..., 2) of rim speeds (..., 2): the exact inverse of `sides`."""
+        """Return the twists (..., 2) of rim speeds (..., 2): the exact inverse of `sides`."""
         left, right = np.moveaxis(np.asarray(sides, dtype=float), -1, 0)
         return np.stack([0.5 * (left + right), (right - left) / self.track], axis=-1)
 
     def apply(self, twist: ArrayLike) -> FloatArray:
-        """Twists (..., 2) that the motors are asked for, in the units of the command."""
+        """Return the twists (..., 2) commanded to the motors, in the units of the command."""
         held = self._held(self.sides(twist))
         along = np.clip(held[..., ::-1], -self.coasting_speed, self.coasting_speed)
         return self.twist(np.where(self.coasts(twist), along, held))
 
     def coasts(self, twist: ArrayLike) -> NDArray[np.bool_]:
-        """Whether the left, right side (..., 2) is asked for less than one step while the other is driven."""
+        """Return True for each side (..., 2) whose command is below one step while the opposite side is driven."""
         held = self._held(self.sides(twist))
         return np.asarray((held == 0.0) & (held[..., ::-1] != 0.0), dtype=np.bool_)
 
     def slope(self, twist: ArrayLike) -> FloatArray:
-        """(..., 2, 2) derivative of `apply` with the steps smoothed out, for a linearisation at `twist`."""
+        """Return the (..., 2, 2) derivative of `apply`, without its steps, for a linearisation at `twist`."""
         speeds = self.sides(twist)
         free = np.ones(speeds.shape) if self.top_speed is None else (np.abs(speeds) < self.top_speed).astype(float)
         coasts = self.coasts(twist)
         along = coasts * free[..., ::-1] * (np.abs(self._held(speeds)[..., ::-1]) < self.coasting_speed)
         by_side = np.zeros((*speeds.shape, 2))
-        for side, other in ((0, 1), (1, 0)):
+        for side, opposite in ((0, 1), (1, 0)):
             by_side[..., side, side] = np.where(coasts[..., side], 0.0, free[..., side])
-            by_side[..., side, other] = along[..., side]
+            by_side[..., side, opposite] = along[..., side]
         half = 0.5 * self.track
         into, out = np.array([[1.0, -half], [1.0, half]]), np.array([[0.5, 0.5], [-1 / self.track, 1 / self.track]])
         return np.asarray(out @ by_side @ into)
@@ -183,7 +183,7 @@ class WheelCommand(StrictModel):
         return sides if self.top_speed is None else np.clip(sides, -self.top_speed, self.top_speed)
 
     def _held(self, sides: FloatArray) -> FloatArray:
-        """Rim speeds cut to top speed and to whole steps towards zero."""
+        """Cut rim speeds to top speed and, towards zero, to whole steps."""
         cut = self._cut(sides)
         if self.resolution == 0.0:
             return cut
@@ -204,7 +204,7 @@ class YawRelaxation(StrictModel):
     angle: float = Field(gt=0, description="turn of the wheels over which the tyres twist [rad of yaw]")
 
     def advance(self, strain: float, yaw_rate: float, dt: float) -> tuple[float, float]:
-        """One sample under a constant yaw rate of the wheels, exactly.
+        """Integrate one sample exactly under a constant yaw rate of the wheels.
 
         Parameters
         ----------
@@ -225,11 +225,11 @@ class YawRelaxation(StrictModel):
         return end, yaw_rate - self.angle * (end - strain) / dt
 
     def gain(self, strain: float, yaw_rate: float) -> float:
-        """Yaw rate of the body over that of the wheels: 1 once settled, negative just after a reversal."""
+        """Return the ratio of the body's yaw rate to the wheels': 1 once settled, negative just after a reversal."""
         return strain * float(np.sign(yaw_rate))
 
     def follow(self, yaw_rates: ArrayLike, dt: float, strain: float) -> FloatArray:
-        """Yaw rates (K,) of the body [rad/s] for those of the wheels (K,), straight lines between samples of `dt` [s].
+        """Return the body's yaw rates (K,) [rad/s] for the wheels' (K,), linear between samples of `dt` [s].
 
         `strain` is z at the first sample; 0 for tyres without twist, the sign of the yaw rate for a settled turn.
         """
@@ -244,14 +244,14 @@ class YawRelaxation(StrictModel):
         first = moving[np.flatnonzero(np.concatenate([[True], side[1:] != side[:-1]]))] if len(moving) else moving
         edges = np.concatenate([[0], first, [len(mean)]])
         sides = np.concatenate([[0.0], np.sign(mean[first])])
-        begin = np.empty(len(sides))
+        initial = np.empty(len(sides))
         for run, (low, high) in enumerate(pairwise(edges)):
-            begin[run] = strain
+            initial[run] = strain
             strain = sides[run] + (strain - sides[run]) * float(np.exp(turned[low] - turned[high]))
         counts = np.diff(edges)
         towards, since = np.repeat(sides, counts), np.repeat(turned[edges[:-1]], counts)
-        after = towards + (np.repeat(begin, counts) - towards) * np.exp(since - turned[1:])
-        return np.asarray(np.abs(rates) * np.concatenate([begin[:1], after]))
+        after = towards + (np.repeat(initial, counts) - towards) * np.exp(since - turned[1:])
+        return np.asarray(np.abs(rates) * np.concatenate([initial[:1], after]))
 
 
 class Veer(StrictModel):
@@ -263,12 +263,12 @@ class Veer(StrictModel):
     yaw_per_metre: float = Field(description="yaw for each metre driven forward, left positive [rad/m]")
 
     def body(self, wheels: ArrayLike) -> FloatArray:
-        """Twists (..., 2) of the body for twists (..., 2) by the wheels."""
+        """Return the twists (..., 2) of the body for twists (..., 2) of the wheels."""
         v, omega = np.moveaxis(np.asarray(wheels, dtype=float), -1, 0)
         return np.stack([v, omega + self.yaw_per_metre * v], axis=-1)
 
     def wheels(self, body: ArrayLike) -> FloatArray:
-        """Twists (..., 2) by the wheels for twists (..., 2) of the body: the exact inverse of `body`."""
+        """Return the twists (..., 2) of the wheels for twists (..., 2) of the body: the exact inverse of `body`."""
         v, omega = np.moveaxis(np.asarray(body, dtype=float), -1, 0)
         return np.stack([v, omega - self.yaw_per_metre * v], axis=-1)
 
@@ -286,26 +286,26 @@ class PoseMount(StrictModel):
     )
 
     def centre(self, sensor: ArrayLike) -> FloatArray:
-        """Poses (..., 3) of the centre of rotation for poses (..., 3) of the sensor: x, y [m], theta [rad]."""
+        """Return poses (..., 3) of the centre of rotation for poses (..., 3) of the sensor: x, y [m], theta [rad]."""
         pose = np.asarray(sensor, dtype=float)
         theta = pose[..., 2]
         return self._moved(pose, theta, -1.0, theta + self.heading)
 
     def sensor(self, centre: ArrayLike) -> FloatArray:
-        """Poses (..., 3) of the sensor for poses (..., 3) of the centre: the exact inverse of `centre`."""
+        """Return poses (..., 3) of the sensor for poses (..., 3) of the centre: the exact inverse of `centre`."""
         pose = np.asarray(centre, dtype=float)
         theta = pose[..., 2] - self.heading
         return self._moved(pose, theta, 1.0, theta)
 
     def _moved(self, pose: FloatArray, axes: FloatArray, sign: float, theta: FloatArray) -> FloatArray:
-        """`pose` shifted by the lever arm along the sensor's `axes` [rad], with heading `theta`."""
+        """Shift `pose` by the lever arm along the sensor's `axes` [rad]; set its heading to `theta`."""
         dx = np.cos(axes) * self.ahead - np.sin(axes) * self.left
         dy = np.sin(axes) * self.ahead + np.cos(axes) * self.left
         return np.stack([pose[..., 0] + sign * dx, pose[..., 1] + sign * dy, theta], axis=-1)
 
 
 class BaseEffects(StrictModel):
-    """What the base does around the linear model of the same file; an effect left out is not there."""
+    """Effects of the base around the linear model of the same file; a missing effect is not modelled."""
 
     twist_range: TwistRange | None = Field(default=None, description="speed limits inside the base")
     twist_slew: TwistSlew | None = Field(default=None, description="acceleration limits inside the base")

@@ -135,8 +135,8 @@ class Doubt:
         """Relevance for driving."""
         return VERDICTS[self.kind]
 
-    def of(self, label: str) -> Doubt:
-        """Return the same doubt about one part of a model."""
+    def about(self, label: str) -> Doubt:
+        """Name the part of the model that the doubt is about."""
         return Doubt(self.kind, f"{label}: {self.words}")
 
     def __str__(self) -> str:

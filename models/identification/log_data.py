@@ -144,8 +144,8 @@ def read_data(
     has_gyro = any(record.yaw_rate is not None for log in fitted for record in log.records)
     yaw: YawSource = "gyro" if has_gyro else "poses" if by_poses else "encoders"
     if by_poses:
-        what = "v is" if has_gyro else "v and omega are"
-        on_findings([Finding("poses_alone", "note", "encoders", f"the log has none: {what} computed from poses")])
+        subject = "v is" if has_gyro else "v and omega are"
+        on_findings([Finding("poses_alone", "note", "encoders", f"the log has none: {subject} computed from poses")])
     needed = ("twist", *(["yaw_rate"] if has_gyro else []), *(["wheels"] if wheels else []))
     train, validation, held_out = _divided(fitted, tried, fit_share)
     spare: list[Finding] = []

@@ -1,4 +1,4 @@
-"""What an estimate cannot be trusted for."""
+"""Doubts about an estimate: parameters and delays that the data do not determine."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _KINDS = {
     "effective_track": "track",
     "dead_time": "dead time",
 }
-"""Kind of doubt by what a parameter is."""
+"""Kind of doubt by group of parameters."""
 
 
 def answer_delays(fit: OutputErrorFit, names: Sequence[str], inputs: Sequence[int]) -> ParameterEstimate:
-    """(p,) delay of each output behind its entry of `inputs` [s], dead time plus lag, labelled by `names`."""
+    """Return the (p,) delay of each output behind its entry of `inputs` [s]: dead time plus lag, with `names`."""
 
     def delays(parameters: FloatArray) -> FloatArray:
         system = fit.layout.system(parameters)
@@ -38,20 +38,20 @@ def answer_delays(fit: OutputErrorFit, names: Sequence[str], inputs: Sequence[in
 
 
 def late_answers(delays: ParameterEstimate) -> list[Doubt]:
-    """A doubt for each of `delays`, named by channel or motor, whose standard deviation is large."""
+    """List a doubt for each of `delays`, named by channel or motor, whose standard deviation is large."""
     limits, verdicts = estimator_settings().warn, []
     for name, value, deviation in delays.rows:
         if not deviation <= max(limits.delay_deviation * value, limits.least_delay_deviation):
             words = f"dead time and lag, {value:.2g} s together, are badly known: standard deviation {deviation:.2g} s"
             doubt = Doubt("lag", words)
-            verdicts.append(doubt.of(name) if name else doubt)
+            verdicts.append(doubt.about(name) if name else doubt)
     return verdicts
 
 
 def badly_known(
     estimate: ParameterEstimate, kind: str | None = None, delays: ParameterEstimate | None = None
 ) -> list[Doubt]:
-    """A doubt for each parameter whose standard deviation is large beside its value.
+    """List a doubt for each parameter whose standard deviation is large compared with its value.
 
     Parameters
     ----------
@@ -88,32 +88,32 @@ def _kind(name: str, delays: ParameterEstimate | None) -> str:
 
 
 def at_bounds(fit: OutputErrorFit, label: str, kinds: Mapping[str, str] | None = None) -> list[Doubt]:
-    """A doubt for each parameter that ended at a bound of the search; `kinds` are theirs by name, else "effect"."""
+    """List a doubt for each parameter at a bound of the search; `kinds` maps names to kinds, else "effect"."""
     low, high = fit.layout.bounds
     verdicts = []
     for name, value, lower, upper in zip(fit.layout.names, fit.parameters, low, high, strict=True):
         if name.startswith("dead_time") and value - lower < AT_BOUND:
             words = "no dead time is seen beside the lag; has the mapping taken off too much delay?"
-            verdicts.append(Doubt("no dead time", words).of(label))
+            verdicts.append(Doubt("no dead time", words).about(label))
         elif min(value - lower, upper - value) < AT_BOUND:
             side = "lower" if value - lower < upper - value else "upper"
             shown, bound = _readable(name), np.exp(value) if name.startswith("log_") else value
             words = f"{shown} lies at the {side} bound of the search, {bound:.3g}: the data do not determine it"
-            other = "dead time" if name.startswith("dead_time") else "effect"
-            verdicts.append(Doubt((kinds or {}).get(name, other), words).of(label))
+            default = "dead time" if name.startswith("dead_time") else "effect"
+            verdicts.append(Doubt((kinds or {}).get(name, default), words).about(label))
     return verdicts
 
 
 def hardly_identifiable(fit: OutputErrorFit, label: str) -> list[Doubt]:
-    """A doubt if the data hardly determine some combination of parameters."""
+    """List one doubt if the data hardly determine a combination of parameters."""
     if fit.condition < estimator_settings().warn.condition:
         return []
     words = f"condition number {fit.condition:.1e}: some parameters can only be told together; lower the order"
-    return [Doubt("told together", words).of(label)]
+    return [Doubt("told together", words).about(label)]
 
 
 def merged_poles(poles: ParameterEstimate, label: str) -> list[Doubt]:
-    """A doubt for each two neighbouring real poles whose distance is within two standard deviations of zero."""
+    """List a doubt for each pair of adjacent real poles that are less than two standard deviations apart."""
     order = np.argsort(poles.values)
     verdicts = []
     for first, second in pairwise(order.tolist()):
@@ -124,7 +124,7 @@ def merged_poles(poles: ParameterEstimate, label: str) -> list[Doubt]:
         apart = poles.values[first] / poles.values[second] > _FAR_APART
         if not apart and distance < _CERTAIN * deviation:
             words = f"the poles at {poles.values[first]:.3g} and {poles.values[second]:.3g} rad/s cannot be told apart"
-            verdicts.append(Doubt("equal lags", words).of(label))
+            verdicts.append(Doubt("equal lags", words).about(label))
     return verdicts
 
 

@@ -1,4 +1,4 @@
-"""What the estimator sees of a record: inputs, outputs, and which samples count."""
+"""Data of the estimator: inputs and outputs of a record, and a mask of the samples that count."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class SampledExperiment:
         return np.array([self.outputs[np.argmax(counts), row] for row, counts in enumerate(self.counts.T)])
 
     def channel(self, inputs: int, outputs: int) -> SampledExperiment:
-        """One input and one output of this experiment."""
+        """Return one input and one output of this experiment."""
         i, o = slice(inputs, inputs + 1), slice(outputs, outputs + 1)
         return SampledExperiment(
             self.name, self.dt, self.inputs[:, i], self.outputs[:, o], self.counts[:, o], self.follows
@@ -87,7 +87,7 @@ class SampledExperiment:
 
 
 def joined(experiments: Sequence[SampledExperiment]) -> list[SampledExperiment]:
-    """The same samples, those that follow each other as one: what happens in one begins in the one before."""
+    """Join experiments that follow each other: the response to a command may continue in the next one."""
     runs: list[list[SampledExperiment]] = []
     for experiment in experiments:
         if runs and experiment.follows:
@@ -103,17 +103,17 @@ def _one(run: Sequence[SampledExperiment]) -> SampledExperiment:
 
 
 def parted(rows: Sequence[FloatArray], experiments: Sequence[SampledExperiment]) -> list[FloatArray]:
-    """Rows (K, ...) of `joined(experiments)`, in pieces as long as the experiments."""
+    """Split rows (K, ...) of `joined(experiments)` into pieces as long as the experiments."""
     cuts = np.cumsum([experiment.samples for experiment in experiments])[:-1]
     return list(np.split(np.concatenate(rows), cuts))
 
 
 YawSource = Literal["gyro", "encoders", "poses"]
-"""What omega means: the true yaw rate, the wheels' over the geometric track, or that of the twist from poses alone."""
+"""Source of omega: the true yaw rate, the wheels' over the geometric track, or the twist from poses alone."""
 
 
 def twist_experiments(records: Sequence[Record], yaw: YawSource = "gyro") -> list[SampledExperiment]:
-    """Commands (v_ref, omega_ref) against v of the encoders and omega of the gyro or of the encoders.
+    """Pair commands (v_ref, omega_ref) with v of the encoders and omega of the gyro or of the encoders.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def twist_experiments(records: Sequence[Record], yaw: YawSource = "gyro") -> lis
 
 
 def wheel_experiments(records: Sequence[Record]) -> list[SampledExperiment]:
-    """Commands (v_ref, omega_ref) against wheel speeds [rad/s]: four where every record has them, else two.
+    """Pair commands (v_ref, omega_ref) with wheel speeds [rad/s]: four if every record has them, else two.
 
     Raises
     ------
@@ -150,9 +150,9 @@ def wheel_experiments(records: Sequence[Record]) -> list[SampledExperiment]:
 
 
 def _chained(experiments: Sequence[SampledExperiment], records: Sequence[Record]) -> list[SampledExperiment]:
-    """The experiments, with a mark on those that follow the one before: in time, and without a jump of any reading.
+    """Mark experiments that follow the previous one: adjacent in time, and without a jump of any reading.
 
-    A log may be cut anywhere, and what has no times of its own may have lost rows between two segments.
+    A log may be cut anywhere, and a log without times may have lost rows between two segments.
     """
     if not experiments:
         return []
@@ -162,12 +162,12 @@ def _chained(experiments: Sequence[SampledExperiment], records: Sequence[Record]
     steps = [[np.abs(np.diff(y[c])) for y, c in zip(s.outputs.T, s.counts.T, strict=True)] for s in experiments]
     usual = [np.percentile(np.concatenate(rows), _USUAL) for rows in zip(*steps, strict=True)]
     chained = list(experiments[:1])
-    for (one, earlier), (other, later) in pairwise(zip(experiments, records, strict=True)):
+    for (previous, earlier), (current, later) in pairwise(zip(experiments, records, strict=True)):
         near = earlier.dt == later.dt and abs(later.start - earlier.end - later.dt) < 0.5 * later.dt
-        last = np.array([one.outputs[np.flatnonzero(c)[-1], i] for i, c in enumerate(one.counts.T)])
+        last = np.array([previous.outputs[np.flatnonzero(c)[-1], i] for i, c in enumerate(previous.counts.T)])
         chained.append(
             replace(
-                other, follows=near and bool(np.all(np.abs(other.first_readings - last) <= _JUMP * np.array(usual)))
+                current, follows=near and bool(np.all(np.abs(current.first_readings - last) <= _JUMP * np.array(usual)))
             )
         )
     return chained

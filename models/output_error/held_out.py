@@ -1,4 +1,4 @@
-"""Blocks of the records held out in turn: what a model predicts of them that was made without them."""
+"""Blocks of the records held out in turn, and their prediction by models fitted without them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Pieces = list[tuple[int, int, int]]
 
 
 def blocks(experiments: Sequence[SampledExperiment]) -> list[tuple[Pieces, Pieces]]:
-    """For each part of equal length, in the order of time: the data without it, and it; short rests are left out.
+    """Return for each block, in the order of time, the data without it and the block; omit short rests.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def blocks(experiments: Sequence[SampledExperiment]) -> list[tuple[Pieces, Piece
 
 
 def cut(experiments: Sequence[SampledExperiment], pieces: Pieces) -> list[SampledExperiment]:
-    """Some of the data."""
+    """Extract pieces of the data."""
     parts = []
     for i, first, stop in pieces:
         whole, rows = experiments[i], slice(first, stop)
@@ -59,7 +59,7 @@ def cut(experiments: Sequence[SampledExperiment], pieces: Pieces) -> list[Sample
 
 
 class HeldOut(NamedTuple):
-    """What models like one fit, each made without one block, say of that block and of the fit."""
+    """Errors on held-out blocks, and spread of the parameters, of models fitted without one block each."""
 
     powers: FloatArray
     """(blocks, p) mean square error of each output in each block"""
@@ -70,7 +70,7 @@ class HeldOut(NamedTuple):
     def deviation(self) -> FloatArray:
         """(q,) standard deviation of the fit's parameters from their scatter (jackknife by blocks).
 
-        So few blocks tell it badly: Student's distribution makes up for it.
+        Student's distribution corrects for the small number of blocks.
         """
         from scipy import stats  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
 

@@ -50,15 +50,15 @@ class ParameterEstimate:
         return list(zip(self.names, self.values.tolist(), self.standard_deviation.tolist(), strict=True))
 
     def value(self, name: str) -> float:
-        """One parameter; raises KeyError when there is none of that name."""
+        """Return one parameter; raise KeyError if none has that name."""
         return float(self.values[self._index(name)])
 
     def deviation(self, name: str) -> float:
-        """Its standard deviation; raises KeyError when there is none of that name."""
+        """Return the standard deviation of one parameter; raise KeyError if none has that name."""
         return float(self.standard_deviation[self._index(name)])
 
     def derived(self, names: Sequence[str], function: Callable[[FloatArray], FloatArray]) -> ParameterEstimate:
-        """What a function (q,) to (r,) makes of the parameters, its covariance to first order."""
+        """Apply a function (q,) to (r,) to the parameters; propagate the covariance to first order."""
         slopes = []
         for i, value in enumerate(self.values):
             step = _STEP * max(abs(value), 1e-3) * np.eye(len(self.values))[i]
@@ -67,12 +67,12 @@ class ParameterEstimate:
         return ParameterEstimate(tuple(names), np.asarray(function(self.values)), slope @ self.covariance @ slope.T)
 
     def part(self, names: Sequence[str]) -> ParameterEstimate:
-        """Some of the parameters; raises KeyError when there is none of a name."""
+        """Return some of the parameters; raise KeyError if a name does not exist."""
         rows = [self._index(name) for name in names]
         return ParameterEstimate(tuple(names), self.values[rows], self.covariance[np.ix_(rows, rows)])
 
     def renamed(self, prefix: str) -> ParameterEstimate:
-        """The same parameters, their names behind `prefix` and a dot."""
+        """Return the same parameters with `prefix` and a dot before their names."""
         return ParameterEstimate(tuple(f"{prefix}.{name}" for name in self.names), self.values, self.covariance)
 
     def _index(self, name: str) -> int:
@@ -82,7 +82,7 @@ class ParameterEstimate:
 
 
 def joined(estimates: Sequence[ParameterEstimate]) -> ParameterEstimate:
-    """Independent estimates side by side."""
+    """Concatenate independent estimates."""
     return ParameterEstimate(
         tuple(name for estimate in estimates for name in estimate.names),
         np.concatenate([estimate.values for estimate in estimates]),
@@ -107,11 +107,11 @@ class Parametrisation(Protocol):
         ...
 
     def matrices(self, parameters: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
-        """A (n, n), B (n, m), C (p, n) of parameters (s,); analytic, so that a complex step passes through."""
+        """Return A (n, n), B (n, m), C (p, n) of parameters (s,); analytic, for complex-step differentiation."""
         ...
 
     def recentred(self, parameters: FloatArray) -> tuple[Parametrisation, FloatArray]:
-        """The parametrisation with coordinates that suit the neighbourhood of `parameters`, and these in them."""
+        """Return a parametrisation with coordinates around `parameters`, and `parameters` in these coordinates."""
         ...
 
 
@@ -144,7 +144,7 @@ class Layout:
     limited: tuple[tuple[bool, ...], ...] = ()
 
     def __post_init__(self) -> None:
-        """Default masks: nothing."""
+        """Set the default masks: no channel."""
         object.__setattr__(self, "offset", self.offset or (False,) * self.outputs)
         object.__setattr__(self, "limited", self.limited or ((False,) * len(KINDS),) * self.inputs)
 
@@ -178,21 +178,21 @@ class Layout:
         )
 
     def around(self, parametrisation: Parametrisation) -> Layout:
-        """The same layout with other coordinates of its parametrisation."""
+        """Return the same layout with different coordinates of its parametrisation."""
         return replace(self, parametrisation=parametrisation)
 
     def split(self, parameters: AnyArray) -> list[AnyArray]:
-        """The parametrisation's parameters, dead times, offsets and limits of `parameters` (q,)."""
+        """Split `parameters` (q,) into those of the parametrisation, dead times, offsets and limits."""
         return list(np.split(parameters, np.cumsum(self.counts)[:-1]))
 
     def system(self, parameters: AnyArray) -> LinearSystem:
-        """The system that `parameters` (q,) describe."""
-        own, dead_time, offsets, limits = self.split(parameters)
+        """Return the system that `parameters` (q,) describe."""
+        coordinates, dead_time, offsets, limits = self.split(parameters)
         if self.known_dead_time is not None:
             dead_time = np.array([self.known_dead_time])
         offset = np.zeros(self.outputs, dtype=parameters.dtype)
         offset[np.array(self.offset)] = offsets
         limit = np.full((self.inputs, len(KINDS)), np.inf, dtype=parameters.dtype)
         limit[np.array(self.limited)] = limits
-        A, B, C = self.parametrisation.matrices(own)
+        A, B, C = self.parametrisation.matrices(coordinates)
         return LinearSystem(A, B, C, np.broadcast_to(dead_time, self.inputs), offset, limit)

@@ -42,7 +42,7 @@ _Drive = tuple[FloatArray, FloatArray]
 
 
 class _Model(NamedTuple):
-    """A system sampled at one rate, with what every experiment of that rate shares."""
+    """A system sampled at one rate, with the quantities shared by all experiments of that rate."""
 
     system: LinearSystem
     sampled: SampledSystem
@@ -54,12 +54,12 @@ class _Model(NamedTuple):
 
 
 class _Past(NamedTuple):
-    """What a past can explain, E early samples long; r directions."""
+    """Effect of the unknown past on the first E samples; r directions."""
 
-    seen: FloatArray
-    """(E p, r) what an orthonormal basis of the outputs that pasts give, and of their prior, has in the outputs"""
+    outputs: FloatArray
+    """(E p, r) output rows of an orthonormal basis of the effect of pasts on the outputs and on their prior"""
     prior: FloatArray
-    """(m + n, r) and what it has in the prior"""
+    """(m + n, r) prior rows of this basis"""
     recover: FloatArray
     """(m + n, r) from components along the basis to the command before and the deviation"""
 
@@ -95,7 +95,7 @@ class OutputErrorProblem:
             self._longest[experiment.dt] = max(self._longest[experiment.dt], experiment.samples)
 
     def residuals(self, parameters: FloatArray) -> FloatArray:
-        """(rows,) weighted residuals by experiment and sample, then those of the pasts; infinite where unstable."""
+        """Return (rows,) weighted residuals by experiment and sample, then of the pasts; infinite where unstable."""
         system = self._layout.system(parameters)
         if np.linalg.eigvals(system.A).real.max() >= 0:
             return np.full(self._rows + len(self._experiments) * (system.B.shape[1] + len(system.A)), np.inf)
@@ -110,7 +110,7 @@ class OutputErrorProblem:
         return np.concatenate(parts + pasts)
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
-        """(rows, q) derivatives of `residuals`."""
+        """Return the (rows, q) derivatives of `residuals`."""
         system = self._layout.system(parameters)
         models = self._models(system)
         slopes = {dt: self._derivatives(parameters, dt) for dt in models}
@@ -123,7 +123,7 @@ class OutputErrorProblem:
         return np.concatenate(parts + pasts)
 
     def simulations(self, parameters: FloatArray) -> list[FloatArray]:
-        """For each experiment the simulated outputs (K, p), sensor offset included, from the best past."""
+        """Simulate the outputs (K, p) of each experiment, sensor offset included, from the best past."""
         system = self._layout.system(parameters)
         models = self._models(system)
         return [
@@ -132,7 +132,7 @@ class OutputErrorProblem:
         ]
 
     def _models(self, system: LinearSystem) -> dict[float, _Model]:
-        """The system at every sample time of the data."""
+        """Sample the system at each sample time of the data."""
         n, slowest = len(system.A), np.linalg.eigvals(system.A).real.max()
         hold = -np.linalg.solve(system.A, system.B)
         models = {}
@@ -150,7 +150,7 @@ class OutputErrorProblem:
         return models
 
     def _derivatives(self, parameters: FloatArray, dt: float) -> tuple[LinearSystem, SampledSystem]:
-        """Derivatives by each parameter, (q, ...), of the continuous and of the sampled system."""
+        """Differentiate the continuous and the sampled system by each parameter, (q, ...)."""
         stepped = parameters + 1j * _COMPLEX_STEP * np.eye(len(parameters))
         systems = LinearSystem(*map(np.array, zip(*map(self._layout.system, stepped), strict=True)))
         sampled = sample(systems, dt)
@@ -176,13 +176,13 @@ def _past(model: _Model, weight: FloatArray, prior: FloatArray | None) -> _Past:
 def _simulate(
     model: _Model, experiment: SampledExperiment, weight: FloatArray, prior: FloatArray | None
 ) -> tuple[FloatArray, _Drive, FloatArray, _Past]:
-    """States (n, K) from the best past, what drives them, the command before, what a past can explain."""
+    """Return states (n, K) from the best past, their drive, the command before, and the effect of the past."""
     system, past = model.system, _past(model, weight, prior)
     inputs = taken(system, experiment)
     states = _forced(model, inputs)
-    early = len(past.seen) // experiment.outputs.shape[1]
+    early = len(past.outputs) // experiment.outputs.shape[1]
     error = weight * (experiment.outputs - system.offset - states.T @ system.C.T)
-    recovered = past.recover @ (past.seen.T @ error[:early].ravel())
+    recovered = past.recover @ (past.outputs.T @ error[:early].ravel())
     states[:, :early] += np.tensordot(model.past[..., :early], recovered, (1, 0))
     before = recovered[: inputs.shape[1]]
     return states, delayed(inputs, model.sampled.delay, before), before, past
@@ -196,7 +196,7 @@ def _experiment_jacobian(
     weight: FloatArray,
     prior: FloatArray | None,
 ) -> tuple[FloatArray, FloatArray]:
-    """(K p, q) derivatives of an experiment's weighted residuals, and (m + n, q) of its past's."""
+    """Return (K p, q) derivatives of an experiment's weighted residuals, and (m + n, q) of its past's."""
     states, (recent, older), before, past = _simulate(model, experiment, weight, prior)
     forcing = sampled_slope.A @ states + sampled_slope.B0 @ recent + sampled_slope.B1 @ older
     if slope.limit.any():
@@ -213,19 +213,19 @@ def _experiment_jacobian(
 
 
 def past_prior(system: LinearSystem, experiments: Sequence[SampledExperiment], deviation: float) -> FloatArray:
-    """One over the standard deviations of a past, (m + n, m + n), as `OutputErrorProblem` takes it.
+    """Return the inverse standard deviations of a past, (m + n, m + n), as `OutputErrorProblem` takes them.
 
     Commands before an experiment are as large as those in it. A state deviates from the settled one `deviation` times
     as far as the states of the experiments, from rest, deviate from those that their commands settle in.
     """
     hold, total, count = -np.linalg.solve(system.A, system.B), np.zeros(system.A.shape), 0
     sampled = {dt: sample(system, dt) for dt in {experiment.dt for experiment in experiments}}
-    respond = {dt: StateResponse(one.A) for dt, one in sampled.items()}
+    respond = {dt: StateResponse(model.A) for dt, model in sampled.items()}
     for experiment in experiments:
-        here = sampled[experiment.dt]
+        discrete = sampled[experiment.dt]
         inputs = taken(system, experiment)
-        recent, older = delayed(inputs, here.delay, np.zeros(inputs.shape[1]))
-        off = respond[experiment.dt]((here.B0 @ recent + here.B1 @ older)[:, None, :])[:, 0] - hold @ inputs.T
+        recent, older = delayed(inputs, discrete.delay, np.zeros(inputs.shape[1]))
+        off = respond[experiment.dt]((discrete.B0 @ recent + discrete.B1 @ older)[:, None, :])[:, 0] - hold @ inputs.T
         total, count = total + off @ off.T, count + len(inputs)
     sizes, axes = np.linalg.eigh(total / count)
     sizes = deviation * np.sqrt(np.maximum(sizes, _MOVED**2 * max(sizes.max(), np.finfo(float).tiny)))
@@ -235,14 +235,14 @@ def past_prior(system: LinearSystem, experiments: Sequence[SampledExperiment], d
 
 
 def _forced(model: _Model, inputs: FloatArray) -> FloatArray:
-    """(n, K) states from rest under limited inputs (K, m)."""
+    """Simulate (n, K) states from rest under limited inputs (K, m)."""
     recent, older = delayed(inputs, model.sampled.delay, np.zeros(inputs.shape[1]))
     return model.respond((model.sampled.B0 @ recent + model.sampled.B1 @ older)[:, None, :])[:, 0]
 
 
 def _project(rows: FloatArray, past: _Past) -> FloatArray:
-    """Take out of `rows` (K p, ...), in place, what a past can explain; return what the prior says (m + n, ...)."""
-    early = rows[: len(past.seen)]
-    along = past.seen.T @ early
-    early -= past.seen @ along
+    """Remove the effect of the past from `rows` (K p, ...) in place; return the rows of the prior (m + n, ...)."""
+    early = rows[: len(past.outputs)]
+    along = past.outputs.T @ early
+    early -= past.outputs @ along
     return -past.prior @ along

@@ -1,4 +1,4 @@
-"""Where the estimator looks, and when it warns: read from `settings.yaml`."""
+"""Search bounds and warning thresholds of the estimator, read from `settings.yaml`."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class ScatterSettings(StrictModel):
 
 
 class HeldOutSettings(StrictModel):
-    """How blocks of the records are held out in turn."""
+    """Settings of the held-out blocks of the records."""
 
     blocks: int = Field(ge=2, description="of equal length")
     fewest_readings: int = Field(ge=5, description="of each output in a part of a record")

@@ -78,7 +78,7 @@ class OutputErrorFit:
         return self.layout.system(self.parameters)
 
     def loss(self, scale: FloatArray) -> FloatArray:
-        """(p,) weighted sum of squares of each output's residuals over `scale` (p,)."""
+        """Return the (p,) weighted sum of squares of each output's residuals divided by `scale` (p,)."""
         parts = [np.nansum(w * (r / scale) ** 2, axis=0) for w, r in zip(self.trust, self.residuals, strict=True)]
         return np.asarray(np.sum(parts, axis=0))
 
@@ -182,7 +182,7 @@ class _Data(NamedTuple):
     """(experiments,) factors of the prior of each past."""
 
     def problem(self, layout: Layout, near: FloatArray) -> OutputErrorProblem:
-        """The problem with the prior of the pasts that the system `near` (q,) gives."""
+        """Build the problem with the prior of the pasts that follows from the system `near` (q,)."""
         prior = past_prior(layout.system(near), self.experiments, estimator_settings().start_deviation)
         return OutputErrorProblem(layout, self.experiments, self.weights, [tie * prior for tie in self.ties])
 
@@ -190,7 +190,7 @@ class _Data(NamedTuple):
         return 0.5 * float(np.sum(self.problem(layout, parameters).residuals(parameters) ** 2))
 
     def residuals(self, layout: Layout, parameters: FloatArray) -> list[FloatArray]:
-        """For each experiment (K, p) measured minus simulated, NaN where it does not count."""
+        """Return measured minus simulated outputs (K, p) of each experiment, NaN where samples do not count."""
         simulated = self.problem(layout, parameters).simulations(parameters)
         return [
             np.where(weight > 0, experiment.outputs - outputs, np.nan)
@@ -201,9 +201,9 @@ class _Data(NamedTuple):
 def _solve(layout: Layout, start: FloatArray, data: _Data, evaluations: int) -> tuple[Layout, FloatArray, float]:
     from scipy.optimize import least_squares  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
 
-    parametrisation, own = layout.parametrisation.recentred(start[: layout.counts[0]])
+    parametrisation, coordinates = layout.parametrisation.recentred(start[: layout.counts[0]])
     layout = layout.around(parametrisation)
-    start = np.concatenate([own, start[len(own) :]])
+    start = np.concatenate([coordinates, start[len(coordinates) :]])
     problem = data.problem(layout, start)
     low, high = layout.bounds
     result = least_squares(
@@ -221,7 +221,7 @@ def _solve(layout: Layout, start: FloatArray, data: _Data, evaluations: int) -> 
 
 
 def _ties(layout: Layout, parameters: FloatArray, data: _Data) -> FloatArray:
-    """(experiments,) factors of the prior of each past: 1, and less where readings clearly speak against it (Huber)."""
+    """Return (experiments,) factors of the prior of each past: 1, less where readings contradict it (Huber)."""
     residuals = data.problem(layout, parameters).residuals(parameters)
     size = np.linalg.norm(residuals[sum(map(np.size, data.weights)) :].reshape(len(data.ties), -1), axis=1) / data.ties
     return np.asarray(np.sqrt(_TIED / np.maximum(size, _TIED)))
@@ -233,10 +233,10 @@ def _weights(
     noise: FloatArray,
     trust: list[FloatArray] | None = None,
 ) -> list[FloatArray]:
-    """Square roots of the weights, over the scale.
+    """Return the square roots of the weights divided by the scale.
 
-    A first reading tells of the past alone, of which no model is wrong yet: it counts by its noise. Else a model that
-    is wrong of a fast answer would begin ahead of it.
+    A first reading depends on the past alone, not on the model, so its weight follows from its noise. Otherwise a model
+    with a wrong fast response would start ahead of it.
     """
     weights = [experiment.counts / scale for experiment in experiments]
     more = np.clip(scale / np.maximum(noise, np.finfo(float).tiny), 1.0, _MOST_FIRST)

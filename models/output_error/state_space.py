@@ -53,7 +53,7 @@ class SampledSystem(NamedTuple):
 
 
 def sample(system: LinearSystem, dt: float) -> SampledSystem:
-    """Exact zero-order hold with sample time `dt` [s]."""
+    """Discretise exactly, with zero-order hold and sample time `dt` [s]."""
     n, m = system.B.shape[-2:]
     delay = np.floor(system.dead_time.real / dt + _WHOLE).astype(np.int64)
     acting = dt - (system.dead_time - delay * dt)
@@ -68,7 +68,7 @@ def sample(system: LinearSystem, dt: float) -> SampledSystem:
 def delayed(
     inputs: FloatArray, delay: NDArray[np.int64], before: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Inputs (K, m) as B0 and B1 see them, each (m, K).
+    """Delay inputs (K, m): return the inputs of B0 and B1, each (m, K).
 
     Before sample 0 `before` (m,) was in force; by default the first row.
     """
@@ -80,7 +80,7 @@ def delayed(
 
 
 def settled_start(system: LinearSystem, outputs: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The settled state (n,) whose output is `outputs` (p,), and the input (m,) that holds it.
+    """Return the settled state (n,) with output `outputs` (p,), and the input (m,) that holds it.
 
     For a single two-pole transfer function the output is as given and its derivative zero; where outputs determine the
     state, it is that state. With fewer inputs than outputs it is the nearest.
@@ -109,7 +109,7 @@ class StateResponse:
         self._triangle, self._basis = triangle, basis
 
     def __call__(self, drive: FloatArray, start: FloatArray | None = None) -> FloatArray:
-        """States (n, S, K) at samples 0 to K - 1.
+        """Simulate the states (n, S, K) at samples 0 to K - 1.
 
         Parameters
         ----------
@@ -185,19 +185,19 @@ class LocalStateSpace:
         return -free, free
 
     def matrices(self, parameters: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
-        """A (n, n), B (n, m), C (p, n)."""
+        """Return A (n, n), B (n, m), C (p, n)."""
         n, m = self.B.shape
         A, B, C = np.split(self.basis @ parameters, np.cumsum([n * n, n * m]))
         return self.A + A.reshape(n, n), self.B + B.reshape(n, m), self.C + C.reshape(-1, n)
 
     def recentred(self, parameters: FloatArray) -> tuple[LocalStateSpace, FloatArray]:
-        """The coordinates around the model at `parameters`."""
+        """Return the coordinates around the model at `parameters`."""
         A, B, C = self.matrices(parameters)
         return LocalStateSpace(A, B, C), np.zeros_like(parameters)
 
 
 def impulse_response(experiments: Sequence[SampledExperiment], dead_time: FloatArray, length: int) -> FloatArray:
-    """(p, m, length) sampled impulse response behind dead times (m,) [s], by ridge regression on all experiments.
+    """Estimate the (p, m, length) impulse response behind dead times (m,) [s]; ridge regression on all experiments.
 
     Samples that do not count are interpolated: a start needs no more.
     """
@@ -215,7 +215,7 @@ def impulse_response(experiments: Sequence[SampledExperiment], dead_time: FloatA
 
 
 def from_impulse_response(response: FloatArray, order: int, dt: float) -> Realisation | None:
-    """A realisation of an impulse response (p, m, L), or None without a stable one.
+    """Realise an impulse response (p, m, L); None without a stable realisation.
 
     Eigensystem realization algorithm: Juang, Pappa, Journal of Guidance, Control, and Dynamics 1985, 8(5), 620-627.
     """
@@ -234,7 +234,7 @@ def from_impulse_response(response: FloatArray, order: int, dt: float) -> Realis
 
 
 def balanced(A: FloatArray, B: FloatArray, C: FloatArray) -> Realisation:
-    """The same model in balanced coordinates, each state with its largest output entry positive.
+    """Return the model in balanced coordinates, each state with its largest output entry positive.
 
     Source: Moore, IEEE Transactions on Automatic Control 1981, 26(1), 17-32. A state that is neither seen nor driven
     keeps its coordinates.
@@ -254,7 +254,7 @@ def balanced(A: FloatArray, B: FloatArray, C: FloatArray) -> Realisation:
 
 
 def beside(first: Realisation, second: Realisation) -> Realisation:
-    """The sum of two models' outputs."""
+    """Add the outputs of two models in one realisation."""
     return (
         linalg.block_diag(first[0], second[0]),
         np.vstack([first[1], second[1]]),
@@ -263,7 +263,7 @@ def beside(first: Realisation, second: Realisation) -> Realisation:
 
 
 def spare_state(A: FloatArray, B: FloatArray, C: FloatArray) -> Realisation:
-    """One state, twice as fast as the fastest of a model and hardly seen: a place to start where data suggest none."""
+    """Return a weakly observable state, twice as fast as the fastest of a model: start value of a free state."""
     pole = 2.0 * np.abs(np.linalg.eigvals(A)).max()
     return (
         np.array([[-pole]]),
@@ -278,19 +278,19 @@ def _filled(experiment: SampledExperiment, row: int) -> FloatArray:
 
 
 def distinct_poles(A: FloatArray) -> AnyArray:
-    """Eigenvalues [rad/s] of A (n, n) with no negative imaginary part, slowest first."""
+    """Return eigenvalues [rad/s] of A (n, n) with non-negative imaginary part, slowest first."""
     poles = np.linalg.eigvals(A).astype(complex)
     poles = poles[poles.imag > -_REAL * np.abs(poles)]
     return np.asarray(poles[np.argsort(np.abs(poles), kind="stable")])
 
 
 def pole_names(poles: AnyArray) -> list[str]:
-    """pole_1, or pole_1.real and pole_1.imag, and so on."""
+    """Name the numbers of poles: pole_1, or pole_1.real and pole_1.imag, and so on."""
     return [name for i, pole in enumerate(poles) for name in _names(f"pole_{i + 1}", pole)]
 
 
 def pole_numbers(A: FloatArray, near: AnyArray) -> FloatArray:
-    """The numbers behind `pole_names(near)` for a matrix A close to that of which `near` are the poles."""
+    """Return the numbers named by `pole_names(near)` for a matrix A whose poles are close to `near`."""
     poles = np.linalg.eigvals(A).astype(complex)
     numbers: list[float] = []
     for pole in near:
@@ -300,7 +300,7 @@ def pole_numbers(A: FloatArray, near: AnyArray) -> FloatArray:
 
 
 def real_pole_names(names: Sequence[str]) -> list[str]:
-    """Those of `pole_names` that stand for a real pole."""
+    """Select those of `pole_names` that name a real pole."""
     return [name for name in names if name.startswith("pole_") and "." not in name]
 
 

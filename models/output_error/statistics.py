@@ -33,10 +33,10 @@ _COSINES = 0.41
 
 
 def spike_weights(residuals: Sequence[FloatArray]) -> list[FloatArray]:
-    """For each experiment (K, p) weights of its residuals (K, p), NaN where they do not count: 1, and less for spikes.
+    """Return weights of residuals (K, p) of each experiment, NaN where they do not count: 1, and less for spikes.
 
-    A spike is the difference from the median of five readings around; its scale is the median of all that differ. (The
-    quantised readings of a robot that stands do not, and say nothing about noise.)
+    A spike is the difference from the median of five neighbours; its scale is the median of all non-zero differences.
+    (Differences of quantised readings are zero at standstill and carry no information about noise.)
     """
     spikes = _from_neighbours(residuals)
     scale = np.maximum(_size(spikes), _LEAST_SHARE * _root_mean_square(np.concatenate(residuals)))
@@ -45,12 +45,12 @@ def spike_weights(residuals: Sequence[FloatArray]) -> list[FloatArray]:
 
 
 def reading_noise(readings: Sequence[FloatArray]) -> FloatArray:
-    """(p,) noise of readings (K, p), NaN where they do not count: how far they are from those around them."""
+    """Estimate the (p,) noise of readings (K, p), NaN if not counted, from the distance to their neighbours."""
     return _size(_from_neighbours(readings))
 
 
 def _from_neighbours(rows: Sequence[FloatArray]) -> list[FloatArray]:
-    """For each experiment (K, p) the difference from the median of five around."""
+    """Subtract the median of five neighbours from the rows (K, p) of each experiment."""
     from scipy import ndimage  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
 
     away = [np.full_like(part, np.nan) for part in rows]
@@ -68,7 +68,7 @@ def _size(spikes: Sequence[FloatArray]) -> FloatArray:
 
 
 def residual_scale(residuals: Sequence[FloatArray], weights: Sequence[FloatArray], spread: FloatArray) -> FloatArray:
-    """(p,) root mean square of weighted residuals (K, p), NaN where they do not count.
+    """Return the (p,) root mean square of weighted residuals (K, p), NaN where they do not count.
 
     Never below a tiny part of the outputs' `spread` (p,), which keeps noise-free data from dividing by zero.
     """
@@ -77,12 +77,12 @@ def residual_scale(residuals: Sequence[FloatArray], weights: Sequence[FloatArray
 
 
 def _root_mean_square(rows: FloatArray) -> FloatArray:
-    """(p,) of rows (K, p), NaN where they do not count; 0 where none does: a short stretch may hold no reading."""
+    """Return (p,) of rows (K, p), NaN where they do not count; 0 without readings, as in a short stretch."""
     return np.asarray(np.sqrt(np.nansum(rows**2, axis=0) / np.maximum((~np.isnan(rows)).sum(axis=0), 1)))
 
 
 def output_spread(experiments: Sequence[SampledExperiment]) -> FloatArray:
-    """(p,) standard deviation of each output; raises ValueError where one never changes."""
+    """Return the (p,) standard deviation of each output; raise ValueError if an output never changes."""
     spread = []
     for row in range(experiments[0].outputs.shape[1]):
         spread.append(np.std(np.concatenate([s.outputs[s.counts[:, row], row] for s in experiments])))
@@ -96,7 +96,7 @@ def _median(values: FloatArray) -> float:
 
 
 class Sandwich(NamedTuple):
-    """Covariance and what it says about the data."""
+    """Covariance of the parameters, with measures of the information in the data."""
 
     covariance: FloatArray
     """(q, q)"""
@@ -107,7 +107,7 @@ class Sandwich(NamedTuple):
 
 
 def sandwich(jacobians: Sequence[FloatArray], errors: Sequence[FloatArray]) -> Sandwich:
-    """Covariance of parameters at the optimum of a weighted least-squares problem.
+    """Estimate the covariance of the parameters at the optimum of a weighted least-squares problem.
 
     Parameters
     ----------
@@ -133,9 +133,9 @@ def sandwich(jacobians: Sequence[FloatArray], errors: Sequence[FloatArray]) -> S
 
 
 def long_run_covariance(scores: Sequence[FloatArray]) -> tuple[FloatArray, int]:
-    """(q, q) covariance of the scores' (K, q) sum, and its degrees of freedom: equally weighted cosine estimate.
+    """Estimate the (q, q) covariance of the scores' (K, q) sum, and its degrees of freedom: equal-weighted cosines.
 
-    Rows without a reading are left out: they would hide how readings are correlated. Experiments stand end to end.
+    Rows without a reading are omitted: they would hide the correlation of readings. Experiments are concatenated.
     """
     from scipy import fft  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
 
@@ -149,27 +149,27 @@ def long_run_covariance(scores: Sequence[FloatArray]) -> tuple[FloatArray, int]:
 
 
 def student_factor(freedom: int) -> float:
-    """95 % interval of Student's distribution over that of the normal one."""
+    """Return the ratio of the 95 % intervals of Student's and the normal distribution."""
     from scipy import special  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
 
     return float(special.stdtrit(freedom, 0.975) / special.ndtri(0.975))
 
 
 def block_covariance(scores: Sequence[FloatArray], count: int) -> FloatArray:
-    """(q, q) covariance of the scores' (K, q) sum, from their scatter between `count` blocks of equal length in time.
+    """Estimate the (q, q) covariance of the scores' (K, q) sum from `count` blocks of equal length in time.
 
-    What a model cannot explain may last longer than any window: a gain that differs from one command to the next, a
-    floor that changes. Source: Liang, Zeger, Biometrika 1986, 73(1), 13-22 (scores summed by cluster).
+    Model errors may last longer than any window: a gain that differs between commands, a change of surface.
+    Source: Liang, Zeger, Biometrika 1986, 73(1), 13-22 (scores summed by cluster).
     """
     sums = np.array([block.sum(axis=0) for block in np.array_split(np.concatenate(scores), count)])
     return np.asarray(count / (count - 1) * sums.T @ sums)
 
 
 def _widened(covariance: FloatArray, scores: Sequence[FloatArray], bread: FloatArray) -> FloatArray:
-    """`covariance` with the variances that blocks of several lengths give, where chance would not make them so large.
+    """Increase `covariance` to the variances of blocks of several lengths, if they are larger than by chance.
 
-    What drifts slowly shows between few long blocks, what changes often between many short ones. Chance is the
-    chi-square distribution of as many blocks; Student's makes up for how few they are.
+    Slow drift shows between few long blocks, fast changes between many short ones. Chance is the chi-square
+    distribution with as many blocks; Student's distribution corrects for their small number.
     """
     from scipy import stats  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
 
@@ -185,7 +185,7 @@ def _widened(covariance: FloatArray, scores: Sequence[FloatArray], bread: FloatA
 
 
 def effective_samples(errors: Sequence[FloatArray]) -> FloatArray:
-    """(p,) readings divided by the integrated autocorrelation of the residuals (K, p), NaN where they do not count."""
+    """Divide (p,) readings by the integrated autocorrelation of residuals (K, p), NaN where they do not count."""
     worth = []
     for row in range(errors[0].shape[1]):
         column = [np.nan_to_num(error[:, row : row + 1]) for error in errors]

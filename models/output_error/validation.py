@@ -1,7 +1,7 @@
-"""How good a model is on records: FIT and RMSE of a free simulation, and whether its residuals are white.
+"""Validation of a model on records: FIT and RMSE of a free simulation, and whiteness of its residuals.
 
 Protocol: each record is simulated from its commands once, started at the first measured output and never restarted, and
-records that follow each other as one; FIT is pooled over records.
+records that follow each other are joined; FIT is pooled over records.
 
 Sources: Guffanti et al., Sensors 2025, 25(11), 3553 (FIT); Ljung, Box, Biometrika 1978, 65(2), 297-303 (portmanteau
 statistic); Ljung, System Identification, 2nd edition, 1999, section 16.6 (bounds); Bartlett's formula for the variance
@@ -24,7 +24,7 @@ from diffdrive_mpc.models.output_error.state_space import LinearSystem, StateRes
 
 
 def fit_percent(measured: FloatArray, simulated: FloatArray) -> float:
-    """FIT = 100 (1 - |y - yhat| / |y - mean(y)|) [%] of one signal (K,).
+    """Compute FIT = 100 (1 - |y - yhat| / |y - mean(y)|) [%] of one signal (K,).
 
     Source: Guffanti et al., Sensors 2025, 25(11), 3553. 100 is a perfect simulation, 0 no better than the mean.
 
@@ -37,7 +37,7 @@ def fit_percent(measured: FloatArray, simulated: FloatArray) -> float:
 
 
 def pooled_fit_percent(measured: Sequence[FloatArray], simulated: Sequence[FloatArray]) -> float:
-    """FIT [%] over several stretches of one signal, each against the mean of all; raises as `fit_percent`."""
+    """Return the FIT [%] of several stretches of one signal around their common mean; raise as `fit_percent`."""
     y, yhat = np.concatenate(measured), np.concatenate(simulated)
     spread = float(np.linalg.norm(y - y.mean()))
     if spread == 0.0:
@@ -110,8 +110,8 @@ def check_residuals(errors: Sequence[FloatArray], experiments: Sequence[SampledE
         for j, columns in enumerate(driven):
             after, pairs = _correlation(rows, columns, lags)
             cross[i, j] = np.concatenate([_correlation(columns, rows, lags)[0][:0:-1], after])
-            own = _correlation(columns, columns, lags)[0]
-            inflation = 1.0 + 2.0 * float(np.sum(auto[i][0][1:] * own[1:]))
+            autocorrelation = _correlation(columns, columns, lags)[0]
+            inflation = 1.0 + 2.0 * float(np.sum(auto[i][0][1:] * autocorrelation[1:]))
             bound[i, j] = _BOUND * np.sqrt(max(inflation, 1.0) / readings[i])
     return ResidualCheck(
         dt,
@@ -133,7 +133,7 @@ def _centred(rows: list[FloatArray]) -> list[FloatArray]:
 
 
 def _correlation(late: list[FloatArray], early: list[FloatArray], lags: int) -> tuple[FloatArray, FloatArray]:
-    """Correlation of late[k] with early[k - lag], lags 0 to `lags`, and the number of pairs behind each."""
+    """Correlate late[k] with early[k - lag], lags 0 to `lags`; return also the number of pairs per lag."""
     power = np.sqrt(np.nanmean(np.concatenate(late) ** 2) * np.nanmean(np.concatenate(early) ** 2))
     values, pairs = np.zeros(lags + 1), np.zeros(lags + 1)
     for lag in range(lags + 1):
@@ -146,7 +146,7 @@ def _correlation(late: list[FloatArray], early: list[FloatArray], lags: int) -> 
 
 @dataclass(frozen=True)
 class Validation:
-    """What a free simulation explains.
+    """Quality of a free simulation.
 
     Attributes
     ----------
@@ -191,7 +191,7 @@ def score(simulated: Sequence[FloatArray], experiments: Sequence[SampledExperime
 
 
 def fit_percents(simulated: Sequence[FloatArray], experiments: Sequence[SampledExperiment]) -> FloatArray:
-    """(p,) pooled FIT [%] of simulated outputs (K, p), one array for each experiment; raises as `fit_percent`."""
+    """Return the (p,) pooled FIT [%] of simulated outputs (K, p), one array per experiment; raise as `fit_percent`."""
     fits = []
     for row in range(experiments[0].outputs.shape[1]):
         rows = [experiment.counts[:, row] for experiment in experiments]
@@ -201,13 +201,13 @@ def fit_percents(simulated: Sequence[FloatArray], experiments: Sequence[SampledE
 
 
 def simulate_records(system: LinearSystem, records: Sequence[Record], yaw: YawSource = "gyro") -> list[FloatArray]:
-    """For each record the simulated v [m/s] and omega [rad/s] (K, 2), sensor offsets included; raises as `validate`."""
+    """Simulate v [m/s], omega [rad/s] (K, 2) of each record, sensor offsets included; raise as `validate`."""
     experiments = twist_experiments(records, yaw)
     return parted([simulate_experiment(system, run) for run in joined(experiments)], experiments)
 
 
 def simulate_experiment(system: LinearSystem, experiment: SampledExperiment) -> FloatArray:
-    """(K, p) outputs from the inputs alone, after rest in the settled state that gives each output's first reading."""
+    """Simulate outputs (K, p) from the inputs, from the settled state of each output's first reading."""
     sampled = sample(system, experiment.dt)
     start, before = settled_start(system, experiment.first_readings)
     taken = limited(experiment.inputs, system.limit, experiment.dt, before)

@@ -155,13 +155,13 @@ def _warnings(form: ChannelForm, parameters: ParameterEstimate, fit: OutputError
         *bounds,
         # With an unidentifiably short second lag, natural frequency and damping are redundant.
         *(
-            doubt.of(label)
+            doubt.about(label)
             for doubt in doubts.badly_known(
                 parameters.part([name for name in parameters.names if name not in unsized]), delays=delays
             )
             if doubt.kind not in kinds and not ("second lag" in kinds and doubt.kind == "divided lag")
         ),
-        *(doubt.of(label) for doubt in doubts.late_answers(delays)),
+        *(doubt.about(label) for doubt in doubts.late_answers(delays)),
         *doubts.merged_poles(poles.part(real_pole_names(poles.names)), label),
         *doubts.hardly_identifiable(fit, label),
     )

@@ -146,7 +146,7 @@ def _warnings(fit: OutputErrorFit, parameters: ParameterEstimate, motors: int) -
     unknown = [*doubts.badly_known(parameters.part(sized), delays=delays), *doubts.late_answers(delays)]
     return (
         *doubts.at_bounds(fit, "motors"),
-        *(doubt.of("motors") for doubt in unknown),
+        *(doubt.about("motors") for doubt in unknown),
         *doubts.hardly_identifiable(fit, "motors"),
     )
 

@@ -252,7 +252,7 @@ def _identified(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
         fits=(fit,),
         warnings=(
             *doubts.at_bounds(fit, label),
-            *(doubt.of(label) for doubt in (*doubts.badly_known(main, delays=delays), *doubts.late_answers(delays))),
+            *(doubt.about(label) for doubt in (*doubts.badly_known(main, delays=delays), *doubts.late_answers(delays))),
             *doubts.merged_poles(parameters.part(real_pole_names(named_poles)), label),
         ),
     )

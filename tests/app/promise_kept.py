@@ -1,7 +1,8 @@
-"""What the verdict of an identification promises, held against drawn variations of an independent stand-in.
+"""Test the promise of an identification's verdict against drawn variations of an independent stand-in.
 
-The stand-in is fitted to the rows held out, and does beyond that what it leaves unexplained in the rows of the fit.
-`python tests/app/promise_kept.py husky --draws 300` prints it, and ends with 1 where fewer than 95 % keep it.
+The stand-in is fitted to the held-out rows; its residuals on the rows of the fit are added as a disturbance.
+`python tests/app/promise_kept.py husky --draws 300` prints the result. Its exit code is 1 if fewer
+than 95 % of the variations keep the promise.
 """
 
 import argparse
@@ -34,7 +35,7 @@ from studies.reproduce.real_logs import RealLog, load_protocol
 
 @dataclass(frozen=True)
 class KeptPromise:
-    """How often a promise held.
+    """Share of variations in which a promise held.
 
     Attributes
     ----------
@@ -48,17 +49,17 @@ class KeptPromise:
     beside: tuple[float, ...]
 
     @property
-    def kept(self) -> int:
-        """In how many variations the promise held."""
+    def held_count(self) -> int:
+        """Number of variations in which the promise held."""
         promised = self.verdict.promised
         return 0 if promised is None else sum(lateral <= promised.beside for lateral in self.beside)
 
     def __str__(self) -> str:
-        """One line."""
+        """Format the promise and its errors in one line."""
         low, high = np.median(self.beside), np.quantile(self.beside, 0.95, method="higher")
         return (
-            f"{self.verdict.promise}: kept in {self.kept} of {len(self.beside)} variations; largest lateral error, "
-            f"median {low:.3f} m, 95 % below {high:.3f} m"
+            f"{self.verdict.promise}: kept in {self.held_count} of {len(self.beside)} variations; "
+            f"largest lateral error, median {low:.3f} m, 95 % below {high:.3f} m"
         )
 
 
@@ -107,16 +108,16 @@ def _variations(identification: Identification, config: ControllerConfig, seed: 
 
 
 def main() -> None:
-    """The command line."""
+    """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("log", help="husky, warthog-asphalt or warthog-gravel")
     parser.add_argument("--draws", type=int, default=300)
     parser.add_argument("--seed", type=int, default=1000)
     words = parser.parse_args()
     data = Path(os.environ["DIFFDRIVE_MPC_DATA"])
-    kept = keep_promise(load_protocol().log(words.log), data, words.draws, words.seed)
-    sys.stdout.write(f"{kept}\n")
-    sys.exit(kept.kept < 0.95 * words.draws)
+    result = keep_promise(load_protocol().log(words.log), data, words.draws, words.seed)
+    sys.stdout.write(f"{result}\n")
+    sys.exit(result.held_count < 0.95 * words.draws)
 
 
 if __name__ == "__main__":

@@ -125,9 +125,9 @@ def test_sigterm_leaves_no_draft_and_no_process_behind(jobs: str, tmp_path: Path
             time.sleep(0.05)
         time.sleep(2.0)
         process.send_signal(signal.SIGTERM)
-        _, said = process.communicate(timeout=60)
+        _, stderr = process.communicate(timeout=60)
     assert process.returncode == 143
-    assert said.strip() == "error: ended by SIGTERM"
+    assert stderr.strip() == "error: ended by SIGTERM"
     assert not list(tmp_path.rglob("*"))
     for _ in range(100):  # what was killed takes a moment; idle processes would stay for two minutes
         if session not in sessions():
@@ -137,11 +137,11 @@ def test_sigterm_leaves_no_draft_and_no_process_behind(jobs: str, tmp_path: Path
 
 
 def sessions() -> list[int]:
-    """The session of each process."""
-    found = []
+    """List the session of each process."""
+    ids = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
-            found.append(int(stat.read_text().rpartition(")")[2].split()[3]))
+            ids.append(int(stat.read_text().rpartition(")")[2].split()[3]))
         except (FileNotFoundError, ProcessLookupError):
             continue
-    return found
+    return ids

@@ -48,7 +48,7 @@ def refused_by_reader(kind: str, data: object, folder: Path) -> str | None:
             cause = cause.__cause__
         if not isinstance(cause, ValidationError):
             return "structure" if "structure: expected one of" in str(error) else "meaning"
-        return "meaning" if all(one["type"] in BEYOND_A_SCHEMA for one in cause.errors()) else "structure"
+        return "meaning" if all(mistake["type"] in BEYOND_A_SCHEMA for mistake in cause.errors()) else "structure"
     return None
 
 
@@ -60,9 +60,9 @@ def changes(data: Any, node: Any) -> Iterator[tuple[str, Any]]:
         yield "a key too many", copy.deepcopy(data)
         del node["no_such_key"]
     for key, value in items:
-        for said, other in (("a word", "x"), ("a list", [["x"]]), ("a group", {"x": {}}), ("negative", -1e9)):
-            node[key] = other
-            yield f"{key}: {said}", copy.deepcopy(data)
+        for label, wrong in (("a word", "x"), ("a list", [["x"]]), ("a group", {"x": {}}), ("negative", -1e9)):
+            node[key] = wrong
+            yield f"{key}: {label}", copy.deepcopy(data)
         node[key] = value
         if isinstance(node, dict):
             del node[key]
@@ -99,10 +99,10 @@ def agree(kind: str, data: Any, folder: Path) -> None:
     assert fits(data)
     disagree = []
     every = list(changes(data, data))
-    for said, changed in every[:: 1 + len(every) // 120]:
+    for label, changed in every[:: 1 + len(every) // 120]:
         refused = refused_by_reader(kind, changed, folder)
         if (refused == "structure") == fits(changed) and refused != "meaning":
-            disagree.append((said, refused))
+            disagree.append((label, refused))
     assert disagree == []
 
 

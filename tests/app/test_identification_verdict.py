@@ -91,7 +91,7 @@ def test_a_robot_that_slides_gets_no_promise_that_it_cannot_keep(identification)
 
 
 def clips(identification, share):
-    """The robot itself, which does no more than a share of what the configuration allows omega."""
+    """Return the robot itself, with omega clipped to a share of what the configuration allows."""
     limit = share * identification.config["limits"]["omega"]
     return [StandIn(HELD_OUT, identification.model, BaseEffects(twist_range={"omega": limit}))]
 
@@ -116,11 +116,11 @@ def test_limits_are_lowered_until_the_drives_pass(identification, share, monkeyp
 
 
 @pytest.mark.usefixtures("one_path")
-def test_where_nothing_drives_nothing_is_written(tmp_path, monkeypatch):
+def test_configuration_is_not_written_if_no_stand_in_drives(tmp_path, monkeypatch):
     """A robot that hardly turns: exit 2, the report alone, and by force the configuration as it was."""
 
-    def hardly_turns(found):
-        model = replace(found.model, C=found.model.C * np.array([[1.0], [0.1]]))
+    def hardly_turns(identified):
+        model = replace(identified.model, C=identified.model.C * np.array([[1.0], [0.1]]))
         return [StandIn(HELD_OUT, model, BaseEffects())]
 
     monkeypatch.setattr(verdicts, "stand_ins", hardly_turns)
@@ -175,11 +175,11 @@ def test_an_unknown_delay_is_a_no(identification):
 
 @pytest.mark.long
 @pytest.mark.real_logs
-def test_what_is_promised_of_the_husky_holds_in_variations_of_a_model_of_other_rows():
+def test_promise_for_the_husky_holds_in_variations_of_a_held_out_model():
     """A few of the 300 of `.ci/long real`; what would be too small a promise is seen by the first of them."""
-    kept = keep_promise(load_protocol().log("husky"), Path(os.environ["DIFFDRIVE_MPC_DATA"]), 3, 1000)
-    assert kept.verdict.grade == "With care" and "pose point" in kept.verdict.reasons[0]
-    assert kept.kept == 3 and all(0.0 < beside < 0.05 for beside in kept.beside)
+    result = keep_promise(load_protocol().log("husky"), Path(os.environ["DIFFDRIVE_MPC_DATA"]), 3, 1000)
+    assert result.verdict.grade == "With care" and "pose point" in result.verdict.reasons[0]
+    assert result.held_count == 3 and all(0.0 < beside < 0.05 for beside in result.beside)
 
 
 def test_every_kind_of_warning_has_a_remedy():

@@ -53,10 +53,10 @@ def identify_order_3(out):
 
 
 def identified(tmp_path, columns, mapping=MAPPING, **options):
-    """The files of an identification, without driving with it: the folder, and the report as data."""
+    """Identify without driving; return the folder and the report as data."""
     log = write_csv(tmp_path / "drive.csv", columns)
-    found = identify(log, mapping=write_mapping(tmp_path / "map.yaml", mapping), **options)
-    found.write(tmp_path / "out")
+    result = identify(log, mapping=write_mapping(tmp_path / "map.yaml", mapping), **options)
+    result.write(tmp_path / "out")
     return tmp_path / "out", json.loads((tmp_path / "out" / "report.json").read_text())
 
 
@@ -108,13 +108,13 @@ def test_the_configuration_drives_the_plant(mine, logs):
     bench = logs / "bench"
     words = f"bench --out {bench} --plant model:sm --trajectories s --seeds 1 --horizons none --jobs 1 --models"
     run(*words.split(), f"sm,{mine[0] / 'model.yaml'}")
-    shipped, found = json.loads((bench / "bench.json").read_text())["runs"]
-    assert found["completed"]
-    assert found["position_rmse_m"] < 1.2 * shipped["position_rmse_m"]
+    shipped, identified_run = json.loads((bench / "bench.json").read_text())["runs"]
+    assert identified_run["completed"]
+    assert identified_run["position_rmse_m"] < 1.2 * shipped["position_rmse_m"]
 
 
 def files_of(folder):
-    """Content of every file without the times: the line that says how long it took, and the page."""
+    """Read every file without times: omit the duration and the page."""
     files = [path for path in folder.rglob("*") if path.is_file() and path.name not in ("report.html", CONTENTS)]
     return {path.relative_to(folder): without_times(path) for path in files}
 
@@ -133,12 +133,12 @@ def without_times(path: Path) -> bytes:
 
 def test_a_base_that_clips_its_command_says_so_in_model_and_configuration(tmp_path):
     columns = drive(seconds=30.0)
-    asked = columns["omega_ref"].copy()
-    columns["omega_ref"] = np.where(np.abs(asked) > 0.9, 1.8 * asked, asked)  # it did what was asked up to 0.9 rad/s
-    turned = np.zeros(len(asked))
-    for k in range(1, len(asked)):
-        turned[k] = turned[k - 1] + (1 - np.exp(-0.02 / 0.1)) * (np.clip(asked[k - 1], -0.9, 0.9) - turned[k - 1])
-    columns["gyro"] = turned + np.random.default_rng(0).normal(0, 0.005, len(asked))
+    command = columns["omega_ref"].copy()
+    columns["omega_ref"] = np.where(np.abs(command) > 0.9, 1.8 * command, command)  # followed up to 0.9 rad/s
+    turned = np.zeros(len(command))
+    for k in range(1, len(command)):
+        turned[k] = turned[k - 1] + (1 - np.exp(-0.02 / 0.1)) * (np.clip(command[k - 1], -0.9, 0.9) - turned[k - 1])
+    columns["gyro"] = turned + np.random.default_rng(0).normal(0, 0.005, len(command))
     out, _ = identified(tmp_path, columns, NO_POSE)
     limits = read_model_file(out / "model.yaml").base_effects.twist_range
     assert limits.v is None

@@ -102,8 +102,8 @@ def test_a_log_that_speaks_against_itself_gives_a_configuration_only_by_force(fo
 def test_a_fit_below_zero_leaves_the_report_alone(folder, tmp_path):
     """The log held out is of a robot that turns a quarter as far: no model of the first predicts it."""
     log = write_csv(tmp_path / "one.csv", COLUMNS)
-    other = write_csv(tmp_path / "other.csv", COLUMNS | {"gyro": 0.25 * COLUMNS["gyro"]})
-    words = ["identify", log, "--validate", other, "--mapping", folder / "map.yaml", "--out", tmp_path / "o"]
+    validation = write_csv(tmp_path / "other.csv", COLUMNS | {"gyro": 0.25 * COLUMNS["gyro"]})
+    words = ["identify", log, "--validate", validation, "--mapping", folder / "map.yaml", "--out", tmp_path / "o"]
     result = invoke(app, *words, code=2)
     assert "below 40 %" in result.stderr and "--force" in result.stderr
     files = [CONTENTS, "report.html", "report.json", "report.md"]

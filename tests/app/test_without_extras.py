@@ -54,8 +54,8 @@ def test_part_of_a_missing_package_is_one_line_with_the_remedy(tmp_path, words, 
 def test_a_drive_is_driven_and_identified(tmp_path):
     driven = run(tmp_path, "simulate", "--trajectory", "s", "--log", "s.csv")
     assert driven.returncode == 0, driven.stderr
-    found = run(tmp_path, "identify", "s.csv", "--structure", "sm", "--out", "found")
-    assert found.returncode == 0, found.stderr
+    identified = run(tmp_path, "identify", "s.csv", "--structure", "sm", "--out", "found")
+    assert identified.returncode == 0, identified.stderr
     assert (tmp_path / "found" / "report.html").is_file()
 
 

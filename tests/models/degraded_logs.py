@@ -57,7 +57,7 @@ Columns = dict[str, np.ndarray]
 
 
 def poses_of(twist, dt):
-    """(n + 1, 3) poses from the origin on, arc by arc, of twists (n, 2) that hold for `dt` each."""
+    """Integrate twists (n, 2), each held for `dt`, to (n + 1, 3) poses from the origin, arc by arc."""
     theta = np.concatenate([[0.0], np.cumsum(twist[:, 1] * dt)])
     headings = np.column_stack([np.zeros((len(twist), 2)), theta[:-1]])
     steps = integrate_pose(headings, twist[:, 0], twist[:, 1], dt)[:, :2]
@@ -82,10 +82,11 @@ def robot(
     quantum=0.0,
     command=None,
 ):
-    """Columns of a two-wheeled robot under random steps of a second, or `command` (n, 2): lags, dead time, skid, noise.
+    """Simulate a skidding two-wheeled robot under random steps of one second, or under `command` (n, 2).
 
-    Both gains fall by the share `sag` along the log; each rim changes its speed by at most `ramp` [m/s^2]; the body
-    yaws behind its wheels by `yaw_lag` [s]; levels of the commands are multiples of `quantum`.
+    The robot has lags, dead time, skid and noise. Both gains fall by the share `sag` along the log. Each rim changes
+    its speed by at most `ramp` [m/s^2]. The body yaws behind its wheels by `yaw_lag` [s]. Levels of the commands are
+    multiples of `quantum`.
     """
     rng = np.random.default_rng(seed)
     count, hold = round(seconds / dt), round(1.0 / dt)
@@ -124,7 +125,7 @@ def robot(
 
 
 def low_passed(values, lag, dt):
-    """Values (n, ...) behind one lag [s]."""
+    """Filter values (n, ...) by a first-order lag [s]."""
     result, keep = np.array(values, dtype=float), np.exp(-dt / lag)
     for k in range(1, len(result)):
         result[k] = keep * result[k - 1] + (1 - keep) * values[k]
@@ -132,7 +133,7 @@ def low_passed(values, lag, dt):
 
 
 def ramped(twist, step, track):
-    """Twists (n, 2) whose rims change by at most `step` [m/s] a row."""
+    """Limit the change of the rim speeds of twists (n, 2) to `step` [m/s] per row."""
     half = 0.5 * track * twist[:, 1]
     rims = np.column_stack([twist[:, 0] - half, twist[:, 0] + half])
     for k in range(1, len(rims)):
@@ -141,7 +142,7 @@ def ramped(twist, step, track):
 
 
 def real(path, rows):
-    """Columns of a slice of a real log."""
+    """Read a slice of a real log."""
     with path.open(encoding="utf-8") as file:
         header = file.readline().strip().split(",")
     table = np.loadtxt(path, delimiter=",", skiprows=1 + rows.start, max_rows=rows.stop - rows.start)
@@ -169,7 +170,7 @@ class Base:
     dt: float
 
     def stream(self, name):
-        """Columns of "command", "encoders", "gyro" or "pose"."""
+        """Return the columns of "command", "encoders", "gyro" or "pose"."""
         return {
             "command": self.commands,
             "encoders": self.wheels,
@@ -217,7 +218,7 @@ class Case:
     ----------
     base
         Name in `BASES`.
-    what
+    description
         Description of the change.
     change
         (columns, base) -> columns of the degraded log, or a list for several logs.
@@ -234,7 +235,7 @@ class Case:
     """
 
     base: str
-    what: str
+    description: str
     change: Callable
     kind: str = ""
     says: str = ""
@@ -245,11 +246,11 @@ class Case:
     @property
     def name(self) -> str:
         """Base and change."""
-        return f"{self.base}: {self.what}"
+        return f"{self.base}: {self.description}"
 
 
 def shifted(stream, seconds):
-    """The readings of one stream appear `seconds` later in the log, inside each segment."""
+    """Delay the readings of one stream by `seconds`, inside each segment."""
 
     def change(columns, base):
         rows = round(seconds / base.dt)
@@ -266,7 +267,7 @@ def shifted(stream, seconds):
 
 
 def scaled(**factors):
-    """Columns times a number; keys are streams or names of columns."""
+    """Multiply columns by a factor; keys are streams or names of columns."""
 
     def change(columns, base):
         result = dict(columns)
@@ -287,7 +288,7 @@ def swapped(first, second):
 
 
 def one_wheel(side, factor):
-    """The encoder of one side (0 left, 1 right) times a number."""
+    """Multiply the encoder readings of one side (0 left, 1 right) by a factor."""
 
     def change(columns, base):
         return columns | {base.wheels[side]: columns[base.wheels[side]] * factor}
@@ -304,7 +305,7 @@ def from_the_middle(stream, factor):
 
 
 def spikes(names, size, share=0.01, seed=3):
-    """Readings here and there are replaced by ones far off."""
+    """Replace some readings by outliers."""
 
     def change(columns, base):
         rng = np.random.default_rng(seed)
@@ -318,12 +319,12 @@ def spikes(names, size, share=0.01, seed=3):
 
 
 def replaced(**columns):
-    """Columns as given by functions of the columns."""
+    """Replace columns by functions of the columns."""
     return lambda before, base: before | {name: make(before) for name, make in columns.items()}
 
 
 def rows(chosen):
-    """Some rows only, or in another order."""
+    """Select or reorder rows."""
 
     def change(columns, base):
         keep = chosen(columns)
@@ -333,7 +334,7 @@ def rows(chosen):
 
 
 def simulated(**options):
-    """Another simulated robot, or another drive of it."""
+    """Simulate a different robot, or a different drive of it."""
     return lambda columns, base: robot(**options)
 
 
@@ -435,7 +436,7 @@ def four_wheels(dead=None):
         rng = np.random.default_rng(8)
         noise = {name: rng.normal(0, 0.03, len(columns["t"])) for name in wheels}
         return columns | {
-            name: 0.0 * noise[name] if name == dead else columns[of] + noise[name] for name, of in wheels.items()
+            name: 0.0 * noise[name] if name == dead else columns[side] + noise[name] for name, side in wheels.items()
         }
 
     return change
@@ -451,7 +452,7 @@ def put(old, new):
 
 
 def write_columns(path, columns):
-    """A CSV file; a column of NaN alone becomes one of empty cells."""
+    """Write a CSV file; a column of NaN alone becomes one of empty cells."""
     table = np.column_stack(list(columns.values()))
     empty = np.isnan(table).all(axis=0)
     lines = [
@@ -462,7 +463,7 @@ def write_columns(path, columns):
 
 
 def logs_of(case, folder):
-    """Files of the degraded log or logs, and the mapping."""
+    """Write the degraded log or logs, and the mapping."""
     base = BASES[case.base]
     changed = case.change(base.columns(), base)
     together = changed if isinstance(changed, list) else [changed]
@@ -503,7 +504,7 @@ RPM, DEGREES = 60 / (2 * np.pi), 180 / np.pi
 
 
 def turned(degrees):
-    """Headings of a frame that is turned against the robot."""
+    """Rotate the headings of the pose frame against the robot."""
 
     def change(columns, base):
         heading = columns[base.heading] + np.radians(degrees)
@@ -513,12 +514,12 @@ def turned(degrees):
 
 
 def whole(quantum):
-    """Commands rounded in the log; the robot got them as they were."""
+    """Round the commands in the log only; the robot received them unrounded."""
     return lambda columns, base: columns | {name: np.round(columns[name] / quantum) * quantum for name in base.commands}
 
 
 def clipped_side(level):
-    """The left encoder reads no more than a share of its largest speed."""
+    """Limit the left encoder to a share of its largest speed."""
 
     def change(columns, base):
         left = columns[base.wheels[0]]
@@ -529,13 +530,13 @@ def clipped_side(level):
 
 
 def both_swapped(columns, base):
-    """Sides of encoders and commands exchanged."""
+    """Swap the sides of encoders and commands."""
     left, right = base.wheels
     result = columns | {left: columns[right], right: columns[left]}
-    one, two = base.commands
-    if one == "v_ref":
-        return result | {two: -columns[two]}
-    return result | {one: columns[two], two: columns[one]}
+    first, second = base.commands
+    if first == "v_ref":
+        return result | {second: -columns[second]}
+    return result | {first: columns[second], second: columns[first]}
 
 
 def later(columns):
@@ -543,7 +544,7 @@ def later(columns):
 
 
 def order_changes(columns, base):
-    """Left and right of the encoders are exchanged from the middle on."""
+    """Swap left and right of the encoders from the middle on."""
     left, right = (columns[name] for name in base.wheels)
     names = dict(
         zip(base.wheels, (np.where(later(columns), *pair) for pair in ((right, left), (left, right))), strict=True)
@@ -562,7 +563,7 @@ def filtered(stream, lag):
 
 
 def echoed(rows, radius=None, track=None):
-    """What the encoders read, some rows later, stands where the command should."""
+    """Replace the commands by encoder readings delayed by some rows."""
 
     def change(columns, base):
         left, right = (columns[name] for name in base.wheels)
@@ -575,7 +576,7 @@ def echoed(rows, radius=None, track=None):
 
 
 def latched(seconds, phase=0.5):
-    """The logger takes the command over only now and then."""
+    """Sample and hold the command at a period longer than that of the log."""
 
     def change(columns, base):
         step = round(seconds / base.dt)
@@ -591,13 +592,13 @@ def constant(*names, value=0.3):
 
 
 def straight(columns, base):
-    """Straight ahead alone; omega is commanded a residue of rounding."""
+    """Drive straight only; omega is commanded a residue of rounding."""
     columns = robot(drive=(1, 0), seed=41)
     return columns | {"omega_ref": columns["omega_ref"] + 2.6e-17 * np.random.default_rng(42).normal(size=6000)}
 
 
 def of_a_controller(columns, base):
-    """Sound: commands of a controller, new at each tick, and smooth."""
+    """Smooth the commands, as a controller with a new one at each tick does."""
     return columns | {name: low_passed(columns[name], 0.02, base.dt) for name in base.commands}
 
 

@@ -42,7 +42,7 @@ QUICK = {"seed": 63, "seconds": 60.0, "lag": 0.05, "dead_time": 0.02}
 NO_POSE = put("  pose: {x: x, y: y, theta: theta}\n", "")
 
 
-def of(robot_, change, mapping=str):
+def simulated_case(robot_, change, mapping=str):
     return Case("simulated", "", lambda _, base: change(robot(**robot_), base), mapping=mapping)
 
 
@@ -51,7 +51,7 @@ def gyro_and_sides(columns, base):
 
 
 def slow_body(lag):
-    """A body that turns behind its wheels, as on ice."""
+    """Delay the yaw of the body behind its wheels, as on ice."""
     keep = np.exp(-0.02 / lag)
     return replaced(gyro=lambda columns: lfilter([1 - keep], [1, -keep], columns["gyro"]))
 
@@ -79,22 +79,22 @@ def advice_on(case, folder):
 
 
 MENDED = {
-    "gyro late": (of(SKIDS, shifted("gyro", 0.3)), {"gyro delay"}),
-    "gyro early": (of(QUICK, shifted("gyro", -0.3)), {"gyro delay"}),
-    "encoders late": (of(SLOW, shifted("encoders", 0.3)), {"encoders delay"}),
-    "pose late": (of(QUICK, shifted("pose", 0.3)), {"pose delay"}),
-    "commands late": (of(SKIDS, shifted("command", 0.4)), {"command delay"}),
-    "encoders in rpm": (of(SLOW, scaled(encoders=RPM)), {"encoders left.unit", "encoders right.unit"}),
-    "commands in mm/s": (of(SKIDS, scaled(v_ref=1000.0)), {"command v.unit"}),
-    "gyro upside down": (of(QUICK, scaled(gyro=-1.0)), {"gyro yaw_rate.sign"}),
-    "left wheel reversed": (of(SLOW, scaled(left=-1.0)), {"encoders left.sign"}),
-    "pose mirrored": (of(SKIDS, scaled(y=-1.0)), {"pose y.sign"}),
-    "gyro in deg/s, sides swapped": (of(QUICK, gyro_and_sides), {"encoders sides", "gyro yaw_rate.unit"}),
-    "gyro held": (of(QUICK, replaced(gyro=held("gyro", 5))), {"gyro held"}),
-    "milliseconds": (of(SKIDS, scaled(t=1000.0)), {"time unit"}),
-    "stamps in bursts, confirmed by poses": (of(SKIDS, replaced(t=in_bursts)), {"time sample_time"}),
-    "yaw in degrees": (of(SLOW, scaled(theta=DEGREES)), {"pose theta.unit"}),
-    "encoders half from the middle on": (of(QUICK, from_a_half_on), {"log times"}),
+    "gyro late": (simulated_case(SKIDS, shifted("gyro", 0.3)), {"gyro delay"}),
+    "gyro early": (simulated_case(QUICK, shifted("gyro", -0.3)), {"gyro delay"}),
+    "encoders late": (simulated_case(SLOW, shifted("encoders", 0.3)), {"encoders delay"}),
+    "pose late": (simulated_case(QUICK, shifted("pose", 0.3)), {"pose delay"}),
+    "commands late": (simulated_case(SKIDS, shifted("command", 0.4)), {"command delay"}),
+    "encoders in rpm": (simulated_case(SLOW, scaled(encoders=RPM)), {"encoders left.unit", "encoders right.unit"}),
+    "commands in mm/s": (simulated_case(SKIDS, scaled(v_ref=1000.0)), {"command v.unit"}),
+    "gyro upside down": (simulated_case(QUICK, scaled(gyro=-1.0)), {"gyro yaw_rate.sign"}),
+    "left wheel reversed": (simulated_case(SLOW, scaled(left=-1.0)), {"encoders left.sign"}),
+    "pose mirrored": (simulated_case(SKIDS, scaled(y=-1.0)), {"pose y.sign"}),
+    "gyro in deg/s, sides swapped": (simulated_case(QUICK, gyro_and_sides), {"encoders sides", "gyro yaw_rate.unit"}),
+    "gyro held": (simulated_case(QUICK, replaced(gyro=held("gyro", 5))), {"gyro held"}),
+    "milliseconds": (simulated_case(SKIDS, scaled(t=1000.0)), {"time unit"}),
+    "stamps in bursts, confirmed by poses": (simulated_case(SKIDS, replaced(t=in_bursts)), {"time sample_time"}),
+    "yaw in degrees": (simulated_case(SLOW, scaled(theta=DEGREES)), {"pose theta.unit"}),
+    "encoders half from the middle on": (simulated_case(QUICK, from_a_half_on), {"log times"}),
 }
 
 
@@ -112,7 +112,7 @@ QUICK_CASES = {
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[] if name in QUICK_CASES else pytest.mark.system) for name in MENDED]
 )
-def test_what_is_advised_predicts_better_and_mends_the_log(tmp_path, name):
+def test_advised_change_predicts_better_and_repairs_the_log(tmp_path, name):
     case, expected = MENDED[name]
     advice = advice_on(case, tmp_path)
     assert {f"{change.stream} {change.key}" for change in advice.changes} == expected
@@ -128,18 +128,18 @@ def test_what_is_advised_predicts_better_and_mends_the_log(tmp_path, name):
 
 
 NOT_MENDED = {
-    "stamps in bursts, without poses": of(SKIDS, replaced(t=in_bursts), NO_POSE),
-    "time reversed": of(SKIDS, replaced(t=lambda columns: columns["t"][::-1])),
-    "stamps of coarse floats": of(SKIDS, replaced(t=coarse), NO_POSE),
-    "a body slower than its wheels": of({"seed": 64, "seconds": 60.0}, slow_body(0.5), NO_POSE),
-    "coarse encoders that are not held": of(
+    "stamps in bursts, without poses": simulated_case(SKIDS, replaced(t=in_bursts), NO_POSE),
+    "time reversed": simulated_case(SKIDS, replaced(t=lambda columns: columns["t"][::-1])),
+    "stamps of coarse floats": simulated_case(SKIDS, replaced(t=coarse), NO_POSE),
+    "a body slower than its wheels": simulated_case({"seed": 64, "seconds": 60.0}, slow_body(0.5), NO_POSE),
+    "coarse encoders that are not held": simulated_case(
         {"seed": 65, "seconds": 60.0, "lag": 0.2}, replaced(left=rounded("left", 2.0), right=rounded("right", 2.0))
     ),
 }
 
 
 @pytest.mark.parametrize("name", NOT_MENDED)
-def test_what_predicts_no_better_is_not_advised(tmp_path, name):
+def test_change_without_better_prediction_is_not_advised(tmp_path, name):
     paths, mapping = logs_of(NOT_MENDED[name], tmp_path)
     findings = findings_of(paths, mapping)
     assert advise(LogSelection(tuple(paths), (), mapping, 0.6), findings) is None
@@ -147,7 +147,7 @@ def test_what_predicts_no_better_is_not_advised(tmp_path, name):
 
 
 def test_that_a_robot_answers_late_is_no_reason_to_take_its_dead_time_away(tmp_path):
-    findings = findings_of(*logs_of(of(QUICK, shifted("command", -0.5)), tmp_path))
+    findings = findings_of(*logs_of(simulated_case(QUICK, shifted("command", -0.5)), tmp_path))
     assert [finding.kind for finding in findings] == ["time shift"]
     assert not findings[0].changes
 
@@ -161,7 +161,7 @@ def test_a_log_without_proposals_is_not_read_again():
 
 
 SIDES = {"left": {"column": "left"}, "right": {"column": "right"}}
-"""Of the encoders of the simulated base."""
+"""Encoder columns of the simulated base."""
 
 
 @pytest.mark.parametrize(
@@ -197,7 +197,7 @@ UNTOLD = {"asphalt: command +0.3 s"}
 
 
 def judged(case, folder):
-    """Findings on the logs of a case, or the line that refuses them."""
+    """Return the findings on the logs of a case, or the message that refuses them."""
     try:
         paths, mapping = logs_of(case, folder)
         logs = [read_log(path, mapping) for path in paths]
@@ -218,8 +218,8 @@ def marks_of(case):
 @pytest.mark.parametrize("case", [pytest.param(case, id=case.name, marks=marks_of(case)) for case in CASES])
 def test_the_cause_is_named_and_no_other(case, tmp_path):
     findings, raised = judged(case, tmp_path)
-    said = [f"{finding.severity}: {finding}" for finding in findings] + [raised]
-    assert verdict(case, findings, raised) == ("missed" if case.name in UNTOLD else "right"), said
+    messages = [f"{finding.severity}: {finding}" for finding in findings] + [raised]
+    assert verdict(case, findings, raised) == ("missed" if case.name in UNTOLD else "right"), messages
     refused = raised is not None or any(finding.severity == "error" for finding in findings)
     if case.refused is not None and case.name not in UNTOLD:
-        assert refused == case.refused, said
+        assert refused == case.refused, messages

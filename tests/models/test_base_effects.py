@@ -53,7 +53,7 @@ def test_sides_and_twist_are_inverse(twist):
 
 
 @given(TWISTS)
-def test_what_the_motors_are_asked_for_is_whole_steps_not_beyond_the_command(twist):
+def test_motor_commands_are_whole_steps_within_the_command(twist):
     wanted, sides = STEPS.sides(twist), STEPS.sides(STEPS.apply(twist))
     steps = sides[~STEPS.coasts(twist)] / STEPS.resolution
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
@@ -65,18 +65,18 @@ def test_what_the_motors_are_asked_for_is_whole_steps_not_beyond_the_command(twi
 
 
 @given(st.floats(-3, 3), st.floats(-3, 3), st.floats(-3, 3))
-def test_a_side_never_runs_slower_for_a_greater_command(left, right, other):
+def test_a_side_never_runs_slower_for_a_greater_command(left, right, opposite):
     """Monotone in each side while the other is held: true without coasting, which depends on the other side."""
     firm = STEPS.model_copy(update={"coasting_speed": 0.0})
     low, high = sorted([left, right])
-    slower, faster = (firm.sides(firm.apply(firm.twist(np.array([side, other]))))[0] for side in (low, high))
+    slower, faster = (firm.sides(firm.apply(firm.twist(np.array([side, opposite]))))[0] for side in (low, high))
     assert faster >= slower - 1e-9
 
 
-@pytest.mark.parametrize(("other", "rolls"), [(1.0, 0.08), (-1.0, -0.08), (0.05, 0.05)])
-def test_a_side_without_a_step_rolls_along_with_the_other(other, rolls):
-    asked = STEPS.apply(STEPS.twist(np.array([0.009, other])))
-    np.testing.assert_allclose(STEPS.sides(asked), [rolls, other], atol=1e-9)
+@pytest.mark.parametrize(("opposite", "rolls"), [(1.0, 0.08), (-1.0, -0.08), (0.05, 0.05)])
+def test_a_side_without_a_step_rolls_along_with_the_other(opposite, rolls):
+    commanded = STEPS.apply(STEPS.twist(np.array([0.009, opposite])))
+    np.testing.assert_allclose(STEPS.sides(commanded), [rolls, opposite], atol=1e-9)
 
 
 @given(TWISTS)
@@ -227,16 +227,16 @@ def test_each_sample_is_held_out_once():
 
 
 @pytest.fixture(scope="module")
-def found():
+def fitted():
     return identify_with_effects([record_of(TRUE, 7, 150.0, yaw_ratio=RATIO)])
 
 
-def test_every_effect_is_found(found):
-    assert set(found.effects) == {"twist slew", "steps and coasting of the wheels", "yaw relaxation", "veer"}
+def test_every_effect_is_identified(fitted):
+    assert set(fitted.effects) == {"twist slew", "steps and coasting of the wheels", "yaw relaxation", "veer"}
 
 
-def test_effects_are_recovered_within_their_stated_uncertainty(found):
-    estimate = found.identified.parameters
+def test_effects_are_recovered_within_their_stated_uncertainty(fitted):
+    estimate = fitted.identified.parameters
     truth = {
         "v.gain": 0.95,
         "omega.gain": 0.57,
@@ -253,14 +253,14 @@ def test_effects_are_recovered_within_their_stated_uncertainty(found):
     }
     scores = {name: (estimate.value(name) - true) / estimate.deviation(name) for name, true in truth.items()}
     assert max(map(abs, scores.values())) < 4, scores
-    assert found.point["wheels.resolution"] == pytest.approx(0.02)
+    assert fitted.point["wheels.resolution"] == pytest.approx(0.02)
 
 
-def test_the_model_file_holds_what_was_found(found):
-    content = found.identified.file("found", {"origin": "identified", "source": "a test"})
-    assert content.base_effects.twist_slew.omega == pytest.approx(found.point["slew.omega"], rel=1e-6)
+def test_the_model_file_holds_what_was_found(fitted):
+    content = fitted.identified.file("found", {"origin": "identified", "source": "a test"})
+    assert content.base_effects.twist_slew.omega == pytest.approx(fitted.point["slew.omega"], rel=1e-6)
     assert content.base_effects.pose_mount is None
-    assert (found.fit_percent([record_of(TRUE, 8, 60.0, yaw_ratio=RATIO)]) > 93).all()
+    assert (fitted.fit_percent([record_of(TRUE, 8, 60.0, yaw_ratio=RATIO)]) > 93).all()
 
 
 def test_a_base_without_effects_ends_with_none():
@@ -272,16 +272,18 @@ def test_a_limit_that_the_plain_model_found_lives_on():
     record = record_of(BaseEffects(), 7, 75.0, clip=1.0)
     limits = identify_sm([record]).limits
     assert limits == {"omega": pytest.approx(1.0, abs=0.05)}
-    found = identify_with_effects([record], limits=limits).identified
-    assert found.limits == {"omega": pytest.approx(1.0, abs=0.03)}
-    assert found.parameters.deviation("omega.limit") < 0.05
+    fitted = identify_with_effects([record], limits=limits).identified
+    assert fitted.limits == {"omega": pytest.approx(1.0, abs=0.03)}
+    assert fitted.parameters.deviation("omega.limit") < 0.05
 
 
-def test_effects_stay_only_where_they_predict_better_than_the_plain_model(found):
+def test_effects_stay_only_where_they_predict_better_than_the_plain_model(fitted):
     records = [record_of(TRUE, 7, 150.0, yaw_ratio=RATIO)]
     plain = identify_sm(records, limits=False)
-    assert loses(found, plain, records) is None
-    spoilt = replace(found, points=tuple({**point, "gain.omega": 0.5 * point["gain.omega"]} for point in found.points))
+    assert loses(fitted, plain, records) is None
+    spoilt = replace(
+        fitted, points=tuple({**point, "gain.omega": 0.5 * point["gain.omega"]} for point in fitted.points)
+    )
     assert "no better than the plain model" in loses(spoilt, plain, records)
 
 
@@ -292,9 +294,9 @@ def test_the_place_and_delay_of_a_pose_sensor_are_found():
     pose = [np.zeros(3)]
     for v, omega in 0.5 * (body[1:] + body[:-1]):
         pose.append(integrate_pose(pose[-1], v, omega, DT))
-    seen = mount.sensor(pose)
-    seen = np.concatenate([np.repeat(seen[:1], late, axis=0), seen[:-late]])
-    with_pose = replace(record, pose=seen, fresh_pose=None)
+    measured = mount.sensor(pose)
+    measured = np.concatenate([np.repeat(measured[:1], late, axis=0), measured[:-late]])
+    with_pose = replace(record, pose=measured, fresh_pose=None)
     estimate = pose_sensor([with_pose], {**POINT, "gyro.offset": 0.02})
     truth = {"pose.travel": travel, "mount.ahead": 0.2, "mount.left": -0.05, "mount.heading": 0.03}
     for name, true in truth.items():
@@ -318,17 +320,17 @@ def test_with_effects_no_row_held_out_is_predicted_worse(effects, clip, gyro, tr
     record = record if track else replace(record, wheels=None)
     yaw = "gyro" if gyro else "encoders"
     data = LogData((record.part(0, 1440),), (record.part(1440, 2400),), ("made up",), "", yaw, (), ())
-    plain, found = (fit(data, STRUCTURES["sm"], effects=on).validation.fit_percent for on in (False, True))
-    assert (found > plain - 1.0).all()
-    assert (found > 94.0).all()  # what the robot does is found
+    plain, fitted = (fit(data, STRUCTURES["sm"], effects=on).validation.fit_percent for on in (False, True))
+    assert (fitted > plain - 1.0).all()
+    assert (fitted > 94.0).all()  # what the robot does is found
 
 
 @pytest.mark.long
 def test_a_top_speed_tells_the_track_that_a_log_does_not():
-    found = identify_with_effects([replace(record_of(FAST_WHEELS, 9, 120.0), wheels=None)]).identified.parameters
+    fitted = identify_with_effects([replace(record_of(FAST_WHEELS, 9, 120.0), wheels=None)]).identified.parameters
     for name, true in (("wheels.track", 0.54), ("wheels.top_speed", 0.7)):
-        assert abs(found.value(name) - true) < 4 * found.deviation(name), name
-        assert found.deviation(name) < 0.05 * true
+        assert abs(fitted.value(name) - true) < 4 * fitted.deviation(name), name
+        assert fitted.deviation(name) < 0.05 * true
 
 
 EFFECTS = {
@@ -390,7 +392,7 @@ def test_effects_leave_the_settled_twist_alone_but_for_steps_and_veer():
 
 
 def test_commands_within_the_slew_limit_pass_unchanged():
-    """Why the controller can leave the limit out of its model once its own limit is no wider."""
+    """A controller with a slew limit no wider than the base's can omit the base's limit from its model."""
     model = load_model("sm")
     slow = np.column_stack([0.4 * np.sin(0.5 * DT * np.arange(200)), 0.8 * np.sin(0.7 * DT * np.arange(200))])
     limited = respond(model, BaseEffects(twist_slew=TwistSlew(v=1.0, omega=2.5)), slow, DT)

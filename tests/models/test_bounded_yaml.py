@@ -108,19 +108,19 @@ def test_what_is_harmless_stays(text):
 
 @given(st.text())
 def test_no_name_puts_keys_into_a_configuration(name):
-    found = IdentifiedConfiguration(name, (Setting("sample_time", 0.02, f"from {name}"),), (), ())
-    assert set(yaml.safe_load(found.text())) == {"sample_time", "limits"}
+    configuration = IdentifiedConfiguration(name, (Setting("sample_time", 0.02, f"from {name}"),), (), ())
+    assert set(yaml.safe_load(configuration.text())) == {"sample_time", "limits"}
 
 
 def test_a_shipped_name_comes_before_a_file_of_that_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    shipped, own = tmp_path / "shipped", tmp_path / "own"
-    for folder in (shipped, own):
+    shipped, local = tmp_path / "shipped", tmp_path / "own"
+    for folder in (shipped, local):
         folder.mkdir()
     for name in ("wet", "dry", "notes"):
         (shipped / f"{name}.yaml").touch()
-    (own / "wet").touch()
-    (own / "mud").touch()
-    monkeypatch.chdir(own)
+    (local / "wet").touch()
+    (local / "mud").touch()
+    monkeypatch.chdir(local)
     assert shipped_names(shipped) == ("dry", "notes", "wet")
     assert named_file("floor", shipped, "wet") == shipped / "wet.yaml"
     assert named_file("floor", shipped, "mud") == Path("mud")

@@ -134,7 +134,7 @@ def test_delays_and_poles_follow_from_the_form(result):
     assert estimates["omega"].values == pytest.approx(7.0 * np.array([-0.7, np.sqrt(1 - 0.49)]), rel=0.02)
 
 
-def test_what_a_short_loud_log_does_not_show_is_a_doubt(result):
+def test_parameters_undetermined_by_a_short_noisy_log_are_doubts(result):
     """The doubt is about the form of the response, and there is none about a zero that may not exist."""
     record = result[0].report.data.train[0].part(0, 400)
     rng = np.random.default_rng(0)

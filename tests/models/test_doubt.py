@@ -40,7 +40,7 @@ def test_every_kind_has_its_verdict():
 
 
 @pytest.mark.parametrize(("deviation", "late"), [(0.005, []), (0.03, ["lag"])])
-def test_how_a_delay_is_divided_does_not_matter_and_the_delay_as_a_whole_does(deviation, late):
+def test_only_the_total_delay_matters_not_its_division(deviation, late):
     """Half of what is 0.07 s late is not known to twice 0.03 s: told once, of the whole."""
     names = ("v.gain", "v.natural_frequency", "v.damping")
     estimate = ParameterEstimate(names, np.array([1.0, 100.0, 2.0]), np.diag([0.01, 80.0, 1.6]) ** 2)

@@ -53,7 +53,7 @@ def recorder_in(folder, **options):
     return result
 
 
-def test_what_was_handed_over_is_in_the_file(tmp_path):
+def test_recorded_file_contains_all_passed_rows(tmp_path):
     recorder = recorder_in(tmp_path / "new", frame="odom", pose_topic=False)
     for k in range(300):
         hand(recorder, k)

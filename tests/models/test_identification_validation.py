@@ -36,13 +36,13 @@ MODEL = published_ssm()
 def test_fit_is_that_of_a_free_run_from_the_first_reading():
     drive = noisy_drive(MODEL, 1)
     drives = [drive.part(0, 1400), drive.part(1500, 3000)]
-    found = validate(system(MODEL), drives)
+    validation = validate(system(MODEL), drives)
     simulated = simulate_records(system(MODEL), drives)
     for row, measured in enumerate(("twist", "yaw_rate")):
         y = np.concatenate([getattr(r, measured).reshape(len(r.command), -1)[:, 0] for r in drives])
         yhat = np.concatenate([outputs[:, row] for outputs in simulated])
-        assert found.fit_percent[row] == pytest.approx(fit_percent(y, yhat))
-        assert found.rmse[row] == pytest.approx(np.sqrt(np.mean((y - yhat) ** 2)))
+        assert validation.fit_percent[row] == pytest.approx(fit_percent(y, yhat))
+        assert validation.rmse[row] == pytest.approx(np.sqrt(np.mean((y - yhat) ** 2)))
     for outputs, r in zip(simulated, drives, strict=True):
         assert outputs[0] == pytest.approx([r.twist[0, 0], r.yaw_rate[0]])
 
@@ -106,7 +106,7 @@ def test_the_correlation_reported_is_the_largest_over_all_lags():
 
 
 def driven(twist, lever_arm=(0.0, 0.0), lag=0):
-    """A record whose poses follow `twist` (K, 2) exactly, seen at a point off the centre and late."""
+    """Build a record whose poses follow `twist` (K, 2) exactly, for a delayed sensor off the centre."""
     poses = [np.zeros(3)]
     for v, omega in 0.5 * (twist[1:] + twist[:-1]):
         poses.append(integrate_pose(poses[-1], v, omega, DT, 0.1))
@@ -214,29 +214,29 @@ def identify(experiments, **known):
 )
 def test_known_truth_is_recovered_without_noise(gain, frequency, damping, dead_time):
     experiments = [step_record((gain, frequency, damping), dead_time, level) for level in (0.5, -0.8)]
-    found = identify(experiments)
-    simulated = [simulate_experiment(found.fit.system, one)[:, 0] for one in experiments]
-    assert pooled_fit_percent([one.outputs[:, 0] for one in experiments], simulated) > 99.9
-    assert found.parameters.value("gain") == pytest.approx(gain, rel=1e-3)
-    assert found.parameters.value("natural_frequency") == pytest.approx(frequency, rel=2e-2)
-    assert found.parameters.value("damping") == pytest.approx(damping, rel=2e-2)
-    assert found.parameters.value("dead_time") == pytest.approx(dead_time, abs=1e-3)
+    identified = identify(experiments)
+    simulated = [simulate_experiment(identified.fit.system, experiment)[:, 0] for experiment in experiments]
+    assert pooled_fit_percent([experiment.outputs[:, 0] for experiment in experiments], simulated) > 99.9
+    assert identified.parameters.value("gain") == pytest.approx(gain, rel=1e-3)
+    assert identified.parameters.value("natural_frequency") == pytest.approx(frequency, rel=2e-2)
+    assert identified.parameters.value("damping") == pytest.approx(damping, rel=2e-2)
+    assert identified.parameters.value("dead_time") == pytest.approx(dead_time, abs=1e-3)
 
 
 def test_a_known_dead_time_is_kept():
-    found = identify([step_record((1.0, 12.0, 1.1), 0.04, 0.5)], dead_time=0.04)
-    assert found.fit.system.dead_time.tolist() == [0.04]
-    assert found.parameters.names == ("gain", "natural_frequency", "damping")
-    assert found.parameters.values == pytest.approx([1.0, 12.0, 1.1], rel=1e-3)
+    identified = identify([step_record((1.0, 12.0, 1.1), 0.04, 0.5)], dead_time=0.04)
+    assert identified.fit.system.dead_time.tolist() == [0.04]
+    assert identified.parameters.names == ("gain", "natural_frequency", "damping")
+    assert identified.parameters.values == pytest.approx([1.0, 12.0, 1.1], rel=1e-3)
 
 
 def test_a_bound_on_the_shorter_time_constant_is_kept():
     """A robot with one lag shows no second pole: without the bound it would run to the edge of what can be seen."""
     one_lag = [step_record((1.0, 80.0, 4.5), 0.04, level) for level in (0.5, -0.8)]
-    found = identify(one_lag, form=TwoPolesForm(shortest=5e-3)).parameters
-    frequency, damping = found.value("natural_frequency"), found.value("damping")
+    parameters = identify(one_lag, form=TwoPolesForm(shortest=5e-3)).parameters
+    frequency, damping = parameters.value("natural_frequency"), parameters.value("damping")
     assert 0.5 / (frequency * damping) == pytest.approx(5e-3, rel=1e-3)
-    assert found.value("dead_time") + 2 * damping / frequency == pytest.approx(0.04 + 0.1125, abs=2e-3)
+    assert parameters.value("dead_time") + 2 * damping / frequency == pytest.approx(0.04 + 0.1125, abs=2e-3)
 
 
 def test_tracks_are_recovered():

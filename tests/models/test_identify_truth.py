@@ -39,9 +39,9 @@ def test_a_log_cut_anywhere_and_shifted_in_time_gives_the_same_model():
     whole = noisy_drive(SM, 2)
     parts = [whole.part(0, 1700), whole.part(1700, 3000)]
     moved = Record("moved", whole.start + 1e4, DT, whole.command, twist=whole.twist, yaw_rate=whole.yaw_rate)
-    one, two, three = (identify_sm(records, limits=False).parameters for records in ([whole], parts, [moved]))
-    assert three.values.tolist() == one.values.tolist()
-    assert two.values.tolist() == one.values.tolist()
+    single, split, later = (identify_sm(records, limits=False).parameters for records in ([whole], parts, [moved]))
+    assert later.values.tolist() == single.values.tolist()
+    assert split.values.tolist() == single.values.tolist()
 
 
 @pytest.mark.parametrize("offset", [0, 37])
@@ -50,9 +50,9 @@ def test_stretches_whose_past_is_not_known_give_the_same_model(offset):
     whole = noisy_drive(SM, 2)
     edges = [0, *range(40 + offset, 3000, 120), 3000]
     parts = [whole.part(first, stop) for first, stop in pairwise(edges)][::-1]
-    one, two = (identify_sm(records, limits=False).parameters for records in ([whole], parts))
+    single, split = (identify_sm(records, limits=False).parameters for records in ([whole], parts))
     # A third of the commands before a step is gone: what they taught is, too.
-    assert np.abs((two.values - one.values) / two.standard_deviation).max() < 3.0
+    assert np.abs((split.values - single.values) / split.standard_deviation).max() < 3.0
 
 
 def test_outliers_hardly_move_the_model():
@@ -71,16 +71,16 @@ def test_only_fresh_readings_count():
     fresh = np.arange(len(full.command)) % 5 == 0
     twist = np.where(fresh[:, None], full.twist, np.nan)
     slow = Record("slow", 0.0, DT, full.command, twist=twist, yaw_rate=full.yaw_rate, fresh_twist=fresh)
-    found = identify_sm([slow], limits=False).parameters
-    agrees(found, SM_TRUTH)
-    assert found.deviation("v.gain") > 1.5 * identify_sm([full], limits=False).parameters.deviation("v.gain")
+    parameters = identify_sm([slow], limits=False).parameters
+    agrees(parameters, SM_TRUTH)
+    assert parameters.deviation("v.gain") > 1.5 * identify_sm([full], limits=False).parameters.deviation("v.gain")
 
 
-def test_a_gyro_bias_is_told_from_a_turn():
+def test_gyro_bias_is_distinguished_from_a_turn():
     drive = noisy_drive(SM, 5)
     biased = Record("biased", 0.0, DT, drive.command, twist=drive.twist, yaw_rate=drive.yaw_rate + 0.04)
-    found = identify_sm([biased], limits=False).parameters
-    agrees(found, {**SM_TRUTH, "omega.offset": 0.04})
+    parameters = identify_sm([biased], limits=False).parameters
+    agrees(parameters, {**SM_TRUTH, "omega.offset": 0.04})
 
 
 def test_coloured_noise_is_worth_fewer_samples():
@@ -101,9 +101,9 @@ def test_coloured_noise_is_worth_fewer_samples():
 
 def test_a_limit_of_the_base_is_found_where_there_is_one():
     limited, free = (noisy_drive(SM, 7, limit=limit) for limit in (0.9, np.inf))
-    found = identify_sm([limited])
-    assert set(found.limits) == {"omega"}
-    agrees(found.parameters, {**SM_TRUTH, "omega.left": 0.9, "omega.right": 0.9})
+    identified = identify_sm([limited])
+    assert set(identified.limits) == {"omega"}
+    agrees(identified.parameters, {**SM_TRUTH, "omega.left": 0.9, "omega.right": 0.9})
     assert identify_sm([free]).limits == {}
 
 
@@ -117,7 +117,7 @@ def test_a_pole_too_fast_to_see_is_said():
 def test_ssm_finds_the_published_model():
     model = published_ssm()
     drive = noisy_drive(model, 14)
-    found = identify_ssm([drive.part(0, 1400), drive.part(1500, 3000)], 2, limits=False)
+    identified = identify_ssm([drive.part(0, 1400), drive.part(1500, 3000)], 2, limits=False)
     gain, poles = model.dc_gain, sorted(model.poles.real, reverse=True)
     truth = {
         "gain.v_ref_to_v": gain[0, 0],
@@ -129,8 +129,8 @@ def test_ssm_finds_the_published_model():
         "dead_time.v": 0.043,
         "dead_time.omega": 0.052,
     }
-    agrees(found.parameters, truth)
-    assert found.model.dc_gain == pytest.approx(gain, abs=0.02)
+    agrees(identified.parameters, truth)
+    assert identified.model.dc_gain == pytest.approx(gain, abs=0.02)
 
 
 @pytest.fixture(scope="module")
@@ -145,9 +145,9 @@ def test_the_order_of_a_second_order_robot_is_two(ladder):
     choice = compare_orders(models, [train], [held_out], "gyro", requested=None)
     assert choice.order == 2
     elsewhere = replace(held_out, twist=-held_out.twist)
-    other = compare_orders(models, [train], [elsewhere], "gyro", requested=None)
-    assert other.order == 2  # the rows that score a model have no part in its choice
-    for row, same in zip(choice.rows, other.rows, strict=True):
+    repeated = compare_orders(models, [train], [elsewhere], "gyro", requested=None)
+    assert repeated.order == 2  # the rows that score a model have no part in its choice
+    for row, same in zip(choice.rows, repeated.rows, strict=True):
         np.testing.assert_array_equal(row.block_fit_percent, same.block_fit_percent)
         assert row.validation_fit_percent[0] > same.validation_fit_percent[0] + 50
     fits = [row.train_fit_percent.mean() for row in choice.rows]
@@ -176,18 +176,18 @@ def test_mbm_finds_motors_both_tracks_and_a_limit(four, limit):
         wheels=wheels,
         wheel_speeds=np.tile(both, 2) + 0.1 * stream.normal(size=(2000, 4)) if four else None,
     )
-    found = identify_mbm([drive], radius)
+    identified = identify_mbm([drive], radius)
     limits = {} if np.isinf(limit) else {"v": limit}
-    assert found.limits.keys() == limits.keys()
+    assert identified.limits.keys() == limits.keys()
     truth = {"firmware_track": firmware, "dead_time": 0.047} | {
         f"v.{side}": limits["v"] for side in ("forward", "reverse") if limits
     }
     for side, motor in zip(("left", "right"), motors, strict=True):
         for name, value in zip(("gain", "natural_frequency", "damping"), motor, strict=True):
             truth |= {f"{axle}_{side}.{name}": value for axle in (("front", "rear") if four else ("front",))}
-    agrees(found.parameters, truth)
-    assert found.parameters.value("effective_track") == pytest.approx(effective, rel=0.02)
-    assert found.model.order == 8
+    agrees(identified.parameters, truth)
+    assert identified.parameters.value("effective_track") == pytest.approx(effective, rel=0.02)
+    assert identified.model.order == 8
 
 
 def test_bad_input_is_one_clear_line():
@@ -204,7 +204,7 @@ SPIKED = two_channels((0.95, 10.0, 1.3), (0.7, 7.0, 0.7))
 
 
 def spiked(drive, size):
-    """One reading in a hundred of each sensor is off by up to `size`."""
+    """Add an outlier of up to `size` to one reading in a hundred of each sensor."""
     stream = np.random.default_rng(3)
     twist, yaw_rate = drive.twist.copy(), drive.yaw_rate.copy()
     for column in (twist[:, 0], yaw_rate):
@@ -214,7 +214,7 @@ def spiked(drive, size):
 
 
 def as_read(drive, folder):
-    """The drive as a log on disk gives it."""
+    """Write the drive as a log, and read it back."""
     table = np.column_stack((drive.command, drive.twist, drive.yaw_rate))
     np.savetxt(folder / "log.csv", table, delimiter=",", header="v,w,ev,ew,gz", comments="")
     (folder / "map.yaml").write_text(
@@ -232,11 +232,11 @@ def test_one_wild_reading_in_a_hundred_costs_nothing(size, tmp_path):
     records, findings = as_read(spiked(clean, size), tmp_path)
     assert [finding.severity for finding in findings] == ["warning", "warning"]
     assert "(1 %)" in findings[1].words
-    one, other = (identify_sm(part, limits=False) for part in ([clean], records))
-    assert validate(other.system, [clean]).fit_percent == pytest.approx(
-        validate(one.system, [clean]).fit_percent, abs=0.3
+    reference, identified = (identify_sm(part, limits=False) for part in ([clean], records))
+    assert validate(identified.system, [clean]).fit_percent == pytest.approx(
+        validate(reference.system, [clean]).fit_percent, abs=0.3
     )
-    assert validate(other.system, records).fit_percent.min() > 85.0
+    assert validate(identified.system, records).fit_percent.min() > 85.0
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -34,8 +34,8 @@ COLUMNS = drive(seconds=6.0)
 TOPICS = "topics:\n  command: /cmd_vel\n  odometry: /odom\n  imu: /imu\n  pose: /pose\n"
 
 
-def same(one, other):
-    pairs = [(getattr(one, field.name), getattr(other, field.name)) for field in fields(one)]
+def same(first, second):
+    pairs = [(getattr(first, field.name), getattr(second, field.name)) for field in fields(first)]
     return all(np.array_equal(a, b, equal_nan=True) for a, b in pairs if isinstance(a, np.ndarray))
 
 
@@ -183,9 +183,9 @@ def only(topics, *names):
 )
 def test_a_missing_or_wrong_topic_is_one_line(tmp_path, names, mapping, line):
     bag = write_bag(tmp_path / "bag", only(bag_topics(COLUMNS), *names))
-    given = None if mapping is None else write_mapping(tmp_path / "map.yaml", mapping)
+    mapping_file = None if mapping is None else write_mapping(tmp_path / "map.yaml", mapping)
     with one_line_error(ConfigError, match=line):
-        read_log(bag, given)
+        read_log(bag, mapping_file)
 
 
 def cut_in_half(path):
@@ -262,8 +262,8 @@ def test_a_bag_of_ros_1_is_refused_and_reads_when_it_is_converted(tmp_path):
         }
         for name, source in (("/cmd_vel", "/cmd_vel"), ("/wheels", "/odom")):
             _, _, stamped, readings = topics[source]
-            for at, (v, omega) in zip(stamped, readings, strict=True):
-                seconds = BAG_START + at
+            for offset, (v, omega) in zip(stamped, readings, strict=True):
+                seconds = BAG_START + offset
                 twist = types["geometry_msgs/msg/Twist"](vector(v, 0.0, 0.0), vector(0.0, 0.0, omega))
                 if name == "/wheels":
                     stamp = types["builtin_interfaces/msg/Time"](int(seconds), round((seconds % 1) * 1e9))
@@ -290,15 +290,17 @@ def test_a_message_of_ones_own_is_read_by_its_definition(tmp_path):
     with Writer(tmp_path / "bag", version=9) as writer:
         commands = writer.add_connection("/cmd_vel", "geometry_msgs/msg/Twist", typestore=store)
         speeds = writer.add_connection("/speeds", "mine/msg/Speeds", typestore=store)
-        for k, at in enumerate(COLUMNS["t"]):
-            nanoseconds = round((BAG_START + at) * 1e9)
+        for k, log_time in enumerate(COLUMNS["t"]):
+            nanoseconds = round((BAG_START + log_time) * 1e9)
             command = (COLUMNS["v_ref"][k], COLUMNS["omega_ref"][k])
-            twist = store.serialize_cdr(message("geometry_msgs/msg/Twist", command, at), "geometry_msgs/msg/Twist")
+            twist = store.serialize_cdr(
+                message("geometry_msgs/msg/Twist", command, log_time), "geometry_msgs/msg/Twist"
+            )
             writer.write(commands, nanoseconds, twist)
             stamp = store.types["builtin_interfaces/msg/Time"](nanoseconds // 10**9, nanoseconds % 10**9)
             header = store.types["std_msgs/msg/Header"](stamp, "base_link")
-            own = store.types["mine/msg/Speeds"](header, COLUMNS["v"][k], COLUMNS["omega_wheels"][k])
-            writer.write(speeds, nanoseconds, store.serialize_cdr(own, "mine/msg/Speeds"))
+            speed = store.types["mine/msg/Speeds"](header, COLUMNS["v"][k], COLUMNS["omega_wheels"][k])
+            writer.write(speeds, nanoseconds, store.serialize_cdr(speed, "mine/msg/Speeds"))
     text = "topics:\n  odometry: {topic: /speeds, fields: [forward, turning]}\n"
     with pytest.raises(ConfigError, match="give their .msg file under 'definitions'"):
         read_log(tmp_path / "bag", write_mapping(tmp_path / "map.yaml", text))
@@ -321,7 +323,7 @@ def _mcap(path: Path, body: bytes) -> Path:
 
 
 def _indexed(path: Path, chunks: list[bytes], mentioned: int = 1) -> Path:
-    """A file whose index names each chunk so often."""
+    """Write a file whose index names each chunk `mentioned` times."""
     body, index = HEAD, b""
     for chunk in chunks:
         size = struct.unpack("<Q", chunk[25:33])[0]
@@ -335,7 +337,7 @@ def _indexed(path: Path, chunks: list[bytes], mentioned: int = 1) -> Path:
 
 
 def _refused(path: Path) -> str:
-    """The line with which a bag is refused; it may take no more than twice what a chunk may."""
+    """Return the message that refuses a bag; memory may not exceed twice that of a chunk."""
     tracemalloc.start()
     try:
         with one_line_error(ConfigError, path.name) as error:
@@ -348,10 +350,10 @@ def _refused(path: Path) -> str:
 
 
 @pytest.mark.parametrize("how", ["zstd", "lz4"])
-@pytest.mark.parametrize("said", [1_000, 400_000_000])
-def test_a_bomb_is_not_unpacked_whether_or_not_it_says_what_it_is(tmp_path: Path, how: str, said: int) -> None:
+@pytest.mark.parametrize("stated_size", [1_000, 400_000_000])
+def test_decompression_bomb_is_refused_for_any_stated_size(tmp_path: Path, how: str, stated_size: int) -> None:
     """400 MB in some kilobytes."""
-    path = _mcap(tmp_path / "bomb.mcap", mcap_chunk(zeros(400, how), how, said))
+    path = _mcap(tmp_path / "bomb.mcap", mcap_chunk(zeros(400, how), how, stated_size))
     assert "chunk" in _refused(path)
 
 
@@ -397,15 +399,15 @@ def test_absurd_lengths_are_not_allocated(tmp_path: Path, length: int, place: st
     tracemalloc.stop()
 
 
-def test_what_is_unpacked_is_what_was_packed() -> None:
+def test_unpacked_data_equal_the_packed_data() -> None:
     """Bit for bit, also in several frames, and no byte more than is said."""
     data = os.urandom(1000) * 3
     frames = zstandard.ZstdCompressor().compress(data[:1000]) + zstandard.ZstdCompressor().compress(data[1000:])
     for packed, how in ((frames, "zstd"), (lz4.frame.compress(data), "lz4"), (data, "")):
         assert unpacked(Path("x"), packed, how, len(data)) == data
-        for other in (len(data) - 1, len(data) + 1):
+        for size in (len(data) - 1, len(data) + 1):
             with pytest.raises(ConfigError, match="says"):
-                unpacked(Path("x"), packed, how, other)
+                unpacked(Path("x"), packed, how, size)
     with pytest.raises(ConfigError, match="packed by 'rar'"):
         unpacked(Path("x"), data, "rar")
 
@@ -416,8 +418,8 @@ def test_pipes_are_refused_at_once(tmp_path: Path, name: str) -> None:
     pipe = tmp_path / name
     pipe.parent.mkdir(exist_ok=True)
     if name == "bag/bag.mcap":
-        said = {"rosbag2_bagfile_information": {"relative_file_paths": ["bag.mcap"], "storage_identifier": "mcap"}}
-        (pipe.parent / "metadata.yaml").write_text(yaml.safe_dump(said), encoding="utf-8")
+        metadata = {"rosbag2_bagfile_information": {"relative_file_paths": ["bag.mcap"], "storage_identifier": "mcap"}}
+        (pipe.parent / "metadata.yaml").write_text(yaml.safe_dump(metadata), encoding="utf-8")
     os.mkfifo(pipe)
     with pytest.raises(ConfigError, match="pipe or a device"):
         read_log(pipe.parent if pipe.parent != tmp_path else pipe)
@@ -465,7 +467,7 @@ def test_file_that_is_compressed_as_a_whole_is_named(tmp_path: Path) -> None:
     assert "bag.mcap.zst: compressed as a whole; unpack it: `zstd -d bag.mcap.zst`" in _refused(path)
 
 
-def test_of_two_types_on_a_topic_the_more_frequent_is_read(tmp_path: Path) -> None:
+def test_more_frequent_of_two_types_on_a_topic_is_read(tmp_path: Path) -> None:
     topics = bag_topics(COLUMNS)
     _, *rows = topics["/cmd_vel"]
     few = ("geometry_msgs/msg/TwistStamped", *(part[:50] + 0.5 for part in rows))

@@ -133,13 +133,13 @@ def test_a_robot_at_rest_is_not_stuck(tmp_path):
     assert lines(read(tmp_path, changes), "stuck sensor") == []
 
 
-@pytest.mark.parametrize(("share", "found"), [(0.9, 1), (0.1, 0)])
-def test_wheels_that_stand_still_are_stuck_only_under_a_large_command(tmp_path, share, found):
+@pytest.mark.parametrize(("share", "count"), [(0.9, 1), (0.1, 0)])
+def test_wheels_that_stand_still_are_stuck_only_under_a_large_command(tmp_path, share, count):
     """A small command may lie in a dead band, which a model should learn."""
     rows = slice(300, 500)
     changes = changed("v_ref", rows, share * np.abs(COLUMNS["v_ref"]).max()) | changed("omega_ref", rows, 0.0)
     changes |= changed("v", rows, 0.0) | changed("omega_wheels", rows, 0.0)
-    assert len(lines(read(tmp_path, changes), "stuck sensor")) == found
+    assert len(lines(read(tmp_path, changes), "stuck sensor")) == count
 
 
 @pytest.mark.parametrize(

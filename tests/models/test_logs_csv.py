@@ -204,7 +204,7 @@ def test_a_kilohertz_log_is_thinned_and_that_is_said(tmp_path):
     assert ["one row in 10" in str(finding) for finding in log.findings] == [True]
 
 
-def test_of_a_long_log_the_parts_that_are_driven_most_are_used():
+def test_long_log_is_reduced_to_its_most_driven_parts():
     lively = np.zeros(1000)
     lively[200:300] = lively[700:800] = np.tile([1.0, -1.0], 50)
     assert list(most_driven([lively], 200, part=100)) == [*range(200, 300), *range(700, 800)]
@@ -246,7 +246,7 @@ def test_empty_cells_read_the_same_in_a_block_as_cell_by_cell(tmp_path, monkeypa
         ("a,b," * 2000 + "a\n1\n", "column 'a' is there twice"),
     ],
 )
-def test_what_is_no_table_is_refused_before_it_is_taken_apart(tmp_path, text, words):
+def test_file_without_a_table_is_refused_before_parsing(tmp_path, text, words):
     """A million columns took minutes, a file without an end of line all memory."""
     file = tmp_path / "wide.csv"
     file.write_text(text, encoding="utf-8")

@@ -81,7 +81,7 @@ CUT_CASES = tuple(product(FOLDERS, CUTS)) if "DIFFDRIVE_MPC_ALL" in os.environ e
 
 
 def stretches(records, cut, past):
-    """The records in pieces; what is too short for one is left out. Without a `past`, none follows the other."""
+    """Cut the records in pieces and omit pieces that are too short. Without a `past`, no piece follows the previous."""
     pieces = []
     for record in records:
         count = len(record.command)
@@ -100,7 +100,7 @@ def stretches(records, cut, past):
 
 @cache
 def halves(log):
-    """Records to identify from and records held out, divided as `identify` does."""
+    """Return records to identify from and held-out records, divided as `identify` does."""
     records = read_log(log_path(log), log).records
     if len(records) < 10:  # seven minutes in one piece says it as well as all of it
         records = (records[0].part(0, 8400),)
@@ -117,8 +117,8 @@ def as_shipped(log):
 @pytest.mark.parametrize(("log", "cut"), CUT_CASES)
 def test_a_cut_costs_less_than_three_points(log, cut):
     train, held_out = halves(log)
-    found = validate(identify_sm(stretches(train, cut, past=True), limits=False).system, held_out).fit_percent
-    assert (found > as_shipped(log) - 3.0).all(), found
+    fits = validate(identify_sm(stretches(train, cut, past=True), limits=False).system, held_out).fit_percent
+    assert (fits > as_shipped(log) - 3.0).all(), fits
 
 
 @pytest.mark.real_logs
@@ -129,11 +129,11 @@ def test_a_plain_fit_is_no_better(log):
 
 @pytest.mark.real_logs
 @pytest.mark.parametrize(("log", "cut"), CUT_CASES)
-def test_nor_is_it_where_nothing_is_known_before_a_stretch(log, cut):
+def test_cut_without_known_past_costs_little_fit(log, cut):
     train, held_out = halves(log)
     train = stretches(train, cut, past=False)
-    found = validate(identify_sm(train, limits=False).system, held_out).fit_percent
-    assert (found > baseline_fit(train, held_out) - 0.5).all(), found
+    fits = validate(identify_sm(train, limits=False).system, held_out).fit_percent
+    assert (fits > baseline_fit(train, held_out) - 0.5).all(), fits
 
 
 ENCODER_TRACK = 0.480865
@@ -184,21 +184,23 @@ if "DIFFDRIVE_MPC_ALL" in os.environ:
         gone |= {} if gyro else {"yaw_rate": None, "fresh_yaw_rate": None}
         halves = [tuple(replace(record, **gone) for record in half) for half in (data.train, data.validation)]
         data = replace(data, train=halves[0], validation=halves[1], yaw="gyro" if gyro else "encoders")
-        plain, found = (fit(data, STRUCTURES["sm"], effects=on) for on in (False, True))
-        fits = [one.validation.fit_percent for one in (plain, found)]
+        plain, with_effects = (fit(data, STRUCTURES["sm"], effects=on) for on in (False, True))
+        fits = [fitted.validation.fit_percent for fitted in (plain, with_effects)]
         assert (fits[1] > fits[0] - 1.0).all(), fits
 
 
 def baseline_fit(train, held_out, clip=False):
-    """(2,) FIT [%] of the baseline, identified from `train`, on the records held out."""
+    """Return the (2,) FIT [%] on the held-out records of the baseline identified from `train`."""
     fits = []
     for row in (0, 1):
-        one, other = ([s.channel(row, row) for s in joined(twist_experiments(part))] for part in (train, held_out))
-        u, y, c = zip(*((s.inputs[:, 0], s.outputs[:, 0], s.counts[:, 0]) for s in one), strict=True)
-        baseline = fit_second_order(u, y, c, one[0].dt, clip)
-        firsts = [s.outputs[np.argmax(s.counts), 0] for s in other]
-        runs = [response(baseline, s.inputs[:, 0], f, s.dt) for s, f in zip(other, firsts, strict=True)]
-        keep = [s.counts[:, 0] for s in other]
-        measured = [s.outputs[k, 0] for s, k in zip(other, keep, strict=True)]
+        training, validation = (
+            [s.channel(row, row) for s in joined(twist_experiments(part))] for part in (train, held_out)
+        )
+        u, y, c = zip(*((s.inputs[:, 0], s.outputs[:, 0], s.counts[:, 0]) for s in training), strict=True)
+        baseline = fit_second_order(u, y, c, training[0].dt, clip)
+        firsts = [s.outputs[np.argmax(s.counts), 0] for s in validation]
+        runs = [response(baseline, s.inputs[:, 0], f, s.dt) for s, f in zip(validation, firsts, strict=True)]
+        keep = [s.counts[:, 0] for s in validation]
+        measured = [s.outputs[k, 0] for s, k in zip(validation, keep, strict=True)]
         fits.append(pooled_fit_percent(measured, [r[k] for r, k in zip(runs, keep, strict=True)]))
     return np.array(fits)

@@ -143,8 +143,8 @@ def test_balancing_changes_no_output(seed, n):
     A -= (np.linalg.eigvals(A).real.max() + 1.0) * np.eye(n)
     tidy = balanced(A, B, C)
     for s in (0.0, 1.0j, 5.0j):
-        plain, other = (c @ np.linalg.solve(s * np.eye(n) - a, b) for a, b, c in ((A, B, C), tidy))
-        assert np.abs(other - plain).max() < 1e-6 * (1 + np.abs(plain).max())
+        plain, transformed = (c @ np.linalg.solve(s * np.eye(n) - a, b) for a, b, c in ((A, B, C), tidy))
+        assert np.abs(transformed - plain).max() < 1e-6 * (1 + np.abs(plain).max())
 
 
 def test_an_impulse_response_gives_the_model_back():

@@ -156,12 +156,12 @@ def test_the_virtual_track_solves_its_equation(p1, left, right):
     assert rate * (p1 * abs(rate) + 0.5) == pytest.approx(RADIUS * (right - left), abs=1e-9)
 
 
-@given(p1=st.floats(-0.5, 0.5), one=st.floats(-3, 3), other=st.floats(-3, 3))
-def test_a_robot_on_a_virtual_track_turns_faster_the_more_its_wheels_differ(p1, one, other):
+@given(p1=st.floats(-0.5, 0.5), left=st.floats(-3, 3), right=st.floats(-3, 3))
+def test_a_robot_on_a_virtual_track_turns_faster_the_more_its_wheels_differ(p1, left, right):
     """Also where a shrinking track leaves no solution: a search may try such values."""
-    slow, fast = virtual_track_yaw_rate([min(one, other), max(one, other)], 0.5, p1)
+    slow, fast = virtual_track_yaw_rate([min(left, right), max(left, right)], 0.5, p1)
     assert slow <= fast
-    assert virtual_track_yaw_rate(-one, 0.5, p1) == -virtual_track_yaw_rate(one, 0.5, p1)
+    assert virtual_track_yaw_rate(-left, 0.5, p1) == -virtual_track_yaw_rate(left, 0.5, p1)
 
 
 def test_the_gyro_scale_is_found_behind_a_late_pose():

@@ -75,11 +75,11 @@ def written(folder, with_gyro=False):
 @pytest.mark.parametrize("with_gyro", [False, True])
 def test_commands_and_poses_alone_identify_a_robot(tmp_path, with_gyro):
     log, mapping = written(tmp_path, with_gyro)
-    found = identify(log, mapping=mapping, structure="sm")
-    assert not found.refusal
+    result = identify(log, mapping=mapping, structure="sm")
+    assert not result.refusal
     for channel, gain, late in [("v", 0.9, 0.25), ("omega", 0.8, 0.3)]:
-        file = getattr(found.content.channels, channel)
+        file = getattr(result.content.channels, channel)
         assert file.gain == pytest.approx(gain, rel=0.02)
-        delay = getattr(found.content.dead_time, channel) + 2 * file.damping / file.natural_frequency
+        delay = getattr(result.content.dead_time, channel) + 2 * file.damping / file.natural_frequency
         assert delay == pytest.approx(late, abs=0.01)
-    assert "yaw rate of the wheels" not in found.report.markdown()
+    assert "yaw rate of the wheels" not in result.report.markdown()

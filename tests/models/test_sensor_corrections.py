@@ -50,7 +50,7 @@ def drive(*, gyro=1.0, wheels=1.0, late=0, most=np.inf, seed=0):
         ({"late": 10}, {"pose": {"delay": 10 * DT}}),
     ],
 )
-def test_what_is_wired_differently_is_found_and_taken_out(wired, expected):
+def test_wiring_differences_are_detected_and_corrected(wired, expected):
     record = drive(**wired)
     corrections = find_corrections("drive", [record], None)
     assert corrections.settings.keys() == expected.keys()
@@ -67,7 +67,7 @@ def test_a_gyro_at_the_end_of_its_range_has_no_scale():
     assert ["range is too small" in str(finding) for finding in corrections.findings] == [True]
 
 
-def test_what_the_mapping_turns_the_robot_is_told():
+def test_mapping_corrections_are_stated_for_the_robot():
     columns = COLUMNS | {"gyro": {"yaw_rate": {"column": "gyro", "sign": -1}, "delay": 0.02}}
     columns["encoders"] = {"v": "wheels_v", "omega": {"column": "wheels_w", "sign": -1}}
     columns["pose"] = {**COLUMNS["pose"], "delay": 0.1, "heading_offset": 0.5}

@@ -44,7 +44,7 @@ class LagsFile(ModelFile):
 
 
 def identify_lags(records: Sequence[Record], conditions: IdentificationConditions) -> StructureFit:
-    """Least squares of the change from sample to sample."""
+    """Fit the change from sample to sample by least squares."""
     values = []
     for row in (0, 1):
         outputs = [(r.twist[:, 0], r.yaw_rate)[row] for r in records]
@@ -74,14 +74,14 @@ def log(tmp_path):
 
 
 def test_a_structure_of_one_s_own_goes_all_the_way(lags, log, tmp_path):
-    found = identify(log, tmp_path / "map.yaml", "lags")
-    found.write(tmp_path / "mine")
+    identified = identify(log, tmp_path / "map.yaml", "lags")
+    identified.write(tmp_path / "mine")
     model = load_model(tmp_path / "mine" / "model.yaml")
     assert model.structure == "lags"
     assert np.diag(model.dc_gain) == pytest.approx([1.0, 1.0], abs=0.02)
     assert model.lag == pytest.approx([0.1, 0.1], abs=0.02)
-    assert found.report.fitted.validation.fit_percent.min() > 90.0
-    assert "LAGS from drive" in str(found)
+    assert identified.report.fitted.validation.fit_percent.min() > 90.0
+    assert "LAGS from drive" in str(identified)
 
 
 def test_two_delays_are_the_dead_times_and_lags_of_sm(log, tmp_path):
@@ -131,7 +131,7 @@ PRINTED_DIGITS = 4
 
 
 def coefficients(A, B, C):
-    """Numerators by (output, input), and the denominator."""
+    """Return the numerators by (output, input), and the denominator."""
     numerators = {}
     for output, channel in PRINTED:
         tf = control.ss2tf(control.ss(A, B[:, [channel]], C[[output]], 0))
@@ -142,20 +142,20 @@ def coefficients(A, B, C):
 
 
 def half_digit(values):
-    """Half a unit in the last of the printed significant digits."""
+    """Return half a unit in the last of the printed significant digits."""
     values = np.abs(np.asarray(values, dtype=float))
     return 0.5 * 10.0 ** (np.floor(np.log10(values)) - PRINTED_DIGITS + 1)
 
 
 def rounding_bounds(model):
-    """How far the coefficients can move when every matrix entry moves by half its last printed digit."""
+    """Bound the change of the coefficients if every matrix entry moves by half its last printed digit."""
     nominal, nominal_den = coefficients(model.A, model.B, model.C)
     bounds = {key: np.zeros(2) for key in nominal}
     den_bound = np.zeros(3)
     for name in "ABC":
         matrix = getattr(model, name)
         for index, step in np.ndenumerate(half_digit(matrix)):
-            moved = {other: getattr(model, other).copy() for other in "ABC"}
+            moved = {label: getattr(model, label).copy() for label in "ABC"}
             moved[name][index] += step
             numerators, denominator = coefficients(moved["A"], moved["B"], moved["C"])
             for key in bounds:
@@ -198,7 +198,7 @@ dead_times = st.tuples(st.floats(0, 0.12), st.floats(0, 0.12))
 
 
 def ode_outputs(model, commands, dt):
-    """Outputs at the samples from an adaptive solver, stopped wherever a delayed command switches."""
+    """Solve for outputs at the samples with an adaptive solver, stopped wherever a delayed command switches."""
 
     def command(t):
         index = np.floor((t - model.dead_time) / dt + 1e-9).astype(int)

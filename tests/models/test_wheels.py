@@ -34,14 +34,14 @@ COLUMNS = drive(seconds=6.0)
 T = COLUMNS["t"] + 1.0
 RNG = np.random.default_rng(3)
 # Single precision, as the messages have it.
-VOLTAGE, GIVEN = (np.float32(one).astype(float) for one in (12.0 + 0.1 * RNG.normal(size=300), 2 + RNG.random(300)))
+VOLTAGE, CURRENT = (np.float32(x).astype(float) for x in (12.0 + 0.1 * RNG.normal(size=300), 2 + RNG.random(300)))
 MOTORS = np.float32(RNG.normal(size=(300, 4))).astype(float)
 USUAL = "topics:\n  command: /cmd_vel\n  odometry: /odom\n"
 WHEELS = "wheels: {radius: 0.1, track: 0.4}\n"
 JOINTS = "  motors:\n    left: {topic: /joints, joints: [fl, rl]}\n    right: {topic: /joints, joints: [fr, rr]}\n"
 
 
-def bag(tmp_path, battery=-GIVEN, **more):
+def bag(tmp_path, battery=-CURRENT, **more):
     topics = bag_topics(COLUMNS) | {
         "/battery": ("sensor_msgs/msg/BatteryState", T + 0.003, T, np.column_stack([VOLTAGE, battery])),
         "/joints": ("sensor_msgs/msg/JointState", T + 0.002, T, MOTORS),
@@ -57,13 +57,13 @@ def read(tmp_path, words, **more):
 
 def test_what_the_battery_gives_is_positive_whatever_the_robot_says(tmp_path):
     (record,) = read(tmp_path, "  battery: /battery\n").records
-    assert np.array_equal(record.battery, np.column_stack([VOLTAGE, GIVEN]))
+    assert np.array_equal(record.battery, np.column_stack([VOLTAGE, CURRENT]))
     assert record.motor_current is None
 
 
 def test_a_robot_of_the_other_sign_is_turned_round(tmp_path):
-    (record,) = read(tmp_path, "  battery: {topic: /battery, sign: -1}\n", battery=GIVEN).records
-    assert np.array_equal(record.battery, np.column_stack([VOLTAGE, GIVEN]))
+    (record,) = read(tmp_path, "  battery: {topic: /battery, sign: -1}\n", battery=CURRENT).records
+    assert np.array_equal(record.battery, np.column_stack([VOLTAGE, CURRENT]))
 
 
 def test_efforts_of_joints_are_the_motors_of_the_sides(tmp_path):
@@ -85,7 +85,7 @@ def test_single_numbers_have_the_times_of_their_receipt_and_their_unit(tmp_path)
 
 
 def test_readings_that_are_no_numbers_are_left_out_and_said(tmp_path):
-    torn = GIVEN.copy()
+    torn = CURRENT.copy()
     torn[50:60] = np.nan
     log = read(tmp_path, "  battery: /battery\n", battery=-torn)
     assert [finding.kind for finding in log.findings if "/battery" in finding.place] == ["NaN rows"]
@@ -94,7 +94,7 @@ def test_readings_that_are_no_numbers_are_left_out_and_said(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "found"),
+    ("words", "message"),
     [
         ("  battery: /imu\n", "topic '/imu' is of type sensor_msgs/msg/Imu; expected sensor_msgs/msg/BatteryState"),
         ("  motors: {left: /left_a}\n", "right"),
@@ -104,6 +104,6 @@ def test_readings_that_are_no_numbers_are_left_out_and_said(tmp_path):
         ),
     ],
 )
-def test_what_cannot_be_read_gets_a_sentence(tmp_path, words, found):
-    with pytest.raises(ConfigError, match=found):
+def test_unreadable_topic_raises_one_sentence(tmp_path, words, message):
+    with pytest.raises(ConfigError, match=message):
         read(tmp_path, words)

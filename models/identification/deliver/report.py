@@ -241,13 +241,13 @@ def score_doubts(fitted: Fitted) -> list[Doubt]:
         train, validation = float(fitted.train.fit_percent[row]), float(fitted.validation.fit_percent[row])
         if validation < limits.low_fit:
             words = f"validation FIT {validation:.1f} %, below {limits.low_fit:g} %: little is explained"
-            verdicts.append(Doubt("low FIT", words).of(channel))
+            verdicts.append(Doubt("low FIT", words).about(channel))
         if train - validation > limits.fit_drop:
             words = (
                 f"FIT falls from {train:.1f} to {validation:.1f} % on data held out: they differ, or the model has too "
                 "many parameters"
             )
-            verdicts.append(Doubt("FIT falls", words).of(channel))
+            verdicts.append(Doubt("FIT falls", words).about(channel))
         unexplained = fitted.validation.residuals.unexplained[row]
         j = int(np.argmax(unexplained))
         if unexplained[j] > limits.unexplained:
@@ -255,7 +255,7 @@ def score_doubts(fitted: Fitted) -> list[Doubt]:
                 f"residuals follow past commands of {CHANNELS[j]} ({unexplained[j]:.1f} times the 95 % bound): the "
                 "model misses part of the dynamics"
             )
-            verdicts.append(Doubt("missed dynamics", words).of(channel))
+            verdicts.append(Doubt("missed dynamics", words).about(channel))
     return verdicts
 
 

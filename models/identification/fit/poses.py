@@ -226,7 +226,7 @@ def from_poses(data: LogData, fitted: Fitted) -> PoseResults:
     gyro = _gyro(train, warnings) if data.yaw == "gyro" else None
     calibrations = [("wheels", laws[0][1])] if laws else []
     calibrations += [("gyro", gyro)] if gyro else []
-    warnings += [doubt.of("poses") for _, calibration in calibrations for doubt in calibration.warnings]
+    warnings += [doubt.about("poses") for _, calibration in calibrations for doubt in calibration.warnings]
     parts = [calibration.parameters for _, calibration in calibrations]
     if parts and laws and fitted.geometry is None:
         parts[0] = _as_gains(parts[0])

@@ -95,7 +95,7 @@ def test_a_file_that_was_cut_off_is_driven_again(campaign: Path, tmp_path: Path)
     assert read_table(out / "results.parquet", times=False).equals(expected)
 
 
-def test_what_a_run_gives_is_what_simulate_gives() -> None:
+def test_run_gives_the_result_of_simulate() -> None:
     case = quick_case(sensors="default")
     row = drive(Definition(case))
     run, _ = drive_whole(Definition(case))
@@ -132,10 +132,10 @@ def test_the_hash_knows_files_that_a_file_names(tmp_path: Path) -> None:
     model.write_text(shipped.read_text(encoding="utf-8"), encoding="utf-8")
     config = tmp_path / "config.yaml"
     config.write_text("model: model.yaml\nhorizon: 20\n", encoding="utf-8")
-    one = Definition.from_factors({"config": str(config)})
-    before = key_of(one)
+    run = Definition.from_factors({"config": str(config)})
+    before = key_of(run)
     model.write_text(f"# another text\n{model.read_text(encoding='utf-8')}", encoding="utf-8")
-    assert key_of(one) != before
+    assert key_of(run) != before
 
 
 def test_who_has_other_files_does_not_drive(short: Path) -> None:

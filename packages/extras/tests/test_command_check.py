@@ -94,7 +94,7 @@ def test_braking_has_its_own_limit_and_only_brakes() -> None:
     assert check_commands(time, command, modes, came, LIMITS).slew > 40
 
 
-def test_who_has_stopped_may_step_to_zero_but_not_move() -> None:
+def test_stopped_controller_may_step_to_zero_but_not_move() -> None:
     time, command, modes, came = made_up()
     command[100:], modes[100:] = 0.0, ["STOPPED"] * 100
     assert check_commands(time, command, modes, came, LIMITS) == NONE

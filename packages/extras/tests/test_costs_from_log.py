@@ -24,7 +24,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def told(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def results(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Run the command on the log, starting from a motor that is not the robot's."""
     folder = tmp_path_factory.mktemp("told")
     before = folder / "before.yaml"
@@ -35,10 +35,10 @@ def told(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_constants_and_curves_are_those_of_the_robot(told: Path) -> None:
+def test_constants_and_curves_are_those_of_the_robot(results: Path) -> None:
     true = load_drive_constants("fsu_bot")
-    drive, costs = load_drive_constants(told / "drive.yaml"), load_turn_costs(told / "turn-costs.yaml")
-    deviations = json.loads((told / "torque.json").read_text())["deviations"]
+    drive, costs = load_drive_constants(results / "drive.yaml"), load_turn_costs(results / "turn-costs.yaml")
+    deviations = json.loads((results / "torque.json").read_text())["deviations"]
     for name in ("torque_constant", "resistance", "idle_power"):
         assert abs(getattr(drive, name) - getattr(true, name)) < 4 * deviations[name]
     assert drive.torque_constant == pytest.approx(true.torque_constant, rel=0.03)

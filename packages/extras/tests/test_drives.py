@@ -176,13 +176,13 @@ def driven(coefficients, seed, seconds=40.0, *, backwards=True):
     return Record(f"drive {seed}", 0.0, LOG_DT, commands, twist=noisy, yaw_rate=noisy[:, 1] + 0.01)
 
 
-def told(coefficients, kind="drive_experimental", **how):
+def doubts_of(coefficients, kind="drive_experimental", **how):
     records = [driven(coefficients, 1, **how)]
     return told_by(fit_drive(kind, records), records)
 
 
 def test_slope_limits_that_act_are_told_within_their_uncertainty():
-    finding = told(LIMITED)
+    finding = doubts_of(LIMITED)
     assert not {"v.quicker", "v.slower", "omega.quicker", "omega.slower"} & set(finding.identified)
     assert {"v.threshold", "v.threshold_by_slope"} <= set(finding.identified), "this robot never stands still"
     # Rounding gives up some of the limit at its corner, which no noise explains.
@@ -193,9 +193,9 @@ def test_slope_limits_that_act_are_told_within_their_uncertainty():
     assert finding.estimate.deviation("v.gain") < 0.02
 
 
-def test_what_a_log_does_not_show_keeps_its_prior():
+def test_parameters_undetermined_by_a_log_keep_their_prior():
     """No slope that acts, and never a change of direction: neither limit nor threshold can be told."""
-    finding = told(UNLIMITED, backwards=False)
+    finding = doubts_of(UNLIMITED, backwards=False)
     untold = {"quicker", "slower", "threshold", "threshold_by_slope"}
     assert set(finding.identified) == {f"{channel}.{name}" for channel in ("v", "omega") for name in untold}
     for values in finding.fit.values:

@@ -48,10 +48,10 @@ def test_shipped_trajectory_is_the_slip_drive_of_six_metres():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"), [((0.5, 60.0, 0.6, 1.0), "give 2.1 m or more"), ((6.0, 1e9, 0.6, 1.0), "at most 1800 s")]
+    ("arguments", "message"), [((0.5, 60.0, 0.6, 1.0), "give 2.1 m or more"), ((6.0, 1e9, 0.6, 1.0), "at most 1800 s")]
 )
-def test_what_cannot_be_driven_is_refused(arguments, said):
-    with pytest.raises(ValueError, match=said):
+def test_infeasible_excitation_is_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
         slip_excitation(*arguments)
 
 
@@ -139,8 +139,8 @@ def robot(path, gain, dead_time):
     return f"model:{path}"
 
 
-def drive_of(found, folder, plant):
-    return driven(found.on(plant, 1, folder / "drive.yaml"), folder / "drive.yaml")
+def drive_of(excitation, folder, plant):
+    return driven(excitation.on(plant, 1, folder / "drive.yaml"), folder / "drive.yaml")
 
 
 @pytest.mark.usefixtures("quick")

@@ -42,9 +42,9 @@ def export(
     """Export and compile with the host program, with warnings as errors."""
     folder.mkdir()
     config = load_config(model if isinstance(model, str) else "ssm", {"horizon": 15, **overrides})
-    given = None if isinstance(model, str) else model
+    custom_model = None if isinstance(model, str) else model
     reference = load_trajectory(trajectory)
-    export_controller(config, reference, folder, Precision(precision), model=given, terms=terms)
+    export_controller(config, reference, folder, Precision(precision), model=custom_model, terms=terms)
     sources = [HOST, folder / "stm32f4" / "frames.c", *sorted((folder / "ddmpc").glob("*.c"))]
     includes = [f"-I{folder / name}" for name in ("ddmpc", "stm32f4")]
     compile_c(*STRICT, *flags, *includes, *map(str, sources), "-lm", "-o", str(folder / "host"))
@@ -180,10 +180,12 @@ def test_soft_limits_in_double_precision(with_sanitizers):
     assert sum(theirs.soft_limits > 0 for _, theirs in steps) > 50
 
 
-def track_both(folder, trajectory, overrides, ticks, *flags, precision="double", within=DOUBLE, offset=(0, 0, 0), **of):
+def track_both(
+    folder, trajectory, overrides, ticks, *flags, precision="double", within=DOUBLE, offset=(0, 0, 0), **options
+):
     """Compare steps of an export and of Python's controller, which track, and differ by no more than `within`."""
-    program = export(folder / precision, trajectory, precision, overrides, "-O0", *flags, **of)
-    steps = drive_both(program, trajectory, overrides, ticks, offset=offset, **of)
+    program = export(folder / precision, trajectory, precision, overrides, "-O0", *flags, **options)
+    steps = drive_both(program, trajectory, overrides, ticks, offset=offset, **options)
     check_same(steps, within)
     assert {ours.mode for ours, _ in steps} == {Mode.TRACKING}
     return steps
@@ -250,7 +252,7 @@ def later(measurement: Measurement, shift: float) -> Measurement:
 
 
 def events(k, measurement, exported, reference):
-    """Disturb the drive, with one error after the other."""
+    """Insert one error after the other into the drive."""
     shift, hold = 0.0, None
     if k < 3 or 30 <= k < 60:
         measurement = replace(measurement, pose=None)

@@ -54,8 +54,8 @@ def post(x, y, radius, corners=12):
     return np.stack([x + radius * np.cos(angle), y + radius * np.sin(angle)], axis=1)
 
 
-def drive(controller, reference, seen, duration, *, plant="model:ssm", sensors=None, seed=0):
-    """Return ticks as dictionaries: time, pose, v, gap (true), step; `seen` gives surroundings, None for no news."""
+def drive(controller, reference, surroundings_at, duration, *, plant="model:ssm", sensors=None, seed=0):
+    """Return ticks as dictionaries: time, pose, v, true gap, step; `surroundings_at` may return None for no news."""
     robot = make_plant(plant, seed=seed, **({} if sensors is None else {"sensors": sensors}))
     robot.reset(reference.sample([0.0]).pose[0])
     controller.start(reference, robot.time)
@@ -64,7 +64,7 @@ def drive(controller, reference, seen, duration, *, plant="model:ssm", sensors=N
     ticks, around, pieces = [], None, None
     for _ in range(int(duration / robot.sample_time)):
         t = robot.time
-        result = seen(t)
+        result = surroundings_at(t)
         if result is not None:
             controller.feature("free_space").set_obstacles(result)
             around, pieces = result, pieces_of(result, settings, reference)
@@ -115,10 +115,10 @@ def test_the_side_does_not_flicker_with_noise():
     rng = np.random.default_rng(5)
     plan_sides = []
 
-    def seen(t):
+    def surroundings_at(t):
         return Surroundings([post(2.0, rng.normal(scale=0.001), 0.1)], time=t)
 
-    ticks = drive(Controller(config()), Line(3.5), seen, 18.0, seed=3)
+    ticks = drive(Controller(config()), Line(3.5), surroundings_at, 18.0, seed=3)
     for tick in ticks:
         plan = tick["step"].plan
         if plan is not None and abs(plan[-1, 1]) > 0.1 and plan[-1, 0] < 2.0:
@@ -149,10 +149,10 @@ def test_a_doorway_that_is_too_narrow_is_not_tried():
 def test_a_blocked_path_stops_it_before_and_it_drives_on_when_the_way_is_free():
     wall = Surroundings([box(2.5, 0.0, 0.4, 4.0)])
 
-    def seen(t):
+    def surroundings_at(t):
         return wall if t < 1e-9 else Surroundings() if abs(t - 12.0) < 0.0102 else None
 
-    ticks = drive(Controller(config()), Line(4.0), seen, 26.0)
+    ticks = drive(Controller(config()), Line(4.0), surroundings_at, 26.0)
     before = [tick for tick in ticks if tick["t"] < 11.9]
     assert before[-1]["step"].mode is Mode.STOPPED
     assert before[-1]["step"].message.startswith("no way: blocked by polygon 0")
@@ -163,14 +163,14 @@ def test_a_blocked_path_stops_it_before_and_it_drives_on_when_the_way_is_free():
     assert np.hypot(*(ticks[-1]["pose"] - [4.0, 0.0, 0.0])[:2]) < 0.03
 
 
-def test_what_appears_right_before_it_is_braked_for():
+def test_robot_brakes_for_a_suddenly_appearing_wall():
     """A wall falls into its way, hardly further away than a stop takes."""
     nothing, wall = Surroundings(), Surroundings([box(2.13, 0.0, 0.2, 4.0)])
 
-    def seen(t):
+    def surroundings_at(t):
         return nothing if t < 1e-9 else wall if abs(t - 3.0) < 0.0102 else None
 
-    ticks = drive(Controller(config()), Line(4.0, 0.6, 0.8), seen, 6.0)
+    ticks = drive(Controller(config()), Line(4.0, 0.6, 0.8), surroundings_at, 6.0)
     assert min(tick["gap"] for tick in ticks if tick["t"] > 3.02) > 0.0
     assert ticks[-1]["step"].mode is Mode.STOPPED
 
@@ -192,19 +192,19 @@ def test_the_check_of_the_way_to_rest_holds_where_the_reference_does_not_wait():
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_who_crosses_its_way_is_never_touched_while_it_moves(seed):
+def test_moving_robot_never_touches_a_crossing_disc(seed):
     rng = np.random.default_rng(seed)
     speed, side = rng.uniform(0.3, 1.4), rng.choice([-1.0, 1.0])
     arrives, x = rng.uniform(3.0, 6.0), rng.uniform(1.2, 2.5)
     radius, along = rng.uniform(0.2, 0.35), rng.uniform(-0.3, 0.3)
 
-    def seen(t):
+    def surroundings_at(t):
         return Surroundings(
             discs=[MovingDisc(x + along * (t - arrives), side * speed * (t - arrives), radius, along, side * speed)],
             time=t,
         )
 
-    ticks = drive(Controller(config()), Line(4.0, 0.5), seen, 25.0, seed=seed)
+    ticks = drive(Controller(config()), Line(4.0, 0.5), surroundings_at, 25.0, seed=seed)
     assert least_while_moving(ticks) > 0.0
     assert ticks[-1]["step"].mode is Mode.FINISHED
 
@@ -258,11 +258,13 @@ def test_the_same_surroundings_give_the_same_drive_bit_for_bit():
     around = Surroundings([post(1.2, 0.02, 0.1)], discs=[MovingDisc(2.0, 1.0, 0.2, 0.0, -0.2)], time=0.0)
 
     def run():
-        def seen(t):
+        def surroundings_at(t):
             discs = [MovingDisc(2.0, 1.0 - 0.2 * t, 0.2, 0.0, -0.2)]
             return Surroundings(around.polygons, discs, time=t)
 
-        return np.array([tick["step"].command for tick in drive(Controller(config()), Line(2.5), seen, 6.0, seed=4)])
+        return np.array(
+            [tick["step"].command for tick in drive(Controller(config()), Line(2.5), surroundings_at, 6.0, seed=4)]
+        )
 
     assert (run() == run()).all()
 

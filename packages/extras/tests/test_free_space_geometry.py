@@ -92,10 +92,10 @@ def test_no_plane_lets_a_footprint_on_its_side_touch_the_piece(seed):
     gap, normal = gap_to(robot, pieces, 0, pose)
     plane = (obstacle @ normal).min()
     others = pose + rng.uniform(-0.5, 0.5, (200, 3))
-    for other in others:
-        beyond = (placed(robot.footprint.corners, other) @ normal).max() - plane
+    for placement in others:
+        beyond = (placed(robot.footprint.corners, placement) @ normal).max() - plane
         if beyond <= 0.0:
-            assert gap_to(robot, pieces, 0, other)[0] >= min(-beyond, 0.0) - 1e-12
+            assert gap_to(robot, pieces, 0, placement)[0] >= min(-beyond, 0.0) - 1e-12
     assert gap > 0.0 or (placed(robot.footprint.corners, pose) @ normal).max() >= plane
 
 
@@ -113,10 +113,10 @@ def test_convex_pieces_tile_a_polygon(seed):
     corners = int(rng.integers(5, 12))
     angle = (np.arange(corners) + rng.uniform(0.0, 0.9, corners)) * 2.0 * np.pi / corners
     star = np.stack([np.cos(angle), np.sin(angle)], axis=1) * rng.uniform(0.3, 2.0, len(angle))[:, None]
-    given = star if seed % 2 else star[::-1]
-    assert not crosses_itself(given)
-    pieces = convex_pieces(given)
-    assert sum(area(piece) for piece in pieces) == pytest.approx(abs(area(given)))
+    polygon = star if seed % 2 else star[::-1]
+    assert not crosses_itself(polygon)
+    pieces = convex_pieces(polygon)
+    assert sum(area(piece) for piece in pieces) == pytest.approx(abs(area(polygon)))
     for piece in pieces:
         assert area(piece) >= 0.0
         assert len(hull(piece)) == len(piece)
@@ -207,7 +207,7 @@ def test_the_gradient_of_a_half_space_is_that_of_finite_differences():
         pose, parameters = rng.normal(size=3), rng.normal(size=5)
         value, gradient = function(pose, np.zeros(2), np.zeros(2), np.zeros(4), parameters)
         assert float(value) == pytest.approx(float(plain(pose, parameters)))
-        slopes = differences(lambda moved, given=parameters: plain(moved, given), pose)
+        slopes = differences(lambda moved, fixed=parameters: plain(moved, fixed), pose)
         assert gradient.full()[:1, :3] == pytest.approx(slopes, abs=1e-8)
 
 

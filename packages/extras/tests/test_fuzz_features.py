@@ -49,27 +49,27 @@ def draw_surroundings(random: Random) -> Any:
     return result
 
 
-def make_surroundings(said: Any, pose: np.ndarray, t: float) -> Surroundings | None:
+def make_surroundings(case: Any, pose: np.ndarray, t: float) -> Surroundings | None:
     """Build the object that a case describes, with places relative to the robot."""
-    if said is None:
+    if case is None:
         return None
     grid = corridor = None
-    if "grid" in said:
-        costmap = said["grid"]
+    if "grid" in case:
+        costmap = case["grid"]
         drawn = np.random.default_rng(costmap["seed"])
         cells = np.where(
             drawn.random(costmap["shape"]) < costmap["share"], 100, drawn.integers(-1, 2, costmap["shape"])
         )
         origin = (pose[0] + costmap["origin"][0], pose[1] + costmap["origin"][1], costmap["origin"][2])
         grid = OccupancyGrid(cells.astype(np.int8), costmap["resolution"], origin)
-    if "corridor" in said:
-        corridor = Corridor(*said["corridor"])
+    if "corridor" in case:
+        corridor = Corridor(*case["corridor"])
     return Surroundings(
-        polygons=[np.asarray(points, dtype=float) + pose[:2] for points in said.get("polygons", ())],
-        discs=[MovingDisc(pose[0] + x, pose[1] + y, radius, vx, vy) for x, y, radius, vx, vy in said.get("discs", ())],
+        polygons=[np.asarray(points, dtype=float) + pose[:2] for points in case.get("polygons", ())],
+        discs=[MovingDisc(pose[0] + x, pose[1] + y, radius, vx, vy) for x, y, radius, vx, vy in case.get("discs", ())],
         grid=grid,
         corridor=corridor,
-        time=None if said["later"] is None else t + said["later"],
+        time=None if case["later"] is None else t + case["later"],
     )
 
 

@@ -99,12 +99,12 @@ def test_its_gradient_is_that_of_differences():
     by = ca.Function("by", [together], [ca.jacobian(MODEL.step(x, window), together)])
     random, regions = np.random.default_rng(1), set()
     for size in np.geomspace(0.1, 6.0, 20):
-        at = size * random.normal(size=together.numel()) * 0.5
-        at[:4] *= MODEL.correction.scale[:4]
-        slopes = differences(lambda point: MODEL.step(point[:4], point[4:]).full(), at)
-        assert by(at).full() == pytest.approx(slopes, abs=1e-6)
-        recent = [at[4:][2 * (MODEL.memory - int(delay)) + j] for j, delay in enumerate(LINEAR.delay)]
-        regions.add(int(np.digitize(distance(features(at[:4], recent)), [9.0, 36.0])))
+        place = size * random.normal(size=together.numel()) * 0.5
+        place[:4] *= MODEL.correction.scale[:4]
+        slopes = differences(lambda point: MODEL.step(point[:4], point[4:]).full(), place)
+        assert by(place).full() == pytest.approx(slopes, abs=1e-6)
+        recent = [place[4:][2 * (MODEL.memory - int(delay)) + j] for j, delay in enumerate(LINEAR.delay)]
+        regions.add(int(np.digitize(distance(features(place[:4], recent)), [9.0, 36.0])))
     assert regions == {0, 1, 2}
 
 
@@ -148,7 +148,7 @@ def test_its_file_brings_it_back_and_is_the_same_each_time(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (
             lambda data: data["correction"]["inward"].pop(),
@@ -159,17 +159,17 @@ def test_its_file_brings_it_back_and_is_the_same_each_time(tmp_path):
         (lambda data: data.update(structure="hybird"), "structure: expected one of .*hybrid.*, found 'hybird'"),
     ],
 )
-def test_a_bad_file_is_one_line(tmp_path, change, said):
+def test_a_bad_file_is_one_line(tmp_path, change, message):
     path = tmp_path / "mine.yaml"
     write_hybrid(path, content())
     data = yaml.safe_load(path.read_text())
     change(data)
     path.write_text(yaml.safe_dump(data))
-    with one_line_error((ConfigError, ModelError), "mine", match=said):
+    with one_line_error((ConfigError, ModelError), "mine", match=message):
         load_model(path)
 
 
-def test_what_a_hybrid_cannot_do_is_said(tmp_path):
+def test_unsupported_call_of_a_hybrid_raises_model_error(tmp_path):
     write_hybrid(tmp_path / "mine.yaml", content())
     with pytest.raises(ModelError, match=r"it is a function for samples of 0.0202 s"):
         MODEL.discretise(0.01)
@@ -195,7 +195,7 @@ def quick(monkeypatch):
     monkeypatch.setattr("diffdrive_mpc_extras.hybrids.finding.hybrid_settings", lambda: QUICK)
 
 
-def test_it_learns_what_no_linear_model_can_say(quick):
+def test_network_fits_better_than_any_linear_model(quick):
     data = data_of(sagging(1, 60.0), sagging(2, 60.0))
     comparison = compare_models(data, ["sm", "hybrid"], parts=2)
     linear, hybrid = comparison.scores[1:]
@@ -217,8 +217,8 @@ def test_from_a_log_to_a_hybrid_that_a_controller_loads(quick, tmp_path):
     assert report.as_json()["model"] == "hybrid"
     assert "Parameters of the linear model beside a linear model with a network" in report.markdown()
     assert "chosen on held-out blocks" in report.markdown()
-    other = report.fitted.predictor.refitted(report.data.validation, "gyro")
-    assert isinstance(other, HybridModel)
+    refitted = report.fitted.predictor.refitted(report.data.validation, "gyro")
+    assert isinstance(refitted, HybridModel)
     assert check_written(identification, tmp_path / "mine", 1e-5).dt == 0.04
 
 

@@ -78,12 +78,12 @@ def test_the_interval_is_that_of_the_blocks():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [((["sm", "sms"], 3), "kind 'sms': give some of sm, ssm"), (((), 1), "parts = 1: give 2 or more")],
 )
-def test_what_cannot_be_compared_is_refused(arguments, said):
+def test_impossible_comparison_is_refused(arguments, message):
     data = data_of(*(noisy_drive(published_ssm(), seed, 300) for seed in (1, 2)))
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=message):
         compare_models(data, *arguments)
 
 

@@ -199,8 +199,8 @@ def test_a_command_that_is_no_number_spoils_the_output(step):
 
 
 def test_other_networks_are_refused_in_one_line():
-    for kind, said in (({"layers": 2}, "2 layers with tanh"), ({"activation": "relu"}, "1 layers with relu")):
-        with pytest.raises(ModelError, match=said):
+    for kind, message in (({"layers": 2}, "2 layers with tanh"), ({"activation": "relu"}, "1 layers with relu")):
+        with pytest.raises(ModelError, match=message):
             Controller(load_config("ssm"), model=random_model(**kind))
 
 
@@ -249,14 +249,14 @@ def test_the_windows_are_the_commands_before_each_reading():
     assert sum(map(len, parts)) == len(windows)
 
 
-def test_it_learns_what_no_linear_model_can_say():
+def test_network_fits_better_than_any_linear_model():
     trained_network = trained()
-    other = windows_of([saturating_drive(1)], SMALL.window)
-    flat = np.hstack([other.commands.reshape(len(other), -1), np.ones((len(other), 1))])
-    best = np.linalg.lstsq(flat, other.twists, rcond=None)[0]
-    linear = np.sqrt(np.mean((flat @ best - other.twists) ** 2, axis=0))
-    assert (rmse(trained_network.network, other) < 0.7 * linear).all(), "the linear one was even fitted to these drives"
-    assert fit_percent(trained_network.network, other).min() > 90.0
+    fresh = windows_of([saturating_drive(1)], SMALL.window)
+    flat = np.hstack([fresh.commands.reshape(len(fresh), -1), np.ones((len(fresh), 1))])
+    best = np.linalg.lstsq(flat, fresh.twists, rcond=None)[0]
+    linear = np.sqrt(np.mean((flat @ best - fresh.twists) ** 2, axis=0))
+    assert (rmse(trained_network.network, fresh) < 0.7 * linear).all(), "the linear one was even fitted to these drives"
+    assert fit_percent(trained_network.network, fresh).min() > 90.0
     assert (
         trained_network.losses[trained_network.best_step // 20]
         == trained_network.losses.min()

@@ -124,7 +124,7 @@ SYMMETRIC = SlipCoefficients(a11=-0.004, a22=-0.001, a23=-0.006, a32=-0.35, a33=
 NO_VIA = np.zeros((0, 2))
 ORIGIN = np.zeros(3)
 goals = st.tuples(st.floats(-6, 6), st.floats(-6, 6), st.floats(-math.pi, math.pi)).filter(
-    lambda one: math.hypot(*one[:2]) > 0.5
+    lambda goal: math.hypot(*goal[:2]) > 0.5
 )
 
 
@@ -176,16 +176,16 @@ def test_on_dry_friction_the_best_arcs_have_half_the_track_as_commanded_radius(g
     """IJRR 10.1177/02783649231216499: the inner wheels stand, so the body's radius is half the slip-track."""
     costs = sliding(slip)
     radii = np.unique([*np.geomspace(0.05, 5.0, 40), HALF])
-    commands = [[SPEED, 0.0], *([SPEED, side * SPEED / one] for one in radii for side in (1, -1))]
+    commands = [[SPEED, 0.0], *([SPEED, side * SPEED / radius] for radius in radii for side in (1, -1))]
     inputs = inputs_of(costs, commands)
     words = arc_straight_arc(inputs, ORIGIN[None], np.array(goal))
     best = np.argmin(words.costs)
-    for one in words.inputs[best, [0, 2]]:
-        assert abs(inputs.commands[one, 0] / inputs.commands[one, 1]) == pytest.approx(HALF)
+    for index in words.inputs[best, [0, 2]]:
+        assert abs(inputs.commands[index, 0] / inputs.commands[index, 1]) == pytest.approx(HALF)
     result = searched(costs, goal, "energy")
     assert result.cost <= words.costs[best] * 1.0001
-    arcs = [one for one in result.pieces if abs(one.omega) > 0.05]
-    assert arcs and all(abs(one.radius) == pytest.approx(HALF) for one in arcs)
+    arcs = [piece for piece in result.pieces if abs(piece.omega) > 0.05]
+    assert arcs and all(abs(piece.radius) == pytest.approx(HALF) for piece in arcs)
 
 
 @pytest.mark.parametrize("goal", [(4.0, 2.0, 0.0), (3.0, -2.0, -1.5)])
@@ -268,7 +268,7 @@ def test_driving_backward_and_turning_on_the_spot_open_ways():
     assert spot.length < 3.0 and spot.poses[-1] == pytest.approx([0.0, 2.0, math.pi], abs=1e-6)
 
 
-def test_where_the_polish_does_not_finish_it_says_so_and_the_plan_still_ends_at_the_goal():
+def test_unfinished_polish_is_reported_and_the_plan_ends_at_the_goal():
     hurried = SETTINGS.model_copy(update={"polish": SETTINGS.polish.model_copy(update={"iterations": 1})})
     loaded = plan(load_turn_costs("fsu_bot-grippy"), ORIGIN, (6.0, 3.0, 0.5), settings=hurried)
     assert loaded.status in ("unfinished", "search") and "Maximum_Iterations_Exceeded" in loaded.solver
@@ -297,7 +297,7 @@ RING = [
         ((0.0, 1.0, 0.0), {}, r"least radius of .* m for 1.00 m of distance; allow driving backward"),
     ],
 )
-def test_what_cannot_be_planned_is_refused_in_one_sentence(goal, changes, words):
+def test_impossible_plan_is_refused_in_one_sentence(goal, changes, words):
     assert issubclass(PlanError, ConfigError)
     with one_line_error(PlanError, match=words):
         plan(load_turn_costs("fsu_bot-default"), ORIGIN, goal, **changes)

@@ -75,10 +75,10 @@ def test_without_noise_the_battery_gives_the_energy_of_the_run() -> None:
     reference = ConstantTwist(v=0.4, omega=0.5, duration=2.0)
     done = simulate(FeedForward(), plant, reference, extra_time=0.1)
     readings = done.parts["power"].readings
-    given = readings[:, :2].prod(axis=1)
+    electric_power = readings[:, :2].prod(axis=1)
     # The reading of a tick is of the sample before it.
     counted = np.flatnonzero(done.counted) + 1
-    assert given[counted].sum() * done.sample_time == pytest.approx(run_energy(done).energy_j, rel=1e-9)
+    assert electric_power[counted].sum() * done.sample_time == pytest.approx(run_energy(done).energy_j, rel=1e-9)
     assert readings[1:, 2:] == pytest.approx(done.motor_torque[:-1] / power.drive.torque_per_current)
 
 

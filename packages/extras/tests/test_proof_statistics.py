@@ -78,7 +78,7 @@ def test_bisection_closes_in_on_where_every_seed_holds() -> None:
     assert (len(mass.values), robot.rounds) == (8, 8)
 
 
-def test_what_never_or_always_holds_is_said_after_one_look_at_each_end() -> None:
+def test_search_ends_after_one_value_at_each_end_without_a_boundary() -> None:
     searches = {"surface.friction": search(holds=0.8, beyond=2.0, within=0.05)}
     (never,) = find_boundaries(searches, PROBE, (1,), Robot(surface__friction=0.1).drive, BAND)
     assert (never.held, never.failed, list(never.values)) == (None, 0.8, [0.8])
@@ -95,7 +95,7 @@ def test_unsafe_runs_are_counted_and_come_first_among_the_worst() -> None:
     assert [run.definition.case.seed for run in worst(runs, 3)] == [4, 2, 9]
     assert worst(runs, 20)[-1] is runs[7]
     assert [is_unsafe(run) for run in runs].index(True) == 4
-    outcomes = Outcomes.of(runs, BAND)
+    outcomes = Outcomes.of_runs(runs, BAND)
     assert (outcomes.unsafe.count, outcomes.completed.count, outcomes.stopped.count, outcomes.in_band.count) == (
         1,
         17,
@@ -171,20 +171,20 @@ def test_too_few_groups_and_lost_drives_give_no_bound():
     assert conformal_quantile([np.array([1.0])] * 18 + [np.array([math.nan])], 0.95) == math.inf
 
 
-@pytest.mark.parametrize(("count", "of"), [(0, 9), (59, 59), (117, 119), (20, 40)])
-def test_a_share_is_at_least_what_the_exact_test_does_not_reject(count, of):
-    bound = Rate.of_runs(count, of).at_least(0.95)
-    assert 0.0 <= bound < count / of or count == bound == 0
+@pytest.mark.parametrize(("count", "total"), [(0, 9), (59, 59), (117, 119), (20, 40)])
+def test_a_share_is_at_least_what_the_exact_test_does_not_reject(count, total):
+    bound = Rate.of_runs(count, total).at_least(0.95)
+    assert 0.0 <= bound < count / total or count == bound == 0
     # With the bound as the true share so many or more happen with the probability that is left.
-    assert count == 0 or binom.sf(count - 1, of, bound) == pytest.approx(0.05)
+    assert count == 0 or binom.sf(count - 1, total, bound) == pytest.approx(0.05)
 
 
-@pytest.mark.parametrize(("count", "of"), [(3, 40), (39, 40), (20, 40), (1, 300)])
-def test_an_exact_interval_leaves_a_fortieth_on_each_side(count: int, of: int) -> None:
-    rate = Rate.of_runs(count, of)
-    assert binom.sf(count - 1, of, rate.low) == pytest.approx(0.025)
-    assert binom.cdf(count, of, rate.high) == pytest.approx(0.025)
-    assert binom.cdf(count, of, rate.bound) == pytest.approx(0.05)
+@pytest.mark.parametrize(("count", "total"), [(3, 40), (39, 40), (20, 40), (1, 300)])
+def test_an_exact_interval_leaves_a_fortieth_on_each_side(count: int, total: int) -> None:
+    rate = Rate.of_runs(count, total)
+    assert binom.sf(count - 1, total, rate.low) == pytest.approx(0.025)
+    assert binom.cdf(count, total, rate.high) == pytest.approx(0.025)
+    assert binom.cdf(count, total, rate.bound) == pytest.approx(0.05)
 
 
 def test_the_tail_is_the_mean_of_the_worst_twentieth() -> None:

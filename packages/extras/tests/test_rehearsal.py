@@ -74,10 +74,10 @@ def test_under_noise_it_is_removed_but_for_what_does_not_repeat():
     learning, plain = controller(), Controller(load_config("ssm"))
     learned = np.array([lap(learning, seed=k, noise=1.0)[0] for k in range(6)])
     without = np.array([lap(plain, seed=k, noise=1.0)[0] for k in range(6)])
-    other = np.sqrt(np.mean([rms(error - without.mean(axis=0)) ** 2 for error in without]) * 6 / 5)
+    unrepeated = np.sqrt(np.mean([rms(error - without.mean(axis=0)) ** 2 for error in without]) * 6 / 5)
     # At least half of what can be removed is.
     total = np.mean([rms(error) for error in without])
-    assert rms(learned[-1]) < 0.5 * (total + other)
+    assert rms(learned[-1]) < 0.5 * (total + unrepeated)
 
 
 def test_the_correction_keeps_its_bounds_and_begins_at_nothing():
@@ -99,16 +99,16 @@ class Mirrored(Drifting):
 
 
 @pytest.mark.parametrize(
-    ("laps", "other", "word"),
+    ("laps", "change", "word"),
     [(2, {"slip": Slip(yaw_gain=0.7)}, "another floor"), (3, {"robot": Mirrored}, "forgotten")],
     ids=["another floor", "what makes it worse"],
 )
-def test_what_no_longer_holds_is_forgotten(laps, other, word):
+def test_outdated_correction_is_discarded(laps, change, word):
     learning = controller()
     for _ in range(laps):
         lap(learning)
     assert learning.feature("rehearsal").learned.correction.any()
-    lap(learning, **other)
+    lap(learning, **change)
     _, results = lap(learning)
     assert word in results[0].message
     assert not learning.feature("rehearsal").learned.correction.any()
@@ -167,9 +167,9 @@ def test_a_corrected_reference_moves_as_its_poses_do():
     time = np.linspace(0.0, BEND.duration, 200)
     correction = 0.01 * np.column_stack([np.sin(time), 1 - np.cos(time), np.zeros_like(time)])
     moved = corrected(BEND, time, correction)
-    given = BEND.sample(time)
-    offset = moved.sample(time).pose - given.pose
-    along = offset[:, 0] * np.cos(given.pose[:, 2]) + offset[:, 1] * np.sin(given.pose[:, 2])
+    original = BEND.sample(time)
+    offset = moved.sample(time).pose - original.pose
+    along = offset[:, 0] * np.cos(original.pose[:, 2]) + offset[:, 1] * np.sin(original.pose[:, 2])
     assert np.allclose(along, correction[:, 0], atol=1e-12)
     assert np.allclose(np.hypot(offset[:, 0], offset[:, 1]), np.hypot(*correction.T[:2]), atol=1e-12)
     fine = np.linspace(0.5, BEND.duration - 0.5, 5000)
@@ -312,7 +312,7 @@ def test_a_least_turn_radius_is_kept():
         ({"rehearsal.drivable.min_shift": 0.09}, "mm at most"),
     ],
 )
-def test_where_nothing_is_to_be_tracked_the_reference_is_as_given(settings, words):
+def test_reference_is_unchanged_if_there_is_no_lap_to_track(settings, words):
     controller = Controller(load_config("ssm", SETTINGS | settings))
     floor_lap(controller, "p4_concrete", CORNER)
     rehearsal = controller.feature("rehearsal").learned
@@ -372,7 +372,7 @@ def test_the_estimate_begins_with_what_was_learned_until_reset():
     assert controller.feature("rehearsal").learned.laps == 0
 
 
-def test_what_makes_it_worse_is_forgotten():
+def test_harmful_correction_is_discarded():
     """Learned where the robot turns about a point behind its middle, driven where it turns about one ahead of it."""
     controller = Controller(CONFIG)
     for _ in range(2):
@@ -394,11 +394,11 @@ def plain():
 
 
 def test_laps_have_other_noise_and_repeat_bit_for_bit(plain):
-    one, two = drive_laps(LEARNING, 2).runs, drive_laps(LEARNING, 2).runs
-    assert all(np.array_equal(a.true_pose, b.true_pose) for a, b in zip(one, two, strict=True))
-    assert np.array_equal(one[0].true_pose, plain[0].true_pose)
+    first, second = drive_laps(LEARNING, 2).runs, drive_laps(LEARNING, 2).runs
+    assert all(np.array_equal(a.true_pose, b.true_pose) for a, b in zip(first, second, strict=True))
+    assert np.array_equal(first[0].true_pose, plain[0].true_pose)
     assert not np.array_equal(plain[0].measured_pose, plain[1].measured_pose)
-    assert not np.array_equal(one[1].command, plain[1].command)
+    assert not np.array_equal(first[1].command, plain[1].command)
 
 
 def test_command_writes_a_row_for_each_lap_figures_and_log(tmp_path):

@@ -41,16 +41,18 @@ class Watched:
     """A stack with a battery, and what /diagnostics says of the node."""
 
     def __init__(self, s):
-        self.s, self.said = s, []
+        self.s, self.reports = s, []
         node = s.base.node
         self.battery = s.publisher(BatteryState, "battery_state", qos_profile_sensor_data)
-        node.create_subscription(DiagnosticArray, "/diagnostics", lambda array: self.said.append(array.status[0]), 10)
+        node.create_subscription(
+            DiagnosticArray, "/diagnostics", lambda array: self.reports.append(array.status[0]), 10
+        )
 
     def heard(self):
         """Return the next status after the node has received data of the battery."""
-        count = len(self.said)
-        self.s.base.until(lambda: len(self.said) > count, "diagnostics")
-        return self.said[-1]
+        count = len(self.reports)
+        self.s.base.until(lambda: len(self.reports) > count, "diagnostics")
+        return self.reports[-1]
 
     def values(self):
         return {pair.key: pair.value for pair in self.heard().values}
@@ -96,7 +98,7 @@ def test_predicted_and_measured_energy_stand_beside_each_other(battery):
     assert float(values["power predicted [W]"]) == pytest.approx(power[-1], abs=0.06)
 
 
-def test_what_the_battery_cannot_mean_is_named_and_not_counted(battery):
+def test_implausible_battery_readings_are_named_and_not_counted(battery):
     battery.drive(20, 12.0, -2.0)
     before = battery.values()["energy of this drive measured [J]"]
     battery.tell(12.0, math.nan)

@@ -81,7 +81,7 @@ def test_it_says_why_nothing_is_predicted(parameters, words):
         ({"parts.predicted_error.error_population": "mine"}, "unknown population 'mine': give drawn"),
     ],
 )
-def test_what_cannot_be_predicted_with_is_refused_when_the_node_is_configured(parameters, words):
+def test_unusable_predictor_is_refused_at_configuration_of_the_node(parameters, words):
     with pytest.raises(ValueError, match=words), stack(**parameters):
         pass
 

@@ -84,9 +84,9 @@ def test_seed_fixes_the_search_with_any_number_of_processes(tmp_path: Path) -> N
     assert [point.number for point in points] == list(range(6))
     assert points[0].values == {"weights.across": 700.0, "horizon": 30}
     assert search_points(tmp_path, jobs=2) == points
-    other = search_points(tmp_path, sampler_seed=1)
-    assert other[0] == points[0]
-    assert other[1:] != points[1:]
+    reseeded = search_points(tmp_path, sampler_seed=1)
+    assert reseeded[0] == points[0]
+    assert reseeded[1:] != points[1:]
 
 
 def run_rows(errors: list[float], completed: list[bool]) -> pd.DataFrame:

@@ -54,7 +54,7 @@ def test_a_slip_law_is_found_again_within_its_doubt():
     assert np.std(off) == pytest.approx(1.0, abs=0.15)
 
 
-def test_what_settles_and_what_is_not_finite_is_left_out():
+def test_settling_and_non_finite_samples_are_omitted():
     commands = drive(np.random.default_rng(6))
     twist = polynomial_twist(TRUE, commands)
     twist[::25] += 1.0  # the first row after each change

@@ -154,7 +154,7 @@ def test_sensors_of_the_log_come_late_and_smoothed():
     np.testing.assert_allclose(signals[20:, 2], 3 * time + 0.2, atol=1e-12)
 
 
-def test_of_two_that_act_together_one_is_told():
+def test_one_of_two_inseparable_parameters_is_identified():
     """Readings that see the sum alone leave each at 0.7 of its prior; with one at its prior the other is known."""
     together = np.array([1.0, 1.0, 0.0])
     alone = np.array([0.0, 0.0, 1.0])
@@ -198,7 +198,7 @@ def test_parameters_are_inside_their_intervals(tmp_path):
         truth = drawn_truth(seed)
         fit = fitted(record_of(known_robot(truth), seed, 60.0), file, 30.0)
         expected = in_terms_of(fit, truth)
-        for parameter in fit.told:
+        for parameter in fit.parameters:
             if parameter.name in expected and not parameter.low <= expected[parameter.name] <= parameter.high:
                 missed.append((seed, parameter.name, expected[parameter.name], parameter.low, parameter.high))
     assert len(missed) <= 8, missed

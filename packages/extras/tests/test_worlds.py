@@ -106,7 +106,7 @@ def test_the_same_seed_gives_the_same_run_and_the_same_looks(tmp_path: Path) -> 
     np.testing.assert_array_equal(*poses)
 
 
-def test_who_walks_into_a_standing_robot_pushes_nobody_and_ends_nothing(tmp_path: Path) -> None:
+def test_walker_hitting_a_standing_robot_neither_pushes_it_nor_ends_the_run(tmp_path: Path) -> None:
     plant = plant_in(tmp_path, "movers: [{x: 0, y: 0, time: 2, direction: 1.57, speed: 1.0}]\n")
     driven = drive(plant, (0.0, 0.0), 200)
     (contact,) = plant.contacts
@@ -118,7 +118,7 @@ def test_who_walks_into_a_standing_robot_pushes_nobody_and_ends_nothing(tmp_path
     assert np.abs(driven[-1]).max() < 1e-3
 
 
-def test_what_stands_behind_a_wall_is_not_seen(tmp_path: Path) -> None:
+def test_obstacle_behind_a_wall_is_not_visible(tmp_path: Path) -> None:
     wall, sight = Wall(start=(1.0, -0.5), end=(1.0, 0.5)), load_world("slalom").sight
     shapes = Shapes((wall.corners,), np.array([[2.0, 0.0, 0.2], [2.0, 1.9, 0.2]]))
     distances, bearings = cast_rays(np.zeros(3), shapes, sight)

@@ -229,12 +229,12 @@ def test_every_control_changes_what_is_set_and_the_link_opens_it_again(page_file
     with laboratory(page_file) as page:
         for name in lab_settings()["choices"]:
             control = page.locator(f"#choice-{name}")
-            other = next(value for value in values_of(name) if value != default_of(name))
+            changed = next(value for value in values_of(name) if value != default_of(name))
             if control.evaluate("(node) => node.type") == "range":
-                control.fill(str(values_of(name).index(other)))
+                control.fill(str(values_of(name).index(changed)))
             else:
-                control.select_option(str(other))
-            assert choices(page)[name] == other
+                control.select_option(str(changed))
+            assert choices(page)[name] == changed
         everything = choices(page)
         judged(page)
         visit(page, page_file, page.evaluate("location.hash.slice(1)"))

@@ -212,7 +212,7 @@ class OracleJudge:
             ahead = stamp - now
             self.judge("old_command", moving and stamp and -ahead > r.oldest)
             self.judge("command_ahead", moving and stamp and ahead > self.rules.sensors.ahead)
-            stamps = [one[1] for one in self.commands if one[1]]
+            stamps = [command[1] for command in self.commands if command[1]]
             self.judge("command_order", moving and stamp and stamps and stamp < stamps[-1])
             self.commands.append((now, stamp, v, omega, bool(self.sent) and self.moves(self.sent[-1][1])))
             self._slew()
@@ -284,15 +284,15 @@ class OracleJudge:
         turned = np.unwrap(path[:, 3])
         return np.column_stack([np.interp(times, path[:, 0], column) for column in (path[:, 1], path[:, 2], turned)])
 
-    def away(self, at, begin, end, close):
+    def away(self, pose, start, end, close):
         """Compute the distance from a stretch, and the least angle to the headings of its near parts."""
-        rows = self.stretch(begin, end)
+        rows = self.stretch(start, end)
         a, b = (rows[:-1], rows[1:]) if len(rows) > 1 else (rows, rows)
         along = b[:, :2] - a[:, :2]
         length = (along**2).sum(axis=1)
-        share = np.clip(((at[:2] - a[:, :2]) * along).sum(axis=1) / np.where(length > 0, length, 1), 0, 1)
-        distance = np.linalg.norm(at[:2] - a[:, :2] - share[:, None] * along, axis=1)
-        off = np.abs(wrapped(at[2] - 0.5 * (a[:, 2] + b[:, 2]))) - 0.5 * np.abs(b[:, 2] - a[:, 2])
+        share = np.clip(((pose[:2] - a[:, :2]) * along).sum(axis=1) / np.where(length > 0, length, 1), 0, 1)
+        distance = np.linalg.norm(pose[:2] - a[:, :2] - share[:, None] * along, axis=1)
+        off = np.abs(wrapped(pose[2] - 0.5 * (a[:, 2] + b[:, 2]))) - 0.5 * np.abs(b[:, 2] - a[:, 2])
         near = distance <= close
         return distance.min(), max(off[near].min(), 0.0) if near.any() else 0.0
 

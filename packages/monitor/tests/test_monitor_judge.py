@@ -83,7 +83,7 @@ def test_a_sound_drive_passes_unchanged(robot):
 
 
 @pytest.mark.parametrize("v", [math.nan, math.inf, -math.inf])
-def test_what_is_not_finite_never_reaches_the_base(robot, v):
+def test_non_finite_commands_never_reach_the_base(robot, v):
     robot.drive(2.0)
     sent = robot.drive(1.0, (v, 0.0))
     assert robot.judge.verdict.rule == "not_finite"
@@ -260,8 +260,8 @@ def test_one_that_stood_for_long_needs_its_reference_anew(again, rule):
 
 
 @pytest.mark.parametrize("renewed", ["reference", "word", "motion", "nothing"])
-def test_one_that_never_returns_is_stopped_in_time(renewed):
-    """Whatever is sent, the robot may be beside its path for the time to return, and no longer."""
+def test_robot_that_never_returns_is_stopped_in_time(renewed):
+    """The time off the path is limited to the time to return, no matter which messages arrive."""
     robot = Robot(Judge(RULES, START), duration=60.0)
     robot.judge.says(robot.now, drives=True)
     robot.drive(2.0)

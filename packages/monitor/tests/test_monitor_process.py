@@ -100,16 +100,16 @@ class Scene:
     def until_stopped(self, **command):
         for _ in range(250):
             self.step(**command)
-            if self.said.startswith("STOPPED"):
+            if self.state_text.startswith("STOPPED"):
                 break
         for _ in range(40):
             self.step(**command)
         assert self.base.commands[-1] == (0.0, 0.0)
         assert np.isfinite(self.base.commands).all()
-        return self.said
+        return self.state_text
 
     @property
-    def said(self):
+    def state_text(self):
         return self.controller.state[-1]
 
     def reset(self):
@@ -132,7 +132,7 @@ def scene():
     try:
         made.controller.announce()
         made.drive(1.5)
-        assert made.said == "PASSING"
+        assert made.state_text == "PASSING"
         assert made.base.commands[-1] == (SPEED, 0.0)
         yield made
     finally:
@@ -158,17 +158,17 @@ def test_faults_one_after_the_other_and_resets(scene):
         scene.controller.v = 0.0
         scene.controller.announce()
         scene.drive(1.0)
-        assert scene.said == "PASSING" and scene.base.commands[-1] == (SPEED, 0.0)
+        assert scene.state_text == "PASSING" and scene.base.commands[-1] == (SPEED, 0.0)
 
 
-def test_somebody_else_on_its_topic_stops_the_robot(scene):
-    other = scene.base.node.create_publisher(TwistStamped, "cmd_vel", QoSProfile(depth=1))
+def test_second_publisher_of_commands_stops_the_robot(scene):
+    second_publisher = scene.base.node.create_publisher(TwistStamped, "cmd_vel", QoSProfile(depth=1))
     deadline = time.monotonic() + 30.0
-    while not scene.said.startswith("STOPPED"):
+    while not scene.state_text.startswith("STOPPED"):
         assert time.monotonic() < deadline
         scene.step(SPEED)
-    assert "somebody else commands the base" in scene.said
-    scene.base.node.destroy_publisher(other)
+    assert "somebody else commands the base" in scene.state_text
+    scene.base.node.destroy_publisher(second_publisher)
 
 
 @pytest.mark.parametrize("topic", ["odom", "imu", "cmd_vel_unchecked"])
@@ -180,7 +180,7 @@ def test_two_robots_of_one_name_on_an_input_stop_the_robot(scene, topic):
     twin = scene.base.node.create_publisher(kind, topic, qos)
     scene.base.until(lambda: twin.get_subscription_count() == 1, "the monitor's subscription")
     scene.drive(0.5)
-    assert scene.said == "PASSING"
+    assert scene.state_text == "PASSING"
     for _ in range(4):
         message = kind()
         message.header.stamp = time_message(scene.base.now)
@@ -193,7 +193,7 @@ def test_two_robots_of_one_name_on_an_input_stop_the_robot(scene, topic):
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_where_it_ends_nothing_passes_any_more(scene, number):
+def test_no_command_passes_after_the_monitor_ends(scene, number):
     """Ended, its last word is zero; killed it says nothing, and the base's own timeout has to act."""
     scene.process.send_signal(number)
     scene.process.wait()

@@ -18,7 +18,7 @@ from diffdrive_mpc_extras.predicted_error.calibration import FEATURES, Direction
 
 DIRECTIONS: tuple[Direction, ...] = ("lateral", "along")
 _PLACES = 40
-"""Of each drive in the fit; neighbouring places tell the same."""
+"""Places of each drive in the fit; adjacent places carry the same information."""
 _SEED = 5
 _LEAST_FLOOR = 0.05
 """Over the median error [-]: a robot that stands on a perfect floor has an error, too."""
@@ -34,10 +34,10 @@ def calibrated(
         name: float(f"{value:.{_DIGITS}g}") for name, value in zip(FEATURES, coefficients, strict=True) if value > 0
     }
     scale = ErrorScale(coefficients=rounded, at_each_place=1.0, everywhere=1.0)
-    scores = [one.errors[direction] / (one.features @ scale.row) for one in calibration]
+    scores = [path.errors[direction] / (path.features @ scale.row) for path in calibration]
     quantiles = {
         "at_each_place": conformal_quantile(scores, level),
-        "everywhere": conformal_quantile([one.max(keepdims=True) for one in scores], level),
+        "everywhere": conformal_quantile([path.max(keepdims=True) for path in scores], level),
     }
     if not math.isfinite(sum(quantiles.values())):
         raise StudyFailedError(
@@ -49,17 +49,17 @@ def calibrated(
 
 
 def _coefficients(driven: Sequence[DrivenPath], direction: Direction, level: float) -> FloatArray:
-    """Quantile regression of |error| on the features with coefficients that are not negative, as a linear program.
+    """Fit a quantile of |error| by the features with non-negative coefficients, as a linear program.
 
     Koenker, Bassett, "Regression quantiles", Econometrica 46, 1978.
     """
     stream = np.random.default_rng(_SEED)
     rows, values = [], []
-    for one in driven:
-        error = one.errors[direction]
+    for path in driven:
+        error = path.errors[direction]
         places = stream.choice(len(error), min(_PLACES, len(error)), replace=False)
         places = places[np.isfinite(error[places])]
-        rows.append(one.features[places])
+        rows.append(path.features[places])
         values.append(error[places])
     features, errors = np.concatenate(rows), np.concatenate(values)
     unit, size = features.mean(axis=0) + 1e-12, float(np.median(errors))
@@ -81,7 +81,7 @@ def _coefficients(driven: Sequence[DrivenPath], direction: Direction, level: flo
 
 @dataclass(frozen=True)
 class Coverage:
-    """How many drives stay inside the tubes of a scale.
+    """Share of drives inside the tubes of a scale.
 
     Attributes
     ----------
@@ -101,8 +101,8 @@ class Coverage:
 
 def coverage(driven: Sequence[DrivenPath], scale: ErrorScale, direction: Direction) -> Coverage:
     """Count the drives inside."""
-    widths = [one.features @ scale.row for one in driven]
-    scores = [one.errors[direction] / width for one, width in zip(driven, widths, strict=True)]
+    widths = [path.features @ scale.row for path in driven]
+    scores = [path.errors[direction] / width for path, width in zip(driven, widths, strict=True)]
     inside = sum(float(score.max()) <= scale.everywhere for score in scores)
     mean = float(np.mean([width.mean() for width in widths]))
     return Coverage(
@@ -114,8 +114,8 @@ def coverage(driven: Sequence[DrivenPath], scale: ErrorScale, direction: Directi
 
 
 def oracle_widths(driven: Sequence[DrivenPath], direction: Direction, level: float) -> tuple[float, float]:
-    """Mean half width [m] of both tubes of who has driven the path: the quantile at each place, and its multiple."""
-    errors = np.array([one.errors[direction] for one in driven])
+    """Return the mean half widths [m] of both tubes of the driven path: quantile at each place, and its multiple."""
+    errors = np.array([path.errors[direction] for path in driven])
     tube = np.quantile(errors, level, axis=0, method="higher")
     multiple = np.quantile((errors / tube).max(axis=1), level, method="higher")
     return float(tube.mean()), float(multiple * tube.mean())

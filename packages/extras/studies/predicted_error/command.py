@@ -17,9 +17,11 @@ def run(
     out: Annotated[Path, out_option("report.html, predicted-error.json, predicted-error.md and calibration.yaml")],
     quick: Annotated[bool, typer.Option("--quick", help="Few drives of one population.")] = False,
     study: Annotated[Path | None, file_option("Study file", "--study")] = None,
-    kept: Annotated[
+    store: Annotated[
         Path | None,
-        typer.Option(metavar="FOLDER", help="Folder for driven sets, which a later run reads.", show_default=False),
+        typer.Option(
+            "--kept", metavar="FOLDER", help="Folder for driven sets, which a later run reads.", show_default=False
+        ),
     ] = None,
     jobs: Jobs = None,
 ) -> None:
@@ -29,6 +31,6 @@ def run(
 
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415 - --help does not need it
 
-    if quick and (study is not None or kept is not None):
+    if quick and (study is not None or store is not None):
         raise ValueError("--quick has a study of its own and keeps nothing; give it alone")
-    carry_out(PredictedErrorStudy(load_study(study, quick=quick), kept), out, jobs)
+    carry_out(PredictedErrorStudy(load_study(study, quick=quick), store), out, jobs)

@@ -1,4 +1,4 @@
-"""The drives of the study: drawn, driven, and what is kept of each."""
+"""Drives of the study: drawn, driven and stored."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Oracle(StrictModel):
 
 
 class PredictedErrorFile(StrictModel):
-    """What the study drives."""
+    """Drives of the study."""
 
     level: float = Field(gt=0.5, lt=1.0, description="share of drives inside a tube [-]")
     speed: CalibratedRange = Field(description="top speed of a path [m/s]")
@@ -86,7 +86,7 @@ class PredictedErrorFile(StrictModel):
         return CalibratedRanges(v=self.speed, omega=self.yaw_rate, lag_v=self.lag_v, lag_omega=self.lag_omega)
 
     def path(self, seed: int) -> Trajectory:
-        """The random path of a seed, timed with limits drawn from it."""
+        """Return the random path of a seed, timed with limits drawn from it."""
         stream = np.random.default_rng([seed, _DRAWN_FROM])
         spans = (self.speed, self.yaw_rate, self.acceleration)
         speed, yaw_rate, share = (float(np.exp(stream.uniform(*np.log(span)))) for span in spans)
@@ -112,7 +112,7 @@ class PlannedDrive:
 
 @dataclass(frozen=True)
 class DrivenPath:
-    """What is kept of a drive, at n places.
+    """Data of a drive, at n places.
 
     Attributes
     ----------
@@ -149,14 +149,16 @@ def load_study(path: Path | None, *, quick: bool = False) -> PredictedErrorFile:
 
 
 def planned_sets(study: PredictedErrorFile) -> dict[str, list[PlannedDrive]]:
-    """All sets by name: POPULATION-fit, -calibration, -test, -oracle-SEED, and the others."""
+    """Plan all sets by name: POPULATION-fit, -calibration, -test, -oracle-SEED, and the others."""
     populations, oracle = study.populations, study.oracle
     sets = {
-        f"{name}-{part}": planned(getattr(of, part), of.factors) for name, of in populations.items() for part in PARTS
+        f"{name}-{part}": planned(getattr(population, part), population.factors)
+        for name, population in populations.items()
+        for part in PARTS
     }
     for name, drives in study.others.items():
         sets[name] = planned(drives, populations[drives.like].factors if drives.like else {})
-    for name, of in populations.items():
+    for name, population in populations.items():
         for k, seed in enumerate(oracle.paths):
             changes = {
                 "runs": oracle.drives,
@@ -164,13 +166,13 @@ def planned_sets(study: PredictedErrorFile) -> dict[str, list[PlannedDrive]]:
                 "first_robot": oracle.first_robot + k * oracle.drives,
                 "factors": {"seed": {"each": oracle.first_seed + k * oracle.drives}},
             }
-            driven = planned(of.test.model_copy(update=changes), of.factors)
-            sets[f"{name}-oracle-{seed}"] = [replace(one, path=seed) for one in driven]
+            driven = planned(population.test.model_copy(update=changes), population.factors)
+            sets[f"{name}-oracle-{seed}"] = [replace(run, path=seed) for run in driven]
     return sets
 
 
 def planned(drives: DriveSet, factors: Mapping[str, object]) -> list[PlannedDrive]:
-    """The drives of a set; raises ConfigError as a campaign does."""
+    """Plan the drives of a set; raise ConfigError as a campaign does."""
     campaign = Campaign(
         description="a set", runs=drives.runs, draw_seed=drives.draw_seed, factors={**factors, **drives.factors}
     )
@@ -178,31 +180,34 @@ def planned(drives: DriveSet, factors: Mapping[str, object]) -> list[PlannedDriv
     if drives.robots is not None:
         count = drives.first_robot + drives.runs
         seeds = driving_seeds(count, spot_turns=True, tuning=drives.robots == "tuning")[drives.first_robot :]
-        definitions = [one.changed({"plant": f"{DRAWN}:{seed}"}) for one, seed in zip(definitions, seeds, strict=True)]
+        definitions = [
+            definition.changed({"plant": f"{DRAWN}:{seed}"})
+            for definition, seed in zip(definitions, seeds, strict=True)
+        ]
     first = drives.first_path
-    return [PlannedDrive(one, None if first is None else first + k) for k, one in enumerate(definitions)]
+    return [PlannedDrive(definition, None if first is None else first + k) for k, definition in enumerate(definitions)]
 
 
-def drive(study: PredictedErrorFile, one: PlannedDrive) -> DrivenPath:
+def drive(study: PredictedErrorFile, planned_drive: PlannedDrive) -> DrivenPath:
     """Drive, and keep errors and features."""
-    with built(one.definition) as (controller, plant, reference):
+    with built(planned_drive.definition) as (controller, plant, reference):
         assert isinstance(controller, Controller)
         lags = controller.model.lag
         for value, (low, high) in zip(lags, (study.lag_v, study.lag_omega), strict=True):
             if not low <= value <= high:
                 raise StudyFailedError(f"lags of a model: {lags} s; let lag_v and lag_omega of the study hold them")
-        if one.path is not None:
-            reference = study.path(one.path)  # noqa: PLW2901 - the path of the run is not driven
+        if planned_drive.path is not None:
+            reference = study.path(planned_drive.path)  # noqa: PLW2901 - the path of the run is not driven
         run = simulate(controller, plant, reference)
         on_path = run.time <= reference.duration + 1e-9
         beside = run.true_pose[on_path] - run.reference_pose[on_path]
         along, _ = ahead_and_left(beside, run.reference_pose[on_path, 2])
         errors = {"lateral": run.errors.lateral[on_path], "along": along}
         twist = reference.sample(np.arange(int(reference.duration / run.sample_time) + 1) * run.sample_time).twist
-        return kept(twist, errors, controller, run.sample_time, _friction(one.definition))
+        return thinned(twist, errors, controller, run.sample_time, _friction(planned_drive.definition))
 
 
-def kept(
+def thinned(
     twist: FloatArray, errors: Mapping[str, FloatArray], controller: Controller, dt: float, friction: float
 ) -> DrivenPath:
     """Thin the errors of a drive, and add the features of its reference, whose twist is (m, 2)."""
@@ -217,7 +222,7 @@ def kept(
 
 
 def _largest(values: FloatArray, count: int) -> FloatArray:
-    """The largest of each `THINNED` values, infinite where a drive has ended."""
+    """Return the largest of each `THINNED` values, infinite where a drive has ended."""
     whole = np.full(count * THINNED, np.inf)
     some = values[: len(whole)]
     whole[: len(some)] = np.where(np.isfinite(some), some, np.inf)
@@ -236,8 +241,8 @@ def keep(driven: Sequence[DrivenPath], file: Path) -> None:
     """Write a set that was driven."""
     arrays = {
         f"{k}-{name}": values
-        for k, one in enumerate(driven)
-        for name, values in (("features", one.features), *one.errors.items(), ("of", [one.speed, one.friction]))
+        for k, path in enumerate(driven)
+        for name, values in (("features", path.features), *path.errors.items(), ("of", [path.speed, path.friction]))
     }
     packed: dict[str, Any] = {name: np.asarray(values, dtype=np.float32) for name, values in arrays.items()}
     np.savez_compressed(file, **packed)

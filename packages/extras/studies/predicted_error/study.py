@@ -1,4 +1,4 @@
-"""The study: calibrate the predicted error, and say how far it holds and how wide it is."""
+"""Calibrate the predicted error, and measure its coverage and width."""
 
 from __future__ import annotations
 
@@ -55,49 +55,51 @@ class PredictedErrorStudy(Study[dict[str, list[PlannedDrive]], Driven]):
     ----------
     study
         What is driven.
-    kept
-        Folder in which sets that were driven are kept and looked for; None to drive all.
+    store
+        Folder of driven sets, read and written; None to drive all.
     """
 
     name, title = "predicted-error", "Predicted tracking error"
 
-    def __init__(self, study: PredictedErrorFile, kept: Path | None = None) -> None:
-        self._study, self._kept = study, kept
+    def __init__(self, study: PredictedErrorFile, store: Path | None = None) -> None:
+        self._study, self._store = study, store
 
     def plan(self) -> dict[str, list[PlannedDrive]]:
-        """All sets of drives; raises ConfigError where a factor does not exist."""
+        """Plan all sets of drives; raise ConfigError for a factor that does not exist."""
         return planned_sets(self._study)
 
     def run(self, plan: dict[str, list[PlannedDrive]], jobs: int, bar: ProgressBar) -> Driven:
         """Drive every set that is not kept."""
         driven: dict[str, Sequence[DrivenPath]] = {}
         for name, drives in plan.items():
-            file = None if self._kept is None else self._kept / f"{name}.npz"
+            file = None if self._store is None else self._store / f"{name}.npz"
             if file is not None and file.exists():
                 driven[name] = read_kept(file)
                 if len(driven[name]) != len(drives):
                     raise ConfigError(f"{file}: {len(driven[name])} drives in place of {len(drives)}; remove it")
                 continue
             bar.start_stage(f"driving {name}", len(drives))
-            driven[name] = run_tasks([partial(drive, self._study, one) for one in drives], jobs, bar.advance)
+            driven[name] = run_tasks(
+                [partial(drive, self._study, planned_drive) for planned_drive in drives], jobs, bar.advance
+            )
             if file is not None:
                 file.parent.mkdir(parents=True, exist_ok=True)
                 keep(driven[name], file)
         return driven
 
     def report(self, results: Driven, seconds: float) -> Report:  # noqa: ARG002 - its tables say it
-        """Calibration, coverage by set and class, widths beside the oracle's."""
+        """Report the calibration, coverage by set and class, and widths compared with the oracle's."""
         level = self._study.level
         populations = {
             name: ErrorPopulation(
-                description=of.description,
+                description=population.description,
                 drives={"fit": len(results[f"{name}-fit"]), "calibration": len(results[f"{name}-calibration"])},
                 **{
                     direction: calibrated(results[f"{name}-fit"], results[f"{name}-calibration"], direction, level)
                     for direction in DIRECTIONS
                 },
             )
-            for name, of in self._study.populations.items()
+            for name, population in self._study.populations.items()
         }
         calibration = ErrorCalibration(
             level=level,
@@ -138,17 +140,17 @@ class PredictedErrorStudy(Study[dict[str, list[PlannedDrive]], Driven]):
         rows = []
         for name in calibration.populations:
             driven = results[f"{name}-test"]
-            for words, of in _CLASSES:
-                members = [one for one in driven if of(one)]
+            for words, is_member in _CLASSES:
+                members = [path for path in driven if is_member(path)]
                 rows += _rows(f"{name}, {words}", name, members, calibration) if members else []
         return Table("Coverage by class", _COLUMNS, tuple(rows), text_columns=2)
 
     def _others(self, results: Driven, calibration: ErrorCalibration) -> Table:
         rows = [
             row
-            for other in self._study.others
+            for kind in self._study.others
             for name in calibration.populations
-            for row in _rows(f"{other}, by {name}", name, results[other], calibration)
+            for row in _rows(f"{kind}, by {name}", name, results[kind], calibration)
         ]
         return Table("Coverage on other kinds", _COLUMNS, tuple(rows), text_columns=2)
 
@@ -167,12 +169,12 @@ class PredictedErrorStudy(Study[dict[str, list[PlannedDrive]], Driven]):
 
 
 _CLASSES: tuple[tuple[str, Callable[[DrivenPath], bool]], ...] = (
-    ("below 0.3 m/s", lambda one: one.speed < 0.3),
-    ("0.3 to 0.45 m/s", lambda one: 0.3 <= one.speed < 0.45),
-    ("from 0.45 m/s", lambda one: one.speed >= 0.45),
-    ("friction below 0.4", lambda one: one.friction < 0.4),
-    ("friction 0.4 to 0.7", lambda one: 0.4 <= one.friction < 0.7),
-    ("friction from 0.7", lambda one: one.friction >= 0.7),
+    ("below 0.3 m/s", lambda path: path.speed < 0.3),
+    ("0.3 to 0.45 m/s", lambda path: 0.3 <= path.speed < 0.45),
+    ("from 0.45 m/s", lambda path: path.speed >= 0.45),
+    ("friction below 0.4", lambda path: path.friction < 0.4),
+    ("friction 0.4 to 0.7", lambda path: 0.4 <= path.friction < 0.7),
+    ("friction from 0.7", lambda path: path.friction >= 0.7),
 )
 
 
@@ -181,9 +183,11 @@ def _rows(
 ) -> list[tuple[str, ...]]:
     rows = []
     for direction in DIRECTIONS:
-        of = coverage(driven, getattr(calibration.populations[population], direction), direction)
-        rate = of.everywhere
-        shares = [number(100 * of.at_each_place, 1), number(100 * rate.share, 1)]
+        covered = coverage(driven, getattr(calibration.populations[population], direction), direction)
+        rate = covered.everywhere
+        shares = [number(100 * covered.at_each_place, 1), number(100 * rate.share, 1)]
         interval = f"{100 * rate.low:.1f} to {100 * rate.high:.1f}"
-        rows.append((words, direction, str(rate.of), *shares, interval, millis(of.width), millis(of.width_everywhere)))
+        rows.append(
+            (words, direction, str(rate.of), *shares, interval, millis(covered.width), millis(covered.width_everywhere))
+        )
     return rows

@@ -476,7 +476,7 @@ class FaultBounds:
         The fault, from when it begins [s].
     stated
         Time after it within which the monitor stops the robot [s].
-    of
+    part
         Broken part: "controller", or "robot" for robot and sensors.
     stoppable
         Whether the robot can be stopped by commands.
@@ -486,7 +486,7 @@ class FaultBounds:
 
     make: Callable[[float], Fault]
     stated: float
-    of: str = "controller"
+    part: str = "controller"
     stoppable: bool = True
     controller: str = "mpc"
 

@@ -157,7 +157,7 @@ def _row(name: str, held: FaultBounds, trials: Sequence[MonitorTrial]) -> tuple[
     farthest = max(trial.farthest for trial in trials)
     return (
         name,
-        held.of,
+        held.part,
         ", ".join(rule.replace("_", " ") for rule, _ in rules.most_common()),
         number(held.stated, 2),
         number(after[len(after) // 2], 2),

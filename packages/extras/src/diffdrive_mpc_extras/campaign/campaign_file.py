@@ -139,7 +139,7 @@ class Campaign(StrictModel):
 
 
 def spread_points(sampler: str, count: int, dimensions: int, seed: int) -> FloatArray:
-    """Spread (count, dimensions) points evenly over (0, 1) by `sampler`."""
+    """Distribute points (count, dimensions) evenly over (0, 1) by `sampler`."""
     if not dimensions:
         return np.zeros((count, 0))
     if sampler == "sobol":

@@ -198,7 +198,7 @@ def wheel_response(
 def _ramped(
     shapes: DriveFunctions, channel: Channel, reference: ca.SX, u: ca.SX, quicker: ca.SX, slower: ca.SX
 ) -> ca.SX:
-    """Ramp the reference towards `u` for one sample, with slopes up to `quicker` and, towards zero, `slower`."""
+    """Advance the reference towards `u` by one sample, with slopes up to `quicker` and, towards zero, `slower`."""
     dt, still = channel
     towards = (1 - shapes.sign(reference, still) * shapes.sign(u - reference, still)) / 2
     most = dt * (quicker + (slower - quicker) * towards)

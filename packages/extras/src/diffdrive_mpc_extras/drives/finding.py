@@ -331,7 +331,7 @@ class FoundDrive:
         for name in self.determined.identified:
             channel, _, last = name.rpartition(".")
             doubt = Doubt("prior kept", _UNTOLD[last])
-            doubts.append(doubt.of(channel) if channel else doubt)
+            doubts.append(doubt.about(channel) if channel else doubt)
         for name in self.determined.at_bound:
             doubts.append(Doubt("effect", f"{name} lies on a bound of the search: the data do not determine it"))
         # A dead time or an offset may be near zero; a number with a prior is determined, or the prior would be kept.

@@ -232,7 +232,7 @@ def _share_integral_time(
 def _least(
     residuals: Callable[[FloatArray], FloatArray], names: Sequence[str], start: FloatArray, close: float
 ) -> tuple[float, FloatArray]:
-    """Minimise; return cost and numbers within their bounds."""
+    """Search for the minimum; return cost and numbers within their bounds."""
     bounds = fit_settings().bounds
     low, high = np.array([[bounds[name].low, bounds[name].high] for name in names]).T
     size = np.array([bounds[name].size for name in names])

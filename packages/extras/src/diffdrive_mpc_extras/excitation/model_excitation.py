@@ -160,7 +160,7 @@ def model_excitation(room: Room, seconds: float, limits: TrajectoryLimits, worth
 
 
 def drives_tried() -> int:
-    """Number of drives that a search evaluates."""
+    """Return the number of drives that a search evaluates."""
     settings = model_excitation_settings()
     return 2 * (settings.population * (settings.generations + 1) + 1)
 
@@ -288,7 +288,7 @@ class _Steps:
         return self._ramp(twist, np.array([0.0, 0.0]), max(ticks, 1))
 
     def _ramp(self, twist: FloatArray, target: FloatArray, ticks: int) -> FloatArray:
-        """Ramp from a twist to another within the accelerations, and hold it: (ticks, 2)."""
+        """Drive from one twist to another within the accelerations, and hold it: (ticks, 2)."""
         steps = np.arange(1, ticks + 1)[:, None] * self._step
         return np.asarray(twist + np.clip(target - twist, -steps, steps))
 

@@ -335,7 +335,7 @@ def _of_grid(grid: OccupancyGrid, config: FreeSpace) -> list[FloatArray]:
 
 
 def rectangles(occupied: NDArray[np.bool_], most: int = 2**31) -> NDArray[np.int64]:
-    """Tile the occupied cells by rectangles: (n, 4) row, column, and the row and column after the last.
+    """Cover the occupied cells by rectangles: (n, 4) row, column, and the row and column after the last.
 
     Runs of a row that are the same in the next rows are one rectangle.
 

@@ -13,7 +13,7 @@ from diffdrive_mpc.app.command_line.options import PluggedCommand, file_option, 
 
 def plan(
     *,
-    begin: Annotated[str, typer.Option("--from", metavar="X,Y,DEG", help="Start pose [m, m, degrees].")],
+    start: Annotated[str, typer.Option("--from", metavar="X,Y,DEG", help="Start pose [m, m, degrees].")],
     end: Annotated[str, typer.Option("--to", metavar="X,Y,DEG", help="Goal pose [m, m, degrees].")],
     out: Annotated[Path, out_option("trajectory.csv, report.html, plan.json, plan.md and figures/")],
     costs: Annotated[
@@ -76,7 +76,7 @@ def plan(
         PlanStudy(
             PlanRequest(
                 costs=turn_costs,
-                start=np.array(_pose(begin, "--from")),
+                start=np.array(_pose(start, "--from")),
                 goal=np.array(_pose(end, "--to")),
                 via=np.array([_numbers(word, 2, "--via", "X,Y") for word in via or ()]).reshape(-1, 2),
                 minimise=objective,

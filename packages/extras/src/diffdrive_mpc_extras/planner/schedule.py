@@ -106,7 +106,7 @@ def laid_out(
 
 
 def slowed(pieces: Sequence[Piece], acceleration: float, *, each: bool = False) -> list[Piece]:
-    """Slow down pieces that are too short to reach their speed and stop again; `each` stops after each."""
+    """Lower the speed of pieces too short to reach it and stop again; `each` stops after each."""
     runs: list[list[Piece]] = []
     for piece in pieces:
         follows = runs and not each and abs(piece.v) > _SAME_SPEED and runs[-1][-1].v * piece.v > 0
@@ -150,7 +150,7 @@ class _Layer:
         self._curvature = 0.0
 
     def ramp(self, after: float, piece: int) -> None:
-        """Ramp from the present speed to another, through rest where the direction changes."""
+        """Change the speed, through rest where the direction changes."""
         before, current = self._speeds[-1], self._pieces[piece]
         if abs(after - before) < _SAME_SPEED:
             return

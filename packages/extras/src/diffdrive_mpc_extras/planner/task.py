@@ -88,7 +88,7 @@ class Task:
         return paths
 
     def candidates(self, shapes: dict[Objective, PlanSearchResult]) -> list[Plan]:
-        """Polish each shape for its objective; raise PlanError if none of them can be driven."""
+        """Optimise each shape for its objective; raise PlanError if none of them can be driven."""
         made, faults = [], []
         for objective, shape in shapes.items():
             try:
@@ -132,7 +132,7 @@ class Task:
             )
 
     def _polished(self, minimise: Objective, path: PlanSearchResult) -> Plan:
-        """Polish, sample and check; after a failure, use the search's path with a stop between any two pieces."""
+        """Optimise, sample and check; after a failure, use the search's path with a stop between any two pieces."""
         spot = spot_rate(self.costs, self.settings.motion.yaw_rate) if self.on_the_spot else 0.0
         last = np.array([*self.goal[:2], self._unwrapped(path)])
         schedule = laid_out(self.costs, self.start, path.pieces, self.sharpest, spot, self.settings)

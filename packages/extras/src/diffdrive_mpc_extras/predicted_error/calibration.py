@@ -35,11 +35,11 @@ _LEARNED = 1.0
 _FREE_SHARE = 0.6
 """Share of the top speed of wheels from which on it counts."""
 _USUAL_AGE = Failure().max_pose_age
-"""Who waits longer for poses than usual has late or rare ones [s]."""
+"""Pose age above which poses count as late [s]."""
 
 
 def path_features(twist: FloatArray, dt: float, config: ControllerConfig, lag: FloatArray) -> FloatArray:
-    """Features of a reference at each of its samples.
+    """Compute the features of a reference at each of its samples.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def path_features(twist: FloatArray, dt: float, config: ControllerConfig, lag: F
 
 
 def _around(values: FloatArray, dt: float) -> FloatArray:
-    """Means of the columns from `_BEFORE` to `_AFTER` each row; beyond the ends the first and last rows continue."""
+    """Average the columns from `_BEFORE` to `_AFTER` each row; repeat the first and last rows beyond the ends."""
     before, after = round(_BEFORE / dt), round(_AFTER / dt)
     longer = np.pad(values, ((before + 1, after), (0, 0)), mode="edge")
     sums = np.cumsum(longer, axis=0)
@@ -139,7 +139,7 @@ class CalibratedRanges(StrictModel):
 
 
 class ErrorCalibration(StrictModel):
-    """What the predicted error is made of."""
+    """Calibration of the predicted error."""
 
     level: Annotated[float, Field(gt=0.5, lt=1.0)] = Field(description="share of drives inside a tube [-]")
     provenance: str = Field(min_length=1, description="how it was made")
@@ -147,7 +147,7 @@ class ErrorCalibration(StrictModel):
     populations: dict[str, ErrorPopulation] = Field(min_length=1, description="by name")
 
     def population(self, name: str) -> ErrorPopulation:
-        """The population of a name; raises ConfigError if there is none."""
+        """Return the population with a name; raise ConfigError if there is none."""
         if name not in self.populations:
             raise ConfigError(f"unknown population '{name}': give {' or '.join(self.populations)}")
         return self.populations[name]

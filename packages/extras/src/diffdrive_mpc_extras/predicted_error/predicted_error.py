@@ -24,7 +24,7 @@ from diffdrive_mpc_extras.predicted_error.calibration import (
 )
 
 _LONGEST = 7200.0
-"""Of a longer reference nothing is predicted [s]: memory grows by 20 kB for each second."""
+"""Maximum duration of a reference [s]: memory grows by 20 kB for each second."""
 _ROUNDING = 5e-3
 """Between samples the speed of a path that is timed at the bound swings a little beyond it [-]."""
 
@@ -54,7 +54,7 @@ class ErrorTube:
 
 @dataclass(frozen=True)
 class WidestPlace:
-    """Where a tube is widest.
+    """Place of the maximum width of a tube.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class PredictedError:
     warnings: tuple[str, ...] = ()
 
     def widest(self, direction: Direction = "lateral") -> WidestPlace:
-        """Where the tube of a direction is widest, and why."""
+        """Locate the widest place of the tube of a direction, with the reasons."""
         tube: ErrorTube = getattr(self, direction)
         index = int(np.argmax(tube.everywhere))
         shares = {name: float(share[index]) for name, share in tube.shares.items()}

@@ -20,7 +20,7 @@ from diffdrive_mpc_extras.predicted_error.predicted_error import PredictedError,
 FIGURE, ROWS = "predicted-error.png", "predicted-error.csv"
 _DIRECTIONS: tuple[Direction, ...] = ("lateral", "along")
 _GREYS = ("0.85", "0.6")
-"""Of both tubes: told apart in print."""
+"""Greys of both tubes, distinct in print."""
 
 
 def predict_robot_into(
@@ -69,7 +69,7 @@ def write_prediction(predicted: PredictedError, out: Path) -> PredictedError:
 
 
 def table(predicted: PredictedError) -> Table:
-    """Mean and largest half width of each tube."""
+    """Tabulate mean and largest half width of each tube."""
     rows = []
     for direction in _DIRECTIONS:
         tube = getattr(predicted, direction)
@@ -84,7 +84,7 @@ def table(predicted: PredictedError) -> Table:
 def write_rows(predicted: PredictedError, path: Path) -> None:
     """Write a row for each place, in SI units."""
     head = "t,s,x,y,theta,v,omega,lateral,lateral_everywhere,along,along_everywhere"
-    tubes = [width for of in (predicted.lateral, predicted.along) for width in (of.at_each_place, of.everywhere)]
+    tubes = [width for tube in (predicted.lateral, predicted.along) for width in (tube.at_each_place, tube.everywhere)]
     columns = [predicted.time, predicted.arc_length, predicted.pose, predicted.twist, *tubes]
     np.savetxt(path, np.column_stack(columns), fmt="%.6g", delimiter=",", header=head, comments="")
 

@@ -1,8 +1,9 @@
-"""The speed passport of a controller: how fast which robots may drive which curvature within a tolerance.
+"""Speed passport of a controller: proven speeds by surface, curvature and tolerance.
 
-For each floor, curvature and tolerance a bisection gives the greatest speed of a grid at which the robots of the search
-stay inside. Robots that played no part in it then drive that speed; where too few of them stay inside, others drive the
-next slower one. The level of these tests is divided by the number of tries, so the confidence holds for what passes.
+For each surface, curvature and tolerance, a bisection finds the maximum speed of a grid at which the robots of the
+search stay inside. Fresh robots then drive this speed. If too few of them stay inside, further fresh robots drive the
+next lower speed. The level of these tests is divided by the number of tries, so the confidence holds for the speed that
+passes.
 """
 
 from __future__ import annotations
@@ -30,43 +31,43 @@ from diffdrive_mpc_extras.campaign.drive import TIME
 from diffdrive_mpc_extras.campaign.engine import CampaignPlace, CampaignRun, drive_all
 from diffdrive_mpc_extras.campaign.rates import Rate
 from diffdrive_mpc_extras.proof.proof_file import PassportPlan, Proof
-from diffdrive_mpc_extras.proof.study import told_of
+from diffdrive_mpc_extras.proof.study import controller_factors
 
 PASSPORT = "speed-passport.yaml"
-"""What `timing: smooth` takes."""
+"""File name of the passport, which `timing: smooth` reads."""
 _OTHER_PATHS = ("trajectory", "timing", "scenario", "world", "top_speed", "scaled")
-"""Factors of a campaign that a passport does without: it has paths of its own, and no faults."""
+"""Campaign factors that a passport omits: it has its own paths, and no faults."""
 _AT_A_TIME = 20
 _HEAD = "# Speeds in m/s, curvatures in 1/m, tolerances in m: measured by diffdrive-mpc prove --tolerance.\n"
 
 
 def read_tolerances(text: str) -> tuple[float, ...]:
-    """`0.01,0.02` as rising numbers [m]; raises ValueError where it is anything else."""
+    """Read `0.01,0.02` as increasing numbers [m]; raise ValueError for anything else."""
     try:
         tolerances = tuple(sorted({float(part) for part in text.split(",")}))
     except ValueError as error:
         raise ValueError(f"--tolerance '{text}': give lengths in m with commas between them") from error
-    if not all(0.0 < one < math.inf for one in tolerances):
+    if not all(0.0 < tolerance < math.inf for tolerance in tolerances):
         raise ValueError(f"--tolerance '{text}': each has to be above zero")
     return tolerances
 
 
 @dataclass
 class SpeedSearch:
-    """The search for one speed, and its proof.
+    """Search for one speed, and its proof.
 
     Attributes
     ----------
     surface, curvature, tolerance
-        What it is for [1/m, m].
+        Surface, curvature [1/m] and tolerance [m] of the speed.
     speeds
-        The grid [m/s], rising.
+        Grid [m/s], increasing.
     plan
-        How often, and how sure.
+        Numbers of robots and confidence.
     searched
-        How many stayed inside, by number of the speed.
+        Rate of robots inside, by number of the speed.
     fresh
-        The same of the fresh robots, in the order of the tries.
+        Number of the speed and rate of fresh robots inside, in the order of the tries.
     """
 
     surface: str
@@ -77,11 +78,11 @@ class SpeedSearch:
     searched: dict[int, Rate] = field(default_factory=dict)
     fresh: list[tuple[int, Rate]] = field(default_factory=list)
     _begun: tuple[int, int] = (0, 0)
-    """Inside, and driven, of a block that is not done."""
+    """Numbers of robots inside and driven in an unfinished block."""
 
     @property
     def query(self) -> tuple[int, int, int] | None:
-        """What to drive next: number of a speed, block of robots (0: search), first of them; None at the end."""
+        """Next drives: number of the speed, block of robots (0: search) and first robot of it; None at the end."""
         inside = [number for number, rate in self.searched.items() if self._shows(rate, 1)]
         low = max(inside, default=-1)
         high = min((number for number in self.searched if number > low), default=len(self.speeds))
@@ -109,9 +110,9 @@ class SpeedSearch:
         return self.speeds[number + 1] if number + 1 < len(self.speeds) else None
 
     def take(self, lateral: FloatArray) -> None:
-        """Take the largest |lateral| (n,) [m] of the drives that `query` asked for.
+        """Take the largest |lateral| (n,) [m] of the drives of `query`.
 
-        A block ends early where so many are outside that the rest cannot show the share: no level depends on that.
+        A block ends early if the share is out of reach of its remaining robots. This affects no confidence level.
         """
         assert self.query is not None
         number, block, _ = self.query
@@ -137,29 +138,29 @@ Key = tuple[str, float, int, int, int]
 
 
 def block_size(plan: PassportPlan, block: int) -> int:
-    """Robots of a block."""
+    """Return the number of robots of a block."""
     return plan.proof_runs if block else plan.search_runs
 
 
 def members(plan: PassportPlan, block: int, first: int) -> range:
-    """Numbers of the robots that are driven at a time, from the `first` of a block, among all robots of a floor."""
+    """Number the robots of one batch, from the `first` of a block on, among all robots of a surface."""
     before = plan.search_runs + (block - 1) * plan.proof_runs if block else 0
     return range(before + first, before + min(first + _AT_A_TIME, block_size(plan, block)))
 
 
 def measure(searches: Sequence[SpeedSearch], drive: Callable[[list[Key]], Mapping[Key, FloatArray]]) -> None:
-    """Carry out all searches, whose drives serve all tolerances; `drive` gives the largest |lateral| (n,) [m]."""
+    """Carry out all searches; they share drives. `drive` returns the largest |lateral| (n,) [m]."""
     driven: dict[Key, FloatArray] = {}
-    while open_searches := [(one, query) for one in searches if (query := one.query) is not None]:
-        keys = [(one.surface, one.curvature, *query) for one, query in open_searches]
+    while open_searches := [(search, query) for search in searches if (query := search.query) is not None]:
+        keys = [(search.surface, search.curvature, *query) for search, query in open_searches]
         driven |= drive([key for key in dict.fromkeys(keys) if key not in driven])
-        for (one, _), key in zip(open_searches, keys, strict=True):
-            one.take(driven[key])
+        for (search, _), key in zip(open_searches, keys, strict=True):
+            search.take(driven[key])
 
 
 @dataclass(frozen=True)
 class MeasuredSpeeds:
-    """A passport as it was measured, and all drives that it took."""
+    """Measured passport, and all its drives."""
 
     searches: list[SpeedSearch]
     driven: list[CampaignRun]
@@ -176,14 +177,14 @@ class PassportStudy(Study[dict[str, list[Definition]], MeasuredSpeeds]):
         self._config, self._proof, self._place, self._tolerances = config, proof, place, tolerances
 
     def plan(self) -> dict[str, list[Definition]]:
-        """The robots of each floor: first those of the search, then those of each try."""
+        """Draw the robots of each surface: first those of the search, then those of each try."""
         proof, plan = self._proof, self._proof.passport
         factors = {name: data for name, data in proof.factors.items() if name not in _OTHER_PATHS}
         robots = {}
         for name, floor in plan.surfaces.items():
             changes = {"sampler": "random", "draw_seed": plan.draw_seed, "factors": factors | plan.factors | floor}
             drawn = proof.model_copy(update=changes).definitions(plan.search_runs + plan.tries * plan.proof_runs)
-            robots[name] = [robot.changed(told_of(self._config)) for robot in drawn]
+            robots[name] = [robot.changed(controller_factors(self._config)) for robot in drawn]
         return robots
 
     def run(self, plan: dict[str, list[Definition]], jobs: int, bar: ProgressBar) -> MeasuredSpeeds:
@@ -208,17 +209,19 @@ class PassportStudy(Study[dict[str, list[Definition]], MeasuredSpeeds]):
                 path = folder / f"{curvature:g}-{number}.yaml"
                 path.write_text(path_text(curvature, grids[curvature][number], spec, limits), encoding="utf-8")
                 runs[key] = [plan[surface][k].changed({"trajectory": str(path)}) for k in members(spec, *robots)]
-            outcomes = drive_all([run for of in runs.values() for run in of], place, bar, "driving speeds")
+            outcomes = drive_all(
+                [run for definitions in runs.values() for run in definitions], place, bar, "driving speeds"
+            )
             every.extend(outcomes)
-            lateral = {one.definition: largest_lateral(one) for one in outcomes}
-            return {key: np.array([lateral[run] for run in of]) for key, of in runs.items()}
+            lateral = {outcome.definition: largest_lateral(outcome) for outcome in outcomes}
+            return {key: np.array([lateral[run] for run in definitions]) for key, definitions in runs.items()}
 
         with lasting_processes():
             measure(searches, drive)
         return MeasuredSpeeds(searches, every)
 
     def report(self, results: MeasuredSpeeds, seconds: float) -> Report:  # noqa: ARG002 - its tables say it
-        """The speeds, what stands behind them, and the passport as a file."""
+        """Report the speeds, their evidence, and the passport as a file."""
         spec, searches, text = self._proof.passport, results.searches, self._text(results.searches)
         words = (
             f"At these speeds at least {100 * spec.share:g} % of the robots stay within the tolerance "
@@ -226,11 +229,13 @@ class PassportStudy(Study[dict[str, list[Definition]], MeasuredSpeeds]):
             "A path with many turns or several classes of curvature may do worse."
         )
         remedy = "allow more, or leave out such turns: a path that needs them is refused"
-        warnings = [Warned(f"{_name(one)}: no speed is proven.", remedy) for one in searches if one.speed is None]
+        warnings = [
+            Warned(f"{_name(search)}: no speed is proven.", remedy) for search in searches if search.speed is None
+        ]
         return Report(
             counted=f"{len(results.driven)} runs",
             meta={"controller": Path(self._config).name, "campaign": self._proof.description},
-            content={"speeds": [_row(one) for one in searches]},
+            content={"speeds": [_row(search) for search in searches]},
             facts=[
                 f"{Path(self._config).name}: {self._proof.description}, without faults.",
                 words,
@@ -248,13 +253,15 @@ class PassportStudy(Study[dict[str, list[Definition]], MeasuredSpeeds]):
         )
 
     def _text(self, searches: Sequence[SpeedSearch]) -> str:
-        """The passport as YAML."""
+        """Format the passport as YAML."""
         spec = self._proof.passport
         rows = [
             PassportRow(
                 surface=surface,
                 tolerance=tolerance,
-                speeds=[one.speed for one in searches if (one.surface, one.tolerance) == (surface, tolerance)],
+                speeds=[
+                    search.speed for search in searches if (search.surface, search.tolerance) == (surface, tolerance)
+                ],
             )
             for surface in spec.surfaces
             for tolerance in self._tolerances
@@ -269,13 +276,17 @@ class PassportStudy(Study[dict[str, list[Definition]], MeasuredSpeeds]):
         return _HEAD + yaml.safe_dump(passport.model_dump(), sort_keys=False, default_flow_style=None, width=120)
 
     def _speeds(self, searches: Sequence[SpeedSearch]) -> Table:
-        by_place = {(one.surface, one.curvature, one.tolerance): one for one in searches}
+        by_place = {(search.surface, search.curvature, search.tolerance): search for search in searches}
         rows = [
-            (surface, _words(curvature), *(_speed(by_place[surface, curvature, one].speed) for one in self._tolerances))
+            (
+                surface,
+                _words(curvature),
+                *(_speed(by_place[surface, curvature, tolerance].speed) for tolerance in self._tolerances),
+            )
             for surface in self._proof.passport.surfaces
             for curvature in self._proof.passport.curvatures
         ]
-        columns = ("floor", "radius", *(f"within {1e3 * one:g} mm [m/s]" for one in self._tolerances))
+        columns = ("floor", "radius", *(f"within {1e3 * tolerance:g} mm [m/s]" for tolerance in self._tolerances))
         note = "Greatest speed of a grid; -: none is proven."
         return Table("Speeds", columns, tuple(rows), text_columns=2, note=note)
 
@@ -285,17 +296,24 @@ class PassportStudy(Study[dict[str, list[Definition]], MeasuredSpeeds]):
             "What stands behind them",
             ("floor", "radius", "tolerance"),
             {
-                "speed [m/s]": lambda one: _speed(one.speed),
-                "not shown at [m/s]": lambda one: _speed(one.too_fast),
-                "inside, search": lambda one: "-" if one.number is None else _count(one.searched.get(one.number)),
-                "inside, fresh": lambda one: _count(one.fresh[-1][1]) if one.fresh else "-",
-                "share [%]": lambda one: f"{100 * one.fresh[-1][1].share:.1f}" if one.fresh else "-",
-                "95 % interval [%]": lambda one: (
-                    _interval(one.fresh[-1][1]) if one.fresh and one.fresh[-1][1].of == spec.proof_runs else "-"
+                "speed [m/s]": lambda search: _speed(search.speed),
+                "not shown at [m/s]": lambda search: _speed(search.too_fast),
+                "inside, search": lambda search: (
+                    "-" if search.number is None else _count(search.searched.get(search.number))
                 ),
-                "tries": lambda one: str(len(one.fresh)),
+                "inside, fresh": lambda search: _count(search.fresh[-1][1]) if search.fresh else "-",
+                "share [%]": lambda search: f"{100 * search.fresh[-1][1].share:.1f}" if search.fresh else "-",
+                "95 % interval [%]": lambda search: (
+                    _interval(search.fresh[-1][1])
+                    if search.fresh and search.fresh[-1][1].of == spec.proof_runs
+                    else "-"
+                ),
+                "tries": lambda search: str(len(search.fresh)),
             },
-            [((one.surface, _words(one.curvature), f"{1e3 * one.tolerance:g} mm"), one) for one in searches],
+            [
+                ((search.surface, _words(search.curvature), f"{1e3 * search.tolerance:g} mm"), search)
+                for search in searches
+            ],
             f"Search: {spec.search_runs} robots at each speed. Fresh: {spec.proof_runs} others in each try; intervals "
             f"by Clopper and Pearson. A speed is proven where {100 * spec.share:g} % is at most its lower bound, "
             f"one-sided with {100 * (1 - (1 - spec.confidence) / spec.tries):.1f} %, as there are {spec.tries} tries. "
@@ -305,19 +323,19 @@ class PassportStudy(Study[dict[str, list[Definition]], MeasuredSpeeds]):
 
 
 def largest_lateral(run: CampaignRun) -> float:
-    """Largest |lateral| of a drive [m]; infinite where it did not come to its end."""
+    """Return the largest |lateral| of a drive [m]; infinite if it was not completed."""
     return run.number("lateral_max_m") if run.row["completed"] is True else math.inf
 
 
 def speed_grid(curvature: float, limits: TrajectoryLimits, shares: Sequence[float]) -> list[float]:
-    """Speeds [m/s] for a curvature [1/m]: `shares` of the greatest that `limits` allow, down to whole mm/s."""
+    """Return speeds [m/s] for a curvature [1/m]: `shares` of the maximum under `limits`, rounded down to mm/s."""
     radius = 1.0 / curvature if curvature else math.inf
     greatest = min(limits.v, limits.omega * radius, math.sqrt(limits.lateral_acceleration * radius))
     return [math.floor(1e3 * share * greatest + 1e-6) / 1e3 for share in shares]
 
 
 def path_text(curvature: float, speed: float, spec: PassportPlan, limits: TrajectoryLimits) -> str:
-    """A trajectory file: a straight, an arc to the left, one to the right and a straight, rounded by smooth timing."""
+    """Format a trajectory file: a straight, an arc to each side and a straight, rounded by smooth timing."""
     # The straights are so long that the speed is reached on them.
     straight = {"v": speed, "omega": 0.0, "duration": spec.straight + speed / limits.v_acceleration}
     left, right = ({"v": speed, "omega": sign * speed * curvature, "duration": spec.arc} for sign in (1, -1))
@@ -329,29 +347,32 @@ def _cost(driven: Sequence[CampaignRun]) -> str:
     return f"{len(driven)} drives took {total / 60:.1f} minutes of processor time."
 
 
-def _row(one: SpeedSearch) -> dict[str, object]:
-    rates = {"searched": one.searched, "fresh": dict(one.fresh)}
+def _row(search: SpeedSearch) -> dict[str, object]:
+    rates = {"searched": search.searched, "fresh": dict(search.fresh)}
     return {
-        "surface": one.surface,
-        "curvature": one.curvature,
-        "tolerance_m": one.tolerance,
-        "speed": one.speed,
-        **{name: {f"{one.speeds[number]:g}": plain(rate) for number, rate in of.items()} for name, of in rates.items()},
+        "surface": search.surface,
+        "curvature": search.curvature,
+        "tolerance_m": search.tolerance,
+        "speed": search.speed,
+        **{
+            name: {f"{search.speeds[number]:g}": plain(rate) for number, rate in counts.items()}
+            for name, counts in rates.items()
+        },
     }
 
 
 def _chart(surface: str, searches: Sequence[SpeedSearch]) -> Chart:
-    own = [one for one in searches if one.surface == surface]
+    on_surface = [search for search in searches if search.surface == surface]
     series = []
-    for k, tolerance in enumerate(dict.fromkeys(one.tolerance for one in own)):
-        rows = [one for one in own if one.tolerance == tolerance]
-        curvatures, speeds = [one.curvature for one in rows], [one.speed for one in rows]
+    for k, tolerance in enumerate(dict.fromkeys(search.tolerance for search in on_surface)):
+        rows = [search for search in on_surface if search.tolerance == tolerance]
+        curvatures, speeds = [search.curvature for search in rows], [search.speed for search in rows]
         series.append(Series(f"{1e3 * tolerance:g} mm", curvatures, speeds, k))
     return Chart(f"Greatest speed, {surface} floor", Axis("curvature [1/m]"), Axis("speed [m/s]"), series)
 
 
-def _name(one: SpeedSearch) -> str:
-    return f"{one.surface}, {_words(one.curvature)}, {1e3 * one.tolerance:g} mm"
+def _name(search: SpeedSearch) -> str:
+    return f"{search.surface}, {_words(search.curvature)}, {1e3 * search.tolerance:g} mm"
 
 
 def _words(curvature: float) -> str:

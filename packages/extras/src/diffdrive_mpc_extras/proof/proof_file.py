@@ -1,4 +1,4 @@
-"""What a proof consists of: a campaign, maps of two factors, and a search for the boundary of one."""
+"""Contents of a proof: a campaign, maps of two factors, and boundary searches of single factors."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Map(StrictModel):
 
 
 class BoundarySearch(StrictModel):
-    """Where a factor stops to hold, between a value that does and one that is far beyond."""
+    """Search for the boundary of a factor, between a value that holds and one far beyond it."""
 
     holds: float = Field(description="value that should hold")
     beyond: float = Field(description="the largest value that is asked about; smaller than `holds` to search downwards")
@@ -81,7 +81,7 @@ class Probe(StrictModel):
 
 
 class PassportPlan(StrictModel):
-    """How a speed passport is measured: classes of curvature, speeds, floors, and how many robots drive each."""
+    """Plan of a speed passport: classes of curvature, speeds, surfaces, and number of robots for each."""
 
     share: Annotated[float, Field(gt=0, lt=1)] = Field(description="of the robots that have to stay inside [-]")
     confidence: Annotated[float, Field(gt=0, lt=1)] = Field(description="that at least that share does [-]")
@@ -138,7 +138,7 @@ class Proof(Campaign):
 
     @model_validator(mode="after")
     def _can_be_driven(self) -> Proof:
-        mapped = sum(one.x.steps * one.y.steps for one in self.maps.values())
+        mapped = sum(axes.x.steps * axes.y.steps for axes in self.maps.values())
         # A search ends at nine digits, after some thirty bisections.
         check_count(self.runs + mapped + 30 * len(self.boundaries) * len(self.probe.seeds), MOST_RUNS)
         return self
@@ -217,25 +217,25 @@ def _times(value: object, ratio: float) -> object:
 
 
 Drive = Callable[[list[Definition]], list[CampaignRun]]
-"""Drives runs and gives them in order; each is another one."""
+"""Drives distinct runs and returns them in order."""
 
 
 @dataclass
 class Boundary:
-    """Where a factor stops to hold.
+    """Boundary of a factor: the value beyond which it no longer holds.
 
     Attributes
     ----------
     factor
         Its name.
     search
-        What was asked.
+        Its search.
     held
-        The value nearest to the boundary that held with every seed; None where not even the first did.
+        Value nearest to the boundary that held with every seed; None if the first did not.
     failed
-        The nearest that did not; None where all did.
+        Nearest value that did not; None if all did.
     values
-        Every value that was tried, and with how many seeds it held.
+        Number of seeds with which each tried value held.
     """
 
     factor: str
@@ -246,7 +246,7 @@ class Boundary:
 
     @property
     def next_value(self) -> float | None:
-        """What to try now; None when the boundary is known well enough."""
+        """Next value to try; None once the boundary is known closely enough."""
         if self.held is None:
             return self.search.holds if self.failed is None else None
         if self.failed is None:
@@ -257,7 +257,7 @@ class Boundary:
         return None if middle in self.values else middle  # no number of nine digits lies between
 
     def take(self, value: float, held: int, seeds: int) -> None:
-        """Take what came of a value."""
+        """Take the result of a value."""
         self.values[value] = held
         if held == seeds:
             self.held = value
@@ -266,7 +266,7 @@ class Boundary:
 
 
 def holds(driven: CampaignRun, band: float) -> bool:
-    """Whether a run came to its end and was never further than `band` [m] from its path."""
+    """Check that a run was completed and never further than `band` [m] from its path."""
     return driven.row["completed"] is True and driven.number("lateral_max_m") <= band
 
 
@@ -275,12 +275,12 @@ def find_boundaries(
 ) -> list[Boundary]:
     """Search for the boundaries of several factors at once, each by itself from `probe`; `band` [m] as in `holds`.
 
-    Between what held and what did not everything is taken to be monotone; what lies beyond is not looked at.
+    Results are assumed monotone in the factor; values beyond the search range are not tried.
     """
     boundaries = [Boundary(factor, search) for factor, search in searches.items()]
     while queries := [(boundary, value) for boundary in boundaries if (value := boundary.next_value) is not None]:
         runs = [_with(probe, boundary.factor, value).with_seed(seed) for boundary, value in queries for seed in seeds]
-        driven = {one.definition: one for one in drive(runs)}
+        driven = {run.definition: run for run in drive(runs)}
         for index, (boundary, value) in enumerate(queries):
             mine = runs[index * len(seeds) : (index + 1) * len(seeds)]
             boundary.take(value, sum(holds(driven[run], band) for run in mine), len(seeds))
@@ -291,43 +291,47 @@ def _with(probe: Definition, factor: str, value: Value) -> Definition:
     return probe.changed({factor: value})
 
 
-# The runs of a map, and what they came to.
+# Runs of a map, and their results.
 
 
 @dataclass(frozen=True)
 class DrivenMap:
-    """A map that was driven: (rows, columns), a row for each value of y, a column for each of x.
+    """Driven map: (rows, columns), a row for each value of y, a column for each of x.
 
     Attributes
     ----------
-    name, of
+    name, axes
         Its name and its axes.
     error
-        Position RMSE [m]; NaN where nothing could be driven.
+        Position RMSE [m]; NaN if no tick was driven.
     lateral
         Largest |lateral| [m].
     completed
-        1 where the run came to its end, else 0.
+        1 if the run was completed, else 0.
     """
 
     name: str
-    of: Map
+    axes: Map
     error: FloatArray
     lateral: FloatArray
     completed: FloatArray
 
 
-def map_runs(of: Map, probe: Definition, seed: int) -> list[Definition]:
-    """The runs of a map, row by row."""
-    return [probe.changed({of.x.factor: x, of.y.factor: y}).with_seed(seed) for y in of.y.values for x in of.x.values]
+def map_runs(axes: Map, probe: Definition, seed: int) -> list[Definition]:
+    """List the runs of a map, row by row."""
+    return [
+        probe.changed({axes.x.factor: x, axes.y.factor: y}).with_seed(seed)
+        for y in axes.y.values
+        for x in axes.x.values
+    ]
 
 
-def drawn_map(name: str, of: Map, runs: Sequence[Definition], driven: Sequence[CampaignRun]) -> DrivenMap:
-    """What came of the runs of `map_runs`."""
+def drawn_map(name: str, axes: Map, runs: Sequence[Definition], driven: Sequence[CampaignRun]) -> DrivenMap:
+    """Collect the results of the runs of `map_runs` in a map."""
     by_run = {run.definition: run for run in driven}
-    shape = (of.y.steps, of.x.steps)
+    shape = (axes.y.steps, axes.x.steps)
 
     def grid(column: str) -> FloatArray:
         return np.array([by_run[run].number(column) for run in runs]).reshape(shape)
 
-    return DrivenMap(name, of, grid("position_rmse_m"), grid("lateral_max_m"), grid("completed"))
+    return DrivenMap(name, axes, grid("position_rmse_m"), grid("lateral_max_m"), grid("completed"))

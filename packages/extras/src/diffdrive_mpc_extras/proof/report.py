@@ -52,7 +52,7 @@ _SAID = {
 
 @dataclass(frozen=True)
 class Outcomes:
-    """How often the runs of a proof went how."""
+    """Rates of the outcomes of a proof's runs."""
 
     completed: Rate
     in_band: Rate
@@ -60,8 +60,8 @@ class Outcomes:
     unsafe: Rate
 
     @classmethod
-    def of(cls, driven: Sequence[CampaignRun], band: float) -> Outcomes:
-        """Count them; the band [m] is that of `boundaries.holds`."""
+    def of_runs(cls, driven: Sequence[CampaignRun], band: float) -> Outcomes:
+        """Count the outcomes; the band [m] is that of `boundaries.holds`."""
         count = len(driven)
         return cls(
             Rate.of_runs(sum(run.row["completed"] is True for run in driven), count),
@@ -72,17 +72,17 @@ class Outcomes:
 
 
 def is_unsafe(run: CampaignRun) -> bool:
-    """Whether a run had an unsafe command of any kind."""
+    """Check if a run had an unsafe command of any kind."""
     return any(run.row.get(f"unsafe_{kind}") for kind in UNSAFE)
 
 
 def errors(driven: Sequence[CampaignRun]) -> FloatArray:
-    """Position RMSE [m] of the runs that have one; of one that ended early, of what was driven."""
+    """Return the position RMSE [m] of the runs that have one; for a run that ended early, of its driven part."""
     return _known(driven, "position_rmse_m")
 
 
 def error_estimates(driven: Sequence[CampaignRun]) -> dict[str, BootstrapEstimate]:
-    """Mean, median and CVaR of the position RMSE [m], of all runs and of those that came to their end."""
+    """Estimate mean, median and CVaR of the position RMSE [m], of all runs and of completed runs."""
     arrived = [run for run in driven if run.row["completed"] is True]
     named = {"mean": mean, "median": median, CVAR: cvar}
     return {
@@ -93,7 +93,7 @@ def error_estimates(driven: Sequence[CampaignRun]) -> dict[str, BootstrapEstimat
 
 
 def worst(driven: Sequence[CampaignRun], count: int) -> list[CampaignRun]:
-    """The worst runs first: unsafe, ended in an error, then by position RMSE; last those that stopped by themselves."""
+    """Sort runs, worst first: unsafe, ended in an error, then by position RMSE; last those that stopped themselves."""
 
     def badness(run: CampaignRun) -> tuple[bool, bool, bool, float]:
         error = run.number("position_rmse_m")
@@ -103,7 +103,7 @@ def worst(driven: Sequence[CampaignRun], count: int) -> list[CampaignRun]:
 
 
 def facts(driven: Sequence[CampaignRun], others: int) -> list[str]:
-    """What was driven, what it cost, and what it says of unsafe commands."""
+    """Summarise the drives, their cost, and the bound on unsafe commands."""
     times = np.array([run.number(f"{TIME}processor_s") for run in driven])
     ticks = sum(run.number("steps") for run in driven if math.isfinite(run.number("steps")))
     failures = sum(run.row["error"] != "" for run in driven)
@@ -124,23 +124,23 @@ def tables(
     seeds: int,
     band: float,
 ) -> list[Table]:
-    """All tables of a proof; `files` are the worst runs by the name of their file, `band` [m] is that of `holds`."""
+    """Build all tables; `files` are the worst runs by file name, `band` [m] is that of `holds`."""
     made = [_rates(driven, band), _errors(driven), _unsafe(driven), *_by_factor(driven, band)]
     return [*made, *([_boundaries(boundaries, seeds)] if boundaries else []), _worst(files)]
 
 
 def percent(share: float) -> str:
-    """A share in percent with two leading digits."""
+    """Format a share in percent with two leading digits."""
     return f"{100 * share:.2g}" if share < 0.1 else f"{100 * share:.1f}"
 
 
 def _rates(driven: Sequence[CampaignRun], band: float) -> Table:
-    of = Outcomes.of(driven, band)
+    rates = Outcomes.of_runs(driven, band)
     named = {
-        "completed": of.completed,
-        "completed and never outside the band": of.in_band,
-        "not completed: it stopped by itself": of.stopped,
-        "with an unsafe command": of.unsafe,
+        "completed": rates.completed,
+        "completed and never outside the band": rates.in_band,
+        "not completed: it stopped by itself": rates.stopped,
+        "with an unsafe command": rates.unsafe,
     }
     return Table.build(
         "How often",
@@ -163,7 +163,7 @@ def _errors(driven: Sequence[CampaignRun]) -> Table:
             "position RMSE [mm]": lambda row: millis(row.value),
             "95 % interval [mm]": lambda row: f"{millis(row.low)} to {millis(row.high)}",
         },
-        [((name,), one) for name, one in error_estimates(driven).items()],
+        [((name,), estimate) for name, estimate in error_estimates(driven).items()],
         "CVaR 95 %: mean of the worst twentieth of the runs. Intervals: bootstrap, 2000 samples. A robot that stopped "
         "by itself counts with how far its reference has gone on.",
     )
@@ -191,12 +191,12 @@ def _unsafe(driven: Sequence[CampaignRun]) -> Table:
 
 
 def _by_factor(driven: Sequence[CampaignRun], band: float) -> list[Table]:
-    """A table for each factor with a few named values, such as scenarios and paths."""
+    """Build a table for each factor with a few named values, such as scenarios and paths."""
     made = []
     for factor in ("scenario", "trajectory", "plant", "surface", "sensors"):
         groups: dict[str, list[CampaignRun]] = {}
-        for one in driven:
-            groups.setdefault(str(one.definition.columns[factor]), []).append(one)
+        for run in driven:
+            groups.setdefault(str(run.definition.columns[factor]), []).append(run)
         if 1 < len(groups) <= max(len(driven) / 2, 2):
             columns = {
                 "runs": lambda runs: str(len(runs)),
@@ -216,8 +216,8 @@ def _by_factor(driven: Sequence[CampaignRun], band: float) -> list[Table]:
 
 
 def _boundaries(boundaries: Sequence[Boundary], seeds: int) -> Table:
-    def value(number_: float | None, of: Boundary) -> str:
-        return "-" if number_ is None else f"{number_:.4g} {of.search.unit}".strip(" -")
+    def value(number_: float | None, row: Boundary) -> str:
+        return "-" if number_ is None else f"{number_:.4g} {row.search.unit}".strip(" -")
 
     return Table.build(
         "Boundaries",
@@ -265,7 +265,7 @@ def _stopped(run: CampaignRun) -> bool:
 
 
 def _mean(driven: Sequence[CampaignRun], column: str) -> float:
-    """Mean of the runs that have a value."""
+    """Average the runs that have a value."""
     return _or_nan(np.mean, _known(driven, column))
 
 
@@ -290,26 +290,26 @@ _WORDS_AGAIN = "drive the worst again with `repeat worst/01.yaml --out worst/01`
 
 def shown(config: str, driven: Sequence[CampaignRun], boundaries: Sequence[Boundary], band: float) -> Shown:
     """Return summary, key figures and warnings of the page; `band` [m] as in `boundaries.holds`."""
-    of = Outcomes.of(driven, band)
+    rates = Outcomes.of_runs(driven, band)
     return Shown(
         summary=[
-            f"{of.completed.count} of {of.completed.of} runs came to their end, {of.in_band.count} of them never "
-            f"outside the band; {of.unsafe.count or 'none'} had an unsafe command."
+            f"{rates.completed.count} of {rates.completed.of} runs came to their end, {rates.in_band.count} of them "
+            f"never outside the band; {rates.unsafe.count or 'none'} had an unsafe command."
         ],
-        key_figures=_key_figures(driven, of),
-        warnings=_warnings(driven, of, boundaries, band),
+        key_figures=_key_figures(driven, rates),
+        warnings=_warnings(driven, rates, boundaries, band),
         configurations=[ConfigurationView("Configuration that was proven (YAML)", commented_yaml(load_config(config)))],
     )
 
 
-def _key_figures(driven: Sequence[CampaignRun], of: Outcomes) -> list[KeyFigure]:
+def _key_figures(driven: Sequence[CampaignRun], rates: Outcomes) -> list[KeyFigure]:
     tail = error_estimates(driven)[f"{CVAR}, completed runs"]
-    bound = f"with 95 % confidence fewer than {percent(of.unsafe.bound)} %"
+    bound = f"with 95 % confidence fewer than {percent(rates.unsafe.bound)} %"
     return [
-        KeyFigure("completed", f"{100 * of.completed.share:.1f} %", _interval(of.completed)),
-        KeyFigure("completed inside the band", f"{100 * of.in_band.share:.1f} %", _interval(of.in_band)),
-        KeyFigure("stopped by itself", f"{100 * of.stopped.share:.1f} %", _interval(of.stopped)),
-        KeyFigure("unsafe commands", f"{of.unsafe.count} runs", bound, "bad" if of.unsafe.count else "good"),
+        KeyFigure("completed", f"{100 * rates.completed.share:.1f} %", _interval(rates.completed)),
+        KeyFigure("completed inside the band", f"{100 * rates.in_band.share:.1f} %", _interval(rates.in_band)),
+        KeyFigure("stopped by itself", f"{100 * rates.stopped.share:.1f} %", _interval(rates.stopped)),
+        KeyFigure("unsafe commands", f"{rates.unsafe.count} runs", bound, "bad" if rates.unsafe.count else "good"),
         KeyFigure("position error, worst twentieth", f"{millis(tail.value)} mm", "CVaR 95 % of completed runs, RMSE"),
     ]
 
@@ -319,7 +319,7 @@ def _interval(rate: Rate) -> str:
 
 
 def tail_charts(driven: Sequence[CampaignRun]) -> list[Chart]:
-    """The share of completed runs with a larger error than a given one, and CVaR; empty without such runs."""
+    """Chart the share of completed runs with a larger error, and CVaR; empty without such runs."""
     rmse = 1e3 * errors([run for run in driven if run.row["completed"] is True])
     if not rmse.size:
         return []
@@ -331,8 +331,8 @@ def tail_charts(driven: Sequence[CampaignRun]) -> list[Chart]:
 
 
 def map_chart(drawn: DrivenMap) -> GridMap:
-    """Position error by two factors."""
-    x, y = drawn.of.x, drawn.of.y
+    """Chart the position error by two factors."""
+    x, y = drawn.axes.x, drawn.axes.y
     values = [[rounded(1e3 * value) for value in row] for row in drawn.error]
     return GridMap(
         drawn.name.replace("-", " ").capitalize(),
@@ -345,18 +345,20 @@ def map_chart(drawn: DrivenMap) -> GridMap:
     )
 
 
-def _warnings(driven: Sequence[CampaignRun], of: Outcomes, boundaries: Sequence[Boundary], band: float) -> list[Warned]:
+def _warnings(
+    driven: Sequence[CampaignRun], rates: Outcomes, boundaries: Sequence[Boundary], band: float
+) -> list[Warned]:
     warnings = []
     failed = sum(run.row["error"] != "" for run in driven)
-    if of.unsafe.count:
-        words = f"{of.unsafe.count} runs had an unsafe command: not finite, or beyond what the configuration allows."
+    if rates.unsafe.count:
+        words = f"{rates.unsafe.count} runs had an unsafe command: not finite, or beyond what the configuration allows."
         warnings.append(Warned(words, f"do not drive with it; {_WORDS_AGAIN}, and send it to the authors"))
     if failed:
         warnings.append(Warned(f"{failed} runs ended in an error and count as not completed.", _WORDS_AGAIN))
-    if of.stopped.count:
-        words = f"In {of.stopped.count} runs the robot stopped by itself: safe, but not at its end."
+    if rates.stopped.count:
+        words = f"In {rates.stopped.count} runs the robot stopped by itself: safe, but not at its end."
         warnings.append(Warned(words, f"look in the tables which scenario that is; {remedies().waited}"))
-    beyond = of.completed.count - of.in_band.count
+    beyond = rates.completed.count - rates.in_band.count
     if beyond:
         words = f"{beyond} completed runs were further than {1e3 * band:g} mm from the path at some time."
         warnings.append(Warned(words, f"leave that much room beside the path, or drive slower; {_WORDS_AGAIN}"))

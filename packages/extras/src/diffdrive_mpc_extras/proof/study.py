@@ -45,14 +45,14 @@ class ProofPlan:
 
 @dataclass(frozen=True)
 class Proven:
-    """What a proof found.
+    """Results of a proof.
 
     Attributes
     ----------
     driven
         The runs that were drawn, in order.
     maps, boundaries
-        What came of maps and searches.
+        Results of maps and searches.
     others
         Runs that these took.
     worst
@@ -79,8 +79,8 @@ class ProofStudy(Study[ProofPlan, Proven]):
         Where runs are driven and kept.
     runs
         Number of drawn runs; overrides the proof file.
-    kept
-        How many of the worst are kept as files.
+    worst_runs
+        Number of the worst runs to write as files.
     """
 
     name = "prove"
@@ -88,9 +88,9 @@ class ProofStudy(Study[ProofPlan, Proven]):
     shared = True
 
     def __init__(
-        self, config: str, proof: Proof, place: CampaignPlace, runs: int | None = None, kept: int = 10
+        self, config: str, proof: Proof, place: CampaignPlace, runs: int | None = None, worst_runs: int = 10
     ) -> None:
-        self._config, self._proof, self._place, self._runs, self._kept = config, proof, place, runs, kept
+        self._config, self._proof, self._place, self._runs, self._worst_runs = config, proof, place, runs, worst_runs
 
     def plan(self) -> ProofPlan:
         """Draw the runs; raises ConfigError where the campaign names another controller."""
@@ -98,24 +98,24 @@ class ProofStudy(Study[ProofPlan, Proven]):
         named = [name for name in _CONTROLLER if name in (*self._proof.factors, *self._proof.probe.factors)]
         if named:
             raise ConfigError(f"factors.{named[0]}: remove it; the controller under test is {self._config}")
-        factors = told_of(self._config)
+        factors = controller_factors(self._config)
         probe = Definition.from_factors(dict(self._proof.probe.factors) | dict(factors), "probe")
         return ProofPlan([definition.changed(factors) for definition in self._proof.definitions(self._runs)], probe)
 
     def cases(self, plan: ProofPlan) -> Iterable[Case]:
-        """The run whose factors the maps vary."""
+        """Return the run whose factors the maps vary."""
         return [plan.probe.case]
 
     def run(self, plan: ProofPlan, jobs: int, bar: ProgressBar) -> Proven:
         """Drive everything that the store of the place does not have."""
         place, proof = replace(self._place, jobs=jobs), self._proof
         driven = drive_all(plan.drawn, place, bar, "driving runs")
-        map_definitions = [map_runs(of, plan.probe, proof.probe.seeds[0]) for of in proof.maps.values()]
+        map_definitions = [map_runs(axes, plan.probe, proof.probe.seeds[0]) for axes in proof.maps.values()]
         mapped = drive_all([run for runs in map_definitions for run in runs], place, bar, "driving maps")
         maps = [
             drawn_map(*named, runs, mapped) for named, runs in zip(proof.maps.items(), map_definitions, strict=True)
         ]
-        tried: dict[str, CampaignRun] = {one.key: one for one in mapped}
+        tried: dict[str, CampaignRun] = {run.key: run for run in mapped}
 
         def drive(runs: list[Definition]) -> list[CampaignRun]:
             outcomes = drive_all(runs, place, bar, "searching boundaries")
@@ -123,22 +123,22 @@ class ProofStudy(Study[ProofPlan, Proven]):
             return outcomes
 
         boundaries = find_boundaries(proof.boundaries, plan.probe, proof.probe.seeds, drive, proof.band)
-        listed = worst(driven, self._kept)
-        files = {f"{k:02d}.yaml": one for k, one in enumerate(listed, start=1)}
+        listed = worst(driven, self._worst_runs)
+        files = {f"{k:02d}.yaml": run for k, run in enumerate(listed, start=1)}
         return Proven(driven, maps, boundaries, len(tried), files)
 
     def report(self, results: Proven, seconds: float) -> Report:  # noqa: ARG002 - its tables say it
-        """Tables, and a figure of the errors and of each map."""
+        """Build tables, and figures of the errors and of each map."""
         estimates, tail = error_estimates(results.driven), tail_charts(results.driven)
         figures = ({"errors.png": tail} if tail else {}) | {
-            f"map-{one.name}.png": [map_chart(one)] for one in results.maps
+            f"map-{proof_map.name}.png": [map_chart(proof_map)] for proof_map in results.maps
         }
         seeds, band = len(self._proof.probe.seeds), self._proof.band
         return Report(
             counted=f"{len(results.driven) + results.others} runs",
             meta={"statistics": STATISTICS, "controller": Path(self._config).name, "campaign": self._proof.description},
             content={
-                "rates": plain(Outcomes.of(results.driven, band)),
+                "rates": plain(Outcomes.of_runs(results.driven, band)),
                 "band_m": band,
                 "position_rmse_m": plain(estimates),
                 "boundaries": [_boundary_row(boundary) for boundary in results.boundaries],
@@ -156,12 +156,12 @@ def keep(proven: Proven, out: Path) -> None:
     write_table([run.columns for run in proven.driven], out / RESULTS)
     for old in (out / WORST).glob("[0-9][0-9].yaml"):
         old.unlink()
-    for name, one in proven.worst.items():
-        write_run(one, out / WORST / name)
+    for name, run in proven.worst.items():
+        write_run(run, out / WORST / name)
 
 
-def told_of(config: str) -> Mapping[str, Value]:
-    """The factors that name a controller; raises ConfigError if there is no such configuration."""
+def controller_factors(config: str) -> Mapping[str, Value]:
+    """Return the factors that name a controller; raise ConfigError if the configuration does not exist."""
     load_config(config)
     return {"model": config} if is_shipped(config) else {"config": config, "model": load_config(config).model}
 

@@ -64,7 +64,7 @@ class TwinFit:
         The parameters.
     values
         Their values, by name.
-    told
+    parameters
         Result of each parameter, in the order of the space.
     drives
         Number of sets of parameters that were driven.
@@ -74,7 +74,7 @@ class TwinFit:
 
     space: Space
     values: Values
-    told: tuple[FittedParameter, ...]
+    parameters: tuple[FittedParameter, ...]
     drives: int
     seconds: float
 
@@ -178,7 +178,7 @@ class _Search:
         return self.problem.slopes(z, free, motions)
 
     def least(self, z: FloatArray, free: list[int], evaluations: int, known: FloatArray | None = None) -> FloatArray:
-        """Minimise the sum of squares over the parameters `free`: (q,).
+        """Search for the least sum of squares over the parameters `free`: (q,).
 
         Slopes are found by differences at every other step, and follow the steps in between (Broyden, Mathematics of
         Computation 1965, 19(92), 577-593); at the first they may be `known` (n, len(free)).

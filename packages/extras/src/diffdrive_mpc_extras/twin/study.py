@@ -53,7 +53,7 @@ def plant_text(twin: FittedTwin, day: datetime.date) -> str:
         "parameters": {
             parameter.name: rounded({"value": parameter.value, "low": parameter.low, "high": parameter.high})
             | {"told": parameter.told}
-            for parameter in twin.fit.told
+            for parameter in twin.fit.parameters
         },
     }
     plain = _plain(data)
@@ -101,7 +101,7 @@ def parameter_table(twin: FittedTwin) -> Table:
             f"{parameter.share:.2f}",
             "yes" if parameter.told else "no, prior",
         )
-        for parameter in twin.fit.told
+        for parameter in twin.fit.parameters
     )
     columns = ("parameter", "what", "unit", "value", "95 % interval", "deviation over prior's", "told")
     note = (
@@ -121,7 +121,7 @@ def numbers(twin: FittedTwin) -> dict[str, Any]:
             "drift": [{key: getattr(drift, key) for key in keys} for drift in score.drift],
         }
 
-    parameters = [asdict(parameter) for parameter in twin.fit.told]
+    parameters = [asdict(parameter) for parameter in twin.fit.parameters]
     return {"twin": held(twin.twin_held), "model": held(twin.model_held), "parameters": parameters}
 
 
@@ -202,7 +202,7 @@ class TwinStudy(Study[None, FittedTwin]):
     def report(self, results: FittedTwin, seconds: float) -> Report:
         """Return scores, parameters, the plant file, and the figure of the rows held out."""
         del seconds
-        untold = [parameter.name for parameter in results.fit.told if not parameter.told]
+        untold = [parameter.name for parameter in results.fit.parameters if not parameter.told]
         left = f"The log does not tell {', '.join(untold)}: the plant keeps the prior there." if untold else ""
         return Report(
             counted=f"{results.fit.drives} drives of the plant",

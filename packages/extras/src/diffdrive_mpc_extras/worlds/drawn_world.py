@@ -271,7 +271,7 @@ def _plan(settings: Drawing, posts: FloatArray) -> tuple[ObstacleDistanceGrid, F
 
 
 def _waypoints(way: FloatArray, spacing: float) -> FloatArray:
-    """Space the points of an A* path about evenly, with corners rounded by a moving mean."""
+    """Sample an A* path at about even spacing, with corners rounded by a moving mean."""
     window = 9
     padded = np.vstack([np.repeat(way[:1], window // 2, axis=0), way, np.repeat(way[-1:], window // 2, axis=0)])
     kernel = np.ones(window) / window
