@@ -85,7 +85,7 @@ typedef struct {
     real enough;                     /* evidence against a sensor beyond which it is not used, in squared deviations */
     /* fields of mpc/config/sensor_test.yaml with these names: the test of the sensors */
     real windows[3], silence, pose_spacing, latest, lasting, often;
-    real gyro[2], slip_turning[2], slip_driving[2], following[2], answer, uneven, sliding[2], frozen[2], odds[2];
+    real gyro[2], slip_turning[2], slip_driving[2], following[2], response_time, uneven, sliding[2], frozen[2], odds[2];
     real doubtful[2], course[5], sideways[2], scales[4], margin, share[2], plausible, memory, gains[4], held, scatter[5];
     real late[6], delay_fit[8], by_wheels[3], scaled[4], impossible[2], far;
     /* the same for wheels at their speed limit, and for displacements that are no reason to leave the path */

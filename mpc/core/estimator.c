@@ -86,7 +86,7 @@ int ddmpc_estimator_correct_sent(ddmpc_controller *c, const real got[2])
 {
     const ddmpc_constants *k = c->constants;
     for (int i = 0; i < 2; i++)
-        /* Not the other way round: NaN must not pass. */
+        /* The negated comparison rejects NaN, too. */
         if (!(ddmpc_fabs(got[i]) <= k->sent_rounding * ddmpc_max(k->largest_command[2 * i + (got[i] < R(0.0))], ddmpc_fabs(c->last[i]))))
             return 0;
     ddmpc_estimator_correct_last(c, got);
@@ -148,13 +148,13 @@ static void disbelieve(ddmpc_controller *c, int accused)
 {
     for (int index = 0; index < c->estimator.nodes; index++) {
         ddmpc_node *node = node_at(c, index);
-        int kept = 0;
+        int count = 0;
         for (int i = 0; i < node->twists; i++) {
             const int subject = node->twist[i].sensor == YAW_RATE ? DDMPC_OF_YAW_RATE : DDMPC_OF_WHEELS;
             if (!(accused & 1 << subject))
-                node->twist[kept++] = node->twist[i];
+                node->twist[count++] = node->twist[i];
         }
-        node->twists = kept;
+        node->twists = count;
         if (accused & 1 << DDMPC_OF_POSE)
             node->poses = 0;
     }

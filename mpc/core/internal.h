@@ -185,10 +185,10 @@ typedef struct {
     ddmpc_hearing wheels, gyro;
     real state[DDMPC_MOST_STATES];  /* state of the model without corrections */
     real slip[DDMPC_MOST_SLIPS];                /* earlier estimate of the slip */
-    ddmpc_checked_pose last;        /* if one was `seen` */
+    ddmpc_checked_pose last;        /* newest pose, if `has_last` */
     ddmpc_motion last_motion;       /* up to it */
     ddmpc_motion frozen;            /* up to the first pose that is like it; `same` came since */
-    int seen, same;
+    int has_last, same;
     ddmpc_time next_pose;           /* when one is kept again */
     real residual[3], scatter[2];   /* error of poses against dead reckoning; its variance over the stated one */
     real widest[2]; /* the widening of poses so far */

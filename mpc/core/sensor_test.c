@@ -1,7 +1,8 @@
-/* The sensor test tells a sensor at fault from an honest surprise. Whenever a pose comes, the motion that poses, wheels, gyro
- * and commands tell of windows of time is held against hypotheses. Honest ones: all agree within what slip, slopes and loads do; wheels
- * slip; the robot is held. And one for each sensor: all but that one agree. A sensor is given up when its hypothesis has been
- * likelier than every honest one, by odds that say how often that may be wrong. */
+/* The sensor test distinguishes a faulty sensor from an unusual but honest motion. With each pose it compares, over windows
+ * of time, the motions according to poses, wheels, gyro and commands with hypotheses. The honest ones: all sensors agree
+ * within the effects of slip, slopes and loads; the wheels slip; the robot is held. One for each sensor: all others agree.
+ * A sensor is no longer used once its hypothesis has been more likely than every honest one, by odds that follow from the
+ * permitted rate of false alarms. */
 #include <string.h>
 
 #include "internal.h"
@@ -12,10 +13,10 @@ enum { ABSOLUTE, SHARE };
 
 static real square(real x) { return x * x; }
 
-/* A gain; none of a robot is below the least, and none turns it round. */
+/* Compute a gain from two sums. No robot has a gain below the minimum, or a negative one. */
 static real quotient(const real sums[2]) { return ddmpc_max(sums[0] / sums[1], R(0.1)); }
 
-/* Variance of what differs by an absolute deviation and by a share of `size`. */
+/* Compute the variance of a difference that has an absolute part and a part proportional to `size`. */
 static real variance(const real deviation[2], real size)
 {
     return square(deviation[ABSOLUTE]) + square(deviation[SHARE] * size);
@@ -33,7 +34,7 @@ void ddmpc_monitor_clear(ddmpc_controller *c)
     m->widest[0] = m->widest[1] = R(1.0);
 }
 
-/* The motion up to now, `ago` of those that are kept. */
+/* Return the stored motion that is `ago` entries older than the newest. */
 static ddmpc_motion *past(ddmpc_monitor *m, int ago) { return &m->path[(m->newest + MONITORED - ago) % MONITORED]; }
 
 void ddmpc_monitor_predict(ddmpc_controller *c, const real *newest)
@@ -65,7 +66,7 @@ static void hear(ddmpc_hearing *heard, ddmpc_time silence, ddmpc_time t, const r
     memcpy(heard->value, value, (size_t)count * sizeof(real));
 }
 
-/* Whether a reading is another than the commands say, whatever their gain. */
+/* Return whether a reading contradicts the commands for any plausible gain. */
 static int is_doubtful(const ddmpc_constants *k, real reading, real model)
 {
     return ddmpc_fabs(reading - model) > k->doubtful[ABSOLUTE] + k->doubtful[SHARE] * ddmpc_fabs(model);
@@ -77,7 +78,7 @@ void ddmpc_monitor_count(ddmpc_controller *c, int subject, int impossible)
     *count = c->constants->impossible[1] * *count + (real)impossible;
 }
 
-/* Return whether a sensor of late gives readings that no robot has: then its others are wrong, too. */
+/* Return whether a sensor has recently given physically impossible readings: then its other readings are wrong, too. */
 static int is_impossible(const ddmpc_controller *c, int subject)
 {
     return c->monitor.impossible[subject] > c->constants->impossible[0];
@@ -97,26 +98,26 @@ int ddmpc_monitor_doubts(const ddmpc_controller *c, ddmpc_time t)
     const int gyro = is_doubtful(k, m->gyro.value[0], body_turn);
     const int wheels_repeat = t - m->wheels.heard <= silence && t - m->wheels.changed > silence;
     const int gyro_repeats = t - m->gyro.heard <= silence && t - m->gyro.changed > silence;
-    /* Wheels that turn as they are told, and a gyro that says the opposite all along. */
+    /* The wheels turn as commanded, and the gyro has shown the opposite sign throughout. */
     const int gyro_opposes = m->turning[1] > k->gyro[ABSOLUTE] && m->turning[0] < R(-0.5) * m->turning[1];
     return ((wheels && wheels_repeat) || is_impossible(c, DDMPC_OF_WHEELS) ? BY_WHEELS : 0) |
            ((gyro && gyro_repeats) || gyro_opposes || is_impossible(c, DDMPC_OF_YAW_RATE) ? BY_GYRO : 0);
 }
 
-/* Count a sum from nought again, wherever it is kept. */
+/* Subtract the present value of a sum from all its copies, so that single precision stays accurate. */
 static void rebase(ddmpc_monitor *m, int i)
 {
     if (!isfinite(m->now.sum[i])) {
-        /* What was summed up is lost, and what it taught. */
+        /* The sums are lost, and with them everything that was learned from them. */
         m->now.sum[i] = R(0.0);
-        m->moves = m->poses = m->residuals = m->seen = m->anchored = 0;
+        m->moves = m->poses = m->residuals = m->has_last = m->anchored = 0;
         m->apart = m->witness = m->settled = m->fits = m->turning[0] = m->turning[1] = R(0.0);
         memset(m->slip, 0, sizeof m->slip);
         memset(m->spread, 0, sizeof m->spread);
         memset(m->went, 0, sizeof m->went);
         return;
     }
-    /* Of the heading whole turns: places were summed up along it. */
+    /* The heading loses whole turns only, because positions were summed up along it. */
     const real turn = R(2.0) * DDMPC_PI, off = i == HEADING ? turn * ddmpc_rint(m->now.sum[i] / turn) : m->now.sum[i];
     m->now.sum[i] -= off;
     m->frozen.sum[i] -= off;
@@ -153,12 +154,13 @@ void ddmpc_monitor_move(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_t
     const real *slip = m->slip, speed = R(0.5) * (before[0] + m->wheels.value[0]);
     const real wheel_turn = R(0.5) * dt * (before[1] + m->wheels.value[1]);
     const real gyro_turn = R(0.5) * dt * (before[2] + m->gyro.value[0]);
-    /* The gyro turns it, or without one the wheels. */
+    /* The heading follows the gyro, or the wheels without one. */
     const int silent = t - m->gyro.heard > silence || (m->accused & BY_GYRO);
     const real turn = silent ? quotient(m->body_by_wheels) * wheel_turn : gyro_turn;
     real *sum = m->now.sum;
     if (dt > R(0.0)) {
-        /* The floor's slide has a direction among the poses: there the motion is found, and turned to where sums began. */
+        /* The slide of the floor is known in the frame of the poses: compute the motion there, then rotate it into the frame of
+         * the sums. */
         const real theta = newest[POSE(c) + 2], rest = R(0.0), turned = sum[HEADING] - theta;
         const real model[2] = {speed - slip[V_OFFSET], turn / (dt * slip[OMEGA_GAIN] * slip[YAW_GAIN])};
         const real cosine = ddmpc_cos(turned), sine = ddmpc_sin(turned), *arguments[5] = {model, slip, &theta, &rest, &dt};
@@ -187,22 +189,22 @@ void ddmpc_monitor_move(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_t
         *past(m, 0) = m->now;
     }
     for (int i = 0; i < MOTIONS; i++)
-        /* Not the other way round: what is not finite has to go. */
+        /* The negated comparison is also true for NaN, which must be removed. */
         if (!(ddmpc_fabs(sum[i]) <= k->far))
             rebase(m, i);
 }
 
-/* The motion up to `time`, between the instants that are kept; 0 if they do not reach back so far. */
-static int motion_at(ddmpc_monitor *m, ddmpc_time time, ddmpc_motion *found)
+/* Interpolate the motion up to `time` between the stored instants; return 0 if they do not reach back so far. */
+static int motion_at(ddmpc_monitor *m, ddmpc_time time, ddmpc_motion *motion)
 {
-    /* The newest that is not later lies from `low` to `high`. */
+    /* The newest instant that is not later than `time` lies between `low` and `high`. */
     int low = 0, high = m->moves - 1;
     if (high < 0)
         return 0;
     if (past(m, high)->time > time) {
-        /* Before the first of all it was at rest. */
-        *found = *past(m, high);
-        found->time = time;
+        /* The robot was at rest before the first instant. */
+        *motion = *past(m, high);
+        motion->time = time;
         return m->moves < MONITORED;
     }
     /* The range is halved: seven rounds for MONITORED instants. */
@@ -216,21 +218,21 @@ static int motion_at(ddmpc_monitor *m, ddmpc_time time, ddmpc_motion *found)
     const ddmpc_motion *before = past(m, low), *after = low > 0 ? past(m, low - 1) : &m->now;
     const ddmpc_time length = after->time - before->time;
     const real share = length > 0.0 ? ddmpc_min((real)((time - before->time) / length), R(1.0)) : R(0.0);
-    found->time = time;
+    motion->time = time;
     for (int i = 0; i < MOTIONS; i++)
-        found->sum[i] = before->sum[i] + share * (after->sum[i] - before->sum[i]);
+        motion->sum[i] = before->sum[i] + share * (after->sum[i] - before->sum[i]);
     return 1;
 }
 
-/* What each says of the motion between two instants, seen from the heading halfway. */
+/* Motion between two instants according to each sensor, in the frame of the heading halfway. */
 typedef struct {
     real pose, wheels, model;            /* forward [m], by wheels and commands with the slip known */
-    real left;                           /* of the pose, beyond dead reckoning [m] */
-    real pose_turn, wheel_turn, gyro_turn, model_turn; /* of the body, with the gains seen so far [rad] */
-    real turned;                         /* to either side [rad] */
-    real chord, way;                     /* share of its way by which the robot got forward; that way by wheels [m] */
-    real heading;                        /* of the pose halfway [rad] */
-    real late[2];                        /* by which commands differ if wheels answer later than modelled [m, rad] */
+    real left;                           /* lateral motion of the pose beyond dead reckoning [m] */
+    real pose_turn, wheel_turn, gyro_turn, model_turn; /* turns of the body, with the gains learned so far [rad] */
+    real turned;                         /* sum of turns to both sides [rad] */
+    real chord, way;                     /* chord over the distance travelled; that distance by the wheels [m] */
+    real heading;                        /* heading of the pose halfway [rad] */
+    real late[2];                        /* change of the commanded motion if wheels respond later than modelled [m, rad] */
 } motions;
 
 static motions compare(const ddmpc_monitor *m, const ddmpc_motion *from, const ddmpc_motion *to, const real before[3],
@@ -241,7 +243,7 @@ static motions compare(const ddmpc_monitor *m, const ddmpc_motion *from, const d
     by.late[0] = by.late[1] = R(0.0);
     for (int i = 0; i < MOTIONS; i++)
         sum[i] = to->sum[i] - from->sum[i];
-    /* A robot may turn round within a window: of whole turns the gyro knows. */
+    /* A robot may turn fully within a window: the gyro tells the number of whole turns. */
     by.pose_turn = sum[HEADING] + ddmpc_wrap(after[2] - before[2] - sum[HEADING]);
     by.gyro_turn = sum[GYRO_TURN];
     by.wheel_turn = quotient(m->body_by_wheels) * sum[WHEEL_TURN];
@@ -261,20 +263,21 @@ static motions compare(const ddmpc_monitor *m, const ddmpc_motion *from, const d
     return by;
 }
 
-/* What a window tells for each sensor's fault, beside every honest explanation. */
+/* Squared deviations of one window: for the fault of each sensor, and for the best honest hypothesis. */
 typedef struct {
-    real fault[SENSES];    /* squared deviations that a fault of each sensor leaves */
-    int slips;             /* whether that is another than that all agree */
-    real honest;           /* squared deviations that the best honest explanation leaves */
+    real fault[SENSES];    /* remaining with a fault of each sensor */
+    int slips;             /* 1 if the best honest hypothesis is slip or a held robot */
+    real honest;           /* remaining with the best honest hypothesis */
 } verdict;
 
-/* Squared deviations that explanations leave of one direction, turning or driving. */
+/* Squared deviations that remain with each hypothesis in one direction, turning or driving. */
 typedef struct {
     real usual, slip, held, fault[SENSES];
 } left_over;
 
-/* One direction: body by pose `p` and gyro `g`, wheels by encoders `w` and commands `m`; a variance below zero: not heard.
-   `apart` is the variance between body and wheels, `follow` that between wheels and commands. */
+/* Evaluate the hypotheses in one direction: body by pose `P` and gyro `G`, wheels by encoders `W` and commands `M`. A
+   variance below zero marks a silent sensor. `apart` is the variance between body and wheels, `follow` that between wheels
+   and commands. */
 static left_over explain(const real value[4], const real noise[4], real apart, real follow)
 {
     enum { P, G, W, M };
@@ -296,7 +299,7 @@ static left_over explain(const real value[4], const real noise[4], real apart, r
     return left;
 }
 
-/* Weigh a window of `duration` [s], of those who are `heard`; the pose is always. */
+/* Evaluate the hypotheses in a window of `duration` [s] with the sensors in `heard`, and the pose. */
 static verdict weigh(const ddmpc_constants *k, const ddmpc_monitor *m, const motions *by, int heard, const real noise[2],
                      real duration)
 {
@@ -308,16 +311,16 @@ static verdict weigh(const ddmpc_constants *k, const ddmpc_monitor *m, const mot
     const real turn_noise[4] = {square(noise[1]), gyro ? gyro_noise : R(-1.0), wheels ? R(0.0) : R(-1.0), R(0.0)};
     const real way[4] = {by->pose, R(0.0), by->wheels, by->model};
     const real way_noise[4] = {square(noise[0]), R(-1.0), wheels ? R(0.0) : R(-1.0), R(0.0)};
-    /* Gains are learned from turning. */
+    /* Gains are known the better, the more the robot has turned. */
     const real unsure = square(k->gains[3] * turned) * k->gains[0];
-    /* Of an S the two turns do not cancel where one side slips more than the other. */
+    /* The two turns of an S do not cancel if one side slips more than the other. */
     const real both = square(k->uneven * (by->turned - turned));
     const real apart = variance(k->slip_turning, turned) + unsure / m->body_by_wheels[1] + both;
     const real follow = variance(k->following, turned) + unsure / m->wheels_by_model[1] + square(by->late[1]) + both;
     const real off = variance(k->slip_driving, gone);
     const left_over a = explain(turn, turn_noise, apart, follow);
     const left_over b = explain(way, way_noise, off, variance(k->following, gone) + square(by->late[0]));
-    /* Without the gyro nobody knows when it turned: before or after its way, or all along. */
+    /* Without the gyro the time of the turn is unknown: before or after the way, or throughout. */
     const real least = by->way * ddmpc_cos(R(0.5) * by->pose_turn);
     const real bent = ddmpc_max(ddmpc_min(by->pose, ddmpc_max(least, by->way)), ddmpc_min(least, by->way));
     const real free_way[4] = {by->pose, R(0.0), bent, by->model + bent - by->wheels};
@@ -325,18 +328,18 @@ static verdict weigh(const ddmpc_constants *k, const ddmpc_monitor *m, const mot
     verdict result;
     result.honest = ddmpc_min(a.usual + b.usual, ddmpc_min(a.slip + b.slip + k->odds[0], a.held + b.held + k->odds[1]));
     for (int i = 0; i < SENSES; i++)
-        /* The gyro says nothing of driving. */
+        /* The gyro does not measure driving. */
         result.fault[i] = a.fault[i] + (i == DDMPC_OF_YAW_RATE ? ddmpc_min(unbent.usual, unbent.slip + k->odds[0]) : b.fault[i]);
     result.slips = result.honest < a.usual + b.usual;
     return result;
 }
 
-/* Squared deviations by which poses go away from dead reckoning as steadily as no slope and no slip takes a robot. */
+/* Compute the squared deviations of poses that drift from dead reckoning more steadily than slopes or slip explain. */
 static real drift(const ddmpc_constants *k, const motions *half, const motions *whole, real noise)
 {
     const real spread = R(0.5) * square(noise) + square(R(0.5) * k->sliding[0] * whole->wheels) +
                         square(R(0.5) * k->sliding[1] * whole->turned) + square(k->slip_driving[ABSOLUTE]);
-    /* A push or a correction comes at once: of the two halves the one with less of it counts. */
+    /* A push or a correction is sudden: count the half of the window with the smaller drift. */
     const real half_off = half->pose - half->wheels, off = whole->pose - whole->wheels;
     const real cosine = ddmpc_cos(whole->heading - half->heading), sine = ddmpc_sin(whole->heading - half->heading);
     const real size = ddmpc_hypot(off, whole->left);
@@ -345,15 +348,15 @@ static real drift(const ddmpc_constants *k, const motions *half, const motions *
     return less > R(0.0) ? R(2.0) * square(less) / spread : R(0.0);
 }
 
-/* Learn how poses scatter beyond what they state from second differences, in which steady slip has no part. */
+/* Learn the scatter of poses beyond their stated covariance from second differences, which steady slip does not enter. */
 static void learn_scatter(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_checked_pose *pose, const motions *by)
 {
     const real stated[2] = {R(0.5) * (pose->covariance[0][0] + pose->covariance[1][1]), pose->covariance[2][2]};
     const real off[3] = {by->pose - by->wheels, by->left, by->pose_turn - by->gyro_turn};
-    real seen[2] = {R(0.0), R(0.0)};
+    real observed[2] = {R(0.0), R(0.0)};
     for (int i = 0; i < 3; i++) {
-        /* 1 + 4 + 1 variances in each; the first two are along and across. */
-        seen[i / 2] += square(off[i] - m->residual[i]) / (i < 2 ? R(12.0) : R(6.0));
+        /* Each holds 1 + 4 + 1 variances; the first two are along and across. */
+        observed[i / 2] += square(off[i] - m->residual[i]) / (i < 2 ? R(12.0) : R(6.0));
         m->residual[i] = off[i];
     }
     if (m->residuals < (int)k->scatter[1])
@@ -362,8 +365,8 @@ static void learn_scatter(const ddmpc_constants *k, ddmpc_monitor *m, const ddmp
         return;
     const real share = ddmpc_max(k->scatter[0], R(1.0) / (real)m->residuals);
     for (int i = 0; i < 2; i++) {
-        const real most = k->scatter[2] * ddmpc_max(m->scatter[i], R(1.0)), ratio = seen[i] / stated[i];
-        /* Not by min: NaN must go. */
+        const real most = k->scatter[2] * ddmpc_max(m->scatter[i], R(1.0)), ratio = observed[i] / stated[i];
+        /* A comparison instead of `min`, so that NaN is removed. */
         m->scatter[i] += share * ((ratio < most ? ratio : most) - m->scatter[i]);
     }
 }
@@ -383,30 +386,30 @@ static ddmpc_time delay_of(const ddmpc_constants *k, int index)
     return (ddmpc_time)k->latest * index / (MONITORED_DELAYS - 1);
 }
 
-/* The motion between two instants that are earlier by a delay; 0 if it is not kept. */
+/* Compare motions between two instants that are earlier by a delay; return 0 if they are no longer stored. */
 static int compare_late(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_seen_pose *from, const ddmpc_motion *to,
                         ddmpc_time delay, const real pose[3], motions *by)
 {
-    ddmpc_motion begin, end;
-    if (!motion_at(m, from->then.time - delay, &begin) || !motion_at(m, to->time - delay, &end))
+    ddmpc_motion first, last;
+    if (!motion_at(m, from->then.time - delay, &first) || !motion_at(m, to->time - delay, &last))
         return 0;
-    *by = compare(m, &begin, &end, from->value, pose);
-    const ddmpc_time later = (ddmpc_time)k->answer;
+    *by = compare(m, &first, &last, from->value, pose);
+    const ddmpc_time later = (ddmpc_time)k->response_time;
     ddmpc_motion before, after;
-    if (motion_at(m, begin.time - later, &before) && motion_at(m, end.time - later, &after)) {
-        by->late[0] = by->chord * (end.sum[MODEL_DISTANCE] - begin.sum[MODEL_DISTANCE] - after.sum[MODEL_DISTANCE] + before.sum[MODEL_DISTANCE]);
+    if (motion_at(m, first.time - later, &before) && motion_at(m, last.time - later, &after)) {
+        by->late[0] = by->chord * (last.sum[MODEL_DISTANCE] - first.sum[MODEL_DISTANCE] - after.sum[MODEL_DISTANCE] + before.sum[MODEL_DISTANCE]);
         by->late[1] = by->model_turn - quotient(m->body_by_model) * (after.sum[MODEL_TURN] - before.sum[MODEL_TURN]);
     }
     return 1;
 }
 
-/* Learn how far wheels and body turn for what is commanded. */
+/* Learn the ratios of the turns of wheels, body and commands. */
 static void learn_gains(const ddmpc_constants *k, ddmpc_monitor *m, const motions *by)
 {
     const real turn = R(0.5) * (by->pose_turn + by->gyro_turn);
     const real wheels = by->wheel_turn / quotient(m->body_by_wheels);
     const real model = by->model_turn / quotient(m->body_by_model);
-    /* Of a robot that is held nothing is learned. */
+    /* A held robot teaches nothing about its body. */
     if (ddmpc_fabs(turn) >= k->held * ddmpc_fabs(wheels)) {
         learn_gain(m->body_by_wheels, k->gains[2], wheels, turn);
         learn_gain(m->body_by_model, k->gains[2], model, turn);
@@ -414,7 +417,7 @@ static void learn_gains(const ddmpc_constants *k, ddmpc_monitor *m, const motion
     learn_gain(m->wheels_by_model, k->gains[2], model, wheels);
 }
 
-/* Learn by which factor the gyro turns, from windows that it explains by one factor. */
+/* Learn the scale of the gyro from windows that a single scale explains. */
 static void learn_spread(const ddmpc_constants *k, ddmpc_monitor *m, const motions *by, real noise)
 {
     const real noise_of_turn = k->gyro[ABSOLUTE] + noise, weight = R(1.0) / square(noise_of_turn);
@@ -426,7 +429,7 @@ static void learn_spread(const ddmpc_constants *k, ddmpc_monitor *m, const motio
         m->spread[i] = k->late[1] * m->spread[i] + weight * add[i];
 }
 
-/* Return whether wheels tell the turn, because no gyro does. */
+/* Return whether turns are taken from the wheels because there is no gyro. */
 static int turns_by_wheels(const ddmpc_constants *k, const ddmpc_monitor *m)
 {
     const ddmpc_time silence = (ddmpc_time)k->silence;
@@ -434,16 +437,17 @@ static int turns_by_wheels(const ddmpc_constants *k, const ddmpc_monitor *m)
            !(m->accused & BY_WHEELS);
 }
 
-/* The turn between two instants by gyro, or by wheels. */
+/* Compute the turn between two instants by the gyro, or by the wheels without one. */
 static real turned_between(const ddmpc_constants *k, const ddmpc_monitor *m, const ddmpc_motion *from, const ddmpc_motion *to)
 {
     return turns_by_wheels(k, m) ? quotient(m->body_by_wheels) * (to->sum[WHEEL_TURN] - from->sum[WHEEL_TURN])
                                  : to->sum[GYRO_TURN] - from->sum[GYRO_TURN];
 }
 
-/* Learn how late poses are. At each delay a Kalman filter explains their heading less that of the gyro by an offset, a drifting
- * bias and a share of the turn, so that neither bias nor scale makes a delay; all have one covariance. Driving does not tell the
- * delay: a body follows its wheels late, by its tyres. Without a gyro their turn tells long delays only, for the same reason. */
+/* Learn the delay of poses. For each candidate delay a Kalman filter explains the heading of the poses minus that of the gyro
+ * by an offset, a drifting bias and a share of the turn, so that neither bias nor scale is taken for a delay; all candidates
+ * share one covariance. Driving does not reveal the delay, because tyres make a body follow its wheels late. Without a gyro the
+ * turn of the wheels reveals only long delays, for the same reason. */
 static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_motion *now, const real pose[3], real noise)
 {
     const real dt = (real)(now->time - m->last_motion.time), turn = ddmpc_wrap(pose[2] - m->last.value[2]);
@@ -468,7 +472,7 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
         low = ddmpc_min(low, off[i]);
         high = ddmpc_max(high, off[i]);
     }
-    /* No delay explains a leap: begin again. An accused gyro may turn by any factor. */
+    /* No delay explains a jump: restart. An accused gyro may have any scale. */
     const real first[3] = {own, square(k->delay_fit[2]), square(wheels ? k->by_wheels[1] : m->accused & BY_GYRO ? k->delay_fit[7] : k->gyro[SHARE])};
     const int restart = !(m->fits > R(0.0)) || ddmpc_max(low, -high) > k->delay_fit[6] * ddmpc_sqrt(all);
     m->fits = restart ? R(1.0) : left * m->fits + R(1.0);
@@ -481,20 +485,21 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
     }
     for (int i = 0; i < 9; i++)
         P[i / 3][i % 3] = !restart ? P[i / 3][i % 3] - gain[i / 3] * gain[i % 3] * all : i % 4 == 0 ? first[i / 4] : R(0.0);
-    /* Between delays by a parabola, whose curvature tells the deviation: steady motion tells of no delay. */
+    /* A parabola through the best three candidates gives the delay, and by its curvature the deviation, which is large in steady
+     * motion. */
     const real *misfit = &m->misfit[best], slope = misfit[-1] - misfit[1], step = (real)delay_of(k, 1);
     const real curved = ddmpc_max(misfit[-1] - R(2.0) * misfit[0] + misfit[1], R(1e-6));
     const real delay = ddmpc_max(step * ((real)best + R(0.5) * slope / curved), R(0.0));
     const real scatter = ddmpc_max(misfit[0] / m->fits, R(1.0)), deviation = step * ddmpc_sqrt(R(2.0) * scatter / curved);
     const int sure = best < MONITORED_DELAYS - 2 && scatter < k->late[4] &&
                      deviation < ddmpc_max(k->delay_fit[4], m->accused & BY_GYRO ? R(0.0) : k->late[3] * delay);
-    /* While a sensor begins to be at fault its turns may look late for a moment, and a delay moves the whole estimate. */
+    /* The turns of a sensor that has just failed may look late for a moment, and a new delay moves the whole estimate. */
     if (!sure || restart || (wheels && delay < k->by_wheels[2]))
         m->unsure = now->time;
     const int differs = ddmpc_fabs(delay - (real)m->delay) > k->late[0] * deviation;
     const int sharper = m->delay > 0.0 && deviation < m->delay_deviation;
     if (now->time - m->unsure >= (ddmpc_time)k->lasting && (differs || sharper)) {
-        /* The gyro's factor came from windows that did not belong together. */
+        /* The scale of the gyro came from windows at the former delay. */
         if (differs)
             memset(m->spread, 0, sizeof m->spread);
         m->delay = (ddmpc_time)delay;
@@ -502,7 +507,7 @@ static void learn_delay(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_
     }
 }
 
-/* Which sensors have come without a pause since `time`. */
+/* Return the sensors, as bits, that have reported without a pause since `time`. */
 static int heard_since(const ddmpc_constants *k, const ddmpc_monitor *m, ddmpc_time time)
 {
     const ddmpc_time silence = (ddmpc_time)k->silence;
@@ -511,7 +516,7 @@ static int heard_since(const ddmpc_constants *k, const ddmpc_monitor *m, ddmpc_t
     return (wheels ? BY_WHEELS : 0) | (gyro ? BY_GYRO : 0);
 }
 
-/* Whether a pose that repeats itself does so while two others say that the robot moves. */
+/* Return whether poses repeat themselves while two other sources report motion. */
 static int is_frozen(ddmpc_controller *c, const real pose[3], const ddmpc_motion *now, const real noise[2])
 {
     const ddmpc_constants *k = c->constants;
@@ -535,19 +540,19 @@ static int is_frozen(ddmpc_controller *c, const real pose[3], const ddmpc_motion
     return model + (wheels && (heard & BY_WHEELS)) + (gyro && (heard & BY_GYRO)) >= 2;
 }
 
-/* The newest pose kept that is older by `length` [s] than `stamp`; 0 if there is none, or only one far older. */
+/* Return the newest stored pose at least `length` [s] older than `stamp`; 0 if there is none, or only a far older one. */
 static const ddmpc_seen_pose *seen_before(const ddmpc_monitor *m, ddmpc_time stamp, ddmpc_time length)
 {
     for (int ago = 0; ago < m->poses; ago++) {
-        const ddmpc_seen_pose *seen = &m->pose[(m->newest_pose + MONITORED_POSES - ago) % MONITORED_POSES];
-        if (stamp - seen->then.time >= length - 1e-9)
-            return stamp - seen->then.time < 2.0 * length ? seen : 0;
+        const ddmpc_seen_pose *stored = &m->pose[(m->newest_pose + MONITORED_POSES - ago) % MONITORED_POSES];
+        if (stamp - stored->then.time >= length - 1e-9)
+            return stamp - stored->then.time < 2.0 * length ? stored : 0;
     }
     return 0;
 }
 
-/* A window by each hypothesis at the delay of poses that leaves least: one that is late is no fault. Of a pose at fault the delay
- * means nothing, so the others have to agree at each of them. */
+/* Evaluate each hypothesis at the delay of poses that suits it best, because late poses are no fault. For a faulty pose the
+ * delay has no meaning, so the other sensors must agree at each of them. */
 static verdict weigh_late(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_seen_pose *from,
                           const ddmpc_motion *now, const real *pose, int heard, const real noise[2], int window)
 {
@@ -559,7 +564,7 @@ static verdict weigh_late(const ddmpc_constants *k, ddmpc_monitor *m, const ddmp
         best = ddmpc_min(best, m->misfit[i]);
     for (int i = 0; i < MONITORED_DELAYS; i++) {
         motions by;
-        /* Delays that have been excluded so far explain nothing. */
+        /* Skip delays that are already excluded. */
         if (m->misfit[i] > best + k->late[5] || !compare_late(k, m, from, now, delay_of(k, i), pose, &by))
             continue;
         const verdict result = weigh(k, m, &by, heard, noise, k->windows[window]);
@@ -574,7 +579,7 @@ static verdict weigh_late(const ddmpc_constants *k, ddmpc_monitor *m, const ddmp
     return least;
 }
 
-/* The direction of the way between two poses, seen from their heading halfway, and its variance; 0 if it is too short to tell. */
+/* Compute the course between two poses, relative to their heading halfway, and its variance; return 0 if it is too short. */
 static int course(const ddmpc_constants *k, const ddmpc_seen_pose *from, const ddmpc_motion *to, const real pose[3], real noise,
                   real *direction, real *spread)
 {
@@ -584,12 +589,12 @@ static int course(const ddmpc_constants *k, const ddmpc_seen_pose *from, const d
         return 0;
     const real turned = ddmpc_wrap(pose[2] - from->value[2]), heading = from->value[2] + R(0.5) * turned;
     *direction = ddmpc_wrap(ddmpc_atan2(dy, dx) - heading - (distance < R(0.0) ? DDMPC_PI : R(0.0)));
-    /* The chord of a way that is no arc lies anywhere between both headings. */
+    /* The chord of a path that is no arc lies anywhere between both headings. */
     *spread = square(k->course[0]) + square(noise / way) + square(k->course[3] * turned) + square(R(0.5) * *direction);
     return ddmpc_fabs(turned) < k->course[4];
 }
 
-/* Let the course say whose heading is right where gyro and poses have turned apart: the way turns with the right one. */
+/* Decide by the course which heading is right if gyro and poses have diverged: the course turns with the right one. */
 static void follow_course(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_motion *now, const real pose[3], real noise)
 {
     const ddmpc_seen_pose *from = seen_before(m, now->time, (ddmpc_time)k->windows[SHORT]);
@@ -616,7 +621,7 @@ static void follow_course(const ddmpc_constants *k, ddmpc_monitor *m, const ddmp
     }
 }
 
-/* Squared deviations by which poses go sideways, in both of two windows in a row: a push comes once. */
+/* Compute the squared deviations of poses that move sideways in two windows in a row: a push acts only once. */
 static real sideways(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_seen_pose *from, const ddmpc_motion *now,
                      const real pose[3], real noise)
 {
@@ -627,10 +632,10 @@ static real sideways(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_see
         return R(0.0);
     real least = HUGE_VAL;
     for (int i = 0; i < 2; i++) {
-        /* Backwards, too, no floor takes it against its wheels and its commands. */
+        /* No floor moves a robot against its wheels and its commands, backwards either. */
         const real back = by[i].pose * by[i].wheels < R(0.0) && by[i].model * by[i].wheels > R(0.0) ? square(by[i].pose) : R(0.0);
         const real way = ddmpc_hypot(by[i].pose, by[i].left), distance = ddmpc_fabs(by[i].wheels);
-        /* A floor that takes a robot along does not take it as far as its wheels go. */
+        /* A sliding floor does not carry a robot as far as its wheels go. */
         if (!(ddmpc_fabs(way - distance) < R(2.0) * (noise + k->slip_driving[SHARE] * distance)))
             return R(0.0);
         least = ddmpc_min(least, (square(by[i].left) + back) / (square(noise) + variance(k->sideways, by[i].wheels) + square(k->sliding[1] * by[i].turned)));
@@ -638,7 +643,7 @@ static real sideways(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_see
     return R(2.0) * least;
 }
 
-/* Return whether the gyro turns by a constant factor of poses, about the mean: neither a bias nor a faulty pose does so. */
+/* Return whether the gyro differs from poses by a constant scale: neither a bias nor a faulty pose does. */
 static int is_scaled(const ddmpc_constants *k, const ddmpc_monitor *m)
 {
     const real *sum = m->spread, weights = ddmpc_max(sum[0], R(1e-9));
@@ -648,7 +653,7 @@ static int is_scaled(const ddmpc_constants *k, const ddmpc_monitor *m)
            pose * gyro - square(both) < k->scaled[2] * pose * gyro;
 }
 
-/* Evidence that wheels tell another way than poses and commands, which agree: by all ways since a while ago. */
+/* Compute the evidence that the wheels measure another distance than poses and commands, which agree, over recent motion. */
 static real scaled(const ddmpc_constants *k, const ddmpc_monitor *m)
 {
     if (!(m->went[3] > k->scales[0]))
@@ -658,7 +663,8 @@ static real scaled(const ddmpc_constants *k, const ddmpc_monitor *m)
     return ddmpc_min(follow, square((wheels - body) / k->scales[1]) + driven) - driven;
 }
 
-/* Evidence against each sensor by the motion up to this pose; `agreeing` gets those whom the others confirm in motion. */
+/* Compute the evidence against each sensor from the motion up to this pose, and in `agreeing` the sensors that the others
+ * confirm in motion. */
 static void judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddmpc_motion *now, const real noise[2],
                   real evidence[SENSES], int *agreeing)
 {
@@ -674,7 +680,7 @@ static void judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddm
         motions *by = window == LONG ? &whole : &half;
         if (!from || !compare_late(k, m, from, now, m->delay, pose->value, by))
             break;
-        const int there = heard_since(k, m, from->then.time - m->delay), heard = there & ~accused;
+        const int audible = heard_since(k, m, from->then.time - m->delay), heard = audible & ~accused;
         if (window == MIDDLE) {
             const ddmpc_seen_pose *oldest = seen_before(m, pose->stamp, (ddmpc_time)(R(2.0) * k->windows[SHORT]));
             if (oldest && heard & BY_WHEELS)
@@ -699,12 +705,12 @@ static void judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddm
             evidence[DDMPC_OF_WHEELS] = ddmpc_max(evidence[DDMPC_OF_WHEELS], scaled(k, m));
         if (window == LONG) {
             m->creeping = square(by->pose_turn - by->gyro_turn) > square(noise[1]) + square(k->gyro[ABSOLUTE] * k->windows[LONG]);
-            /* Dead reckoning is by wheels and gyro: it tells of a drift only where these agree with all else. */
+            /* Dead reckoning uses wheels and gyro: it reveals a drift only if these agree with everything else. */
             if (heard == both && result.honest < k->plausible && pose->stamp - m->slipped > (ddmpc_time)k->memory)
                 evidence[DDMPC_OF_POSE] = ddmpc_max(evidence[DDMPC_OF_POSE], drift(k, &half, &whole, noise[0]));
             continue;
         }
-        const verdict with_accused = accused ? weigh(k, m, by, there, noise, k->windows[window]) : result;
+        const verdict with_accused = accused ? weigh(k, m, by, audible, noise, k->windows[window]) : result;
         const int moves = ddmpc_fabs(by->pose) > k->frozen[0] || ddmpc_fabs(by->pose_turn) > k->frozen[1];
         const int goes_along = square(by->wheels - by->pose) < square(noise[0]) + variance(k->slip_driving, by->pose);
         const int turns = ddmpc_max(ddmpc_fabs(by->pose_turn), ddmpc_fabs(by->gyro_turn)) > k->frozen[1];
@@ -714,7 +720,7 @@ static void judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddm
         if (commanded && !(gone > far || went > turned))
             m->stood = pose->stamp;
         if (with_accused.honest < k->plausible)
-            *agreeing = (moves ? there & ~(turns ? 0 : BY_GYRO) & ~(goes_along ? 0 : BY_WHEELS) : 0) | BY_POSE;
+            *agreeing = (moves ? audible & ~(turns ? 0 : BY_GYRO) & ~(goes_along ? 0 : BY_WHEELS) : 0) | BY_POSE;
         if (result.slips)
             m->slipped = pose->stamp;
         const ddmpc_time changed = m->wheels.changed < m->gyro.changed ? m->wheels.changed : m->gyro.changed;
@@ -722,21 +728,21 @@ static void judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddm
         if (pose->stamp < m->next_pose)
             continue;
         const int alike = square(by->pose_turn - by->gyro_turn) < R(4.0) * (square(noise[1]) + square(k->gyro[ABSOLUTE]));
-        if (!accused && alive && there == both && alike && result.honest < k->plausible && !m->creeping)
+        if (!accused && alive && audible == both && alike && result.honest < k->plausible && !m->creeping)
             learn_gains(k, m, by);
-        if (!((accused & BY_POSE) | (m->unreal & BY_GYRO)) && there & BY_GYRO && m->now.time - m->gyro.changed <= (ddmpc_time)k->silence && ddmpc_min(result.honest, result.fault[DDMPC_OF_YAW_RATE]) < k->plausible)
+        if (!((accused & BY_POSE) | (m->unreal & BY_GYRO)) && audible & BY_GYRO && m->now.time - m->gyro.changed <= (ddmpc_time)k->silence && ddmpc_min(result.honest, result.fault[DDMPC_OF_YAW_RATE]) < k->plausible)
             learn_spread(k, m, by, noise[1]);
     }
-    /* A reading that repeats itself against the commands, or at the end of its range, is no witness against poses. */
+    /* A reading that repeats itself despite the commands, or at the end of its range, is no evidence against poses. */
     const int rests = m->now.time - m->gyro.changed > (ddmpc_time)k->silence && ddmpc_fabs(m->gyro.value[0]) > k->doubtful[ABSOLUTE];
     if ((ddmpc_monitor_doubts(c, m->now.time) | (rests ? BY_GYRO : 0)) & ~accused)
         evidence[DDMPC_OF_POSE] = R(0.0);
-    /* By poses that are not used nobody else is accused. */
+    /* Poses that are not used accuse no other sensor. */
     if (accused & BY_POSE)
         evidence[DDMPC_OF_WHEELS] = evidence[DDMPC_OF_YAW_RATE] = R(0.0);
 }
 
-/* Accuse who has been contradicted for long enough, and trust who has agreed for long enough. */
+/* Accuse sensors that have been contradicted for long enough, and trust those that have agreed for long enough. */
 static void decide(ddmpc_controller *c, const real evidence[SENSES], int agreeing, ddmpc_time stamp, ddmpc_time passed)
 {
     const ddmpc_constants *k = c->constants;
@@ -745,12 +751,12 @@ static void decide(ddmpc_controller *c, const real evidence[SENSES], int agreein
     const int repeats[SENSES] = {now - m->wheels.changed > silence, now - m->gyro.changed > silence, m->same > 0};
     for (int i = 0; i < SENSES; i++) {
         const int bit = 1 << i;
-        real other = R(0.0);
+        real strongest = R(0.0);
         for (int j = 0; j < SENSES; j++)
-            other = j == i ? other : ddmpc_max(other, evidence[j]);
-        /* The one at fault has to stand out the more, the further two are apart: by gains that one of them taught, a third tells
-         * little. */
-        if (evidence[i] > k->enough && evidence[i] > other + k->margin + ddmpc_min(k->share[0] * other, k->share[1])) {
+            strongest = j == i ? strongest : ddmpc_max(strongest, evidence[j]);
+        /* The larger the contradiction, the more the faulty sensor must stand out: a third sensor tells little through gains
+         * that one of the two has taught. */
+        if (evidence[i] > k->enough && evidence[i] > strongest + k->margin + ddmpc_min(k->share[0] * strongest, k->share[1])) {
             if (m->contradictions[i]++ == 0)
                 m->since[i] = stamp;
             const ddmpc_time lasting = stamp - m->since[i];
@@ -786,11 +792,11 @@ int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose)
         ddmpc_sqrt(R(2.0) * pose->covariance[2][2] * ddmpc_max(m->scatter[1], R(1.0)))};
     int frozen = 0, agreeing = 0;
     real evidence[SENSES] = {R(0.0), R(0.0), R(0.0)};
-    if (m->seen) {
+    if (m->has_last) {
         const ddmpc_time passed = pose->stamp - m->last.stamp;
         const motions by = compare(m, &m->last_motion, &now, m->last.value, pose->value);
         frozen = is_frozen(c, pose->value, &now, noise);
-        /* One that goes further at once than a wrong sensor could make it has leapt, which is another question. */
+        /* A pose that moves further than any faulty sensor explains has jumped, which other code handles. */
         const real far = R(0.5) * k->frozen[0] + R(3.0) * noise[0] + ddmpc_fastest(k, 0) * (real)passed;
         const real turned = R(0.5) * k->frozen[1] + R(3.0) * noise[1] + ddmpc_fastest(k, 1) * (real)passed;
         if (!(ddmpc_hypot(by.pose - by.wheels, by.left) <= far && ddmpc_fabs(by.pose_turn - by.gyro_turn) <= turned))
@@ -813,7 +819,7 @@ int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose)
         m->agreed[DDMPC_OF_POSE] = 0.0;
     }
     if (m->accused & ~before) {
-        /* What was made of the delay by a wrong sensor. */
+        /* Discard the delay, which a faulty sensor has taught. */
         memset(m->misfit, 0, sizeof m->misfit);
         memset(m->spread, 0, sizeof m->spread);
         m->fits = R(0.0);
@@ -828,7 +834,7 @@ int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose)
     }
     m->last = *pose;
     m->last_motion = now;
-    m->seen = 1;
+    m->has_last = 1;
     return m->accused & ~before;
 }
 
@@ -843,7 +849,7 @@ void ddmpc_monitor_widen(ddmpc_controller *c, ddmpc_checked_pose *pose)
     real by[2];
     for (int i = 0; i < 2; i++) {
         const real wide = widening(c->constants, m->scatter[i]);
-        /* What was believed came from poses that were trusted too much. */
+        /* The present belief came from poses that were trusted too much. */
         pose->doubt[i] = wide > m->widest[i] ? ddmpc_sqrt(wide / m->widest[i]) : R(1.0);
         m->widest[i] = ddmpc_max(wide, m->widest[i]);
         by[i] = ddmpc_sqrt(wide);
