@@ -15,6 +15,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.named_file import is_file
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.robot import NotNegative, Positive, SampleTime
+from diffdrive_mpc.models.trust import check_trusted
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.sim.plants.surface import BodySlip
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
@@ -108,9 +109,13 @@ class IdentifiedRobot(StrictModel):
 
 
 def load_identified_robot(path: str | Path) -> IdentifiedRobot | None:
-    """Read a robot file; None if there is no file of this kind. Raises ConfigError if it has a mistake."""
+    """Read a robot file; None if there is no file of this kind.
+
+    Raises ConfigError if it has a mistake, and `models.trust.UntrustedFileError` as `check_trusted`.
+    """
     if not is_file(path):
         return None
+    check_trusted(path)
     data = read_yaml(path)
     return load_checked(IdentifiedRobot, path) if isinstance(data, dict) and "motion" in data else None
 

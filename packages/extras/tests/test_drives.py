@@ -238,7 +238,7 @@ def test_printed_pioneer_has_the_printed_numbers_and_damping():
     # Tables 1 and 2 in mm and kg mm^2, section 3.1.
     chassis = {"mass": 28.05, "wheel_radius": 95e-3, "track": 320e-3, "centre_ahead": 57.8e-3}
     assert content.chassis.model_dump() == chassis | {"yaw_inertia": 175e3 * 1e-6, "wheel_inertia": 9.24e-2 * 1e-6}
-    drive, forward = content.wheel_drive, content.chassis.own + content.chassis.other
+    drive, forward = content.wheel_drive, content.chassis.direct + content.chassis.cross
     assert (drive.integral_time, drive.actuator_lag, drive.friction) == (4.58, 1.1e-3, 35e-7)
     assert (content.sample_time, content.v.dead_samples, content.omega.dead_samples) == (0.1, 3, 3)
     # Of the loop without the slow integral: inertia speed' = torque, lag torque' = gain error - torque.
