@@ -259,8 +259,13 @@ static ddmpc_constants make_constants(const ddmpc_sizes *s)
     k.enough = (real)uniform(1.0, 30.0);
     const real windows[3] = {R(0.5), R(1.5), R(3.0)};
     memcpy(k.windows, windows, sizeof windows);
-    k.silence = k.pose_spacing = k.lasting = k.answer = R(0.1);
+    k.silence = k.pose_spacing = k.lasting = k.response_time = R(0.1);
     k.latest = R(0.3);
+    const real late[6] = {R(3.0), R(0.99), R(60.0), R(0.1), R(1.5), R(300.0)}, by_wheels[3] = {R(0.01), R(0.3), R(0.06)};
+    const real delay_fit[8] = {R(0.001), R(0.01), R(0.05), R(0.002), R(0.01), R(20.0), R(5.0), R(2.0)};
+    memcpy(k.late, late, sizeof late);
+    memcpy(k.by_wheels, by_wheels, sizeof by_wheels);
+    memcpy(k.delay_fit, delay_fit, sizeof delay_fit);
     k.often = k.margin = R(3.0);
     for (int i = 0; i < 2; i++) {
         k.gyro[i] = R(0.02);
