@@ -62,20 +62,11 @@ class TimingPass:
     Attributes
     ----------
     clean_share
-    Share of the ticks with an undisturbed measurement [-].
+        Share of the ticks with an undisturbed measurement [-].
     others_share
-    Share of the time for which other programs had the core [-], as far as the system reports it.
+        Share of the time for which other programs had the core [-], as far as the system reports it.
     yardstick
-    Minimum time of the yardstick of `bench.counters` [s]: times of two reports compare as far as these agree.
-
-    Attributes
-    ----------
-    clean_share
-        Share of the ticks that were measured undisturbed [-].
-    others_share
-        Share of the time that other programs had the core [-], as far as the system tells.
-    yardstick
-        The shortest time of the yardstick of `bench.counters` [s]: times of two reports compare as far as these agree.
+        Minimum time of the yardstick of `bench.counters` [s]: times of two reports compare as far as these agree.
     """
 
     clean_share: float = 1.0

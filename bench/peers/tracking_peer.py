@@ -90,16 +90,7 @@ class Delayed:
     Attributes
     ----------
     sample_time
-    Period of the ticks [s].
-    time_constant
-    (2,) lag of v and omega behind their commands, without dead time [s].
-    limits
-    Range and slew of the command.
-
-    Attributes
-    ----------
-    sample_time
-        Sample time of the controller [s].
+        Period of the ticks [s].
     time_constant
         (2,) lag of v and omega behind their commands, without dead time [s].
     limits

@@ -93,28 +93,15 @@ class LoopTick:
     Attributes
     ----------
     command
-    (2,) v [m/s], omega [rad/s] to be sent.
-    state
-    State of the loop.
-    message
-    Reason in words; empty in normal operation.
-    result
-    Step result of the controller; None if it was not called.
-    request
-    Request to the controller.
-
-    Attributes
-    ----------
-    command
         (2,) v [m/s], omega [rad/s] to be sent.
     state
         State of the loop.
     message
-        Why, in words; empty when all is well.
+        Reason in words; empty in normal operation.
     result
-        Result of the controller, where it was called.
+        Step result of the controller; None if it was not called.
     request
-        The request.
+        Request to the controller.
     """
 
     command: FloatArray

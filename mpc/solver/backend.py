@@ -114,20 +114,11 @@ class Solved(NamedTuple):
     Attributes
     ----------
     plan
-    (2 N,) plan; valid only if the status is usable.
+        (2 N,) plan; valid only if the status is usable.
     multipliers
-    (kinds, N) of the limits, zero where a limit is inactive.
+        (kinds, N) of the limits, zero where a limit is inactive.
     status, iterations, primal_residual, dual_residual
-    Report of the solver.
-
-    Attributes
-    ----------
-    plan
-        (2 N,) the plan; means nothing unless the status is usable.
-    multipliers
-        (kinds, N) of the limits, zero where nothing presses.
-    status, iterations, primal_residual, dual_residual
-        Status, iterations and residuals of the solver.
+        Report of the solver.
     """
 
     plan: FloatArray

@@ -180,26 +180,13 @@ class Laid:
     Attributes
     ----------
     reference
-    Reference to track.
-    length
-    Length of the path from the robot on [m].
-    deviation
-    Maximum distance of the reference from the planner's line [m], without the approach to the line.
-    begins
-    Distance of the robot from the start of the reference [m].
-    note
-    Remark for the result of a goal, such as a reduced speed; empty if there is none.
-
-    Attributes
-    ----------
-    reference
-        To be tracked.
+        Reference to track.
     length
         Length of the path from the robot on [m].
     deviation
-        Furthest distance of the reference from the planner's line [m], beyond where it leads onto it.
+        Maximum distance of the reference from the planner's line [m], without the approach to the line.
     begins
-        Distance of the robot from where the reference begins [m].
+        Distance of the robot from the start of the reference [m].
     note
         Remark for the result of a goal, such as a reduced speed; empty if there is none.
     """
