@@ -5,6 +5,7 @@ import re
 import tomllib
 from collections import defaultdict
 from fnmatch import fnmatch
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -74,15 +75,12 @@ def imported_modules(path, inside_functions):
             yield from (alias.name for alias in node.names)
 
 
+@cache
 def import_graph(inside_functions):
     return {
         name: {target for target in imported_modules(path, inside_functions) if target in MODULES} - {name}
         for name, path in MODULES.items()
     }
-
-
-HEAD_IMPORTS = import_graph(inside_functions=False)
-ALL_IMPORTS = import_graph(inside_functions=True)
 
 
 def reachable(graph, start):
@@ -146,7 +144,7 @@ def test_ros_and_mujoco_are_imported_only_in_their_folders(prefix):
 @pytest.mark.parametrize("folder", sorted(name for name, path in MODULES.items() if path.name == "__init__.py"))
 def test_folders_inside_a_folder_form_no_circle(folder):
     inside, graph = f"{folder}.", defaultdict(set)
-    for name, targets in ALL_IMPORTS.items():
+    for name, targets in import_graph(inside_functions=True).items():
         for target in targets:
             if name.startswith(inside) and target.startswith(inside):
                 source, sink = (entry.removeprefix(inside).partition(".")[0] for entry in (name, target))
@@ -157,11 +155,11 @@ def test_folders_inside_a_folder_form_no_circle(folder):
 
 
 def test_files_form_no_circle():
-    assert circular(HEAD_IMPORTS) == set()
+    assert circular(import_graph(inside_functions=False)) == set()
 
 
 def test_imports_inside_functions_close_only_listed_circles():
-    reached = {name: reachable(ALL_IMPORTS, name) for name in MODULES}
+    reached = {name: reachable(import_graph(inside_functions=True), name) for name in MODULES}
     circles = {frozenset(module for module in reached[name] if name in reached[module]) for name in MODULES}
     listed = [circle & DEFERRED_CIRCLES for circle in circles - {frozenset()}]
     assert sorted(map(sorted, listed)) == sorted([name] for name in DEFERRED_CIRCLES)
@@ -174,7 +172,7 @@ def test_controller_folders_import_only_lower_layers_of_the_page():
     height = {name: len(layers) - index for index, names in enumerate(layers) for name in names}
     prefix = "diffdrive_mpc.mpc."
     assert {name.split(".")[2] for name in MODULES if name.startswith(prefix)} == set(height)
-    for name, targets in ALL_IMPORTS.items():
+    for name, targets in import_graph(inside_functions=True).items():
         for target in targets:
             if name.startswith(prefix) and target.startswith(prefix):
                 source, sink = name.split(".")[2], target.split(".")[2]

@@ -92,7 +92,6 @@ def test_another_build_turns_on_the_spot_as_coulomb_friction_and_its_firmware_sa
     assert (abs(turned - 1.0) < 0.03) == (not name.endswith("naive"))
 
 
-MANY = [draw_robot(seed) for seed in range(300)]
 CASTORS = (4, 10, 15, 20, 27, 28, 29, 39, 50, 52, 54, 57, 69, 110, 143, 152, 173, 182, 233, 249, 276)
 """Robots with castors that grip, slope and motors let drive the benchmark paths."""
 
@@ -111,7 +110,7 @@ def test_a_seed_draws_the_same_robot_and_run():
 
 def test_who_drives_is_told_a_slew_that_grip_allows():
     """A robot turns its yaw rate on perfect sensors' word as quickly as its user states, whatever its floor."""
-    robot = min((MANY[seed] for seed in CASTORS), key=lambda r: r.stated["limits.omega_slew"])
+    robot = min((draw_robot(seed) for seed in CASTORS), key=lambda r: r.stated["limits.omega_slew"])
     slew = robot.stated["limits.omega_slew"]
     assert 1.4 < slew < 6.0
     plant = make_plant(f"drawn:{robot.seed}", sensors="perfect", seed=robot.seed)
@@ -124,7 +123,7 @@ def test_who_drives_is_told_a_slew_that_grip_allows():
 
 def test_castors_turn_the_robot_about_its_driven_axle():
     """Two driven wheels turn the robot about the middle of their axle, as their geometry predicts."""
-    robot = MANY[CASTORS[0]]
+    robot = draw_robot(CASTORS[0])
     assert robot.build.twin.chassis.castors and not robot.scenario.kinds
     plant = make_plant(f"drawn:{robot.seed}", sensors="perfect", seed=robot.seed)
     plant.reset(np.zeros(3))
