@@ -24,6 +24,10 @@ DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs
 PAGES = sorted([*(ROOT / "docs").glob("*.md"), *(ROOT / "docs").glob("tutorials/*.md"), *PACKAGE_PAGES])
 LINKING = sorted([*DOCUMENTS, ROOT / "CHANGELOG.md", ROOT / "SECURITY.md", *(ROOT / "docs").glob("*/*.md")])
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+MARKED = re.compile(r"<!-- ([\w-]+):begin -->.*?<!-- \1:end -->", re.DOTALL)
+"""A table that a program writes."""
+MOST_WORDS, MOST_PAGES = 42_000, 26
+"""Limits of the hand-written documents."""
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 # What make would set up is set up already; .ci/run calls these as they stand.
 CI_SCRIPT = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
@@ -116,6 +120,29 @@ def invoked(program, words, name):
 def run(command, folder):
     result = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert result.returncode == 0, f"{command}: {result.stderr}"
+
+
+def hand_written():
+    """Return the hand-written text by document, without tables between marks and fenced code, which tests run.
+
+    Reports of studies are generated. CHANGELOG.md records releases, and readmes in `sources` belong to exported code.
+    """
+    reports = {path for path in (ROOT / "docs").glob("*/*.md") if path.parent.name != "tutorials"}
+    texts = {*ROOT.glob("*.md"), *(ROOT / "docs").glob("**/*.md"), *ROOT.glob("packages/*/**/*.md")}
+    texts -= {*reports, ROOT / "CHANGELOG.md", *ROOT.glob("packages/*/**/sources/*.md")}
+    return {path: FENCE.sub("", MARKED.sub("", path.read_text(encoding="utf-8"))) for path in sorted(texts)}
+
+
+def test_hand_written_documents_are_short():
+    """Pages are those of the site, besides the generated tables of parameters; readmes of packages count as words."""
+    texts = hand_written()
+    words = {named(path): len(re.findall(r"\S*\w\S*", text)) for path, text in texts.items()}
+    pages = [path for path in texts if path in PAGES or path.name in ("README.md", "CONTRIBUTING.md") and path.parent == ROOT]
+    pages = [path for path in pages if path.name != "parameters.md"]
+    print(f"{sum(words.values())} words on {len(pages)} pages and in {len(texts) - len(pages)} other documents")
+    longest = sorted(words, key=words.get, reverse=True)[:5]
+    assert sum(words.values()) <= MOST_WORDS, f"shorten documents, or merge them; the longest are {longest}"
+    assert len(pages) <= MOST_PAGES, "merge pages"
 
 
 @pytest.mark.parametrize("document", PAGES, ids=named)
