@@ -26,7 +26,7 @@ LINKING = sorted([*DOCUMENTS, ROOT / "CHANGELOG.md", ROOT / "SECURITY.md", *(ROO
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 MARKED = re.compile(r"<!-- ([\w-]+):begin -->.*?<!-- \1:end -->", re.DOTALL)
 """A table that a program writes."""
-MOST_WORDS, MOST_PAGES = 42_000, 26
+MAX_WORDS, MAX_PAGES = 42_000, 26
 """Limits of the hand-written documents."""
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 # What make would set up is set up already; .ci/run calls these as they stand.
@@ -127,22 +127,21 @@ def hand_written():
 
     Reports of studies are generated. CHANGELOG.md records releases, and readmes in `sources` belong to exported code.
     """
-    reports = {path for path in (ROOT / "docs").glob("*/*.md") if path.parent.name != "tutorials"}
-    texts = {*ROOT.glob("*.md"), *(ROOT / "docs").glob("**/*.md"), *ROOT.glob("packages/*/**/*.md")}
-    texts -= {*reports, ROOT / "CHANGELOG.md", *ROOT.glob("packages/*/**/sources/*.md")}
-    return {path: FENCE.sub("", MARKED.sub("", path.read_text(encoding="utf-8"))) for path in sorted(texts)}
+    paths = {*ROOT.glob("*.md"), *(ROOT / "docs").glob("**/*.md"), *ROOT.glob("packages/*/**/*.md")}
+    paths -= {path for path in (ROOT / "docs").glob("*/*.md") if path.parent.name != "tutorials"}
+    paths -= {ROOT / "CHANGELOG.md", *ROOT.glob("packages/*/**/sources/*.md")}
+    return {path: FENCE.sub("", MARKED.sub("", path.read_text(encoding="utf-8"))) for path in sorted(paths)}
 
 
 def test_hand_written_documents_are_short():
-    """Pages are those of the site, besides the generated tables of parameters; readmes of packages count as words."""
+    """Pages are those of the site, except for the tables of parameters; words of other documents count, too."""
     texts = hand_written()
     words = {named(path): len(re.findall(r"\S*\w\S*", text)) for path, text in texts.items()}
-    pages = [path for path in texts if path in PAGES or path.name in ("README.md", "CONTRIBUTING.md") and path.parent == ROOT]
-    pages = [path for path in pages if path.name != "parameters.md"]
-    print(f"{sum(words.values())} words on {len(pages)} pages and in {len(texts) - len(pages)} other documents")
-    longest = sorted(words, key=words.get, reverse=True)[:5]
-    assert sum(words.values()) <= MOST_WORDS, f"shorten documents, or merge them; the longest are {longest}"
-    assert len(pages) <= MOST_PAGES, "merge pages"
+    pages = {*texts} & {*DOCUMENTS, *PAGES} - {ROOT / "docs" / "parameters.md"}
+    print(f"{sum(words.values())} words on {len(pages)} pages and in {len(texts) - len(pages)} other documents")  # noqa: T201
+    longest = sorted(words, key=words.__getitem__, reverse=True)[:5]
+    assert sum(words.values()) <= MAX_WORDS, f"shorten or merge documents; the longest are {longest}"
+    assert len(pages) <= MAX_PAGES, "merge pages"
 
 
 @pytest.mark.parametrize("document", PAGES, ids=named)
