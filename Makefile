@@ -106,7 +106,7 @@ prove: $(READY) ## how often the controller fails on many plants, paths and faul
 tune: $(READY) ## search for a better configuration, and compare with the shipped one on other seeds: out/tune
 	$(BIN)/diffdrive-mpc tune ssm --out $(TUNE_OUT) $(TUNE)
 
-screenshots: $(READY) ## reports of small real runs, and their pictures for docs/see.md, in a real browser
+screenshots: $(READY) ## reports of small real runs, and their pictures for docs/logs.md, in a real browser
 	$(BIN)/diffdrive-mpc simulate --trajectory s --out $(REPORTS_OUT)/simulate --log $(REPORTS_OUT)/s.csv
 	$(BIN)/diffdrive-mpc simulate --trajectory square --log $(REPORTS_OUT)/square.csv
 	$(BIN)/diffdrive-mpc simulate --trajectory cane --log $(REPORTS_OUT)/cane.csv

@@ -89,10 +89,10 @@ def search(page: Page, home: str) -> str:
 
 def download(page: Page, home: str) -> int:
     """Download every tutorial's notebook by its link; returns how many there are."""
-    page.goto(f"{home}/tutorials/index.html")
-    tutorials = {str(link.get_attribute("href")) for link in page.locator("article table a").all()}
+    page.goto(f"{home}/why.html")
+    tutorials = {str(link.get_attribute("href")) for link in page.locator("article table a[href^='tutorials/']").all()}
     for name in tutorials:
-        page.goto(f"{home}/tutorials/{name}")
+        page.goto(f"{home}/{name}")
         with page.expect_download() as coming:
             page.locator("a[href$='.ipynb']").first.evaluate("link => { link.download = ''; link.click() }")
         assert json.loads(coming.value.path().read_text(encoding="utf-8"))["cells"], name

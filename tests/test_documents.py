@@ -24,6 +24,10 @@ DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs
 PAGES = sorted([*(ROOT / "docs").glob("*.md"), *(ROOT / "docs").glob("tutorials/*.md"), *PACKAGE_PAGES])
 LINKING = sorted([*DOCUMENTS, ROOT / "CHANGELOG.md", ROOT / "SECURITY.md", *(ROOT / "docs").glob("*/*.md")])
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+MARKED = re.compile(r"<!-- ([\w-]+):begin -->.*?<!-- \1:end -->", re.DOTALL)
+"""A table that a program writes."""
+MAX_WORDS, MAX_PAGES = 42_000, 26
+"""Limits of the hand-written documents."""
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 # What make would set up is set up already; .ci/run calls these as they stand.
 CI_SCRIPT = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
@@ -116,6 +120,28 @@ def invoked(program, words, name):
 def run(command, folder):
     result = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert result.returncode == 0, f"{command}: {result.stderr}"
+
+
+def hand_written():
+    """Return the hand-written text by document, without tables between marks and fenced code, which tests run.
+
+    Reports of studies are generated. CHANGELOG.md records releases, and readmes in `sources` belong to exported code.
+    """
+    paths = {*ROOT.glob("*.md"), *(ROOT / "docs").glob("**/*.md"), *ROOT.glob("packages/*/**/*.md")}
+    paths -= {path for path in (ROOT / "docs").glob("*/*.md") if path.parent.name != "tutorials"}
+    paths -= {ROOT / "CHANGELOG.md", *ROOT.glob("packages/*/**/sources/*.md")}
+    return {path: FENCE.sub("", MARKED.sub("", path.read_text(encoding="utf-8"))) for path in sorted(paths)}
+
+
+def test_hand_written_documents_are_short():
+    """Pages are those of the site, except for the tables of parameters; words of other documents count, too."""
+    texts = hand_written()
+    words = {named(path): len(re.findall(r"\S*\w\S*", text)) for path, text in texts.items()}
+    pages = {*texts} & {*DOCUMENTS, *PAGES} - {ROOT / "docs" / "parameters.md"}
+    print(f"{sum(words.values())} words on {len(pages)} pages and in {len(texts) - len(pages)} other documents")  # noqa: T201
+    longest = sorted(words, key=words.__getitem__, reverse=True)[:5]
+    assert sum(words.values()) <= MAX_WORDS, f"shorten or merge documents; the longest are {longest}"
+    assert len(pages) <= MAX_PAGES, "merge pages"
 
 
 @pytest.mark.parametrize("document", PAGES, ids=named)

@@ -12,7 +12,7 @@ from studies.site.notebooks import executed, notebook_text, pictures, with_noteb
 
 FOLDER = Path(__file__).parents[1] / "docs" / "tutorials"
 JACKAL = "from-bag-to-robot"
-TUTORIALS = sorted(path for path in FOLDER.glob("*.md") if path.stem != "index")
+TUTORIALS = sorted(FOLDER.glob("*.md"))
 
 
 @pytest.mark.system
@@ -46,8 +46,8 @@ def test_every_tutorial_is_listed_and_the_site_links_its_notebook(tmp_path):
     (tmp_path / "tutorials").mkdir()
     documents = {f"docs/tutorials/{page.name}": page.read_text(encoding="utf-8") for page in TUTORIALS}
     linked = with_notebooks(documents, tmp_path)
-    index = (FOLDER / "index.md").read_text(encoding="utf-8")
+    start = (FOLDER.parent / "why.md").read_text(encoding="utf-8")
     for page in TUTORIALS:
-        assert f"({page.name})" in index
+        assert f"(tutorials/{page.name})" in start
         assert f"]({page.stem}.ipynb)" in linked[f"docs/tutorials/{page.name}"].split("\n\n")[1]
         assert f"{page.stem}.ipynb" not in (tmp_path / "tutorials" / f"{page.stem}.ipynb").read_text(encoding="utf-8")

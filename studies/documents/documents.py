@@ -83,7 +83,7 @@ REPRODUCE = ShownReport(
     (),
     "reproduce.md",
 )
-SPEED = ShownReport("speed", ("horizon.png", "tail.png"), ("speed.json",), "performance.md")
+SPEED = ShownReport("speed", ("horizon.png", "tail.png"), ("speed.json",), "results.md")
 PEERS = ShownReport("peers", (), ())
 EDGE = ShownReport("edge", ("overview.png",), (), study="bench")
 ROBUSTNESS = ShownReport("robustness", ("ratios.png",), ())

@@ -29,8 +29,8 @@ DOCUMENTS = {f"docs/{path.name}": path.read_text(encoding="utf-8") for path in (
     [
         ("README.md", "docs/models.md#a-b", "models.md#a-b"),
         ("docs/why.md", "../README.md#how-well-it-tracks", "index.md#how-well-it-tracks"),
-        ("docs/tutorials/own-plant.md", "../simulated-robot.md", "../simulated-robot.md"),
-        ("docs/tutorials/own-cost.md", "../../examples/own_cost.py", "../files/examples/own_cost.py.md"),
+        ("docs/tutorials/own-parts.md", "../simulated-robot.md", "../simulated-robot.md"),
+        ("docs/tutorials/own-parts.md", "../../examples/own_cost.py", "../files/examples/own_cost.py.md"),
         ("README.md", "https://example.org/docs/models.md", "https://example.org/docs/models.md"),
         ("docs/why.md", "#here", "#here"),
     ],

@@ -1,4 +1,4 @@
-"""acados: one real-time iteration (SQP_RTI) with HPIPM on generated and compiled C; see docs/performance.md.
+"""acados: one real-time iteration (SQP_RTI) with HPIPM on generated and compiled C; see docs/results.md.
 
 Runs in its own environment (`studies.speed.process.environment`): of this project it uses only `StageProblem`'s plain
 values.

@@ -1,4 +1,4 @@
-"""do-mpc with IPOPT; see docs/performance.md.
+"""do-mpc with IPOPT; see docs/results.md.
 
 Runs in its own environment (`studies.speed.process.environment`): of this project it uses only `StageProblem`'s plain
 values.

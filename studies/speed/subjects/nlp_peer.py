@@ -1,4 +1,4 @@
-"""CasADi's `nlpsol` with the solvers that come with it: IPOPT, fatrop, sqpmethod; see docs/performance.md."""
+"""CasADi's `nlpsol` with the solvers that come with it: IPOPT, fatrop, sqpmethod; see docs/results.md."""
 
 from __future__ import annotations
 
