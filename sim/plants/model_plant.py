@@ -75,8 +75,7 @@ class ModelPlant:
         self._advance = load_twin()[1].velocity_plant_advance
         self._look = load_twin()[1].velocity_plant_look
         self._pose, self._twist, self._wheels = (view(part) for part in (self._c.pose, self._c.twist, self._c.wheels))
-        self._command, self._seen = np.zeros(2), np.zeros(3)
-        self._addresses = address(self._command), address(self._seen)
+        self._seen = np.zeros(3)
         self.reset(np.zeros(3))
 
     def __repr__(self) -> str:
@@ -118,16 +117,15 @@ class ModelPlant:
 
     def advance(self, command: ArrayLike) -> None:
         """Send `command` (2,) and let one sample pass; raises ValueError unless it is two finite numbers."""
-        sent, before = clip_command(command, self._robot.limits), self.time
-        self._command[:] = sent
-        self._sent = (float(sent[0]), float(sent[1]))
+        sent, before = clip_command(command, self._robot.limits).tolist(), self.time
+        self._sent = (sent[0], sent[1])
         if self._function is not None:
             self._c.next = self._function.advance(sent)
-        self._advance(self._c, self._addresses[0])
+        self._advance(self._c, sent)
         now = self.time
         for look in self._sensors.poses_due(now):
             if look != now:
-                self._look(self._c, before, look, self._addresses[1])
+                self._look(self._c, before, look, address(self._seen))
             self._sensors.see_pose(look, self._pose if look == now else self._seen)
         wheel_speeds = self._kinematics.wheel_speeds(self._slip.wheels(self._wheels))
         self._sensors.see_motion(now, wheel_speeds, self._c.yaw_rate)
@@ -144,7 +142,7 @@ class _Function:
         self._state, self._past = np.zeros(self._model.order), np.zeros((self._model.memory, 2))
         return self._output()
 
-    def advance(self, command: FloatArray) -> list[float]:
+    def advance(self, command: list[float]) -> list[float]:
         """Advance by one sample under `command` (2,); return the output (2,)."""
         window = np.vstack([self._past, command])
         self._state = np.asarray(self._model.plant_step(self._state, window.ravel())).ravel()
