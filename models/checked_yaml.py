@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import pickle
 import re
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from difflib import get_close_matches
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -98,9 +100,15 @@ def parse_yaml(text: str) -> Any:  # noqa: ANN401 - the schema gives it a type
         If it is no YAML, has a key twice, is deeper than `DEEPEST`, holds more than `MOST_VALUES`, refers to itself, or
         a value does not fit its tag.
     """
+    return pickle.loads(_parsed(text))
+
+
+@lru_cache(maxsize=32)
+def _parsed(text: str) -> bytes:
+    """Return the values of a text, pickled: many drives read the same files, and may change what they get."""
     _check_bounds(text)
     try:
-        return yaml.load(text, Loader=_UniqueKeyLoader)
+        return pickle.dumps(yaml.load(text, Loader=_UniqueKeyLoader))
     except _UNFIT as error:  # such as the date 2020-13-40, or `!!bool z`
         raise yaml.YAMLError(f"a value does not fit its type: {error or type(error).__name__}") from error
 

@@ -22,6 +22,7 @@ from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.velocity_model import CHANNELS
 from diffdrive_mpc.mpc import ControllerConfig
 from diffdrive_mpc.sim.plants.identified_robot import IdentifiedRobot, intensity_features, intervals
+from diffdrive_mpc.sim.plants.surface import BodySlip
 
 _FEWEST_POSES = 4
 _LEAST_SHARE = 0.1
@@ -71,6 +72,7 @@ def identified_robot(identification: Identification, config: ControllerConfig) -
     if not motion:
         return None
     identified = report.fitted.identified
+    slip = _explained(motion, [rows - report.fitted.offset for rows in report.fitted.simulated], identification)
     features = []
     for record, outputs in zip(report.data.validation, report.fitted.simulated, strict=True):
         twist = np.nan_to_num(outputs - report.fitted.offset)
@@ -84,7 +86,7 @@ def identified_robot(identification: Identification, config: ControllerConfig) -
     scaled = [row / np.sqrt(squares @ variance.T) for row, squares in zip(motion, features, strict=True)]
     return IdentifiedRobot(
         model=MODEL_FILE,
-        slip=log_slip(identification, pose_point=True),
+        slip=slip,
         sensors=log_sensors(identification, config),
         sample_time=identification.report.data.validation[0].dt,
         block_time=identification_settings().block_time,
@@ -94,6 +96,24 @@ def identified_robot(identification: Identification, config: ControllerConfig) -
         largest=_rounded(known.max(axis=0)),
         motion=[intervals(row) for row in scaled],
     )
+
+
+def _explained(motion: list[FloatArray], outputs: Sequence[FloatArray], identification: Identification) -> BodySlip:
+    """Return the slip of the surface that the poses show, and take it out of `motion`: it is no motion of chance.
+
+    The encoders know neither the radius of the wheels nor side-slip.
+    """
+    slip = log_slip(identification, pose_point=True)
+    if all(record.pose is None for record in identification.report.data.validation):
+        return slip
+    v, omega = np.concatenate(outputs).T
+    beyond = np.concatenate(motion)
+    gain, side_slip = beyond[:, 0] @ v / (v @ v), max(-beyond[:, 1] @ (v * omega) / ((v * omega) @ (v * omega)), -slip.side_slip)
+    for rows, (v, omega) in zip(motion, (twist.T for twist in outputs), strict=True):
+        rows[:, 0] -= gain * v
+        rows[:, 1] += side_slip * v * omega
+    values = {"longitudinal_gain": slip.longitudinal_gain + gain, "side_slip": slip.side_slip + side_slip}
+    return slip.model_copy(update={name: float(f"{value:.4g}") for name, value in values.items()})
 
 
 def _rounded(values: FloatArray) -> Any:  # noqa: ANN401 - tuples of the schema
@@ -126,7 +146,8 @@ def _by_poses(record: Record, predicted: FloatArray, turning: FloatArray) -> Flo
     """Return displacements between poses less those of predicted twists (K, 3), over their time (K, 3); None if few.
 
     The heading is the integral of `turning` (K,) [rad/s], laid over the poses of a window: less noise than a pose's.
-    Windows are so long that the noise of the poses has little effect, and its part of the power is subtracted.
+    Displacements are between the means of the poses in consecutive windows. These are so long that the noise of the
+    poses has little effect, and its part of the power is subtracted.
     """
     assert record.pose is not None and record.fresh_pose is not None
     dt, fresh = record.dt, record.fresh_pose
@@ -137,24 +158,25 @@ def _by_poses(record: Record, predicted: FloatArray, turning: FloatArray) -> Flo
     off = np.where(fresh, record.pose[:, 2] - turned, 0.0)
     window = np.ones(2 * half + 1)
     heading = turned + np.convolve(off, window, "same") / np.maximum(np.convolve(fresh, window, "same"), 1.0)
-    path = dt * np.cumsum((predicted[:, 0] + 1j * predicted[:, 1]) * np.exp(1j * heading))
+    # Between two samples the body points midway between their headings.
+    path = dt * np.cumsum((predicted[:, 0] + 1j * predicted[:, 1]) * np.exp(1j * (heading - 0.5 * dt * turning)))
     beyond = record.pose[:, 0] + 1j * record.pose[:, 1] - path
     turn = record.pose[:, 2] - dt * np.cumsum(predicted[:, 2])
     # Smooth motion has no second differences between consecutive poses.
     noise = np.array([np.mean(np.abs(np.diff(rows[fresh], 2)) ** 2) / 6.0 for rows in (beyond, turn)])
     noise[0] /= 2.0
     steps = max(half, round(math.sqrt(2.0 * noise[0]) / trial_settings().noise_speed / dt), 1)
-    ends: list[int] = []
-    for k in np.flatnonzero(fresh):
-        if not ends or k - ends[-1] >= steps:
-            ends.append(int(k))
-    if len(ends) < _FEWEST_POSES:
+    poses = np.flatnonzero(fresh)
+    groups = np.split(poses, np.flatnonzero(np.diff(poses // steps)) + 1)
+    if len(groups) < _FEWEST_POSES:
         return None
-    first, last = np.array(ends[:-1]), np.array(ends[1:])
-    moved = np.diff(beyond[ends]) * np.exp(-1j * heading[(first + last) // 2])
-    windows = np.column_stack([moved.real, moved.imag, np.diff(turn[ends])])
+    centres = np.array([round(group.mean()) for group in groups])
+    first, last = centres[:-1], centres[1:]
+    moved = np.diff([beyond[group].mean() for group in groups]) * np.exp(-1j * heading[(first + last) // 2])
+    windows = np.column_stack([moved.real, moved.imag, np.diff([turn[group].mean() for group in groups])])
     power = np.maximum((windows**2).mean(axis=0), np.finfo(float).tiny)
-    windows *= np.sqrt(np.maximum(1.0 - 2.0 * noise[[0, 0, 1]] / power, 0.0))
+    share = 2.0 * np.mean([1.0 / len(group) for group in groups])
+    windows *= np.sqrt(np.maximum(1.0 - share * noise[[0, 0, 1]] / power, 0.0))
     rows = np.zeros((len(fresh), 3))
-    rows[ends[0] : ends[-1]] = np.repeat(windows / (dt * (last - first))[:, None], last - first, axis=0)
+    rows[first[0] : last[-1]] = np.repeat(windows / (dt * (last - first))[:, None], last - first, axis=0)
     return rows

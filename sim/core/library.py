@@ -1,4 +1,4 @@
-"""The compiled drivetrain, loaded through cffi; `sim/core/twin.h` describes it."""
+"""The compiled parts of plants, loaded through cffi; the headers in this folder describe them."""
 
 from __future__ import annotations
 
@@ -19,20 +19,22 @@ CORE = Path(__file__).parent
 
 # No contraction and no tuning to the processor: the same seed must give the same bits everywhere.
 _FLAGS = ("-ffp-contract=off",)
+_NAMES = ("twin", "velocity_plant")
 _STEP = "void mj_step(const void *model, void *data);"
 
 
 @cache
 def load_twin() -> tuple[cffi.FFI, Any]:
-    """Load the drivetrain: cffi's declarations of `sim/core/twin.h`, and the library.
+    """Load the library: cffi's declarations of the headers, and the library.
 
     Raises
     ------
     NotCompiledError
         If the package brought no library, and none can be compiled.
     """
-    declarations = re.sub(r"^\s*#.*$", "", _texts()["twin.h"], flags=re.MULTILINE)
-    complaint = "the simulated robot's drivetrain is not compiled: {}, which holds it"
+    headers = "".join(_texts()[f"{name}.h"] for name in _NAMES)
+    declarations = re.sub(r"^\s*#.*$", "", headers, flags=re.MULTILINE)
+    complaint = "the simulated robot is not compiled: {}, which holds it"
     return _packaged().load(_texts(), declarations, complaint)
 
 
@@ -80,7 +82,7 @@ def physics_step() -> Any:  # noqa: ANN401 - cffi has no types
 
 
 def _texts() -> dict[str, str]:
-    return {name: (CORE / name).read_text(encoding="utf-8") for name in ("twin.c", "twin.h")}
+    return {file: (CORE / file).read_text(encoding="utf-8") for name in _NAMES for file in (f"{name}.c", f"{name}.h")}
 
 
 def _packaged() -> Packaged:

@@ -61,11 +61,6 @@ class UnexplainedMotion:
     variance: FloatArray
     largest: FloatArray
 
-    def twist(self, tick: int, output: FloatArray, rate: FloatArray) -> FloatArray:
-        """Return the twist (3,) of sample `tick` for output (2,) of the model and its derivative (2,)."""
-        features = np.minimum(intensity_features(output, rate), self.largest)
-        return np.asarray(self.rows[tick % len(self.rows)] * np.sqrt(self.variance @ features))
-
 
 class IdentifiedRobot(StrictModel):
     """Content of `robot.yaml`, which `identify` writes; `make_plant` reads it as "model:FILE"."""

@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from diffdrive_mpc.models.base_effects import BaseEffects
+from diffdrive_mpc.models.base_effects import PARTS, BaseEffects, TwistRange, TwistSlew
 from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
-from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.models.robot import Robot, load_robot
-from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.models.two_sided import sides_of
+from diffdrive_mpc.models.velocity_model import ModelError, VelocityModel
 from diffdrive_mpc.models.wheels import WheelKinematics
-from diffdrive_mpc.sim.plants.base_motion import BaseMotion
+from diffdrive_mpc.sim.core.library import address, load_twin, view
 from diffdrive_mpc.sim.plants.drivetrain import clip_command
 from diffdrive_mpc.sim.plants.identified_robot import UnexplainedMotion
 from diffdrive_mpc.sim.plants.surface import BodySlip
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 from diffdrive_mpc.sim.sensing.sensors import Sensors
+
+_NO_LIMIT = 1e6
+"""Limit that no command reaches; finite, so that ratios of limits are numbers."""
 
 
 class ModelPlant:
@@ -62,13 +66,16 @@ class ModelPlant:
         robot: Robot | None = None,
         disturbance: UnexplainedMotion | None = None,
     ) -> None:
-        self._disturbance = disturbance
         self._robot, self._name = robot or load_robot(), model.name
         late = model.with_extra_dead_time([extra_dead_time, extra_dead_time])
-        self._motion = BaseMotion(late, effects or BaseEffects(), self._robot.sample_time)
-        self._slip = slip
+        self._slip, self._function = slip, _Function(late) if isinstance(late, NonlinearModel) else None
         self._kinematics = WheelKinematics(self._robot.wheel_radius, self._robot.track)
         self._sensors = Sensors(sensors, self._kinematics, self._robot.sample_time, seed=seed, noisy_encoders=True)
+        self._c, self._alive = _plant_in_c(late, effects or BaseEffects(), slip, disturbance, self.sample_time)
+        self._advance = load_twin()[1].velocity_plant_advance
+        self._look = load_twin()[1].velocity_plant_look
+        self._pose, self._twist, self._wheels = (view(part) for part in (self._c.pose, self._c.twist, self._c.wheels))
+        self._seen = np.zeros(3)
         self.reset(np.zeros(3))
 
     def __repr__(self) -> str:
@@ -83,7 +90,7 @@ class ModelPlant:
     @property
     def time(self) -> float:
         """Time since the last reset [s]."""
-        return self._tick * self.sample_time
+        return float(self._c.tick * self._robot.sample_time)
 
     @property
     def true_pose(self) -> FloatArray:
@@ -93,15 +100,15 @@ class ModelPlant:
     @property
     def true_twist(self) -> FloatArray:
         """(3,) forward and lateral speed [m/s] and yaw rate [rad/s], body frame."""
-        return self._body(self._motion.body)
+        return self._twist.copy()
 
     def reset(self, pose: ArrayLike) -> None:
         """Put the robot at rest at `pose` (3,) at time 0 and restart the noise from the seed."""
-        self._tick = 0
         self._sent: tuple[float, float] | None = None
-        self._pose = np.array(pose, dtype=float)
-        self._motion.reset()
-        self._rate = np.zeros(2)
+        self._pose[:] = pose
+        if self._function is not None:
+            self._c.next = self._function.rest()
+        load_twin()[1].velocity_plant_reset(self._c)
         self._sensors.reset(self._pose, np.zeros(4))
 
     def measure(self) -> Measurement:
@@ -110,34 +117,100 @@ class ModelPlant:
 
     def advance(self, command: ArrayLike) -> None:
         """Send `command` (2,) and let one sample pass; raises ValueError unless it is two finite numbers."""
-        sent = clip_command(command, self._robot.limits)
-        self._sent = (float(sent[0]), float(sent[1]))
-        arcs, before = [], self._motion.body
-        for step in range(self._motion.steps):
-            motion = self._motion.advance(sent)
-            twist = self._body(motion.mean)
-            arcs.append((self.time + step * self._motion.step_time, self._pose, twist))
-            self._pose = self._moved(self._pose, twist, self._motion.step_time)
-        yaw_rate = float(self._body(motion.body)[2])
-        self._rate = (self._motion.body - before) / self.sample_time
-        self._tick += 1
-        for look in self._sensors.poses_due(self.time):
-            start, pose, twist = [arc for arc in arcs if arc[0] <= look][-1]
-            self._sensors.see_pose(look, self._pose if look == self.time else self._moved(pose, twist, look - start))
-        wheel_speeds = self._kinematics.wheel_speeds(self._slip.wheels(motion.wheels))
-        self._sensors.see_motion(self.time, wheel_speeds, yaw_rate)
+        sent, before = clip_command(command, self._robot.limits).tolist(), self.time
+        self._sent = (sent[0], sent[1])
+        if self._function is not None:
+            self._c.next = self._function.advance(sent)
+        self._advance(self._c, sent)
+        now = self.time
+        for look in self._sensors.poses_due(now):
+            if look != now:
+                self._look(self._c, before, look, address(self._seen))
+            self._sensors.see_pose(look, self._pose if look == now else self._seen)
+        wheel_speeds = self._kinematics.wheel_speeds(self._slip.wheels(self._wheels))
+        self._sensors.see_motion(now, wheel_speeds, self._c.yaw_rate)
 
-    def _body(self, output: FloatArray) -> FloatArray:
-        """Return the twist (3,) of the body in this sample for the output (2,) of the model."""
-        body = self._slip.body(output)
-        return body if self._disturbance is None else body + self._disturbance.twist(self._tick, output, self._rate)
 
-    def _moved(self, pose: FloatArray, twist: FloatArray, duration: float) -> FloatArray:
-        """Move `pose` (3,) for `duration` [s] with constant body `twist` (3,)."""
-        v, lateral, omega = twist.tolist()
-        # A body that crabs moves along the same arc as one that points in the direction of travel.
-        forward = math.copysign(1.0, v)
-        crab = math.atan2(forward * lateral, abs(v))
-        moved = integrate_pose(pose + np.array([0.0, 0.0, crab]), forward * math.hypot(v, lateral), omega, duration)
-        moved[2] -= crab
-        return moved
+class _Function:
+    """A model that is a function, sample by sample."""
+
+    def __init__(self, model: NonlinearModel) -> None:
+        self._model = model
+
+    def rest(self) -> list[float]:
+        """Reset to rest without pending commands; return the output (2,)."""
+        self._state, self._past = np.zeros(self._model.order), np.zeros((self._model.memory, 2))
+        return self._output()
+
+    def advance(self, command: list[float]) -> list[float]:
+        """Advance by one sample under `command` (2,); return the output (2,)."""
+        window = np.vstack([self._past, command])
+        self._state = np.asarray(self._model.plant_step(self._state, window.ravel())).ravel()
+        self._past = window[1:]
+        return self._output()
+
+    def _output(self) -> list[float]:
+        return np.asarray(self._model.output(self._state)).ravel().tolist()
+
+
+def _plant_in_c(
+    model: VelocityModel | NonlinearModel,
+    effects: BaseEffects,
+    slip: BodySlip,
+    disturbance: UnexplainedMotion | None,
+    sample_time: float,
+) -> tuple[Any, list[Any]]:
+    """Return the plant of `sim/core/velocity_plant.h`, and the memory that it uses.
+
+    Raises ModelError if a function is for another sample time, or effects stand around it.
+    """
+    plain = effects.model_copy(update={"pose_mount": None}) == BaseEffects()
+    c = load_twin()[0].new("velocity_plant *")
+    # Over a step the twist counts as the mean of its ends: so it is no longer than that of the papers' robot.
+    c.steps = max(1 if plain else PARTS, math.ceil(sample_time / load_robot().sample_time - 1e-9))
+    if isinstance(model, NonlinearModel):
+        if not (plain and math.isclose(sample_time, model.dt, rel_tol=1e-9)):
+            raise ModelError(
+                f"model '{model.name}': it is for samples of {model.dt} s without effects of a base; as a plant of "
+                f"{sample_time} s take another model, or a sample_time of {model.dt} s"
+            )
+        c.steps, matrices = 1, {}
+    else:
+        sampled = model.discretise(sample_time / c.steps)
+        c.order, c.memory, c.delay = sampled.order, sampled.memory, sampled.delay.tolist()
+        matrices = {name: getattr(sampled, name) for name in ("A", "B0", "B1", "C")}
+    c.step_time = sample_time / c.steps
+    rows = np.empty((0, 3)) if disturbance is None else disturbance.rows
+    arrays = matrices | {
+        "state": np.zeros((2, c.order)),
+        "commands": np.zeros((c.memory + 1, 2)),
+        "arcs": np.zeros((c.steps, 6)),
+        "rows": rows,
+    }
+    arrays = {name: np.ascontiguousarray(array, dtype=float) for name, array in arrays.items()}
+    for name, array in arrays.items():
+        setattr(c, name, address(array))
+    c.count = len(rows)
+    if disturbance is not None:
+        c.variance, c.largest = disturbance.variance.ravel().tolist(), disturbance.largest.tolist()
+    c.upper, c.lower = _both_sides(effects.twist_range).tolist()
+    c.grows, c.falls = (_both_sides(effects.twist_slew) * c.step_time).tolist()
+    if effects.wheel_command is not None:
+        motors = effects.wheel_command
+        c.track, c.resolution, c.coasting = motors.track, motors.resolution, motors.coasting_speed
+        c.top_speed = motors.top_speed or _NO_LIMIT
+    c.angle = effects.yaw_relaxation.angle if effects.yaw_relaxation else 0.0
+    c.yaw_per_metre = effects.veer.yaw_per_metre if effects.veer else 0.0
+    for name in ("longitudinal_gain", "yaw_gain", "side_slip"):
+        setattr(c, name, getattr(slip, name))
+    if slip.virtual_track is not None:
+        c.track_at_rest, c.track_growth = slip.virtual_track.p0, slip.virtual_track.p1
+    if slip.polynomial is not None:
+        c.polynomial, c.has_polynomial = slip.polynomial.coefficients, 1
+    return c, [*arrays.values()]
+
+
+def _both_sides(limits: TwistRange | TwistSlew | None) -> FloatArray:
+    """Return the limits (2, 2) of v and omega: those of the first side, then those of the second."""
+    channels = (None, None) if limits is None else (limits.v, limits.omega)
+    return np.minimum([sides_of(math.inf if limit is None else limit) for limit in channels], _NO_LIMIT).T

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterator
 
@@ -9,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
-from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.models.wheels import WheelKinematics
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 
@@ -57,10 +57,8 @@ class Sensors:
         self._pose_signs = np.array([1.0, -1.0 if pose.mirrored else 1.0, pose.theta_sign])
         wired = parameters.encoders
         # Front left, front right, rear left, rear right.
-        self._wheels, self._wheel_signs = (
-            [1, 0, 3, 2] if wired.swapped else [0, 1, 2, 3],
-            np.array([wired.left, wired.right] * 2),
-        )
+        self._wheels = [1, 0, 3, 2] if wired.swapped else [0, 1, 2, 3]
+        self._wheel_signs = np.array([wired.left, wired.right] * 2)
         self._gyro_covariance = _stated(np.array([[gyro.noise_sd**2]]))
         self._speed_covariance = _stated(speed_sd**2 * np.eye(4))
         self._twist_covariance = _stated(speed_sd**2 * (to_body @ to_body.T))
@@ -91,10 +89,9 @@ class Sensors:
     def see_pose(self, time: float, pose: ArrayLike) -> None:
         """Measure the true `pose` (3,) at `time` [s] with the pose sensor."""
         wired = self._parameters.pose
-        value = np.asarray(pose, dtype=float) + next(self._pose_noise)
-        value *= self._pose_signs
-        value[2] += wired.turned
-        value[2] = -wrap_angle(-value[2])  # into (-pi, pi], as SLAM reports it
+        value = (np.asarray(pose, dtype=float) + next(self._pose_noise)) * self._pose_signs
+        heading = float(value[2]) + wired.turned
+        value[2] = -((math.pi - heading) % (2 * math.pi) - math.pi)  # into (-pi, pi], as SLAM reports it
         loss = self._parameters.pose.loss
         if loss > 0 and self._losses.random() < loss:
             return

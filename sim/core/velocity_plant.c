@@ -1,0 +1,185 @@
+#include "velocity_plant.h"
+
+#include <float.h>
+#include <math.h>
+#include <string.h>
+
+static const double PI = 3.141592653589793;
+/* models/base_effects.py, _ON_STEP; models/slip_laws.py, _LEAST_ROOT. */
+static const double ON_STEP = 1e-9, LEAST_ROOT = 0.04;
+
+static double clipped(double value, double low, double high)
+{
+  return fmin(fmax(value, low), high);
+}
+
+/* models/two_sided.py, reached */
+static double stepped(double last, double command, double grows, double falls)
+{
+  double low = last - (last > 0.0 ? falls : grows), high = last + (last < 0.0 ? falls : grows);
+  if (last > 0.0 && low < 0.0)
+    low *= grows / falls;
+  if (last < 0.0 && high > 0.0)
+    high *= grows / falls;
+  return clipped(command, low, high);
+}
+
+static double held(const velocity_plant *p, double speed)
+{
+  const double cut = clipped(speed, -p->top_speed, p->top_speed);
+  return p->resolution == 0.0 ? cut : copysign(floor(fabs(cut) / p->resolution + ON_STEP) * p->resolution, cut);
+}
+
+/* WheelCommand.apply */
+static void to_motors(const velocity_plant *p, double *twist)
+{
+  const double half = 0.5 * p->track * twist[1];
+  const double left = held(p, twist[0] - half), right = held(p, twist[0] + half);
+  const double along_left = left == 0.0 && right != 0.0 ? clipped(right, -p->coasting, p->coasting) : left;
+  const double along_right = right == 0.0 && left != 0.0 ? clipped(left, -p->coasting, p->coasting) : right;
+  twist[0] = 0.5 * (along_left + along_right);
+  twist[1] = (along_right - along_left) / p->track;
+}
+
+static void move_dynamics(velocity_plant *p, const double *requested)
+{
+  const int n = p->order, last = p->memory;
+  double *now = p->state, *after = p->state + n;
+  int i, j;
+  if (!n) {
+    memcpy(p->wheels, p->next, sizeof p->wheels);
+    return;
+  }
+  memmove(p->commands, p->commands + 2, (size_t)last * 2 * sizeof *p->commands);
+  memcpy(p->commands + 2 * last, requested, 2 * sizeof *requested);
+  for (i = 0; i < n; i++) {
+    after[i] = 0.0;
+    for (j = 0; j < n; j++)
+      after[i] += p->A[n * i + j] * now[j];
+    for (j = 0; j < 2; j++) {
+      const double *command = p->commands + 2 * (last - p->delay[j]) + j;
+      after[i] += p->B0[2 * i + j] * command[0] + p->B1[2 * i + j] * command[-2];
+    }
+  }
+  memcpy(now, after, (size_t)n * sizeof *now);
+  for (i = 0; i < 2; i++)
+    for (p->wheels[i] = 0.0, j = 0; j < n; j++)
+      p->wheels[i] += p->C[n * i + j] * now[j];
+}
+
+static double sign(double value)
+{
+  return (value > 0.0) - (value < 0.0);
+}
+
+/* YawRelaxation.advance */
+static double relaxed(velocity_plant *p, double yaw_rate)
+{
+  const double side = sign(yaw_rate), before = p->strain;
+  p->strain = side + (before - side) * exp(-fabs(yaw_rate) * p->step_time / p->angle);
+  return yaw_rate - p->angle * (p->strain - before) / p->step_time;
+}
+
+static void find_body(velocity_plant *p)
+{
+  p->body[0] = p->wheels[0];
+  p->body[1] = p->angle > 0.0 ? fabs(p->wheels[1]) * p->strain : p->wheels[1];
+  p->body[1] += p->yaw_per_metre * p->body[0];
+}
+
+/* Twist [3] of the body in this sample for an output [2] of the model: BodySlip.body, and UnexplainedMotion.twist */
+static void slip(const velocity_plant *p, const double *output, double *twist)
+{
+  double v = p->longitudinal_gain * output[0], omega = p->yaw_gain * output[1], lateral = 0.0;
+  int i, j;
+  if (p->track_at_rest > 0.0) {
+    const double settled = p->track_at_rest * omega / p->track_at_rest;
+    const double growth = p->track_growth / p->track_at_rest;
+    omega = settled / (0.5 * (1.0 + sqrt(fmax(1.0 + 4.0 * growth * fabs(settled), LEAST_ROOT))));
+  }
+  if (p->has_polynomial) {
+    const double *a = p->polynomial, v_c = v, w_c = omega;
+    v = v_c + (a[0] * v_c + a[1] * w_c + a[2] * v_c * w_c);
+    lateral = a[3] * v_c + a[4] * w_c + a[5] * v_c * w_c;
+    omega = w_c + (a[6] * v_c + a[7] * w_c + a[8] * v_c * w_c);
+  }
+  twist[0] = v;
+  twist[1] = lateral - p->side_slip * v * omega;
+  twist[2] = omega;
+  if (p->count) {
+    const double *row = p->rows + 3 * (p->tick % p->count);
+    const double features[6] = {1.0, output[0], output[1], output[0] * output[1], p->rate[0], p->rate[1]};
+    for (i = 0; i < 3; i++) {
+      double variance = 0.0;
+      for (j = 0; j < 6; j++)
+        variance += p->variance[6 * i + j] * fmin(features[j] * features[j], p->largest[j]);
+      twist[i] += row[i] * sqrt(variance);
+    }
+  }
+}
+
+/* models/pose.py, integrate_pose; a body that crabs moves along the same arc as one that points in its direction. */
+static void move(double *pose, const double *twist, double duration)
+{
+  const double forward = copysign(1.0, twist[0]), crab = atan2(forward * twist[1], fabs(twist[0]));
+  const double speed = forward * hypot(twist[0], twist[1]), half = 0.5 * twist[2] * duration;
+  const double product = PI * (half / PI), x = product == 0.0 ? DBL_EPSILON : product;
+  const double reach = duration * (sin(x) / x), heading = pose[2] + crab + half;
+  pose[0] += reach * (speed * cos(heading));
+  pose[1] += reach * (speed * sin(heading));
+  pose[2] = pose[2] + crab + twist[2] * duration - crab;
+}
+
+void velocity_plant_reset(velocity_plant *p)
+{
+  memset(p->state, 0, 2 * (size_t)p->order * sizeof *p->state);
+  memset(p->commands, 0, 2 * (size_t)(p->memory + 1) * sizeof *p->commands);
+  memset(p->reached, 0, sizeof p->reached);
+  memset(p->rate, 0, sizeof p->rate);
+  p->tick = 0;
+  p->strain = 0.0;
+  memcpy(p->wheels, p->next, sizeof p->wheels);
+  find_body(p);
+  slip(p, p->body, p->twist);
+}
+
+void velocity_plant_advance(velocity_plant *p, const double *command)
+{
+  const double before[2] = {p->body[0], p->body[1]};
+  int step, i;
+  for (step = 0; step < p->steps; step++) {
+    double *arc = p->arcs + 6 * step, requested[2], mean[2];
+    for (i = 0; i < 2; i++) {
+      p->reached[i] = stepped(p->reached[i], clipped(command[i], -p->lower[i], p->upper[i]), p->grows[i], p->falls[i]);
+      requested[i] = p->reached[i];
+      mean[i] = p->wheels[i];
+    }
+    if (p->track > 0.0)
+      to_motors(p, requested);
+    move_dynamics(p, requested);
+    for (i = 0; i < 2; i++)
+      mean[i] = 0.5 * (mean[i] + p->wheels[i]);
+    if (p->angle > 0.0)
+      mean[1] = relaxed(p, mean[1]);
+    mean[1] += p->yaw_per_metre * mean[0];
+    memcpy(arc, p->pose, sizeof p->pose);
+    slip(p, mean, arc + 3);
+    move(p->pose, arc + 3, p->step_time);
+  }
+  find_body(p);
+  slip(p, p->body, p->twist);
+  p->yaw_rate = p->twist[2];
+  for (i = 0; i < 2; i++)
+    p->rate[i] = (p->body[i] - before[i]) / (p->steps * p->step_time);
+  p->tick++;
+  slip(p, p->body, p->twist);
+}
+
+void velocity_plant_look(const velocity_plant *p, double start, double time, double *pose)
+{
+  int step = p->steps - 1;
+  while (step > 0 && start + step * p->step_time > time)
+    step--;
+  memcpy(pose, p->arcs + 6 * step, 3 * sizeof *pose);
+  move(pose, p->arcs + 6 * step + 3, time - (start + step * p->step_time));
+}
