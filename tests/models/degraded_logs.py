@@ -847,7 +847,8 @@ def drawn_case(kind, seed, pose=True):
     }[kind]
     wheels = f"wheels: {{radius: {options['radius']}, track: {options['track']}}}\n"
     without = "" if pose else "  pose: {x: x, y: y, theta: theta}\n"
-    return Case("simulated", label, make, found, says, None, lambda t: t.replace(WHEELS, wheels).replace(without, "", 1))
+    mapped = lambda text: text.replace(WHEELS, wheels).replace(without, "", 1)
+    return Case("simulated", label, make, found, says, None, mapped, also="stuck sensor")
 
 
 GROWN = np.array([-1.0, 1.0])
