@@ -179,7 +179,10 @@ def check_turning(log: str, streams: Streams, settings: CheckSettings) -> list[F
         rows[:, 0] = streams.pair(GYRO, POSE, 1)[1]
     known = np.isfinite(rows).all(axis=1)
     rest = rows[:, 3] - rows[:, :3] @ np.linalg.lstsq(rows[known, :3], rows[known, 3], rcond=None)[0]
-    slope, chance = _trend(np.array([np.nanmean(rest[part]) for part in parts]), times, settings)
+    inside = [rest[part][known[part]] for part in parts]
+    if not all(map(len, inside)):
+        return []
+    slope, chance = _trend(np.array([part.mean() for part in inside]), times, settings)
     if abs(slope) < max(chance, settings.bias_drift):
         return []
     words = (
