@@ -40,6 +40,7 @@ class SensorSettings(StrictModel):
     least_delay: Positive = Field(description="[s]")
     least_scale: Positive = Field(description="of the gyro, beside one [-]")
     least_wheel_scale: Positive = Field(description="of the encoders, logarithm [-]")
+    least_slip: Positive = Field(description="encoders over poses, above which wheels slip [-]")
     certain: Positive = Field(description="[standard deviations]")
 
 

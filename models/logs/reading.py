@@ -13,7 +13,7 @@ from diffdrive_mpc.models.logs.bags import is_bag, read_bag
 from diffdrive_mpc.models.logs.check_settings import CheckSettings, check_settings
 from diffdrive_mpc.models.logs.csv_log import read_csv
 from diffdrive_mpc.models.logs.diagnosis import diagnose
-from diffdrive_mpc.models.logs.diagnosis.readings import check_period, without_spikes
+from diffdrive_mpc.models.logs.diagnosis.readings import check_dead_readings, check_period, check_publishers, without_spikes
 from diffdrive_mpc.models.logs.diagnosis.streams import streams_of
 from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log, read_drive
 from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
@@ -81,7 +81,8 @@ def read_log(
     streams = streams_of(records, settings)
     findings += [*stuck, *check_commands(raw.name, records, settings)]
     if diagnosed:
-        faults = diagnose(raw.name, streams, settings)
+        hidden = [*check_publishers(raw, settings), *check_dead_readings(raw, settings)]
+        faults = [*hidden, *diagnose(raw.name, streams, settings)]
         findings += [replace(fault, changes=of_topics(fault.changes)) for fault in faults] if raw.topics else faults
     return Log(raw.name, tuple(records), tuple(findings), streams, loaded.sources() if loaded else {}, raw.topics)
 

@@ -141,10 +141,23 @@ def find_corrections(
                 inferred["wheels"] = {"scale": round(scale, 4)}
                 words = f"the encoders go {scale:.3f} +- {1.96 * deviation:.3f} times as far as poses and commands"
                 tell("scaled sensor", words)
+            elif abs(math.log(scale)) > rule.least_scale and abs(scale - 1.0) > rule.certain * deviation:
+                findings.append(_unlike_poses(name, scale, 1.96 * deviation, rule.least_slip))
     except ValueError:  # too few windows: nothing is told
         pass
     loaded = mapping if mapping is None or isinstance(mapping, LogMapping) else load_mapping(mapping)
     return SensorCorrections(stated_corrections(loaded), inferred, tuple(findings))
+
+
+def _unlike_poses(name: str, scale: float, interval: float, least_slip: float) -> Finding:
+    """Return the finding for wheels that go `scale` times as far as the poses, as their commands do."""
+    words = f"encoders and commands go {scale:.3f} +- {interval:.3f} times as far as the poses: "
+    if scale > least_slip:
+        words += "the wheels slip or leave the ground; drive slower, or on a floor with more grip"
+        return Finding("slipping wheels", "warning", name, words)
+    slip = "the wheels slip, or " if scale > 1.0 else ""
+    words += f"{slip}the scale of the map or the wheel radius is wrong; measure a straight of 5 m with a tape"
+    return Finding("scaled poses", "warning", name, words)
 
 
 def _level_of_rest(records: Sequence[Record], share: float) -> float:

@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from diffdrive_mpc.models.logs.check_settings import CheckSettings, check_settings
-from diffdrive_mpc.models.logs.diagnosis.agreement import check_jumps, check_parts, compare, relations
-from diffdrive_mpc.models.logs.diagnosis.commands import check_echo, check_latch, check_rounding
+from diffdrive_mpc.models.logs.diagnosis.agreement import check_jumps, check_parts, check_turning, compare, relations
+from diffdrive_mpc.models.logs.diagnosis.commands import check_curve, check_echo, check_latch, check_rounding
 from diffdrive_mpc.models.logs.diagnosis.distortions import check_clipped_side, check_rectified
 from diffdrive_mpc.models.logs.diagnosis.ramps import check_ramps
 from diffdrive_mpc.models.logs.diagnosis.scales import check_axes, check_presence, check_signs, check_units
@@ -57,6 +57,8 @@ def diagnose(log: str, streams: Streams, settings: CheckSettings) -> list[Findin
     findings += check_units(log, streams, settings)
     findings += check_parts(log, streams, settings)
     findings += check_shifts(log, streams, settings)
+    findings += check_turning(log, streams, settings)
+    findings += check_curve(log, streams, settings)
     findings += check_rounding(log, streams, settings)
     findings += check_ramps(log, streams, settings)
     return findings

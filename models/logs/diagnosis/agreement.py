@@ -12,7 +12,7 @@ from scipy import special
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
-from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, POSE, Streams, fit_response, paired
+from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, ENCODERS, GYRO, POSE, Streams, fit_response, paired
 from diffdrive_mpc.models.logs.record import Finding, MappingChange
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
@@ -129,14 +129,10 @@ def _drift(log: str, pairs: Sequence[Relation], settings: CheckSettings) -> list
         if relation.first != COMMAND or relation.second == POSE or len(relation.gains) < settings.parts // 2:
             continue
         gains, times = np.log(relation.gains), relation.times
-        rows = np.column_stack([np.ones(len(times)), (times - times.mean()) / np.ptp(times)])
-        by = np.linalg.lstsq(rows, gains, rcond=None)[0]
-        free = len(gains) - 2
-        rest = gains - rows @ by
-        deviation = float(np.sqrt(rest @ rest / free / (rows[:, 1] @ rows[:, 1])))
-        chance = deviation * float(-special.stdtrit(free, special.ndtr(-settings.certain)))
-        if abs(by[1]) > max(np.log(settings.gain_drift), chance):
-            drifts.append((relation, rows[[0, -1]] @ by))
+        slope, chance = _trend(gains, times, settings)
+        if abs(slope) > max(np.log(settings.gain_drift), chance):
+            ends = (times[[0, -1]] - times.mean()) / np.ptp(times)
+            drifts.append((relation, gains.mean() + slope * ends))
     if not drifts:
         return []
     relation, ends = max(drifts, key=lambda drift: abs(drift[1][1] - drift[1][0]))
@@ -146,6 +142,63 @@ def _drift(log: str, pairs: Sequence[Relation], settings: CheckSettings) -> list
         "log: a battery that sags, or motors that warm up; record with a full battery, or identify from a part"
     )
     return [Finding("gain drift", "warning", log, words)]
+
+
+def check_turning(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
+    """Return at most one finding: a wheel whose rolling radius changes within the log, or a drifting bias of the gyro.
+
+    In each part the body's yaw rate is regressed on that of a reference, the speed of the wheels, and a constant. The
+    speed enters by unequal radii of the wheels.
+    """
+    bodies = [name for name in (GYRO, POSE) if name in streams.present(1)]
+    if ENCODERS not in streams.present(1) or not bodies:
+        return []
+    parts = np.array_split(np.flatnonzero(np.isfinite(streams.time)), settings.parts)
+    v, turn = (streams.smoothed(np.asarray(streams.channel(ENCODERS, channel))) for channel in (0, 1))
+    body = np.asarray(streams.channel(bodies[0], 1))
+    body = body if bodies[0] == POSE else streams.smoothed(body)
+    rows = np.column_stack([turn, v, np.ones(len(v)), body])
+    inside = [rows[part][np.isfinite(rows[part]).all(axis=1)] for part in parts]
+    if any(len(part) < settings.fewest_samples or not np.ptp(part[:, :2], axis=0).all() for part in inside):
+        return []
+    by = np.array([np.linalg.lstsq(part[:, :3], part[:, 3], rcond=None)[0] for part in inside])
+    times = np.array([streams.time[part[0]] for part in parts])
+    change = _change(by[:, 1], settings.certain)
+    effect = np.sqrt(np.nanmean(v**2) / max(float(np.nanmean((by[:, 0].mean() * turn) ** 2)), 1e-12))
+    if change and abs(change[1]) > max(change[2], settings.tyre_change / effect):
+        index, size, _ = change
+        words = (
+            f"from about {times[index]:.0f} s on the body turns {'left' if size > 0 else 'right'} by "
+            f"{abs(size):.2g} rad per m more than its wheels say: the {'left' if size > 0 else 'right'} tyre lost air, "
+            "or its encoder changed; mend it, cut the log there and identify from one part"
+        )
+        return [Finding("tyre change", "warning", log, words, *cut(times, index))]
+    if GYRO not in bodies:
+        return []
+    if POSE in bodies:
+        rows[:, 0] = streams.pair(GYRO, POSE, 1)[1]
+    known = np.isfinite(rows).all(axis=1)
+    rest = rows[:, 3] - rows[:, :3] @ np.linalg.lstsq(rows[known, :3], rows[known, 3], rcond=None)[0]
+    inside = [rest[part][known[part]] for part in parts]
+    if not all(map(len, inside)):
+        return []
+    slope, chance = _trend(np.array([part.mean() for part in inside]), times, settings)
+    if abs(slope) < max(chance, settings.bias_drift):
+        return []
+    words = (
+        f"the bias of the gyro drifts by {slope:.2g} rad/s along the log: let it warm up for some minutes, and set its "
+        "zero again before the log"
+    )
+    return [Finding("gyro drift", "warning", log, words)]
+
+
+def _trend(values: FloatArray, times: FloatArray, settings: CheckSettings) -> tuple[float, float]:
+    """Return the change of values (n,) from the first of `times` to the last by a line, and the size of chance."""
+    rows = np.column_stack([np.ones(len(times)), (times - times.mean()) / np.ptp(times)])
+    by = np.linalg.lstsq(rows, values, rcond=None)[0]
+    rest, free = values - rows @ by, len(values) - 2
+    deviation = float(np.sqrt(rest @ rest / free / (rows[:, 1] @ rows[:, 1])))
+    return float(by[1]), deviation * float(-special.stdtrit(free, special.ndtr(-settings.certain)))
 
 
 def _changed(log: str, pairs: Sequence[Relation], least: float, settings: CheckSettings) -> list[Finding]:

@@ -86,6 +86,28 @@ def _crossings(streams: Streams, channel: int, settings: CheckSettings) -> Float
     return np.array(times) if len(times) >= settings.refused_changes + settings.fewest_changes else np.empty(0)
 
 
+def check_curve(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
+    """Return at most one finding: small commands are obeyed less than large ones, as behind an expo curve."""
+    curved = []
+    for channel in (0, 1):
+        for name in streams.moving(channel)[:1]:
+            command, values = streams.pair(COMMAND, name, channel)
+            share = command / max(float(np.nanmax(np.abs(command))), settings.least_command)
+            trials = [command, *(command * (1 - expo + expo * share**2) for expo in (0.25, 0.5, 0.75))]
+            responses = [fit_response(streams, trial, values, settings) for trial in trials]
+            rests = [1.0 if how is None else 1 - float(how.correlation[0]) ** 2 for how in responses]
+            best = int(np.argmin(rests))
+            if best and settings.curve_least < rests[0] < 1.0 and rests[best] < settings.shape * rests[0]:
+                curved.append(f"{CHANNELS[channel]} of a third of the largest by {100 * (best / 4) * 8 / 9:.0f} %")
+    if not curved:
+        return []
+    words = (
+        f"small commands are obeyed less than large ones ({', '.join(curved)}): an expo curve between the logged "
+        "command and the base; switch it off, or log the command behind it"
+    )
+    return [Finding("curved command", "warning", log, words)]
+
+
 def check_rounding(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
     """Return findings about channels whose commands are rounded although the robot moves in between."""
     findings = []

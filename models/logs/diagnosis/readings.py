@@ -81,6 +81,50 @@ def _without(stretch: RawStretch, fields: list[str], times: FloatArray) -> RawSt
     return replace(stretch, measured=measured)
 
 
+def check_dead_readings(raw: RawLog, settings: CheckSettings) -> list[Finding]:
+    """Return at most one finding: encoders that read exactly zero below a speed, and resolve finer steps above it."""
+    fields = [name for name in ("wheel_speeds", "wheels", "twist") if name in raw.stretches[0].measured]
+    if not fields:
+        return []
+    sizes = np.abs(np.concatenate([stretch.measured[fields[0]].value for stretch in raw.stretches]))
+    for size in sizes.T:
+        turning = np.unique(size[size > 0])
+        if len(turning) < _FEWEST or np.mean(size == 0) < settings.dead_share:
+            continue
+        least = turning[0]
+        # Readings that pass through zero are as frequent below that speed as above it.
+        slow = turning[turning < 2.0 * least]
+        is_fine = np.median(np.diff(turning)) < settings.dead_resolution * least
+        if is_fine and least > settings.dead_resolution * turning[-1] and len(slow) >= settings.fewest_samples:
+            unit = "rad/s" if fields[0] != "twist" else "m/s or rad/s"
+            words = (
+                f"the encoders read 0 below {least:.3g} {unit}, in {100 * np.mean(size == 0):.0f} % of the readings: "
+                "they count over too short a time; log running counts (`unit: ticks`), or drive faster than that"
+            )
+            return [Finding("dead readings", "warning", raw.name, words)]
+    return []
+
+
+def check_publishers(raw: RawLog, settings: CheckSettings) -> list[Finding]:
+    """Return at most one finding: commands that fall to zero for a moment, again and again, and return."""
+    moments, total = 0, 0
+    for stretch in raw.stretches:
+        time, value = stretch.command.time, stretch.command.value
+        driven = np.flatnonzero(value.any(axis=1))
+        before, after = driven[:-1], driven[1:]
+        size = np.linalg.norm(value, axis=1)
+        returns = np.linalg.norm(value[after] - value[before], axis=1) < settings.same_command * size[before]
+        moments += int(np.sum((after - before > 1) & returns & (time[after] - time[before] < settings.longest_moment)))
+        total += len(driven)
+    if moments < max(settings.fewest_samples, settings.publisher_share * total):
+        return []
+    words = (
+        f"the command falls to zero {moments} times for less than {settings.longest_moment:g} s and returns to its "
+        "value: a second publisher sends zeros; stop it (`ros2 topic info -v` lists the publishers), and record again"
+    )
+    return [Finding("second publisher", "error", raw.name, words)]
+
+
 def hold_period(readings: FloatArray, settings: CheckSettings) -> int | None:
     """Find the number of rows for which each reading (n, width) is held; 1 without holds, None if unclear.
 

@@ -226,7 +226,7 @@ def _odd_one_out(sizes: dict[str, float], low: float, high: float) -> str | None
     for name in sizes:
         others = [value for log_name, value in logs.items() if log_name != name]
         apart = logs[name] - float(np.median(others))
-        bound = (low, high) if name != COMMAND else (1 / high, 1 / low)
+        bound = (low, high) if name not in (COMMAND, ENCODERS) else (1 / high, 1 / low)
         outside = not math.log(bound[0]) <= apart <= math.log(bound[1])
         # The command is last, so that of two that disagree the sensor is named.
         rank = (abs(apart) if outside else -1.0, name != COMMAND)

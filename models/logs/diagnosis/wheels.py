@@ -140,7 +140,29 @@ def _each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Finding 
         )
         streams.twist = streams.wheels = None
         return Finding("uneven wheels", "error", log, words)
-    return None
+    return _late_wheel(log, streams, sides, response.lag, settings) if distinct and len(names) == 2 else None
+
+
+def _late_wheel(
+    log: str, streams: Streams, sides: FloatArray, lag: float, settings: CheckSettings
+) -> Finding | None:
+    """Return the finding for an encoder that answers its side later than the other."""
+    assert streams.wheels is not None
+    found = [
+        fit_response(streams, sides, streams.wheels[:, i], settings, intervals=True, lags=[lag]) for i in range(2)
+    ]
+    times = [(how.dead_time, np.nan_to_num(how.deviation)) for how in found if how is not None]
+    if len(times) < len(SIDES):
+        return None
+    late, deviation = times[1][0] - times[0][0], float(np.hypot(times[0][1], times[1][1]))
+    if abs(late) < max(settings.late_wheel, 3 * deviation):
+        return None
+    streams.twist = streams.wheels = None
+    words = (
+        f"the encoder of the {SIDES[int(late > 0)]} side is {abs(late):.2f} +- {1.96 * deviation:.2f} s later than the "
+        "other: read both at once, or log the time of each reading"
+    )
+    return Finding("late wheel", "warning", log, words)
 
 
 def _size_of_one(streams: Streams, side: FloatArray, wheel: int, settings: CheckSettings) -> float:
