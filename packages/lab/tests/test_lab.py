@@ -159,9 +159,8 @@ def test_firefox_drives_as_python_and_refuses_a_hostile_link(page_file: Path, tm
         assert "'horizon=1e308' is no choice" in line
         assert chosen["horizon"] == default_of("horizon")
         for path in PATHS:
-            driven = tab.evaluate(
-                "(chosen) => laboratory.judge.drive(chosen)", chosen | {"path": path, "dead": 0.04, "told": 0.04}
-            )
+            changed = chosen | {"path": path, "dead": 0.04, "told": 0.04}
+            driven = tab.evaluate("(chosen) => laboratory.judge.drive(chosen)", changed)
             config = configuration("ssm", {"told": 0.04})
             run = simulate(Controller(config), make_plant("model:ssm+0.04"), load_trajectory(path, config))
             assert np.abs(run.command - np.array(driven["commands"])).max() < ROUNDING
@@ -315,32 +314,25 @@ def test_link_opens_a_comparison_with_the_marked_drive(page_file: Path) -> None:
 
 @in_browser
 def test_typed_number_is_used_or_replaced_by_the_nearest_with_a_notice(page_file: Path) -> None:
-    expected = {"across": (("612.5", 612.5), ("1", 50)), "horizon": (("20", 20), ("33", 30)), "told": (("", 0.12),)}
+    expected = (("across", "612.5", 612.5), ("across", "1", 50), ("horizon", "33", 30), ("told", "", 0.12))
     with laboratory(page_file) as page:
-        for name, typed in expected.items():
-            for text, value in typed:
-                page.locator(f"#number-{name}").fill(text)
-                page.keyboard.press("Enter")
-                assert choices(page)[name] == value
-                assert page.locator(f"#number-{name}").input_value() == str(value)
-                assert page.locator("#notice").is_visible() == (text not in ("", str(value)))
+        for name, text, value in expected:
+            page.locator(f"#number-{name}").fill(text)
+            page.keyboard.press("Enter")
+            assert (choices(page)[name], page.locator(f"#number-{name}").input_value()) == (value, str(value))
+            assert page.locator("#notice").is_visible() == (text != str(value))
 
 
 @in_browser
 def test_tools_and_figures_are_above_the_fold_and_keys_act_without_scrolling(page_file: Path) -> None:
     with laboratory(page_file, viewport={"width": 1400, "height": 900}) as page:
         for name in ("floor", "tools", "deeds", "keys", "rms-a", "rms-b", "mode-b", "charts", "choice-seed"):
-            box = page.locator(f"#{name}").bounding_box()
-            assert box["y"] + box["height"] <= 900, name
+            assert page.locator(f"#{name}").evaluate("(node) => node.getBoundingClientRect().bottom") <= 900, name
         for used in ("#push", "#side-a", "#choice-slew", "#choices"):
             page.locator(used).click()
-            before = page.evaluate("laboratory.paused")
             page.keyboard.press("Space")
-            assert page.evaluate("laboratory.paused") != before, used
+            assert page.evaluate("laboratory.paused") == (used in ("#push", "#choice-slew")), used
         page.keyboard.press("ArrowDown")
-        page.locator("#push").focus()
-        page.keyboard.press("Space")
-        assert not page.evaluate("laboratory.paused")
         assert page.evaluate("window.scrollY") == 0
         page.keyboard.press("Control+c")
         assert page.locator("#cover").get_attribute("aria-pressed") == "false"
