@@ -131,8 +131,8 @@ def test_missing_compiler_is_one_line_that_names_the_remedy(monkeypatch: pytest.
 @in_browser
 def test_drives_are_those_of_python(page_file: Path) -> None:
     """Twelve: commands, poses and those of the peer, with limits that press and weights that are not shipped."""
-    varied = {"ssm": (700, 6), "sm": (350, 3), "mbm": (1500, 10)}
-    with laboratory(page_file) as page:
+    varied = {"ssm": (700, 6), "sm": (333.3, 3), "mbm": (1500, 7.25)}
+    with laboratory(page_file, "path=s") as page:
         judged(page)
         standard = choices(page)
         for model, (across, slew) in varied.items():
@@ -159,7 +159,8 @@ def test_firefox_drives_as_python_and_refuses_a_hostile_link(page_file: Path, tm
         assert "'horizon=1e308' is no choice" in line
         assert chosen["horizon"] == default_of("horizon")
         for path in PATHS:
-            driven = tab.evaluate("(chosen) => laboratory.judge.drive(chosen)", chosen | {"path": path})
+            changed = chosen | {"path": path, "dead": 0.04, "told": 0.04}
+            driven = tab.evaluate("(chosen) => laboratory.judge.drive(chosen)", changed)
             config = configuration("ssm", {"told": 0.04})
             run = simulate(Controller(config), make_plant("model:ssm+0.04"), load_trajectory(path, config))
             assert np.abs(run.command - np.array(driven["commands"])).max() < ROUNDING
@@ -171,7 +172,7 @@ def test_files_drive_in_simulate_to_the_figures_of_the_page(page_file: Path, tmp
     drawn = "drawn=0,0;60,5;120,50;180,60;240,10;300,0"
     links = (
         "path=circle&dead=0.12&told=0.08&surface=ice&sensors=half_lost&seed=1&horizon=20&slew=3",
-        "path=slalom&speed=0.8&model=mbm&robot=sm&wheel=1.2",
+        "path=slalom&speed=0.8&model=mbm&robot=sm&wheel=1.19",
         f"{drawn}&speed=0.5&model=kinematic&sensors=perfect&smooth=35",
     )
     with laboratory(page_file) as page:
@@ -193,7 +194,7 @@ def test_files_drive_in_simulate_to_the_figures_of_the_page(page_file: Path, tmp
 
 
 @in_browser
-def test_links_that_cannot_be_used_open_the_default_and_say_so_in_one_line(page_file: Path) -> None:
+def test_unusable_link_opens_the_first_experiment_with_a_notice(page_file: Path) -> None:
     script = "<script>document.title='taken'</script><img src=x onerror=document.title='taken'>"
     links = (
         "horizon=1e308",
@@ -204,6 +205,8 @@ def test_links_that_cannot_be_used_open_the_default_and_say_so_in_one_line(page_
         f"{script}=1",
         "__proto__=1",
         "path=circle&path=square",
+        "a.path=circle&b.path=square",
+        "across=49.9",
         "%E0%A4%A",
         "path=" + "x" * 1_000_000,
     )
@@ -214,7 +217,7 @@ def test_links_that_cannot_be_used_open_the_default_and_say_so_in_one_line(page_
             page.evaluate("(link) => { location.hash = link }", link)
             page.wait_for_function("() => !document.getElementById('notice').hidden")
             line = page.locator("#notice").inner_text()
-            assert line.startswith("This link cannot be used, so the default is shown: ")
+            assert line.startswith("This link cannot be used, so the first experiment is shown: ")
             assert len(line) < 160
             assert "\n" not in line
             assert choices(page) == standard
@@ -262,7 +265,6 @@ def test_pointer_finger_and_keyboard_do_what_the_page_says(page_file: Path) -> N
             page.mouse.move(x + 6 * step, y + 3 * step)
         page.mouse.up()
         assert len(choices(page)["drawn"]) > 3
-        floor.focus()
         page.keyboard.press("Space")
         paused_at = page.evaluate("laboratory.paused && laboratory.report.pose[0]")
         page.keyboard.press("ArrowRight")
@@ -277,12 +279,60 @@ def test_pointer_finger_and_keyboard_do_what_the_page_says(page_file: Path) -> N
 
 
 @in_browser
-def test_experiments_show_what_they_say(page_file: Path) -> None:
+def test_experiments_show_both_drives_with_their_figures(page_file: Path) -> None:
     with laboratory(page_file) as page:
-        for experiment in experiments():
-            rms = {}
-            for side in ("a", "b"):
-                page.locator(f"#{experiment['name']}-{side}").click()
-                assert experiment["see"] in page.locator("#seen").inner_text()
-                rms[side] = judged(page)
-            assert rms["b"] <= experiment["share"] * rms["a"], experiment["name"]
+        for number, experiment in enumerate(experiments()):
+            if number:
+                page.locator(f"#experiment-{experiment['name']}").click()
+            assert page.locator("[id^=experiment-][aria-pressed=true]").inner_text() == experiment["title"]
+            assert page.locator("#seen").inner_text() == experiment["see"]
+            page.wait_for_function("() => laboratory.shown.length === 2 && laboratory.shown.every((d) => d.whole)")
+            rms = page.evaluate("laboratory.shown.map((drive) => drive.whole.rms)")
+            assert rms[1] <= experiment["share"] * rms[0], experiment["name"]
+            shown = [page.locator(f"#rms-{side}").inner_text() for side in "ab"]
+            assert shown == [f"{1000 * value:.1f} mm" for value in rms]
+
+
+@in_browser
+def test_link_opens_a_comparison_with_the_marked_drive(page_file: Path) -> None:
+    sides = "() => Object.values(laboratory.drives).map((drive) => drive.choices)"
+    with laboratory(page_file, "path=circle&across=333.3&b.path=circle&b.ice=0,200") as page:
+        first, second = before = page.evaluate(sides)
+        assert (first["across"], first["ice"], second["ice"]) == (333.3, [], [[0, 2]])
+        assert choices(page) == first
+        page.locator("#side-b").click()
+        visit(page, page_file, page.evaluate("location.hash.slice(1)"))
+        assert page.evaluate(sides) == before
+        assert choices(page) == second
+        page.locator("#number-dead").fill("0.08")
+        page.keyboard.press("Enter")
+        assert [drive["dead"] for drive in page.evaluate(sides)] == [0.04, 0.08]
+        page.locator("#compare").click()
+        assert page.evaluate("laboratory.shown.length") == 1
+        assert page.locator("#rms-a").is_hidden()
+
+
+@in_browser
+def test_typed_number_is_used_or_replaced_by_the_nearest_with_a_notice(page_file: Path) -> None:
+    expected = (("across", "612.5", 612.5), ("across", "1", 50), ("horizon", "33", 30), ("told", "", 0.12))
+    with laboratory(page_file) as page:
+        for name, text, value in expected:
+            page.locator(f"#number-{name}").fill(text)
+            page.keyboard.press("Enter")
+            assert (choices(page)[name], page.locator(f"#number-{name}").input_value()) == (value, str(value))
+            assert page.locator("#notice").is_visible() == (text != str(value))
+
+
+@in_browser
+def test_tools_and_figures_are_above_the_fold_and_keys_act_without_scrolling(page_file: Path) -> None:
+    with laboratory(page_file, viewport={"width": 1400, "height": 900}) as page:
+        for name in ("floor", "tools", "deeds", "keys", "rms-a", "rms-b", "mode-b", "charts", "choice-seed"):
+            assert page.locator(f"#{name}").evaluate("(node) => node.getBoundingClientRect().bottom") <= 900, name
+        for used in ("#push", "#side-a", "#choice-slew", "#choices"):
+            page.locator(used).click()
+            page.keyboard.press("Space")
+            assert page.evaluate("laboratory.paused") == (used in ("#push", "#choice-slew")), used
+        page.keyboard.press("ArrowDown")
+        assert page.evaluate("window.scrollY") == 0
+        page.keyboard.press("Control+c")
+        assert page.locator("#cover").get_attribute("aria-pressed") == "false"

@@ -42,8 +42,6 @@ from diffdrive_mpc_lab.numbers import (
 
 BASES = ("model", "horizon", "told")
 """Choices whose constants are kept for each combination."""
-VARIED = ("across", "along", "smooth", "slew", "wheel")
-"""Choices that each change their own numbers, independent of the others."""
 
 
 class Pool:
@@ -138,33 +136,34 @@ def _bases() -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def _controller(pool: Pool, choices: dict[str, Any]) -> dict[str, Any]:
-    """Collect sizes and fields of a base, and by choice and value the changed fields: place, and number."""
+    """Collect sizes and fields of a base, and by varied choice its fields: field, places, and numbers per unit."""
     model, rest = choices["model"], {name: choices[name] for name in BASES if name != "model"}
     base = numbers.controller(numbers.configuration(model, rest))
-    changed: dict[str, dict[str, list[Any]]] = {}
-    touched: set[tuple[int, int]] = set()
-    for name in VARIED:
-        by_value, fields_of_choice = {}, set()
-        for value in values_of(name):
-            varied = numbers.controller(numbers.configuration(model, rest | {name: value}))
-            by_value[str(value)] = [
-                [field, places, pool.add(list(varied.fields.values())[field][places])]
-                for field, places in _differences(base, varied)
-            ]
-            fields_of_choice |= {(field, place) for field, places in _differences(base, varied) for place in places}
-        if fields_of_choice & touched:
-            raise ValueError(f"{name}: it changes constants that another choice changes; leave one of them out")
-        touched |= fields_of_choice
-        changed[name] = by_value
-    return {"sizes": pool.add(base.sizes), "fields": [pool.add(f) for f in base.fields.values()], "changed": changed}
+    varied, touched = {}, set[tuple[int, int]]()
+    for name, power in numbers.powers().items():
+        varied[name] = []
+        for field, places, units in _proportional(base, model, rest, name, power):
+            if touched & (changed := {(field, place) for place in places}):
+                raise ValueError(f"{name}: it changes constants that another choice changes; leave one of them out")
+            touched |= changed
+            varied[name].append([field, places, pool.add(units)])
+    return {"sizes": pool.add(base.sizes), "fields": [pool.add(f) for f in base.fields.values()], "varied": varied}
 
 
-def _differences(base: Constants, varied: Constants) -> Iterator[tuple[int, list[int]]]:
-    """Yield the fields of `varied` that differ from `base`, and the places in the field."""
-    for field, (before, after) in enumerate(zip(base.fields.values(), varied.fields.values(), strict=True)):
-        places = np.flatnonzero(~((before == after) | (np.isnan(before) & np.isnan(after)))).tolist()
-        if places:
-            yield field, places
+def _proportional(
+    base: Constants, model: str, rest: dict[str, Any], name: str, power: float
+) -> Iterator[tuple[int, list[int], FloatArray]]:
+    """Yield the fields that a choice changes, their places, and their numbers divided by the power of its value."""
+    values = values_of(name)
+    drawn = [numbers.controller(numbers.configuration(model, rest | {name: value})) for value in values]
+    for field, constants in enumerate(zip(*(varied.fields.values() for varied in drawn), strict=True)):
+        table, original = np.array(constants), list(base.fields.values())[field]
+        places = np.flatnonzero(~((table == original) | (np.isnan(table) & np.isnan(original))).all(axis=0))
+        units = table[:, places] / np.power(values, power)[:, None]
+        if not np.allclose(units, units[0], rtol=1e-12, atol=0.0):
+            raise ValueError(f"{name}: its constants are not proportional to its value to the power of {power}")
+        if places.size:
+            yield field, places.tolist(), units[0]
 
 
 require(1)

@@ -89,6 +89,11 @@ def default_of(name: str) -> Any:  # noqa: ANN401 - a name or a number
     return lab_settings()["choices"][name]["default"]
 
 
+def powers() -> dict[str, float]:
+    """Return the choices with any value in their range, and the power of it to which constants are proportional."""
+    return {name: choice["power"] for name, choice in lab_settings()["choices"].items() if "power" in choice}
+
+
 # Structs.
 
 

@@ -39,13 +39,15 @@ class Engine {
     return taken;
   }
 
-  /* The constants of a controller: those of its base, and what each other choice changes in them. */
+  /* The constants of a controller: those of its base, and the ones that are proportional to other choices. */
   controllerNumbers(choices) {
     const base = this.index.controllers[`${choices.model} ${choices.horizon} ${choices.told}`];
     const fields = base.fields.map((place) => this.arrays[place].slice());
-    for (const [name, values] of Object.entries(base.changed))
-      for (const [field, places, array] of values[String(choices[name])])
-        places.forEach((place, i) => { fields[field][place] = this.arrays[array][i]; });
+    for (const [name, changes] of Object.entries(base.varied)) {
+      const factor = choices[name] ** this.index.choices[name].power;
+      for (const [field, places, array] of changes)
+        places.forEach((place, i) => { fields[field][place] = factor * this.arrays[array][i]; });
+    }
     const parts = [this.arrays[base.sizes], ...fields];
     const whole = new Float64Array(parts.reduce((sum, part) => sum + part.length, 0));
     let begin = 0;

@@ -1,11 +1,14 @@
 /* The page itself: controls, the pointer, and the clock. */
 
 const MODES = ["TRACKING", "REUSED_PLAN", "BRAKING", "STOPPED", "FINISHED"];
-const LIVE = ["dead", "surface", "ice"]; /* choices that a drive under way takes */
+const LIVE = ["dead", "surface", "ice"]; /* choices that take effect during a drive */
+const SHARED = ["path", "speed", "drawn", "ice"]; /* choices of both drives of a comparison */
 const TOOLS = { carry: "Carry the robot", ice: "Paint ice", draw: "Draw a path" };
-const MOST_TICKS = 6; /* of one picture: a slow machine falls behind rather than stand still */
-const SLICE = 6; /* how long the whole drive may be worked on between two pictures [ms] */
-const REST = 1.5; /* time that a drive has ended before it begins again [s] */
+const HINT = "A comparison keeps a drive as A. Settings are those of the marked drive; path, speed, ice and buttons act on both.";
+const HISTORY = 1500; /* reports that are kept of each drive */
+const MOST_TICKS = 6; /* per picture: a slow machine runs slower than real time */
+const SLICE = 6; /* computing time for whole drives between two pictures [ms] */
+const REST = 1.5; /* time between the end of a drive and its repetition [s] */
 const element = (id) => document.getElementById(id);
 
 function made(kind, properties, ...children) {
@@ -14,18 +17,51 @@ function made(kind, properties, ...children) {
   return node;
 }
 
+/* A drive: its settings, its present state with the history, and the figures of the whole path. */
+class Drive {
+  constructor(engine, side, colour) {
+    Object.assign(this, { engine, side, colour });
+  }
+
+  take(choices) {
+    Object.assign(this, { choices, whole: null });
+  }
+
+  start(isCovered) {
+    const { engine } = this;
+    if (!engine.start(this.choices)) return false;
+    engine.c.lab_set_cover(isCovered ? 1 : 0);
+    Object.assign(this, { report: engine.report(), plan: [], rows: [] });
+    this.path = engine.referencePoints(0.05).map(([, x, y]) => [x, y]);
+    return true;
+  }
+
+  tick(isHeld) {
+    if (isHeld) this.engine.c.lab_place(...this.report.pose);
+    this.engine.tick();
+    this.report = this.engine.report();
+    this.rows.push(this.report);
+    if (this.rows.length > HISTORY) this.rows.shift();
+  }
+
+  carry(x, y) {
+    const pose = [x, y, this.report.pose[2]];
+    this.engine.c.lab_place(...pose);
+    this.report = { ...this.report, pose };
+  }
+}
+
 class Laboratory {
-  constructor(engine, judge) {
-    this.engine = engine;
-    this.judge = judge; /* drives the whole path for the figures */
-    this.index = engine.index;
-    this.period = engine.arrays[this.index.robot][0];
+  constructor([a, b, judge]) {
+    this.drives = { a: new Drive(a, "a", "rival"), b: new Drive(b, "b", "robot") };
+    this.judge = judge; /* drives whole paths for the figures */
+    this.index = judge.index;
+    this.period = judge.arrays[this.index.robot][0];
     const colours = new Colours();
     this.floor = new FloorView(element("floor"), this.index, colours);
     this.charts = new TimeView(element("charts"), this.index, colours);
     this.calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
-    Object.assign(this, { tool: "carry", paused: this.calm, covered: false, peer: true, held: false });
-    Object.assign(this, { experiment: "", job: 0, owed: 0, pictures: [] });
+    Object.assign(this, { tool: "carry", paused: this.calm, covered: false, held: false, job: 0 });
     this.makeExperiments();
     this.makeTools();
     this.makeChoices();
@@ -34,18 +70,34 @@ class Laboratory {
     requestAnimationFrame((now) => this.picture(now));
   }
 
-  /* What is set. */
+  /* The marked drive, to which settings belong; without a comparison it is the only one. */
+  get marked() { return this.drives[this.side]; }
+  get choices() { return this.marked.choices; }
+  get report() { return this.marked.report; }
+  get whole() { return this.marked.whole; }
+  get shown() { return this.isCompared ? [this.drives.a, this.drives.b] : [this.drives.b]; }
+
+  /* Settings. */
 
   openLink() {
-    const { choices, fault } = readLink(safeDecoded(location.hash.slice(1)), this.index);
-    this.choices = choices;
-    let complaint = fault;
-    if (!fault && !this.engine.start(choices)) {
-      complaint = "its path, speed and limits do not go together";
-      this.choices = defaultChoices(this.index);
-    }
-    this.notice(complaint && `This link cannot be used, so the default is shown: ${complaint}.`);
-    this.restart();
+    const text = safeDecoded(location.hash.slice(1)), link = readLink(text, this.index);
+    const complaint = link.fault || (this.compare(link) ? "" : "its path, speed and limits do not go together");
+    if (complaint || !text) this.compare(this.index.experiments[0]);
+    this.notice(complaint && `This link cannot be used, so the first experiment is shown: ${complaint}.`);
+  }
+
+  /* Drive A, if it is not null, and B; returns whether both can be driven. */
+  compare({ a, b, side = "b" }) {
+    Object.assign(this, { side, isCompared: Boolean(a), peer: !a });
+    this.drives.a.take({ ...defaultChoices(this.index), ...a });
+    this.drives.b.take({ ...defaultChoices(this.index), ...b });
+    this.notice("");
+    return this.restart();
+  }
+
+  mark(side) {
+    this.side = side;
+    this.settle();
   }
 
   notice(text) {
@@ -53,96 +105,92 @@ class Laboratory {
     element("notice").hidden = !text;
   }
 
-  /* Take other choices: a drive under way goes on with those of the floor and the dead time, others begin a new one. */
+  /* Change settings of the marked drive, or of both; a drive continues if only surface or dead time change. */
   choose(changes) {
-    const before = this.choices;
-    this.choices = { ...before, ...changes };
+    const names = Object.keys(changes), before = this.shown.map((drive) => drive.choices);
+    const drives = names.every((name) => SHARED.includes(name)) ? this.shown : [this.marked];
+    for (const drive of drives) drive.take({ ...drive.choices, ...changes });
     this.notice("");
-    this.tellExperiment();
-    if (Object.keys(changes).every((name) => LIVE.includes(name))) {
-      this.engine.setWorld(this.choices);
+    if (names.every((name) => LIVE.includes(name))) {
+      for (const drive of drives) drive.engine.setWorld(drive.choices);
       this.settle();
       return;
     }
     if (this.restart()) return;
-    this.choices = before;
+    this.shown.forEach((drive, i) => drive.take(before[i]));
     this.restart();
-    this.notice("This path does not go together with that speed: it would be faster than the limits allow.");
+    this.notice("This path at this speed exceeds the limits: choose a lower speed or another path.");
   }
 
   restart() {
-    if (!this.engine.start(this.choices)) return false;
-    this.engine.c.lab_set_cover(this.covered ? 1 : 0);
-    this.floor.clear();
-    this.charts.clear();
-    this.floor.frame(this.engine.referencePoints(0.05));
-    this.report = this.engine.report();
-    this.plan = [];
+    if (!this.shown.every((drive) => drive.start(this.covered))) return false;
+    this.floor.frame(this.shown.flatMap((drive) => drive.path));
     this.owed = 0;
-    this.ended = 0;
     this.settle();
     return true;
   }
 
-  /* The link, the controls and the figures of what is set. */
+  /* Show link, controls and figures of the settings. */
   settle() {
-    history.replaceState(null, "", `#${linkOf(this.choices, this.index)}`);
+    const { index, choices, side } = this, { a, b } = this.drives;
+    const [rival, letter] = side === "a" ? [b, "b."] : [a, "a."];
+    const words = [linkOf(choices, index), ...(this.isCompared ? [linkOf(rival.choices, index, letter)] : [])];
+    history.replaceState(null, "", `#${words.join("&")}`);
+    document.body.classList.toggle("compared", this.isCompared);
+    element("differs-a").textContent = differences(a.choices, b.choices, index);
+    element("differs-b").textContent = differences(b.choices, a.choices, index);
+    this.showExperiment();
     this.showChoices();
-    element("command").textContent = commandOf(this.choices);
-    element("savepath").hidden = !needsPathFile(this.choices);
-    this.whole = null;
-    element("rms").textContent = element("largest").textContent = "…";
+    element("command").textContent = commandOf(choices);
+    element("savepath").hidden = !needsPathFile(choices);
     this.judgeWhole(++this.job);
   }
 
-  /* Drive the whole path in the second laboratory, a slice at a time. */
+  /* Drive the whole paths with the third engine, a slice at a time. */
   async judgeWhole(job) {
     const { judge } = this;
-    if (!judge.start(this.choices)) return;
-    const poses = [], ticks = Math.ceil((judge.report().duration - 1e-9) / this.period) + 1;
-    for (let k = 0; k < ticks; ) {
-      const until = performance.now() + SLICE;
-      for (; k < ticks && performance.now() < until; k++) {
-        judge.tick();
-        poses.push(judge.report().pose);
+    for (const drive of this.shown.filter(({ whole }) => !whole)) {
+      for (const name of ["rms", "largest"]) element(`${name}-${drive.side}`).textContent = "…";
+      if (!judge.start(drive.choices)) return;
+      const poses = [], ticks = Math.ceil((judge.report().duration - 1e-9) / this.period) + 1;
+      for (let k = 0; k < ticks; ) {
+        const until = performance.now() + SLICE;
+        for (; k < ticks && performance.now() < until; k++) {
+          judge.tick();
+          poses.push(judge.report().pose);
+        }
+        await new Promise((go) => setTimeout(go));
+        if (job !== this.job) return;
       }
-      await new Promise((go) => setTimeout(go));
-      if (job !== this.job) return;
+      drive.whole = { poses, ...figures(judge.report()) };
+      for (const name of ["rms", "largest"])
+        element(`${name}-${drive.side}`).textContent = millimetres(drive.whole[name]);
     }
-    this.whole = { poses, ...figures(judge.report()) };
-    element("rms").textContent = millimetres(this.whole.rms);
-    element("largest").textContent = millimetres(this.whole.largest);
-    document.documentElement.dataset.judged = linkOf(this.choices, this.index);
   }
 
-  /* What is on the page. */
+  /* Controls. */
 
   makeExperiments() {
     for (const experiment of this.index.experiments) {
-      const buttons = ["a", "b"].map((side) => made("button", {
-        type: "button", id: `${experiment.name}-${side}`, textContent: side.toUpperCase(),
-        ariaLabel: `${experiment.title} ${side.toUpperCase()}`, onclick: () => this.openExperiment(experiment, side),
+      element("experiments").append(made("button", {
+        type: "button", id: `experiment-${experiment.name}`, textContent: experiment.title,
+        onclick: () => { this.compare(experiment); this.paused = this.calm; this.showDeeds(); },
       }));
-      element("experiments").append(made("article", { className: "experiment" },
-        made("h2", { textContent: experiment.title }), made("p", { textContent: experiment.question }),
-        made("div", { className: "row" }, ...buttons)));
     }
   }
 
-  openExperiment(experiment, side) {
-    this.choose({ ...defaultChoices(this.index), ...experiment[side] });
-    this.experiment = `${experiment.name}-${side}`;
-    this.tellExperiment(experiment.see);
-    this.paused = this.calm;
-    this.showDeeds();
-  }
-
-  tellExperiment(text = "") {
-    if (!text) this.experiment = "";
-    element("seen").textContent = text && `What is to be seen: ${text}`;
-    element("seen").hidden = !text;
-    for (const button of document.querySelectorAll(".experiment button"))
-      button.ariaPressed = String(button.id === this.experiment);
+  /* Say what the experiment shows, if its settings are the present ones. */
+  showExperiment() {
+    const { a, b } = this.drives, linkOfPair = (pair) => pair.map((choices) => linkOf(choices, this.index)).join("&a&");
+    const present = this.isCompared && linkOfPair([a.choices, b.choices]), standard = defaultChoices(this.index);
+    let shown = null;
+    for (const experiment of this.index.experiments) {
+      const isShown = linkOfPair(["a", "b"].map((side) => ({ ...standard, ...experiment[side] }))) === present;
+      element(`experiment-${experiment.name}`).ariaPressed = String(isShown);
+      if (isShown) shown = experiment;
+    }
+    element("question").textContent = shown ? shown.question : this.isCompared ? "Your comparison." : "One drive.";
+    element("seen").textContent = shown ? shown.see : HINT;
   }
 
   makeTools() {
@@ -156,9 +204,11 @@ class Laboratory {
       thaw: ["Remove the ice", () => this.choose({ ice: [] })],
       shipped: ["Remove the drawn path", () => this.choose({ drawn: [] })],
       peer: ["Pure pursuit", () => { this.peer = !this.peer; this.showDeeds(); }],
+      compare: ["", () => this.compare({ a: this.isCompared ? null : this.choices, b: this.choices })],
     };
     for (const [name, [label, deed]] of Object.entries(deeds))
       element("deeds").append(made("button", { type: "button", id: name, textContent: label, onclick: deed }));
+    for (const side of ["a", "b"]) element(`side-${side}`).onclick = () => this.mark(side);
     this.takeTool("carry");
   }
 
@@ -170,10 +220,11 @@ class Laboratory {
 
   showDeeds() {
     element("pause").textContent = this.paused ? "Drive" : "Pause";
-    element("pause").ariaPressed = String(this.paused);
+    element("compare").textContent = this.isCompared ? "End the comparison" : "Compare";
+    for (const side of ["a", "b"]) element(`side-${side}`).ariaPressed = String(side === this.side);
     element("cover").ariaPressed = String(this.covered);
     element("peer").ariaPressed = String(this.peer);
-    element("thaw").hidden = !this.choices.ice.length;
+    element("thaw").hidden = !this.shown.some(({ choices }) => choices.ice.length);
     element("shipped").hidden = !this.choices.drawn.length;
   }
 
@@ -185,7 +236,8 @@ class Laboratory {
         element("choices").append(groups.get(choice.group));
       }
       const isNumber = choice.values.every((value) => typeof value === "number") && choice.values.length > 2;
-      groups.get(choice.group).append(...(isNumber ? this.slider(name, choice) : this.list(name, choice)));
+      groups.get(choice.group).append(made("label", { htmlFor: `choice-${name}`, title: choice.help ?? "" }, choice.label),
+        ...(isNumber ? this.slider(name, choice) : this.list(name, choice)));
     }
     element("choices").onsubmit = (event) => event.preventDefault();
   }
@@ -198,31 +250,39 @@ class Laboratory {
       const value = choice.values.find((candidate) => String(candidate) === select.value);
       this.choose(name === "path" ? { path: value, drawn: [] } : { [name]: value });
     };
-    return [made("label", { htmlFor: select.id, textContent: choice.label, title: choice.help ?? "" }), select];
+    return [select];
   }
 
   slider(name, choice) {
     const last = choice.values.length - 1;
     const input = made("input", { type: "range", id: `choice-${name}`, min: 0, max: last, step: 1 });
     input.oninput = () => this.choose({ [name]: choice.values[Number(input.value)] });
-    const label = made("label", { htmlFor: input.id, title: choice.help ?? "" }, choice.label);
-    label.append(made("output", { id: `value-${name}` }));
-    return [label, input];
+    const number = made("input", { type: "number", id: `number-${name}`, step: "any", ariaLabel: choice.label });
+    number.onchange = () => this.type(name, choice, number.valueAsNumber);
+    return [input, number];
+  }
+
+  /* Take a typed number, or the nearest one that the page has constants for. */
+  type(name, choice, wanted) {
+    const value = Number.isNaN(wanted) ? this.choices[name] : nearest(choice, wanted);
+    this.choose({ [name]: value });
+    if (value === wanted || this.choices[name] !== value) return;
+    const range = choice.power ? `${choice.values[0]} to ${choice.values.at(-1)}` : choice.values.join(", ");
+    this.notice(`${choice.label}: ${value} is used; possible are ${range}.`);
   }
 
   showChoices() {
     for (const [name, choice] of Object.entries(this.index.choices)) {
       const input = element(`choice-${name}`), value = this.choices[name];
-      const words = String(choice.named?.[value] ?? value);
       if (input.type === "range") {
-        input.value = choice.values.indexOf(value);
-        input.ariaValueText = element(`value-${name}`).textContent = words;
+        input.value = choice.values.indexOf(nearest({ values: choice.values }, value));
+        input.ariaValueText = element(`number-${name}`).value = String(value);
       } else input.value = name === "path" && this.choices.drawn.length ? "" : String(value);
     }
     this.showDeeds();
   }
 
-  /* What a person does to the robot. */
+  /* Disturbances: they act on both drives of a comparison. */
 
   pause() {
     this.paused = !this.paused;
@@ -231,18 +291,13 @@ class Laboratory {
 
   push() {
     const { left, turn, ticks } = this.index.push;
-    this.engine.c.lab_push(left, turn, ticks);
+    for (const { engine } of this.shown) engine.c.lab_push(left, turn, ticks);
   }
 
   cover() {
     this.covered = !this.covered;
-    this.engine.c.lab_set_cover(this.covered ? 1 : 0);
+    for (const { engine } of this.shown) engine.c.lab_set_cover(this.covered ? 1 : 0);
     this.showDeeds();
-  }
-
-  carry(x, y, heading = this.report.pose[2]) {
-    this.engine.c.lab_place(x, y, heading);
-    this.report = { ...this.report, pose: [x, y, heading] };
   }
 
   listen() {
@@ -255,10 +310,17 @@ class Laboratory {
     });
     canvas.addEventListener("pointermove", (event) => this.held && this.point(event));
     for (const kind of ["pointerup", "pointercancel"]) canvas.addEventListener(kind, () => this.release());
-    canvas.addEventListener("keydown", (event) => this.key(event));
+    /* Keys act everywhere: a control that a pointer has used gives the focus back to the picture. */
+    document.addEventListener("keydown", (event) => { this.byKey = true; this.key(event); }, true);
+    document.addEventListener("pointerdown", () => { this.byKey = false; }, true);
+    for (const kind of ["click", "change"])
+      document.addEventListener(kind, ({ target }) => {
+        if (!this.byKey && target.closest(kind === "click" ? "button" : "select, [type=range]"))
+          canvas.focus({ preventScroll: true });
+      });
     window.addEventListener("hashchange", () => this.openLink());
     element("save").onclick = () => download(FILES.config, configFile(this.choices, this.index, this.whole));
-    element("savepath").onclick = () => download(FILES.path, pathFile(this.engine.referencePoints(0.02)));
+    element("savepath").onclick = () => download(FILES.path, pathFile(this.marked.engine.referencePoints(0.02)));
     element("copy").onclick = () => this.copyLink();
   }
 
@@ -275,7 +337,7 @@ class Laboratory {
     const [x, y] = this.floor.toFloor(event).map((metres) => Math.round(100 * metres) / 100);
     const { reach } = this.index.drawn;
     if (Math.max(Math.abs(x), Math.abs(y)) > reach) return;
-    if (this.tool === "carry") this.carry(x, y);
+    if (this.tool === "carry") for (const drive of this.shown) drive.carry(x, y);
     else if (this.tool === "draw") this.floor.stroke.push([x, y]);
     else this.paint(x, y);
   }
@@ -301,11 +363,12 @@ class Laboratory {
   key(event) {
     const moves = { ArrowLeft: [-0.05, 0], ArrowRight: [0.05, 0], ArrowUp: [0, 0.05], ArrowDown: [0, -0.05] };
     const deeds = { " ": () => this.pause(), p: () => this.push(), c: () => this.cover(), r: () => this.restart() };
-    const move = moves[event.key];
-    if (move) this.carry(this.report.pose[0] + move[0], this.report.pose[1] + move[1]);
-    else if (deeds[event.key]) deeds[event.key]();
-    else return;
+    const { target, key } = event, move = moves[key], deed = deeds[key.toLowerCase()];
+    const isTaken = target.closest(move ? "select, input" : key === " " ? "select, button" : "select");
+    if (isTaken || event.ctrlKey || event.altKey || event.metaKey || !(move || deed)) return;
     event.preventDefault();
+    if (move) for (const drive of this.shown) drive.carry(drive.report.pose[0] + move[0], drive.report.pose[1] + move[1]);
+    else deed();
   }
 
   /* The clock: as many ticks as time has passed, then a picture. */
@@ -319,34 +382,24 @@ class Laboratory {
   }
 
   drive(passed) {
-    const isHeld = this.held && this.tool === "carry" ? this.report.pose : null;
+    const isHeld = this.held && this.tool === "carry", { shown } = this;
     this.owed = Math.min(this.owed + passed, MOST_TICKS * this.period);
-    for (; this.owed >= this.period; this.owed -= this.period) {
-      if (isHeld) this.engine.c.lab_place(...isHeld);
-      this.engine.tick();
-      this.report = this.engine.report();
-      this.floor.remember(this.report);
-      this.charts.remember(this.report);
-    }
-    if (this.report.has_plan) this.plan = this.engine.plan();
-    this.ended = this.report.time > this.report.duration + REST ? this.ended + passed : 0;
-    if (this.ended > 0 && this.report.mode >= 2) this.restart();
+    for (; this.owed >= this.period; this.owed -= this.period) for (const drive of shown) drive.tick(isHeld);
+    for (const drive of shown) if (drive.report.has_plan) drive.plan = drive.engine.plan();
+    if (shown.every(({ report }) => report.time > report.duration + REST && report.mode >= 2)) this.restart();
   }
 
   show(now) {
-    const whole = this.paused && this.whole ? this.whole.poses : null;
-    const { ice } = this.choices, { peer } = this;
-    this.floor.draw(this.report, this.plan, { whole, ice, peer, held: this.held && this.tool === "carry" });
-    this.charts.draw(this.peer);
-    this.pictures.push(now);
-    while (this.pictures[0] < now - 1000) this.pictures.shift();
-    if (now - (this.told ?? 0) < 200) return;
-    this.told = now;
-    const { report } = this;
-    element("error").textContent = millimetres(report.error);
-    element("mode").textContent = MODES[report.mode];
-    element("step").textContent = `${(1000 * figures(report).step).toFixed(2)} ms`;
-    element("rate").textContent = `${this.pictures.length} /s`;
+    const { peer, paused, shown } = this, held = this.held && this.tool === "carry";
+    this.floor.draw(shown, this.marked, { isPaused: paused, peer, held });
+    this.charts.draw(shown, this.marked, peer);
+    if (now - (this.refreshed ?? 0) < 200) return;
+    this.refreshed = now;
+    for (const { side, report } of shown) {
+      element(`error-${side}`).textContent = millimetres(report.error);
+      element(`step-${side}`).textContent = `${(1000 * figures(report).step).toFixed(2)} ms`;
+      element(`mode-${side}`).textContent = MODES[report.mode];
+    }
   }
 }
 
@@ -366,8 +419,7 @@ function download(name, text) {
 
 (async () => {
   try {
-    const [engine, judge] = await openEngines(2);
-    window.laboratory = new Laboratory(engine, judge);
+    window.laboratory = new Laboratory(await openEngines(3));
     document.documentElement.dataset.ready = "true";
   } catch (error) {
     element("notice").hidden = false;

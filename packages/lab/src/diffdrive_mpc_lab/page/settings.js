@@ -19,41 +19,55 @@ function pointsOf(text, most, reach) {
   return fits ? points : null;
 }
 
-/* The part of a link after its #: whatever is not the default. */
-function linkOf(choices, index) {
+/* The part of a link after its # for one drive: its path, and the settings that are not the default. */
+function linkOf(choices, index, prefix = "") {
   const standard = defaultChoices(index);
   const words = Object.keys(index.choices)
-    .filter((name) => choices[name] !== standard[name])
-    .map((name) => `${name}=${choices[name]}`);
+    .filter((name) => (name === "path" ? !choices.drawn.length : choices[name] !== standard[name]))
+    .map((name) => `${prefix}${name}=${choices[name]}`);
   for (const name of Object.keys(LISTS))
-    if (choices[name].length) words.push(`${name}=${pointsText(choices[name])}`);
+    if (choices[name].length) words.push(`${prefix}${name}=${pointsText(choices[name])}`);
   return words.join("&");
 }
 
-/* What a link says: choices, or why it cannot be used. */
+/* Read a link: the settings by side (those with a prefix are of the side that is not marked), or its fault. */
 function readLink(text, index) {
-  const choices = defaultChoices(index);
-  if (text.length > index.longest_link) return { choices, fault: `it is longer than ${index.longest_link} characters` };
-  const seen = new Set();
+  const sides = { "": defaultChoices(index) }, names = new Set();
+  if (text.length > index.longest_link) return { fault: `it is longer than ${index.longest_link} characters` };
   for (const word of text.split("&").filter(Boolean)) {
-    const [name, value = ""] = word.split("=", 2);
-    if (seen.has(name)) return { choices: defaultChoices(index), fault: `'${name.slice(0, 20)}' stands there twice` };
-    seen.add(name);
+    const [full, value = ""] = word.split("=", 2), [, prefix, name] = /^([ab]\.)?(.*)$/s.exec(full);
+    if (names.has(full)) return { fault: `'${full.slice(0, 20)}' is in it twice` };
+    names.add(full);
     const read = readWord(name, value, index);
-    if (read === null) return { choices: defaultChoices(index), fault: `'${word.slice(0, 40)}' is no choice` };
-    choices[name] = read;
+    if (read === null) return { fault: `'${word.slice(0, 40)}' is no choice` };
+    (sides[prefix ?? ""] ??= defaultChoices(index))[name] = read;
   }
-  return { choices, fault: "" };
+  const { "": marked, "a.": a, "b.": b } = sides;
+  if (a && b) return { fault: "it names more than two drives" };
+  return b ? { a: marked, b, side: "a", fault: "" } : { a: a ?? null, b: marked, side: "b", fault: "" };
 }
 
 function readWord(name, value, index) {
-  if (Object.hasOwn(LISTS, name)) {
-    const settings = index[name];
-    return pointsOf(value, settings[LISTS[name]], index.drawn.reach);
-  }
+  if (Object.hasOwn(LISTS, name)) return pointsOf(value, index[name][LISTS[name]], index.drawn.reach);
   if (!Object.hasOwn(index.choices, name)) return null;
-  const known = index.choices[name].values.find((candidate) => String(candidate) === value);
-  return known === undefined ? null : known;
+  const choice = index.choices[name], number = Number(value);
+  if (choice.power && nearest(choice, number) === number && String(number) === value) return number;
+  return choice.values.find((candidate) => String(candidate) === value) ?? null;
+}
+
+/* The value of a choice nearest to a number: any in its range, or one of a list. */
+function nearest({ power, values }, number) {
+  if (power) return Math.min(Math.max(number, values[0]), values.at(-1));
+  return values.reduce((best, value) => (Math.abs(value - number) < Math.abs(best - number) ? value : best));
+}
+
+/* The settings of a drive that are not those of the other. */
+function differences(choices, rival, index) {
+  const words = Object.entries(index.choices)
+    .filter(([name]) => choices[name] !== rival[name])
+    .map(([name, choice]) => `${choice.label}: ${choices[name]}`);
+  if (pointsText(choices.ice) !== pointsText(rival.ice)) words.push(choices.ice.length ? "with ice" : "without ice");
+  return words.join("; ");
 }
 
 /* The configuration's values by key, in groups. */
@@ -105,7 +119,7 @@ function commandOf(choices) {
 function configFile(choices, index, whole) {
   const lines = ["# From the laboratory of diffdrive-mpc. It is driven by", `# ${commandOf(choices)}`];
   if (needsPathFile(choices)) lines.push(`# with the path that the page gives as ${FILES.path}.`);
-  if (choices.ice.length) lines.push("# Painted ice is not part of it: simulate has one floor everywhere.");
+  if (choices.ice.length) lines.push("# Painted ice is not part of it: simulate has one surface everywhere.");
   if (whole) lines.push(`# In the page: position RMSE ${millimetres(whole.rms)}, max ${millimetres(whole.largest)}.`);
   return `${[...lines, ...yamlLines(configurationOf(choices, index))].join("\n")}\n`;
 }

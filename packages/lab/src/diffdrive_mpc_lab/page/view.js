@@ -1,6 +1,5 @@
 /* Pictures: the floor from above, and what happened over time. */
 
-const TRAIL = 1500; /* poses that are kept of each robot */
 const SHOWN_SECONDS = 12; /* of the charts */
 
 /* A canvas as sharp as the screen, and the colours of the page. */
@@ -25,36 +24,22 @@ class Colours {
 
   read() {
     const style = getComputedStyle(document.documentElement);
-    for (const name of ["text", "muted", "line", "path", "robot", "plan", "estimate", "ghost", "ice", "limit", "card"])
+    for (const name of ["text", "muted", "line", "path", "robot", "rival", "plan", "estimate", "ghost", "ice", "limit", "card"])
       this[name] = style.getPropertyValue(`--${name}`).trim();
   }
 }
 
 class FloorView {
   constructor(canvas, index, colours) {
-    Object.assign(this, { canvas, index, colours, path: [], stroke: [] });
-    this.clear();
+    Object.assign(this, { canvas, index, colours, stroke: [] });
   }
 
-  clear() {
-    this.trail = [];
-    this.ghostTrail = [];
-  }
-
-  /* The frame is that of the path, with room for what happens beside it. */
+  /* The frame is that of the paths, with room for what happens next to them. */
   frame(points) {
-    this.path = points;
-    const xs = points.map((point) => point[1]), ys = points.map((point) => point[2]);
+    const xs = points.map(([x]) => x), ys = points.map(([, y]) => y);
     const room = 0.55;
     this.low = [Math.min(...xs) - room, Math.min(...ys) - room];
     this.high = [Math.max(...xs) + room, Math.max(...ys) + room];
-  }
-
-  remember(report) {
-    for (const [trail, pose] of [[this.trail, report.pose], [this.ghostTrail, report.peer]]) {
-      trail.push(pose);
-      if (trail.length > TRAIL) trail.shift();
-    }
   }
 
   /* Pixels per metre, and where the origin is. */
@@ -72,27 +57,37 @@ class FloorView {
     return [(event.clientX - box.left - x) / scale, (y - (event.clientY - box.top)) / scale];
   }
 
-  draw(report, plan, options) {
-    const { pen, width, height } = prepared(this.canvas);
+  /* All drives; pure pursuit, plan and estimate are those of the marked one. */
+  draw(drives, { report, rows, plan }, options) {
+    const { pen, width, height } = prepared(this.canvas), { colours } = this;
     const { scale, x, y } = this.place(width, height);
     this.pen = pen;
     this.at = ([px, py]) => [x + scale * px, y - scale * py];
     this.scale = scale;
-    this.drawFloor(width, height, options);
-    this.line(this.path.map((point) => point.slice(1, 3)), this.colours.path, 2, [6, 5]);
-    if (options.whole) this.line(options.whole, this.colours.robot, 1, []);
-    if (options.peer) this.line(this.ghostTrail, this.colours.ghost, 1.5, []);
-    this.line(this.trail, this.colours.robot, 2, []);
-    if (this.stroke.length) this.line(this.stroke, this.colours.plan, 3, []);
+    this.drawFloor(width, height, drives.flatMap((drive) => drive.choices.ice));
+    for (const drive of drives) this.line(drive.path, colours.path, 2, [6, 5]);
+    if (options.isPaused) for (const drive of drives) this.line(drive.whole?.poses ?? [], colours[drive.colour], 1, []);
+    if (options.peer) this.line(rows.map((row) => row.peer), colours.ghost, 1.5, []);
+    for (const drive of drives) this.line(drive.rows.map((row) => row.pose), colours[drive.colour], 2, []);
+    if (this.stroke.length) this.line(this.stroke, colours.plan, 3, []);
     if (options.held) this.ring(report.reference, this.index.too_far);
-    if (options.peer) this.robot(report.peer, this.colours.ghost, false);
+    if (options.peer) this.robot(report.peer, colours.ghost, false);
     if (report.has_plan) this.dots(plan);
     this.cross(report.reference);
-    this.robot(report.pose, this.colours.robot, true);
-    if (report.has_estimate) this.robot(report.estimate, this.colours.estimate, false, [3, 3]);
+    for (const drive of drives) this.robot(drive.report.pose, colours[drive.colour], true);
+    if (report.has_estimate) this.robot(report.estimate, colours.estimate, false, [3, 3]);
+    if (drives.length > 1) for (const drive of drives) this.letter(drive);
   }
 
-  drawFloor(width, height, options) {
+  /* The letter of a drive, next to its robot. */
+  letter({ report, colour, side }) {
+    const [x, y] = this.at(report.pose);
+    this.pen.fillStyle = this.colours[colour];
+    this.pen.font = "bold 15px sans-serif";
+    this.pen.fillText(side.toUpperCase(), x + (side === "a" ? -1 : 1) * 0.4 * this.scale - 5, y - 0.3 * this.scale);
+  }
+
+  drawFloor(width, height, ice) {
     const { pen, colours } = this;
     pen.strokeStyle = colours.line;
     pen.lineWidth = 1;
@@ -107,7 +102,7 @@ class FloorView {
     }
     pen.stroke();
     pen.fillStyle = colours.ice;
-    for (const patch of options.ice) {
+    for (const patch of ice) {
       pen.beginPath();
       pen.arc(...this.at(patch), this.index.ice.radius * this.scale, 0, 7);
       pen.fill();
@@ -191,41 +186,35 @@ class FloorView {
 class TimeView {
   constructor(canvas, index, colours) {
     Object.assign(this, { canvas, index, colours });
-    this.clear();
   }
 
-  clear() {
-    this.rows = [];
-  }
-
-  remember(report) {
-    this.rows.push(report);
-    while (this.rows[0].time < report.time - SHOWN_SECONDS) this.rows.shift();
-  }
-
-  draw(showPeer) {
+  /* Errors and commands of all drives; pure pursuit and motion are those of the marked one. */
+  draw(drives, marked, showPeer) {
     const { pen, width, height } = prepared(this.canvas);
     const { limits } = this.index, third = height / 3;
-    const largest = Math.max(20, ...this.rows.map((row) => 1000 * Math.max(row.error, showPeer ? row.peer_error : 0)));
-    const error = (row) => 1000 * row.error, peerError = (row) => 1000 * row.peer_error;
+    this.end = Math.max(...drives.map((drive) => drive.report.time));
+    const recent = (drive) => drive.rows.filter((row) => row.time >= this.end - SHOWN_SECONDS);
+    const lines = (value) => drives.map((drive) => [recent(drive), value, drive.colour]);
+    const errors = lines((row) => 1000 * row.error);
+    if (showPeer) errors.unshift([recent(marked), (row) => 1000 * row.peer_error, "ghost"]);
+    const largest = Math.max(20, ...errors.flatMap(([rows, value]) => rows.map(value)));
     this.chart(pen, width, 0, third, {
       title: showPeer ? "error, mm; pure pursuit: distance from its path" : "error, mm",
-      low: 0, high: 1.1 * largest, marks: [0, round(largest)],
-      lines: showPeer ? [[peerError, "ghost"], [error, "robot"]] : [[error, "robot"]],
+      low: 0, high: 1.1 * largest, marks: [0, round(largest)], lines: errors,
     });
     [["v", "m/s"], ["omega", "rad/s"]].forEach(([name, unit], channel) => {
-      const limit = limits[name];
+      const limit = limits[name], motion = (row) => row.twist[2 * channel];
       this.chart(pen, width, (channel + 1) * third, third, {
         title: `${name}, ${unit}: command, motion`,
         low: -1.15 * limit, high: 1.15 * limit, marks: [-limit, 0, limit],
-        lines: [[(row) => row.twist[2 * channel], "estimate"], [(row) => row.command[channel], "robot"]],
+        lines: [[recent(marked), motion, "estimate"], ...lines((row) => row.command[channel])],
       });
     });
   }
 
   chart(pen, width, top, height, { title, low, high, marks, lines }) {
     const left = 46, right = width - 8, bottom = top + height - 8, roof = top + 18;
-    const end = this.rows.length ? this.rows.at(-1).time : 0, begin = Math.max(0, end - SHOWN_SECONDS);
+    const begin = Math.max(0, this.end - SHOWN_SECONDS);
     const x = (time) => left + ((right - left) * (time - begin)) / SHOWN_SECONDS;
     const y = (value) => bottom - ((bottom - roof) * (value - low)) / (high - low);
     pen.font = "12px sans-serif";
@@ -243,10 +232,10 @@ class TimeView {
       pen.stroke();
     }
     pen.lineWidth = 1.8;
-    for (const [value, colour] of lines) {
+    for (const [rows, value, colour] of lines) {
       pen.strokeStyle = this.colours[colour];
       pen.beginPath();
-      this.rows.forEach((row, i) => pen[i ? "lineTo" : "moveTo"](x(row.time), y(value(row))));
+      rows.forEach((row, i) => pen[i ? "lineTo" : "moveTo"](x(row.time), y(value(row))));
       pen.stroke();
     }
   }
