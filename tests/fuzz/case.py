@@ -65,6 +65,6 @@ def saved_findings(folder: Path = FINDINGS) -> dict[tuple[str, str], Case]:
     return {(fuzzer, mark): entry["case"] for fuzzer, cases in files.items() for mark, entry in cases.items()}
 
 
-def draw(fuzzer: Fuzzer, seed: int, index: int) -> Case:
+def draw(fuzzer: Fuzzer, seed: int | str, index: int) -> Case:
     """Draw case number `index` of `seed` without Hypothesis."""
     return fuzzer.draw(Random(f"{fuzzer.name}/{seed}/{index}"))

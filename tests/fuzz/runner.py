@@ -19,7 +19,7 @@ from types import FrameType
 from hypothesis import HealthCheck, example, given, seed, settings
 from hypothesis import strategies as st
 
-from fuzz.case import Case, FaultError, Fuzzer, HangError, save, saved_findings
+from fuzz.case import Case, FaultError, Fuzzer, HangError, draw, save, saved_findings
 
 _MOST_MEMORY = 8_000_000_000
 """Address space of a process; libraries alone reserve 2 GB [byte]."""
@@ -54,7 +54,11 @@ def search(
             on_fault(case, error)
             raise
 
-    check = given(st.randoms(use_true_random=False).map(fuzzer.draw))(check)
+    drawn = st.randoms(use_true_random=False).map(fuzzer.draw)
+    if not getattr(fuzzer, "is_reducible", True):
+        # Hypothesis begins with the simplest case, which is the same for every origin.
+        drawn = st.integers(0).map(lambda index: draw(fuzzer, origin, index))
+    check = given(drawn)(check)
     for (name, _), case in saved_findings().items():
         if name == fuzzer.name:
             check = example(case)(check)
