@@ -45,7 +45,7 @@ def main() -> None:
     os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     chosen = [FUZZERS[name] for name in FUZZERS if name in words.what] or list(FUZZERS.values())
     pace = "long" if "long" in words.what else "short"
-    sys.exit(any([_fuzzed(fuzzer, pace, words) for fuzzer in chosen]))  # noqa: C419 - every fuzzer runs
+    sys.exit(int(any([_fuzzed(fuzzer, pace, words) for fuzzer in chosen])))  # noqa: C419 - every fuzzer runs
 
 
 def _fuzzed(fuzzer: Fuzzer, pace: str, words: argparse.Namespace) -> bool:
