@@ -243,10 +243,13 @@ class Scenario:
 
 def rows():
     """Return the parameters of each row and of each of its cases."""
-    pairs = [(name, row, case) for name, row in ROWS.items() for case in row.get("cases", [{}])]
-    names = [" ".join([name, *map(str, [*case.values()][-1:])]) for name, _, case in pairs]
-    marks = [[pytest.mark.system] * row.get("system", False) for _, row, _ in pairs]
-    return [pytest.param(row, case, id=names[k], marks=marks[k]) for k, (_, row, case) in enumerate(pairs)]
+    parameters = []
+    for name, row in ROWS.items():
+        marks = [pytest.mark.system(*row["system"])] if "system" in row else []
+        for case in row.get("cases", [{}]):
+            label = " ".join([name, *map(str, [*case.values()][-1:])])
+            parameters.append(pytest.param(row, case, id=label, marks=marks))
+    return parameters
 
 
 @pytest.mark.parametrize(("row", "case"), rows())
@@ -254,7 +257,7 @@ def test_scenario(row, case, monkeypatch, capfd, request):
     def filled(value):
         return case[value[1:]] if isinstance(value, str) and value.startswith("$") else value
 
-    if any("limit" in step for step in row["steps"]):
+    if "compiler" in row.get("system", ()):
         request.getfixturevalue("ros_types")
     parameters = {"drive": True, "diagnostics_rate": 20.0} | {key: filled(v) for key, v in row.get("node", {}).items()}
     with stack(row.get("config"), **parameters) as s:
