@@ -47,7 +47,7 @@ def test_cases_differ_and_survive_json(name):
     assert json.dumps(json.loads(cases[5])) == cases[5]
 
 
-@pytest.mark.parametrize(("name", "cases"), [("controller", 12), ("references", 12), ("yaml", 12), ("logs", 1)])
+@pytest.mark.parametrize(("name", "cases"), [("controller", 25), ("references", 12), ("yaml", 12), ("logs", 1)])
 def test_corrected_findings_stay_corrected_and_quick_fuzzers_find_nothing(name, cases):
     checked = []
     search(FUZZERS[name], "20", cases, on_case=checked.append)
