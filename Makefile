@@ -19,7 +19,7 @@ OPTIONS ?=
 MARKET ?=
 PROVE ?=
 TUNE ?=
-# What is fuzzed: make fuzz FUZZ="long --seed 7", FUZZ="controller --seed 1 --only 12", FUZZ="live --seconds 600"
+# What is fuzzed: make fuzz FUZZ="long --seed 7", FUZZ="controller --seed 1 --count 500", FUZZ="live --seconds 600"
 FUZZ ?= short
 GOALS ?=
 # Which mutants are tried: make mutants MUTANTS="--seed 7 --count 40 --only mpc/core/*.c"

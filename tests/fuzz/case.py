@@ -1,11 +1,9 @@
-"""Fuzzers, their findings, and the files of findings, one per fuzzer."""
+"""Fuzzers, and the files of their findings, one per fuzzer."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import traceback
-from dataclasses import dataclass
 from pathlib import Path
 from random import Random
 from typing import Any, Protocol
@@ -50,24 +48,15 @@ class Fuzzer(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class Finding:
-    """Case that breaks a promise."""
-
-    fuzzer: str
-    description: str
-    signature: str
-    case: Case
-
-    def save(self, folder: Path = FINDINGS) -> Path:
-        """Add the case to the file of its fuzzer, under a mark that follows from its signature."""
-        mark = hashlib.sha256(self.signature.encode()).hexdigest()[:8]
-        path = folder / f"{self.fuzzer}.json"
-        findings = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-        findings[mark] = {"what": self.description, "case": self.case}
-        folder.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(findings, indent=1, sort_keys=True) + "\n", encoding="utf-8")
-        return path
+def save(fuzzer: str, description: str, case: Case, folder: Path = FINDINGS) -> Path:
+    """Add a case to the file of its fuzzer, under a mark that follows from the case."""
+    mark = hashlib.sha256(json.dumps(case).encode()).hexdigest()[:8]
+    path = folder / f"{fuzzer}.json"
+    findings = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    findings[mark] = {"what": description, "case": case}
+    folder.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(findings, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    return path
 
 
 def saved_findings(folder: Path = FINDINGS) -> dict[tuple[str, str], Case]:
@@ -76,28 +65,6 @@ def saved_findings(folder: Path = FINDINGS) -> dict[tuple[str, str], Case]:
     return {(fuzzer, mark): entry["case"] for fuzzer, cases in files.items() for mark, entry in cases.items()}
 
 
-def draw(fuzzer: Fuzzer, seed: int, index: int) -> Case:
-    """Draw case number `index` of `seed`, which is the same on every machine."""
+def draw(fuzzer: Fuzzer, seed: int | str, index: int) -> Case:
+    """Draw case number `index` of `seed` without Hypothesis."""
     return fuzzer.draw(Random(f"{fuzzer.name}/{seed}/{index}"))
-
-
-def trouble(fuzzer: Fuzzer, case: Case) -> tuple[str, str] | None:
-    """Check a case; return description and signature of a fault, or None."""
-    try:
-        fuzzer.check(case)
-    except FaultError as error:
-        return str(error), f"{fuzzer.name}: {str(error).partition(':')[0]}"
-    except (KeyboardInterrupt, HangError):
-        raise
-    except BaseException as error:  # SystemExit of a library, too
-        where = _innermost(error)
-        return f"{type(error).__name__}: {error}, at {where}", f"{fuzzer.name}: {type(error).__name__} at {where}"
-    return None
-
-
-def _innermost(error: BaseException) -> str:
-    """Return the innermost function of the product, without its line, which changes."""
-    frames = [
-        frame for frame in traceback.extract_tb(error.__traceback__) if "diffdrive_mpc" in frame.filename
-    ] or traceback.extract_tb(error.__traceback__)
-    return f"{Path(frames[-1].filename).name}, {frames[-1].name}" if frames else "nowhere"

@@ -49,7 +49,7 @@ def _built() -> Path:
 class CoreFuzzer:
     """Sizes, constants, clocks, targets and answers of any kind; no byte or command out of bounds."""
 
-    name, longest, count = "core", 300.0, 1
+    name, longest, count, is_reducible = "core", 300.0, 1, False
 
     def draw(self, random: Random) -> Case:
         """Draw the seed of the program."""

@@ -1,7 +1,4 @@
-"""Run a fuzzer in a process with limits of count, time and memory; save its findings.
-
-The process may die or hang in compiled code. Its report names the case, which the parent saves before the next one.
-"""
+"""Search of a fuzzer by Hypothesis, with limits of time and memory."""
 
 from __future__ import annotations
 
@@ -9,174 +6,119 @@ import contextlib
 import faulthandler
 import json
 import logging
-import math
-import os
 import resource
 import signal
-import subprocess
 import sys
-import tempfile
 import time
+import traceback
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from types import FrameType
 
-from fuzz.case import FINDINGS, Case, Finding, Fuzzer, HangError, draw, trouble
+from hypothesis import HealthCheck, example, given, seed, settings
+from hypothesis import strategies as st
+
+from fuzz.case import Case, FaultError, Fuzzer, HangError, draw, save, saved_findings
 
 _MOST_MEMORY = 8_000_000_000
 """Address space of a process; libraries alone reserve 2 GB [byte]."""
 _MOST_MORE = 600_000
 """Growth of the peak memory that a case may cause [kB]."""
-_KINDS_OF_FINDINGS = 20
-"""Number of different findings that ends a run."""
-_CASES_OF_A_PROCESS = 1000
 
 
-def environment() -> dict[str, str]:
-    """Return the environment of a process that imports the fuzzers and helpers of other tests."""
-    tests = Path(__file__).parents[1]
-    paths = [str(tests), str(tests / "models"), str(tests / "mpc"), os.environ.get("PYTHONPATH", "")]
-    # One thread for matrices, as in the node: to wake others takes longer than the sums.
-    threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    return {**os.environ, **threads, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
+def search(
+    fuzzer: Fuzzer,
+    origin: str,
+    count: int,
+    seconds: float = 600.0,
+    on_case: Callable[[Case], None] = lambda _: None,
+    on_fault: Callable[[Case, BaseException], None] = lambda _case, _error: None,
+) -> None:
+    """Check the saved findings and `count` cases drawn from `origin`, for at most `seconds`; raise reduced faults.
 
-
-@dataclass(frozen=True)
-class Order:
-    """Cases to run: `first` to `first + count` of `seed`, for at most `seconds`, and `steps` of the controller."""
-
-    fuzzer: str
-    seed: int
-    first: int
-    count: int
-    seconds: float
-    steps: float = math.inf
-
-    def words(self) -> str:
-        """Return the command that repeats the first case."""
-        return f'make fuzz FUZZ="{self.fuzzer} --seed {self.seed} --only {self.first}"'
-
-
-@dataclass
-class Ran:
-    """Result of an order: started cases, findings of a line or two each, and steps of the controller.
-
-    `late` steps missed their deadline; the longest one took `longest_step` sample times.
+    `on_case` is called before each case, `on_fault` after each fault: last with the reduced cases.
     """
+    end, failed = time.monotonic() + seconds, False
 
-    cases: int = 0
-    lines: list[str] = field(default_factory=list)
-    steps: int = 0
-    late: int = 0
-    longest_step: float = 0.0
+    def check(case: Case) -> None:
+        nonlocal failed
+        # Without time no more cases are drawn, but a fault is still reduced.
+        if time.monotonic() > end and not failed:
+            return
+        on_case(case)
+        try:
+            check_within_bounds(fuzzer, case)
+        except Exception as error:
+            failed = True
+            on_fault(case, error)
+            raise
 
-
-def run(order: Order, folder: Path = FINDINGS, on_part: Callable[[Ran], None] = lambda _: None) -> Ran:
-    """Run an order; `on_part` is called after each process, of which there are several for many cases."""
-    end, ran = time.monotonic() + order.seconds, Ran()
-    while (
-        ran.cases < order.count
-        and ran.steps < order.steps
-        and time.monotonic() < end
-        and len(ran.lines) < _KINDS_OF_FINDINGS
-    ):
-        count = min(order.count - ran.cases, _CASES_OF_A_PROCESS)
-        seconds, steps = end - time.monotonic(), order.steps - ran.steps
-        rest = Order(order.fuzzer, order.seed, order.first + ran.cases, count, seconds, steps)
-        part, died = _in_process(rest, folder)
-        ran = Ran(
-            ran.cases + part.cases,
-            ran.lines + part.lines,
-            ran.steps + part.steps,
-            ran.late + part.late,
-            max(ran.longest_step, part.longest_step),
-        )
-        if died:
-            single = Order(order.fuzzer, order.seed, rest.first + part.cases - 1, 1, 600.0)
-            ran.lines.append(_kept_death(single, died, folder))
-        on_part(ran)
-    return ran
+    drawn = st.randoms(use_true_random=False).map(fuzzer.draw)
+    if not getattr(fuzzer, "is_reducible", True):
+        # Hypothesis begins with the simplest case, which is the same for every origin.
+        drawn = st.integers(0).map(lambda index: draw(fuzzer, origin, index))
+    check = given(drawn)(check)
+    for (name, _), case in saved_findings().items():
+        if name == fuzzer.name:
+            check = example(case)(check)
+    health = list(HealthCheck)
+    bounds = settings(max_examples=count, deadline=None, derandomize=False, database=None, suppress_health_check=health)
+    seed(origin)(bounds(check))()
 
 
-def _kept_death(order: Order, died: str, folder: Path) -> str:
+def inside(name: str, origin: str, count: int, seconds: float, keep: Path, scratch: str) -> None:
+    """Search inside a process; exit with 1 after a fault, whose reduced case is saved."""
     from fuzz.fuzzers import FUZZERS
 
-    finding = Finding(
-        order.fuzzer,
-        died,
-        f"{order.fuzzer}: {died.partition(chr(10))[0]}",
-        draw(FUZZERS[order.fuzzer], order.seed, order.first),
-    )
-    return f"{died}\n    {order.words()}\n    {finding.save(folder)}"
-
-
-def _in_process(order: Order, folder: Path) -> tuple[Ran, str]:
-    """Run an order in a process; return its result and its end, which is empty for a normal one."""
-    with tempfile.TemporaryDirectory() as scratch:
-        report, output_file = Path(scratch, "report"), Path(scratch, "output_file")
-        with output_file.open("w") as output:
-            words = [sys.executable, "-m", "fuzz", "--inside", json.dumps(asdict(order)), str(report), str(folder)]
-            process = subprocess.Popen(
-                words, stdin=subprocess.DEVNULL, stdout=output, stderr=output, cwd=scratch, env=environment()
-            )
-            try:
-                # It watches its own time; this is for when it cannot even do that.
-                code = process.wait(order.seconds + 600.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                code = process.wait()
-        lines = [json.loads(line) for line in report.read_text().splitlines()] if report.exists() else []
-        text = output_file.read_text(errors="replace")
-    account = next((line["account"] for line in lines if "account" in line), {})
-    ran = Ran(
-        max((line.get("begun", 0) for line in lines), default=0),
-        [line["found"] for line in lines if "found" in line],
-        **account,
-    )
-    if code == 0:
-        return ran, ""
-    how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"ended with {code}"
-    return replace(ran, cases=max(ran.cases, 1)), f"process {how}\n{text[-3000:]}"
-
-
-def inside(fuzzer: Fuzzer, order: Order, report: Path, folder: Path) -> None:
-    """Run an order inside the process; write a line per event to `report`."""
-    _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (_MOST_MEMORY, hard))
+    resource.setrlimit(resource.RLIMIT_AS, (_MOST_MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
     warnings.simplefilter("ignore")
     logging.disable(logging.CRITICAL)
-    end, known = time.monotonic() + order.seconds, set[str]()
-    with report.open("w", buffering=1) as out:
-        for begun in range(order.count):
-            if time.monotonic() > end or len(known) >= _KINDS_OF_FINDINGS:
-                break
-            out.write(json.dumps({"begun": begun + 1}) + "\n")
-            case = draw(fuzzer, order.seed, order.first + begun)
-            fault = judged(fuzzer, case)
-            if fault is None or fault[1] in known:
-                continue
-            known.add(fault[1])
-            path = Finding(fuzzer.name, *fault, case).save(folder)
-            single = Order(order.fuzzer, order.seed, order.first + begun, 1, 0.0)
-            out.write(json.dumps({"begun": begun + 1, "found": f"{fault[0]}\n    {single.words()}\n    {path}"}) + "\n")
-        account = {name: getattr(fuzzer, name, 0) for name in ("steps", "late", "longest_step")}
-        out.write(json.dumps({"account": account}) + "\n")
+    fuzzer, cases, faults = FUZZERS[name], 0, dict[str, tuple[Case, BaseException]]()
+
+    def begin(case: Case) -> None:
+        nonlocal cases
+        cases += 1
+        Path(scratch, "case.json").write_text(json.dumps(case))
+
+    def note(case: Case, error: BaseException) -> None:
+        frames = traceback.extract_tb(error.__traceback__)
+        faults[f"{type(error).__name__} in {frames[-1].name}, line {frames[-1].lineno}"] = case, error
+
+    try:
+        search(fuzzer, origin, count, seconds, begin, note)
+    except Exception as error:
+        traceback.print_exception(error)
+        for where, (case, fault) in faults.items():
+            print(f"  - {where}: {fault}\n    {save(name, f'{where}: {fault}', case, keep)}", flush=True)
+        sys.exit(1)
+    finally:
+        account = {key: getattr(fuzzer, key, 0) for key in ("steps", "late", "longest_step")}
+        Path(scratch, "account.json").write_text(json.dumps({"cases": cases, **account}))
 
 
-def judged(fuzzer: Fuzzer, case: Case) -> tuple[str, str] | None:
-    """Check a case, its time and its memory; return description and signature of a fault."""
+def judged(fuzzer: Fuzzer, case: Case) -> str | None:
+    """Check a case; return a fault in a line or more, or None."""
+    try:
+        check_within_bounds(fuzzer, case)
+    except Exception as error:
+        return "".join(traceback.format_exception_only(error)).strip()
+    return None
+
+
+def check_within_bounds(fuzzer: Fuzzer, case: Case) -> None:
+    """Check a case, its time and its memory; raise FaultError or an error of the product."""
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     try:
         with _bounded(fuzzer.longest):
-            fault = trouble(fuzzer, case)
+            fuzzer.check(case)
     except HangError:
-        return f"hangs: it takes longer than {fuzzer.longest:g} s", f"{fuzzer.name}: hangs"
+        raise FaultError(f"hangs: it takes longer than {fuzzer.longest:g} s") from None
+    except SystemExit as error:  # of a library
+        raise FaultError(f"exit: {error}") from error
     more = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
-    if fault is None and more > _MOST_MORE:
-        return f"memory: it takes {more // 1000} MB", f"{fuzzer.name}: memory"
-    return fault
+    if more > _MOST_MORE:
+        raise FaultError(f"memory: it takes {more // 1000} MB")
 
 
 @contextlib.contextmanager

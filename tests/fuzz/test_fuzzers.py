@@ -1,32 +1,30 @@
-"""Fuzzers are repeatable and bounded, find planted faults, and find none in a short run."""
+"""Fuzzers find planted faults, and none in a short run."""
 
 import json
 import math
 import os
 import signal
 import subprocess
+import sys
 import time
 from itertools import count
+from multiprocessing import get_context
+from random import Random
 
 import pytest
 
+import fuzz.__main__
 from diffdrive_mpc import ConfigError, load_config
 from diffdrive_mpc.app.schemas import PACKAGE
 from file_kinds import KINDS
-from fuzz import configs, runner, yaml_files
+from fuzz import configs, yaml_files
+from fuzz.__main__ import main
 from fuzz.case import FaultError, draw, saved_findings
-from fuzz.controller import CONFIGS, EXTRAS
+from fuzz.controller import CONFIGS, EXTRAS, ControllerFuzzer
 from fuzz.core import build_core
 from fuzz.fuzzers import FUZZERS
 from fuzz.live.judge import Account, Allowed, Heard, faults
-from fuzz.runner import Order, inside
-
-FOUND = saved_findings()
-
-
-@pytest.mark.parametrize(("fuzzer", "mark"), FOUND)
-def test_corrected_finding_stays_corrected(fuzzer, mark):
-    assert runner.judged(FUZZERS[fuzzer], FOUND[fuzzer, mark]) is None
+from fuzz.runner import judged, search
 
 
 @pytest.mark.system
@@ -43,94 +41,100 @@ def test_core_stays_inside_its_arrays_and_limits(tmp_path):
 
 
 @pytest.mark.parametrize("name", FUZZERS)
-def test_case_follows_from_seed_and_number_and_survives_json(name):
-    def text(seed, index):
-        return json.dumps(draw(FUZZERS[name], seed, index))
-
-    assert text(3, 5) == text(3, 5)
-    assert len({text(3, index) for index in range(10)} | {text(4, 5)}) > 5
-    assert json.dumps(json.loads(text(3, 5))) == text(3, 5)
+def test_cases_differ_and_survive_json(name):
+    cases = [json.dumps(draw(FUZZERS[name], 3, index)) for index in range(10)]
+    assert len(set(cases)) > 5
+    assert json.dumps(json.loads(cases[5])) == cases[5]
 
 
-@pytest.mark.parametrize("name", ["controller", "references", "yaml"])
-def test_quick_fuzzers_find_nothing(name, tmp_path):
-    result = runner.run(Order(name, seed=20, first=0, count=12, seconds=120.0), tmp_path)
-    assert (result.cases, result.lines) == (12, [])
+@pytest.mark.parametrize(("name", "cases"), [("controller", 25), ("references", 12), ("yaml", 12), ("logs", 1)])
+def test_corrected_findings_stay_corrected_and_quick_fuzzers_find_nothing(name, cases):
+    checked = []
+    search(FUZZERS[name], "20", cases, on_case=checked.append)
+    corrected = [case for (fuzzer, _), case in saved_findings().items() if fuzzer == name]
+    assert len(checked) == len(corrected) + cases and len(corrected) > 0
 
 
 @pytest.mark.system
-def test_steps_of_all_models_keep_the_promises_of_safety(tmp_path):
+def test_steps_of_all_models_keep_the_promises_of_safety():
     """The long form of it is `.ci/long properties`."""
-    ran = runner.run(Order("controller", seed=36, first=0, count=130, seconds=300.0), tmp_path)
-    assert (ran.cases, ran.lines) == (130, [])
-    assert ran.steps > 5000
-    drawn = [draw(FUZZERS["controller"], 36, index) for index in range(130)]
-    assert {case["config"] for case in drawn} == set(CONFIGS)
-    assert all(any(extra.items() <= case["overrides"].items() for case in drawn) for extra in EXTRAS)
-    assert {"bound", "tick", "again"} <= {event[0] for case in drawn for event in case["events"]}
+    fuzzer, cases = ControllerFuzzer(), []
+    search(fuzzer, "36", 130, on_case=cases.append)
+    assert fuzzer.steps > 5000
+    assert {case["config"] for case in cases} == set(CONFIGS)
+    assert all(any(extra.items() <= case["overrides"].items() for case in cases) for extra in EXTRAS)
+    assert {"bound", "tick", "again"} <= {event[0] for case in cases for event in case["events"]}
 
 
 def test_step_longer_than_its_sample_time_is_a_finding(monkeypatch):
-    fuzzer = type(FUZZERS["controller"])()
+    fuzzer = ControllerFuzzer()
     reference = {"kind": "named", "name": "circle"}
     events = [["start", 0, 0.0], ["drive", 3], ["bound", None, -1.0], ["drive", 4]]
     case = {"config": "ssm", "overrides": {}, "terms": [], "references": [reference], "events": events}
-    assert runner.judged(fuzzer, case) is None
+    assert judged(fuzzer, case) is None
     assert fuzzer.steps == 7 and 4 <= fuzzer.late <= 7
     assert fuzzer.longest_step > 0.0
     clock = count(step=0.5)
     monkeypatch.setattr(time, "thread_time", lambda: next(clock))
-    assert runner.judged(fuzzer, case)[0].startswith("deadline: a step of 500.0 ms in a sample of 20.2 ms")
+    assert "deadline: a step of 500.0 ms in a sample of 20.2 ms" in judged(fuzzer, case)
 
 
 class Planted:
-    """Wrong for lists with a 7, slow for those with an 8, and the death of its process for those with a 9."""
+    """Wrong for lists with a 7, and slow for None."""
 
     name, longest, count = "planted", 0.2, 10
 
     def draw(self, random):
-        return [random.randrange(7) for _ in range(20)] + [self.worst]
+        return [random.randrange(9) for _ in range(random.randrange(20))]
 
     def check(self, case):
+        if case is None:
+            time.sleep(5.0)
         if 7 in case:
             raise FaultError(f"seven: at {case.index(7)}")
-        if 8 in case:
-            time.sleep(5.0)
-        if 9 in case:
+
+
+def test_fault_is_found_and_reduced():
+    failed = []
+    with pytest.raises(FaultError, match="seven: at 0"):
+        search(Planted(), "1", 200, on_fault=lambda case, _: failed.append(case))
+    assert failed[-1] == [7]
+
+
+def test_search_ends_in_time_and_a_hang_is_a_fault():
+    checked = []
+    search(Planted(), "1", 200, seconds=0.0, on_case=checked.append)
+    assert checked == []
+    assert "hangs: it takes longer than 0.2 s" in judged(Planted(), None)
+
+
+class Deadly(Planted):
+    """Death of the process for the empty list."""
+
+    def check(self, case):
+        if not case:
             os.kill(os.getpid(), signal.SIGKILL)
 
 
-def lived(worst, tmp_path):
-    fuzzer = Planted()
-    fuzzer.worst = worst
-    inside(fuzzer, Order("planted", 1, 4, 3, 60.0), tmp_path / "report", tmp_path)
-    lines = [json.loads(line) for line in (tmp_path / "report").read_text().splitlines()]
-    return [line["found"] for line in lines if "found" in line]
-
-
-@pytest.fixture
-def gentle(monkeypatch):
-    """The bounds of the process are not those of the tests' process."""
-    monkeypatch.setattr(runner.resource, "setrlimit", lambda *_: None)
-    monkeypatch.setattr(runner.logging, "disable", lambda *_: None)
-
-
-def test_finding_is_saved_and_reported_once_with_its_command(gentle, tmp_path):
-    findings = lived(7, tmp_path)
-    assert len(findings) == 1
-    assert 'make fuzz FUZZ="planted --seed 1 --only 4"' in findings[0]
-    (((fuzzer, _), case),) = saved_findings(tmp_path).items()
-    assert fuzzer == "planted" and case[-1] == 7
-
-
-def test_hang_is_a_finding(gentle, tmp_path):
-    (finding,) = lived(8, tmp_path)
-    assert "hangs: it takes longer than 0.2 s" in finding
+@pytest.mark.parametrize(
+    ("fuzzer", "case", "end"), [(Planted(), [7], "seven: at 0"), (Deadly(), [], "process killed by SIGKILL")]
+)
+def test_command_saves_findings_that_can_be_replayed(fuzzer, case, end, tmp_path, monkeypatch, capfd):
+    monkeypatch.setitem(FUZZERS, "planted", fuzzer)
+    monkeypatch.setattr(fuzz.__main__, "get_context", lambda _: get_context("fork"))
+    monkeypatch.setattr(sys, "argv", ["fuzz", "planted", "--count", "200", "--keep", str(tmp_path)])
+    with pytest.raises(SystemExit, match="1"):
+        main()
+    assert end in capfd.readouterr().out
+    (((_, mark), saved),) = saved_findings(tmp_path).items()
+    assert saved == case
+    monkeypatch.setattr(sys, "argv", ["fuzz", "--keep", str(tmp_path), "--replay", "planted", mark])
+    if case:
+        with pytest.raises(FaultError, match=end):
+            main()
 
 
 def test_configurations_cover_the_schema_and_half_are_valid():
-    from random import Random
-
     drawn = [configs.draw_overrides(Random(str(i))) for i in range(200)]
     assert len({key for values in drawn for key in values}) > 100
     good = 0
