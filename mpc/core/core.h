@@ -452,7 +452,7 @@ void ddmpc_soft_rows(const ddmpc_controller *controller, int kind, real *rows);
  * limits. */
 void ddmpc_directions(const ddmpc_controller *controller, real *directions);
 /* Mark the kinds (4 + K) that `plan` exceeds by more than `margin`. */
-void ddmpc_broken(const ddmpc_controller *controller, const real *plan, real margin, int *broken);
+void ddmpc_violated_kinds(const ddmpc_controller *controller, const real *plan, real margin, int *broken);
 
 /* Sample a closed-form reference at `times`: pose (count, 3), twist (count, 2), arc length (count). */
 void ddmpc_sample(const ddmpc_trajectory *trajectory, const ddmpc_time *times, int count, real *pose, real *twist,

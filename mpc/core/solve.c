@@ -113,7 +113,7 @@ static real minimise(const real *H, const real *g, const real *factor, int input
     return residual;
 }
 
-void ddmpc_broken(const ddmpc_controller *c, const real *plan, real margin, int *broken)
+void ddmpc_violated_kinds(const ddmpc_controller *c, const real *plan, real margin, int *broken)
 {
     const ddmpc_problem *p = &c->problem;
     const int N = STEPS(c);
@@ -283,7 +283,7 @@ int ddmpc_solve(ddmpc_controller *c)
     if (!factorise(p->H, INPUTS(c), p->factor))
         return DDMPC_DONE;
     const real residual = minimise(p->H, p->g, p->factor, INPUTS(c), p->minimiser);
-    ddmpc_broken(c, p->minimiser, R(0.0), p->pressing);
+    ddmpc_violated_kinds(c, p->minimiser, R(0.0), p->pressing);
     for (int kind = 0; kind < KINDS(c); kind++)
         broken |= p->pressing[kind];
     report->status = DDMPC_QP_NOT_RUN;

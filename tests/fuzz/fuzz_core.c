@@ -435,7 +435,7 @@ static int go_on(ddmpc_controller *c, const ddmpc_sizes *s, int pending)
             plan[i] = (real)spoilt(uniform(-1.0, 1.0), seldom);
         for (int i = 0; i < rows; i++)
             multipliers[i] = once_in(20) ? (real)spoilt(uniform(-60.0, 60.0), seldom) : R(0.0);
-        ddmpc_broken(c, plan, R(1e-6), broken);
+        ddmpc_violated_kinds(c, plan, R(1e-6), broken);
         ddmpc_soft_rows(c, HARD + below(s->soft), soft);
         pending = ddmpc_answer(c, plan, multipliers, &report);
         free(plan);
