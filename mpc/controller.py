@@ -124,7 +124,7 @@ class Controller:
         sizes = problem.sizes
         functions, term_functions = compile_functions(chosen, self._terms)
         self._tick = Tick(sizes, problem.constants(), functions, term_functions)
-        self._kinds, self._room, self._soft_names = HARD_KINDS + sizes["soft"], sizes["pressing"], problem.soft_names
+        self._kinds, self._room, self._soft_names = HARD_KINDS + sizes["soft"], sizes["max_active"], problem.soft_names
         self._backend = self._make_backend(config)
         self._program = Program(self._tick, config.horizon, self._kinds)
         self._messages = MessageFormatter(self._tick, config)

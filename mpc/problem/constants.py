@@ -145,7 +145,7 @@ class Problem:
             "command_turns": self._command_turns,
             "spare": self._spare,
             # Violated soft limits also take an entry each, and there may be several at each sample.
-            "pressing": 6 * self.config.horizon + 32,
+            "max_active": 6 * self.config.horizon + 32,
         }
 
     def constants(self) -> Constants:
@@ -222,8 +222,8 @@ class Problem:
             "patience": round(s.lasting_surprise / model.dt),
             "min_yaw_rate": s.min_yaw_rate,
             "min_speed": s.min_speed,
-            "least_slip": min_slip,
-            "most_slip": max_slip,
+            "min_slip": min_slip,
+            "max_slip": max_slip,
             "stamp_history": s.history,
             "pose_variance": np.square([s.position_noise, s.position_noise, s.heading_noise]),
             "twist_variance": np.square([s.wheel_speed_noise, s.wheel_yaw_rate_noise, s.yaw_rate_noise]),

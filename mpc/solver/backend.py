@@ -66,7 +66,7 @@ class Program:
         self.last_command, self.aim = tick.view(c.last_command, (2,)), tick.view(c.aim, (steps + 1, 4))
         self.feed_forward, self.ahead = tick.view(c.feed_forward, (steps, 2)), tick.view(c.ahead, (steps,))
         self.fed_before, self.late = tick.view(c.fed_before, (2,)), tick.view(c.late, (2,))
-        self.soft_values, self._active = tick.view(c.soft_value, (kinds - HARD, steps)), c.pressing
+        self.soft_values, self._active = tick.view(c.soft_value, (kinds - HARD, steps)), c.active_kinds
         self._violated = tick.ffi.new("int[]", kinds)
 
     @property
