@@ -341,7 +341,7 @@ def test_node_bounds_solves_by_the_clock_and_replay_is_exact(time_limit, tmp_pat
         inbox.measurement, inbox.newest_pose = lambda latest=measured: latest, measured.pose
         tick = loop.tick()
         if tick.result is not None:
-            lines += records.lines(loop.begun, tick)
+            lines += records.lines(loop.drive, tick)
             results.append(tick.result)
         robot.advance(tick.command)
     limit = time_limit or 0.5 * driven.sample_time

@@ -276,13 +276,13 @@ def test_hold_brakes_within_limits_and_release_resumes_the_goal():
         assert not braking[needed:].any()
         assert s.loop.last.mode == Mode.STOPPED
         assert s.loop.state is LoopState.DRIVING
-        begun = s.loop.begun
+        begun = s.loop.drive
         assert not s.base.run(100).any()
         assert hold(s, on=True) == "is held already"
         assert hold(s, on=False) == "let go; drives on"
         again = s.base.run(100)
         assert (np.abs(np.diff(np.vstack([np.zeros((1, 2)), again]), axis=0)) <= SLEW).all()
-        assert s.loop.begun is begun
+        assert s.loop.drive is begun
         assert s.loop.last.mode == Mode.TRACKING
         assert again[-1, 0] > 0.3
         assert tracking_distance(s) < 0.02
