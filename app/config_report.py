@@ -48,7 +48,7 @@ def check_term_files(config: ControllerConfig) -> list[str]:
     files = list(dict.fromkeys(term.file for term in config.terms))
     for file in files:
         if not is_file(file):
-            raise ConfigError(f"{file}: no such Python file; a term names it, seen from the configuration's folder")
+            raise ConfigError(f"{file}: no such Python file; give its path relative to the configuration's folder")
     return files
 
 

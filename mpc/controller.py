@@ -41,8 +41,8 @@ from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
 from diffdrive_mpc.mpc.problem.margin import with_increments
 from diffdrive_mpc.mpc.problem.terms import Term, all_terms, checked_parameters, checked_terms
 from diffdrive_mpc.mpc.reentry import Pursuit, TooFar
-from diffdrive_mpc.mpc.solver.backend import Backend, Program, ask, load_backend
-from diffdrive_mpc.mpc.solver.pressing_limit import pressing_limit
+from diffdrive_mpc.mpc.solver.backend import Backend, Program, load_backend, solve_all
+from diffdrive_mpc.mpc.solver.costliest_limit import costliest_limit
 from diffdrive_mpc.mpc.solver.quadratic_program import QuadraticProgram, quadratic_program
 from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
 from diffdrive_mpc.mpc.step_result import StepResult
@@ -124,13 +124,13 @@ class Controller:
         sizes = problem.sizes
         functions, term_functions = compile_functions(chosen, self._terms)
         self._tick = Tick(sizes, problem.constants(), functions, term_functions)
-        self._kinds, self._room, self._soft_names = HARD_KINDS + sizes["soft"], sizes["pressing"], problem.soft_names
+        self._kinds, self._room, self._soft_names = HARD_KINDS + sizes["soft"], sizes["max_active"], problem.soft_names
         self._backend = self._make_backend(config)
         self._program = Program(self._tick, config.horizon, self._kinds)
         self._messages = MessageFormatter(self._tick, config)
         self._ahead: FloatArray = np.asarray(np.arange(self._tick.samples) * dt)
         self._pursuit = Pursuit(
-            config, self._tick.stray, lambda: pressing_limit(self._program, self._config, self._soft_names)
+            config, self._tick.stray, lambda: costliest_limit(self._program, self._config, self._soft_names)
         )
         self._pending: _Prepared | None = None
         self._reference: Reference | None = None
@@ -723,7 +723,7 @@ class Controller:
     def _ask_backend(self, deadline: float | None) -> bool:
         """Solve with the backend, and give the core its answer; returns whether it refused the numbers."""
         tick, solver = self._tick, self._config.solver
-        solved, report = ask(self._backend, self._program, solver.backend, SLACK * solver.tolerance, deadline)
+        solved, report = solve_all(self._backend, self._program, solver.backend, SLACK * solver.tolerance, deadline)
         ffi = tick.ffi
         plan, multipliers = (
             ffi.from_buffer("real[]", np.ascontiguousarray(values)) for values in (solved.plan, solved.multipliers)

@@ -61,7 +61,7 @@ class MessageFormatter:
         """Use the limits of `config` in messages from now on."""
         self._config = config
         self._methods: dict[int, str] = {
-            self._lib.DDMPC_NO_WAY: SolverMethod.NONE,
+            self._lib.DDMPC_NO_METHOD: SolverMethod.NONE,
             self._lib.DDMPC_UNLIMITED: SolverMethod.UNLIMITED,
             self._lib.DDMPC_ACTIVE_SET: SolverMethod.ACTIVE_SET,
             self._lib.DDMPC_BACKEND: config.solver.backend,

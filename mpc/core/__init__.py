@@ -1,1 +1,1 @@
-"""The compiled core: hand-written C for algebra and book-keeping, generated C for every formula, and its loading."""
+"""The compiled core: hand-written C for algebra and state, generated C for all formulas, and the library's loader."""

@@ -1,16 +1,16 @@
-/* The active rows of ddmpc_solve_limited: the piece of each row, and the factorised system of their multipliers,
- * updated when rows enter and leave. Every loop runs over rows, inputs or lanes. */
+/* Active rows of ddmpc_solve_limited: the piece of the penalty on which each row lies, and the factorised linear system
+ * of the multipliers, updated when rows enter and leave. Every loop runs over rows, inputs or lanes. */
 #include "active_rows.h"
 
 #include <string.h>
 
 enum { LANES = DDMPC_LANES };
 
-/* Number of columns from which computing them side by side is faster than one by one. */
+/* Minimum number of columns for which a batch is faster than single columns. */
 enum { SIDE_BY_SIDE = 3 };
 
-/* A row counts as linearly dependent if less than this share of its squared norm remains after elimination: some 30
- * rounding errors in single precision, and some 5000 in double, where the margin costs nothing. */
+/* A row counts as linearly dependent if less than this share of its squared norm remains after elimination: about 30
+ * rounding errors in single precision, and 5000 in double precision, which leaves enough digits for a large margin. */
 #ifdef DDMPC_FLOAT
 static const real DEPENDENT = R(4e-6);
 #else
@@ -19,7 +19,7 @@ static const real DEPENDENT = R(1e-12);
 
 int ddmpc_begin_rows(ddmpc_rows *rows, const ddmpc_limited_problem *problem, const ddmpc_limited_memory *memory)
 {
-    const int n = problem->inputs, m = problem->rows, slots = DDMPC_LIMITED_SLOTS(memory->most_active);
+    const int n = problem->inputs, m = problem->rows, slots = DDMPC_LIMITED_SLOTS(memory->max_active);
     const int whole = ddmpc_whole_lanes(n);
     /* Blocks start at cache lines. */
     real *next = memory->reals + (64 - (size_t)memory->reals % 64) % 64 / sizeof(real);
@@ -28,7 +28,7 @@ int ddmpc_begin_rows(ddmpc_rows *rows, const ddmpc_limited_problem *problem, con
     rows->n = n;
     rows->m = m;
     rows->slots = slots;
-    rows->most_active = memory->most_active;
+    rows->max_active = memory->max_active;
     rows->columns = next;
     rows->gram = rows->columns + n * slots;
     rows->factor = rows->gram + slots * slots;
@@ -240,7 +240,7 @@ static int take_slot(ddmpc_rows *rows, int row)
 }
 
 /* Compute the column v and the products v'v of the row in a slot. */
-static void bring_one(ddmpc_rows *rows, int slot)
+static void compute_column(ddmpc_rows *rows, int slot)
 {
     const int n = rows->n, slots = rows->slots;
     int first = 0, last = n;
@@ -264,7 +264,7 @@ static void bring_one(ddmpc_rows *rows, int slot)
 }
 
 /* Compute columns and products of the rows in several slots at once. */
-static void bring_batch(ddmpc_rows *rows, const int *chosen, int count)
+static void compute_batch(ddmpc_rows *rows, const int *chosen, int count)
 {
     const int n = rows->n, slots = rows->slots;
     int earliest = n;
@@ -291,15 +291,15 @@ static void bring_batch(ddmpc_rows *rows, const int *chosen, int count)
     }
 }
 
-static void bring_columns(ddmpc_rows *rows, const int *chosen, int count)
+static void compute_columns(ddmpc_rows *rows, const int *chosen, int count)
 {
     /* A batch computes whole lanes, even if some are unused. */
     rows->work += (count >= SIDE_BY_SIDE ? LANES : count) * ddmpc_column_operations(rows->n, rows->used);
     if (count >= SIDE_BY_SIDE)
-        bring_batch(rows, chosen, count);
+        compute_batch(rows, chosen, count);
     else
         for (int i = 0; i < count; i++)
-            bring_one(rows, chosen[i]);
+            compute_column(rows, chosen[i]);
 }
 
 void ddmpc_enter_rows(ddmpc_rows *rows, int count)
@@ -310,17 +310,17 @@ void ddmpc_enter_rows(ddmpc_rows *rows, int count)
         if (rows->slot_of[row] == 0) {
             chosen[waiting++] = take_slot(rows, row);
             if (waiting == LANES) {
-                bring_columns(rows, chosen, waiting);
+                compute_columns(rows, chosen, waiting);
                 waiting = 0;
             }
         }
         rows->multiplier[rows->active] = R(0.0);
         rows->order[rows->active++] = rows->slot_of[row] - 1;
     }
-    bring_columns(rows, chosen, waiting);
+    compute_columns(rows, chosen, waiting);
 }
 
-static void touch(ddmpc_rows *rows, int position)
+static void invalidate_factor(ddmpc_rows *rows, int position)
 {
     rows->factored = rows->factored < position ? rows->factored : position;
 }
@@ -331,15 +331,15 @@ void ddmpc_leave_row(ddmpc_rows *rows, int position)
     const size_t after = (size_t)(--rows->active - position);
     memmove(rows->order + position, rows->order + position + 1, after * sizeof(int));
     memmove(rows->multiplier + position, rows->multiplier + position + 1, after * sizeof(real));
-    touch(rows, position);
+    invalidate_factor(rows, position);
 }
 
 void ddmpc_switch_piece(ddmpc_rows *rows, int position)
 {
     int *state = rows->state + ddmpc_row_at(rows, position);
-    const int piece = ddmpc_is_exceeded(rows, position) ? DDMPC_KEPT : DDMPC_EXCEEDED;
+    const int piece = ddmpc_is_exceeded(rows, position) ? DDMPC_AT_BOUND : DDMPC_EXCEEDED;
     *state = *state > 0 ? piece : -piece;
-    touch(rows, position);
+    invalidate_factor(rows, position);
 }
 
 /* Factorise U'U = S in one block. A row is dependent on the previous ones if its pivot is small compared with its

@@ -1,4 +1,4 @@
-/* The active rows of ddmpc_solve_limited, and the linear system of their multipliers.
+/* Active rows of ddmpc_solve_limited, and the linear system of their multipliers.
  *
  * With z = R (U - U0) the cost is |z|^2 / 2, row i becomes v_i = R'^-1 a_i, and z = -sum lambda_i v_i. Active rows
  * hold with equality if
@@ -15,18 +15,18 @@
 
 
 /* State of a row: inactive, at its bound, or beyond a soft bound. The sign is the side: positive at the upper bound. */
-enum { DDMPC_FREE = 0, DDMPC_KEPT = 1, DDMPC_EXCEEDED = 2 };
+enum { DDMPC_FREE = 0, DDMPC_AT_BOUND = 1, DDMPC_EXCEEDED = 2 };
 
 /* Larger numbers are not physical: they count as overflow. */
 #define DDMPC_LARGEST R(1e15)
 
 typedef struct {
     const ddmpc_limited_problem *problem;
-    int n, m, slots, most_active;
-    int taken, used;    /* slots used so far; the same rounded up to whole lanes */
+    int n, m, slots, max_active;
+    int taken, used;    /* slots with a row, and this number rounded up to whole lanes */
     int active;         /* number of active rows */
     int late;           /* 1 after the deadline has passed */
-    ddmpc_count work, most_work; /* operations so far, and their limit, see ddmpc_limited_bound */
+    ddmpc_count work, max_work; /* operations so far, and their limit, see ddmpc_limited_bound */
     int factored;       /* leading active rows for which the factor is valid */
     real largest_input; /* largest absolute entry of U0 */
     real primal;        /* largest excess of a hard row at the plan */
@@ -37,15 +37,15 @@ typedef struct {
     real *inverse;      /* (n) of R's diagonal */
     real *z, *line;     /* (n, in whole lanes) */
     real *start;        /* (m) values at U0 */
-    real *now;          /* (m) values at the plan; after `survey` the excess over their limits */
+    real *now;          /* (m) values at the plan; after `find_violations` the excess over their limits */
     real *pivot;        /* (slots) inverses of U's diagonal; 0 for dependent rows */
     real *partial;      /* (slots) U'^-1 of the right-hand side */
     real *wanted;       /* (slots) solution of the system */
     real *multiplier;   /* (slots) current multipliers */
     real *step;         /* (slots) change of the multipliers */
-    real *spread;       /* (slots) multipliers by slot */
+    real *spread;       /* (slots) multipliers in the order of the slots */
     int *slot_of;       /* (m) slot + 1 of a row, or 0 */
-    int *state;         /* (m) see above */
+    int *state;         /* (m) state of each row, DDMPC_FREE and so on */
     int *row_in;        /* (slots) row of each slot */
     int *order;         /* (slots) slots of the active rows */
     int *entering;      /* (slots) rows about to become active */
@@ -53,8 +53,8 @@ typedef struct {
 
 /* Start with all rows inactive. Returns 0 if the data are not finite. */
 int ddmpc_begin_rows(ddmpc_rows *rows, const ddmpc_limited_problem *problem, const ddmpc_limited_memory *memory);
-/* Activate the first `count` rows of `entering` with multipliers of zero. Their states are set, and there is room for
- * them. */
+/* Activate the first `count` rows of `entering` with multipliers of zero. The caller has set their states and checked
+ * that there is room. */
 void ddmpc_enter_rows(ddmpc_rows *rows, int count);
 void ddmpc_leave_row(ddmpc_rows *rows, int position);
 /* Move a soft row to the other piece of its penalty. */
@@ -70,11 +70,11 @@ void ddmpc_solve_rows(ddmpc_rows *rows);
 void ddmpc_null_step(ddmpc_rows *rows, int position);
 /* Solve for `step` with itself as right-hand side. */
 void ddmpc_solve_step(ddmpc_rows *rows);
-/* Compute the plan for `multipliers` of the active rows, counted from `start`, and the values of all rows there, into
- * `now`. */
+/* Compute the plan for `multipliers` of the active rows, relative to the plan `start`, and store the values of all rows
+ * at that plan in `now`. */
 void ddmpc_move_plan(ddmpc_rows *rows, const real *multipliers, const real *start, real *plan);
 
-/* a'b in several partial sums: a compiler may not reorder a single sum and so could not vectorise it. */
+/* a'b in several partial sums: a compiler must not reorder a single sum, and therefore could not vectorise it. */
 real ddmpc_long_dot(const real *restrict a, const real *restrict b, int count);
 
 /* Operations for one column v with its products, and for a plan with the values of all rows, with `used` slots. */

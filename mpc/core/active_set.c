@@ -1,10 +1,10 @@
-/* The active set: the two methods named in active_set.h, and the proof of their result.
+/* The active set: the two methods named in active_set.h, and the proof of optimality of their result.
  *
- * Both guess which limits are active, that is hold with equality, and solve the linear system of their multipliers.
- * The multiplier of a limit is the force with which it pushes the plan. Its sign and size show whether the guess is
- * right:
+ * Both methods guess which limits are active, which means that they hold with equality, and solve the linear system of
+ * their multipliers. The multiplier of a limit is the derivative of the cost by a relaxation of the limit. Its sign and
+ * size show whether the guess is right:
  *
- *     hard limit           0 <= multiplier             else the limit pulls, and must leave the active set
+ *     hard limit           0 <= multiplier             else the limit must leave the active set
  *     soft limit, kept     0 <= multiplier <= price    else exceeding the limit is cheaper
  *     soft limit, exceeded price <= multiplier         and grows by `slope` per unit of excess
  *
@@ -12,7 +12,7 @@
  * step ahead, is usually right or nearly so, which makes a solve cheap.
  *
  * A tick has a bounded duration, so every loop runs over rows or inputs, or has its own bound; each solved system
- * counts as one of `most_iterations`. */
+ * counts as one of `max_iterations`. */
 /* for clock_gettime, which C99 alone does not declare */
 #define _POSIX_C_SOURCE 199309L
 #include "active_set.h"
@@ -28,8 +28,8 @@ enum {
     PATIENCE = 2,         /* rounds within which the number of wrong rows must fall */
     MAX_STALLS = 20,      /* rounds without a rise of the dual objective, which only rounding can cause */
     MAX_REFINEMENTS = 3,  /* iterative refinements of one solution */
-    MAX_WORK = 6,         /* full starts and factorisations whose operations a tick may take, see ddmpc_limited_most */
-    FEW = DDMPC_LANES     /* rows that the dual method activates at once: a block of columns costs as much as one */
+    MAX_WORK = 6,         /* operations that a tick may take, in full starts with factorisation; ddmpc_limited_allowance */
+    BATCH = DDMPC_LANES   /* rows that the dual method activates at once: a block of columns costs as much as one */
 };
 
 /* For each number type: its rounding error; the size of a negligible step relative to the largest; the relative error
@@ -57,7 +57,7 @@ static range piece_of(const ddmpc_rows *rows, int position)
     return ddmpc_is_above(rows, position) ? above : below;
 }
 
-static real within(range piece, real multiplier)
+static real clamp_to(range piece, real multiplier)
 {
     return ddmpc_min(ddmpc_max(multiplier, piece.low), piece.high);
 }
@@ -69,16 +69,16 @@ static real tolerance(const ddmpc_rows *rows, int row)
 }
 
 /* Replace the values in `now` by their excess over limit and tolerance: positive above the upper limit, negative
- * below the lower one, and zero otherwise. `broken` is set to 1 for hard and for soft rows if there are any. Returns
- * 1 if all are finite. */
-static int survey(ddmpc_rows *rows, int broken[2])
+ * below the lower one, and zero otherwise. `violated` is set to 1 if any hard row (first entry) or soft row (second) is
+ * violated. Returns 1 if all values are finite. */
+static int find_violations(ddmpc_rows *rows, int violated[2])
 {
     const real *restrict upper = rows->problem->upper, *restrict lower = rows->problem->lower;
     const real *restrict start = rows->start;
     const real slack = rows->problem->slack + ROUNDINGS * EPSILON * rows->largest_input;
     real *restrict now = rows->now;
     int sound = 1;
-    broken[0] = broken[1] = 0;
+    violated[0] = violated[1] = 0;
     rows->primal = R(0.0);
     for (int i = 0; i < rows->problem->hard; i++)
         rows->primal = ddmpc_max(rows->primal, ddmpc_max(now[i] - upper[i], lower[i] - now[i]));
@@ -89,34 +89,34 @@ static int survey(ddmpc_rows *rows, int broken[2])
         now[i] = ddmpc_max(above, R(0.0)) - ddmpc_max(below, R(0.0));
     }
     for (int i = 0; i < rows->problem->hard; i++)
-        broken[0] |= now[i] != R(0.0);
+        violated[0] |= now[i] != R(0.0);
     for (int i = rows->problem->hard; i < rows->m; i++)
-        broken[1] |= now[i] != R(0.0);
+        violated[1] |= now[i] != R(0.0);
     return sound;
 }
 
-/* Move the `most` worst rows to the front of `entering`; return their number. */
-static int worst_of(ddmpc_rows *rows, int count, int most)
+/* Move the `limit` worst rows to the front of `entering`; return their number. */
+static int select_worst(ddmpc_rows *rows, int count, int limit)
 {
     int *entering = rows->entering;
-    for (int i = 0; i < most && i < count; i++)
+    for (int i = 0; i < limit && i < count; i++)
         for (int j = i + 1; j < count; j++)
             if (ddmpc_fabs(rows->now[entering[j]]) > ddmpc_fabs(rows->now[entering[i]])) {
                 const int worse = entering[j];
                 entering[j] = entering[i];
                 entering[i] = worse;
             }
-    return count < most ? count : most;
+    return count < limit ? count : limit;
 }
 
-/* Activate broken rows: all of them, or a few of the worst, one for each run of adjacent rows that are broken on the
- * same side. Adjacent samples of one limit move together, so one active row usually repairs its run, and a smaller
- * set is cheaper and rarely dependent. Returns the number of broken rows; `entered` is 0 if there is no room for any
+/* Activate violated rows: all of them, or a batch of the worst, one for each run of adjacent rows that are violated on
+ * the same side. Adjacent samples of one limit move together, so one active row usually corrects its run, and a smaller
+ * set is cheaper and rarely dependent. Returns the number of violated rows; `entered` is 0 if there is no room for any
  * of them. */
-static int enter_broken(ddmpc_rows *rows, int all, int *entered)
+static int enter_violated(ddmpc_rows *rows, int all, int *entered)
 {
     const real *now = rows->now;
-    int broken = 0, count = 0, worst = -1;
+    int violated = 0, count = 0, worst = -1;
     for (int row = 0; row <= rows->m; row++) {
         const real beyond = row < rows->m && rows->state[row] == DDMPC_FREE ? now[row] : R(0.0);
         if (worst >= 0 && (all || row == rows->problem->hard || !(beyond * now[worst] > R(0.0)))) {
@@ -126,22 +126,22 @@ static int enter_broken(ddmpc_rows *rows, int all, int *entered)
         }
         if (beyond == R(0.0))
             continue;
-        broken++;
+        violated++;
         if (worst < 0 || ddmpc_fabs(beyond) > ddmpc_fabs(now[worst]))
             worst = row;
     }
-    const int room = rows->most_active - rows->active;
-    rows->work += rows->m + count * (all ? count : FEW);
-    count = worst_of(rows, count, all || room < FEW ? room : FEW);
+    const int room = rows->max_active - rows->active;
+    rows->work += rows->m + count * (all ? count : BATCH);
+    count = select_worst(rows, count, all || room < BATCH ? room : BATCH);
     for (int i = 0; i < count; i++)
-        rows->state[rows->entering[i]] = now[rows->entering[i]] > R(0.0) ? DDMPC_KEPT : -DDMPC_KEPT;
+        rows->state[rows->entering[i]] = now[rows->entering[i]] > R(0.0) ? DDMPC_AT_BOUND : -DDMPC_AT_BOUND;
     ddmpc_enter_rows(rows, count);
     *entered = count;
-    return broken;
+    return violated;
 }
 
-/* Return 1 if active rows have the values that belong to their multipliers, to within their tolerance, or to within
- * the rounding error of the plan if `exactly`. Writes the differences to `step`. */
+/* Return 1 if active rows have the values that belong to their multipliers: to within the tolerance of the rows, or if
+ * `exactly` to within the rounding error of the plan. Writes the differences to `step`. */
 static int is_met(ddmpc_rows *rows, const real *plan, int exactly)
 {
     const ddmpc_limited_problem *problem = rows->problem;
@@ -172,7 +172,7 @@ static int refine(ddmpc_rows *rows, real *plan, int exactly)
         ddmpc_solve_step(rows);
         for (int i = 0; i < rows->active; i++) {
             const real before = rows->multiplier[i], multiplier = before + rows->step[i];
-            rows->multiplier[i] = within(piece_of(rows, i), multiplier);
+            rows->multiplier[i] = clamp_to(piece_of(rows, i), multiplier);
             /* The plan still moves by a step that vanishes in the rounding of a large multiplier, but not beyond its
              * piece. */
             if (rows->multiplier[i] != multiplier)
@@ -184,22 +184,22 @@ static int refine(ddmpc_rows *rows, real *plan, int exactly)
     return met || (exactly && is_met(rows, plan, 0));
 }
 
-/* Return 1 if no further iteration is allowed: out of time, iterations or operations. */
-static int is_over(ddmpc_rows *rows, int iterations)
+/* Return 1 if no further iteration is allowed: time, iterations or operations are used up. */
+static int is_budget_spent(ddmpc_rows *rows, int iterations)
 {
     const ddmpc_limited_problem *problem = rows->problem;
     if (iterations > 0 && isfinite(problem->deadline))
         rows->late |= ddmpc_now() > problem->deadline;
-    return rows->late || iterations >= problem->most_iterations || rows->work >= rows->most_work;
+    return rows->late || iterations >= problem->max_iterations || rows->work >= rows->max_work;
 }
 
-/* Run the primal-dual active-set method: in each round all rows with a wrong multiplier leave, and all broken rows
- * enter. It is for hard rows only, since it cycles with soft ones. Returns 1 if it ended at the solution. */
-static int change_many(ddmpc_rows *rows, int *iterations, real *plan)
+/* Run the primal-dual active-set method: in each round all rows with a wrong multiplier leave, and all violated rows
+ * enter. It is used for hard rows only, since it cycles with soft rows. Returns 1 if it ended at the solution. */
+static int run_primal_dual(ddmpc_rows *rows, int *iterations, real *plan)
 {
     int best = rows->m + 1, patience = PATIENCE, entered;
-    for (int round = 0; round < MAX_ROUNDS && !is_over(rows, *iterations); round++) {
-        int wrong = 0, broken[2];
+    for (int round = 0; round < MAX_ROUNDS && !is_budget_spent(rows, *iterations); round++) {
+        int wrong = 0, violated[2];
         ++*iterations;
         if (ddmpc_factorise_rows(rows, 1) < 0)
             return 0;
@@ -212,15 +212,15 @@ static int change_many(ddmpc_rows *rows, int *iterations, real *plan)
                 ddmpc_leave_row(rows, i);
         ddmpc_move_plan(rows, rows->multiplier, rows->problem->minimiser, plan);
         for (int i = 0; i < rows->active; i++)
-            wrong += rows->multiplier[i] != within(piece_of(rows, i), rows->multiplier[i]);
+            wrong += rows->multiplier[i] != clamp_to(piece_of(rows, i), rows->multiplier[i]);
         const int met = wrong == 0 && refine(rows, plan, 1);
-        if (!survey(rows, broken) || broken[1])
+        if (!find_violations(rows, violated) || violated[1])
             return 0;
         for (int i = rows->active - 1; i >= 0; i--)
-            if (rows->multiplier[i] != within(piece_of(rows, i), rows->multiplier[i]))
+            if (rows->multiplier[i] != clamp_to(piece_of(rows, i), rows->multiplier[i]))
                 ddmpc_leave_row(rows, i);
-        if (broken[0])
-            wrong += enter_broken(rows, 1, &entered);
+        if (violated[0])
+            wrong += enter_violated(rows, 1, &entered);
         if (wrong == 0)
             return met;
         if (wrong < best) {
@@ -237,7 +237,7 @@ static int change_many(ddmpc_rows *rows, int *iterations, real *plan)
  * previous rows. Returns the number of active rows if the rounding error of the solution is acceptable. */
 static int find_weak_row(const ddmpc_rows *rows)
 {
-    real sum = R(0.0), largest = R(0.0), room = R(0.0), least = R(1.0);
+    real sum = R(0.0), largest = R(0.0), room = R(0.0), smallest = R(1.0);
     int weak = rows->active;
     for (int i = 0; i < rows->active; i++) {
         const real size = ddmpc_sqrt(rows->gram[rows->order[i] * (rows->slots + 1)]);
@@ -249,8 +249,8 @@ static int find_weak_row(const ddmpc_rows *rows)
         return rows->active;
     for (int i = 0; i < rows->active; i++) {
         const real left = R(1.0) / (rows->pivot[i] * rows->pivot[i] * rows->gram[rows->order[i] * (rows->slots + 1)]);
-        if (left < least) {
-            least = left;
+        if (left < smallest) {
+            smallest = left;
             weak = i;
         }
     }
@@ -281,8 +281,8 @@ static real find_rise(ddmpc_rows *rows)
 }
 
 /* Kinds of step: none because of overflow; to the maximum of the dual on the active rows; unbounded along dependent
- * rows; along a weak row. */
-typedef enum { NO_STEP, TO_THE_TOP, ENDLESS, WEAK } step_kind;
+ * rows; along a row that is nearly dependent. */
+typedef enum { NO_STEP, FULL_STEP, UNBOUNDED_STEP, WEAK_ROW } step_kind;
 
 /* Compute the step to the maximum of the dual on the active rows, with its `length`. If a row depends on others, or
  * nearly so, the step is along the combination of rows that does not move the plan. `rise` is the slope of the dual
@@ -299,12 +299,12 @@ static step_kind find_step(ddmpc_rows *rows, real *length, real *rise)
         if (along == rows->active) {
             for (int i = 0; i < rows->active; i++) {
                 const real step = rows->wanted[i] - rows->multiplier[i];
-                /* A rest of rounding must not block the step of all other rows: its row would switch pieces back and
-                 * forth. */
+                /* A step of the size of rounding errors must not block the step of all other rows: its row would
+                 * switch pieces back and forth. */
                 rows->step[i] = ddmpc_fabs(step) > REACHED * ddmpc_fabs(rows->wanted[i]) ? step : R(0.0);
             }
             *length = R(1.0);
-            return TO_THE_TOP;
+            return FULL_STEP;
         }
     }
     ddmpc_null_step(rows, along);
@@ -315,13 +315,13 @@ static step_kind find_step(ddmpc_rows *rows, real *length, real *rise)
     *rise = ddmpc_fabs(*rise);
     *length = DDMPC_LARGEST;
     if (factored < rows->active)
-        return ENDLESS;
+        return UNBOUNDED_STEP;
     *length = *rise * rows->pivot[along] * rows->pivot[along];
-    return WEAK;
+    return WEAK_ROW;
 }
 
-/* Find the first row whose multiplier leaves its piece within `length` along `step`, and reduce `length` to it; -1 if
- * none does. */
+/* Find the first row whose multiplier leaves its piece within `length` along `step`, and reduce `length` to that point.
+ * Returns -1 if no multiplier leaves its piece. */
 static int find_block(const ddmpc_rows *rows, real *length)
 {
     int block = -1;
@@ -353,27 +353,27 @@ static int contradicts(const ddmpc_rows *rows, real rise)
     return rise > total;
 }
 
-typedef enum { SETTLED, RAN_OUT, ASTRAY, UNBOUNDED } outcome;
+typedef enum { SETTLED, OUT_OF_BUDGET, FAILED, UNBOUNDED } outcome;
 
 /* Move multipliers, which lie on their pieces, to the maximum of the dual on the active rows or a subset of them.
  * Every step keeps all multipliers on their pieces: a row that would leave its piece ends the step, and leaves the
  * active set or changes its piece. */
-static outcome settle(ddmpc_rows *rows, int *iterations)
+static outcome maximise_dual(ddmpc_rows *rows, int *iterations)
 {
-    /* Each round solves a system, so the loop ends after at most `most_iterations` rounds. */
+    /* Each round solves a system, so the loop ends after at most `max_iterations` rounds. */
     for (;;) {
-        real length = R(0.0), rise = R(0.0); /* find_step sets them as needed */
-        if (is_over(rows, *iterations))
-            return RAN_OUT;
+        real length = R(0.0), rise = R(0.0); /* set by find_step */
+        if (is_budget_spent(rows, *iterations))
+            return OUT_OF_BUDGET;
         ++*iterations;
         const step_kind next = find_step(rows, &length, &rise);
         int block = next == NO_STEP ? -1 : find_block(rows, &length);
-        if (block < 0 && next == TO_THE_TOP) {
+        if (block < 0 && next == FULL_STEP) {
             for (int i = 0; i < rows->active; i++)
-                rows->multiplier[i] = within(piece_of(rows, i), rows->wanted[i]);
+                rows->multiplier[i] = clamp_to(piece_of(rows, i), rows->wanted[i]);
             return SETTLED;
         }
-        if (block < 0 && next == ENDLESS) {
+        if (block < 0 && next == UNBOUNDED_STEP) {
             if (contradicts(rows, rise))
                 return UNBOUNDED;
             /* The dual is level along this step, so the opposite direction is as good, and a row blocks it. */
@@ -382,13 +382,13 @@ static outcome settle(ddmpc_rows *rows, int *iterations)
             block = find_block(rows, &length);
         }
         if (block < 0)
-            return ASTRAY;
+            return FAILED;
         const range piece = piece_of(rows, block);
         const int falls = rows->step[block] < R(0.0), above = ddmpc_is_above(rows, block);
         for (int i = 0; i < rows->active; i++)
-            rows->multiplier[i] = within(piece_of(rows, i), rows->multiplier[i] + length * rows->step[i]);
+            rows->multiplier[i] = clamp_to(piece_of(rows, i), rows->multiplier[i] + length * rows->step[i]);
         rows->multiplier[block] = falls ? piece.low : piece.high;
-        /* At zero the limit stops pushing and is inactive; at the price a soft limit starts or stops being exceeded. */
+        /* At zero a limit becomes inactive; at the price a soft limit starts or stops being exceeded. */
         if (falls == above && !ddmpc_is_exceeded(rows, block))
             ddmpc_leave_row(rows, block);
         else
@@ -397,7 +397,7 @@ static outcome settle(ddmpc_rows *rows, int *iterations)
 }
 
 /* Return the dual objective at a solution of the system. */
-static real height(const ddmpc_rows *rows)
+static real dual_objective(const ddmpc_rows *rows)
 {
     const real price = rows->problem->price;
     real sum = R(0.0);
@@ -409,32 +409,32 @@ static real height(const ddmpc_rows *rows)
     return R(0.5) * sum;
 }
 
-/* Run the dual method: maximise the dual on the active rows, activate broken rows, and repeat. The dual objective
+/* Run the dual method: maximise the dual on the active rows, activate violated rows, and repeat. The dual objective
  * rises in every round, so no active set can recur, and the method ends at the solution. */
-static ddmpc_limited_status climb(ddmpc_rows *rows, int *iterations, real *plan)
+static ddmpc_limited_status run_dual(ddmpc_rows *rows, int *iterations, real *plan)
 {
     real highest = -DDMPC_LARGEST;
-    /* Each round takes at least one of `most_iterations`, so the loop is bounded. */
+    /* Each round takes at least one of `max_iterations`, so the loop is bounded. */
     for (int stalls = 0; stalls < MAX_STALLS;) {
-        const outcome end = settle(rows, iterations);
-        int entered, broken[2];
-        if (end == UNBOUNDED || end == ASTRAY)
+        const outcome end = maximise_dual(rows, iterations);
+        int entered, violated[2];
+        if (end == UNBOUNDED || end == FAILED)
             return end == UNBOUNDED ? DDMPC_INFEASIBLE : DDMPC_NOT_PROVEN;
         ddmpc_move_plan(rows, rows->multiplier, rows->problem->minimiser, plan);
-        if (end == RAN_OUT)
+        if (end == OUT_OF_BUDGET)
             return DDMPC_UNFINISHED;
         if (!refine(rows, plan, 0))
             return DDMPC_NOT_PROVEN;
-        if (!survey(rows, broken))
+        if (!find_violations(rows, violated))
             return DDMPC_NOT_PROVEN;
-        const real reached = height(rows);
+        const real reached = dual_objective(rows);
         stalls = reached > highest ? 0 : stalls + 1;
         highest = ddmpc_max(highest, reached);
-        if (!(broken[0] || broken[1]) || enter_broken(rows, 0, &entered) == 0) {
-            /* No row is broken. Check the final plan with values computed anew, since `survey` has overwritten them. */
+        if (!(violated[0] || violated[1]) || enter_violated(rows, 0, &entered) == 0) {
+            /* No row is violated. Check the final plan with new values, since `find_violations` has overwritten them. */
             rows->problem->values(rows->problem->context, plan, rows->now);
             rows->work += 8 * rows->m;
-            return refine(rows, plan, 1) && survey(rows, broken) ? DDMPC_PROVEN : DDMPC_NOT_PROVEN;
+            return refine(rows, plan, 1) && find_violations(rows, violated) ? DDMPC_PROVEN : DDMPC_NOT_PROVEN;
         }
         if (entered == 0)
             return DDMPC_UNFINISHED;
@@ -447,15 +447,15 @@ static void warm_start(ddmpc_rows *rows, const real *multipliers)
 {
     const ddmpc_limited_problem *problem = rows->problem;
     int count = 0;
-    /* Each round removes one of at most `most_active` rows. */
+    /* Each round removes one of at most `max_active` rows. */
     while (rows->active > 0)
         ddmpc_leave_row(rows, rows->active - 1);
-    for (int row = 0; row < rows->m && count < rows->most_active; row++) {
+    for (int row = 0; row < rows->m && count < rows->max_active; row++) {
         const real size = ddmpc_fabs(multipliers[row]);
         /* Negated so that a NaN multiplier is skipped. */
         if (!(size > R(0.0) && size < DDMPC_LARGEST))
             continue;
-        const int piece = row >= problem->hard && size > problem->price ? DDMPC_EXCEEDED : DDMPC_KEPT;
+        const int piece = row >= problem->hard && size > problem->price ? DDMPC_EXCEEDED : DDMPC_AT_BOUND;
         rows->state[row] = multipliers[row] > R(0.0) ? piece : -piece;
         rows->entering[count++] = row;
     }
@@ -533,8 +533,8 @@ static int is_stationary(ddmpc_rows *rows, const real *plan, real *multipliers, 
     return sound && (dual <= allowed || dual <= allowed + ROUNDINGS * EPSILON * size_of_gradient(rows, plan));
 }
 
-/* Fill multipliers with the current ones; return 1 if they and the plan are finite. */
-static int is_left_usable(const ddmpc_rows *rows, const real *plan, real *multipliers)
+/* Copy the current multipliers; return 1 if the multipliers and the plan are finite. */
+static int copy_iterate(const ddmpc_rows *rows, const real *plan, real *multipliers)
 {
     int sound = 1;
     memset(multipliers, 0, (size_t)rows->m * sizeof(real));
@@ -547,7 +547,7 @@ static int is_left_usable(const ddmpc_rows *rows, const real *plan, real *multip
     return sound;
 }
 
-/* Check the limits: each lower one at most at its upper one, and finite penalties. */
+/* Check that no lower limit is above its upper limit, and that penalties are finite. */
 static ddmpc_limited_status check_limits(const ddmpc_limited_problem *problem)
 {
     int sound = 1, crossed = 0;
@@ -572,22 +572,22 @@ ddmpc_limited_result ddmpc_solve_limited(const ddmpc_limited_problem *problem, c
         result.status = DDMPC_NOT_PROVEN;
     if (result.status == DDMPC_PROVEN) {
         int soft = 0;
-        rows.most_work = problem->most_operations;
+        rows.max_work = problem->max_operations;
         warm_start(&rows, multipliers);
         for (int i = 0; i < rows.active; i++)
             soft |= ddmpc_is_soft(&rows, i);
         /* Try the quick method first. Both start from the same multipliers, since a failed attempt leaves arbitrary
          * rows active. */
-        if (soft || !change_many(&rows, &result.iterations, plan)) {
+        if (soft || !run_primal_dual(&rows, &result.iterations, plan)) {
             warm_start(&rows, multipliers);
-            result.status = climb(&rows, &result.iterations, plan);
+            result.status = run_dual(&rows, &result.iterations, plan);
         }
         result.active = rows.active;
         result.primal = rows.primal;
         result.late = rows.late;
         if (result.status == DDMPC_PROVEN && !is_stationary(&rows, plan, multipliers, &result))
             result.status = DDMPC_NOT_PROVEN;
-        if (result.status == DDMPC_UNFINISHED && !is_left_usable(&rows, plan, multipliers))
+        if (result.status == DDMPC_UNFINISHED && !copy_iterate(&rows, plan, multipliers))
             result.status = DDMPC_NOT_PROVEN;
         result.operations = rows.work;
     }
@@ -599,7 +599,7 @@ ddmpc_limited_result ddmpc_solve_limited(const ddmpc_limited_problem *problem, c
 }
 
 /* Operations of the largest parts: a factorisation, a start with all rows active, a refinement, a round of the
- * primal-dual method, and a round of the dual method with the activation of broken rows. */
+ * primal-dual method, and a round of the dual method with the activation of violated rows. */
 typedef struct {
     ddmpc_count factor, start, refined, many, settled;
 } parts;
@@ -615,19 +615,19 @@ static parts parts_of(int n, int m, int slots)
     p.start = slots * column;
     p.refined = 8 * m + MAX_REFINEMENTS * (2 * square + plan);
     p.many = p.factor + square + plan + p.refined + m + square + p.start;
-    p.settled = p.factor + 3 * square + plan + p.refined + m + FEW * (slots + column);
+    p.settled = p.factor + 3 * square + plan + p.refined + m + BATCH * (slots + column);
     return p;
 }
 
-ddmpc_count ddmpc_limited_most(int inputs, int rows, int most_active)
+ddmpc_count ddmpc_limited_allowance(int inputs, int rows, int max_active)
 {
-    const parts p = parts_of(inputs, rows, DDMPC_LIMITED_SLOTS(most_active));
+    const parts p = parts_of(inputs, rows, DDMPC_LIMITED_SLOTS(max_active));
     return MAX_WORK * (p.start + p.factor);
 }
 
-ddmpc_count ddmpc_limited_bound(int inputs, int rows, int most_active)
+ddmpc_count ddmpc_limited_bound(int inputs, int rows, int max_active)
 {
-    const int slots = DDMPC_LIMITED_SLOTS(most_active);
+    const int slots = DDMPC_LIMITED_SLOTS(max_active);
     const parts p = parts_of(inputs, rows, slots);
     const ddmpc_count round = p.many > p.settled ? p.many : p.settled;
     /* After the last round the plan is computed again or refined, and its optimality is checked. */
@@ -635,13 +635,13 @@ ddmpc_count ddmpc_limited_bound(int inputs, int rows, int most_active)
     return MAX_WORK * (p.start + p.factor) + 2 * p.start + round + end;
 }
 
-unsigned long ddmpc_limited_reals(int inputs, int rows, int most_active)
+unsigned long ddmpc_limited_reals(int inputs, int rows, int max_active)
 {
-    return (unsigned long)DDMPC_LIMITED_REALS(inputs, rows, most_active);
+    return (unsigned long)DDMPC_LIMITED_REALS(inputs, rows, max_active);
 }
 
-unsigned long ddmpc_limited_ints(int inputs, int rows, int most_active)
+unsigned long ddmpc_limited_ints(int inputs, int rows, int max_active)
 {
     (void)inputs;
-    return (unsigned long)DDMPC_LIMITED_INTS(inputs, rows, most_active);
+    return (unsigned long)DDMPC_LIMITED_INTS(inputs, rows, max_active);
 }

@@ -1,8 +1,8 @@
-/* A quadratic program with limits, solved exactly by active-set methods from the limits that were active at the last
- * tick.
+/* Exact solution of a quadratic program with limits by active-set methods, warm-started from the limits that were active
+ * at the last tick.
  *
  *     minimise  |R (U - U0)|^2 / 2 + sum over soft rows of (price s + slope s^2 / 2)
- *     subject to  lower <= a_i U <= upper  for hard rows, and to within s >= 0 for soft ones
+ *     subject to  lower <= a_i U <= upper  for hard rows, and lower - s <= a_i U <= upper + s, s >= 0 for soft rows
  *
  * R is upper triangular with R'R the Hessian, and U0 is the minimiser without limits. First comes the primal-dual
  * active-set method (Hintermueller, Ito, Kunisch, SIAM Journal on Optimization 13(3), 2002): it changes many rows at
@@ -19,7 +19,7 @@
 /* Number of operations. */
 typedef long long ddmpc_count;
 
-/* Units are those of the caller; the solver uses the size of numbers only to estimate rounding errors. */
+/* The units are the caller's choice; the solver uses magnitudes only to estimate rounding errors. */
 typedef struct {
     int inputs, rows, hard;            /* n; m two-sided limits, of which the first `hard` are hard, the others soft */
     const real *factor, *minimiser;    /* R (n, n), row by row; the part below the diagonal is not read; U0 (n) */
@@ -31,9 +31,9 @@ typedef struct {
     void (*row)(const void *context, int row, real *out, int *first, int *last);
     const void *context;
     real slack;                        /* tolerated excess over a limit, in addition to rounding errors */
-    int most_iterations;
-    ddmpc_count most_operations;       /* no round starts beyond this number */
-    ddmpc_time deadline;               /* by the clock of ddmpc_now [s]; infinite: none. One iteration always runs */
+    int max_iterations;
+    ddmpc_count max_operations;       /* no round starts beyond this number */
+    ddmpc_time deadline;               /* time of ddmpc_now [s]; infinite: none. The first iteration always runs */
 } ddmpc_limited_problem;
 
 typedef enum {
@@ -53,36 +53,36 @@ typedef struct {
     real dual;      /* largest entry of the gradient of the Lagrangian, computed from the plan */
 } ddmpc_limited_result;
 
-/* Memory for n inputs, m rows and at most `most_active` active rows. More than n can be active, since a soft row
+/* Memory for n inputs, m rows and at most `max_active` active rows. More than n can be active, since a soft row
  * beyond its limit does not fix a direction of the plan. */
 typedef struct {
-    int most_active;
+    int max_active;
     real *reals; /* (DDMPC_LIMITED_REALS) */
     int *ints;   /* (DDMPC_LIMITED_INTS) */
 } ddmpc_limited_memory;
 
-#define DDMPC_LIMITED_SLOTS(most_active) (((most_active) + DDMPC_LANES - 1) / DDMPC_LANES * DDMPC_LANES)
-#define DDMPC_LIMITED_REALS(n, m, most_active)                                                                         \
-    ((n) * (DDMPC_LIMITED_SLOTS(most_active) + DDMPC_LANES + 3) + 3 * DDMPC_LANES + 2 * (m) +                          \
-     DDMPC_LIMITED_SLOTS(most_active) * (2 * DDMPC_LIMITED_SLOTS(most_active) + 6) + 16)
-#define DDMPC_LIMITED_INTS(n, m, most_active) (2 * (m) + 3 * DDMPC_LIMITED_SLOTS(most_active))
+#define DDMPC_LIMITED_SLOTS(max_active) (((max_active) + DDMPC_LANES - 1) / DDMPC_LANES * DDMPC_LANES)
+#define DDMPC_LIMITED_REALS(n, m, max_active)                                                                         \
+    ((n) * (DDMPC_LIMITED_SLOTS(max_active) + DDMPC_LANES + 3) + 3 * DDMPC_LANES + 2 * (m) +                          \
+     DDMPC_LIMITED_SLOTS(max_active) * (2 * DDMPC_LIMITED_SLOTS(max_active) + 6) + 16)
+#define DDMPC_LIMITED_INTS(n, m, max_active) (2 * (m) + 3 * DDMPC_LIMITED_SLOTS(max_active))
 
-/* Numbers of reals and ints of that memory. */
-unsigned long ddmpc_limited_reals(int inputs, int rows, int most_active);
-unsigned long ddmpc_limited_ints(int inputs, int rows, int most_active);
+/* Numbers of reals and ints of `ddmpc_limited_memory`. */
+unsigned long ddmpc_limited_reals(int inputs, int rows, int max_active);
+unsigned long ddmpc_limited_ints(int inputs, int rows, int max_active);
 
 /* Operations allowed in a tick: those of six starts with all rows active and six factorisations. The hardest ticks of
- * tests/mpc/hard_ticks.py, whose robots cannot follow at all, need at most a third of it. */
-ddmpc_count ddmpc_limited_most(int inputs, int rows, int most_active);
-/* Upper bound of the operations of a solve with that allowance: two starts, a round that starts just below the
- * allowance, and the final plan are added. Multiplications of loops over rows and inputs count; incomplete blocks
- * count as whole ones. */
-ddmpc_count ddmpc_limited_bound(int inputs, int rows, int most_active);
+ * tests/mpc/hard_ticks.py, whose robots cannot follow their references, need at most a third of this allowance. */
+ddmpc_count ddmpc_limited_allowance(int inputs, int rows, int max_active);
+/* Upper bound of the operations of a solve with the allowance above: it adds two starts, a round that starts just below
+ * the allowance, and the final plan. Multiplications in loops over rows and inputs are counted; an incomplete block
+ * counts as a whole block. */
+ddmpc_count ddmpc_limited_bound(int inputs, int rows, int max_active);
 
-/* Solve the program. On entry `multipliers` (m) hold those of a similar problem, or zeros: only their signs and
- * whether they exceed the price matter, and they may be wrong. On exit they hold those of the solution: positive at
- * an upper bound, negative at a lower one, and larger than the price where a soft limit is exceeded. `plan` (n) is
- * the solution. After DDMPC_UNFINISHED both are the last iterate of the dual method, and the plan may break limits.
+/* Solve the program. On entry `multipliers` (m) are an initial guess, such as those of the last tick, or zeros: only
+ * their signs and whether they exceed the price matter. On exit they are the multipliers of the solution: positive at
+ * an upper bound, negative at a lower bound, and larger than the price if a soft limit is exceeded. `plan` (n) is
+ * the solution. After DDMPC_UNFINISHED both are the last iterate of the dual method, and the plan may violate limits.
  * After any other failure the plan is the minimiser without limits, and the multipliers are zero. */
 ddmpc_limited_result ddmpc_solve_limited(const ddmpc_limited_problem *problem, const ddmpc_limited_memory *memory,
                                          real *multipliers, real *plan);

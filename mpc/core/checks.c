@@ -46,8 +46,8 @@ static int possible_covariance(const ddmpc_constants *constants, const real *ent
     return 1;
 }
 
-/* Check a stamp of `subject` at tick `t` after one at `last`; return the fault, and its number for the message in
- * `number`. */
+/* Check a stamp of `subject` at tick `t`, with the previous stamp `last`; return the fault, and the value for its message
+ * in `number`. */
 static int stamp_fault(const ddmpc_constants *constants, int subject, ddmpc_time stamp, ddmpc_time t, ddmpc_time last,
                        real *number)
 {
@@ -112,7 +112,7 @@ static int check_twist(ddmpc_controller *c, int subject, int first, int count, d
     if (!all_finite(stamped->value, count)) {
         fault = DDMPC_NOT_NUMBERS;
     } else {
-        /* The first number out of range, of `count` at most. */
+        /* Find the first number out of range; the loop takes at most `count` rounds. */
         int excess = 0;
         while (excess < count && !(ddmpc_fabs(value[excess]) > constants->largest_twist[first + excess]))
             excess++;
@@ -125,7 +125,7 @@ static int check_twist(ddmpc_controller *c, int subject, int first, int count, d
         }
     }
     for (int i = 0; i < count && fault == DDMPC_NO_FAULT; i++)
-        /* The speed of a wheel that hits a wall does jump, but then stays there: the next sample confirms it. */
+        /* The speed of a robot that hits a wall does jump, but then stays constant: the next sample is accepted. */
         if (ddmpc_fabs(value[i] - last[i]) > constants->largest_twist_jump[first + i]) {
             fault = DDMPC_JUMPS;
             a = last[i];
@@ -192,9 +192,9 @@ int ddmpc_pose_passes(ddmpc_controller *c, const ddmpc_checked_pose *pose, const
     return 0;
 }
 
-/* Check whether the previous pose was older than max_pose_age when this one came. If that happens again within
- * rated_poses poses, poses count as too rare; a single time is a drop-out. */
-static void look_at_rate(ddmpc_controller *c, ddmpc_time stamp)
+/* Check whether the previous pose was older than max_pose_age when this pose arrived. If this happens again within
+ * rated_poses poses, poses count as too rare; a single occurrence is a drop-out. */
+static void update_pose_rate(ddmpc_controller *c, ddmpc_time stamp)
 {
     ddmpc_estimator *estimator = &c->estimator;
     const ddmpc_time interval = stamp - estimator->accepted_stamp, latency = c->last_tick - stamp;
@@ -213,8 +213,8 @@ static void look_at_rate(ddmpc_controller *c, ddmpc_time stamp)
 
 void ddmpc_accept_pose(ddmpc_controller *c, const ddmpc_checked_pose *pose)
 {
-    /* Use the stamp as stated: an inferred delay must not make a pose too old. */
-    look_at_rate(c, pose->stated);
+    /* Use the stamp of the message: an estimated delay must not make a pose too old. */
+    update_pose_rate(c, pose->stated);
     c->estimator.accepted_stamp = pose->stated;
     c->estimator.too_old = 0.0;
     c->estimator.jumps = 0;

@@ -1,5 +1,5 @@
-/* The clock that the time of a solve is taken from [s]. An export calls no system: it has none, unless the application
- * names a function of its own, -DDDMPC_NOW=function. */
+/* Clock that measures the time of a solve [s]. An export makes no system calls and has no clock, unless the application
+ * provides a function with -DDDMPC_NOW=function. */
 #ifndef DDMPC_CLOCK_H
 #define DDMPC_CLOCK_H
 

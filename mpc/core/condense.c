@@ -10,14 +10,14 @@
  * variables are the commands themselves, not changes of the guess, so every residual is first reduced by the part
  * that the guess contributes: g is then the gradient at U = 0, and limits need no shift.
  *
- * Sample k + 1 depends on the commands 0 to k only. Its rows end there: products skip the zeros beyond, about half of
- * all work. Errors and their gradients are generated from mpc/problem/formulas.py, or are the user's. */
+ * Sample k + 1 depends on the commands 0 to k only. Products skip the zeros of later commands, about half of the
+ * operations. Errors and their gradients are generated from mpc/problem/formulas.py, or come from user functions. */
 #include <string.h>
 
 #include "problem.h"
 #include "tile.h"
 
-/* Derivatives of one arc's displacement by mean v, mean omega and the heading before it; cosine and sine of the
+/* Derivatives of one arc's displacement by mean v, mean omega and the heading at its start; cosine and sine of the
  * path's heading, roots of the weights, and residuals times these roots at the end of the arc. */
 typedef struct {
     real x[3], y[3];
@@ -39,12 +39,12 @@ static void fill_row(int count, const row_weights *w, const real *restrict mean_
         const real move_x = moves_x[j] + r.x[0] * mean_v[j] + r.x[1] * mean_omega[j] + r.x[2] * before[j];
         const real move_y = moves_y[j] + r.y[0] * mean_v[j] + r.y[1] * mean_omega[j] + r.y[2] * before[j];
         const real ahead = r.along * (r.cosine * move_x + r.sine * move_y);
-        const real beside = r.across * (r.cosine * move_y - r.sine * move_x);
+        const real sideways = r.across * (r.cosine * move_y - r.sine * move_x);
         moves_x[j] = x[j] = move_x;
         moves_y[j] = y[j] = move_y;
         along[j] = ahead;
-        across[j] = beside;
-        gradient[j] += r.along_residual * ahead + r.across_residual * beside + r.heading_residual * after[j];
+        across[j] = sideways;
+        gradient[j] += r.along_residual * ahead + r.across_residual * sideways + r.heading_residual * after[j];
     }
 }
 
@@ -112,7 +112,7 @@ static void fill_residuals(ddmpc_controller *c, int k)
             ddmpc_through_slip(p, p->term + term->rows + r, term->rows, gradient);
             memset(row, 0, (size_t)width * sizeof(real));
             ddmpc_term_row(c, k, gradient, row);
-            /* Remove the part of the guess, see above. */
+            /* Remove the contribution of the guess, see the head of this file. */
             const real residual = p->term[r] - dot(row, p->guess, count);
             for (int j = 0; j < count; j++)
                 p->gradient[j] += residual * row[j];
@@ -127,7 +127,7 @@ static void fill_rows(ddmpc_controller *c)
     ddmpc_problem *p = &c->problem;
     const int N = STEPS(c), width = WIDTH(c);
     const real omega_gain = p->gains[1];
-    real moves[2 * DDMPC_MOST_STEPS], headings[DDMPC_MOST_STEPS + 1];
+    real moves[2 * DDMPC_MAX_STEPS], headings[DDMPC_MAX_STEPS + 1];
     ddmpc_linear_moves(c, p->by_plan, moves, headings);
     memset(p->moves, 0, (size_t)(2 * width) * sizeof(real));
     memset(p->gradient, 0, (size_t)width * sizeof(real));
@@ -137,7 +137,7 @@ static void fill_rows(ddmpc_controller *c)
         real *results[2] = {error, J};
         ddmpc_f_errors(arguments, results, 0, 0, 0);
         const real cosine = p->cosine[k] = J[0], sine = p->sine[k] = J[3];
-        /* Error at a plan of zeros, linearised along the guess: the error less the part of the guess. */
+        /* Error at a plan of zeros, linearised along the guess: the error minus the contribution of the guess. */
         const real along = error[0] - (cosine * moves[k] + sine * moves[N + k]);
         const real across = error[1] - (cosine * moves[N + k] - sine * moves[k]);
         const real turned = error[2] - omega_gain * headings[k + 1];
@@ -199,7 +199,7 @@ static void fill_hessian(ddmpc_controller *c)
         for (int j = 0; !ROWS(c) && j <= i; j++)
             row[j] += scale * heading_hessian[i * inputs + j];
         /* |u_k - u_(k-1)|^2 couples neighbours: 2 on the diagonal, 1 at the last command, which has no successor, and
-         * -1 beside it. Channels alternate, so the neighbour is two columns away. */
+         * -1 off the diagonal. Channels alternate, so the neighbour is two columns away. */
         const real increment = k->increment_weight[i % 2];
         row[i] += k->command_weight[i % 2] + (i < inputs - 2 ? R(2.0) : R(1.0)) * increment;
         if (i >= 2)
@@ -218,12 +218,12 @@ static void fill_gradient(ddmpc_controller *c)
     const int inputs = INPUTS(c);
     for (int i = 0; i < inputs; i++) {
         const int channel = i % 2;
-        /* Increments count relative to those of the feed-forward, so that a ramp of the reference costs nothing. */
+        /* Increments are relative to those of the feed-forward, so that a ramp of the reference has no cost. */
         const real into = fed[i] - (i < 2 ? p->fed_before[channel] : fed[i - 2]);
         const real out = i < inputs - 2 ? fed[i + 2] - fed[i] : R(0.0);
         p->g[i] = p->gradient[i] - k->command_weight[channel] * fed[i] - k->increment_weight[channel] * (into - out);
     }
-    /* The first increment counts from the command that was sent last. */
+    /* The first increment is relative to the last sent command. */
     for (int channel = 0; channel < 2; channel++)
         p->g[channel] -= k->increment_weight[channel] * p->last[channel];
 }

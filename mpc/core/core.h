@@ -1,8 +1,8 @@
 /* Public interface of the controller's tick, from measurement to command.
  *
  * There are no allocations and no globals: the caller provides constants, memory and functions. Python parses this
- * file, so names and layouts need no second declaration there. A bracket after a pointer is the shape of its array,
- * which is checked against the sizes:
+ * file, so names and layouts are declared here only. A bracket in the comment after a pointer is the shape of its array;
+ * Python checks it against the sizes:
  *
  *     n states, N steps, W window, H history, P parameters, K kinds of soft limit, S slips, Q parameters of a nonlinear
  *     model, width = 2 N padded to a multiple of 8
@@ -14,24 +14,24 @@
 
 /* Sizes of one controller; an export also defines them as macros in ddmpc_sizes.h. */
 typedef struct {
-    int steps;               /* horizon N, at most DDMPC_MOST_STEPS */
-    int states;              /* order n of the velocity model, at most DDMPC_MOST_STATES */
+    int steps;               /* horizon N, at most DDMPC_MAX_STEPS */
+    int states;              /* order n of the velocity model, at most DDMPC_MAX_STATES */
     int delay_v, delay_omega; /* dead time of each channel in whole samples; 0 for a nonlinear model */
-    int window;              /* W, commands that still act on the future */
-    int history;             /* H, ticks that the estimator looks back */
-    int lag_v, lag_omega;    /* whole samples by which the feed-forward looks ahead */
+    int window;              /* W, past commands that affect future motion */
+    int history;             /* H, number of past ticks that the estimator stores */
+    int lag_v, lag_omega;    /* lead of the feed-forward in whole samples */
     int residuals;           /* rows of the user's residuals at a sample */
-    int soft;                /* K, kinds of soft limit: five shipped ones, turn radii, then the user's */
+    int soft;                /* K, kinds of soft limit: five built-in kinds, turn radii, then the user's */
     int terms;               /* number of user functions */
-    int parameters;          /* P, stage parameters of all of them */
+    int parameters;          /* P, stage parameters of all user functions */
     int nonlinear;           /* 1 if the velocity model is a function */
-    int turns;               /* kinds of soft limit for the minimum turn radius: 2, or 0 without one */
+    int turns;               /* kinds of soft limit for the minimum turn radius: 2, or 0 if it is not configured */
     int slips;               /* S, number of estimated slips: 10, or 15 with curved slip */
     int model_parameters;    /* Q, parameters of a nonlinear model */
     int work;                /* reals of memory that a nonlinear model needs */
-    int command_turns;       /* kinds of soft limit for the minimum commanded radius: 2, or 0 without one */
+    int command_turns;       /* kinds of soft limit for the minimum commanded radius: 2, or 0 if it is not configured */
     int spare;               /* maximum unknown delay that a linear model compensates [samples] */
-    int pressing;            /* maximum number of active limits: one per command, and exceeded soft limits */
+    int max_active;          /* maximum number of active limits: one per command, and exceeded soft limits */
 } ddmpc_sizes;
 
 /* CasADi's signature: arguments in, results out. */
@@ -62,8 +62,8 @@ typedef struct {
     real pose_noise[3];
     real prior[18], uncertainty[18], drift[18]; /* mean, deviation, variance per sample: slips, gyro bias, delays */
     real evidence[4]; /* squared deviations up to which slides, omega gain, delay of v, delay of omega count as noise */
-    real doubt[2]; /* variances of the model's own omega gain, and of its lags [s^2] */
-    real least_slip[15], most_slip[15];         /* bounds of the estimated slip */
+    real doubt[2]; /* prior variances of the model's omega gain, and of its lags [s^2] */
+    real min_slip[15], max_slip[15];         /* bounds of the estimated slip */
     real wheel_yaw_ratio;            /* yaw rate by encoders over that of the model */
     real surprise, patience;         /* limit of the squared innovation [-], and its maximum duration [samples] */
     real min_yaw_rate, min_speed;
@@ -88,7 +88,7 @@ typedef struct {
     real gyro[2], slip_turning[2], slip_driving[2], following[2], response_time, uneven, sliding[2], frozen[2], odds[2];
     real doubtful[2], course[5], sideways[2], scales[4], margin, share[2], plausible, memory, gains[4], held, scatter[5];
     real late[6], delay_fit[8], by_wheels[3], scaled[4], impossible[2], far;
-    /* the same for wheels at their speed limit, and for displacements that are no reason to leave the path */
+    /* fields for wheels at their speed limit, and for displacements at which the robot stays on its path */
     real astray[2], unsure, doubtful_band, carried[2], short_by[2], short_for, slower, stuck, steady, trial[2];
     real smoothed, slowed, retry, regain[2];
     real on_spot, far_below;
@@ -100,7 +100,7 @@ typedef struct {
     const real *from_state;     /* [N+1][2][n] */
     const real *from_past;      /* [N+1][2][W][2] oldest command first */
     const real *response;       /* [2][2][N+1] of v, omega to v_ref, omega_ref: m samples after a unit command */
-    /* last rows of the matrices of twist, mean twist and heading, padded with zeros: any other row starts further on */
+    /* last rows of the matrices of twist, mean twist and heading, padded with zeros: other rows are shifted sections */
     const real *twist_row;      /* [2][2*width] */
     const real *mean_row;       /* [2][2*width] */
     const real *heading_row;    /* [2*width] */
@@ -111,13 +111,12 @@ typedef struct {
     const real *across;         /* [N] */
     const real *heading;        /* [N] weights */
     real command_weight[2], increment_weight[2];
-    real inverse_gain[4], lag_rest[2]; /* feed-forward: column by column; lag beyond the whole samples [samples] */
-    real price, price_slope;         /* per unit beyond a soft limit: linear and quadratic penalty */
+    real inverse_gain[4], lag_rest[2]; /* feed-forward: in column-major order; lag beyond whole samples [samples] */
+    real price, price_slope;         /* linear and quadratic penalty per unit of soft-limit violation */
 
     /* limits */
-    /* commands forward, in reverse, left, right [m/s, rad/s]; slew per sample of a growing and of a falling v, then
-     * omega;
-     *     braking ramp of v and omega per sample */
+    /* maximum commands forward, in reverse, left, right [m/s, rad/s]; slew per sample of an increasing and of a
+     * decreasing |v|, then of omega; braking ramp of v and omega per sample */
     real largest_command[4], slew[4], braking[2];
     const real *soft_upper;     /* [K] */
     const real *soft_lower;     /* [K] */
@@ -144,22 +143,22 @@ typedef struct {
     int max_reused_ticks, resume;
     ddmpc_time resume_within; /* [s] */
 
-    /* bounds inside which the robot counts as on its path and on time; outside them the caller provides the target */
+    /* bounds within which the robot counts as on its path and on time; otherwise the caller provides the target */
     int reentry;
     real band, heading_band, wait, heading_wait;
     real behind, ahead;     /* [m] a robot further behind or ahead was moved by someone */
     real standing, turning; /* speeds below which a reference counts as standing, or as not turning [m/s, rad/s] */
 } ddmpc_constants;
 
-/* Functions in addition to the shipped ones. */
+/* User functions, in addition to the built-in ones. */
 typedef struct {
-    /* Nonlinear model: (x, window, its parameters) to (x+, its Jacobian by x, and by the window), in memory of `work`
-       reals; x to (twist, Jacobian). The pointer of an unused Jacobian is NULL. */
+    /* Nonlinear model. step: (x, window, model parameters) to (x+, Jacobian by x, Jacobian by window), with `work` reals
+       of memory; output: x to (twist, Jacobian). The pointer of an unused Jacobian is NULL. */
     ddmpc_function step, output;
     const ddmpc_term *terms;
 } ddmpc_functions;
 
-/* One message. Values that are no numbers are stored as NaN, and rejected. */
+/* One message. Values that are not numbers are stored as NaN, and rejected. */
 typedef struct {
     ddmpc_time stamp;
     real value[3];
@@ -167,11 +166,12 @@ typedef struct {
     int present, has_covariance;
 } ddmpc_stamped;
 
-/* Requests of the application in addition to the reference. A pause is no failure; after a failure `resume` and
-   `resume_within` decide; after the last of these requests the robot always waits for ddmpc_start or ddmpc_resume. */
+/* Requests of the application in addition to the reference. A pause does not count as a failure. After a failure,
+   `resume` and `resume_within` determine whether the robot continues. After DDMPC_STOP_AND_WAIT the robot always waits
+   for ddmpc_start or ddmpc_resume. */
 typedef enum { DDMPC_DRIVE, DDMPC_PAUSE, DDMPC_STOP_AS_FAILURE, DDMPC_STOP_AND_WAIT } ddmpc_request;
 
-/* Input of one tick. `present` and `has_sent` are zero for values without news. */
+/* Input of one tick. `present` and `has_sent` are zero if no new value has arrived. */
 typedef struct {
     ddmpc_stamped pose;     /* x, y [m], theta [rad] */
     ddmpc_stamped wheels;   /* v [m/s], omega [rad/s] by encoders and geometric track */
@@ -182,11 +182,11 @@ typedef struct {
     /* clock of the reference: its time at this tick [s], and 1 if it equals that of the controller */
     ddmpc_time reference_time;
     int on_time;
-    /* bounds of this tick's active set: a deadline by the clock of the solve time [s], 0: none; iterations, 0: as
+    /* bounds of this tick's active set: deadline by the clock of `solve_time` [s], 0: none; maximum iterations, 0: as
      * configured */
     ddmpc_time deadline;
     int most_iterations;
-    int is_late; /* 1: the tick counts as late, whatever the clock; a replay repeats late ticks this way */
+    int is_late; /* 1: the tick counts as late, independent of the clock, as in a replay of a late tick */
 } ddmpc_input;
 
 /* Reasons for rejecting a measurement; `a` and `b` are numbers for the message. */
@@ -222,30 +222,30 @@ typedef enum {
 enum {
     DDMPC_NO_REFERENCE = 1,
     DDMPC_NO_POSE = 2,               /* no pose has arrived yet */
-    DDMPC_ELSEWHERE = 4,             /* poses agree on another place of the robot */
+    DDMPC_ELSEWHERE = 4,             /* several poses agree on a position away from the estimate */
     DDMPC_LOST = 8,                  /* the estimate is not finite; it restarts */
     DDMPC_OLD_POSE = 16,             /* no pose was accepted for longer than max_pose_age */
-    DDMPC_LATCHED = 32,              /* stopped after a failure; call start or resume to drive on */
+    DDMPC_LATCHED = 32,              /* stopped after a failure; call start or resume to continue */
     DDMPC_TOO_FAR = 64,              /* distance from the reference beyond max_position_error, in `distance` */
     DDMPC_SOLVE_FAILED = 128,        /* see the report for the reason */
     DDMPC_NOT_AT_REST = 256,         /* finished by finish_timeout, at `distance` from the end */
-    DDMPC_SENT_REJECTED = 512,       /* `sent` is no command inside the limits */
+    DDMPC_SENT_REJECTED = 512,       /* `sent` is not finite or exceeds the limits */
     DDMPC_HELD = 1024,               /* the application requested a stop */
     DDMPC_TIME_FAULTY = 2048,        /* time is not finite, or runs backwards */
     DDMPC_TIME_REPEATED = 4096,      /* too soon after the last tick; its command is repeated */
     DDMPC_TIME_LEAPT = 8192,         /* no tick for too long: a pause, or a glitch of the clock */
     DDMPC_TIME_PAUSED = 16384,       /* a pause after which the estimate restarts */
-    DDMPC_WHEELS_ACCUSED = 32768,    /* the other sensors contradict this one, which is not used; as ddmpc_subject */
+    DDMPC_WHEELS_ACCUSED = 32768,    /* the other sensors contradict this sensor, which is not used; see ddmpc_subject */
     DDMPC_YAW_RATE_ACCUSED = 65536,
     DDMPC_POSE_ACCUSED = 131072,
     DDMPC_POSES_SCATTER = 262144,    /* poses scatter far more than stated, and get less weight */
     DDMPC_POSES_LATE = 524288,       /* poses are older than their stamps */
-    DDMPC_TURNS_OTHERWISE = 1048576, /* the turn ratio of the robot contradicts its tracks */
+    DDMPC_TURNS_OTHERWISE = 1048576, /* the turn ratio of the robot contradicts its configured tracks */
     DDMPC_POSES_RARE = 2097152,      /* poses are too rare or late for max_pose_age; `pose_interval`, `pose_latency` */
     DDMPC_POSES_TOO_OLD = 4194304,   /* all poses are older than the history and rejected; see `pose_latency` */
-    DDMPC_LEFT_FENCE = 8388608,      /* the stopping path left the fence; call start or reset to drive on */
+    DDMPC_LEFT_FENCE = 8388608,      /* the stopping path left the fence; call start or reset to continue */
     DDMPC_TURN_HELD = 16777216,      /* the minimum commanded radius limits the command; the path turns more tightly */
-    DDMPC_DEADLINES_MISSED = 134217728 /* `max_missed` consecutive ticks missed their deadline, this one included */
+    DDMPC_DEADLINES_MISSED = 134217728 /* `max_missed` consecutive ticks, including this one, missed their deadline */
 };
 
 typedef enum {
@@ -256,22 +256,22 @@ typedef enum {
     DDMPC_QP_INFEASIBLE,
     DDMPC_QP_UNBOUNDED,
     DDMPC_QP_NOT_CONVEX,
-    DDMPC_QP_NOT_FINITE, /* the problem's data are not finite, or too large to be real */
+    DDMPC_QP_NOT_FINITE, /* the problem's data are not finite, or too large to be plausible */
     DDMPC_QP_NOT_RUN,
     DDMPC_QP_STOPPED,        /* active set out of iterations, operations or memory; ranges and slew hold */
     DDMPC_QP_STOPPED_IN_TIME /* active set out of time; ranges and slew hold */
 } ddmpc_solver_status;
 
 /* Method that produced the plan. */
-typedef enum { DDMPC_NO_WAY, DDMPC_UNLIMITED, DDMPC_ACTIVE_SET, DDMPC_BACKEND } ddmpc_path;
+typedef enum { DDMPC_NO_METHOD, DDMPC_UNLIMITED, DDMPC_ACTIVE_SET, DDMPC_BACKEND } ddmpc_path;
 
 typedef struct {
     int status, path;
-    int iterations;  /* iterations of all solves in the tick; 0 without active limits, where the solution is exact */
+    int iterations;  /* iterations of all solves in the tick; 0 without active limits: the solution is then exact */
     int soft_limits; /* 1 if soft limits were active */
     long long operations; /* operations of the active set, counted as in ddmpc_limited_bound */
     real primal_residual, dual_residual;
-    int missed; /* consecutive ticks, this one included, whose solve was cut off or ended after the deadline */
+    int missed; /* consecutive ticks, including this one, whose solve was cut off or ended after the deadline */
 } ddmpc_report;
 
 enum { DDMPC_NOTES = 8, DDMPC_SENSORS = 4 };
@@ -297,18 +297,18 @@ typedef struct {
     int notes; /* number of rejected measurements */
     ddmpc_note note[DDMPC_NOTES];
     int repeating;      /* accused sensors that repeat the same reading, as bits 1 << ddmpc_subject */
-    int unreal;         /* accused sensors with readings that no robot can have, as bits */
-    real pose_scatter;  /* scatter of poses over the stated one, see DDMPC_POSES_SCATTER [-] */
+    int unreal;         /* accused sensors with impossible readings, as bits */
+    real pose_scatter;  /* scatter of poses relative to their stated deviation, see DDMPC_POSES_SCATTER [-] */
     real pose_delay;    /* age of poses at their stamps, see DDMPC_POSES_LATE [s] */
     real pose_interval; /* interval between the stamps of accepted poses, see DDMPC_POSES_RARE [s] */
     real pose_latency;  /* time from a pose's stamp to its arrival, see DDMPC_POSES_RARE and DDMPC_POSES_TOO_OLD [s] */
-    real reads[3];      /* turn by gyro, distance and turn by wheels over those by poses [-]; 0: unknown */
+    real reads[3];      /* turn by gyro, distance and turn by wheels, each divided by that of poses [-]; 0: unknown */
     real direction;     /* angle from the heading of poses to their last direction of motion [rad] */
-    real turn_ratio[2]; /* yaw rate of wheels over commands and of body over wheels, see DDMPC_TURNS_OTHERWISE [-] */
+    real turn_ratio[2]; /* yaw rate ratio of wheels to commands, body to wheels, see DDMPC_TURNS_OTHERWISE [-] */
     ddmpc_report solver;
     ddmpc_time solve_time; /* time to linearise, condense and solve, without a backend; NaN: nothing was solved [s] */
     real distance;   /* [m], see DDMPC_TOO_FAR */
-    real reach;      /* rim speed beyond which the wheels fall short of their demand; infinity: none [m/s] */
+    real reach;      /* maximum rim speed that the wheels attain; infinity if no limit is known [m/s] */
     ddmpc_time gap;  /* time since the last tick [s] */
     ddmpc_estimate estimate;
     /* Plan that contains the command. */
@@ -317,8 +317,8 @@ typedef struct {
     real *aim;              /* [N+1][4] tracked poses, and the heading to hold */
 } ddmpc_result;
 
-/* Deviation of the robot from a reference pose [m, m, rad], its delay in units of the lag from which the reference
- * waits, and 1 if it is outside the band. */
+/* Deviation of the robot from a reference pose [m, m, rad]; its delay, in units of the lag at which the reference
+ * waits; and 1 if the robot is outside the band. */
 typedef struct {
     real along, across, heading, late;
     int outside;
@@ -354,7 +354,7 @@ typedef enum {
     DDMPC_NEEDS_BACKEND /* the active set has proven no solution: call ddmpc_answer */
 } ddmpc_pending;
 
-/* Memory of a controller of these sizes in addition to `ddmpc_controller`: numbers of type real and int, and the
+/* Memory of a controller of these sizes in addition to `ddmpc_controller`: counts of real and int numbers, and the
  * bytes of a history node. */
 long ddmpc_reals(const ddmpc_sizes *sizes);
 long ddmpc_ints(const ddmpc_sizes *sizes);
@@ -370,11 +370,11 @@ void ddmpc_configure(ddmpc_controller *controller, const ddmpc_constants *consta
 /* Track `reference` from now on; its time 0 is `t0` [s]. The robot may be moving. Returns 0, and changes nothing, if
    `t0` or the duration is not finite. */
 int ddmpc_start(ddmpc_controller *controller, const ddmpc_reference *reference, ddmpc_time t0);
-/* Replace the current reference by `reference`, such as the same one moved, during a drive. Its time 0 is `t0` [s].
- * Estimate, plan and fence stay. Returns 0, and changes nothing, without a current reference, or if `t0` or the
+/* Replace the current reference during a drive, for example by a moved copy. Time 0 of `reference` is `t0` [s].
+ * Estimate, plan and fence stay. Returns 0, and changes nothing, if there is no current reference, or if `t0` or the
  * duration is not finite. */
 int ddmpc_switch_reference(ddmpc_controller *controller, const ddmpc_reference *reference, ddmpc_time t0);
-/* Continue along the reference after a failure that left the robot waiting. */
+/* Continue along the reference after a failure that has latched the robot. */
 void ddmpc_resume(ddmpc_controller *controller);
 /* Return 1 while the robot waits for ddmpc_start or ddmpc_resume. */
 int ddmpc_is_latched(const ddmpc_controller *controller);
@@ -384,14 +384,14 @@ void ddmpc_reset(ddmpc_controller *controller);
 void ddmpc_forget(ddmpc_controller *controller);
 
 /* Replace the last `count` commands by `commands` (count, 2), oldest first, which another node sent to the robot.
- * Estimate, pending commands and slew of the next tick follow from them. Returns 0, and changes nothing, if one is
+ * Estimate, pending commands and slew of the next tick then use these. Returns 0, and changes nothing, if a command is
  * not finite. */
 int ddmpc_set_applied_commands(ddmpc_controller *controller, const real *commands, int count);
 
 /* Return 1 if a call at `t` would be a new tick: not too soon after the last one, not after a pause, not at a faulty
  * time. */
 int ddmpc_is_new_tick(const ddmpc_controller *controller, ddmpc_time t);
-/* Compute the command for the tick at `t` [s]; ddmpc_pending lists the work that may remain. */
+/* Compute the command for the tick at `t` [s]; returns the remaining work as a ddmpc_pending. */
 int ddmpc_step(ddmpc_controller *controller, ddmpc_time t, const ddmpc_input *input);
 /* Continue with a target: `samples` poses (3) and twists (2) from now on, and the share of the limits that may be
  * used. */
@@ -401,14 +401,14 @@ int ddmpc_too_far(ddmpc_controller *controller, real distance);
 /* Continue with a backend's solution: `plan` (2 N) and multipliers (4 + K, N) of the limits, positive at upper
  * bounds. */
 int ddmpc_answer(ddmpc_controller *controller, const real *plan, const real *multipliers, const ddmpc_report *report);
-/* Continue without a target or a solution: the solve counts as failed, and the ladder chooses the command. */
+/* Continue without a target or a solution: the solve counts as failed, and the failure ladder chooses the command. */
 int ddmpc_give_up(ddmpc_controller *controller);
 
 /* Return the number of reference samples in a target. */
 int ddmpc_samples(const ddmpc_controller *controller);
-/* The result of the tick, valid until the next. */
+/* Return the result of the tick, valid until the next tick. */
 const ddmpc_result *ddmpc_result_of(const ddmpc_controller *controller);
-/* Stage parameters (N + 1, P) of the user's functions; write them between two ticks. */
+/* Return the stage parameters (N + 1, P) of the user's functions; write to them between two ticks. */
 real *ddmpc_parameters(ddmpc_controller *controller);
 /* Compare the estimate, which must exist, with a pose (3) with twist (2). */
 ddmpc_stray ddmpc_stray_from(const ddmpc_controller *controller, const real *pose, const real *twist);
@@ -423,7 +423,7 @@ void ddmpc_predict_belief(const ddmpc_controller *controller, const real *comman
 const real *ddmpc_last_command(const ddmpc_controller *controller);
 const real *ddmpc_commands(const ddmpc_controller *controller);
 
-/* The tick's quadratic program: minimise U'HU/2 + g'U + price of what exceeds soft limits. */
+/* The tick's quadratic program: minimise U'HU/2 + g'U + penalty of soft-limit violations. */
 typedef struct {
     const real *H;     /* [2*N][2*N] */
     const real *g;     /* [2*N] */
@@ -431,7 +431,7 @@ typedef struct {
     const real *upper; /* [4+K][N] */
     const real *guess; /* [2*N] */
     const real *multipliers; /* [4+K][N] initial guess */
-    const int *pressing;     /* [4+K] kinds active at the last tick, or broken by the minimiser without limits */
+    const int *active_kinds; /* [4+K] 1: kind active at the last tick, or violated by the minimiser without limits */
     const real *last_command; /* [2] */
     const real *aim;          /* [N+1][4] */
     const real *feed_forward; /* [N][2] */
@@ -440,19 +440,20 @@ typedef struct {
     const real *fed_before;   /* [2] feed-forward of the last tick */
     const real *late;         /* [2] delays of the commands in the prediction [samples] */
 } ddmpc_program;
-/* Upper bound of the active set's operations in a tick: multiplications of its loops, incomplete blocks counted as
- * whole ones; for a horizon, kinds of limit, four of them hard, and a maximum number of active limits. */
-long long ddmpc_operations_bound(int steps, int kinds, int pressing);
+/* Return an upper bound of the active set's operations in a tick: multiplications in its loops, with incomplete blocks
+ * counted as whole blocks; for a horizon, a number of kinds of limit (four are hard), and a maximum number of active
+ * limits. */
+long long ddmpc_operations_bound(int steps, int kinds, int max_active);
 ddmpc_program ddmpc_program_of(const ddmpc_controller *controller);
 /* Linearise the program of the last tick, which has a plan, again along `plan` [2*N]. The next tick is not affected. */
 void ddmpc_linearise_again(ddmpc_controller *controller, const real *plan);
 /* Compute the rows (N, 2 N) of one kind of soft limit, from kind 4 on. */
 void ddmpc_soft_rows(const ddmpc_controller *controller, int kind, real *rows);
-/* Compute directions of travel (2, N), 1 or -1, of the body at the end of each step and of its command, for radius
- * limits. */
+/* Compute the directions of travel (2, N) for radius limits, 1 or -1: of the body at the end of each step, and of the
+ * step's command. */
 void ddmpc_directions(const ddmpc_controller *controller, real *directions);
-/* Mark the kinds (4 + K) that `plan` exceeds by more than `margin`. */
-void ddmpc_broken(const ddmpc_controller *controller, const real *plan, real margin, int *broken);
+/* Set `violated` (4 + K) to 1 for each kind of limit that `plan` violates by more than `margin`. */
+void ddmpc_violated_kinds(const ddmpc_controller *controller, const real *plan, real margin, int *violated);
 
 /* Sample a closed-form reference at `times`: pose (count, 3), twist (count, 2), arc length (count). */
 void ddmpc_sample(const ddmpc_trajectory *trajectory, const ddmpc_time *times, int count, real *pose, real *twist,

@@ -78,7 +78,7 @@ void ddmpc_estimator_correct_last(ddmpc_controller *c, const real command[2])
 
 void ddmpc_estimator_overrule(ddmpc_controller *c, const real *commands, int count)
 {
-    const int stored = ddmpc_least(count, COMMANDS(c));
+    const int stored = ddmpc_min_int(count, COMMANDS(c));
     memcpy(sent(c, stored - 1), commands + 2 * (count - stored), (size_t)(2 * stored) * sizeof(real));
 }
 
@@ -166,7 +166,7 @@ static void initial_belief(const ddmpc_controller *c, ddmpc_belief *belief)
 {
     const ddmpc_constants *constants = c->constants;
     const int n = STATES(c), Z = BELIEF(c);
-    real state[DDMPC_MOST_STATES], next[DDMPC_MOST_STATES], output[2];
+    real state[DDMPC_MAX_STATES], next[DDMPC_MAX_STATES], output[2];
     for (int i = 0; i < n; i++) {
         state[i] = R(0.0);
         for (int channel = 0; channel < 2; channel++)
@@ -269,23 +269,23 @@ int ddmpc_estimator_update(ddmpc_controller *c, ddmpc_time t, const ddmpc_input 
         /* Skip what tells of a time before the history. */
         if (twist[i].stamp < node->time - half - 1e-9)
             continue;
-        if (node->twists == MOST_TWISTS) {
+        if (node->twists == MAX_TWISTS) {
             ddmpc_reject(&c->result, i < wheels ? DDMPC_OF_WHEELS : DDMPC_OF_YAW_RATE, DDMPC_TOO_MANY, R(0.0), R(0.0));
             continue;
         }
         node->twist[node->twists++] = twist[i];
-        first = ddmpc_least(first, index);
+        first = ddmpc_min_int(first, index);
     }
     if (has_pose && !(unused & 1 << DDMPC_OF_POSE)) {
         const int index = node_before(c, pose.stamp);
         ddmpc_node *node = node_at(c, index);
         real expected[3];
         ddmpc_filter_pose_at(c, &node->posterior, (real)(pose.stamp - node->time), expected);
-        if (node->poses == MOST_POSES) {
+        if (node->poses == MAX_POSES) {
             ddmpc_reject(&c->result, DDMPC_OF_POSE, DDMPC_TOO_MANY, R(0.0), R(0.0));
         } else if (ddmpc_pose_passes(c, &pose, expected)) {
             node->pose[node->poses++] = pose;
-            first = ddmpc_least(first, index);
+            first = ddmpc_min_int(first, index);
         }
     }
     filter_from(c, first);

@@ -24,8 +24,8 @@ void ddmpc_fence_place(ddmpc_controller *c)
     c->fence[2] = start[2] + middle[2];
 }
 
-/* Distance of a place outside the fence [m]; negative inside. */
-static real beyond(const ddmpc_controller *c, const real *place)
+/* Distance of a position outside the fence [m]; negative inside. */
+static real distance_outside(const ddmpc_controller *c, const real *place)
 {
     const real cosine = ddmpc_cos(c->fence[2]), sine = ddmpc_sin(c->fence[2]);
     const real dx = place[0] - c->fence[0], dy = place[1] - c->fence[1];
@@ -44,34 +44,34 @@ static int is_commanded(const real *commands, int count)
 }
 
 /* Reduce a command by one sample of braking. */
-static void brake_on(const ddmpc_constants *k, real command[2])
+static void brake_command(const ddmpc_constants *k, real command[2])
 {
     for (int i = 0; i < 2; i++) {
-        const real less = ddmpc_fabs(command[i]) - k->braking[i];
-        command[i] = !(less > R(0.0)) ? R(0.0) : command[i] < R(0.0) ? -less : less;
+        const real reduced = ddmpc_fabs(command[i]) - k->braking[i];
+        command[i] = !(reduced > R(0.0)) ? R(0.0) : command[i] < R(0.0) ? -reduced : reduced;
     }
 }
 
-/* Limit of the simulated braking samples, unless braking from the maximum command takes longer: the duration of a
+/* Maximum number of simulated braking samples, unless braking from the maximum command takes longer: the duration of a
  * tick must be bounded even if another node has sent an arbitrarily large command. */
-#define MOST_RAMP R(1000.0)
+#define MAX_RAMP R(1000.0)
 
 /* Number of samples in which braking reduces a command to zero. */
-static real ramps_of(const ddmpc_constants *k, const real command[2])
+static real braking_samples(const ddmpc_constants *k, const real command[2])
 {
     return ddmpc_max(ddmpc_fabs(command[0]) / k->braking[0], ddmpc_fabs(command[1]) / k->braking[1]);
 }
 
 /* Maximum distance outside the fence on the stopping path [m], if this tick repeats the last command before braking. */
-static real stops_beyond(const ddmpc_controller *c)
+static real stopping_distance_outside(const ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
     const int window = WINDOW(c) + 1, Z = BELIEF(c);
-    real commands[2 * (DDMPC_MOST_WINDOW + 1)], means[2][MOST_BELIEF], y[2];
+    real commands[2 * (DDMPC_MAX_WINDOW + 1)], means[2][MAX_BELIEF], y[2];
     real *now = means[0], *next = means[1], *newest = commands + 2 * (window - 1);
-    real most = beyond(c, c->result.estimate.mean + STATES(c) + POSE(c));
+    real farthest = distance_outside(c, c->result.estimate.mean + STATES(c) + POSE(c));
     const real fastest[2] = {ddmpc_fastest(k, 0), ddmpc_fastest(k, 1)};
-    const real ramps = ddmpc_min(ramps_of(k, c->last), ddmpc_max(ramps_of(k, fastest), MOST_RAMP));
+    const real ramps = ddmpc_min(braking_samples(k, c->last), ddmpc_max(braking_samples(k, fastest), MAX_RAMP));
     const int longest = (int)ramps + window + (int)(k->fence_rolls_on / k->sample_time);
     memcpy(commands, c->estimator.commands + 2 * (COMMANDS(c) - window), sizeof(real) * (size_t)(2 * window));
     memcpy(now, c->result.estimate.mean, sizeof(real) * (size_t)Z);
@@ -80,28 +80,28 @@ static real stops_beyond(const ddmpc_controller *c)
         memmove(commands, commands + 2, sizeof(real) * (size_t)(2 * (window - 1)));
         memcpy(newest, command, sizeof command);
         ddmpc_filter_carry(c, now, newest, next);
-        const real out = beyond(c, next + STATES(c) + POSE(c));
-        if (!(out <= most)) /* true for NaN, too */
-            most = out;
+        const real out = distance_outside(c, next + STATES(c) + POSE(c));
+        if (!(out <= farthest)) /* also true for NaN */
+            farthest = out;
         ddmpc_velocity_output(c, next, y, 0);
         if (!is_commanded(commands, window) && ddmpc_fabs(y[0]) < k->fence_rest)
             break;
         real *swapped = now;
         now = next;
         next = swapped;
-        brake_on(k, command);
+        brake_command(k, command);
     }
-    return most;
+    return farthest;
 }
 
 int ddmpc_fence_holds(ddmpc_controller *c)
 {
     if (!c->constants->fence)
         return 1;
-    /* A robot that starts outside may drive back inside: it only must not go further out than it was. */
-    const real outside = ddmpc_max(beyond(c, c->result.estimate.mean + STATES(c) + POSE(c)), R(0.0));
+    /* A robot that starts outside may drive back inside, but must not move further out. */
+    const real outside = ddmpc_max(distance_outside(c, c->result.estimate.mean + STATES(c) + POSE(c)), R(0.0));
     c->allowed = ddmpc_min(c->allowed, outside);
-    const real most = c->allowed > R(0.0) ? c->allowed + c->constants->fence_play : R(0.0);
-    c->left_fence = c->left_fence || !(stops_beyond(c) <= most);
+    const real limit = c->allowed > R(0.0) ? c->allowed + c->constants->fence_play : R(0.0);
+    c->left_fence = c->left_fence || !(stopping_distance_outside(c) <= limit);
     return !c->left_fence;
 }

@@ -34,10 +34,10 @@ void ddmpc_copy_belief(const ddmpc_controller *c, ddmpc_belief *to, const ddmpc_
 }
 
 /* Compute the twist of the body, and its gradient by the filter's state (2, Z). */
-static void twist_now(const ddmpc_controller *c, const real *mean, real twist[2], real (*gradient)[MOST_BELIEF])
+static void twist_now(const ddmpc_controller *c, const real *mean, real twist[2], real (*gradient)[MAX_BELIEF])
 {
     const int n = STATES(c);
-    real y[2], rows[2 * DDMPC_MOST_STATES], J[2 * (2 + DDMPC_MOST_SLIPS)];
+    real y[2], rows[2 * DDMPC_MAX_STATES], J[2 * (2 + DDMPC_MAX_SLIPS)];
     ddmpc_velocity_output(c, mean, y, rows);
     const real *arguments[2] = {y, mean + n};
     real *results[2] = {twist, J};
@@ -72,7 +72,7 @@ static void times(const ddmpc_controller *c, const ddmpc_belief *belief, const r
 
 void ddmpc_filter_twist_deviation(const ddmpc_controller *c, const ddmpc_belief *belief, real deviation[2])
 {
-    real twist[2], gradient[2][MOST_BELIEF], product[MOST_BELIEF];
+    real twist[2], gradient[2][MAX_BELIEF], product[MAX_BELIEF];
     twist_now(c, belief->mean, twist, gradient);
     for (int i = 0; i < 2; i++) {
         times(c, belief, gradient[i], product);
@@ -82,7 +82,7 @@ void ddmpc_filter_twist_deviation(const ddmpc_controller *c, const ddmpc_belief 
 
 /* Pose with its gradient by the filter's state. */
 typedef struct {
-    real pose[3], twist[2], by[3][MOST_BELIEF];
+    real pose[3], twist[2], by[3][MAX_BELIEF];
 } moved_pose;
 
 /* Move the body over `dt` with the model's output `y`, whose gradient by the states is (2, n) and by the delays (2,
@@ -92,7 +92,7 @@ static void move(const ddmpc_controller *c, const real *z, const real y[2], cons
 {
     const int n = STATES(c), S = SLIPS(c), pose = n + POSE(c);
     const real *start = z + pose;
-    real displacement[3], J[3 * (3 + DDMPC_MOST_SLIPS)];
+    real displacement[3], J[3 * (3 + DDMPC_MAX_SLIPS)];
     const real *arguments[5] = {y, z + n, start + 2, &acceleration, &dt};
     real *results[2] = {displacement, J};
     WITH_SLIP(c, move)(arguments, results, 0, 0, 0);
@@ -112,7 +112,7 @@ static void move(const ddmpc_controller *c, const real *z, const real y[2], cons
 
 static void move_from(const ddmpc_controller *c, const real *z, real dt, moved_pose *moved)
 {
-    real y[2], rows[2 * DDMPC_MOST_STATES];
+    real y[2], rows[2 * DDMPC_MAX_STATES];
     ddmpc_velocity_output(c, z, y, rows);
     move(c, z, y, rows, 0, R(0.0), dt, moved);
 }
@@ -131,7 +131,7 @@ static void propagate(const ddmpc_controller *c, const moved_pose *moved, const 
                       const real *before, real *out)
 {
     const int n = STATES(c), Z = BELIEF(c), pose = n + POSE(c), delays = n + DELAYS(c);
-    real top[DDMPC_MOST_STATES][MOST_BELIEF], bottom[3][MOST_BELIEF];
+    real top[DDMPC_MAX_STATES][MAX_BELIEF], bottom[3][MAX_BELIEF];
     for (int i = 0; i < n; i++) {
         memset(top[i], 0, (size_t)Z * sizeof(real));
         for (int k = 0; k < n; k++)
@@ -173,7 +173,7 @@ static real mean_output(const ddmpc_controller *c, const real *z, const real *af
                         real *rows, real rate[2], real twist[2])
 {
     const int n = STATES(c);
-    real next[2], next_rows[2 * DDMPC_MOST_STATES], start[2], end[2];
+    real next[2], next_rows[2 * DDMPC_MAX_STATES], start[2], end[2];
     ddmpc_velocity_output(c, z, y, rows);
     ddmpc_velocity_output(c, after, next, next_rows);
     const real *arguments[2][2] = {{y, z + n}, {next, z + n}};
@@ -199,8 +199,8 @@ static real mean_output(const ddmpc_controller *c, const real *z, const real *af
 void ddmpc_filter_carry(const ddmpc_controller *c, const real *mean, const real *newest, real *after)
 {
     const int n = STATES(c), pose = n + POSE(c);
-    real state[DDMPC_MOST_STATES], y[2], rows[2 * DDMPC_MOST_STATES], rate[2], twist[2];
-    real by_state[DDMPC_MOST_STATES * DDMPC_MOST_STATES];
+    real state[DDMPC_MAX_STATES], y[2], rows[2 * DDMPC_MAX_STATES], rate[2], twist[2];
+    real by_state[DDMPC_MAX_STATES * DDMPC_MAX_STATES];
     moved_pose moved;
     ddmpc_velocity_step(c, mean, newest, mean + n + DELAYS(c), state, NONLINEAR(c) ? by_state : 0, 0);
     const real acceleration = mean_output(c, mean, state, by_state, y, rows, rate, twist);
@@ -216,8 +216,8 @@ void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before,
     const ddmpc_constants *k = c->constants;
     const int n = STATES(c), Z = BELIEF(c), S = SLIPS(c), pose = n + POSE(c);
     const real *z = before->mean, *late = z + n + DELAYS(c);
-    real state[DDMPC_MOST_STATES], y[2], rows[2 * DDMPC_MOST_STATES], twist[2];
-    real by_state[DDMPC_MOST_STATES * DDMPC_MOST_STATES], D[2 * DDMPC_MOST_STATES] = {R(0.0)}, by_delay[4] = {R(0.0)};
+    real state[DDMPC_MAX_STATES], y[2], rows[2 * DDMPC_MAX_STATES], twist[2];
+    real by_state[DDMPC_MAX_STATES * DDMPC_MAX_STATES], D[2 * DDMPC_MAX_STATES] = {R(0.0)}, by_delay[4] = {R(0.0)};
     const real *A = NONLINEAR(c) ? by_state : k->A;
     moved_pose moved;
     ddmpc_velocity_step(c, z, newest, late, state, NONLINEAR(c) ? by_state : 0, 0);
@@ -239,8 +239,8 @@ void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before,
             after->covariance[i * Z + j] += k->noise[i * n + j];
     for (int i = 0; i < 3; i++)
         after->covariance[(pose + i) * (Z + 1)] += k->pose_noise[i];
-    /* A parameter can be observed in some motions only: a gain while its channel moves, side-slip in curves. In other
-     * motions its uncertainty must not grow, or the next noise would move it anywhere. */
+    /* A parameter is observable in some motions only: a gain while its channel moves, side-slip in curves. In other
+     * motions its uncertainty must not grow, or measurement noise would make its estimate drift. */
     const int turning = ddmpc_fabs(twist[1]) >= k->min_yaw_rate;
     const int driving = ddmpc_fabs(twist[0]) >= k->min_speed;
     const int cornering = turning && driving;
@@ -262,9 +262,9 @@ void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before,
         after->surprised[i] = before->surprised[i] + (before->surprised[i] > 0);
 }
 
-/* Count consecutive large innovations of a sensor; return 1 while they count as a push. A push ends soon, whereas a
- * wrong parameter causes large innovations until it is corrected: beyond `patience` they therefore correct the
- * parameters. */
+/* Count consecutive large innovations of a sensor; return 1 while they count as a push of the robot. A push ends soon,
+ * whereas a wrong parameter causes large innovations until it is corrected: after `patience` samples large innovations
+ * therefore correct the parameters. */
 static int count_surprise(const ddmpc_controller *c, ddmpc_belief *belief, int sensor, real normalised)
 {
     if (!(normalised > c->constants->surprise)) {
@@ -282,14 +282,14 @@ static void freeze(const ddmpc_controller *c, const real *z, int pushed, real *g
     const int n = STATES(c);
     real twist[2];
     if (pushed) {
-        /* Something pushes the robot: velocity and pose explain the innovation, slip and delays do not. */
+        /* The robot is pushed: the innovation corrects velocity and pose, but not slip and delays. */
         memset(gain + n * columns, 0, (size_t)(POSE(c) * columns) * sizeof(real));
         return;
     }
     ddmpc_filter_twist(c, z, twist);
     if (ddmpc_fabs(twist[1]) < c->constants->min_yaw_rate) {
-        /* On a straight, friction holds the robot against small turning commands, which carry no information about
-         * gains and delay. */
+        /* On a straight path, friction holds the robot against small turning commands, which therefore carry no
+         * information about gains and delay. */
         memset(gain + (n + DELAYS(c) + 1) * columns, 0, (size_t)columns * sizeof(real));
         memset(gain + (n + OMEGA_GAIN) * columns, 0, (size_t)columns * sizeof(real));
         memset(gain + (n + YAW_GAIN) * columns, 0, (size_t)columns * sizeof(real));
@@ -300,14 +300,14 @@ static void freeze(const ddmpc_controller *c, const real *z, int pushed, real *g
 
 void ddmpc_filter_bound(const ddmpc_controller *c, real *z)
 {
-    const real *least = c->constants->least_slip, *most = c->constants->most_slip;
+    const real *min_slip = c->constants->min_slip, *max_slip = c->constants->max_slip;
     real *slip = z + STATES(c);
     for (int i = 0; i < SLIPS(c); i++) {
         /* Without min and max, since NaN must stay NaN: an invalid estimate has to be detected and reset. */
-        if (slip[i] < least[i])
-            slip[i] = least[i];
-        if (slip[i] > most[i])
-            slip[i] = most[i];
+        if (slip[i] < min_slip[i])
+            slip[i] = min_slip[i];
+        if (slip[i] > max_slip[i])
+            slip[i] = max_slip[i];
     }
     for (int i = 0; i < 2; i++) {
         real *late = slip + DELAYS(c) + i;
@@ -324,7 +324,7 @@ static void correct_scalar(const ddmpc_controller *c, ddmpc_belief *belief, cons
 {
     const int Z = BELIEF(c);
     const real S = dot(h, PHt, Z) + variance;
-    real gain[MOST_BELIEF], half[MOST_BELIEF], *row = belief->covariance;
+    real gain[MAX_BELIEF], half[MAX_BELIEF], *row = belief->covariance;
     for (int i = 0; i < Z; i++)
         gain[i] = PHt[i] / S;
     freeze(c, belief->mean, pushed, gain, 1);
@@ -333,19 +333,19 @@ static void correct_scalar(const ddmpc_controller *c, ddmpc_belief *belief, cons
         half[i] = PHt[i] - R(0.5) * S * gain[i];
     }
     ddmpc_filter_bound(c, belief->mean);
-    /* P -= K (P h)' + (P h) K' - K S K', Joseph's form, is right for any gain; P -= K S K' would need the optimal
-     * gain, which `freeze` has changed. With half = P h - K S / 2 it is one symmetric update. */
+    /* P -= K (P h)' + (P h) K' - K S K', the Joseph form, is valid for any gain; P -= K S K' requires the optimal gain,
+     * which `freeze` has changed. With half = P h - K S / 2 the Joseph form is one symmetric update. */
     for (int i = 0; i < Z; i++, row += Z)
         for (int j = 0; j < Z; j++)
             row[j] -= gain[i] * half[j] + half[i] * gain[j];
 }
 
-/* Compute the expected reading of wheels or gyro `ahead` [s] of the belief, and its gradient by the filter's state. */
+/* Compute the expected reading of wheels or gyro `ahead` [s] after the belief's time, and its gradient by the state. */
 static real expected_reading(const ddmpc_controller *c, const ddmpc_belief *belief, int sensor, real ahead, real *h)
 {
     const int n = STATES(c), S = SLIPS(c);
     const real *z = belief->mean;
-    real y[2], rows[2 * DDMPC_MOST_STATES], reading[3], J[3 * (3 + DDMPC_MOST_SLIPS)];
+    real y[2], rows[2 * DDMPC_MAX_STATES], reading[3], J[3 * (3 + DDMPC_MAX_SLIPS)];
     ddmpc_velocity_output(c, z, y, rows);
     for (int i = 0; i < 2; i++)
         y[i] += ahead * belief->rate[i];
@@ -365,14 +365,14 @@ real ddmpc_filter_correct_twist(const ddmpc_controller *c, ddmpc_belief *belief,
 {
     const int n = STATES(c), Z = BELIEF(c);
     const real *settled = c->constants->settled;
-    real h[MOST_BELIEF], PHt[MOST_BELIEF];
+    real h[MAX_BELIEF], PHt[MAX_BELIEF];
     const real innovation = measured->value - expected_reading(c, belief, measured->sensor, ahead, h);
     times(c, belief, h, PHt);
     const real normalised = innovation * innovation / (dot(h, PHt, Z) + measured->variance);
     const int pushed = count_surprise(c, belief, measured->sensor, normalised);
     if (pushed) {
-        /* The velocity is uncertain by as much as the innovation: add the covariance of a constant disturbance of the
-         * command with the size of the innovation, so that the states follow it. */
+        /* The velocity is uncertain by the innovation: add the covariance of a constant disturbance of the command with
+         * the size of the innovation, so that the states follow the reading. */
         const int channel = measured->sensor == WHEEL_SPEED ? 0 : 1;
         for (int i = 0; i < n; i++)
             for (int j = 0; j < n; j++)
@@ -386,7 +386,7 @@ real ddmpc_filter_correct_twist(const ddmpc_controller *c, ddmpc_belief *belief,
 
 /* P H' and S = H P H' + covariance for a pose, and the factors of S = L D L', without square roots. */
 typedef struct {
-    real PHt[MOST_BELIEF][3], S[3][3];
+    real PHt[MAX_BELIEF][3], S[3][3];
     real l10, l20, l21, d[3];
 } expectation;
 
@@ -414,7 +414,7 @@ static void expect(const ddmpc_controller *c, const ddmpc_belief *belief, const 
                    const ddmpc_checked_pose *pose, expectation *expected)
 {
     const int Z = BELIEF(c);
-    real product[3][MOST_BELIEF];
+    real product[3][MAX_BELIEF];
     for (int i = 0; i < 3; i++)
         times(c, belief, moved->by[i], product[i]);
     for (int i = 0; i < 3; i++)
@@ -427,7 +427,7 @@ static void expect(const ddmpc_controller *c, const ddmpc_belief *belief, const 
 }
 
 /* Scale the deviations of position and heading without a change of correlations. */
-static void doubt(const ddmpc_controller *c, ddmpc_belief *belief, const real by[2])
+static void inflate_pose_covariance(const ddmpc_controller *c, ddmpc_belief *belief, const real by[2])
 {
     const int Z = BELIEF(c), first = STATES(c) + POSE(c);
     if (!(by[0] > R(1.0) || by[1] > R(1.0)))
@@ -443,10 +443,10 @@ real ddmpc_filter_correct_pose(const ddmpc_controller *c, ddmpc_belief *belief, 
                                real ahead)
 {
     const int n = STATES(c), Z = BELIEF(c);
-    real innovation[3], solved[3], gain[MOST_BELIEF][3], half[MOST_BELIEF][3];
+    real innovation[3], solved[3], gain[MAX_BELIEF][3], half[MAX_BELIEF][3];
     moved_pose moved;
     expectation f;
-    doubt(c, belief, pose->doubt);
+    inflate_pose_covariance(c, belief, pose->doubt);
     move_from(c, belief->mean, ahead, &moved);
     for (int i = 0; i < 3; i++)
         innovation[i] = pose->value[i] - moved.pose[i];
@@ -455,8 +455,8 @@ real ddmpc_filter_correct_pose(const ddmpc_controller *c, ddmpc_belief *belief, 
     expect(c, belief, &moved, pose, &f);
     divide(&f, innovation, solved);
     const real normalised = dot(innovation, solved, 3) / R(3.0);
-    /* A pose that the belief cannot explain means that something moved the robot: the estimate then follows the pose,
-     * and slip stays, unless this persists. */
+    /* A pose that is inconsistent with the belief means that the robot was moved by an external force: the estimate then
+     * follows the pose and slip stays constant, unless the inconsistency persists. */
     const int pushed = count_surprise(c, belief, POSE_SENSOR, normalised);
     if (pushed) {
         for (int i = 0; i < 3; i++)
@@ -481,8 +481,7 @@ real ddmpc_filter_correct_pose(const ddmpc_controller *c, ddmpc_belief *belief, 
 
 void ddmpc_filter_place(const ddmpc_controller *c, ddmpc_belief *belief, const ddmpc_checked_pose *pose)
 {
-    /* The new pose has nothing to do with the estimate, so its correlations vanish; velocity and slip stay as
-     * estimated. */
+    /* The new pose is independent of the estimate, so its correlations vanish; velocity and slip keep their estimates. */
     const int Z = BELIEF(c), first = STATES(c) + POSE(c);
     for (int i = 0; i < 3; i++) {
         for (int j = 0; j < first; j++)

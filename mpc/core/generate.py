@@ -1,7 +1,7 @@
-"""C text of CasADi functions: plain C99 for double and single precision, without allocated memory.
+"""Generate C from CasADi functions: plain C99 for double and single precision, without allocated memory.
 
-CasADi writes the statements; its macros, its queries and its reference counts are left out, and each constant and
-function of math.h is wrapped, so that one text serves both precisions and no double sneaks into a controller in float.
+CasADi generates the statements. Its macros, query functions and reference counts are omitted. Each constant and
+function of math.h is wrapped, so that one text serves both precisions, and single precision uses no double arithmetic.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ _SIGNATURE = "int {name}(const real **arg, real **res, long long *iw, real *w, i
 _MATH = re.compile(
     "a?(?:cos|sin|tan)h?|atan2|ceil|copysign|erf|exp|expm1|fabs|floor|fmax|fmin|fmod|hypot|log|log1p|pow|remainder|sqrt"
 )
-_OWN = {
+_HELPERS = {
     "sq": "static inline real ddmpc_square(real x) { return x * x; }",
     "sign": "static inline real ddmpc_sign(real x) { return x < 0 ? -1 : x > 0 ? 1 : x; }",
 }
-_OWN_NAMES = {"sq": "ddmpc_square", "sign": "ddmpc_sign"}
-# Where many are worked out side by side, real.h has one without calls, for any number of lanes.
+_HELPER_NAMES = {"sq": "ddmpc_square", "sign": "ddmpc_sign"}
+# Functions of real.h without calls, for loops that the compiler vectorises.
 _INLINE_NAMES = {"tanh": "ddmpc_tanh"}
 _CONSTANTS = {"inf": "(real)INFINITY", "nan": "(real)NAN"}
 
@@ -59,9 +59,9 @@ _SOURCE_HEAD = """\
 _HEADER = """\
 /* Generated from {origin}; do not edit.
  *
- * Each function reads its arguments one after the other from `arg` and writes its results to `res`; matrices lie column
- * by column. No result may lie where an argument lies; one that is not wanted may be NULL. `iw`, `w` and `mem` are not
- * used: no function needs memory. */
+ * Each function reads its arguments in order from `arg` and writes its results to `res`; matrices are in column-major
+ * order. Results must not overlap arguments; a result that is not needed may be NULL. `iw`, `w` and `mem` are not used,
+ * since no function needs memory. */
 #ifndef {guard}
 #define {guard}
 
@@ -75,7 +75,7 @@ _HEADER = """\
 _INLINE_HEADER = """\
 /* Generated from {origin}; do not edit.
  *
- * Functions for inner loops, in the form of ddmpc_formulas.h; their loops are worked out many lanes at a time. */
+ * Functions for inner loops, in the form of ddmpc_formulas.h; the compiler vectorises the loops over them. */
 #ifndef {guard}
 #define {guard}
 
@@ -93,9 +93,10 @@ class GeneratedC:
     Attributes
     ----------
     stem
-        Names of both files without their ending; the source includes the header by it.
+        Name of both files without suffix; the source includes the header by this name.
     source, header
-        The texts. The header includes real.h, which defines `real`, `R(number)`, and DDMPC_FLOAT in single precision.
+        Text of the files. The header includes real.h, which defines `real`, `R(number)`, and DDMPC_FLOAT in single
+        precision.
     names
         Names of the functions.
     """
@@ -122,19 +123,19 @@ def generate(functions: Sequence[ca.Function], stem: str, origin: str) -> Genera
     Parameters
     ----------
     functions
-        Functions to generate. Sparse results come out dense.
+        Functions to generate. Sparse results become dense.
     stem
-        Name of the files without their ending.
+        Name of the files without suffix.
     origin
-        Source of the functions, for a reader of the C.
+        Source of the functions, for the comment at the head of the files.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If a function needs a feature that C99 or a controller without memory lacks.
+        If a function needs an operation that C99 lacks, or needs memory.
     """
     bodies = _bodies(functions, {})
-    parts = [_SOURCE_HEAD.format(origin=origin, stem=stem), *_own(bodies)]
+    parts = [_SOURCE_HEAD.format(origin=origin, stem=stem), *_helpers(bodies)]
     names = tuple(function.name() for function in functions)
     for name in names:
         signature = _SIGNATURE.format(name=name)
@@ -150,15 +151,15 @@ def generate_inline(functions: Sequence[ca.Function], stem: str, origin: str) ->
     Raises
     ------
     models.checked_yaml.ConfigError
-        As `generate`.
+        As for `generate`.
     """
     bodies = _bodies(functions, _INLINE_NAMES)
-    written = (
+    functions_text = (
         f"{_shapes_of(function)}\nstatic inline int {name}(const real **arg, real **res)\n{{\n{bodies[name]}}}\n"
         for function in functions
         for name in [function.name()]
     )
-    definitions = "\n".join([*_own(bodies), *written])
+    definitions = "\n".join([*_helpers(bodies), *functions_text])
     header = _INLINE_HEADER.format(origin=origin, guard=f"{stem.upper()}_H", definitions=definitions)
     return GeneratedC(stem, "", header, tuple(function.name() for function in functions))
 
@@ -167,25 +168,25 @@ def _bodies(functions: Sequence[ca.Function], names: Mapping[str, str]) -> dict[
     """Return CasADi's statements of each function by name, with calls of math.h replaced as in `names`."""
     generator = ca.CodeGenerator("text.c", {"with_header": False, "main": False, "mex": False, "with_mem": False})
     for function in functions:
-        generator.add(_as_computed(function))
+        generator.add(_without_repetitions(function))
     text = generator.dump()
     for match in _WORK.finditer(text):
         if (match["iw"], match["w"]) != ("0", "0"):
-            raise ConfigError(f"{match['name']}: its C needs its own memory; write it without calls of other functions")
+            raise ConfigError(f"{match['name']}: its C code needs memory; write it without calls of other functions")
     bodies = {match["name"]: _plain(match["name"], match["body"], names) for match in _BODY.finditer(text)}
     for function in functions:
         if function.name() not in bodies:
             version = ca.CasadiMeta.version()
-            raise ConfigError(f"{function.name()}: the C of CasADi {version} is not understood; install 3.8")
+            raise ConfigError(f"{function.name()}: cannot parse the C code of CasADi {version}; install 3.8")
     return bodies
 
 
-def _own(bodies: Mapping[str, str]) -> list[str]:
+def _helpers(bodies: Mapping[str, str]) -> list[str]:
     """Return definitions of functions that the statements call and C99 lacks."""
-    return [f"{line}\n" for name, line in _OWN.items() if any(_OWN_NAMES[name] in body for body in bodies.values())]
+    return [f"{line}\n" for name, line in _HELPERS.items() if _HELPER_NAMES[name] in "".join(bodies.values())]
 
 
-def _as_computed(function: ca.Function) -> ca.Function:
+def _without_repetitions(function: ca.Function) -> ca.Function:
     """Return `function` with dense results and without repeated computations."""
     symbols = function.sx_in()
     results = ca.cse([ca.densify(result) for result in function.call(symbols, True, False)])
@@ -193,9 +194,9 @@ def _as_computed(function: ca.Function) -> ca.Function:
 
 
 def _plain(name: str, body: str, names: Mapping[str, str]) -> str:
-    """Convert CasADi's statements to the precision of `real`, numbers and functions of math.h included."""
+    """Convert CasADi's statements to the precision of `real`, including numbers and functions of math.h."""
 
-    def written(token: re.Match[str]) -> str:
+    def replacement(token: re.Match[str]) -> str:
         if token["number"]:
             return f"R({token['number']})"
         word = token["rest"] or token["call"]
@@ -207,15 +208,15 @@ def _plain(name: str, body: str, names: Mapping[str, str]) -> str:
             return _CONSTANTS[word]
         if called and word in names:
             return names[word]
-        if called and word in _OWN_NAMES:
-            return _OWN_NAMES[word]
+        if called and word in _HELPER_NAMES:
+            return _HELPER_NAMES[word]
         if called and _MATH.fullmatch(word):
             return f"MATH({word})"
         if called and word == "if":
             return word
         raise ConfigError(f"{name}: CasADi's operation '{word}' has no form in C99; write the function without it")
 
-    return _TOKEN.sub(written, body)
+    return _TOKEN.sub(replacement, body)
 
 
 def _declaration(function: ca.Function) -> str:
@@ -233,18 +234,18 @@ def _shapes(name: str, shape: tuple[int, int]) -> str:
     return f"{name} {rows}" if columns == 1 else f"{name} {rows} x {columns}"
 
 
-# Functions of the user in C: terms and nonlinear models, generated and compiled like the shipped formulas.
+# User functions in C: terms and nonlinear models, generated and compiled like the built-in formulas.
 
 
 CompiledTerm = tuple[Any, int, bool, int]
-"""Address of the function, rows of its value, whether it is soft, and the place of its first parameter."""
+"""Address of the function, rows of its value, True if it is soft, and index of its first parameter."""
 
 STEP, OUTPUT = "ddmpc_user_step", "ddmpc_user_output"
 """Names of a nonlinear model's functions in C."""
 
 
 def term_name(index: int) -> str:
-    """Name in C of the term with this index."""
+    """Return the C name of the term with this index."""
     return f"ddmpc_user_term_{index}"
 
 
@@ -277,9 +278,9 @@ def compile_functions(
     ConfigError
         If a function cannot be written as C.
     ModelError
-        If the model is a network that the core does not have.
+        If the model is a network that the core does not support.
     NotCompiledError
-        If there is something to compile, and no compiler.
+        If functions have to be compiled, and no compiler is found.
     """
     ffi, core = load_core()
     generated = generated_functions(model, terms)
@@ -296,9 +297,9 @@ def compile_functions(
         step_and_output = address(STEP), address(OUTPUT)
     places = parameter_places(terms)
 
-    def of_term(index: int, term: Term) -> Any:  # noqa: ANN401 - cffi has no types
+    def term_address(index: int, term: Term) -> Any:  # noqa: ANN401 - cffi has no types
         return address(term_name(index)) if term.compiled is None else term.compiled
 
     return step_and_output, [
-        (of_term(index, term), term.rows, term.soft, places[term.name].start) for index, term in enumerate(terms)
+        (term_address(index, term), term.rows, term.soft, places[term.name].start) for index, term in enumerate(terms)
     ]

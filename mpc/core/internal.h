@@ -9,10 +9,10 @@
 
 /* Sizes are fields of a controller. An export has them as constants, so its compiler can unroll loops. */
 #ifdef DDMPC_EXPORT
-#define DDMPC_MOST_STEPS DDMPC_STEPS
-#define DDMPC_MOST_STATES DDMPC_STATES
-#define DDMPC_MOST_WINDOW DDMPC_WINDOW
-#define DDMPC_MOST_KINDS (4 + DDMPC_SOFT)
+#define DDMPC_MAX_STEPS DDMPC_STEPS
+#define DDMPC_MAX_STATES DDMPC_STATES
+#define DDMPC_MAX_WINDOW DDMPC_WINDOW
+#define DDMPC_MAX_KINDS (4 + DDMPC_SOFT)
 #define STEPS(c) DDMPC_STEPS
 #define STATES(c) DDMPC_STATES
 #define DELAY(c, channel) ((channel) ? DDMPC_DELAY_OMEGA : DDMPC_DELAY_V)
@@ -26,18 +26,18 @@
 #define NONLINEAR(c) DDMPC_NONLINEAR
 #define TURNS(c) DDMPC_TURNS
 #define COMMAND_TURNS(c) DDMPC_COMMAND_TURNS
-#define PRESSING(c) DDMPC_PRESSING
-#define DDMPC_MOST_SLIPS DDMPC_SLIPS
+#define MAX_ACTIVE(c) DDMPC_MAX_ACTIVE
+#define DDMPC_MAX_SLIPS DDMPC_SLIPS
 #define SLIPS(c) DDMPC_SLIPS
 #define WORK(c) DDMPC_WORK
 #define SPARE(c) DDMPC_SPARE
 #else
 /* Maximum sizes, for local arrays and for checks of the configured sizes. */
-#define DDMPC_MOST_STEPS 200
-#define DDMPC_MOST_STATES 64
-#define DDMPC_MOST_WINDOW 512
-#define DDMPC_MOST_KINDS 64
-#define DDMPC_MOST_SLIPS 15
+#define DDMPC_MAX_STEPS 200
+#define DDMPC_MAX_STATES 64
+#define DDMPC_MAX_WINDOW 512
+#define DDMPC_MAX_KINDS 64
+#define DDMPC_MAX_SLIPS 15
 #define STEPS(c) ((c)->sizes.steps)
 #define STATES(c) ((c)->sizes.states)
 #define DELAY(c, channel) ((channel) ? (c)->sizes.delay_omega : (c)->sizes.delay_v)
@@ -51,7 +51,7 @@
 #define NONLINEAR(c) ((c)->sizes.nonlinear)
 #define TURNS(c) ((c)->sizes.turns)
 #define COMMAND_TURNS(c) ((c)->sizes.command_turns)
-#define PRESSING(c) ((c)->sizes.pressing)
+#define MAX_ACTIVE(c) ((c)->sizes.max_active)
 #define SLIPS(c) ((c)->sizes.slips)
 #define WORK(c) ((c)->sizes.work)
 #define SPARE(c) ((c)->sizes.spare)
@@ -84,17 +84,17 @@ enum {
 /* Formula for the number of slips of this controller. */
 #define WITH_SLIP(c, name) (CURVED(c) ? ddmpc_f_##name##_curved : ddmpc_f_##name)
 #define GYRO_BIAS(c) SLIPS(c)
-/* Places of the unknown delays of v and omega, and of the pose, counted from n. */
+/* Indices of the unknown delays of v and omega, and of the pose, relative to n. */
 #define DELAYS(c) (SLIPS(c) + 1)
 #define POSE(c) (SLIPS(c) + 3)
 #define BELIEF(c) (STATES(c) + SLIPS(c) + 6)
-#define MOST_BELIEF (DDMPC_MOST_STATES + DDMPC_MOST_SLIPS + 6)
+#define MAX_BELIEF (DDMPC_MAX_STATES + DDMPC_MAX_SLIPS + 6)
 #define INPUTS(c) (2 * STEPS(c))
-/* Rows of commands are padded with zeros to a multiple of the lanes of every machine. */
+/* Rows of commands are padded with zeros to a multiple of the maximum number of lanes. */
 enum { PADDING = 8 };
 #define WIDTH(c) ((INPUTS(c) + PADDING - 1) / PADDING * PADDING)
-/* Rows of residuals in the stack at each sample: along, across, the user's, and the heading if it has no constant
- * Hessian. */
+/* Rows of residuals in the stack at each sample: along, across, the user's, and the heading unless its Hessian is
+ * constant. */
 #define STACKED(c) (2 + RESIDUALS(c) + ROWS(c))
 #define LONGEST_LAG(c) (LAG(c, 0) > LAG(c, 1) ? LAG(c, 0) : LAG(c, 1))
 #define SAMPLES(c) (STEPS(c) + 1 + LONGEST_LAG(c) + SPARE(c))
@@ -105,16 +105,16 @@ enum { HARD = 4, SHIPPED_SOFT = 5, TURN_ROWS = 2, TERM_INPUTS = 7 };
 
 enum { WHEEL_SPEED, WHEEL_YAW_RATE, YAW_RATE, POSE_SENSOR };
 enum {
-    MOST_TWISTS = 12, /* maximum readings of wheels and gyro in one tick of the history */
-    MOST_POSES = 4,   /* maximum poses in one tick of the history */
-    AGREEING = 3      /* consecutive poses that contradict the estimate but agree with each other are no outliers */
+    MAX_TWISTS = 12, /* maximum readings of wheels and gyro in one tick of the history */
+    MAX_POSES = 4,   /* maximum poses in one tick of the history */
+    AGREEING = 3      /* number of consecutive poses that agree with each other and override the estimate */
 };
 
 typedef struct {
     real *mean;        /* [Z] */
     real *covariance;  /* [Z][Z] */
     real rate[2];      /* rate of the model's output over the previous sample [m/s^2, rad/s^2] */
-    int surprised[DDMPC_SENSORS]; /* samples for which the sensor's innovations have been too large; 0: they are not */
+    int surprised[DDMPC_SENSORS]; /* samples since the sensor's innovations became too large; 0: not too large */
 } ddmpc_belief;
 
 typedef struct {
@@ -126,15 +126,15 @@ typedef struct {
 typedef struct {
     ddmpc_time stamp, stated; /* time of the measured pose, and the stamp of its message */
     real value[3], covariance[3][3];
-    real doubt[2]; /* factors on the prior deviations of position and heading, for a belief that was too certain */
+    real doubt[2]; /* factors on the prior deviations of position and heading, for an overconfident belief */
 } ddmpc_checked_pose;
 
 /* One tick of the history: the belief before and after its measurements. */
 typedef struct {
     ddmpc_time time;
     ddmpc_belief prior, posterior;
-    ddmpc_checked_pose pose[MOST_POSES];
-    ddmpc_checked_twist twist[MOST_TWISTS];
+    ddmpc_checked_pose pose[MAX_POSES];
+    ddmpc_checked_twist twist[MAX_TWISTS];
     int poses, twists;
 } ddmpc_node;
 
@@ -142,8 +142,8 @@ typedef struct {
     real *commands; /* [COMMANDS][2] sent, newest last */
     real innovations[DDMPC_SENSORS];
     ddmpc_time accepted_stamp, pose_stamp, wheels_stamp, yaw_rate_stamp;
-    ddmpc_time pose_interval, pose_latency; /* interval and latency of the last pose too late for max_pose_age */
-    ddmpc_time too_old;                     /* age of a pose older than the history; 0 once a pose is accepted */
+    ddmpc_time pose_interval, pose_latency; /* interval and latency of the last pose that exceeded max_pose_age [s] */
+    ddmpc_time too_old;                     /* age of a pose older than the history [s]; 0 once a pose is accepted */
     unsigned int overdue;                   /* bits of the last poses that were too late for max_pose_age, newest first */
     int rare;                               /* 1 if poses are regularly too late */
     real last_wheels[2], last_yaw_rate;
@@ -153,12 +153,12 @@ typedef struct {
     ddmpc_node *node; /* [H] */
 } ddmpc_estimator;
 
-/* Integrals of motion: dead reckoning by wheels and gyro [m, rad], and the motion by each sensor alone. */
+/* Integrals of motion: dead reckoning from wheels and gyro [m, rad], and the motion measured by each sensor alone. */
 enum { FORWARD, LEFT, HEADING, WHEEL_DISTANCE, WHEEL_TURN, GYRO_TURN, TURNED, MODEL_DISTANCE, MODEL_TURN, MOTIONS };
 enum {
-    MONITORED = 96,       /* instants at which the monitor keeps the motion */
-    MONITORED_POSES = 36, /* poses that it keeps */
-    MONITORED_DELAYS = 13 /* delays of poses that it weighs */
+    MONITORED = 96,       /* maximum number of stored motions */
+    MONITORED_POSES = 36, /* maximum number of stored poses */
+    MONITORED_DELAYS = 13 /* number of candidate delays of poses */
 };
 
 typedef struct {
@@ -171,8 +171,7 @@ typedef struct {
     real value[3];
 } ddmpc_seen_pose;
 
-/* Newest value of a sensor, its time, the time since which it arrives without a pause, and the time of its last
- * change. */
+/* Newest value of a sensor, its time of arrival, the start of uninterrupted arrival, and the time of its last change. */
 typedef struct {
     ddmpc_time heard, since, changed;
     real value[2];
@@ -183,35 +182,40 @@ typedef struct {
     ddmpc_seen_pose pose[MONITORED_POSES]; /* a ring of `poses` */
     int newest, moves, newest_pose, poses;
     ddmpc_hearing wheels, gyro;
-    real state[DDMPC_MOST_STATES];  /* state of the model without corrections */
-    real slip[DDMPC_MOST_SLIPS];                /* earlier estimate of the slip */
+    real state[DDMPC_MAX_STATES];  /* state of the model without corrections */
+    real slip[DDMPC_MAX_SLIPS];                /* earlier estimate of the slip */
     ddmpc_checked_pose last;        /* newest pose, if `has_last` */
-    ddmpc_motion last_motion;       /* up to it */
-    ddmpc_motion frozen;            /* up to the first pose that is like it; `same` came since */
+    ddmpc_motion last_motion;       /* motion up to the newest pose */
+    ddmpc_motion frozen;            /* motion up to the first of `same` consecutive equal poses */
     int has_last, same;
-    ddmpc_time next_pose;           /* when one is kept again */
-    real residual[3], scatter[2];   /* error of poses against dead reckoning; its variance over the stated one */
-    real widest[2]; /* the widening of poses so far */
+    ddmpc_time next_pose;           /* earliest stamp of the next stored pose [s] */
+    real residual[3], scatter[2];   /* error of poses against dead reckoning; its variance over the stated variance */
+    real widest[2];                 /* largest scatter of poses so far, for position and heading */
     int residuals;
     real body_by_wheels[2], body_by_model[2], wheels_by_model[2]; /* turn ratios, as quotients of sums */
-    real misfit[MONITORED_DELAYS];  /* misfit of poses for each assumed delay */
-    real fit[MONITORED_DELAYS][3], fit_covariance[3][3]; /* heading of poses less the gyro's at that delay: offset [rad], bias [rad/s], share of the turn */
-    real fits, delay_deviation;     /* fitted poses, older ones count less; standard deviation of the delay below [s] */
-    real spread[6];                 /* weights of turns, times those by poses, by the gyro, both squared, and their product */
-    ddmpc_time unsure;              /* when the delay was last not sure [s] */
-    ddmpc_time delay;               /* by which they are later than stamped, as far as motion says so [s] */
+    real misfit[MONITORED_DELAYS];  /* misfit of poses for each candidate delay */
+    real fit[MONITORED_DELAYS][3], fit_covariance[3][3]; /* fit of the heading of poses minus the gyro's at each delay:
+                                                          * offset [rad], bias [rad/s], share of the turn */
+    real fits, delay_deviation;     /* number of fitted poses, with forgetting; standard deviation of `delay` [s] */
+    real spread[6];                 /* sums of weights of turns, times turns by poses, by the gyro, both squared, and
+                                     * their product */
+    ddmpc_time unsure;              /* last time at which the delay was uncertain [s] */
+    ddmpc_time delay;               /* age of poses at their stamps, estimated from motion [s] */
     int creeping;                   /* 1 if poses and gyro start to differ */
-    ddmpc_time slipped, stood;      /* when wheels last slipped; when poses last said that it stands though it is told to move */
-    real impossible[2];             /* readings of wheels and gyro that no robot has, of late */
-    real turning[2];                /* sums of gyro times wheels while these turn as told, with sign and by size [rad^2/s] */
-    real direction, directed;       /* mean angle from the heading of poses to their way [rad], and its weights */
-    real apart, anchor[3];          /* turn of the gyro less that of poses in all [rad]; direction, its variance and that turn at an earlier course */
+    ddmpc_time slipped, stood;      /* times of the last wheel slip, and of the last pose at rest despite a command [s] */
+    real impossible[2];             /* recent impossible readings of wheels and gyro, with forgetting */
+    real turning[2];                /* sums of gyro times wheels while wheels follow the commands: signed, absolute [rad^2/s] */
+    real direction, directed;       /* mean angle from the heading of poses to their course [rad], and its weight */
+    real apart, anchor[3];          /* total turn of the gyro minus that of poses [rad]; direction, its variance and this
+                                     * difference at an earlier course */
     int anchored;
-    real witness, settled;          /* squared deviations by which the course tells that the heading of poses is right, below 0 the gyro; up to the anchor */
-    real went[6];                   /* sums over windows: of the way told, squared, and times that of wheels and poses [m^2]; its size [m]; of turns by
-                                       poses, squared, and times those by wheels [rad^2] */
-    int contradictions[3];          /* in a row, by subject */
-    ddmpc_time since[3], agreed[3]; /* when they began [s], for how long there have been none [s] */
+    real witness, settled;          /* evidence of the course in squared deviations, > 0 for the heading of poses, < 0 for
+                                     * the gyro; its value up to the anchor */
+    real went[6];                   /* sums over windows: commanded distance squared, times that of wheels, times that of
+                                     * poses [m^2]; absolute value [m]; turns by poses squared, and times those by wheels
+                                     * [rad^2] */
+    int contradictions[3];          /* number of consecutive contradictions, by subject */
+    ddmpc_time since[3], agreed[3]; /* start of the contradictions [s]; time without a contradiction [s] */
     int accused, repeating, unreal; /* bits 1 << subject */
 } ddmpc_monitor;
 
@@ -222,18 +226,18 @@ typedef struct {
 
 /* The tick's problem, linearised along the guess. */
 typedef struct {
-    real pose[3], slip[DDMPC_MOST_SLIPS], last[2];
+    real pose[3], slip[DDMPC_MAX_SLIPS], last[2];
     real late[2]; /* delays of the commands in the prediction [samples] */
-    real *late_response, *late_twist, *late_mean, *late_heading, *late_hessian; /* response with these delays */
-    int is_stale; /* 1 if `late_hessian` belongs to other delays */
-    real gains[2], turn_gain; /* derivatives of the body's v and omega by the model's; of its v by the model's omega */
+    real *late_response, *late_twist, *late_mean, *late_heading, *late_hessian; /* response with the delays `late` */
+    int is_stale; /* 1 if `late_hessian` was computed for other delays */
+    real gains[2], turn_gain; /* derivatives of the body's v and omega by the model's, and of the body's v by omega */
     real *free_twist;   /* [N+1][2] twist of the body for a plan of zeros */
     real *ahead;        /* [N] turning point of each arc along the guess [m] */
     real *aim;          /* [N+1][4] */
     real *feed_forward; /* [N][2] */
-    real fed_before[2]; /* feed-forward of the last tick, by the slip of this one */
+    real fed_before[2]; /* feed-forward of the last tick, computed with the slip of this tick */
     real *free_output;  /* [N+1][2] output of the model for a plan of zeros */
-    real *by_plan;      /* [2][N+1] effect of a plan on that output */
+    real *by_plan;      /* [2][N+1] effect of a plan on the model's output */
     /* For a nonlinear model or curved slip: rows of twist, mean twist and heading at each sample, states and
      * Jacobians. */
     real *twist_rows;   /* [N+1][2][width] */
@@ -241,12 +245,12 @@ typedef struct {
     real *heading_rows; /* [N+1][width] */
     real *model_output; /* [N+1][2] output of a linear model with curved slip for a plan of zeros */
     real *sensitivity;  /* [2][n][width] */
-    real *by_window;     /* [n][2(W+1)] Jacobian of a step, column by column */
+    real *by_window;     /* [n][2(W+1)] Jacobian of a step, in column-major order */
     real *held;          /* [2(W+1)] window of a constant command */
     real *work;          /* memory for the model's step */
     real *settling;      /* [n+2][n+5] equations of a Newton step */
     real *poses;        /* [N+1][3] along the guess */
-    real *arc;          /* [8][N] displacement of each arc; its gradient by the model's twist and heading: of x, of y */
+    real *arc;          /* [8][N] displacement x, y of each arc; gradients of x and of y by the model's twist and heading */
     real *cosine, *sine; /* [N] cosine and sine of the path's heading at the samples 1 to N */
     real *stack;        /* [N STACKED][width] weighted rows of the residuals */
     real *position;     /* [N][2][width] rows of x and y */
@@ -258,12 +262,12 @@ typedef struct {
     real *H, *g;        /* [2N][2N], [2N] */
     real *lower, *upper; /* [4+K][N] */
     real *guess;        /* [2N] */
-    real *minimiser;    /* [2N] without limits */
+    real *minimiser;    /* [2N] minimiser without limits */
     real *factor;       /* [2N][2N] R of H = R'R, upper triangular */
     real *multipliers;  /* [4+K][N] of the last tick, shifted by one step */
     real *values;       /* [4+K][N] */
     real *plan;         /* [2N] */
-    int *pressing;      /* [4+K] */
+    int *active_kinds;  /* [4+K] see ddmpc_program */
     int has_guess;
 } ddmpc_problem;
 
@@ -281,28 +285,28 @@ struct ddmpc_controller {
     ddmpc_time last_tick, leap;
     int has_last_tick, has_leap;
     /* ladder */
-    real last[2];         /* last command, from which slew counts */
+    real last[2];         /* last command, to which slew is relative */
     real *last_plan;      /* [2N] last good plan */
     int plan_age;         /* ticks since it was computed; -1: no plan */
     int has_reference, has_result, has_driven, latched, finished, pending;
     int is_outage;         /* 1 if this tick brakes because measurements are missing */
     ddmpc_time sound_tick; /* time of the last tick without such an outage [s] */
     ddmpc_time deadline; /* deadline of this tick's solve, see ddmpc_input; infinite: none */
-    int most_iterations, is_late; /* see ddmpc_input */
+    int max_iterations, is_late; /* see ddmpc_input */
     int missed;          /* see ddmpc_report */
     real share;
     /* fence */
-    real fence[3]; /* its middle in the frame of poses [m, m, rad] */
-    real allowed;  /* permitted distance outside: the minimum since the start [m] */
+    real fence[3]; /* centre of the fence in the frame of poses [m, m, rad] */
+    real allowed;  /* permitted distance outside the fence: the minimum since the start [m] */
     int left_fence;
     real rim[2];           /* smoothed speeds of the right and left wheels by their encoders [m/s] */
     int short_wheel;         /* index of the wheel that falls short of its demand */
-    real tried, tried_speed; /* its demand and its speed when the shortfall began [m/s] */
+    real tried, tried_speed; /* demand and speed of `short_wheel` when the shortfall began [m/s] */
     real carried;          /* tolerated displacement after turns on the spot [m] */
     real known, doubt;     /* position variance at the last fresh pose [m^2]; uncertainty gained since, in bands [-] */
     int on_spot;           /* 1 while the reference turns on the spot */
     real reach, rim_reach; /* permitted rim speed of the wheels, and the speed that they attained [m/s] */
-    real slowed;           /* time for which the reference has been slowed since then [s] */
+    real slowed;           /* time for which the reference has been slowed since `rim_reach` was learned [s] */
     real *parameters;     /* [N+1][P] */
     real *reference_pose; /* [SAMPLES][3] */
     real *reference_twist; /* [SAMPLES][2] */
@@ -322,35 +326,35 @@ void ddmpc_accept_pose(ddmpc_controller *c, const ddmpc_checked_pose *pose);
 
 /* velocity.c: the velocity model over one sample. */
 /* Compute x+ for the command window that ends at `newest` (2), with older commands before it in memory. For a linear
- * model they act `late` (2) [s] later; NULL: without extra delay. On request also the Jacobian by x (n, n), row by
- * row, and for a nonlinear model the one by the window, column by column. */
+ * model the commands act `late` (2) [s] later; NULL: no extra delay. On request, compute also the Jacobian by x (n, n)
+ * in row-major order, and for a nonlinear model the Jacobian by the window in column-major order. */
 void ddmpc_velocity_step(const ddmpc_controller *c, const real *x, const real *newest, const real *late, real *after,
                          real *by_state, real *by_window);
 /* Compute the gradient (n, 2) of x+ by `late`. */
 void ddmpc_velocity_by_delay(const ddmpc_controller *c, const real *newest, const real *late, real *by_delay);
 /* Interpolate the command of one channel that was sent `samples` before the newest one at `sent`. */
 real ddmpc_delayed(const real *sent, real samples);
-/* Steady state of a nonlinear model: output, state, command, and derivatives of the latter two by the output; all
- * zero at first and after a search without result. */
+/* Steady state of a nonlinear model: output, state, command, and derivatives of state and command by the output; all
+ * zero at first and after a failed search. */
 typedef struct {
-    real output[2], state[DDMPC_MOST_STATES], command[2], by_output[2 * (DDMPC_MOST_STATES + 2)];
+    real output[2], state[DDMPC_MAX_STATES], command[2], by_output[2 * (DDMPC_MAX_STATES + 2)];
     int exists;
 } ddmpc_settled;
 /* Find the steady state with the output `wanted` near the last one. Returns 0 if there is none nearby. */
 int ddmpc_velocity_settle(const ddmpc_controller *c, const real wanted[2], ddmpc_settled *settled);
-/* Compute (v, omega) of the model, and its gradient (2, n), row by row. */
+/* Compute (v, omega) of the model, and its gradient (2, n) in row-major order. */
 void ddmpc_velocity_output(const ddmpc_controller *c, const real *x, real y[2], real *gradient);
 
 /* filter.c */
 void ddmpc_filter_twist(const ddmpc_controller *c, const real *mean, real twist[2]);
 void ddmpc_filter_twist_deviation(const ddmpc_controller *c, const ddmpc_belief *belief, real deviation[2]);
 void ddmpc_filter_pose_at(const ddmpc_controller *c, const ddmpc_belief *belief, real ahead, real pose[3]);
-/* Predict one sample under the commands up to `newest`: the mean (Z) alone, or the whole belief. */
+/* Predict one sample with the commands up to `newest`: the mean (Z) alone, or the full belief. */
 void ddmpc_filter_carry(const ddmpc_controller *c, const real *mean, const real *newest, real *after);
 void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before, const real *newest,
                           ddmpc_belief *after);
-/* Correct a belief by a reading of wheels or gyro, or by a pose, measured `ahead` [s] of it. Returns the squared
- * innovation over its variance. */
+/* Correct a belief by a reading of wheels or gyro, or by a pose, measured `ahead` [s] after the belief's time. Returns
+ * the squared innovation over its variance. */
 real ddmpc_filter_correct_twist(const ddmpc_controller *c, ddmpc_belief *belief, const ddmpc_checked_twist *twist,
                                 real ahead);
 real ddmpc_filter_correct_pose(const ddmpc_controller *c, ddmpc_belief *belief, const ddmpc_checked_pose *pose,
@@ -366,7 +370,7 @@ void ddmpc_estimator_clear(ddmpc_controller *c);
 void ddmpc_estimator_forget(ddmpc_controller *c);
 void ddmpc_estimator_append(ddmpc_controller *c, const real command[2]);
 void ddmpc_estimator_correct_last(ddmpc_controller *c, const real command[2]);
-/* Replace the newest `count` commands, as far as they are stored. */
+/* Replace the newest `count` commands, or as many as are stored. */
 void ddmpc_estimator_overrule(ddmpc_controller *c, const real *commands, int count);
 int ddmpc_estimator_correct_sent(ddmpc_controller *c, const real sent[2]);
 void ddmpc_estimator_advance(ddmpc_controller *c, ddmpc_time t);
@@ -377,25 +381,25 @@ int ddmpc_estimator_restart_elsewhere(ddmpc_controller *c);
 void ddmpc_estimator_estimate(ddmpc_controller *c);
 
 /* fence.c */
-/* Reset the fence to a robot that has not left it. */
+/* Reset the fence: the robot counts as inside. */
 void ddmpc_fence_clear(ddmpc_controller *c);
-/* Place it for the reference that is tracked from now on. */
+/* Place the fence for a new reference. */
 void ddmpc_fence_place(ddmpc_controller *c);
-/* Return 1 if the robot has stayed inside so far, and would come to rest inside; it needs an estimate. */
+/* Return 1 if the robot has not left the fence, and would come to rest inside; requires an estimate. */
 int ddmpc_fence_holds(ddmpc_controller *c);
 
 /* sensor_test.c */
 void ddmpc_monitor_clear(ddmpc_controller *c);
-/* Predict one sample by the commands sent, for an undisturbed robot. */
+/* Predict one sample from the sent commands, for an undisturbed robot. */
 void ddmpc_monitor_predict(ddmpc_controller *c, const real *newest);
-/* Integrate the motion up to `t` by wheels and gyro; of `twists` checked readings the first `wheels` are of wheels. */
+/* Integrate the motion up to `t` from wheels and gyro; the first `wheels` of the `twists` readings are from the wheels. */
 void ddmpc_monitor_move(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_twist *twist, int wheels, int twists);
-/* Update the forgetting count of implausible readings of a sensor; `impossible` is 1 for such a reading. */
+/* Update a sensor's count of impossible readings, with forgetting; `impossible` is 1 for such a reading. */
 void ddmpc_monitor_count(ddmpc_controller *c, int subject, int impossible);
 int ddmpc_monitor_doubts(const ddmpc_controller *c, ddmpc_time t);
 /* Compare all sensors on the motion up to a pose; return the accused sensors, as bits by subject. */
 int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose);
-/* Enlarge the covariance of a pose if it is stated far too small. */
+/* Enlarge the covariance of a pose if the stated covariance is far too small. */
 void ddmpc_monitor_widen(ddmpc_controller *c, ddmpc_checked_pose *pose);
 /* Return the age of poses at their stamps [s]. */
 ddmpc_time ddmpc_monitor_delay(const ddmpc_controller *c);
@@ -408,31 +412,31 @@ void ddmpc_problem_guess(ddmpc_controller *c);
 void ddmpc_problem_linearise(ddmpc_controller *c);
 void ddmpc_problem_condense(ddmpc_controller *c);
 void ddmpc_problem_limit(ddmpc_controller *c);
-/* Compute the interval that a command can reach in one sample: its size grows by at most step[0] and falls by at most
- * step[1]. Beyond zero it grows again, in the rest of the sample. */
+/* Compute the interval that a command can reach in one sample: its absolute value grows by at most step[0] and falls by
+ * at most step[1]. A command that passes zero grows during the rest of the sample. */
 void ddmpc_reach(real last, const real step[2], real interval[2]);
 /* Return the maximum command of a channel in either direction [m/s, rad/s]. */
 real ddmpc_fastest(const ddmpc_constants *k, int channel);
 /* Compute the poses under `plan`, by exact arcs. */
 void ddmpc_problem_poses(ddmpc_controller *c, const real *plan, real *poses);
 
-/* Compute the limited values, as far as they are linear in `plan` (4 + K, N), or one row of them; `context` is the
+/* Compute the part of the limited values (4 + K, N) that is linear in `plan`, or one row of its matrix; `context` is the
  * controller. */
 void ddmpc_limit_values(const void *context, const real *plan, real *values);
 void ddmpc_limit_row(const void *context, int index, real *row, int *first, int *last);
 
 /* ladder.c */
-/* Use the plan of the solver, or go down the ladder if it is unusable; returns DDMPC_DONE. */
+/* Use the plan of the solver, or the next step of the failure ladder if the plan is unusable; returns DDMPC_DONE. */
 int ddmpc_use_plan(ddmpc_controller *c);
 /* Follow the rest of the last good plan for a few ticks, then brake. */
 int ddmpc_reuse(ddmpc_controller *c);
-/* Consequence of a stop. The robot continues by itself always; only with `resume`; only within `resume_within`; or
- * never, until ddmpc_start or ddmpc_resume. */
+/* Kind of a stop, which determines when the robot continues by itself: always; only with `resume`; only within
+ * `resume_within`; or not before ddmpc_start or ddmpc_resume. */
 typedef enum { DDMPC_NO_FAILURE, DDMPC_FAILURE, DDMPC_OUTAGE, DDMPC_WAITS } ddmpc_stop;
 /* Ramp the command to zero for `reason`. */
 int ddmpc_brake(ddmpc_controller *c, unsigned int reason, ddmpc_stop stop);
 void ddmpc_ramp(ddmpc_controller *c);
-/* Command zero at once. */
+/* Command zero immediately, without a ramp. */
 void ddmpc_stand(ddmpc_controller *c);
 
 /* wheel_watch.c */

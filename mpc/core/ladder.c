@@ -1,5 +1,5 @@
-/* The failure ladder: the command after a part of a tick has failed. It comes from a fresh plan, or else from the
- * rest of the last good plan for a few ticks, or else from braking to a stop. Every command is inside range and slew,
+/* The failure ladder, which selects the command of a tick. The command comes from a fresh plan; if the solve fails, from
+ * the rest of the last good plan for a few ticks; then from braking to a stop. Every command is within range and slew,
  * and respects the minimum commanded radius. */
 /* for clock_gettime, which C99 alone does not declare */
 #define _POSIX_C_SOURCE 199309L
@@ -9,25 +9,25 @@
 #include "clock.h"
 #include "internal.h"
 
-/* Clip `wanted` to `share` of the range and to the reach of the last command; `step` holds, per channel, the slew of
- * a growing and of a falling command. */
+/* Clip `wanted` to `share` of the range and to the interval that is reachable from the last command; `step` holds, per
+ * channel, the slew of a growing and of a falling command. */
 static void clip(const ddmpc_controller *c, const real wanted[2], real share, const real step[4], real command[2])
 {
     for (int i = 0; i < 2; i++) {
         const real *largest = c->constants->largest_command + 2 * i;
         real reach[2];
         ddmpc_reach(c->last[i], step + 2 * i, reach);
-        /* The slew wins over the range: after the range was tightened, the last command may lie outside it. */
+        /* Slew has priority over range: after the range was tightened, the last command may lie outside it. */
         const real upper = ddmpc_min(reach[1], ddmpc_max(reach[0], share * largest[0]));
         const real lower = ddmpc_max(reach[0], ddmpc_min(reach[1], -share * largest[1]));
         command[i] = ddmpc_min(ddmpc_max(wanted[i], lower), upper);
     }
 }
 
-/* Limit a command within range and slew to min_commanded_radius, if there is one. The yaw rate is reduced as far as
- * `step` allows. If that is not enough, the speed is kept up, but never above that of the last command. So slew is
- * kept, and there is always such a command if the last one kept the radius. */
-static void widen(ddmpc_controller *c, real share, real command[2])
+/* Limit a command within range and slew to min_commanded_radius, if it is configured. The yaw rate is reduced as far as
+ * the slew allows. If this is not enough, the speed is increased, but not above that of the last command. Such a command
+ * always exists if the last command satisfied the minimum radius. */
+static void enforce_min_radius(ddmpc_controller *c, real share, real command[2])
 {
     const real radius = c->constants->min_commanded_radius, v = ddmpc_fabs(command[0]), last = c->last[1];
     real turns[2], speeds[2];
@@ -44,16 +44,16 @@ static void widen(ddmpc_controller *c, real share, real command[2])
         ddmpc_reach(c->last[0], c->constants->slew, speeds);
         const real before = ddmpc_fabs(c->last[0]), needed = radius * ddmpc_fabs(command[1]);
         const real slowest = backwards ? -speeds[1] : speeds[0];
-        const real most = ddmpc_max(slowest, share * c->constants->largest_command[backwards]);
-        const real held = ddmpc_min(needed, ddmpc_min(before, most));
-        if (held > v || (command[0] < R(0.0)) != backwards)
-            command[0] = backwards ? -held : held;
+        const real largest = ddmpc_max(slowest, share * c->constants->largest_command[backwards]);
+        const real speed = ddmpc_min(needed, ddmpc_min(before, largest));
+        if (speed > v || (command[0] < R(0.0)) != backwards)
+            command[0] = backwards ? -speed : speed;
     }
     if (ddmpc_fabs(requested - command[1]) > c->constants->turn_held_from[0])
         c->result.reasons |= DDMPC_TURN_HELD;
 }
 
-/* Report a path, or a path back to it, that turns more tightly than commands may. */
+/* Report a path, or a path back to the reference, that turns more tightly than commands may. */
 static void report_turn(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
@@ -87,8 +87,8 @@ int ddmpc_brake(ddmpc_controller *c, unsigned int reason, ddmpc_stop stop)
         ddmpc_solver_reset(c);
     c->is_outage = stop == DDMPC_OUTAGE;
     const int lasting = c->is_outage && c->last_tick - c->sound_tick > c->constants->resume_within;
-    /* A person may stand next to a robot that has stopped for long. Before the first drive, and after the end of the
-       reference, there is nothing to resume. */
+    /* A person may be next to a robot that has been stopped for a long time. Before the first drive, and after the end
+       of the reference, there is no drive to resume. */
     if (c->has_driven && !c->finished && (stop == DDMPC_WAITS || lasting || (stop && !c->constants->resume)))
         c->latched = 1;
     if (c->latched)
@@ -128,7 +128,7 @@ static int accept(ddmpc_controller *c)
     result->has_plan = 1;
     result->mode = DDMPC_TRACKING;
     clip(c, c->last_plan, c->share, c->constants->slew, result->command);
-    widen(c, c->share, result->command);
+    enforce_min_radius(c, c->share, result->command);
     report_turn(c);
     return DDMPC_DONE;
 }
@@ -144,7 +144,7 @@ int ddmpc_reuse(ddmpc_controller *c)
     c->result.mode = DDMPC_REUSED_PLAN;
     c->result.has_plan = 1;
     clip(c, c->last_plan + 2 * c->plan_age, R(1.0), c->constants->slew, c->result.command);
-    widen(c, R(1.0), c->result.command);
+    enforce_min_radius(c, R(1.0), c->result.command);
     return DDMPC_DONE;
 }
 
@@ -154,14 +154,14 @@ static int is_usable(int status)
            status == DDMPC_QP_STOPPED_IN_TIME;
 }
 
-/* Count the ticks in a row that miss their deadline; a plan in time ends the count. Without a clock none is missed. */
+/* Count consecutive ticks that miss their deadline; a plan in time resets the count. Without a clock no tick counts. */
 static int misses_too_many(ddmpc_controller *c)
 {
     const int is_late = c->result.solver.status == DDMPC_QP_TIME_LIMIT || c->is_late || ddmpc_now() > c->deadline;
-    const int most = c->constants->max_missed;
+    const int max_missed = c->constants->max_missed;
     c->missed = !is_late ? 0 : c->missed < INT_MAX ? c->missed + 1 : c->missed;
     c->result.solver.missed = c->missed;
-    return most > 0 && c->missed >= most;
+    return max_missed > 0 && c->missed >= max_missed;
 }
 
 int ddmpc_use_plan(ddmpc_controller *c)

@@ -1,8 +1,8 @@
-"""The compiled core and compiled functions of the user, loaded through cffi.
+"""Load the compiled core and compiled user functions through cffi.
 
-The core is the package's own where a wheel brought one. Otherwise it is compiled on first use for this processor, and
-cached for the user (`models/compiled/cache.py`). Its declarations are the text of its header, so names cross the border
-by name.
+The core is loaded from the wheel if the wheel contains it. Otherwise it is compiled at first use for this processor,
+and cached for the user (`models/compiled/cache.py`). cffi parses the text of the core's header, so Python and C use the
+same names.
 """
 
 from __future__ import annotations
@@ -48,59 +48,59 @@ def load_core() -> tuple[cffi.FFI, Any]:
     Raises
     ------
     NotCompiledError
-        If the package brought no library, and none can be compiled.
+        If the package contains no library, and it cannot be compiled.
     """
 
     def build(folder: Path) -> Path:
         return build_library(core_texts(), folder, NATIVE)
 
-    made_of = {"core": core_origin(), "casadi": ca.CasadiMeta.version()}
-    complaint = "the controller's core is not compiled: {}, which holds the core"
-    return load_library("ddmpc_core", core_declarations(), packaged_libraries(), made_of, build, complaint)
+    sources = {"core": core_origin(), "casadi": ca.CasadiMeta.version()}
+    message = "the controller's core is not compiled: {}, which holds the core"
+    return load_library("ddmpc_core", core_declarations(), packaged_libraries(), sources, build, message)
 
 
 @cache
 def load_functions(generated: GeneratedC) -> Any:  # noqa: ANN401 - cffi has no type for a library
-    """Load the library of generated functions, which are its attributes and use the core's types.
+    """Load the library of generated functions; each is an attribute of the result and uses the core's types.
 
     Raises
     ------
     NotCompiledError
-        If they cannot be compiled: functions of the user need a C compiler.
+        If the functions cannot be compiled; user functions need a C compiler.
     """
     texts = shared_headers() | {f"{generated.stem}.c": generated.source, f"{generated.stem}.h": generated.header}
     declared = "\n".join(_FUNCTION.format(name=name) for name in generated.names)
     try:
         return _load(generated.stem, texts, declared)
     except NotCompiledError as error:
-        raise NotCompiledError(f"functions of the user are compiled, these are not: {error}; install gcc") from error
+        raise NotCompiledError(f"user functions cannot be compiled: {error}; install gcc") from error
 
 
 def load_with_core(packaged: Packaged, texts: Callable[[], Mapping[str, str]], header: str) -> Any:  # noqa: ANN401 - as above
-    """Load a library of further C and the core, with the types of `load_core`.
+    """Load a library of additional C code together with the core, with the types of `load_core`.
 
-    The library comes from the wheel of its package; without one it is compiled at first use. The further functions may
-    use the core's internal headers, and take the structs of a running controller.
+    The library comes from the wheel of its package, or is compiled at first use. The additional functions may use the
+    core's internal headers, and take the structs of a running controller.
 
     Parameters
     ----------
     packaged
         Library of `packaged_with_core`.
     texts
-        Function that returns all C files and headers by name, those of the core included.
+        Function that returns all C files and headers by name, including those of the core.
     header
-        Text of the header whose declarations are those of the library.
+        Text of the header that declares the library's functions.
 
     Raises
     ------
     NotCompiledError
-        If no wheel brought the library, and it cannot be compiled.
+        If no wheel contains the library, and it cannot be compiled.
     """
     ffi, _ = load_core()
     declared = declarations(header)
     ffi.cdef(declared, override=True)
     for path in packaged.libraries():
-        # A wheel for another C library cannot be loaded.
+        # Skip wheels that were built for a different C runtime library.
         with suppress(OSError):
             return ffi.dlopen(str(path))
     return _load(packaged.name, texts(), declared)
@@ -116,7 +116,7 @@ def _load(stem: str, texts: Mapping[str, str], declared: str) -> Any:  # noqa: A
     return load_cached(stem, what_is_built(texts), build, lambda path: ffi.dlopen(str(path)))
 
 
-# Structs of core.h by field names: shapes of their arrays, and values that fit.
+# Structs of core.h by field name: shapes of arrays, and checked values.
 
 
 _POINTER = re.compile(r"^\s*(?:const )?(?:real|ddmpc_time|int) \*(\w+);\s*/\* ((?:\[[^\]]+\])+)", re.MULTILINE)
@@ -124,7 +124,7 @@ _STRUCT = re.compile(r"typedef struct \{(.*?)\} (\w+);", re.DOTALL)
 
 
 def pointer_shapes(struct: str, sizes: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of the arrays that a struct of core.h points to, by name, for these sizes of a controller."""
+    """Return the shapes of the arrays that a struct of core.h points to, by field name, for a controller's sizes."""
     N, n = sizes["steps"], sizes["states"]
     symbols = {
         "N": N,
@@ -160,37 +160,37 @@ class Field(NamedTuple):
 
     name: str
     value: FloatArray | list[float] | float | int
-    """Numbers of the array, address that a pointer points to, or one number."""
+    """Array behind a pointer, list of the numbers of an embedded array, or one number."""
 
 
 def constant_fields(sizes: Mapping[str, int], values: Constants) -> Iterator[Field]:
-    """Yield the fields of `ddmpc_constants` in their order.
+    """Yield the fields of `ddmpc_constants` in the order of the struct.
 
     Raises
     ------
     ValueError
-        If a field is missing, unknown, or of another shape than core.h says.
+        If a field is missing or unknown, or its shape differs from the one in core.h.
     """
     ffi, _ = load_core()
     fields = dict(ffi.typeof("ddmpc_constants").fields)
     shapes = pointer_shapes("ddmpc_constants", sizes)
-    odd = set(fields) ^ set(values)
-    if odd:
-        raise ValueError(f"ddmpc_constants and mpc/problem/constants.py differ in {', '.join(sorted(odd))}")
+    differing = set(fields) ^ set(values)
+    if differing:
+        raise ValueError(f"ddmpc_constants and mpc/problem/constants.py differ in {', '.join(sorted(differing))}")
     for name, field in fields.items():
         if field.type.kind == "pointer":
-            yield Field(name, _shaped(name, values[name], shapes[name]))
+            yield Field(name, _checked_array(name, values[name], shapes[name]))
         elif field.type.kind == "array":
             flat = np.asarray(values[name], dtype=float).ravel()
-            yield Field(name, _shaped(name, flat, (field.type.length,)).tolist())
+            yield Field(name, _checked_array(name, flat, (field.type.length,)).tolist())
         else:
             number: float = values[name]  # type: ignore[assignment]
             yield Field(name, int(number) if field.type.cname == "int" else float(number))
 
 
-def _shaped(name: str, value: object, shape: tuple[int, ...]) -> FloatArray:
+def _checked_array(name: str, value: object, shape: tuple[int, ...]) -> FloatArray:
     array_like: ArrayLike = value  # type: ignore[assignment]
     array = np.ascontiguousarray(array_like, dtype=float)
     if array.shape != shape:
-        raise ValueError(f"ddmpc_constants.{name} has shape {array.shape}, core.h says {shape}")
+        raise ValueError(f"ddmpc_constants.{name} has shape {array.shape}, core.h requires {shape}")
     return array

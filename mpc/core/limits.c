@@ -1,6 +1,6 @@
-/* The limits of the quadratic program, one row per kind and sample, in the order of `lower` and `upper`. Hard limits:
- * range of v and omega, slew of v and omega. Soft limits: predicted twist, wheels, corridor, minimum turn radius, the
- * user's. Soft limits are linearised along the guess, like the rest of the problem. */
+/* Limits of the quadratic program, one row per kind and sample, in the order of `lower` and `upper`. Hard limits:
+ * range of v and omega, slew of v and omega. Soft limits: predicted twist, wheels, corridor, minimum turn radius, and
+ * user terms. Soft limits are linearised along the guess, like the rest of the problem. */
 #include <string.h>
 
 #include "problem.h"
@@ -23,7 +23,7 @@ real ddmpc_fastest(const ddmpc_constants *k, int channel)
 
 real ddmpc_largest_command(const ddmpc_controller *c, int step, int channel, int side)
 {
-    /* A limit that was tightened below the last command is reached at a slew that all rows allow. */
+    /* If a limit was tightened below the last command, it is reached gradually, at a slew that all rows allow. */
     const real *slew = c->constants->slew + 2 * channel;
     const real last = side ? -c->problem.last[channel] : c->problem.last[channel];
     const real reachable = last - (real)(step + 1) * ddmpc_min(slew[0], slew[1]);
@@ -41,7 +41,7 @@ static void bound_commands(ddmpc_controller *c)
         lower[0] = reach[0];
         upper[0] = reach[1];
         for (int k = 1; k < N; k++) {
-            /* The sign of the command before is that of the shifted plan. */
+            /* Take the sign of the previous command from the shifted plan. */
             const real before = p->guess[2 * (k - 1) + channel];
             lower[k] = before > R(0.0) ? -slew[1] : -slew[0];
             upper[k] = before < R(0.0) ? slew[1] : slew[0];
@@ -53,8 +53,8 @@ static void bound_commands(ddmpc_controller *c)
     }
 }
 
-/* Direction of the reference at sample k: 1 forwards, -1 backwards. Where it stands: its next direction up to sample
-   `end`, else its last one. */
+/* Direction of the reference at sample k: 1 forwards, -1 backwards. While it stands, the next direction up to sample
+   `end`; if there is none, the previous direction. */
 static real direction_at(const ddmpc_controller *c, int k, int end)
 {
     const real *v = c->reference_twist;
@@ -67,7 +67,7 @@ static real direction_at(const ddmpc_controller *c, int k, int end)
     return v[2 * moving] < R(0.0) ? R(-1.0) : R(1.0);
 }
 
-/* The command acts one lag later. */
+/* Direction of the reference at the time when command k acts, one lag later. */
 static real commanded_direction(const ddmpc_controller *c, int k) { return direction_at(c, k + LAG(c, 0), SAMPLES(c) - 1); }
 
 void ddmpc_directions(const ddmpc_controller *c, real *directions)
@@ -78,22 +78,23 @@ void ddmpc_directions(const ddmpc_controller *c, real *directions)
     }
 }
 
-/* One kind of soft limit at sample k + 1, or now (k = -1): its value and gradient. */
+/* Kinds of soft limit with a common function, which computes their values and gradients. */
 typedef struct {
     ddmpc_function function;
     int rows, first;
-    real radius;            /* minimum turn radius that it enforces, from above only [m]; 0: another kind of limit */
+    real radius;            /* minimum turn radius, which has upper limits only [m]; 0: another kind of limit */
     int commanded;          /* 1 if the radius is that of the command, 0 if it is that of the body */
-    const ddmpc_term *term; /* term of the user; NULL for a shipped limit */
+    const ddmpc_term *term; /* term of the user; NULL for a built-in limit */
 } soft_group;
 
-static void soft_at(const ddmpc_controller *c, const soft_group *group, int k)
+/* Evaluate the function of a group at sample k + 1, or at the current state if k = -1, into `problem.term`. */
+static void evaluate_group(const ddmpc_controller *c, const soft_group *group, int k)
 {
     const ddmpc_problem *p = &c->problem;
-    real shipped[DDMPC_MOST_SLIPS + 1];
+    real shipped[DDMPC_MAX_SLIPS + 1];
     if (group->radius > R(0.0)) {
         shipped[0] = group->radius;
-        /* The last command has its own. */
+        /* The direction of the last command is that of its sign. */
         if (group->commanded)
             shipped[1] = k >= 0            ? commanded_direction(c, k)
                          : p->last[0] < R(0.0) ? R(-1.0)
@@ -117,15 +118,15 @@ static real value_of(const real *gradient, int k, int N, const real *moves, cons
            gradient[6] * plan[2 * k + 1];
 }
 
-/* Soft limits of one function. If the robot already exceeds a shipped limit, its present value is the limit: the
-   reference leads it back inside. A limit of the user applies as given, since nothing else may lead the robot back
-   inside. */
+/* Compute the bounds of the soft limits of one function. If the robot already exceeds a built-in limit, the current
+   value becomes the limit: the reference leads the robot back inside. A limit of the user always applies unchanged,
+   since possibly nothing else leads the robot back inside. */
 static void limit_softly(ddmpc_controller *c, const soft_group *group, const real *moves, const real *headings)
 {
     ddmpc_problem *p = &c->problem;
     const int N = STEPS(c), rows = group->rows;
     if (!group->term)
-        soft_at(c, group, -1);
+        evaluate_group(c, group, -1);
     for (int r = 0; r < rows; r++) {
         const int kind = group->first + r;
         if (group->radius > R(0.0)) {
@@ -141,7 +142,7 @@ static void limit_softly(ddmpc_controller *c, const soft_group *group, const rea
         p->lower[(HARD + kind) * N] = group->term ? down : ddmpc_min(down, -now);
     }
     for (int k = 0; k < N; k++) {
-        soft_at(c, group, k);
+        evaluate_group(c, group, k);
         for (int r = 0; r < rows; r++) {
             const int kind = group->first + r;
             real *gradient = p->soft_gradient + (kind * N + k) * TERM_INPUTS;
@@ -162,7 +163,7 @@ static void limit_softly(ddmpc_controller *c, const soft_group *group, const rea
 
 static void bound_softly(ddmpc_controller *c)
 {
-    real moves[2 * DDMPC_MOST_STEPS], headings[DDMPC_MOST_STEPS + 1];
+    real moves[2 * DDMPC_MAX_STEPS], headings[DDMPC_MAX_STEPS + 1];
     soft_group group = {WITH_SLIP(c, soft), SHIPPED_SOFT, 0, R(0.0), 0, 0};
     ddmpc_linear_moves(c, c->problem.by_plan, moves, headings);
     limit_softly(c, &group, moves, headings);
@@ -194,13 +195,13 @@ void ddmpc_problem_limit(ddmpc_controller *c)
     bound_softly(c);
 }
 
-/* The limited quantities (4 + K, N), their part linear in `plan`, for comparison with `lower` and `upper`. */
+/* The values are comparable with `lower` and `upper`, which exclude the constant part of the limited quantities. */
 void ddmpc_limit_values(const void *context, const real *plan, real *values)
 {
     const ddmpc_controller *c = (const ddmpc_controller *)context;
     const ddmpc_problem *p = &c->problem;
     const int N = STEPS(c);
-    real by_plan[2 * (DDMPC_MOST_STEPS + 1)], moves[2 * DDMPC_MOST_STEPS], headings[DDMPC_MOST_STEPS + 1];
+    real by_plan[2 * (DDMPC_MAX_STEPS + 1)], moves[2 * DDMPC_MAX_STEPS], headings[DDMPC_MAX_STEPS + 1];
     ddmpc_add_plan(c, plan, by_plan);
     ddmpc_linear_moves(c, by_plan, moves, headings);
     for (int channel = 0; channel < 2; channel++) {

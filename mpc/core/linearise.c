@@ -3,17 +3,17 @@
  *
  * Twists and headings of a linear model respond as a linear time-invariant system. Their matrices are Toeplitz, so one
  * row represents all: y[k] = C A^k x + sum over j of C A^(k-1-j) B u[j], where x includes the commands in the dead
- * time. A nonlinear model is linearised along the guess and has a row for each sample. Curved slip is treated the same
- * way: outputs and rows are then those of the body's twist, and no further gain applies. Poses follow by exact arcs.
+ * time. A nonlinear model is linearised along the guess and has a row for each sample. Curved slip is treated in the
+ * same way: outputs and rows are then those of the body's twist, and the gains are 1. Poses follow from exact arcs.
  * Motion, slip and aim, with their gradients, are generated from mpc/problem/formulas.py. */
 #include <string.h>
 
 #include "problem.h"
 
-/* Replace `command`, which follows from the gain at rest, by the one at which a nonlinear model settles at the body's
-   twist `wanted`, if there is one. The search starts from `last`, the solution at the previous sample, which is usually
-   the same. */
-static void settle(const ddmpc_controller *c, const real wanted[2], ddmpc_settled *last, real command[2])
+/* Replace `command`, which was computed with the gain at rest, by the command for which a nonlinear model has the
+   body's twist `wanted` in steady state, if it exists. The search starts from `last`, the solution at the previous
+   sample, which is usually close. */
+static void settle_command(const ddmpc_controller *c, const real wanted[2], ddmpc_settled *last, real command[2])
 {
     static const real no_gain[4] = {R(1.0), R(0.0), R(0.0), R(1.0)};
     real y[2];
@@ -25,19 +25,19 @@ static void settle(const ddmpc_controller *c, const real wanted[2], ddmpc_settle
         memcpy(command, last->command, sizeof last->command);
 }
 
-/* Compute the poses to aim at, and the feed-forward: the commands that would keep the reference's twist, one lag
- * ahead, from the last tick on. */
-static void look_ahead(ddmpc_controller *c)
+/* Compute the target poses, and the feed-forward from the last tick on: the commands that would keep the reference's
+ * twist, one lag ahead. */
+static void compute_targets(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
     ddmpc_problem *p = &c->problem;
     const real two_pi = R(2.0) * DDMPC_PI;
-    /* The estimated heading is unwrapped: shift the reference's heading to the same turn. */
+    /* The estimated heading is unwrapped: shift the reference's heading to the same revolution. */
     const real turns = two_pi * ddmpc_rint((p->pose[2] - c->reference_pose[2]) / two_pi);
     for (int i = 0; i <= STEPS(c); i++) {
         const real *pose = c->reference_pose + 3 * i, *twist = c->reference_twist + 2 * i;
         const real turned[3] = {pose[0], pose[1], pose[2] + turns};
-        /* The last sample accelerates as the one before it. */
+        /* The last sample has the acceleration of the previous sample. */
         const real *from = i < SAMPLES(c) - 1 ? twist : twist - 2;
         const real acceleration = (from[2] - from[0]) / (real)k->sample_time;
         const real *arguments[4] = {turned, twist, p->slip, &acceleration};
@@ -50,21 +50,21 @@ static void look_ahead(ddmpc_controller *c)
         real wanted[2], *command = i < 0 ? p->fed_before : p->feed_forward + 2 * i;
         for (int channel = 0; channel < 2; channel++) {
             const real ahead = (real)(i + LAG(c, channel)) + k->lag_rest[channel] + p->late[channel];
-            const real place = ddmpc_max(ahead, R(0.0));
-            const int whole = ddmpc_least((int)place, SAMPLES(c) - 2);
+            const real sample = ddmpc_max(ahead, R(0.0));
+            const int whole = ddmpc_min_int((int)sample, SAMPLES(c) - 2);
             const real *now = c->reference_twist + 2 * whole + channel;
-            wanted[channel] = now[0] + (place - (real)whole) * (now[2] - now[0]);
+            wanted[channel] = now[0] + (sample - (real)whole) * (now[2] - now[0]);
         }
         const real *arguments[3] = {wanted, p->slip, k->inverse_gain};
         real *results[1] = {command};
         WITH_SLIP(c, feed_forward)(arguments, results, 0, 0, 0);
         if (NONLINEAR(c))
-            settle(c, wanted, &last, command);
+            settle_command(c, wanted, &last, command);
     }
 }
 
-/* The body's twist for the model's free output, and its gain per unit of what a plan adds: flat slip is affine. With
-   curved slip the outputs are already those of the body. */
+/* Compute the body's twist for the model's free output, and the gains from the model's twist to the body's, which are
+   constant for flat slip. With curved slip the outputs are already those of the body. */
 static void free_twists(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
@@ -85,8 +85,8 @@ static void free_twists(ddmpc_controller *c)
     p->turn_gain = J[2];
 }
 
-/* Turning points of the robot along the guess. The solver treats them as fixed: an acceleration moves them too little
-   to be worth a gradient. */
+/* Compute the turning points of the robot along the guess. The solver treats them as constant, since their dependence
+   on the acceleration is small. */
 static void find_turning_points(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
@@ -114,8 +114,8 @@ static void convolve(const real *response, const real *plan, int count, int N, r
     }
 }
 
-/* `count` entries of a row of `known`, zero beyond, `late` samples later: `step` entries further on in a row that looks
-   back, further back in one that looks ahead. */
+/* Delay a row by `late` samples with linear interpolation: `count` entries of a row with `known` entries and zeros
+   beyond. `step` is 1 if later entries of the row belong to earlier times, and -1 otherwise. */
 static void delay(const real *row, int known, int stride, int step, real late, int count, real *out)
 {
     const int whole = (int)late;
@@ -128,9 +128,9 @@ static void delay(const real *row, int known, int stride, int step, real late, i
     }
 }
 
-/* The model's response to plans whose commands act later by the estimated delays, in whole milliseconds: so it seldom
-   changes. */
-static void respond_late(ddmpc_controller *c, const real *delays)
+/* Compute the model's response to plans whose commands are delayed by the estimated delays. Delays are rounded to whole
+   milliseconds, so that the response seldom changes. */
+static void update_delayed_response(ddmpc_controller *c, const real *delays)
 {
     ddmpc_problem *p = &c->problem;
     const ddmpc_constants *k = c->constants;
@@ -153,12 +153,12 @@ static void respond_late(ddmpc_controller *c, const real *delays)
     }
 }
 
-/* Delay the past commands by the estimated delays, from the first of the window to the last that acts on the plan:
-   (W + N, 2). Returns the number of past commands that act on the plan. */
-static int line_up(const ddmpc_controller *c, real *line)
+/* Delay the past commands (W + N, 2) by the estimated delays, from the first of the window to the last that acts during
+   the plan. Returns the number of past commands that act during the plan. */
+static int delay_commands(const ddmpc_controller *c, real *line)
 {
     const real *late = c->problem.late;
-    const int W = WINDOW(c), beyond = ddmpc_least(STEPS(c), 1 + (int)ddmpc_max(late[0], late[1]));
+    const int W = WINDOW(c), beyond = ddmpc_min_int(STEPS(c), 1 + (int)ddmpc_max(late[0], late[1]));
     for (int i = 0; i < 2; i++)
         delay(ddmpc_commands(c) + i, W, 2, -1, late[i], W + beyond, line + i);
     return beyond;
@@ -169,18 +169,18 @@ void ddmpc_problem_begin(ddmpc_controller *c)
     const ddmpc_constants *k = c->constants;
     const int n = STATES(c), past = 2 * WINDOW(c), N = STEPS(c);
     const real *z = c->result.estimate.mean;
-    real line[2 * (DDMPC_MOST_WINDOW + DDMPC_MOST_STEPS)], arriving[2 * (DDMPC_MOST_STEPS + 1)];
+    real line[2 * (DDMPC_MAX_WINDOW + DDMPC_MAX_STEPS)], arriving[2 * (DDMPC_MAX_STEPS + 1)];
     ddmpc_problem *p = &c->problem;
     if (SPARE(c))
-        respond_late(c, z + n + DELAYS(c));
+        update_delayed_response(c, z + n + DELAYS(c));
     memcpy(p->pose, z + n + POSE(c), sizeof p->pose);
     memcpy(p->slip, z + n, (size_t)SLIPS(c) * sizeof(real));
     memcpy(p->last, c->last, sizeof p->last);
-    look_ahead(c);
+    compute_targets(c);
     if (NONLINEAR(c))
         return;
     real *free_output = CURVED(c) ? p->model_output : p->free_output;
-    const int beyond = line_up(c, line);
+    const int beyond = delay_commands(c, line);
     convolve(k->response, line + past, beyond, N, arriving);
     for (int i = 0; i < 2 * (STEPS(c) + 1); i++) {
         const real *from_state = k->from_state + i * n, *from_past = k->from_past + i * past;
@@ -199,13 +199,13 @@ void ddmpc_problem_guess(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
     for (int i = 0; i < INPUTS(c); i++) {
-        const real most = ddmpc_largest_command(c, i / 2, i % 2, 0), least = -ddmpc_largest_command(c, i / 2, i % 2, 1);
-        p->guess[i] = ddmpc_min(ddmpc_max(p->feed_forward[i], least), most);
+        const real upper = ddmpc_largest_command(c, i / 2, i % 2, 0), lower = -ddmpc_largest_command(c, i / 2, i % 2, 1);
+        p->guess[i] = ddmpc_min(ddmpc_max(p->feed_forward[i], lower), upper);
     }
     p->has_guess = 1;
 }
 
-/* Compute the effect of a plan on the twists from their rows. */
+/* Compute the effect of a plan on the twists from their Jacobian rows. */
 static void add_rows(const ddmpc_controller *c, const real *plan, real *by_plan)
 {
     const int N = STEPS(c);
@@ -232,8 +232,8 @@ static void run_model(ddmpc_controller *c, const real *plan, real *outputs, int 
 {
     ddmpc_problem *p = &c->problem;
     const int n = STATES(c), N = STEPS(c), W = WINDOW(c), width = WIDTH(c);
-    real line[2 * (DDMPC_MOST_WINDOW + DDMPC_MOST_STEPS)], state[DDMPC_MOST_STATES], next[DDMPC_MOST_STATES];
-    real by_state[DDMPC_MOST_STATES * DDMPC_MOST_STATES], by_output[2 * DDMPC_MOST_STATES];
+    real line[2 * (DDMPC_MAX_WINDOW + DDMPC_MAX_STEPS)], state[DDMPC_MAX_STATES], next[DDMPC_MAX_STATES];
+    real by_state[DDMPC_MAX_STATES * DDMPC_MAX_STATES], by_output[2 * DDMPC_MAX_STATES];
     real *now = p->sensitivity, *after = p->sensitivity + n * width;
     memcpy(line, ddmpc_commands(c), (size_t)(2 * W) * sizeof(real));
     memcpy(line + 2 * W, plan, (size_t)(2 * N) * sizeof(real));
@@ -259,7 +259,7 @@ static void run_model(ddmpc_controller *c, const real *plan, real *outputs, int 
             for (int m = 0; m < n; m++)
                 for (int j = 0; j < 2 * k; j++)
                     after[i * width + j] += by_state[i * n + m] * now[m * width + j];
-            /* The window's commands from the first of the plan on. */
+            /* Commands of the window that belong to the plan. */
             for (int w = k < W ? W - k : 0; w <= W; w++)
                 for (int channel = 0; channel < 2; channel++)
                     after[i * width + 2 * (k - W + w) + channel] += p->by_window[i + n * (2 * w + channel)];
@@ -275,7 +275,7 @@ static void run_linear_model(ddmpc_controller *c, const real *plan, real *output
 {
     ddmpc_problem *p = &c->problem;
     const int N = STEPS(c), width = WIDTH(c);
-    real added[2 * (DDMPC_MOST_STEPS + 1)];
+    real added[2 * (DDMPC_MAX_STEPS + 1)];
     convolve(ddmpc_rows(c).response, plan, N, N, added);
     for (int i = 0; i < 2 * (N + 1); i++)
         outputs[i] = p->model_output[i] + added[(i % 2) * (N + 1) + i / 2];
@@ -288,21 +288,21 @@ static void run_linear_model(ddmpc_controller *c, const real *plan, real *output
 }
 
 /* Convert the model's outputs and rows to those of the body's twist. */
-static void curve(ddmpc_controller *c, real *outputs, int rows)
+static void apply_curved_slip(ddmpc_controller *c, real *outputs, int rows)
 {
     ddmpc_problem *p = &c->problem;
     const int width = WIDTH(c);
     for (int k = 0; k <= STEPS(c); k++) {
-        real twist[2], J[2 * (2 + DDMPC_MOST_SLIPS)];
+        real twist[2], J[2 * (2 + DDMPC_MAX_SLIPS)];
         const real *arguments[2] = {outputs + 2 * k, p->slip};
         real *results[2] = {twist, rows ? J : 0};
         WITH_SLIP(c, twist)(arguments, results, 0, 0, 0);
         memcpy(outputs + 2 * k, twist, sizeof twist);
         real *v = p->twist_rows + 2 * k * width, *omega = v + width;
         for (int j = 0; rows && j < 2 * k; j++) {
-            const real says[2] = {v[j], omega[j]};
-            v[j] = J[0] * says[0] + J[2] * says[1];
-            omega[j] = J[1] * says[0] + J[3] * says[1];
+            const real by_model[2] = {v[j], omega[j]};
+            v[j] = J[0] * by_model[0] + J[2] * by_model[1];
+            omega[j] = J[1] * by_model[0] + J[3] * by_model[1];
         }
     }
 }
@@ -314,10 +314,10 @@ static void run(ddmpc_controller *c, const real *plan, real *outputs, int rows)
     else
         run_linear_model(c, plan, outputs, rows);
     if (CURVED(c))
-        curve(c, outputs, rows);
+        apply_curved_slip(c, outputs, rows);
 }
 
-/* Compute the rows along the guess, and the output without a plan. */
+/* Compute the rows along the guess, and the output for a plan of zeros. */
 static void linearise_rows(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
@@ -339,7 +339,7 @@ static void linearise_rows(ddmpc_controller *c)
     free_twists(c);
 }
 
-/* Poses by exact arcs, from the twists that the plan adds; with their gradients where `arcs` is given. */
+/* Compute poses by exact arcs from the plan's effect on the twists; if `arcs` is not NULL, also their gradients. */
 static void roll_out(const ddmpc_controller *c, const real *by_plan, real *arcs, real *poses)
 {
     const ddmpc_problem *p = &c->problem;
@@ -375,7 +375,7 @@ void ddmpc_problem_poses(ddmpc_controller *c, const real *plan, real *poses)
     const int N = STEPS(c);
     ddmpc_add_plan(c, plan, p->by_plan);
     if (ROWS(c)) {
-        real outputs[2 * (DDMPC_MOST_STEPS + 1)];
+        real outputs[2 * (DDMPC_MAX_STEPS + 1)];
         run(c, plan, outputs, 0);
         /* Use the exact effect of the plan instead of the linearised one. */
         for (int i = 0; i < 2 * (N + 1); i++)

@@ -1,5 +1,5 @@
 /* Memory layout of a controller in memory provided by the caller: its size, and the start of each array. The core
- * allocates nothing, here or anywhere else. */
+ * never allocates memory. */
 #include <string.h>
 
 #include "internal.h"
@@ -10,7 +10,7 @@
 #define DDMPC_GUARD(address, bytes) ((void)(address))
 #endif
 
-/* Memory distributed from the front; without memory it only counts. */
+/* Memory that is distributed from its start; if the pointers are NULL, sizes are only counted. */
 typedef struct {
     real *reals;
     int *ints;
@@ -19,18 +19,18 @@ typedef struct {
 
 static real *reals(memory *m, long count)
 {
-    real *taken = m->reals ? m->reals + m->real_count : 0;
+    real *array = m->reals ? m->reals + m->real_count : 0;
     m->real_count += count + DDMPC_GAP;
-    if (taken)
-        DDMPC_GUARD(taken + count, DDMPC_GAP * sizeof(real));
-    return taken;
+    if (array)
+        DDMPC_GUARD(array + count, DDMPC_GAP * sizeof(real));
+    return array;
 }
 
 static int *ints(memory *m, long count)
 {
-    int *taken = m->ints ? m->ints + m->int_count : 0;
+    int *array = m->ints ? m->ints + m->int_count : 0;
     m->int_count += count;
-    return taken;
+    return array;
 }
 
 static void lay_estimator(ddmpc_controller *c, memory *m)
@@ -102,7 +102,7 @@ static void lay_problem(ddmpc_controller *c, memory *m)
     p->multipliers = reals(m, kinds * N);
     p->values = reals(m, kinds * N);
     p->plan = reals(m, inputs);
-    p->pressing = ints(m, kinds);
+    p->active_kinds = ints(m, kinds);
 }
 
 static void lay(ddmpc_controller *c, memory *m)
@@ -126,24 +126,24 @@ static void lay(ddmpc_controller *c, memory *m)
     result->planned_commands = reals(m, 2 * N);
     result->aim = reals(m, 4 * (N + 1));
     const int rows = KINDS(c) * (int)N;
-    c->limited.most_active = PRESSING(c);
-    c->limited.reals = reals(m, DDMPC_LIMITED_REALS((long)INPUTS(c), (long)rows, (long)PRESSING(c)));
-    c->limited.ints = ints(m, DDMPC_LIMITED_INTS((long)INPUTS(c), (long)rows, (long)PRESSING(c)));
+    c->limited.max_active = MAX_ACTIVE(c);
+    c->limited.reals = reals(m, DDMPC_LIMITED_REALS((long)INPUTS(c), (long)rows, (long)MAX_ACTIVE(c)));
+    c->limited.ints = ints(m, DDMPC_LIMITED_INTS((long)INPUTS(c), (long)rows, (long)MAX_ACTIVE(c)));
 }
 
 /* Return 1 if local arrays of fixed size are large enough for these sizes. */
 static int fits(const ddmpc_sizes *s)
 {
-    return s->steps >= 1 && s->steps <= DDMPC_MOST_STEPS && s->states >= 1 && s->states <= DDMPC_MOST_STATES &&
-           s->window >= 1 && s->window <= DDMPC_MOST_WINDOW && s->delay_v >= 0 && s->delay_v < s->window &&
+    return s->steps >= 1 && s->steps <= DDMPC_MAX_STEPS && s->states >= 1 && s->states <= DDMPC_MAX_STATES &&
+           s->window >= 1 && s->window <= DDMPC_MAX_WINDOW && s->delay_v >= 0 && s->delay_v < s->window &&
            s->delay_omega >= 0 && s->delay_omega < s->window && s->history >= 2 && s->lag_v >= 0 && s->lag_omega >= 0 &&
            (s->turns == 0 || s->turns == TURN_ROWS) && (s->command_turns == 0 || s->command_turns == TURN_ROWS) &&
            (s->slips == FLAT_SLIPS || s->slips == CURVED_SLIPS) &&
-           s->soft >= SHIPPED_SOFT + s->turns + s->command_turns && s->soft + HARD <= DDMPC_MOST_KINDS && s->residuals >= 0 &&
-           s->pressing >= 2 * s->steps && s->terms >= 0 && s->parameters >= 0 && s->model_parameters >= 0 && s->work >= 0;
+           s->soft >= SHIPPED_SOFT + s->turns + s->command_turns && s->soft + HARD <= DDMPC_MAX_KINDS && s->residuals >= 0 &&
+           s->max_active >= 2 * s->steps && s->terms >= 0 && s->parameters >= 0 && s->model_parameters >= 0 && s->work >= 0;
 }
 
-static memory counted(const ddmpc_sizes *sizes)
+static memory count_memory(const ddmpc_sizes *sizes)
 {
     ddmpc_controller c;
     memory m = {0, 0, 0, 0};
@@ -154,9 +154,9 @@ static memory counted(const ddmpc_sizes *sizes)
     return m;
 }
 
-long ddmpc_reals(const ddmpc_sizes *sizes) { return counted(sizes).real_count; }
+long ddmpc_reals(const ddmpc_sizes *sizes) { return count_memory(sizes).real_count; }
 
-long ddmpc_ints(const ddmpc_sizes *sizes) { return counted(sizes).int_count; }
+long ddmpc_ints(const ddmpc_sizes *sizes) { return count_memory(sizes).int_count; }
 
 unsigned long ddmpc_node_bytes(void) { return (unsigned long)sizeof(ddmpc_node); }
 

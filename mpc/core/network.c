@@ -1,4 +1,4 @@
-/* A network on past commands as velocity model: forward through the window, and back for the gradient of its outputs.
+/* A network on past commands as velocity model: forward pass over the window, and backward pass for the gradient.
  *
  * This file holds algebra only; the equations of the units and their derivatives are generated from
  * models/lstm_cell.py. Inner loops run over units, which are adjacent in memory. */
@@ -68,7 +68,7 @@ static inline void add_product(const real *restrict left, const real *restrict m
 
 /* Advance cells and outputs of all units by one sample, from the sums of their gates; on request store their
  * derivatives for the gradient in `stored`. */
-static inline void advance_units(int row, const real *restrict sums, real *restrict cell, real *restrict says,
+static inline void advance_units(int row, const real *restrict sums, real *restrict cell, real *restrict output,
                                  real *restrict stored, int gradient)
 {
 #pragma GCC ivdep
@@ -83,7 +83,7 @@ static inline void advance_units(int row, const real *restrict sums, real *restr
         real *from_hidden[2] = {&out, gradient ? by_now : 0};
         ddmpc_f_hidden(into_hidden, from_hidden);
         cell[j] = after;
-        says[j] = out;
+        output[j] = out;
         if (gradient) {
             stored[BY_ENTER * row + j] = by_before[0];
             stored[BY_KEEP * row + j] = by_before[1];
@@ -110,15 +110,15 @@ static inline void activate(int row, real *restrict sums, real *restrict slope)
 }
 
 /* Propagate derivatives of an output back through one sample, to the sums of the gates and to the previous cell. */
-static inline void retreat_units(int row, const real *restrict stored, const real *restrict by_says,
+static inline void retreat_units(int row, const real *restrict stored, const real *restrict by_output,
                                  real *restrict by_cell, real *restrict by_sums)
 {
     for (int j = 0; j < row; j++) {
-        const real cell = by_cell[j] + by_says[j] * stored[OUT_BY_CELL * row + j];
+        const real cell = by_cell[j] + by_output[j] * stored[OUT_BY_CELL * row + j];
         by_sums[ENTER * row + j] = cell * stored[BY_ENTER * row + j];
         by_sums[KEEP * row + j] = cell * stored[BY_KEEP * row + j];
         by_sums[CANDIDATE * row + j] = cell * stored[BY_CANDIDATE * row + j];
-        by_sums[LEAVE * row + j] = by_says[j] * stored[OUT_BY_LEAVE * row + j];
+        by_sums[LEAVE * row + j] = by_output[j] * stored[OUT_BY_LEAVE * row + j];
         by_cell[j] = cell * stored[BY_CELL * row + j];
     }
 }

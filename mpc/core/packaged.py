@@ -1,7 +1,8 @@
 """The compiled core inside a wheel: one library for each level of x86-64.
 
-A wheel runs on processors that its maker has not seen. On x86-64 the core is therefore compiled for the levels 3 and 4
-of the architecture too (AVX2, AVX-512), and the best one that the processor has is loaded.
+The processor on which a wheel runs is not known when the wheel is built. On x86-64 the core is therefore compiled for
+the baseline and for the levels 3 (AVX2) and 4 (AVX-512) of the architecture. The highest level that the processor
+supports is loaded.
 """
 
 from __future__ import annotations
@@ -23,32 +24,34 @@ _LEVELS = {
 
 
 def write_packaged(folder: Path) -> list[Path]:
-    """Compile the core for the package in `folder`: libraries and manifest; without the levels that the compiler lacks.
+    """Compile the core into `folder` of a package; return libraries and manifest.
+
+    Levels that the compiler does not support are skipped.
 
     Raises
     ------
     NotCompiledError
-        If it cannot be compiled at all.
+        If the core cannot be compiled for any level.
     """
     return _packaged().write(core_texts(), folder)
 
 
 def packaged_libraries() -> Iterator[Path]:
-    """Yield the package's libraries that this processor can run, best first; skip incomplete or outdated ones."""
+    """Yield the package's libraries for this processor, highest level first; skip incomplete and outdated libraries."""
     return _packaged().libraries()
 
 
 def packaged_with_core(name: str, folder: Path, sources: Sequence[str]) -> Packaged:
-    """Return the library of another package whose C is compiled together with the core, at the levels of the core.
+    """Return the library of another package whose C code is compiled together with the core, at the levels of the core.
 
     Parameters
     ----------
     name
-        First part of the file names of the library.
+        Prefix of the file names of the library.
     folder
-        Folder of the library in a wheel of that package.
+        Folder of the library in the wheel of the package.
     sources
-        Texts that the further C comes from, before anything is generated.
+        Source texts of the additional C code, before code generation.
     """
     return Packaged(name, folder, digest_of([core_origin(), *sources]), _LEVELS)
 

@@ -1,10 +1,10 @@
-/* Shared by linearise.c, condense.c and limits.c: the rows by which predicted values depend on the commands. */
+/* Jacobian rows of predicted values by the commands; shared by linearise.c, condense.c and limits.c. */
 #ifndef DDMPC_PROBLEM_H
 #define DDMPC_PROBLEM_H
 
 #include "internal.h"
 
-/* Response of a linear model to a plan, delayed if its commands act later than configured. */
+/* Response of a linear model to a plan, with the estimated extra delays of the commands if there are any. */
 static inline ddmpc_response ddmpc_rows(const ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
@@ -14,7 +14,7 @@ static inline ddmpc_response ddmpc_rows(const ddmpc_controller *c)
     return p->late[0] > R(0.0) || p->late[1] > R(0.0) ? late : configured;
 }
 
-/* Row of a linear model's output. All rows are the last one shifted, so this is a place in that row. */
+/* Row of a linear model's output. All rows are shifted copies of the last row, so this points into the last row. */
 static inline const real *ddmpc_model_row(const ddmpc_controller *c, int k, int channel)
 {
     return ddmpc_rows(c).twist + channel * 2 * WIDTH(c) + 2 * (STEPS(c) - k);
@@ -64,11 +64,11 @@ void ddmpc_linear_moves(const ddmpc_controller *c, const real *by_plan, real *mo
 /* Evaluate a function of (pose, twist, command, reference, parameters) at sample k + 1: value, then Jacobian. */
 void ddmpc_call_term(const ddmpc_controller *c, ddmpc_function function, int k, int rows, const real *command,
                      const real *parameters, real *out);
-/* Convert a gradient by pose, twist of the body and command to one by pose, output of the model and command, by the
- * chain rule. The heading, too, then counts in units of the model's. `step` is the distance between entries of
+/* Convert a gradient by pose, body twist and command to a gradient by pose, model output and command, by the chain rule.
+ * The heading is then also that of the model, the integral of its omega. `step` is the distance between entries of
  * `by_body`. */
 void ddmpc_through_slip(const ddmpc_problem *p, const real *by_body, int step, real gradient[TERM_INPUTS]);
-/* Compute the row by the commands of a value at sample k + 1 with a gradient of `ddmpc_through_slip`. */
+/* Compute the Jacobian row by the commands of a value at sample k + 1, from its gradient by `ddmpc_through_slip`. */
 void ddmpc_term_row(const ddmpc_controller *c, int k, const real gradient[TERM_INPUTS], real *row);
 
 /* limits.c */

@@ -4,7 +4,7 @@
 
 #include <math.h>
 
-#include "ddmpc_sizes.h" /* an export defines DDMPC_EXPORT, its sizes, and DDMPC_FLOAT; else empty */
+#include "ddmpc_sizes.h" /* defines DDMPC_EXPORT, sizes and DDMPC_FLOAT in an export; empty otherwise */
 
 #ifdef DDMPC_FLOAT
 typedef float real;
@@ -38,22 +38,22 @@ typedef double ddmpc_time;
 #define DDMPC_PI R(3.14159265358979323846)
 
 static inline real ddmpc_max(real a, real b) { return a > b ? a : b; }
-static inline int ddmpc_least(int a, int b) { return a < b ? a : b; }
+static inline int ddmpc_min_int(int a, int b) { return a < b ? a : b; }
 static inline real ddmpc_min(real a, real b) { return a < b ? a : b; }
 
-/* `angle` [rad] in [-pi, pi). */
+/* Wrap `angle` [rad] to [-pi, pi). */
 static inline real ddmpc_wrap(real angle)
 {
     return angle - R(2.0) * DDMPC_PI * ddmpc_floor((angle + DDMPC_PI) / (R(2.0) * DDMPC_PI));
 }
 
-/* tanh without branches or calls, so that a loop of it runs many lanes at a time: Pade's fraction of x / 8, whose angle
-   is doubled three times as a fraction. Exact to a few units in the last place in both precisions. */
+/* tanh without branches or calls, so that loops over it vectorise: a Pade approximant of tanh(x / 8), followed by three
+   applications of the double-argument formula. Accurate to a few units in the last place in both precisions. */
 static inline real ddmpc_tanh(real x)
 {
-    const real most = R(20.0);
-    const real near = x > most ? most : x < -most ? -most : x;
-    const real y = R(0.125) * near, s = y * y, per = R(1.0) / R(135135.0);
+    const real limit = R(20.0);
+    const real clipped = x > limit ? limit : x < -limit ? -limit : x;
+    const real y = R(0.125) * clipped, s = y * y, per = R(1.0) / R(135135.0);
     real top = y * (R(1.0) + s * (R(17325.0) + s * (R(378.0) + s)) * per);
     real bottom = R(1.0) + s * (R(62370.0) + s * (R(3150.0) + s * R(28.0))) * per;
     for (int i = 0; i < 3; i++) {

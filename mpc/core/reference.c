@@ -1,5 +1,5 @@
-/* References in closed form, sampled: exact arcs with piecewise constant acceleration, and cubic pieces in time. See
- * mpc/trajectories, whose tables these are, and mpc/problem/formulas.py for the motion along a piece. */
+/* Sampling of references in closed form: exact arcs with piecewise constant acceleration, and cubic pieces in time.
+ * mpc/trajectories builds the tables; mpc/problem/formulas.py defines the motion along a piece. */
 #include "internal.h"
 
 static ddmpc_time clamp(ddmpc_time t, ddmpc_time duration)
@@ -8,7 +8,7 @@ static ddmpc_time clamp(ddmpc_time t, ddmpc_time duration)
     return t < 0.0 ? 0.0 : t > duration ? duration : t;
 }
 
-/* Index of the last of `count` breaks that is not after `t`; at least 0. */
+/* Index of the last of `count` breaks at or before `t`; at least 0. */
 static int piece_at(const ddmpc_time *breaks, int count, ddmpc_time t)
 {
     int low = 0, high = count;

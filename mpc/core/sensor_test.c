@@ -41,7 +41,7 @@ void ddmpc_monitor_predict(ddmpc_controller *c, const real *newest)
 {
     ddmpc_monitor *m = &c->monitor;
     const real half = R(0.5) * (real)c->constants->sample_time;
-    real state[DDMPC_MOST_STATES], before[2], after[2];
+    real state[DDMPC_MAX_STATES], before[2], after[2];
     if (!c->constants->monitor)
         return;
     ddmpc_velocity_output(c, m->state, before, 0);

@@ -1,9 +1,9 @@
-/* Solves the tick's quadratic program. Most ticks press on no limit: the minimiser without limits keeps them all, and
- * so solves the whole problem. Else the active set is found from the limits that pressed at the last tick, and proven
- * by its multipliers. Stopped by its bounds it leaves a plan that keeps ranges and slew. Where numbers fail
- * ddmpc_solve returns DDMPC_NEEDS_BACKEND: Python asks DAQP or OSQP (mpc/solver/backend.py) and goes on by
- * ddmpc_answer; an export, which has no backend, goes down the ladder. H = R'R is factorised by Cholesky's method,
- * block by block. */
+/* Solution of the tick's quadratic program. In most ticks no limit is active: the minimiser without limits satisfies all
+ * limits and is the solution. Otherwise the active-set method starts from the limits that were active at the last tick,
+ * and verifies its solution by the multipliers. If its bounds stop the method, the plan satisfies ranges and slew. If
+ * rounding errors prevent a solution, ddmpc_solve returns DDMPC_NEEDS_BACKEND: Python solves with DAQP or OSQP
+ * (mpc/solver/backend.py) and continues with ddmpc_answer; an export, which has no backend, uses the failure ladder.
+ * H = R'R is factorised by a blocked Cholesky method. */
 #include <string.h>
 
 #include "active_rows.h"
@@ -23,7 +23,7 @@ static int is_sound(const ddmpc_controller *c)
     return sound;
 }
 
-/* The corner of a row of blocks: R'R = S, for as many columns as there are; 0 if S is not positive definite. */
+/* Factorise R'R = S in the diagonal block of `count` columns; returns 0 if S is not positive definite. */
 static int factorise_corner(real S[DDMPC_LANES][DDMPC_LANES], int count)
 {
     for (int p = 0; p < count; p++) {
@@ -40,7 +40,7 @@ static int factorise_corner(real S[DDMPC_LANES][DDMPC_LANES], int count)
     return 1;
 }
 
-/* H = R'R by rows of blocks; what lies left of the diagonal stays zero. */
+/* Factorise H = R'R by rows of blocks; entries below the diagonal stay zero. Returns 0 if H is not positive definite. */
 static int factorise(const real *H, int inputs, real *factor)
 {
     enum { LANES = DDMPC_LANES };
@@ -80,7 +80,7 @@ static int factorise(const real *H, int inputs, real *factor)
     return 1;
 }
 
-/* a'b in several partial sums: a compiler may not reorder a single sum and so could not vectorise it. */
+/* a'b in several partial sums: a compiler must not reorder a single sum, and therefore could not vectorise it. */
 static inline real long_dot(const real *a, const real *b, int count)
 {
     real sum[DDMPC_LANES] = {R(0.0)};
@@ -113,16 +113,16 @@ static real minimise(const real *H, const real *g, const real *factor, int input
     return residual;
 }
 
-void ddmpc_broken(const ddmpc_controller *c, const real *plan, real margin, int *broken)
+void ddmpc_violated_kinds(const ddmpc_controller *c, const real *plan, real margin, int *violated)
 {
     const ddmpc_problem *p = &c->problem;
     const int N = STEPS(c);
     ddmpc_limit_values(c, plan, p->values);
     for (int kind = 0; kind < KINDS(c); kind++) {
-        broken[kind] = 0;
+        violated[kind] = 0;
         for (int i = kind * N; i < (kind + 1) * N; i++)
-            /* Negated so that NaN breaks every limit. */
-            broken[kind] |= !(p->values[i] <= p->upper[i] + margin && p->values[i] >= p->lower[i] - margin);
+            /* Negated so that NaN violates every limit. */
+            violated[kind] |= !(p->values[i] <= p->upper[i] + margin && p->values[i] >= p->lower[i] - margin);
     }
 }
 
@@ -136,7 +136,7 @@ void ddmpc_soft_rows(const ddmpc_controller *c, int kind, real *rows)
 ddmpc_program ddmpc_program_of(const ddmpc_controller *c)
 {
     const ddmpc_problem *p = &c->problem;
-    const ddmpc_program program = {p->H, p->g, p->lower, p->upper, p->guess, p->multipliers, p->pressing,
+    const ddmpc_program program = {p->H, p->g, p->lower, p->upper, p->guess, p->multipliers, p->active_kinds,
                                    p->last, p->aim, p->feed_forward, p->ahead, p->soft_value,
                                    p->fed_before, p->late};
     return program;
@@ -144,7 +144,7 @@ ddmpc_program ddmpc_program_of(const ddmpc_controller *c)
 
 void ddmpc_linearise_again(ddmpc_controller *c, const real *plan)
 {
-    real shifted[2 * DDMPC_MOST_STEPS], *guess = c->problem.guess, *commands = c->estimator.commands;
+    real shifted[2 * DDMPC_MAX_STEPS], *guess = c->problem.guess, *commands = c->estimator.commands;
     const size_t plan_bytes = (size_t)INPUTS(c) * sizeof(real), line_bytes = (size_t)(2 * (COMMANDS(c) - 1)) * sizeof(real);
     const real command[2] = {commands[2 * COMMANDS(c) - 2], commands[2 * COMMANDS(c) - 1]};
     memcpy(shifted, guess, plan_bytes);
@@ -175,12 +175,12 @@ static void shift_multipliers(ddmpc_controller *c)
     }
 }
 
-/* Add the kinds with nonzero multipliers to those that the minimiser without limits breaks. */
+/* Mark the kinds with nonzero multipliers, in addition to those that the minimiser without limits violates. */
 static void gather_kinds(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
     for (int i = 0; i < KINDS(c) * STEPS(c); i++)
-        p->pressing[i / STEPS(c)] |= p->multipliers[i] != R(0.0);
+        p->active_kinds[i / STEPS(c)] |= p->multipliers[i] != R(0.0);
 }
 
 /* Clip a plan to ranges and slew, command by command. */
@@ -204,7 +204,7 @@ static real cost_of(ddmpc_controller *c, const real *plan)
 {
     ddmpc_problem *p = &c->problem;
     const int inputs = INPUTS(c);
-    real moved[2 * DDMPC_MOST_STEPS], sum = R(0.0);
+    real moved[2 * DDMPC_MAX_STEPS], sum = R(0.0);
     for (int i = 0; i < inputs; i++)
         moved[i] = plan[i] - p->minimiser[i];
     for (int i = 0; i < inputs; i++) {
@@ -224,7 +224,7 @@ static real cost_of(ddmpc_controller *c, const real *plan)
 static void take_unfinished(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
-    real rest[2 * DDMPC_MOST_STEPS];
+    real rest[2 * DDMPC_MAX_STEPS];
     const size_t size = (size_t)INPUTS(c) * sizeof(real);
     memcpy(rest, p->guess, size);
     keep_hard_limits(c, rest);
@@ -242,7 +242,7 @@ static int find_active_set(ddmpc_controller *c)
     const ddmpc_limited_problem problem = {
         INPUTS(c), rows, hard, p->factor, p->minimiser, p->lower, p->upper, c->constants->price,
         c->constants->price_slope, ddmpc_limit_values, ddmpc_limit_row, c, c->constants->slack,
-        c->most_iterations, ddmpc_limited_most(INPUTS(c), rows, PRESSING(c)), c->deadline};
+        c->max_iterations, ddmpc_limited_allowance(INPUTS(c), rows, MAX_ACTIVE(c)), c->deadline};
     /* Solve on a copy: a failed solve clears its multipliers, and a backend still needs the old ones. */
     memcpy(p->values, p->multipliers, (size_t)rows * sizeof(real));
     const ddmpc_limited_result solved = ddmpc_solve_limited(&problem, &c->limited, p->values, p->plan);
@@ -266,16 +266,16 @@ static int find_active_set(ddmpc_controller *c)
     return 1;
 }
 
-long long ddmpc_operations_bound(int steps, int kinds, int pressing)
+long long ddmpc_operations_bound(int steps, int kinds, int max_active)
 {
-    return ddmpc_limited_bound(2 * steps, kinds * steps, pressing);
+    return ddmpc_limited_bound(2 * steps, kinds * steps, max_active);
 }
 
 int ddmpc_solve(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
     ddmpc_report *report = &c->result.solver;
-    int broken = 0;
+    int violated = 0;
     report->status = DDMPC_QP_NOT_FINITE;
     if (!is_sound(c))
         return DDMPC_DONE;
@@ -283,11 +283,11 @@ int ddmpc_solve(ddmpc_controller *c)
     if (!factorise(p->H, INPUTS(c), p->factor))
         return DDMPC_DONE;
     const real residual = minimise(p->H, p->g, p->factor, INPUTS(c), p->minimiser);
-    ddmpc_broken(c, p->minimiser, R(0.0), p->pressing);
+    ddmpc_violated_kinds(c, p->minimiser, R(0.0), p->active_kinds);
     for (int kind = 0; kind < KINDS(c); kind++)
-        broken |= p->pressing[kind];
+        violated |= p->active_kinds[kind];
     report->status = DDMPC_QP_NOT_RUN;
-    if (!broken && !c->constants->forced) {
+    if (!violated && !c->constants->forced) {
         memcpy(p->plan, p->minimiser, (size_t)INPUTS(c) * sizeof(real));
         memset(p->multipliers, 0, (size_t)(KINDS(c) * STEPS(c)) * sizeof(real));
         report->status = DDMPC_QP_SOLVED;

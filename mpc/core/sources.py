@@ -1,4 +1,4 @@
-"""Sources of the core: the C files of this folder, and the formulas, which are generated."""
+"""Sources of the core: the C files of this folder, and the Python files from which formulas are generated."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _FORMULAS = (
 )
 # Python sets sizes at run time and uses double precision; an export overrides both here.
 SIZES = "ddmpc_sizes.h"
-"""The header with these settings."""
+"""Name of the header with sizes and precision."""
 _SIZES = {SIZES: "/* double precision, and sizes at run time */\n"}
 
 _COMMENT = re.compile(r"/\*.*?\*/|//[^\n]*", re.DOTALL)
@@ -34,8 +34,8 @@ _CONSTANT = re.compile(r"\s*#\s*define\s+\w+\s+\d+\s*")
 
 
 def core_texts() -> dict[str, str]:
-    """Return every C file and header of the core by name, generated formulas included."""
-    # Imported late: generating needs CasADi at work, a library that is found does not.
+    """Return all C files and headers of the core by name, including generated formulas."""
+    # Imported here, since code generation is not needed if a library is found.
     from diffdrive_mpc.mpc.core.generate import generate_formulas, generate_network_formulas  # noqa: PLC0415
 
     formulas, network = generate_formulas(), generate_network_formulas()
@@ -49,12 +49,12 @@ def written_texts() -> dict[str, str]:
 
 
 def shared_headers() -> dict[str, str]:
-    """Return the headers that functions outside the core are compiled with."""
+    """Return the headers for the compilation of functions outside the core."""
     return _SIZES | {"real.h": (CORE / "real.h").read_text(encoding="utf-8")}
 
 
 def core_origin() -> str:
-    """Compute the digest of all sources of the library without generating them."""
+    """Compute the digest of all sources of the library, without code generation."""
     written = [part for item in written_texts().items() for part in item]
     return digest_of([*written, *((_PACKAGE / name).read_text("utf-8") for name in _FORMULAS)])
 
@@ -65,12 +65,12 @@ def header_text() -> str:
 
 
 def core_declarations() -> str:
-    """Return the declarations of that header in the form that cffi reads."""
+    """Return the declarations of core.h in the form that cffi reads."""
     return declarations(header_text())
 
 
 def declarations(header: str) -> str:
-    """Return the declarations of a C header for cffi: directives are left out but whole-number constants."""
+    """Return the declarations of a C header for cffi, without directives except integer constants."""
     plain = _ONLY_CPP.sub("", _COMMENT.sub(" ", header))
-    stated = _DIRECTIVE.sub(lambda line: line[0] if _CONSTANT.fullmatch(line[0]) else "", plain)
-    return f"typedef double real;\ntypedef double ddmpc_time;\n{stated}"
+    declared = _DIRECTIVE.sub(lambda line: line[0] if _CONSTANT.fullmatch(line[0]) else "", plain)
+    return f"typedef double real;\ntypedef double ddmpc_time;\n{declared}"

@@ -13,7 +13,7 @@
 #include "clock.h"
 #include "internal.h"
 
-/* Reset all that belongs to one drive. Commands in the estimator stay: the robot may still be moving under them. */
+/* Reset the state of a drive. Commands in the estimator stay, since the robot may still be executing them. */
 static void forget(ddmpc_controller *c)
 {
     ddmpc_estimator_forget(c);
@@ -42,7 +42,7 @@ void ddmpc_forget(ddmpc_controller *c) { forget(c); }
 void ddmpc_configure(ddmpc_controller *c, const ddmpc_constants *constants)
 {
     c->constants = constants;
-    /* The delayed response belongs to the former constants: zero delays make respond_late compute it again. */
+    /* The delayed response belongs to the former constants: zero delays make update_delayed_response compute it again. */
     c->problem.late[0] = c->problem.late[1] = R(0.0);
     c->problem.is_stale = 1;
 }
@@ -83,7 +83,7 @@ typedef enum { TICK_NEW, TICK_REPEATED, TICK_LEAPT, TICK_PAUSED, TICK_FAULTY } t
 
 /* Classify a call at `t` relative to the last tick. Calls within half a sample repeat it: the model is discrete, so a
  * second prediction step in one period would run ahead of the robot. */
-static tick_kind look_at(const ddmpc_controller *c, ddmpc_time t)
+static tick_kind kind_of_call(const ddmpc_controller *c, ddmpc_time t)
 {
     const ddmpc_constants *k = c->constants;
     const ddmpc_time gap = t - c->last_tick, since_leap = t - c->leap;
@@ -97,16 +97,16 @@ static tick_kind look_at(const ddmpc_controller *c, ddmpc_time t)
         return TICK_REPEATED;
     if (gap <= k->longest_pause)
         return TICK_NEW;
-    /* One leap may be a glitch of the clock. A second tick at the new time shows that the time has really passed. */
+    /* A single leap may be a glitch of the clock. A second tick at the new time confirms that the time has passed. */
     return c->has_leap && since_leap > 0.0 && since_leap <= k->longest_pause ? TICK_PAUSED : TICK_LEAPT;
 }
 
-int ddmpc_is_new_tick(const ddmpc_controller *c, ddmpc_time t) { return look_at(c, t) == TICK_NEW; }
+int ddmpc_is_new_tick(const ddmpc_controller *c, ddmpc_time t) { return kind_of_call(c, t) == TICK_NEW; }
 
 static tick_kind classify_tick(ddmpc_controller *c, ddmpc_time t)
 {
-    const tick_kind kind = look_at(c, t);
-    /* After a leap the old time stays in force, so that a glitch of a single tick does no harm. */
+    const tick_kind kind = kind_of_call(c, t);
+    /* After a leap the old time stays valid, so that a glitch of a single tick has no effect. */
     c->result.gap = t - c->last_tick;
     c->has_leap = kind == TICK_LEAPT;
     if (kind == TICK_LEAPT)
@@ -118,7 +118,7 @@ static tick_kind classify_tick(ddmpc_controller *c, ddmpc_time t)
     return kind;
 }
 
-static void take_estimate(ddmpc_controller *c)
+static void update_result_estimate(ddmpc_controller *c)
 {
     c->result.has_estimate = ddmpc_estimator_state(c) & READY;
     if (c->result.has_estimate)
@@ -137,8 +137,8 @@ static real distance_to(const ddmpc_controller *c, const real pose[3])
 }
 
 /* Restart the estimate at the pose on which the rejected poses agree, once all pending commands are zero: the robot
- * is then at rest, so a belief without velocity is right. Returns the distance between both estimates [m]; negative
- * while it cannot. */
+ * is then at rest, and a belief with zero velocity is valid. Returns the distance between both estimates [m]; negative
+ * while a restart is not possible. */
 static real restart_elsewhere(ddmpc_controller *c)
 {
     /* Only commands that still act by the model count, not those within the allowance for unknown delays. */
@@ -146,16 +146,16 @@ static real restart_elsewhere(ddmpc_controller *c)
     for (int i = SPARE(c) ? 2 * (SPARE(c) + 1) : 0; i < 2 * WINDOW(c); i++)
         if (commands[i] != R(0.0))
             return R(-1.0);
-    take_estimate(c);
+    update_result_estimate(c);
     const real before[3] = {pose_of(c)[0], pose_of(c)[1], pose_of(c)[2]};
     if (!c->constants->resume || !ddmpc_estimator_restart_elsewhere(c))
         return R(-1.0);
-    take_estimate(c);
+    update_result_estimate(c);
     return distance_to(c, before);
 }
 
-/* Return 1 if the robot is at rest at the end of its reference, or finish_timeout has passed. Once 1, it stays 1:
- * noise in the speed must not start the robot again. */
+/* Return 1 if the robot is at rest at the end of its reference, or finish_timeout has passed. The result then stays 1,
+ * so that noise in the speed does not start the robot again. */
 static int is_finished(ddmpc_controller *c, ddmpc_time time)
 {
     const ddmpc_constants *k = c->constants;
@@ -194,7 +194,7 @@ ddmpc_stray ddmpc_stray_from(const ddmpc_controller *c, const real *pose, const 
     const real v = twist[0], omega = twist[1];
     const int backwards = v < R(0.0), driving = ddmpc_fabs(v) > k->standing;
     const real ahead = backwards ? -stray.along : stray.along;
-    /* An uncertain pose is no reason to leave the path: the uncertainty widens the band. */
+    /* A robot with an uncertain pose stays on its path: the uncertainty widens the band. */
     const real *deviation = c->result.estimate.deviation + STATES(c) + POSE(c);
     const real band = c->carried + ddmpc_max(k->band, k->unsure * ddmpc_hypot(deviation[0], deviation[1]));
     stray.outside = ddmpc_fabs(stray.across) > band || ddmpc_fabs(stray.heading) > k->heading_band ||
@@ -210,7 +210,7 @@ ddmpc_stray ddmpc_stray_from(const ddmpc_controller *c, const real *pose, const 
         const real away = ddmpc_max(ddmpc_hypot(stray.along, stray.across) - c->carried, R(0.0));
         stray.late = ddmpc_max(away / k->wait, turning / k->heading_wait);
     }
-    /* The reference slows down as the position becomes less certain. */
+    /* The reference slows down as the uncertainty of the position grows. */
     const real beyond = (c->doubt - k->doubtful_band) / (R(1.0) - k->doubtful_band);
     stray.late = ddmpc_max(stray.late, R(1.0) + beyond);
     return stray;
@@ -229,14 +229,14 @@ static void sample_reference(ddmpc_controller *c, ddmpc_time time)
                             c->reference_twist + 2 * i, &arc_length);
 }
 
-/* Set up and solve the problem for the reference samples, then use the plan. Each step needs the ones before it: the
- * free motion and the aim (begin), a plan to linearise along (guess), Jacobians along it (linearise), the cost in the
- * commands alone (condense), and the limits in the same variables (limit). The guess is the shifted last plan; the
- * feed-forward replaces it after a failure or at the start, since linearising far from the solution would cost more
- * than one iteration. */
+/* Set up and solve the problem for the reference samples, then use the plan. Each step depends on the previous steps:
+ * the free motion and the targets (begin), a plan to linearise along (guess), Jacobians along this plan (linearise), the
+ * cost as a function of the commands (condense), and the limits in the same variables (limit). The guess is the shifted
+ * last plan. At the start and after a failure it is the feed-forward, since a linearisation far from the solution would
+ * require more than one iteration. */
 static int track(ddmpc_controller *c)
 {
-    const ddmpc_time began = ddmpc_now();
+    const ddmpc_time start = ddmpc_now();
     ddmpc_problem_begin(c);
     if (!c->problem.has_guess)
         ddmpc_problem_guess(c);
@@ -244,17 +244,17 @@ static int track(ddmpc_controller *c)
     ddmpc_problem_condense(c);
     ddmpc_problem_limit(c);
     const int pending = ddmpc_solve(c);
-    c->result.solve_time = ddmpc_now() - began;
+    c->result.solve_time = ddmpc_now() - start;
     return pending == DDMPC_NEEDS_BACKEND ? pending : ddmpc_use_plan(c);
 }
 
-/* Tolerate the displacement by a turn on the spot. Such a robot moves by the offset of its turning point and by its
- * slide, whatever the controller does, so that displacement is no reason to leave the path or to wait. */
-static void carry(ddmpc_controller *c)
+/* Tolerate the displacement by a turn on the spot. A turning robot moves by the offset of its turning point and by its
+ * slide, which the controller cannot prevent, so this displacement must not cause a return to the path or a wait. */
+static void tolerate_turn_displacement(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
-    /* Use the slip of the filter instead of the cautious mean of the controller: the tolerance must exist before the
-     * evidence. */
+    /* Use the filter's slip instead of the conservative estimate of the controller: the tolerance is needed before there
+     * is enough evidence for the latter. */
     const real *slip = ddmpc_estimator_slip(c), *twist = c->reference_twist;
     const real offset = ddmpc_hypot(slip[TURN_AHEAD], slip[TURN_LEFT]), slide = ddmpc_hypot(slip[SLIDE_X], slip[SLIDE_Y]);
     /* The tolerance decays while the robot drives back onto its path. */
@@ -263,7 +263,7 @@ static void carry(ddmpc_controller *c)
         c->carried = ddmpc_max(c->carried, k->carried[0] * (offset + slide));
 }
 
-/* Follow the reference if the robot is on its path and on time; otherwise ask the caller for a target. */
+/* Follow the reference if the robot is on its path and on time; otherwise request a target from the caller. */
 static int follow(ddmpc_controller *c, const ddmpc_input *input)
 {
     if (!input->on_time)
@@ -271,7 +271,7 @@ static int follow(ddmpc_controller *c, const ddmpc_input *input)
     sample_reference(c, input->reference_time);
     if (!c->constants->reentry) {
         const real distance = distance_to(c, c->reference_pose);
-        if (distance <= c->constants->max_position_error) /* false for NaN, too */
+        if (distance <= c->constants->max_position_error) /* also false for NaN */
             return track(c);
         c->result.distance = distance;
         return ddmpc_brake(c, DDMPC_TOO_FAR, DDMPC_OUTAGE);
@@ -281,8 +281,8 @@ static int follow(ddmpc_controller *c, const ddmpc_input *input)
     return stray.outside || !(stray.late <= R(1.0)) || isfinite(c->reach) ? DDMPC_NEEDS_TARGET : track(c);
 }
 
-/* Add to `reason` that poses arrive but are too old. */
-static unsigned int missing(const ddmpc_controller *c, unsigned int reason)
+/* Return `reason`, with DDMPC_POSES_TOO_OLD added if poses arrive but are too old. */
+static unsigned int add_too_old(const ddmpc_controller *c, unsigned int reason)
 {
     return c->estimator.too_old > 0.0 ? reason | DDMPC_POSES_TOO_OLD : reason;
 }
@@ -320,8 +320,8 @@ static int is_bridged(ddmpc_controller *c)
     return age <= k->dead_reckoning && c->doubt <= R(1.0);
 }
 
-/* Return 1 if the last accepted pose is too old, or will be before the next one: the robot would otherwise stop and
- * go. */
+/* Return 1 if the last accepted pose is too old, or will be too old before the next pose arrives, which would otherwise
+ * make the robot stop and start repeatedly. */
 static int has_old_pose(ddmpc_controller *c)
 {
     const ddmpc_estimator *estimator = &c->estimator;
@@ -333,7 +333,7 @@ static int has_old_pose(ddmpc_controller *c)
     /* If poses are rare, report that; report their age only when they stop altogether. */
     const ddmpc_time usual = rare ? estimator->pose_interval + estimator->pose_latency : 0.0;
     if (*c->result.estimate.pose_age > c->constants->max_pose_age + (real)usual)
-        c->result.reasons |= missing(c, DDMPC_OLD_POSE);
+        c->result.reasons |= add_too_old(c, DDMPC_OLD_POSE);
     return rare || c->result.reasons & DDMPC_OLD_POSE;
 }
 
@@ -345,31 +345,31 @@ static ddmpc_stop stop_of(int request)
 static int new_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
 {
     ddmpc_result *result = &c->result;
-    /* First of all, since the prediction over the last sample must use the command that really acted. */
+    /* Correct the last command first, since the prediction over the last sample must use the command that acted. */
     if (input->has_sent) {
         if (!ddmpc_estimator_correct_sent(c, input->sent))
             result->reasons |= DDMPC_SENT_REJECTED;
     }
-    /* Predict even without measurements, and during stops: late measurements are entered into this history. */
+    /* Predict even without measurements, and during stops: delayed measurements are entered into this history. */
     ddmpc_estimator_advance(c, t);
     const int state = ddmpc_estimator_update(c, t, input);
     ddmpc_monitor_report(c);
     report_rate(c);
-    /* Conditions for driving. The first unmet one stops the robot, and is the reason that users read: requests come
-     * before faults, and missing data before conclusions from data. */
+    /* Conditions for driving. The first unmet condition stops the robot and is the reported reason: requests precede
+     * faults, and missing data precede faults that are derived from data. */
     if (input->request != DDMPC_DRIVE)
         return ddmpc_brake(c, DDMPC_HELD, stop_of(input->request));
     if (!(state & READY))
-        return ddmpc_brake(c, missing(c, DDMPC_NO_POSE), DDMPC_OUTAGE);
+        return ddmpc_brake(c, add_too_old(c, DDMPC_NO_POSE), DDMPC_OUTAGE);
     if (state & MOVED) {
         const real jump = restart_elsewhere(c);
         if (jump < R(0.0))
             return ddmpc_brake(c, DDMPC_ELSEWHERE, DDMPC_FAILURE);
-        /* Somebody has carried the robot during a drive: it must not start by itself at the new place. */
+        /* The robot was carried away during a drive: it must not start by itself at the new position. */
         if (c->has_driven && !(jump <= c->constants->max_position_error))
             return ddmpc_brake(c, DDMPC_ELSEWHERE, DDMPC_WAITS);
     }
-    take_estimate(c);
+    update_result_estimate(c);
     const real *pose = pose_of(c);
     if (!(isfinite(pose[0]) && isfinite(pose[1]) && isfinite(pose[2]))) {
         ddmpc_estimator_forget(c);
@@ -384,8 +384,8 @@ static int new_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
         return ddmpc_brake(c, DDMPC_LEFT_FENCE, DDMPC_FAILURE);
     if (c->latched)
         return ddmpc_brake(c, DDMPC_LATCHED, DDMPC_FAILURE);
-    /* After all reasons to stop, since both learn from the motion of a robot that follows its reference. */
-    carry(c);
+    /* Both follow the checks, since they learn from the motion of a robot that follows its reference. */
+    tolerate_turn_displacement(c);
     ddmpc_watch_wheels(c);
     if (is_finished(c, input->reference_time)) {
         ddmpc_ramp(c);
@@ -395,16 +395,16 @@ static int new_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
     return follow(c, input);
 }
 
-/* Brake, because the time of this tick is unusable. After a leap or a pause of the clock command zero at once:
- * without commands the base has stopped by its timeout, and a ramp from the last command would start it again. */
-static void lose_time(ddmpc_controller *c, tick_kind kind)
+/* Brake because the time of this tick is unusable. After a leap or a pause of the clock, command zero immediately:
+ * the base has stopped by its command timeout, and a ramp from the last command would start it again. */
+static void brake_after_time_fault(ddmpc_controller *c, tick_kind kind)
 {
     const unsigned int reason = kind == TICK_FAULTY  ? DDMPC_TIME_FAULTY
                                 : kind == TICK_LEAPT ? DDMPC_TIME_LEAPT
                                                      : DDMPC_TIME_PAUSED;
     /* A single leap forward may be a glitch, and does not latch. */
-    const ddmpc_time gap = c->result.gap, most = c->constants->resume_within;
-    const int leapt = (kind == TICK_PAUSED && gap > most) || gap < -most;
+    const ddmpc_time gap = c->result.gap, limit = c->constants->resume_within;
+    const int leapt = (kind == TICK_PAUSED && gap > limit) || gap < -limit;
     ddmpc_brake(c, reason, leapt ? DDMPC_WAITS : DDMPC_FAILURE);
     if (kind == TICK_PAUSED)
         ddmpc_estimator_clear(c);
@@ -415,7 +415,7 @@ static void lose_time(ddmpc_controller *c, tick_kind kind)
 /* Clear the parts of a result that are not written at every tick. */
 static void clear(ddmpc_result *result)
 {
-    const ddmpc_report not_run = {DDMPC_QP_NOT_RUN, DDMPC_NO_WAY, 0, 0, 0, (real)NAN, (real)NAN, 0};
+    const ddmpc_report not_run = {DDMPC_QP_NOT_RUN, DDMPC_NO_METHOD, 0, 0, 0, (real)NAN, (real)NAN, 0};
     result->solver = not_run;
     result->solve_time = (ddmpc_time)NAN;
     result->reasons = 0;
@@ -435,7 +435,7 @@ static int finish_tick(ddmpc_controller *c, int pending, int is_new)
     if (is_new)
         ddmpc_estimator_append(c, c->result.command);
     else
-        /* No sample of the model starts here: the command in force since the last tick has changed. */
+        /* No new sample of the model starts; replace the command that acts since the last tick. */
         ddmpc_estimator_correct_last(c, c->result.command);
     memcpy(c->last, c->result.command, sizeof c->last);
     c->has_driven = c->has_driven || c->result.mode == DDMPC_TRACKING;
@@ -451,15 +451,15 @@ int ddmpc_step(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
         c->result.reasons = DDMPC_NO_REFERENCE;
         return DDMPC_DONE;
     }
-    /* A tick that the caller did not complete counts as a failed solve: a command is stored for it in any case. */
+    /* A tick that the caller did not complete counts as a failed solve, and its command is stored. */
     ddmpc_give_up(c);
     const tick_kind kind = classify_tick(c, t);
     if (kind == TICK_REPEATED && c->has_result) {
         c->result.notes = 0;
         ddmpc_estimator_update(c, t, input);
         c->result.reasons = DDMPC_TIME_REPEATED;
-        /* Repeat the command that was really sent, which the application may have replaced: any other would be a
-         * jump. The command is zero while STOPPED, and slew then starts from zero. */
+        /* Repeat the command that was sent, which the application may have replaced; any other command would jump. The
+         * command is zero while STOPPED, and slew then starts from zero. */
         if (c->result.mode != DDMPC_STOPPED)
             memcpy(c->result.command, c->last, sizeof c->last);
         else
@@ -469,16 +469,16 @@ int ddmpc_step(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
     clear(&c->result);
     c->share = R(1.0);
     c->deadline = input->deadline > 0.0 ? input->deadline : (ddmpc_time)INFINITY;
-    c->most_iterations = input->most_iterations > 0 ? input->most_iterations : c->constants->active_set;
+    c->max_iterations = input->most_iterations > 0 ? input->most_iterations : c->constants->active_set;
     c->is_late = input->is_late;
     if (kind == TICK_NEW) {
         const int pending = new_tick(c, t, input);
         if (!c->result.has_estimate)
-            take_estimate(c);
+            update_result_estimate(c);
         return finish_tick(c, pending, 1);
     }
-    lose_time(c, kind);
-    take_estimate(c);
+    brake_after_time_fault(c, kind);
+    update_result_estimate(c);
     return finish_tick(c, DDMPC_DONE, 0);
 }
 

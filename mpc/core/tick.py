@@ -1,8 +1,8 @@
-"""The compiled tick from Python: constants and results by the names of their fields in C.
+"""Python interface of the compiled tick: constants and results by the names of their fields in C.
 
-`core.h` alone defines the memory layout. Its text declares the structs to cffi, and states the shape of each array next
-to its pointer; names that are missing, unknown or of another shape are refused. The steps of a tick are in `tick.c`,
-and the work of Python around it is in `mpc/controller.py`.
+Only `core.h` defines the memory layout. cffi parses its structs, and comments state the shape of each array next to its
+pointer; a missing or unknown name or a wrong shape raises ValueError. The steps of a tick are in `tick.c`, and the
+Python part of a tick is in `mpc/controller.py`.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ class Tick:
     ----------
     sizes, constants
         Fields of `ddmpc_sizes` and `ddmpc_constants`.
-    step, output
-        Addresses of a nonlinear model's functions.
+    functions
+        Addresses of step and output of a nonlinear model.
     terms
-        Address, number of rows, softness and first parameter of each user's term.
+        Address, number of rows, softness and first parameter of each user term.
 
     Raises
     ------
     models.velocity_model.ModelError
-        If a size is more than the core holds.
+        If a size exceeds the maximum of the core.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class Tick:
         reals, ints = self.lib.ddmpc_reals(self._c_sizes), self.lib.ddmpc_ints(self._c_sizes)
         self._reals, self._ints = np.zeros(max(reals, 1)), np.zeros(max(ints, 1), dtype=np.intc)
         self._nodes = ffi.new("char[]", max(1, sizes["history"] * self.lib.ddmpc_node_bytes()))
-        # cffi gives memory that suits any type.
+        # Memory from cffi is aligned for any type.
         self._memory = ffi.new("char[]", self.lib.ddmpc_controller_bytes())
         self.c = ffi.cast("ddmpc_controller *", self._memory)
         fits = self.lib.ddmpc_init(
@@ -68,8 +68,8 @@ class Tick:
         )
         if not fits:
             raise ModelError(
-                f"a model of order {sizes['states']} with {sizes['window']} commands on their way, a horizon of "
-                f"{sizes['steps']} and {sizes['soft']} soft limits is more than the core holds (64, 512, 200, 60); "
+                f"a model of order {sizes['states']} with {sizes['window']} pending commands, a horizon of "
+                f"{sizes['steps']} and {sizes['soft']} soft limits exceeds the maximum of the core (64, 512, 200, 60); "
                 "identify a model of lower order"
             )
         self.result = self.lib.ddmpc_result_of(self.c)
@@ -87,7 +87,7 @@ class Tick:
         Raises
         ------
         ValueError
-            If a field is missing, unknown, or of another shape than core.h says.
+            If a field is missing or unknown, or its shape differs from the one in core.h.
         """
         struct, arrays = self.ffi.new("ddmpc_constants *"), []
         for name, value in constant_fields(self._sizes, values):
@@ -104,9 +104,9 @@ class Tick:
         self._constants = prepared
 
     def begin_with(self, slip: Sequence[float]) -> None:
-        """Let the estimate begin with this `slip` at the next start, until other constants are used.
+        """Set the initial `slip` of the estimate from the next start on, until other constants are used.
 
-        It has 10 entries, or 15 where slip curves the twist.
+        `slip` has 10 entries, or 15 with curved slip.
         """
         for i, value in enumerate(slip):
             self._constants[0].prior[i] = value
@@ -124,12 +124,12 @@ class Tick:
 
     @property
     def window(self) -> int:
-        """Commands that may be on their way."""
+        """Maximum number of pending commands."""
         return self._sizes["window"]
 
     @property
     def last_command(self) -> FloatArray:
-        """(2,) the last command sent, a copy."""
+        """(2,) copy of the last sent command."""
         return self.view(self.lib.ddmpc_last_command(self.c), (2,)).copy()
 
     def set_applied_commands(self, commands: FloatArray) -> None:
@@ -148,7 +148,7 @@ class Tick:
     def predict_belief(
         self, mean: FloatArray, covariance: FloatArray, commands: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Predict mean and covariance for each of `commands` (W + K, 2) but the first W."""
+        """Predict mean and covariance over one sample for each of `commands` (W + K, 2) except the first W."""
         commands, window = np.ascontiguousarray(commands, dtype=float), self._sizes["window"]
         now, after = [np.array(mean), np.array(covariance)], [np.empty_like(mean), np.empty_like(covariance)]
         for first in range(len(commands) - window):
@@ -160,25 +160,25 @@ class Tick:
     def stray(self, pose: FloatArray, twist: FloatArray) -> Any:  # noqa: ANN401 - cffi has no types
         """Compare the estimate with a reference pose (3,) with twist (2,); return a `ddmpc_stray`.
 
-        Raises ValueError if they have other shapes.
+        Raises ValueError if a shape is wrong.
         """
-        pose, twist = _shaped("pose", pose, (3,)), _shaped("twist", twist, (2,))
+        pose, twist = _checked_array("pose", pose, (3,)), _checked_array("twist", twist, (2,))
         address = self._address
         return self.lib.ddmpc_stray_from(self.c, address("const real *", pose), address("const real *", twist))
 
     def track(self, poses: FloatArray, twists: FloatArray, share: float) -> int:
         """Continue the tick with a target: poses (samples, 3) and twists (samples, 2) from now on.
 
-        Raises ValueError if they have other shapes.
+        Raises ValueError if a shape is wrong.
         """
-        poses = _shaped("poses", poses, (self.samples, 3))
-        twists = _shaped("twists", twists, (self.samples, 2))
+        poses = _checked_array("poses", poses, (self.samples, 3))
+        twists = _checked_array("twists", twists, (self.samples, 2))
         address = self._address
         return int(self.lib.ddmpc_track(self.c, address("real *", poses), address("real *", twists), share))
 
 
 class ResultLayout:
-    """Places of a result's arrays in one block of memory, copied at once; `slip` is part of the mean."""
+    """Places of a result's arrays in one block of memory, which is copied as a whole; `slip` is part of the mean."""
 
     def __init__(self, tick: Tick) -> None:
         n = tick._sizes["states"]
@@ -206,19 +206,19 @@ class ResultLayout:
         return block
 
     def take(self, block: FloatArray, name: str) -> FloatArray:
-        """Select one array of a copy."""
+        """Return the array `name` of a copied block."""
         place, shape = self.places[name]
         return block[place].reshape(shape)
 
 
 class MeasurementBuffer:
-    """Memory of one ddmpc_input. Values that are no numbers become NaN, which C rejects and names."""
+    """Memory of one ddmpc_input. Values that are not numbers become NaN, which the core rejects with a note."""
 
     def __init__(self, ffi: Any) -> None:  # noqa: ANN401 - cffi has no types
         self.struct = ffi.new("ddmpc_input *")
         whole = memoryview(ffi.buffer(self.struct)).cast("B")
 
-        def numbers(offset: int, count: int) -> Any:  # noqa: ANN401 - a view of doubles, which its type cannot say
+        def numbers(offset: int, count: int) -> Any:  # noqa: ANN401 - a view of doubles
             return whole[offset : offset + 8 * count].cast("d")
 
         def message(field: str, count: int) -> _Message:
@@ -233,7 +233,7 @@ class MeasurementBuffer:
         self._sent = numbers(ffi.offsetof("ddmpc_input", "sent"), 2)
 
     def fill(self, measurement: Measurement) -> None:
-        """Copy the measurements that arrived."""
+        """Copy the measurements of this tick."""
         self._pose.fill(measurement.pose)
         self._wheels.fill(measurement.wheel_twist)
         self._yaw_rate.fill(measurement.yaw_rate)
@@ -241,7 +241,7 @@ class MeasurementBuffer:
         self.struct.has_sent = sent is not None
         if sent is not None:
             try:
-                # Two numbers that are no array, as nearly always.
+                # The fast path for two numbers, the usual case.
                 self._sent[0], self._sent[1] = sent
             except (TypeError, ValueError):
                 _write(self._sent, sent, 2)
@@ -273,8 +273,8 @@ class _Message:
             _write(self._covariance, flat, self._count * self._count)
 
 
-def _shaped(name: str, values: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-    """Return `values` in the layout that C reads; raise ValueError for another shape, as C cannot check it."""
+def _checked_array(name: str, values: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    """Return `values` in the layout of C; raise ValueError for a wrong shape, which C cannot check."""
     array = np.ascontiguousarray(values, dtype=float)
     if array.shape != shape:
         raise ValueError(f"the reference gave {name} of shape {array.shape}, expected {shape}")
@@ -282,12 +282,12 @@ def _shaped(name: str, values: FloatArray, shape: tuple[int, ...]) -> FloatArray
 
 
 def _write(memory: Any, value: Any, count: int) -> None:  # noqa: ANN401 - whatever arrives
-    """Write `value` as `count` numbers; write NaN if it is anything else."""
+    """Write `value` as `count` numbers; write NaN if it cannot be converted."""
     if count == 1 and isinstance(value, float):
         memory[0] = value
         return
     try:
-        # This is fast, and valid only for that many doubles in a row.
+        # The fast path for a contiguous array of `count` doubles.
         memory[:] = value
     except (TypeError, ValueError):
         values = numbers(value, count)

@@ -1,17 +1,17 @@
-/* Products of tall thin blocks, the inner loop of condensing and factorising. */
+/* Products of blocks with few columns, the inner loop of condensing and factorising. */
 #ifndef DDMPC_TILE_H
 #define DDMPC_TILE_H
 
 #include "real.h"
 
-/* Number of columns processed at once: a block fits into the registers, of which a microcontroller has few. */
+/* Number of columns processed at once, chosen so that a block fits into the registers of the processor. */
 #ifdef DDMPC_EXPORT
 enum { DDMPC_LANES = 4 };
 #else
 enum { DDMPC_LANES = 8 };
 #endif
 
-/* The next multiple of DDMPC_LANES. */
+/* Round `count` up to a multiple of DDMPC_LANES. */
 static inline int ddmpc_whole_lanes(int count)
 {
     return (count + DDMPC_LANES - 1) / DDMPC_LANES * DDMPC_LANES;

@@ -1,11 +1,11 @@
-/* The velocity model over one sample: linear with dead time, x+ = A x + B0 u[k - d] + B1 u[k - d - 1] and y = C x
- * with a dead time d of whole samples for v and for omega and the rest of it shared between B0 and B1 (mpc/problem,
- * from the models of models/structures); or a function with its Jacobian, from there, too. */
+/* The velocity model over one sample. Either a linear model with dead time, x+ = A x + B0 u[k - d] + B1 u[k - d - 1] and
+ * y = C x, where d is the dead time of v and of omega in whole samples, and B0 and B1 represent its fractional part; or a
+ * nonlinear function with its Jacobian. Both come from models/structures by way of mpc/problem. */
 #include <string.h>
 
 #include "internal.h"
 
-/* Newton's method converges quadratically: after a step smaller than this the rest of the error is negligible. In
+/* Newton's method converges quadratically: after a step smaller than this the remaining error is negligible. In
  * units of states and commands [m/s, rad/s]. */
 static const real SMALL_STEP = R(1e-4);
 enum { NEWTON_STEPS = 8 };
@@ -14,7 +14,7 @@ real ddmpc_delayed(const real *sent, real samples)
 {
     const int whole = (int)samples;
     const real rest = samples - (real)whole, now = sent[-2 * whole];
-    /* An older command may lie outside the stored ones if it is not needed. */
+    /* The older command is read only if needed, since it may lie outside the stored commands. */
     return rest > R(0.0) ? now + rest * (sent[-2 * whole - 2] - now) : now;
 }
 
@@ -61,7 +61,7 @@ void ddmpc_velocity_step(const ddmpc_controller *c, const real *x, const real *n
             memcpy(by_state, c->constants->A, (size_t)(n * n) * sizeof(real));
         return;
     }
-    real columns[DDMPC_MOST_STATES * DDMPC_MOST_STATES];
+    real columns[DDMPC_MAX_STATES * DDMPC_MAX_STATES];
     const real *arguments[3] = {x, newest - 2 * WINDOW(c), c->constants->model_parameters};
     real *results[3] = {after, by_state ? columns : 0, by_window};
     c->functions.step(arguments, results, 0, c->problem.work, 0);
@@ -71,15 +71,15 @@ void ddmpc_velocity_step(const ddmpc_controller *c, const real *x, const real *n
                 by_state[i * n + j] = columns[i + n * j];
 }
 
-/* Equations of a Newton step towards a steady state and its command, row by row: the state does not change, and the
- * output is `wanted`. The last columns are the residual, and the right-hand sides for derivatives by `wanted`. */
+/* Set up the equations of a Newton step towards a steady state and its command: the state is constant, and the output
+ * is `wanted`. The last columns are the residual, and the right-hand sides for derivatives by `wanted`. */
 static void settling_equations(const ddmpc_controller *c, const real wanted[2], const real *state,
                                const real command[2])
 {
     const int n = STATES(c), columns = n + 5;
     real *held = c->problem.held, *by_window = c->problem.by_window, *rows = c->problem.settling;
-    real after[DDMPC_MOST_STATES], y[2], by_output[2 * DDMPC_MOST_STATES];
-    real by_state[DDMPC_MOST_STATES * DDMPC_MOST_STATES];
+    real after[DDMPC_MAX_STATES], y[2], by_output[2 * DDMPC_MAX_STATES];
+    real by_state[DDMPC_MAX_STATES * DDMPC_MAX_STATES];
     for (int i = 0; i < 2 * (WINDOW(c) + 1); i++)
         held[i] = command[i % 2];
     ddmpc_velocity_step(c, state, held + 2 * WINDOW(c), 0, after, by_state, by_window);
@@ -133,7 +133,7 @@ static int eliminate(real *rows, int count, int columns)
 int ddmpc_velocity_settle(const ddmpc_controller *c, const real wanted[2], ddmpc_settled *settled)
 {
     const int n = STATES(c), columns = n + 5;
-    const real *rows = c->problem.settling, *most = c->constants->largest_twist;
+    const real *rows = c->problem.settling, *limit = c->constants->largest_twist;
     real *unknowns[2] = {settled->state, settled->command};
     if (!settled->exists)
         memset(settled, 0, sizeof *settled);
@@ -156,7 +156,7 @@ int ddmpc_velocity_settle(const ddmpc_controller *c, const real wanted[2], ddmpc
         }
         for (int i = 0; i < 2; i++)
             /* Negated so that NaN fails. */
-            if (!(ddmpc_fabs(settled->command[i]) <= most[i]))
+            if (!(ddmpc_fabs(settled->command[i]) <= limit[i]))
                 return 0;
         settled->exists = largest <= SMALL_STEP;
     }
@@ -168,7 +168,7 @@ void ddmpc_velocity_output(const ddmpc_controller *c, const real *x, real y[2], 
     const int n = STATES(c);
     const real *C = c->constants->C;
     if (NONLINEAR(c)) {
-        real columns[2 * DDMPC_MOST_STATES];
+        real columns[2 * DDMPC_MAX_STATES];
         const real *arguments[1] = {x};
         real *results[2] = {y, columns};
         c->functions.output(arguments, results, 0, 0, 0);

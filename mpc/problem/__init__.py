@@ -1,1 +1,1 @@
-"""The tracking problem: its formulas in CasADi, its numbers by name, and the terms of the user."""
+"""The tracking problem: its formulas in CasADi, its constants by name, and the user's terms."""

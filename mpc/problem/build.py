@@ -32,7 +32,7 @@ def chosen_model(
     ConfigError, ModelError
         If the model cannot be loaded.
     ArgumentError
-        If it is no model.
+        If `stated` is not a model, a name or a path.
     """
     extra = config.extra_dead_time
     model: VelocityModel | NonlinearModel
@@ -54,29 +54,29 @@ def chosen_model(
     if isinstance(model, NonlinearModel):
         raise ConfigError(
             f"compensation.dead_time = false: model '{model.name}' has dead time built in; set it to true, or "
-            "give a model without"
+            "use a model without dead time"
         )
     return replace(model, dead_time=np.zeros(2))
 
 
 def sampled_model(model: VelocityModel | NonlinearModel, dt: float) -> DiscreteModel | NonlinearModel:
-    """Sample the model at `dt` [s]; raises ConfigError if it requires another."""
+    """Sample the model at `dt` [s]; raise ConfigError if a nonlinear model requires another sample time."""
     if isinstance(model, VelocityModel):
         return model.discretise(dt)
     if not math.isclose(model.dt, dt, rel_tol=1e-9):
-        raise ConfigError(f"sample_time = {dt} s: model '{model.name}' is for {model.dt} s; set sample_time to that")
+        raise ConfigError(f"sample_time = {dt} s: model '{model.name}' is for {model.dt} s; set sample_time to it")
     return model
 
 
 def is_from_file(model: VelocityModel | NonlinearModel) -> bool:
-    """Return True for a model from a file, which describes its robot; one made in Python is of an unknown robot."""
+    """Return True for a model from a file, which describes its robot; models built in Python lack this information."""
     return model.provenance.get("origin", "python-control") != "python-control"
 
 
 def build_problem(
     config: ControllerConfig, model: VelocityModel | NonlinearModel, terms: Sequence[Term] = ()
 ) -> Problem:
-    """Build the problem for `model`; raises like `sampled_model`, `with_increments` and `Problem`."""
+    """Build the problem for `model`; raise the errors of `sampled_model`, `with_increments` and `Problem`."""
     dt = config.sample_time
     sampled = sampled_model(model, dt)
     increments, feed_forward = with_increments(config, sampled), FeedForward.from_model(model, dt)

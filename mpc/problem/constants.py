@@ -1,6 +1,6 @@
-"""The numbers of one controller, by the names of their fields in C (`mpc/core/core.h`).
+"""Constants of one controller, by the names of their fields in C (`mpc/core/core.h`).
 
-Python writes them to memory, and an exported library contains them as text, both by name.
+Python writes the constants to memory; an exported library contains them as C source. Both match fields by name.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS, FLAT_SLIPS, PRIORS, SLI
 from diffdrive_mpc.mpc.problem.terms import Term
 
 Constants = dict[str, object]
-"""Numbers and arrays by the name of their field."""
+"""Numbers and arrays by field name."""
 
 SHIPPED_SOFT = ("v", "omega", "right", "left", "across")
-"""Kinds of soft limit that every controller has, in their order."""
+"""Kinds of soft limit of every controller, in the order of the core."""
 PADDING = 8
 """Rows of commands are padded with zeros to a multiple of this many columns; PADDING of mpc/core/internal.h."""
 SLACK = 0.1
 """Share of the solver's tolerance by which a limit may be exceeded and still count as satisfied [-]."""
-_POSSIBLE = 5.0  # bound on the estimate of curved slip, in its initial standard deviations [-]
+_MAX_DEVIATIONS = 5.0  # bound on the estimate of curved slip, in initial standard deviations [-]
 HARD_KINDS = 4
 """Kinds of hard limit: v_ref, omega_ref, and their increments."""
 
@@ -40,7 +40,8 @@ HARD_KINDS = 4
 class Problem:
     """Definition of one controller's problem: its configuration, its sampled model, and the user's terms.
 
-    A model that is not `from_file` starts with an unknown ratio of yaw rates of wheels and model.
+    If `from_file` is False, the ratio of the wheels' yaw rate to the model's is unknown at the start, and its initial
+    uncertainty is larger.
 
     Raises
     ------
@@ -56,47 +57,47 @@ class Problem:
     prediction: Prediction | None = field(init=False)
 
     def __post_init__(self) -> None:
-        """Roll a linear model out once."""
+        """Predict a linear model over the horizon once."""
         model, horizon = self.model, self.config.horizon
-        # A sample counts as lost where the command before acts on more of it than its own.
+        # A sample counts as dead time if the previous command acts on more of it than the current one.
         dead = model.dead_samples
         if isinstance(model, DiscreteModel):
             dead = dead + (np.abs(model.B1).sum(axis=0) > np.abs(model.B0).sum(axis=0))
-        least = int(dead.max()) + 1
-        if horizon < least:
+        shortest = int(dead.max()) + 1
+        if horizon < shortest:
             raise ValueError(
-                f"horizon = {horizon}: it ends within the dead time of the model, {least - 1} steps of {model.dt:g} s; "
-                f"set horizon to {least} or more"
+                f"horizon = {horizon}: it ends within the dead time of the model, {shortest - 1} steps of "
+                f"{model.dt:g} s; set horizon to {shortest} or more"
             )
         prediction = build_prediction(model, horizon) if isinstance(model, DiscreteModel) else None
         object.__setattr__(self, "prediction", prediction)
 
     @cached_property
     def compiled_step(self) -> CompiledStep | None:
-        """The core's own functions for a nonlinear model; None if it has none."""
+        """Compiled functions of a nonlinear model; None if the model is linear or has none."""
         return self.model.compiled_step if isinstance(self.model, NonlinearModel) else None
 
     @property
     def history(self) -> int:
-        """Ticks that the estimator looks back."""
+        """Number of past ticks that the estimator stores."""
         return int(np.ceil(self.config.estimator.history / self.model.dt)) + 1
 
     @property
     def _spare(self) -> int:
-        """Samples of unknown delay that the filter estimates at most; none of a nonlinear model."""
+        """Maximum unknown delay that the filter estimates [samples]; zero for a nonlinear model."""
         config = self.config
-        # Without dead time the samples before a command are not remembered.
+        # Without dead time compensation, past commands are not stored.
         is_estimated = config.compensation.delay and config.compensation.dead_time and self.prediction is not None
         return int(np.ceil(config.estimator.max_delay / self.model.dt)) if is_estimated else 0
 
     @property
     def _turns(self) -> int:
-        """Kinds of soft limit that keep the least turn radius: to the left and to the right, if there is one."""
+        """Number of soft limits for the minimum turn radius: left and right, or none if it is not configured."""
         return 0 if self.config.limits.min_turn_radius is None else 2
 
     @property
     def _command_turns(self) -> int:
-        """The same for the least commanded radius."""
+        """Number of soft limits for the minimum commanded radius: left and right, or none."""
         return 0 if self.config.limits.min_commanded_radius is None else 2
 
     @property
@@ -105,7 +106,7 @@ class Problem:
 
     @property
     def soft_names(self) -> tuple[str, ...]:
-        """Names of the kinds of soft limit in their order; `left` and `right` are wheels."""
+        """Names of the kinds of soft limit, in the order of the core; `left` and `right` are wheels."""
         turns = [f"{name} {side}" for name in ("turn", "commanded turn") for side in ("left", "right")]
         kinds = turns[: self._turns] + turns[2 : 2 + self._command_turns]
         of_terms = [f"{term.name}.{row}" for term in self.terms if term.soft for row in range(term.rows)]
@@ -143,8 +144,8 @@ class Problem:
             "work": self.compiled_step.work if self.compiled_step else 0,
             "command_turns": self._command_turns,
             "spare": self._spare,
-            # Soft limits that are exceeded take room, too, and there may be several at each sample.
-            "pressing": 6 * self.config.horizon + 32,
+            # Violated soft limits also take an entry each, and there may be several at each sample.
+            "max_active": 6 * self.config.horizon + 32,
         }
 
     def constants(self) -> Constants:
@@ -169,11 +170,11 @@ class Problem:
         if isinstance(model, NonlinearModel):
             n = model.order
             empty = {"A": (n, n), "B0": (n, 2), "B1": (n, 2), "C": (2, n), "mean_output": (2, n)}
-            numbers = self.compiled_step.parameters if self.compiled_step else np.zeros(0)
+            parameters = self.compiled_step.parameters if self.compiled_step else np.zeros(0)
             return {
                 **{name: np.zeros(shape) for name, shape in empty.items()},
                 "settled": model.settled,
-                "model_parameters": numbers,
+                "model_parameters": parameters,
             }
         return {
             "A": model.A,
@@ -195,15 +196,15 @@ class Problem:
         kinds = (*PRIORS, "gyro_bias", "delay", "delay")
         uncertainty = estimated * np.array([s.uncertainty(kind) for kind in kinds])
         if not self.from_file:
-            # Its wheels may turn by another ratio of tracks than `wheels` states.
+            # The true ratio of tracks may differ from the one in `wheels`.
             uncertainty[kinds.index("omega_gain")] *= s.unknown_omega_gain_uncertainty / s.omega_gain_uncertainty
         drift = estimated * np.array([s.drift(kind) for kind in kinds])
         prior = configured_slip(self.config)
-        # Gains have their own bounds; curved slip is bounded by its initial uncertainty.
-        far = np.full(len(SLIPS), np.inf)
-        far[-len(CURVED_SLIPS) :] = _POSSIBLE * uncertainty[len(FLAT_SLIPS) : len(SLIPS)]
-        least, most = np.array(astuple(prior)) - far, np.array(astuple(prior)) + far
-        least[1:4], most[1:4] = s.min_gain, s.max_gain
+        # Gains have configured bounds; curved slip is bounded by its initial uncertainty.
+        margin = np.full(len(SLIPS), np.inf)
+        margin[-len(CURVED_SLIPS) :] = _MAX_DEVIATIONS * uncertainty[len(FLAT_SLIPS) : len(SLIPS)]
+        min_slip, max_slip = np.array(astuple(prior)) - margin, np.array(astuple(prior)) + margin
+        min_slip[1:4], max_slip[1:4] = s.min_gain, s.max_gain
         drive = model.drive
         inputs = np.array([s.v_input_noise, s.omega_input_noise])
         pose_drift = np.square([s.position_drift, s.position_drift, s.heading_drift])
@@ -215,14 +216,14 @@ class Problem:
             "doubt": np.square([s.gain_doubt, s.delay_doubt]),
             "uncertainty": uncertainty,
             "drift": model.dt * np.square(drift),
-            # Per unit of omega_ref the wheels turn with the ratio of the tracks, and the model with its steady gain.
+            # Yaw rates per unit of omega_ref: the ratio of the tracks for the wheels, the DC gain for the model.
             "wheel_yaw_ratio": wheels.track / wheels.encoder_track / float(model.dc_gain[1, 1]),
             "surprise": s.surprise,
             "patience": round(s.lasting_surprise / model.dt),
             "min_yaw_rate": s.min_yaw_rate,
             "min_speed": s.min_speed,
-            "least_slip": least,
-            "most_slip": most,
+            "min_slip": min_slip,
+            "max_slip": max_slip,
             "stamp_history": s.history,
             "pose_variance": np.square([s.position_noise, s.position_noise, s.heading_noise]),
             "twist_variance": np.square([s.wheel_speed_noise, s.wheel_yaw_rate_noise, s.yaw_rate_noise]),
@@ -238,10 +239,10 @@ class Problem:
 
     def _monitor(self) -> Constants:
         monitor, test = self.config.monitor, dict(_core_numbers("sensor_test"))
-        often, scale = test.pop("alarms")
+        base_rate, scale = test.pop("alarms")
         return {
             "monitor": monitor.enabled,
-            "enough": scale * float(np.log(often / monitor.false_alarm_rate)),
+            "enough": scale * float(np.log(base_rate / monitor.false_alarm_rate)),
             **test,
             "monitor_turn_ratio": monitor.turn_ratio,
             "monitor_trust": monitor.trust_after,
@@ -277,7 +278,7 @@ class Problem:
         }
 
     def _pose_weights(self) -> FloatArray:
-        """Return (N, 3) weights of the errors along, across and in heading at the samples 1 to N."""
+        """Return weights (N, 3) of the along-track, cross-track and heading errors at the samples 1 to N."""
         w = self.config.weights
         table = np.tile([w.along, w.across, w.heading], (self.config.horizon, 1))
         table[-1] *= w.terminal
@@ -291,7 +292,7 @@ class Problem:
             "heading": pose_weights[:, 2],
             "command_weight": [w.v, w.omega],
             "increment_weight": [w.v_increment, w.omega_increment],
-            # Column by column.
+            # In column-major order.
             "inverse_gain": self.feed_forward.inverse_gain.T.reshape(-1),
             "lag_rest": self.feed_forward.rest,
             "price": w.soft,
@@ -358,7 +359,7 @@ class Problem:
 
 @cache
 def _core_numbers(name: str) -> dict[str, Any]:
-    """Read constants of the core that no robot has to change from `mpc/config/<name>.yaml`, by their fields in C."""
+    """Read robot-independent constants of the core from `mpc/config/<name>.yaml`, keyed by field name in C."""
     data: dict[str, Any] = read_yaml(Path(__file__).parents[1] / "config" / f"{name}.yaml")
     return data
 
@@ -376,17 +377,17 @@ def padded(count: int) -> int:
 
 
 def _longest_row(matrix: FloatArray) -> FloatArray:
-    """Return the last row of a Toeplitz matrix, padded: any other row begins further along it."""
+    """Return the last row of a Toeplitz matrix, padded; every other row is a shifted section of it."""
     row = matrix[-1]
     return np.concatenate([row, np.zeros(2 * padded(row.size) - row.size)])
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Maps from state, past commands and future commands to predicted twists.
+    """Linear maps from state, past commands and future commands to predicted twists.
 
-    Commands are flattened step by step: (v_ref[0], omega_ref[0], v_ref[1], ...). Rows of the point matrices are
-    v[0], omega[0], v[1], ...; those of the mean matrices are the arcs' mean twists, likewise interleaved.
+    Commands are flattened step by step: (v_ref[0], omega_ref[0], v_ref[1], ...). Rows of the matrices at samples are
+    v[0], omega[0], v[1], ...; rows of the mean matrix are mean twists over the arcs, in the same order.
 
     Attributes
     ----------
@@ -395,7 +396,7 @@ class Prediction:
     from_state, from_past, from_plan
         (2 (N + 1), n), (2 (N + 1), 2 memory), (2 (N + 1), 2 N): twist at the samples 0 to N.
     mean_from_plan
-        (2 N, 2 N): mean twist over each of the N arcs, from the plan.
+        (2 N, 2 N): mean twist over each of the N arcs, as a function of the plan.
     heading_from_plan
         (N + 1, 2 N): heading at the samples 0 to N relative to the first.
     """
@@ -409,7 +410,7 @@ class Prediction:
 
 
 def build_prediction(model: DiscreteModel, horizon: int) -> Prediction:
-    """Roll the model out over `horizon` steps.
+    """Predict the model over `horizon` steps.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Numbers of the feed-forward: the command that would keep the reference's twist, one lag ahead."""
+"""Feed-forward constants: the command that would keep the reference's twist, one lag ahead."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from diffdrive_mpc.models.velocity_model import VelocityModel
 
 @dataclass(frozen=True)
 class FeedForward:
-    """A command takes effect one lag later (dead time and dynamics), so it must match the twist of that time.
+    """Constants of the feed-forward command.
+
+    A command takes effect one lag later (dead time and dynamics), so it must match the reference's twist at that time.
 
     Attributes
     ----------
@@ -31,7 +33,7 @@ class FeedForward:
     @classmethod
     def from_model(cls, model: VelocityModel | NonlinearModel, dt: float) -> FeedForward:
         """Build the feed-forward of a model at the sample time `dt` [s]."""
-        # A zero close to the origin can make a lag negative: there is no twist before now to answer to.
+        # A zero close to the origin can make a lag negative, but past twists of the reference cannot be followed.
         ahead = np.maximum(model.lag, 0.0) / dt
         whole = np.floor(ahead).astype(np.int64)
         return cls(np.asarray(np.linalg.inv(model.dc_gain), dtype=np.float64), whole, ahead - whole)

@@ -1,10 +1,10 @@
-"""Every formula of the controller, written once in CasADi; C is generated from here (`mpc/core/generate.py`).
+"""All formulas of the controller in CasADi; the C code is generated from them (`mpc/core/generate.py`).
 
-Symbols, the same everywhere. They are columns.
+All formulas use these symbols. Each symbol is a column vector.
 
 =============  ====  ============================================================================================
-y              2     v [m/s], omega [rad/s]: what the velocity model says, before slip
-slip           10    see slip.py beside this; 15 of a formula that ends in `_curved`
+y              2     v [m/s], omega [rad/s]: output of the velocity model, before slip
+slip           10    see `mpc.problem.slip`; 15 in formulas whose name ends in `_curved`
 pose           3     x, y [m], theta [rad] of the body in the frame of the reference
 twist          2     v [m/s], omega [rad/s] of the body, slip included
 command        2     v_ref [m/s], omega_ref [rad/s]
@@ -12,7 +12,7 @@ reference      4     x, y [m], theta [rad] where the robot should be, and the he
 dt             1     duration [s]
 =============  ====  ============================================================================================
 
-Source of the odometry: Guffanti et al., Sensors 2025, 25(11), 3553. Other formulas are derived in their place.
+Source of the odometry: Guffanti et al., Sensors 2025, 25(11), 3553. Other formulas are derived next to their functions.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from diffdrive_mpc.models.slip_laws import track_widening
 from diffdrive_mpc.mpc.problem.slip import FLAT_SLIPS, SLIPS
 
 TERM_INPUTS: Mapping[str, int] = {"pose": 3, "twist": 2, "command": 2, "reference": 4}
-"""Inputs of a term and their lengths; a column `parameters` of the term's own length is the last one."""
+"""Inputs of a term and their lengths; the last input, `parameters`, has a length that depends on the term."""
 
 VARIED = ("pose", "twist", "command")
-"""Inputs by which a term is differentiated."""
+"""Inputs with respect to which a term is differentiated."""
 
-# Arguments of the formulas by name; the others are scalars.
+# Shapes of the formulas' arguments by name; arguments that are not listed are scalars.
 _SHAPES = {
     "y": (2, 1),
     "pose": (3, 1),
@@ -49,14 +49,15 @@ _SHAPES = {
 
 
 ALONG = 0.5
-"""Share of the slide across its heading by which a robot slides along it [-]: wheels that roll hold it there.
+"""Ratio of the slide along the heading to the slide across it [-]; rolling wheels resist sliding along the heading.
 
-0.5 of four robots on the `mujoco` plant, 10 degrees of slope (0.05 to 0.06 m/rad along, 0.10 to 0.12 across)."""
-_LEAST_TURN = 0.05  # below it the rate of turning that a slide goes with is smooth [rad/s]
+Identified with four robots on the `mujoco` plant, 10 degrees of slope (0.05 to 0.06 m/rad along, 0.10 to 0.12
+across)."""
+_SMOOTHING_RATE = 0.05  # yaw rate below which |omega| in the slide is smoothed [rad/s]
 SLOW = 0.1
 """Speed below which the heading cannot compensate a lateral speed [m/s]."""
-# Rounds in which curved slip is undone.
-_ROUNDS = 3
+# Fixed-point iterations that invert curved slip.
+_ITERATIONS = 3
 
 
 def _named(slip: ca.SX) -> SimpleNamespace:
@@ -82,8 +83,8 @@ def _curved(flat: ca.SX, wheels: ca.SX, turn: ca.SX, s: SimpleNamespace) -> ca.S
 def body_twist(y: ca.SX, slip: ca.SX) -> ca.SX:
     """Compute the twist (2) of the body from the output of the model.
 
-    The wheels follow the model apart from an offset and a gain; the body follows the wheels by the gains of its
-    surface, and turns about a centre that may differ from the origin of its frame.
+    The wheels follow the model except for an offset and a gain. The body follows the wheels with the gains of the
+    surface, and turns about a centre that may differ from the origin of the body frame.
     """
     return _twists(y, slip)[1]
 
@@ -99,12 +100,13 @@ def _twists(y: ca.SX, slip: ca.SX) -> tuple[ca.SX, ca.SX]:
 def wheel_twist(twist: ca.SX, slip: ca.SX) -> ca.SX:
     """Compute wheel speed and model yaw rate (2) for the body's `twist`: the inverse of `body_twist`.
 
-    In rounds where slip is curved: each iteration multiplies the error by the product of the couplings.
+    Curved slip is inverted by fixed-point iteration: each iteration multiplies the error by the product of the
+    couplings.
     """
     s = _named(slip)
     gain = s.omega_gain * s.yaw_gain
     v, turn = (twist[0] - s.turn_left * twist[1]) / s.longitudinal_gain, twist[1] / gain
-    for _ in range(0 if slip.numel() == len(FLAT_SLIPS) else _ROUNDS):
+    for _ in range(0 if slip.numel() == len(FLAT_SLIPS) else _ITERATIONS):
         widening = track_widening(gain * turn, s.track_growth)
         turn = (twist[1] - s.veer * v) / (gain / widening + s.yaw_coupling * s.omega_gain * v)
         v = (twist[0] - s.turn_left * gain * turn) / (s.longitudinal_gain + s.forward_coupling * s.omega_gain * turn)
@@ -122,7 +124,7 @@ def _flat_of(twist: ca.SX, slip: ca.SX) -> ca.SX:
 def turning_point(slip: ca.SX, acceleration: ca.SX) -> ca.SX:
     """Compute the distance of the turning point ahead of the origin [m] without side-slip.
 
-    Under a forward `acceleration` [m/s^2] load shifts to the rear axle, which then holds the floor better.
+    A forward `acceleration` [m/s^2] shifts load to the rear axle, which increases its grip.
     """
     s = _named(slip)
     return ca.SX(s.turn_ahead - s.load_shift * acceleration)
@@ -131,7 +133,8 @@ def turning_point(slip: ca.SX, acceleration: ca.SX) -> ca.SX:
 def lateral_speed(flat: ca.SX, slip: ca.SX, ahead: ca.SX) -> ca.SX:
     """Compute the speed of the origin to the left [m/s] for a turning point `ahead` [m] of it; side-slip is outward.
 
-    By the twist before it is curved: so crab, turning point and side-slip are P4's a21, a22 and a23.
+    It is computed from the twist without curved terms, so crab, turning point and side-slip correspond to a21, a22 and
+    a23 of P4.
     """
     s, (v, omega) = _named(slip), ca.vertsplit(flat)
     return ca.SX(s.crab * v - (ahead + s.side_slip * v) * omega)
@@ -140,17 +143,17 @@ def lateral_speed(flat: ca.SX, slip: ca.SX, ahead: ca.SX) -> ca.SX:
 def sliding(theta: ca.SX, omega: ca.SX, slide_x: ca.SX, slide_y: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Compute the sliding speed (along, across) [m/s] of a robot with the heading `theta` that turns at `omega`.
 
-    Skidding wheels resist a lateral force by their remaining friction only; a force down a slope moves it in proportion
-    to how fast they skid.
+    Skidding wheels resist a lateral force with the remaining friction only, so a force down a slope moves the robot in
+    proportion to the speed of the skid.
     """
-    rate = ca.sqrt(omega**2 + _LEAST_TURN**2) - _LEAST_TURN
+    rate = ca.sqrt(omega**2 + _SMOOTHING_RATE**2) - _SMOOTHING_RATE
     along = ca.cos(theta) * slide_x + ca.sin(theta) * slide_y
     across = ca.cos(theta) * slide_y - ca.sin(theta) * slide_x
     return ALONG * rate * along, rate * across
 
 
 def _moved(theta: ca.SX, twist: ca.SX, flat: ca.SX, slip: ca.SX, ahead: ca.SX, dt: ca.SX) -> ca.SX:
-    """Compute the displacement (3) over `dt` along the arc of the body's `twist`, with slip at its middle."""
+    """Compute the displacement (3) over `dt` along the arc of the body's `twist`, with slip at the arc's midpoint."""
     s = _named(slip)
     along, across = sliding(theta + twist[1] * dt / 2, twist[1], s.slide_x, s.slide_y)
     return arc_displacement(theta, twist[0] + along, twist[1], dt, lateral_speed(flat, slip, ahead) + across)
@@ -168,8 +171,8 @@ def displacement(y: ca.SX, slip: ca.SX, theta: ca.SX, acceleration: ca.SX, dt: c
 def sensed(y: ca.SX, slip: ca.SX, gyro_bias: ca.SX, wheel_yaw_ratio: ca.SX) -> ca.SX:
     """Compute the expected readings (3): wheel speed [m/s], yaw rate of the wheels and of the gyro [rad/s].
 
-    Wheel speed = y_v + v_offset. The encoders see the wheels, and divide by the geometric track instead of the one of
-    the model: wheel yaw rate = wheel_yaw_ratio omega_gain y_omega. The gyro sees the body: omega + gyro_bias.
+    Wheel speed = y_v + v_offset. The encoders measure the wheels, and their yaw rate uses the geometric track instead
+    of the model's: wheel yaw rate = wheel_yaw_ratio omega_gain y_omega. The gyro measures the body: omega + gyro_bias.
     """
     s = _named(slip)
     omega = body_twist(y, slip)[1]
@@ -177,10 +180,10 @@ def sensed(y: ca.SX, slip: ca.SX, gyro_bias: ca.SX, wheel_yaw_ratio: ca.SX) -> c
 
 
 def aim(pose: ca.SX, twist: ca.SX, slip: ca.SX, acceleration: ca.SX) -> ca.SX:
-    """Return the target (4) of the robot for the reference's `pose` and `twist`: see `reference` above.
+    """Return the target (4) of the robot for the reference's `pose` and `twist`: `reference` in the module's table.
 
-    To hold its path in a curve a robot that slips to the side must lead it by the angle of its lateral speed, which
-    depends on the reference's forward `acceleration` [m/s^2].
+    To stay on the path in a curve, a robot with side-slip must offset its heading by the angle of its lateral speed,
+    which depends on the reference's forward `acceleration` [m/s^2].
     """
     s = _named(slip)
     v, omega = twist[0], _flat_of(twist, slip)[1]
@@ -192,7 +195,8 @@ def aim(pose: ca.SX, twist: ca.SX, slip: ca.SX, acceleration: ca.SX) -> ca.SX:
 def feed_forward(wanted: ca.SX, slip: ca.SX, inverse_gain: ca.SX) -> ca.SX:
     """Compute the command (2) that keeps the body's twist `wanted` (2).
 
-    The model's steady-state gain and the estimated slip are inverted, `inverse_gain` (2 x 2) being the first of these.
+    The command inverts the estimated slip and the model's steady-state gain; `inverse_gain` (2 x 2) is the inverse of
+    the latter.
     """
     wheels = wheel_twist(wanted, slip)
     return inverse_gain @ ca.vertcat(wheels[0] - _named(slip).v_offset, wheels[1])
@@ -214,8 +218,8 @@ def tracking_errors(pose: ca.SX, reference: ca.SX) -> ca.SX:
 def softly_limited(pose: ca.SX, twist: ca.SX, reference: ca.SX, parameters: ca.SX) -> ca.SX:
     """Compute the values with soft limits (5): v, omega, right and left rim speed, distance across [m/s, rad/s, m].
 
-    The wheels do not slip as the body does: at the rim the gains of slip are undone. `parameters` (11 or 16) are slip
-    and half the track of the wheels [m].
+    The speed of the rims is that of the wheels, without the body's slip. `parameters` (11 or 16) are slip and half the
+    track of the wheels [m].
     """
     slip, half_track = parameters[:-1], parameters[-1]
     wheels = wheel_twist(twist, slip)
@@ -226,7 +230,7 @@ def softly_limited(pose: ca.SX, twist: ca.SX, reference: ca.SX, parameters: ca.S
 def turned_tighter(twist: ca.SX, parameters: ca.SX) -> ca.SX:
     """Compute the radius violation (2) of a twist to the left and to the right [m/s]: positive beyond the limit.
 
-    |omega| radius <= |v|, in the direction of travel: `parameters` (2) are the least radius [m] and 1 or -1 where the
+    |omega| radius <= |v|, in the direction of travel: `parameters` (2) are the minimum radius [m], and 1 or -1 if the
     reference drives forwards or backwards. Source of the constraint: Ordonez et al., 2017.
     """
     radius, direction = ca.vertsplit(parameters)
@@ -235,16 +239,17 @@ def turned_tighter(twist: ca.SX, parameters: ca.SX) -> ca.SX:
 
 
 def commanded_tighter(command: ca.SX, parameters: ca.SX) -> ca.SX:
-    """Compute the radius violation of a command; its radius is that of the wheels, as in P4."""
+    """Compute the radius violation (2) of a command, whose radius is that of the wheels, as in P4."""
     return turned_tighter(command, parameters)
 
 
 def arc_piece(tau: ca.SX, row: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Compute pose (3), twist (2) and arc length (1) of a reference of exact arcs, `tau` [s] after its phase began.
 
-    `row` (10) is the phase: its start time; x, y, theta and arc length at the start of its stretch; forward [m] and
-    turn [rad] per unit of progress; progress s, its rate and half its acceleration at the start of the phase. So
-    s(tau) = s + (s' + s''/2 tau) tau, and the stretch up to there is the arc of the twist (forward, turn) over s(tau).
+    `row` (10) describes the phase: its start time; x, y, theta and arc length at the start of its segment; forward [m]
+    and turn [rad] per unit of progress; progress s, its rate and half its acceleration at the start of the phase. Then
+    s(tau) = s + (s' + s''/2 tau) tau, and the path from the segment's start is the arc of the twist (forward, turn)
+    over s(tau).
     """
     _, x, y, theta, arc_length, forward, turn, offset, rate, half_acceleration = ca.vertsplit(row)
     progress = offset + (rate + half_acceleration * tau) * tau
@@ -274,9 +279,9 @@ def arc_move(theta: ca.SX, v: ca.SX, omega: ca.SX, slip: ca.SX, ahead: ca.SX, dt
 
 @cache
 def formulas() -> tuple[ca.Function, ...]:
-    """Build the controller's formulas as SX functions with their C names; those that vary include their gradient.
+    """Build the controller's formulas as SX functions with their C names; linearised formulas include a gradient.
 
-    Formulas with slip exist in two versions: a controller without curved slip does not pay for the curved terms.
+    Formulas with slip exist in two versions, so that controllers without curved slip avoid the cost of its terms.
     """
     sampled = ("pose", "twist", "arc_length")
     return (
@@ -291,7 +296,7 @@ def formulas() -> tuple[ca.Function, ...]:
 
 
 def _with_slip(ending: str, slips: int) -> tuple[ca.Function, ...]:
-    """Build the formulas that depend on slip, for a column of `slips`."""
+    """Build the formulas that depend on slip, for a slip column of length `slips`."""
     shapes = {"slip": (slips, 1)}
     return (
         _varied(f"ddmpc_f_twist{ending}", body_twist, "twist", ("y", "slip"), shapes),
@@ -306,7 +311,7 @@ def _with_slip(ending: str, slips: int) -> tuple[ca.Function, ...]:
 
 
 def formula(name: str) -> ca.Function:
-    """Build the formula `ddmpc_f_NAME` for numbers; with more columns it evaluates each of them."""
+    """Build the formula `ddmpc_f_NAME` for numerical evaluation; inputs with several columns are mapped."""
     return {function.name(): function for function in formulas()}[f"ddmpc_f_{name}"]
 
 
@@ -316,7 +321,7 @@ def term_symbols(parameters: int) -> dict[str, ca.SX]:
 
 
 def term(name: str, inputs: Mapping[str, ca.SX], value: ca.SX) -> ca.Function:
-    """Build the term `value` (m) of `inputs`, see `term_symbols`, with its gradient (m x 7) by `VARIED`."""
+    """Build the term `value` (m) of `inputs` (see `term_symbols`), with its gradient (m x 7) by `VARIED`."""
     return differentiated(name, inputs, "value", value, VARIED)
 
 

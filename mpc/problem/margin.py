@@ -1,8 +1,8 @@
-"""Weights on the increments of the command, from the delay that the closed loop has to tolerate.
+"""Weights on the increments of the command, derived from the delay that the closed loop must tolerate.
 
 Without limits the controller is a linear feedback of the estimate: u_0 = K z. Along a straight path at constant speed
-its loop is linear, and stable as long as all its eigenvalues lie inside the unit circle. A delay that the model lacks
-moves them outwards, heavier increments move them inwards.
+the closed loop is linear, and stable if all eigenvalues lie inside the unit circle. An unmodelled delay moves the
+eigenvalues outwards; larger weights on the increments move them inwards.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from diffdrive_mpc.mpc.config.schema import ControllerConfig, Margin
 from diffdrive_mpc.mpc.problem.constants import build_prediction
 
 SPEED = 0.5
-"""Speed of the straight path [m/s], that of the shipped paths."""
-LIGHTEST, HEAVIEST = np.array([5.0, 4.0]), 1e4
-"""Bounds of the weights [s^2/m^2, s^2/rad^2]. The lightest (2,) of v and omega were tuned for SM, mujoco
-plant, seeds 101 and 103 of a search over 13 robots and conditions; lighter ones make commands restless."""
-_HALVINGS = 14
+"""Speed of the straight path [m/s], equal to that of the shipped paths."""
+MIN_WEIGHTS, MAX_WEIGHT = np.array([5.0, 4.0]), 1e4
+"""Bounds of the weights [s^2/m^2, s^2/rad^2]. The minimum weights (2,) of v and omega were tuned for SM on the mujoco
+plant, seeds 101 and 103 of a search over 13 robots and conditions; smaller weights make commands oscillate."""
+_BISECTIONS = 14
 _STABLE = 1.0 + 1e-6
-"""An error without a weight is constant, with eigenvalue 1."""
+"""Limit of the spectral radius; an error with zero weight stays constant, with eigenvalue 1."""
 
 
 def feedback(model: DiscreteModel, config: ControllerConfig) -> Callable[[FloatArray], FloatArray]:
     """Return the function from the weights (2,) of the increments to K (2, n + 2 m + 3) of u_0 = K z.
 
-    z are the states of the model, the m commands on their way from the oldest on, and the errors along and across [m]
-    and of the heading [rad] at the speed `SPEED`.
+    z are the states of the model, the m commands that have not yet taken effect (oldest first), and the along-track
+    [m], cross-track [m] and heading [rad] errors at the speed `SPEED`.
     """
     N, n, m, dt, w = config.horizon, model.order, model.memory, model.dt, config.weights
     prediction = build_prediction(model, N)
@@ -61,29 +61,29 @@ def feedback(model: DiscreteModel, config: ControllerConfig) -> Callable[[FloatA
     ]
     H = sum(rows.T @ (weight * rows) for weight, _, rows in weighted)
     G = sum(rows.T @ (weight * fixed) for weight, fixed, rows in weighted)
-    last, change = units[n + 2 * m - 2 : n + 2 * m], np.eye(N) - np.eye(N, k=-1)
+    last_command, difference = units[n + 2 * m - 2 : n + 2 * m], np.eye(N) - np.eye(N, k=-1)
 
     def by_weights(increments: FloatArray) -> FloatArray:
-        right = G - np.vstack([increments[:, None] * last, np.zeros((2 * N - 2, len(units)))])
-        return np.asarray(-np.linalg.solve(H + np.kron(change.T @ change, np.diag(increments)), right)[:2])
+        right = G - np.vstack([increments[:, None] * last_command, np.zeros((2 * N - 2, len(units)))])
+        return np.asarray(-np.linalg.solve(H + np.kron(difference.T @ difference, np.diag(increments)), right)[:2])
 
     return by_weights
 
 
-def spectral_radius(model: DiscreteModel, K: FloatArray, late: FloatArray) -> float:
-    """Return the largest |eigenvalue| of the loop with feedback `K` where commands act `late` (2,) samples later."""
+def spectral_radius(model: DiscreteModel, K: FloatArray, extra_delay: FloatArray) -> float:
+    """Return the spectral radius of the loop with feedback `K` and an unmodelled delay `extra_delay` (2,) [samples]."""
     n, m, dt = model.order, model.memory, model.dt
-    longest = m + int(np.ceil(late.max())) + 1
+    longest = m + int(np.ceil(extra_delay.max())) + 1
     size = n + 2 * longest + 3
     selection = np.zeros((K.shape[1], size))
     selection[:n, :n], selection[-3:, -3:] = np.eye(n), np.eye(3)
     selection[n : n + 2 * m, n + 2 * (longest - m) : n + 2 * longest] = np.eye(2 * m)
     commands = np.vstack([np.eye(2 * longest, size, k=n), K @ selection]).reshape(longest + 1, 2, size)
-    whole = np.floor(late).astype(int)
+    whole = np.floor(extra_delay).astype(int)
     loop = np.zeros((size, size))
     loop[:n, :n] = model.A
     for channel in (0, 1):
-        newest, rest = longest - int(model.delay[channel]) - whole[channel], late[channel] - whole[channel]
+        newest, rest = longest - int(model.delay[channel]) - whole[channel], extra_delay[channel] - whole[channel]
         acting = [(1 - rest) * commands[newest - i, channel] + rest * commands[newest - i - 1, channel] for i in (0, 1)]
         loop[:n] += np.outer(model.B0[:, channel], acting[0]) + np.outer(model.B1[:, channel], acting[1])
     loop[n:-3] = commands[1:].reshape(-1, size)
@@ -97,28 +97,28 @@ def spectral_radius(model: DiscreteModel, K: FloatArray, late: FloatArray) -> fl
 def increment_weights(model: DiscreteModel, config: ControllerConfig) -> FloatArray:
     """Return the smallest weights (2,) of the increments of v and omega with which the loop tolerates the margin.
 
-    The delays are unknown one at a time. Where no weight is heavy enough it is NaN.
+    The margins of v and omega are applied one at a time. A weight is NaN if no weight up to `MAX_WEIGHT` suffices.
     """
-    by_weights, weights, lightest = feedback(model, config), LIGHTEST.copy(), np.full(2, np.nan)
+    by_weights, weights, smallest = feedback(model, config), MIN_WEIGHTS.copy(), np.full(2, np.nan)
     for channel, margin in enumerate((config.margin.v, config.margin.omega)):
-        late = np.eye(2)[channel] * margin / model.dt
-        low, high = np.log([LIGHTEST[channel], HEAVIEST])
-        for _ in range(_HALVINGS):
+        extra_delay = np.eye(2)[channel] * margin / model.dt
+        low, high = np.log([MIN_WEIGHTS[channel], MAX_WEIGHT])
+        for _ in range(_BISECTIONS):
             weights[channel] = np.exp(0.5 * (low + high))
             try:
-                is_stable = spectral_radius(model, by_weights(weights), late) < _STABLE
-            except np.linalg.LinAlgError:  # weights of sizes that no arithmetic bears
+                is_stable = spectral_radius(model, by_weights(weights), extra_delay) < _STABLE
+            except np.linalg.LinAlgError:  # extreme weights make the matrix numerically singular
                 is_stable = False
             if is_stable:
-                lightest[channel], high = weights[channel], np.log(weights[channel])
+                smallest[channel], high = weights[channel], np.log(weights[channel])
             else:
                 low = np.log(weights[channel])
-    return lightest
+    return smallest
 
 
 @dataclass(frozen=True)
 class _Loop:
-    """Model and settings that determine the weights, identified by their numbers."""
+    """Model and settings that determine the weights; `numbers` are their values as bytes, the key of the cache."""
 
     numbers: bytes
     model: DiscreteModel = field(compare=False)
@@ -138,14 +138,15 @@ def _increment_weights(loop: _Loop) -> tuple[float, ...]:
 
 
 def with_increments(config: ControllerConfig, model: DiscreteModel | NonlinearModel) -> ControllerConfig:
-    """Return `config` with numbers for those weights on increments that follow from the margin of `model`.
+    """Return `config` with values for the weights on increments that it leaves to be derived from the margin.
 
-    They are constants for a nonlinear model, and where no weight gives the default margin, as with a short horizon.
+    The weights are `MIN_WEIGHTS` for a nonlinear model, and if no weight gives the default margin, as with a short
+    horizon.
 
     Raises
     ------
     ConfigError
-        If no weight gives another margin.
+        If no weight gives a margin that differs from the default.
     """
     missing = [name for name in ("v", "omega") if getattr(config.weights, f"{name}_increment") is None]
     if not missing:
@@ -153,14 +154,14 @@ def with_increments(config: ControllerConfig, model: DiscreteModel | NonlinearMo
     derived = dict.fromkeys(missing, np.nan)
     if isinstance(model, DiscreteModel):
         derived |= zip(("v", "omega"), _increment_weights(_Loop.from_settings(model, config)), strict=True)
-    numbers = {}
+    weights = {}
     for name in missing:
         margin, key = getattr(config.margin, name), f"{name}_increment"
-        is_found = np.isfinite(derived[name])
-        if not is_found and margin != getattr(Margin(), name) and isinstance(model, DiscreteModel):
+        is_derived = np.isfinite(derived[name])
+        if not is_derived and margin != getattr(Margin(), name) and isinstance(model, DiscreteModel):
             raise ConfigError(
-                f"margin.{name} = {margin:g} s: no weight on the increments of {name} gives so much with these weights "
-                f"and horizon = {config.horizon}; state less, or weights.{key}"
+                f"margin.{name} = {margin:g} s: no weight on the increments of {name} gives this margin with these "
+                f"weights and horizon = {config.horizon}; set a smaller margin, or weights.{key}"
             )
-        numbers[key] = float(f"{derived[name]:.3g}") if is_found else float(LIGHTEST[int(name == "omega")])
-    return config.model_copy(update={"weights": config.weights.model_copy(update=numbers)})
+        weights[key] = float(f"{derived[name]:.3g}") if is_derived else float(MIN_WEIGHTS[int(name == "omega")])
+    return config.model_copy(update={"weights": config.weights.model_copy(update=weights)})

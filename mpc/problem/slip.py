@@ -12,19 +12,19 @@ from diffdrive_mpc.models.interface import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Slip:
-    """Offset and gains of a twist, side-slip and turning point; by default the robot follows its model.
+    """Offset and gains of a twist, side-slip and turning point; with the defaults the robot follows its model exactly.
 
-    The wheels turn with v + v_offset and omega_gain omega. The body turns with yaw_gain times that yaw rate about a
-    point that lies turn_ahead - load_shift times the forward acceleration ahead of its origin and turn_left beside it.
-    That point moves with longitudinal_gain times the wheels' forward speed, and outward in a turn with
-    side_slip v omega.
+    The wheels move with v + v_offset and omega_gain omega. The body turns with yaw_gain times the wheels' yaw rate
+    about a point that lies (turn_ahead - load_shift times the forward acceleration) ahead of the origin of the body
+    frame and turn_left to its left. This point moves with longitudinal_gain times the wheels' forward speed, and
+    outward in a turn with side_slip v omega.
 
-    While it turns it also slides in the plane of the floor, by slide_x and slide_y for each radian in the frame of the
-    poses: on a slope wheels that skid hold it no longer.
+    A turning robot also slides in the plane of the floor, by slide_x and slide_y per radian in the frame of the poses:
+    on a slope, skidding wheels no longer resist the downhill force.
 
-    The last five curve the twist: with them it is no longer affine in the model's output, and the controller linearises
-    it at each sample. Together with the others they span the nine terms of Ordonez et al., 2017 (P4), and the virtual
-    track of Botta et al., Appl. Sci. 2021, 11(4), 1594 (P3); `of_polynomial` and `polynomial` translate.
+    The last five slips are called curved: they make the twist non-affine in the model's output, and the controller
+    linearises it at each sample. All slips together span the nine terms of Ordonez et al., 2017 (P4), and the virtual
+    track of Botta et al., Appl. Sci. 2021, 11(4), 1594 (P3); `of_polynomial` and `polynomial` convert from and to P4.
 
     Attributes
     ----------
@@ -35,16 +35,16 @@ class Slip:
     longitudinal_gain
         Forward speed of the body over that of the wheels [-].
     yaw_gain
-        Yaw rate of the body over that of the wheels, relative to the floor that the model was identified on [-].
+        Yaw rate of the body over that of the wheels, relative to the surface on which the model was identified [-].
     side_slip
         Lateral speed of the body, outward, over v omega [s].
     turn_ahead, turn_left
-        Point that the robot turns about, from the origin of its frame [m]: the load's centre need not be in the middle.
+        Point about which the robot turns, in the body frame [m]; an off-centre load shifts it.
     load_shift
-        Distance that this point moves back for a forward acceleration, which loads the rear axle [s^2].
+        Distance that the turning point moves back per unit of forward acceleration, which loads the rear axle [s^2].
     slide_x, slide_y
-        Distance that the robot slides for each radian that it turns, along x and y of the frame of the poses [m/rad]:
-        all of it across its heading, and a part of it along (`mpc.problem.formulas.sliding`).
+        Distance that the robot slides per radian of turn, along x and y of the frame of the poses [m/rad]: the full
+        component across the heading, and a share of the component along it (`mpc.problem.formulas.sliding`).
     crab
         Lateral speed of the body, to the left, over its forward speed [-]; P4's a21.
     veer
@@ -73,7 +73,7 @@ class Slip:
 
     @property
     def flat(self) -> list[float]:
-        """(10,) without the curved terms, in the order of `SLIPS`."""
+        """(10,) values of the flat slips, in the order of `FLAT_SLIPS`."""
         return [getattr(self, name) for name in FLAT_SLIPS]
 
     @classmethod
@@ -96,10 +96,10 @@ class Slip:
 
     @property
     def polynomial(self) -> FloatArray:
-        """(9,) coefficients of `models.slip_laws.polynomial_twist` that this slip amounts to, row by row.
+        """(9,) equivalent coefficients of `models.slip_laws.polynomial_twist`, row by row.
 
-        Further slip is left out: offset, load shift, slide and a track that grows. Lateral terms in w_c^2, products of
-        side-slip and a12, do not exist there.
+        Offset, load shift, slide and track growth have no equivalent and are omitted; so are lateral terms in w_c^2,
+        the products of side-slip and a12.
         """
         turning = self.omega_gain * self.yaw_gain
         return np.array(
@@ -115,7 +115,7 @@ class Slip:
     @property
     def polynomial_gradient(self) -> FloatArray:
         """(9, 15) gradient of `polynomial` by the slips, in the order of `SLIPS`."""
-        # Each coefficient is linear in each of them by itself: a difference over one is the slope.
+        # Each coefficient is linear in each slip, so a difference over a unit step is exact.
         columns = [replace(self, **{name: getattr(self, name) + 1.0}).polynomial for name in SLIPS]
         return np.stack(columns, axis=1) - self.polynomial[:, None]
 
@@ -133,8 +133,8 @@ class Slip:
 SLIPS: tuple[str, ...] = tuple(field.name for field in fields(Slip))
 """Names of the slips, in the order of the filter's state."""
 PRIORS: tuple[str, ...] = tuple(name.removesuffix("_x").removesuffix("_y") for name in SLIPS)
-"""Prior of each slip in the configuration; both directions of the slide share one."""
+"""Name of each slip's prior in the configuration; both directions of the slide share one prior."""
 CURVED_SLIPS = SLIPS[10:]
-"""Those that curve the twist: the filter has them only where the configuration speaks of one."""
+"""Slips that make the twist non-affine; the filter has these states only if the configuration sets or estimates one."""
 FLAT_SLIPS = SLIPS[:10]
-"""The others."""
+"""Slips for which the twist is affine in the model's output."""

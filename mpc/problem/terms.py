@@ -1,7 +1,7 @@
-"""Terms of the user: residuals that are squared and added to the cost, and values with soft limits.
+"""User-defined terms: residuals that are squared and added to the cost, and values with soft limits.
 
 A term is one CasADi function of the plan's values at a sample. It is differentiated, generated as C and compiled like
-the shipped ones.
+the built-in terms.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from diffdrive_mpc.models.trust import check_trusted
 from diffdrive_mpc.mpc.config.schema import TermConfig
 from diffdrive_mpc.mpc.problem.user_functions import user_term
 
-MOST_SOFT_ROWS = 24
-"""Rows of soft limits that all terms may have together at a sample."""
+MAX_SOFT_ROWS = 24
+"""Maximum number of soft-limit rows of all terms together at one sample."""
 
 Limits = Sequence[float | None] | float | None
 """Limits of a value, row by row; None: no limit."""
@@ -46,23 +46,24 @@ class Term:
         Name for messages and for `Controller.set_parameters`.
     function
         CasADi function of some of `pose` (3) [m, m, rad] in the frame of the reference, `twist` (2) of the body
-        [m/s, rad/s], `command` (2) before the sample [m/s, rad/s], `reference` (4): x, y [m], theta [rad] to aim at and
-        the heading [rad] to hold there, and `parameters` (p); inputs go by name. Its only output is the value (m).
+        [m/s, rad/s], `command` (2) before the sample [m/s, rad/s], `reference` (4): x, y [m], theta [rad] of the target
+        and the heading [rad] to hold there, and `parameters` (p); inputs are matched by name. The only output is the
+        value (m).
     kind
-        "residual": half the value's square is added to the cost, so a weight w enters as its root; "soft": the value is
-        kept between `lower` and `upper`. One unit beyond them costs `weights.soft`, and half its square
-        `weights.soft_quadratic`, so scaling a value up makes its limit stricter.
+        "residual": half the square of the value is added to the cost, so scale a residual of weight w by sqrt(w).
+        "soft": the value is limited to `lower` to `upper`; a violation e costs `weights.soft` e plus
+        `weights.soft_quadratic` e^2 / 2, so scaling the value up makes its limit stricter.
     upper, lower
-        (m,) limits of a soft term; None, for all of it or in a row: no limit.
+        (m,) limits of a soft term; None means no limit, for all rows or for one row.
     defaults
-        (p,) stage parameters until others are set.
+        (p,) stage parameters at the start.
     compiled
-        Address of the function in a loaded library, a cffi pointer; None if it is compiled for the controller.
+        Address of the function in a loaded library, a cffi pointer; None if it has to be compiled for the controller.
 
     Raises
     ------
     ConfigError
-        If any of these does not fit. The message is one line: term, mistake, remedy.
+        If an attribute is invalid. The message is one line: term, mistake, remedy.
     """
 
     name: str
@@ -73,20 +74,21 @@ class Term:
     defaults: Sequence[float] = ()
     compiled: Any = field(default=None, repr=False)
     bounds: FloatArray = field(init=False, repr=False)
-    """(2, m) lower and upper limits as numbers, of a residual too."""
+    """(2, m) lower and upper limits; unlimited rows, and all rows of a residual, have bounds of -1e14 and 1e14."""
 
     def __post_init__(self) -> None:
-        """Check all of it."""
+        """Check all attributes."""
         where = f"term '{self.name}'"
         if self.kind not in _KINDS:
             raise ConfigError(f"{where}: unknown kind '{self.kind}'; give {' or '.join(_KINDS)}")
         compiled = user_term(self.function, "ddmpc_user_term", where)
         if compiled.nnz_out("gradient") == 0:
             raise ConfigError(f"{where}: its value depends on none of pose, twist and command; no plan could change it")
-        taken = compiled.numel_in("parameters")
-        if taken != len(self.defaults):
+        expected = compiled.numel_in("parameters")
+        if expected != len(self.defaults):
             raise ConfigError(
-                f"{where}: its function takes {taken} parameters, and {len(self.defaults)} are given; give as many"
+                f"{where}: its function takes {expected} parameters, and there are {len(self.defaults)} defaults; give "
+                "one default for each"
             )
         if not all(_is_number(value) for value in self.defaults):
             raise ConfigError(f"{where}: parameters {list(self.defaults)}; give finite numbers")
@@ -108,7 +110,7 @@ class Term:
         if len(rows) != self.rows:
             raise ConfigError(f"{where}: {name} has {len(rows)} numbers, its value has {self.rows}; give one for each")
         if not all(row is None or _is_number(row) for row in rows):
-            raise ConfigError(f"{where}: {name} {rows} contains a value that is not finite; for no limit give none")
+            raise ConfigError(f"{where}: {name} {rows} contains a value that is not finite; use none for no limit")
         return np.array([none if row is None else row for row in rows], dtype=float)
 
     @property
@@ -128,42 +130,42 @@ class Term:
 
 
 def checked_terms(terms: object) -> tuple[Term, ...]:
-    """Return `terms` as a tuple; raise ArgumentError if they are no list of terms."""
+    """Return `terms` as a tuple; raise ArgumentError if the argument is not a list or tuple of terms."""
     if isinstance(terms, (list, tuple)) and all(isinstance(term, Term) for term in terms):
         return tuple(terms)
     remedy = "write terms=[term], where term = Term(name, casadi.Function(...))"
-    odd = terms
+    invalid = terms
     if isinstance(terms, (list, tuple)):
-        odd = next(term for term in terms if not isinstance(term, Term))
-    raise wrong_type("terms", "a list of Term", odd, remedy)
+        invalid = next(term for term in terms if not isinstance(term, Term))
+    raise wrong_type("terms", "a list of Term", invalid, remedy)
 
 
-def all_terms(configs: Sequence[TermConfig], given_terms: Sequence[Term]) -> tuple[Term, ...]:
-    """Combine terms from configured files, which are run, with terms passed in Python, in this order.
+def all_terms(configs: Sequence[TermConfig], python_terms: Sequence[Term]) -> tuple[Term, ...]:
+    """Combine terms from configured files with terms passed in Python, in this order; the files are executed.
 
     Raises
     ------
     ConfigError
-        If a file cannot be run, has no such function, or that is none of (pose, twist, command, ...); if two terms have
-        one name, or all of them together more rows of soft limits than a controller holds.
+        If a file cannot be executed, lacks the function, or the function has an unknown input; if two terms have the
+        same name, or the terms have more than `MAX_SOFT_ROWS` rows of soft limits together.
     """
-    terms = (*(_load(config) for config in configs), *given_terms)
+    terms = (*(_load(config) for config in configs), *python_terms)
     for name, count in Counter(entry.name for entry in terms).items():
         if count > 1:
             raise ConfigError(f"term '{name}': {count} terms have this name; give each its own name")
     soft = [entry for entry in terms if entry.soft]
     rows = sum(entry.rows for entry in soft)
-    if rows > MOST_SOFT_ROWS:
+    if rows > MAX_SOFT_ROWS:
         each = ", ".join(f"{entry.name} {entry.rows}" for entry in soft)
         raise ConfigError(
-            f"terms with soft limits have {rows} rows together ({each}), at most {MOST_SOFT_ROWS} are held; leave some "
-            "out, or make them residuals"
+            f"terms with soft limits have {rows} rows together ({each}), the maximum is {MAX_SOFT_ROWS}; remove some, "
+            "or make them residuals"
         )
     return terms
 
 
 def parameter_places(terms: Sequence[Term]) -> dict[str, slice]:
-    """Return the places of each term's parameters among those of all terms, by name."""
+    """Return the slice of each term in the vector of all stage parameters, by term name."""
     ends = list(accumulate((term.parameters for term in terms), initial=0))
     return {term.name: slice(first, end) for term, (first, end) in zip(terms, pairwise(ends), strict=True)}
 
@@ -171,23 +173,23 @@ def parameter_places(terms: Sequence[Term]) -> dict[str, slice]:
 def checked_parameters(
     terms: Sequence[Term], samples: int, values: Mapping[str, ArrayLike]
 ) -> list[tuple[slice, FloatArray]]:
-    """Check stage parameters by name of their term, (p,) or (samples, p); return their places and numbers.
+    """Check stage parameters, (p,) or (samples, p) by term name; return the slice and the values of each term.
 
     Raises
     ------
     ConfigError
-        If there is no such term, or the shape is not one of these, or a value is not finite.
+        If a term does not exist, a shape is wrong, or a value is not finite.
     """
     places, checked = parameter_places(terms), []
     for name, value in values.items():
         where = f"term '{name}'"
         if name not in places:
-            raise ConfigError(f"{where}: there is none; there are: {', '.join(places) or 'no terms'}")
+            raise ConfigError(f"{where}: not found; there are: {', '.join(places) or 'no terms'}")
         p = places[name].stop - places[name].start
         try:
             rows = np.asarray(value, dtype=float)
         except (TypeError, ValueError) as error:
-            raise ConfigError(f"{where}: its parameters are no numbers") from error
+            raise ConfigError(f"{where}: its parameters are not numbers") from error
         if rows.shape not in ((p,), (samples, p)):
             raise ConfigError(f"{where}: give {p} parameters, or {samples} rows of them (found shape {rows.shape})")
         if not np.isfinite(rows).all():
@@ -215,16 +217,16 @@ def _run(path: Path) -> dict[str, object]:
     spec = importlib.util.spec_from_file_location(f"diffdrive_mpc_term_{path.stem}", path)
     if not path.is_file() or spec is None or spec.loader is None:
         raise ConfigError(
-            f"{path}: no such Python file; a term names the file of its function, seen from the configuration's folder"
+            f"{path}: no such Python file; give the path of the term's file relative to the configuration's folder"
         )
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
     except KeyboardInterrupt:
-        raise  # the user's own, while the file ran
-    except BaseException as error:  # SystemExit, too: a file must not end the program in the user's name
+        raise  # the user interrupted the program
+    except BaseException as error:  # includes SystemExit: a term file must not end the program
         message = " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":")
-        raise ConfigError(f"{path}: running it ends with {message}") from error
+        raise ConfigError(f"{path}: running it fails with {message}") from error
     return vars(module)
 
 

@@ -1,4 +1,4 @@
-"""Functions of the user in the form of the shipped formulas: inputs matched by name, gradients added.
+"""Wrap user-defined functions in the form of the built-in formulas: match inputs by name, add gradients.
 
 A term is a least-squares residual or a soft limit on pose, twist, command, reference and stage parameters. A nonlinear
 velocity model is a step and an output.
@@ -24,8 +24,8 @@ def user_term(function: ca.Function, name: str, place: str | None = None) -> ca.
     Parameters
     ----------
     function
-        Any of the inputs pose (3), twist (2), command (2), reference (4), parameters (p), by these names in any order,
-        to one column (m). Units and frames are those of `mpc.problem.formulas`.
+        Function with any of the inputs pose (3), twist (2), command (2), reference (4), parameters (p), by these names
+        in any order, and one column (m) as output. Units and frames are those of `mpc.problem.formulas`.
     name
         Name of the C function.
     place
@@ -34,28 +34,26 @@ def user_term(function: ca.Function, name: str, place: str | None = None) -> ca.
     Returns
     -------
     casadi.Function
-        Function of pose, twist, command, reference, parameters (p, 0 where it takes none) to `value` (m) and `gradient`
-        (m x 7) by pose, twist and command.
+        Function of pose, twist, command, reference, parameters (p, possibly 0) with the outputs `value` (m) and
+        `gradient` (m x 7) by pose, twist and command.
 
     Raises
     ------
     ConfigError
-        If the function has other inputs or outputs, depends on anything else, or cannot be written as C.
+        If the function has other inputs or outputs, depends on free variables, or cannot be generated as C.
     """
     place = _checked_function(function, name, "term", place)
     known = (*TERM_INPUTS, "parameters")
     columns = _columns_in(function, place)
-    for given_name, length in columns.items():
-        if given_name not in known:
-            near = difflib.get_close_matches(given_name, known, 1) or known
-            raise ConfigError(f"{place}: unknown input '{given_name}'; name it {' or '.join(near)}")
-        if length != TERM_INPUTS.get(given_name, length):
-            raise ConfigError(
-                f"{place}: input '{given_name}' has {length} entries, but it has {TERM_INPUTS[given_name]}"
-            )
+    for input_name, length in columns.items():
+        if input_name not in known:
+            near = difflib.get_close_matches(input_name, known, 1) or known
+            raise ConfigError(f"{place}: unknown input '{input_name}'; name it {' or '.join(near)}")
+        if length != TERM_INPUTS.get(input_name, length):
+            raise ConfigError(f"{place}: input '{input_name}' has {length} entries; give it {TERM_INPUTS[input_name]}")
     _column_out(function, place)
     inputs = term_symbols(columns.get("parameters", 0))
-    return term(name, inputs, _value(function, [inputs[given_name] for given_name in columns], place))
+    return term(name, inputs, _value(function, [inputs[input_name] for input_name in columns], place))
 
 
 def user_step(function: ca.Function, name: str) -> ca.Function:
@@ -65,19 +63,19 @@ def user_step(function: ca.Function, name: str) -> ca.Function:
     ----------
     function
         Function of `x` (n) and `window` (2 W), the commands v_ref [m/s], omega_ref [rad/s] of the last W samples,
-        oldest first, to the state (n) one sample later.
+        oldest first, with the state (n) one sample later as output.
     name
         Name of the C function.
 
     Returns
     -------
     casadi.Function
-        Function of the same inputs to `x_next` (n), `by_x` (n x n) and `by_window` (n x 2 W).
+        Function of the same inputs with the outputs `x_next` (n), `by_x` (n x n) and `by_window` (n x 2 W).
 
     Raises
     ------
     ConfigError
-        As `user_term`; and if the state changes its length, or the window holds half a command.
+        As for `user_term`; also if the length of the state changes, or the window's length is odd or zero.
     """
     place = _checked_function(function, name, "step")
     columns = _columns_in(function, place)
@@ -87,11 +85,11 @@ def user_step(function: ca.Function, name: str) -> ca.Function:
         raise ConfigError(f"{place}: window has {columns['window']} entries; give it two for each command")
     if _column_out(function, place) != columns["x"]:
         raise ConfigError(f"{place}: the state after a step has {function.numel_out(0)} entries, x has {columns['x']}")
-    symbols = {given_name: ca.SX.sym(given_name, length) for given_name, length in columns.items()}
+    symbols = {input_name: ca.SX.sym(input_name, length) for input_name, length in columns.items()}
     inputs = {"x": symbols["x"], "window": symbols["window"]}
-    after = _value(function, list(symbols.values()), place)
-    gradients = {f"by_{given_name}": ca.jacobian(after, symbol) for given_name, symbol in inputs.items()}
-    return named_function(name, inputs, {"x_next": after, **gradients})
+    x_next = _value(function, list(symbols.values()), place)
+    gradients = {f"by_{input_name}": ca.jacobian(x_next, symbol) for input_name, symbol in inputs.items()}
+    return named_function(name, inputs, {"x_next": x_next, **gradients})
 
 
 def user_output(function: ca.Function, name: str, states: int) -> ca.Function:
@@ -100,25 +98,25 @@ def user_output(function: ca.Function, name: str, states: int) -> ca.Function:
     Parameters
     ----------
     function
-        Function of `x` (n) to v [m/s], omega [rad/s].
+        Function of `x` (n) with v [m/s], omega [rad/s] as output (2).
     name
         Name of the C function.
     states
-        n.
+        Number n of states.
 
     Returns
     -------
     casadi.Function
-        Function of the same input to `y` (2) and `gradient` (2 x n).
+        Function of the same input with the outputs `y` (2) and `gradient` (2 x n).
 
     Raises
     ------
     ConfigError
-        As `user_term`; and if it does not take `states` states to two numbers.
+        As for `user_term`; also if the input does not have `states` entries or the output does not have two.
     """
     place = _checked_function(function, name, "output")
     if _columns_in(function, place) != {"x": states}:
-        raise ConfigError(f"{place}: its one input must be x, with {states} entries as in the step")
+        raise ConfigError(f"{place}: its only input must be x, with {states} entries as in the step")
     if _column_out(function, place) != 2:
         raise ConfigError(f"{place}: it has {function.numel_out(0)} entries; give it two, v and omega")
     inputs = {"x": ca.SX.sym("x", states)}
@@ -126,7 +124,7 @@ def user_output(function: ca.Function, name: str, states: int) -> ca.Function:
 
 
 def _checked_function(function: ca.Function, name: str, kind: str, place: str | None = None) -> str:
-    """Check that `function` is a CasADi function and `name` a name in C; return the words that name the place."""
+    """Check that `function` is a CasADi function and `name` a valid C name; return the place for messages."""
     if not isinstance(function, ca.Function):
         raise ConfigError(
             f"{place or f'{kind} {name}'}: {type(function).__name__} is no casadi.Function; build one with named inputs"

@@ -1,1 +1,1 @@
-"""The controller as a ROS 2 node. rclpy is imported only here and only by the modules that need it."""
+"""The controller as a ROS 2 node. Only modules of this package that need rclpy import it."""

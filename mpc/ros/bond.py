@@ -1,7 +1,7 @@
-"""A bond with nav2_lifecycle_manager: both sides send heartbeats, and detect the end of the other.
+"""A bond with nav2_lifecycle_manager: both sides send heartbeats, and detect the end of the other side.
 
-The protocol is that of bondcpp: heartbeats on one topic, of all bonds; `id` names the bond, `instance_id` the side. A
-side waits for its sister, lives while it receives heartbeats, and at its end announces it until the sister ends, too.
+The protocol is that of bondcpp. All bonds share one topic; `id` identifies the bond, `instance_id` the side. A side
+waits for the other side, is alive while it receives heartbeats, and announces its end until the other side also ends.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from diffdrive_mpc.mpc.ros.conversions import message_type, subscribe_bounded
 from diffdrive_mpc.mpc.ros.node_part import NodePart
 
 TOPIC = "bond"
-# As bondcpp has them, and Nav2's nodes set them [s].
+# Values of bondcpp and of Nav2's nodes [s].
 CONNECT_TIMEOUT, HEARTBEAT_TIMEOUT, DISCONNECT_TIMEOUT = 10.0, 4.0, 2.0
 
 
@@ -34,53 +34,53 @@ class BondState(StrEnum):
 
 
 class BondProtocol:
-    """One side of a bond, without its messages.
+    """State machine of one side of a bond, independent of ROS messages.
 
     Parameters
     ----------
     send
-        Says whether this side lives.
+        Function that sends a heartbeat; its argument is False at the end of this side.
     now
-        A clock that never jumps [s].
+        Monotonic clock [s].
 
     Attributes
     ----------
     state
         State of the bond.
-    lost
-        Why the sister is gone; empty while it is not.
+    end_reason
+        Reason why the other side ended; empty while it is alive.
     """
 
     def __init__(self, send: Callable[[bool], None], now: Callable[[], float]) -> None:
         self._send, self._now = send, now
-        self.state, self.lost = BondState.WAITING, ""
+        self.state, self.end_reason = BondState.WAITING, ""
         self._since = now()
 
     def beat(self) -> None:
         """Update the bond; call once per period."""
-        passed = self._now() - self._since
-        if self.state is BondState.WAITING and passed > CONNECT_TIMEOUT:
-            # No manager is present, so the node continues alone.
+        elapsed = self._now() - self._since
+        if self.state is BondState.WAITING and elapsed > CONNECT_TIMEOUT:
+            # No manager is present, so the node continues without a bond.
             self.state = BondState.DEAD
-        elif self.state is BondState.ALIVE and passed > HEARTBEAT_TIMEOUT:
-            self.state, self.lost = BondState.DEAD, f"it was silent for {HEARTBEAT_TIMEOUT:g} s"
-        elif self.state is BondState.LEAVING and passed > DISCONNECT_TIMEOUT:
+        elif self.state is BondState.ALIVE and elapsed > HEARTBEAT_TIMEOUT:
+            self.state, self.end_reason = BondState.DEAD, f"it was silent for {HEARTBEAT_TIMEOUT:g} s"
+        elif self.state is BondState.LEAVING and elapsed > DISCONNECT_TIMEOUT:
             self.state = BondState.DEAD
         if self.state in (BondState.WAITING, BondState.ALIVE):
             self._send(True)
         elif self.state is BondState.LEAVING:
             self._send(False)
 
-    def hear(self, *, lives: bool) -> None:
-        """Handle a message of the sister, which states whether it lives."""
+    def receive(self, *, is_alive: bool) -> None:
+        """Handle a message of the other side; `is_alive` is False at its end."""
         if self.state is BondState.LEAVING:
-            if not lives:
+            if not is_alive:
                 self.state = BondState.DEAD
         elif self.state is not BondState.DEAD:
-            if lives:
+            if is_alive:
                 self.state, self._since = BondState.ALIVE, self._now()
             else:
-                self.state, self.lost = BondState.DEAD, "it has ended the bond"
+                self.state, self.end_reason = BondState.DEAD, "it has ended the bond"
                 self._send(False)
 
     def leave(self) -> None:
@@ -93,7 +93,7 @@ class BondProtocol:
 
 
 class Bond:
-    """A bond of an active node, which has the node's name; its heart beats in the node's executor, as its loop does.
+    """Bond of an active node, with the node's name as `id`; heartbeats run in the executor of the control loop.
 
     Parameters
     ----------
@@ -110,50 +110,50 @@ class Bond:
         self._node, self._type, self._period = node, kind, period
         self._id, self._instance = node.get_name(), str(uuid.uuid4())
         self._publisher = node.create_publisher(kind, TOPIC, QoSProfile(depth=5))
-        self.protocol = BondProtocol(self._say, time.monotonic)
-        self._subscription = subscribe_bounded(node, kind, TOPIC, self._hear, QoSProfile(depth=100), refuse=_ignore)
+        self.protocol = BondProtocol(self._send_status, time.monotonic)
+        self._subscription = subscribe_bounded(node, kind, TOPIC, self._receive, QoSProfile(depth=100), refuse=_ignore)
         self._timer = node.create_timer(period, self._beat, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._told = ""
-        self._gone = False
+        self._reported = ""
+        self._is_closed = False
 
     @property
-    def words(self) -> str:
-        """Its state, for diagnostics."""
-        return f"{self.protocol.state}: {self.protocol.lost}" if self.protocol.lost else str(self.protocol.state)
+    def text(self) -> str:
+        """State of the bond for diagnostics."""
+        return ": ".join(filter(None, (self.protocol.state, self.protocol.end_reason)))
 
     def leave(self) -> None:
-        """End the bond: announce it now, and repeat it until the manager confirms."""
+        """End the bond: announce the end now, and repeat the announcement until the manager confirms."""
         self.protocol.leave()
 
     def close(self) -> None:
         """End the bond without waiting for a confirmation."""
-        if self._gone:
+        if self._is_closed:
             return
         self.protocol.leave()
-        self._gone = True
+        self._is_closed = True
         self._node.destroy_timer(self._timer)
         self._node.destroy_subscription(self._subscription)
         self._node.destroy_publisher(self._publisher)
 
     def _beat(self) -> None:
         self.protocol.beat()
-        if self.protocol.lost and not self._told:
-            self._told = self.protocol.lost
-            self._node.get_logger().warning(f"the lifecycle manager is gone: {self.protocol.lost}; driving continues")
+        if self.protocol.end_reason and not self._reported:
+            self._reported = self.protocol.end_reason
+            self._node.get_logger().warning(f"the lifecycle manager is gone: {self._reported}; driving continues")
 
-    def _hear(self, message: Any) -> None:  # noqa: ANN401 - ROS messages have no types to check
+    def _receive(self, message: Any) -> None:  # noqa: ANN401 - ROS messages have no types to check
         if message.id == self._id and message.instance_id != self._instance:
-            self.protocol.hear(lives=bool(message.active))
+            self.protocol.receive(is_alive=bool(message.active))
 
-    def _say(self, lives: bool) -> None:
-        message = self._type(id=self._id, instance_id=self._instance, active=lives)
+    def _send_status(self, is_alive: bool) -> None:
+        message = self._type(id=self._id, instance_id=self._instance, active=is_alive)
         message.header.stamp = self._node.get_clock().now().to_msg()
         message.heartbeat_timeout, message.heartbeat_period = HEARTBEAT_TIMEOUT, self._period
         self._publisher.publish(message)
 
 
 def _ignore(_: str) -> None:
-    """Ignore an invalid bond message: it is no heartbeat."""
+    """Ignore an invalid bond message, which does not count as a heartbeat."""
 
 
 class BondPart(NodePart):
@@ -168,13 +168,13 @@ class BondPart(NodePart):
         if not period:
             return
         if message_type("bond", "Status") is None:
-            words = "no bond with a lifecycle manager: bond is not installed; set its bond_timeout to 0"
-            self.node.get_logger().info(words)
+            text = "no bond with a lifecycle manager: bond is not installed; set its bond_timeout to 0"
+            self.node.get_logger().info(text)
             return
         self.bond = Bond(self.node, period)
 
     def deactivate(self) -> None:
-        """End the bond; it announces the end until the manager has confirmed it."""
+        """End the bond; the end is announced until the manager has confirmed it."""
         if self.bond is not None:
             self.bond.leave()
 
@@ -184,7 +184,7 @@ class BondPart(NodePart):
 
     def diagnostics(self) -> Mapping[str, str]:
         """Return the state of the bond."""
-        return {} if self.bond is None else {"bond": self.bond.words}
+        return {} if self.bond is None else {"bond": self.bond.text}
 
     def _close(self) -> None:
         if self.bond is not None:

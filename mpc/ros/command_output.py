@@ -17,7 +17,7 @@ from diffdrive_mpc.mpc.ros.conversions import time_message, twist_message
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 TWISTS, WHEELS = "cmd_vel", "wheel_commands"
-"""Topics of commands by kind, before remapping."""
+"""Topics of twist commands and of wheel commands, before remapping."""
 
 
 def command_topic(settings: NodeSettings) -> str:
@@ -26,13 +26,13 @@ def command_topic(settings: NodeSettings) -> str:
 
 
 class CommandOutput(Protocol):
-    """Sends commands."""
+    """Output of commands to the base."""
 
     def send(self, command: FloatArray, time: int) -> None:
-        """Send `command` (2,) v [m/s], omega [rad/s], decided at `time` [ns]."""
+        """Send `command` (2,) v [m/s], omega [rad/s] of the tick at `time` [ns]."""
 
     def wait(self, seconds: float) -> None:
-        """Wait until the last command has arrived, at most this long [s]."""
+        """Wait until the last command is acknowledged, for at most `seconds` [s]."""
 
     def destroy(self) -> None:
         """Destroy the publisher."""
@@ -41,14 +41,14 @@ class CommandOutput(Protocol):
 def command_output(
     node: LifecycleNode, settings: NodeSettings, config: Callable[[], ControllerConfig]
 ) -> CommandOutput:
-    """Create the output that `settings` choose; `config` returns the current configuration of the controller."""
+    """Create the output selected by `settings`; `config` returns the current configuration of the controller."""
     if settings.command_output == "wheels":
         return _WheelOutput(node, settings, config)
     return _TwistOutput(node, settings)
 
 
 class _Output:
-    """A publisher of the node, silent while the node is not active, reliable and of depth 1."""
+    """Lifecycle publisher, reliable and of depth 1; it publishes only while the node is active."""
 
     def __init__(self, node: LifecycleNode, kind: type[Any], topic: str) -> None:
         self._node = node
@@ -88,7 +88,7 @@ class _WheelOutput(_Output):
     def send(self, command: FloatArray, time: int) -> None:  # noqa: ARG002 - the message has no stamp
         v, omega = float(command[0]), float(command[1])
         rim = abs(v) + self._half_track * abs(omega)
-        # Slow all wheels by one factor, so that the path keeps its curvature. The limit may change while driving.
+        # Slow all wheels by the same factor, so that the path keeps its curvature. The limit may change while driving.
         share = min(1.0, self._config().limits.wheel_speed / rim) if rim > 0.0 else 1.0
         speeds = [share * (v + sign * self._half_track * omega) / self._radius for sign in self._signs]
         self._publisher.publish(Float64MultiArray(data=speeds))

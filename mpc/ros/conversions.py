@@ -1,4 +1,4 @@
-"""ROS messages to the types of the controller and back. Unusable messages are rejected with a reason."""
+"""Conversion of ROS messages to the controller's types and back. Unusable messages are rejected with a reason."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ NANOSECONDS = 1_000_000_000
 _PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
 # Tolerance of a quaternion's norm, for rounding to single precision in transmission.
 _NORM_TOLERANCE = 1e-2
-# An axis that points up by a smaller share has no part in a yaw rate [-].
-_ALIGNED = 1e-3
+# Minimum vertical component of a gyro axis that contributes to the yaw rate [-].
+_MIN_VERTICAL = 1e-3
 
 
 class MessageError(DiffdriveMpcError, ValueError):
-    """A message cannot be used; contains the reason, in few words."""
+    """A message cannot be used; the error text is the reason in one line."""
 
     def __init__(self, reason: str) -> None:
-        super().__init__(plain_line(reason))  # its frame names are untrusted text, and logs go to terminals
+        super().__init__(plain_line(reason))  # frame names are untrusted text, and logs are shown in terminals
 
 
 def nanoseconds(stamp: TimeMessage) -> int:
@@ -66,13 +66,13 @@ def planar_pose(pose: Pose) -> tuple[float, float, float]:
 
 
 def check_frame(frame: str, expected: str, parameter: str, field: str = "frame_id") -> None:
-    """Raise MessageError unless the frames agree; `parameter` is where the expected one is set."""
+    """Raise MessageError unless the frames agree; `parameter` is the parameter that sets the expected frame."""
     if frame != expected:
         raise MessageError(f"its {field} is '{frame}', expected '{expected}' (parameter {parameter})")
 
 
 def seconds(time: int, epoch: int) -> float:
-    """Time [s] between two times [ns]: the difference is exact before it is rounded."""
+    """Return the difference of two times [ns] in seconds, rounded only after the exact subtraction."""
     return (time - epoch) / NANOSECONDS
 
 
@@ -95,7 +95,7 @@ def imu_yaw_rate(message: Imu, epoch: int, up: tuple[float, float, float] = (0.0
     rate = message.angular_velocity
     # An IMU with one axis leaves the others zero or not finite.
     yaw_rate = sum(
-        axis * value for axis, value in zip(up, (rate.x, rate.y, rate.z), strict=True) if abs(axis) > _ALIGNED
+        axis * value for axis, value in zip(up, (rate.x, rate.y, rate.z), strict=True) if abs(axis) > _MIN_VERTICAL
     )
     if not math.isfinite(yaw_rate):
         raise MessageError("its yaw rate is not finite")
@@ -103,7 +103,7 @@ def imu_yaw_rate(message: Imu, epoch: int, up: tuple[float, float, float] = (0.0
 
 
 def measured_pose(message: PoseWithCovarianceStamped, epoch: int, *, covariance: bool) -> Stamped:
-    """Extract the pose of a pose sensor, on request with its covariance, where zero means unknown."""
+    """Extract the pose of a pose sensor, on request with its covariance; an all-zero covariance means unknown."""
     stated = np.asarray(message.pose.covariance, dtype=float).reshape(6, 6)[_PLANAR]
     return Stamped(
         planar_pose(message.pose.pose),
@@ -113,38 +113,38 @@ def measured_pose(message: PoseWithCovarianceStamped, epoch: int, *, covariance:
 
 
 def twist_message(command: Sequence[float] | FloatArray) -> Twist:
-    """Convert a command v [m/s], omega [rad/s]."""
+    """Convert a command v [m/s], omega [rad/s] to a Twist."""
     message = Twist()
     message.linear.x, message.angular.z = float(command[0]), float(command[1])
     return message
 
 
 def pose_message(pose: Sequence[float] | FloatArray) -> Pose:
-    """Convert a planar pose x, y [m], theta [rad]."""
+    """Convert a planar pose x, y [m], theta [rad] to a Pose."""
     x, y, theta = (float(value) for value in pose)
     return Pose(position=Point(x=x, y=y), orientation=Quaternion(z=math.sin(0.5 * theta), w=math.cos(0.5 * theta)))
 
 
 def stamped_pose_message(pose: Sequence[float] | FloatArray, time: int, frame: str) -> PoseStamped:
-    """Convert a planar pose x, y [m], theta [rad] with its time [ns] and frame."""
+    """Convert a planar pose x, y [m], theta [rad] with its time [ns] and frame to a PoseStamped."""
     message = PoseStamped(pose=pose_message(pose))
     message.header.stamp, message.header.frame_id = time_message(time), frame
     return message
 
 
-# Subscriptions that look at the size of a message before it is read: a long one would take longer than a tick.
+# Subscriptions that check the size of a message before deserialisation: a large message would take longer than a tick.
 
 
-LONGEST_NAME = 255
-"""Characters of a frame's name at most: longer ones are rejected."""
-_HEADER = 4 + 8 + 4 + LONGEST_NAME + 1 + 8
-"""Bytes of a serialised header at most: stamp, name with its length and end, room to align."""
+MAX_NAME_LENGTH = 255
+"""Maximum number of characters of a frame's name; messages with longer names are rejected."""
+_HEADER = 4 + 8 + 4 + MAX_NAME_LENGTH + 1 + 8
+"""Maximum size of a serialised header [bytes]: stamp, name with length and terminator, alignment."""
 SENSOR_BYTES = 2048
-"""Bytes of a message of odometry, gyro or pose at most: their numbers take less than 800, two names the rest."""
+"""Maximum size of a message of odometry, gyro or pose [bytes]: numbers take less than 800, two names the rest."""
 BATTERY_BYTES = 8192
-"""Bytes of a battery's state at most: two numbers for each of some hundreds of cells, and three names."""
+"""Maximum size of a battery state [bytes]: two numbers for each of several hundred cells, and three names."""
 POSE_BYTES = _HEADER + 7 * 8
-"""Bytes of a pose with its header at most."""
+"""Maximum size of a pose with its header [bytes]."""
 
 
 def path_bytes(poses: int) -> int:
@@ -152,9 +152,9 @@ def path_bytes(poses: int) -> int:
     return _HEADER + poses * POSE_BYTES
 
 
-def too_long(size: int, most: int) -> str:
-    """Format the reason for rejecting a message of `size` bytes."""
-    return f"it has {size} bytes, and none of its kind that can be used has more than {most}"
+def too_long(size: int, max_bytes: int) -> str:
+    """Return the reason for rejecting a message of `size` bytes."""
+    return f"it has {size} bytes, the maximum for its type is {max_bytes}"
 
 
 def subscribe_bounded(
@@ -165,52 +165,52 @@ def subscribe_bounded(
     qos: QoSProfile | int,
     *,
     refuse: Callable[[str], None],
-    most: int = SENSOR_BYTES,
+    max_bytes: int = SENSOR_BYTES,
     series: MessageSeries | None = None,
 ) -> Subscription:
-    """Subscribe to `topic`; messages of more than `most` bytes are not read.
+    """Subscribe to `topic`; messages of more than `max_bytes` are rejected without deserialisation.
 
     Parameters
     ----------
     node, kind, topic, qos
         As for `create_subscription`.
     take
-        Called with each message.
+        Function that is called with each message.
     refuse
-        Function that gets the reason, where a message is too long or cannot be read.
-    most
-        Bytes of a serialised message at most.
+        Function that is called with the reason if a message is too long or cannot be read.
+    max_bytes
+        Maximum size of a serialised message [bytes].
     series
-        Takes in the publication number of each message.
+        Series that records the publication number of each message.
     """
 
-    def look(raw: bytes, info: dict[str, Any]) -> None:
+    def receive(raw: bytes, info: dict[str, Any]) -> None:
         if series is not None:
             series.take(info["publication_sequence_number"], info["source_timestamp"], time.monotonic())
-        if len(raw) > most:
-            refuse(too_long(len(raw), most))
+        if len(raw) > max_bytes:
+            refuse(too_long(len(raw), max_bytes))
             return
         try:
             message = deserialize_message(raw, kind)
-        except Exception as error:  # rmw has no type of error for it
+        except Exception as error:  # rmw has no specific error type
             refuse(f"it cannot be read ({' '.join(str(error).split())})")
             return
         take(message)
 
-    return node.create_subscription(kind, topic, look, qos, raw=True)
+    return node.create_subscription(kind, topic, receive, qos, raw=True)
 
 
-def take_waiting(subscription: Subscription) -> None:
-    """Pass the messages that wait to the callback of a bounded subscription, while the executor is blocked."""
+def take_pending(subscription: Subscription) -> None:
+    """Pass pending messages to the callback of a bounded subscription, while the executor is blocked."""
     for _ in range(subscription.qos_profile.depth):
         with subscription.handle:
-            taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
-        if taken is None:
+            message = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+        if message is None:
             return
-        subscription.callback(*taken)
+        subscription.callback(*message)
 
 
-# Types of messages that only some installations have.
+# Message types that only some installations have.
 
 
 def message_type(package: str, name: str) -> type[Any] | None:

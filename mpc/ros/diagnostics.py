@@ -29,15 +29,15 @@ def diagnostics(
     Parameters
     ----------
     name
-        Full name of the node without its first slash: two robots differ by their namespaces.
+        Full name of the node without the leading slash; it distinguishes robots by their namespaces.
     time
-        Now [ns].
+        Current time [ns].
     lifecycle
         Label of the lifecycle state.
     loop
         The control loop; None while the node is not active.
     parts
-        Parts of the node, with their own values and warnings.
+        Parts of the node, which add values and warnings.
     """
     status = DiagnosticStatus(name=f"{name}: control", hardware_id=name, level=DiagnosticStatus.OK, message=lifecycle)
     values = {"lifecycle": lifecycle}
@@ -68,14 +68,14 @@ def _level(loop: ControlLoop) -> bytes:
         return DiagnosticStatus.ERROR
     if loop.objection:
         return DiagnosticStatus.ERROR
-    tick, concern = loop.last, loop.warning or loop.refusal or loop.shortfall
+    tick, warning = loop.last, loop.warning or loop.refusal or loop.shortfall
     if tick is None or tick.result is None:
-        return DiagnosticStatus.WARN if loop.held or concern else DiagnosticStatus.OK
+        return DiagnosticStatus.WARN if loop.held or warning else DiagnosticStatus.OK
     if tick.result.mode in (Mode.BRAKING, Mode.STOPPED) and loop.state is LoopState.DRIVING and not loop.held:
         return DiagnosticStatus.ERROR
-    well = tick.result.state in (Mode.TRACKING, Mode.FINISHED) and not tick.message and not loop.inbox.fault
-    well = well and not concern
-    return DiagnosticStatus.OK if well else DiagnosticStatus.WARN
+    is_normal = tick.result.state in (Mode.TRACKING, Mode.FINISHED) and not tick.message and not loop.inbox.fault
+    is_normal = is_normal and not warning
+    return DiagnosticStatus.OK if is_normal else DiagnosticStatus.WARN
 
 
 def _values(loop: ControlLoop) -> dict[str, str]:
@@ -93,7 +93,7 @@ def _values(loop: ControlLoop) -> dict[str, str]:
     values |= _watches(inbox.topics, inbox.now)
     if inbox.frames is not None:
         values["transforms"] = f"{inbox.frames.accepted} accepted, {inbox.frames.refused} refused"
-        values["reference laid anew by its frame"] = str(loop.relaid)
+        values["reference laid anew by its frame"] = str(loop.frame_shifts)
         if inbox.frames.last_refusal:
             values["transforms last refusal"] = inbox.frames.last_refusal
     if loop.last is not None and loop.last.result is not None:

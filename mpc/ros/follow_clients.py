@@ -1,4 +1,4 @@
-"""Clients of the action `follow_path`: which of them sent a goal, and whether it is alive."""
+"""Clients of the action `follow_path`: identify the client of a goal, and check that it is alive."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 
 _STALL = 0.2
-"""Time without acknowledgement after which a new participant is made [s]; living clients acknowledge within 0.1 s."""
+"""Time without acknowledgement after which a participant is created [s]; live clients acknowledge within 0.1 s."""
 _DISCOVERY = 1.0
-"""Time that a new participant has to discover the living clients, before another one is made [s]; 0.15 s as a rule."""
+"""Time for a new participant to discover the live clients before another one is created [s]; usually 0.15 s."""
 
 
 class _Link:
-    """Publisher of feedback, in the participant of `node` or, if `context` is given, in one of its own."""
+    """Publisher of feedback in the participant of `node`; `context` is given if the participant is separate."""
 
     def __init__(self, node: Node, action: str, context: Context | None = None) -> None:
         self.node, self._context = node, context
@@ -43,11 +43,12 @@ class _Link:
 
 
 class ClientWatch:
-    """Sends feedback and observes its acknowledgement, which the middleware of a living client sends by itself.
+    """Publisher of feedback that monitors its acknowledgement by the clients.
 
-    All clients subscribe to one topic. After one of them has died, no sample counts as acknowledged until its
-    participant lease expires (Fast DDS: 20 s). A new participant discovers living clients only: with several
-    subscriptions, feedback continues through such a participant.
+    The middleware of a live client acknowledges feedback automatically. All clients subscribe to one topic. After a
+    client has died, no sample counts as acknowledged until its participant lease expires (Fast DDS: 20 s). A new
+    participant discovers live clients only: if there are several subscriptions, feedback continues through a new
+    participant.
 
     Parameters
     ----------
@@ -61,15 +62,15 @@ class ClientWatch:
         self._node, self._action = node, action
         self._graph = self._link = _Link(node, action)
         self._goals_sent: dict[bytes, int] = {}
-        self._heard_at = self._renewed_at = time.monotonic()
+        self._last_answer = self._renewed_at = time.monotonic()
         self._acknowledges = True
 
     def claim(self, number: int) -> frozenset[bytes]:
         """Return the clients that may have sent the goal whose request has sequence number `number`.
 
-        Each client counts its requests from one, and rclpy hides the client's identity. The result has several clients
-        only if all of them have sent equally many goals, and none if the middleware does not name request topics as
-        DDS does.
+        Each client numbers its requests from one, and rclpy does not expose the client's identity. The result has
+        several clients if they have sent the same number of goals. It is empty if the middleware does not name request
+        topics like DDS.
         """
         known = self._graph.clients()
         clients = frozenset(client for client in known if self._goals_sent.get(client) == number - 1)
@@ -80,17 +81,17 @@ class ClientWatch:
         return clients
 
     def check(self, goals: Sequence[frozenset[bytes]]) -> list[bool]:
-        """Return for each goal, stated by its clients, whether all of them acknowledged the last feedback."""
+        """Return for each goal, a set of clients, True if all of them have acknowledged the last feedback."""
         now, acknowledged = time.monotonic(), self._is_acknowledged()
         present = self._link.clients()
         subscribed = self._link.publisher.get_subscription_count() > 0
-        heard = [acknowledged and subscribed and clients <= present for clients in goals]
-        if all(heard):
-            self._heard_at = now
-        elif now - self._heard_at > _STALL and now - self._renewed_at > _DISCOVERY and self._is_ambiguous():
+        alive = [acknowledged and subscribed and clients <= present for clients in goals]
+        if all(alive):
+            self._last_answer = now
+        elif now - self._last_answer > _STALL and now - self._renewed_at > _DISCOVERY and self._is_ambiguous():
             self._renewed_at = now
             self._renew()
-        return heard
+        return alive
 
     def send(self, message: FollowPath.Impl.FeedbackMessage) -> None:
         """Publish feedback."""
@@ -116,12 +117,12 @@ class ClientWatch:
             return True
 
     def _is_ambiguous(self) -> bool:
-        """Return True if the missing acknowledgement may be that of another subscription than the goal's client."""
+        """Return True if the missing acknowledgement may be that of a subscription other than the goal's client."""
         return self._acknowledges and self._node.count_subscribers(self._graph.publisher.topic_name) > 1
 
     def _renew(self) -> None:
         name, namespace = self._node.get_name(), self._node.get_namespace()
-        # With SROS 2 the participant uses the same keys, and creates no topic that their policy does not allow.
+        # With SROS 2 the participant uses the same keys, and creates only topics that their policy allows.
         nodes = self._node.get_node_names_and_namespaces_with_enclaves()
         enclave = next(entry[2] for entry in nodes if entry[:2] == (name, namespace))
         context = Context()

@@ -24,7 +24,7 @@ from diffdrive_mpc.mpc.ros.reference_input import tracking_error
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.step_result import Mode
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.planned.lay import Laid, lay_poses, poses_left
+from diffdrive_mpc.mpc.trajectories.planned.lay import PlannedPath, lay_poses, poses_left
 
 if TYPE_CHECKING:
     from diffdrive_mpc.mpc.ros.node_part import PathCheck
@@ -32,25 +32,25 @@ if TYPE_CHECKING:
 _STANDING = 0.02
 """Speed below which the robot counts as standing [m/s]."""
 _OUTDATED = 0.3
-"""Age of the robot's pose above which a moving robot gets no new reference [s]."""
-_MOST_OUTDATED = 3
+"""Maximum age of the pose from which a path for a moving robot was planned [s]."""
+_MAX_OUTDATED = 3
 """Number of outdated results after which a path is planned for a standing robot."""
-_LONGEST_LAYING = 15.0
-"""Time limit for planning a path, in seconds of the computer's clock."""
+_MAX_PLANNING_TIME = 15.0
+"""Time limit for planning a path [s], by the computer's clock."""
 _SILENT = "the client of the goal does not acknowledge feedback"
-_ABANDONED = "nobody waits for it any more: its client has ended"
+_ABANDONED = "its client has ended"
 _SILENT_CHECKS, _SILENCE = 3, 0.3
-"""Number of checks, and time [s], after which a client counts as silent; on a loaded machine it acknowledges within 0.1
-s.
+"""Number of checks, and time [s], after which a client counts as silent. Clients acknowledge within 0.1 s even on a
+loaded machine.
 """
-_LONGEST_SILENCE = 5.0
-"""Time without its client after which a goal is abandoned [s]; distinguishing a dead client from another takes up to 3
-s.
+_MAX_SILENCE = 5.0
+"""Time without its client after which a goal is aborted [s]. Distinguishing a dead client from other clients takes up
+to 3 s.
 """
 _REACTION = 0.4
-"""Time from the death of a client to the first check, and from the verdict to the first braking command [s]."""
-_SETTLES = 1.0
-"""Duration of zero commands after which the robot counts as standing, whatever its wheels report [s]."""
+"""Time from the end of a client to the first check, plus time from the decision to the first braking command [s]."""
+_REST_TIME = 1.0
+"""Duration of zero commands after which the robot counts as standing, independent of its measured speed [s]."""
 
 
 class Code(IntEnum):
@@ -77,7 +77,7 @@ class GoalOutcome(StrEnum):
 
 @dataclass(frozen=True)
 class End:
-    """Outcome of a goal with its code and the reason in words."""
+    """Outcome of a goal with its code and a description of the reason."""
 
     outcome: GoalOutcome
     code: Code
@@ -86,28 +86,28 @@ class End:
 
 @dataclass(eq=False)
 class FollowGoal:
-    """One goal. The loop's thread writes `progress` and `end`, and that of the action server the client's state.
+    """One goal. The loop's thread writes `progress` and `end`; the action server's thread writes the client's state.
 
     Attributes
     ----------
     poses
-        (n, 3) of the path, in its frame.
+        (n, 3) poses of the path in `frame`, later in the control frame.
     frame
         Frame of the path.
     stamp
         Time of the path [ns]; 0: none.
     fault
-        Why it cannot be driven, as was found before the loop saw it; None if nothing was.
+        Code and reason of an error that was detected before the goal reached the loop; None if there was none.
     cancelled
-        Whether the goal is to be cancelled.
+        True if cancellation was requested.
     clients
-        GIDs of the clients that may have sent it.
-    heard_at
-        Time of the last check at which its client was alive, by `time.monotonic` [s].
-    unheard
-        Number of checks since then.
+        GIDs of the clients that may have sent the goal.
+    alive_at
+        Time of the last check at which the client was alive [s, `time.monotonic`].
+    missed_checks
+        Number of failed checks since `alive_at`.
     progress
-        Distance to the goal along the path [m] and speed [m/s]; None until it is driven.
+        Distance to the goal along the path [m] and speed [m/s]; None before the drive.
     end
         Result of the goal; None while it is active.
     """
@@ -118,15 +118,15 @@ class FollowGoal:
     fault: tuple[Code, str] | None = None
     cancelled: bool = False
     clients: frozenset[bytes] = frozenset()
-    heard_at: float = field(default_factory=time.monotonic)
-    unheard: int = 0
+    alive_at: float = field(default_factory=time.monotonic)
+    missed_checks: int = 0
     progress: tuple[float, float] | None = None
     end: End | None = None
-    laid: Laid | None = field(default=None, repr=False)
-    asked_at: float = 0.0
-    handed_on: float = 0.0
+    path: PlannedPath | None = field(default=None, repr=False)
+    requested_at: float = 0.0
+    received_at: float = 0.0
     outdated: int = 0
-    began: bool = False
+    has_started: bool = False
     since: float = math.nan
     blind_since: float = math.nan
     blind_distance: float = 0.0
@@ -135,11 +135,11 @@ class FollowGoal:
 
 
 class FrameError(DiffdriveMpcError, ValueError):
-    """A path cannot be brought into the frame of control; contains the reason."""
+    """A path cannot be transformed to the control frame; the error text is the reason."""
 
 
-Lay = Callable[[tuple[object, ...], Callable[[Laid | None], None], Callable[[str], None]], None]
-"""Function that calls `lay_for_robot` with these arguments, and then one of the two callbacks with the result."""
+Lay = Callable[[tuple[object, ...], Callable[[PlannedPath | None], None], Callable[[str], None]], None]
+"""Function that calls `lay_for_robot` with the arguments, and then one of the two callbacks with result or reason."""
 
 
 def lay_for_robot(
@@ -150,13 +150,14 @@ def lay_for_robot(
     settings: NodeSettings,
     config: ControllerConfig,
     checks: Sequence[PathCheck] = (),
-) -> Laid | None:
-    """Lay a path in the side process, see `lay_poses`; None if the robot is at the goal and the rest is too short.
+) -> PlannedPath | None:
+    """Plan a path in the side process, see `lay_poses`.
 
-    The path satisfies the conditions in `checks`. Raises ConfigError for any other path that cannot be laid.
+    The path satisfies the conditions in `checks`. Returns None if the robot is at the goal and the remaining path is
+    too short; raises ConfigError for any other path that cannot be planned.
     """
 
-    def laid(limits: TrajectoryLimits) -> Laid:
+    def lay_path(limits: TrajectoryLimits) -> PlannedPath:
         return lay_poses(
             poses,
             limits,
@@ -167,7 +168,7 @@ def lay_for_robot(
             backwards=settings.follow_backwards,
         )
 
-    lay: Callable[[TrajectoryLimits], Laid] = laid
+    lay: Callable[[TrajectoryLimits], PlannedPath] = lay_path
     for check in checks:
         lay = partial(check.lay, lay, config, abs(twist[0]))
     try:
@@ -175,7 +176,7 @@ def lay_for_robot(
     except ConfigError:
         left = poses_left(poses, robot)
         length = float(np.hypot(*np.diff(left[:, :2], axis=0).T).sum())
-        if length > settings.follow_goal_position or not _within(_gap(robot, poses[-1]), settings):
+        if length > settings.follow_goal_position or not _has_arrived(_gap(robot, poses[-1]), settings):
             raise
         return None
 
@@ -186,13 +187,13 @@ def _gap(pose: FloatArray, goal: FloatArray) -> tuple[float, float]:
     return float(np.hypot(gap[0], gap[1])), abs(math.remainder(float(gap[2]), math.tau))
 
 
-def _within(gap: tuple[float, float], settings: NodeSettings) -> bool:
-    """Return True if a robot at this distance and angle from its goal has arrived."""
+def _has_arrived(gap: tuple[float, float], settings: NodeSettings) -> bool:
+    """Return True if `gap`, distance [m] and angle [rad] from the goal, is within the tolerances of `settings`."""
     return gap[0] <= settings.follow_goal_position and gap[1] <= settings.follow_goal_heading
 
 
 def path_limits(config: ControllerConfig, gain: FloatArray, settings: NodeSettings) -> TrajectoryLimits:
-    """Compute speeds and accelerations of a path: shares of those of the commands, times the steady-state `gain`."""
+    """Compute limits of speed and acceleration of a path: shares of the command limits, times the DC `gain` (2, 2)."""
     limits, (v, omega) = config.limits, np.minimum(1.0, np.abs(np.diag(gain))).tolist()
     share, slew = settings.follow_speed_share, settings.follow_acceleration_share
     blind = _blind_speed(config, settings.follow_blind_distance)
@@ -206,7 +207,10 @@ def path_limits(config: ControllerConfig, gain: FloatArray, settings: NodeSettin
 
 
 def _blind_speed(config: ControllerConfig, distance: float) -> float:
-    """Return the highest speed [m/s] at which the robot stops within `distance` [m] of a death; 0 m: no limit."""
+    """Return the maximum speed [m/s] at which the robot stops within `distance` [m] after its client has ended.
+
+    There is no limit if `distance` is 0.
+    """
     if not distance:
         return math.inf
     braking, delay = config.limits.v_braking, _SILENCE + _REACTION
@@ -214,35 +218,34 @@ def _blind_speed(config: ControllerConfig, distance: float) -> float:
 
 
 def _speed(tick: LoopTick) -> float:
-    """Return the estimated speed [m/s], or the commanded one where there is no estimate."""
+    """Return the estimated speed [m/s], or the commanded speed if there is no estimate."""
     estimate = None if tick.result is None else tick.result.estimate
     return abs(float(tick.command[0] if estimate is None else estimate.twist[0]))
 
 
-def _not_laid(why: str) -> Code:
+def _planning_code(why: str) -> Code:
     """Return the code for a path that the side process rejected for the reason `why`."""
-    ours = why.startswith(("path:", "trajectory limit"))
-    return Code.INVALID_PATH if ours else Code.CONTROLLER_TIMED_OUT if "takes longer" in why else Code.UNKNOWN
+    is_invalid = why.startswith(("path:", "trajectory limit"))
+    return Code.INVALID_PATH if is_invalid else Code.CONTROLLER_TIMED_OUT if "takes longer" in why else Code.UNKNOWN
 
 
 class Following:
-    """Takes goals to the control loop, one at a time; a newer one replaces the one that is driven.
+    """Driver of goals through the control loop, one at a time; a newer goal replaces the current goal.
 
     Parameters
     ----------
     loop
         Control loop of this activation.
     settings
-        The node's.
+        Settings of the node.
     config
-        The present configuration of the controller.
+        Function that returns the current configuration of the controller.
     gain
-        (2, 2) steady-state gain of its model.
+        Function that returns the steady-state gain (2, 2) of the controller's model.
     lay
         Function that plans a path outside the loop.
     transform
-        Brings poses (n, 3) from a frame, at a time [ns], into that of control; FrameError contains the reason if it
-        cannot.
+        Function that transforms poses (n, 3) from a frame, at a time [ns], to the control frame; raises FrameError.
     """
 
     def __init__(
@@ -256,14 +259,14 @@ class Following:
     ) -> None:
         self._loop, self._settings, self._config, self._gain = loop, settings, config, gain
         self._lay, self._transform = lay, transform
-        self._coming: FollowGoal | None = None
-        self._driven: FollowGoal | None = None
+        self._pending: FollowGoal | None = None
+        self._current: FollowGoal | None = None
 
     def take(self, goal: FollowGoal) -> None:
-        """Plan the path of a goal, then drive it. An unusable goal ends the current drive, too."""
-        if self._coming is not None:
-            self._close(self._coming, GoalOutcome.ABORTED, Code.NONE, "a newer goal took its place before it began")
-        self._coming, goal.handed_on = goal, time.monotonic()
+        """Plan the path of a goal, then drive it. An unusable goal also ends the current drive."""
+        if self._pending is not None:
+            self._close(self._pending, GoalOutcome.ABORTED, Code.NONE, "a newer goal took its place before it began")
+        self._pending, goal.received_at = goal, time.monotonic()
         if goal.fault is not None:
             self._refuse(goal, *goal.fault)
             return
@@ -275,133 +278,133 @@ class Following:
         except FrameError as error:
             self._refuse(goal, Code.TF_ERROR, str(error))
             return
-        self._ask(goal)
+        self._plan(goal)
 
-    def after(self, tick: LoopTick) -> None:
-        """Judge the current goal by the last tick."""
-        coming, goal = self._coming, self._driven
-        if coming is not None and coming.cancelled:
-            self._coming = None
-            self._close(coming, GoalOutcome.CANCELED, Code.NONE, "cancelled before it began")
-            # A client that sent it did not want the goal that it replaced either.
-            self._give_up("a newer goal was cancelled")
-        elif coming is not None and self._is_abandoned(coming):
-            self._refuse(coming, Code.UNKNOWN, _ABANDONED)
-        elif coming is not None and time.monotonic() - coming.handed_on > _LONGEST_LAYING:
-            self._refuse(coming, Code.CONTROLLER_TIMED_OUT, f"to lay the path takes longer than {_LONGEST_LAYING:g} s")
+    def update(self, tick: LoopTick) -> None:
+        """Update the goals after a tick."""
+        pending, goal = self._pending, self._current
+        if pending is not None and pending.cancelled:
+            self._pending = None
+            self._close(pending, GoalOutcome.CANCELED, Code.NONE, "cancelled before it began")
+            # The client has replaced the current goal, so that goal must not continue either.
+            self._abort_current("a newer goal was cancelled")
+        elif pending is not None and self._is_abandoned(pending):
+            self._refuse(pending, Code.UNKNOWN, _ABANDONED)
+        elif pending is not None and time.monotonic() - pending.received_at > _MAX_PLANNING_TIME:
+            self._refuse(pending, Code.CONTROLLER_TIMED_OUT, f"planning takes longer than {_MAX_PLANNING_TIME:g} s")
         if goal is None:
             return
         if goal.ending is None:
-            goal.waits = goal.unheard > 0 and (goal.waits or self._has_to_brake(goal, _speed(tick)))
+            goal.waits = goal.missed_checks > 0 and (goal.waits or self._has_to_brake(goal, _speed(tick)))
             self._loop.wait_reason = _SILENT if goal.waits else ""
-            goal.ending = self._verdict(goal, tick)
+            goal.ending = self._find_end(goal, tick)
             if goal.ending is not None and goal.ending.outcome is not GoalOutcome.SUCCEEDED:
                 self._loop.brake(goal.ending.words)
-        if goal.ending is not None and self._stands(goal, tick):
-            self._driven = None
+        if goal.ending is not None and self._is_at_rest(goal, tick):
+            self._current = None
             goal.end = goal.ending
             self._loop.release()
-        elif tick.result is not None and goal.laid is not None:
+        elif tick.result is not None and goal.path is not None:
             goal.progress = self._progress(goal, tick)
 
     def stop(self, why: str) -> None:
-        """End all goals: the loop is no more."""
-        for goal in (self._coming, self._driven):
+        """End all goals at the end of the control loop."""
+        for goal in (self._pending, self._current):
             if goal is not None:
                 self._close(goal, GoalOutcome.ABORTED, Code.UNKNOWN, why)
-        self._coming = self._driven = None
+        self._pending = self._current = None
 
-    def _ask(self, goal: FollowGoal) -> None:
+    def _plan(self, goal: FollowGoal) -> None:
         loop, config = self._loop, self._config()
-        whereabouts = loop.whereabouts()
-        if whereabouts is None:
+        pose_and_twist = loop.pose_and_twist()
+        if pose_and_twist is None:
             self._refuse(goal, Code.TF_ERROR, loop.missing() or "the robot's pose is not known yet")
             return
-        robot, twist = whereabouts
-        goal.asked_at = loop.inbox.now
+        robot, twist = pose_and_twist
+        goal.requested_at = loop.inbox.now
         limits = path_limits(config, self._gain(), self._settings)
         self._lay(
             (goal.poses, robot, twist, limits, self._settings, config),
-            lambda laid: self._begin(goal, laid, twist[0]),
-            lambda why: self._refuse(goal, _not_laid(why), why),
+            lambda path: self._drive(goal, path, twist[0]),
+            lambda why: self._refuse(goal, _planning_code(why), why),
         )
 
-    def _begin(self, goal: FollowGoal, laid: Laid | None, speed: float) -> None:
-        if goal is not self._coming:
+    def _drive(self, goal: FollowGoal, path: PlannedPath | None, speed: float) -> None:
+        if goal is not self._pending:
             return
         loop, farthest = self._loop, self._config().failure.max_position_error
         moving = abs(speed) > _STANDING
-        if moving and loop.inbox.now - goal.asked_at > _OUTDATED:
+        if moving and loop.inbox.now - goal.requested_at > _OUTDATED:
             goal.outdated += 1
-            if goal.outdated == _MOST_OUTDATED:
-                self._give_up("a newer goal's path takes too long to prepare for a robot that moves")
-            self._ask(goal)
+            if goal.outdated == _MAX_OUTDATED:
+                self._abort_current("a newer goal's path takes too long to prepare for a robot that moves")
+            self._plan(goal)
             return
-        if laid is None:
-            self._stay(goal, moving)
+        if path is None:
+            self._finish_at_goal(goal, moving)
             return
-        if laid.begins > farthest:
-            why = f"the path begins {laid.begins:.2f} m from the robot; the limit is {farthest:g} m"
+        if path.begins > farthest:
+            why = f"the path begins {path.begins:.2f} m from the robot; the limit is {farthest:g} m"
             self._refuse(goal, Code.INVALID_PATH, f"{why} (failure.max_position_error)")
             return
         try:
-            # A robot that moves has gone on meanwhile, and so has the reference that it is given.
-            loop.follow(laid.reference, goal.asked_at if moving else None)
+            # A moving robot has driven on during planning, so its reference starts at the time of the request.
+            loop.follow(path.reference, goal.requested_at if moving else None)
         except ValueError as error:
             code = Code.TF_ERROR if loop.missing() else Code.INVALID_PATH
             self._refuse(goal, code, str(error))
             return
-        if self._driven is not None:
-            self._driven.end = self._driven.ending or End(GoalOutcome.ABORTED, Code.NONE, "a newer goal took over")
-        goal.laid, goal.since = laid, loop.inbox.now
-        self._driven, self._coming = goal, None
+        if self._current is not None:
+            self._current.end = self._current.ending or End(GoalOutcome.ABORTED, Code.NONE, "a newer goal took over")
+        goal.path, goal.since = path, loop.inbox.now
+        self._current, self._pending = goal, None
 
-    def _stay(self, goal: FollowGoal, moving: bool) -> None:
-        """End a goal without a rest to drive: reached, if the robot stands there."""
-        whereabouts = self._loop.whereabouts()
-        if whereabouts is None:
+    def _finish_at_goal(self, goal: FollowGoal, moving: bool) -> None:
+        """End a goal without a remaining path: it has succeeded if the robot stands at the goal."""
+        pose_and_twist = self._loop.pose_and_twist()
+        if pose_and_twist is None:
             self._refuse(goal, Code.TF_ERROR, self._loop.missing() or "the robot's pose is not known")
             return
-        gap = (math.inf, math.inf) if moving else _gap(whereabouts[0], goal.poses[-1])
-        if not _within(gap, self._settings):
+        gap = (math.inf, math.inf) if moving else _gap(pose_and_twist[0], goal.poses[-1])
+        if not _has_arrived(gap, self._settings):
             self._refuse(goal, Code.INVALID_PATH, "path: it ends where the robot is, which does not stand there")
             return
-        self._coming, self._loop.refusal = None, ""
+        self._pending, self._loop.refusal = None, ""
         words = f"is there already, {gap[0]:.3f} m and {gap[1]:.3f} rad from the goal"
         self._close(goal, GoalOutcome.SUCCEEDED, Code.NONE, words)
-        self._give_up("a newer goal took over")
+        self._abort_current("a newer goal took over")
 
     def _refuse(self, goal: FollowGoal, code: Code, why: str) -> None:
-        if goal is not self._coming:
+        if goal is not self._pending:
             return
-        self._coming, self._loop.refusal = None, f"goal refused: {why}"
+        self._pending, self._loop.refusal = None, f"goal refused: {why}"
         self._close(goal, GoalOutcome.ABORTED, code, why)
-        self._give_up(f"a newer goal could not be driven: {why}")
+        self._abort_current(f"a newer goal could not be driven: {why}")
 
-    def _give_up(self, why: str) -> None:
+    def _abort_current(self, why: str) -> None:
         """End the current drive."""
-        if self._driven is not None and self._driven.ending is None:
-            self._driven.ending = End(GoalOutcome.ABORTED, Code.NONE, why)
+        if self._current is not None and self._current.ending is None:
+            self._current.ending = End(GoalOutcome.ABORTED, Code.NONE, why)
             self._loop.brake(why)
 
     def _close(self, goal: FollowGoal, outcome: GoalOutcome, code: Code, words: str) -> None:
         goal.end = End(outcome, code, words)
 
-    def _verdict(self, goal: FollowGoal, tick: LoopTick) -> End | None:
-        """Decide how a tick ends the goal; return None while it continues."""
+    def _find_end(self, goal: FollowGoal, tick: LoopTick) -> End | None:
+        """Return the end of the goal after a tick, or None while the goal continues."""
         loop, settings, now = self._loop, self._settings, self._loop.inbox.now
-        assert goal.laid is not None
-        ours = loop.begun is not None and loop.begun.reference is goal.laid.reference
-        goal.began = goal.began or ours
+        assert goal.path is not None
+        is_current = loop.drive is not None and loop.drive.reference is goal.path.reference
+        goal.has_started = goal.has_started or is_current
         if goal.cancelled:
             return End(GoalOutcome.CANCELED, Code.NONE, "cancelled")
         if self._is_abandoned(goal):
             return End(GoalOutcome.ABORTED, Code.UNKNOWN, _ABANDONED)
         if tick.state is LoopState.FAULT:
             return End(GoalOutcome.ABORTED, Code.UNKNOWN, tick.message)
-        if goal.began and (not ours or tick.state is LoopState.IDLE):
+        if goal.has_started and (not is_current or tick.state is LoopState.IDLE):
             return End(GoalOutcome.ABORTED, Code.UNKNOWN, "another reference was begun, or the node was reset")
-        if not goal.began:
+        if not goal.has_started:
             late = now - goal.since > settings.follow_patience and not loop.held
             return End(GoalOutcome.ABORTED, Code.TF_ERROR, loop.missing() or "no pose arrives") if late else None
         if loop.blocked:
@@ -411,7 +414,7 @@ class Following:
             goal.since = now
             return None
         if result.mode is Mode.FINISHED:
-            return None if tick.command.any() else self._arrived(goal, tick)
+            return None if tick.command.any() else self._arrival(goal, tick)
         if result.mode is Mode.TRACKING:
             goal.since = now
         if now - goal.since <= settings.follow_patience:
@@ -419,38 +422,38 @@ class Following:
         return End(GoalOutcome.ABORTED, self._code(tick), tick.message or "no command could be found")
 
     def _has_to_brake(self, goal: FollowGoal, speed: float) -> bool:
-        """Return True if the robot, at `speed` [m/s], has to brake now to keep the distance without its client."""
-        if goal.blind_since != goal.heard_at:
-            goal.blind_since, goal.blind_distance = goal.heard_at, 0.0
+        """Return True if the robot, at `speed` [m/s], must brake now to stop within `follow_blind_distance`."""
+        if goal.blind_since != goal.alive_at:
+            goal.blind_since, goal.blind_distance = goal.alive_at, 0.0
         config = self._config()
         goal.blind_distance += speed * config.sample_time
         stop = speed * _REACTION + 0.5 * speed**2 / config.limits.v_braking
         return self._silence(goal) > _SILENCE and goal.blind_distance + stop > self._settings.follow_blind_distance
 
     def _is_abandoned(self, goal: FollowGoal) -> bool:
-        return self._silence(goal) > _LONGEST_SILENCE
+        return self._silence(goal) > _MAX_SILENCE
 
     def _silence(self, goal: FollowGoal) -> float:
-        """Return the time since the client was heard [s]; zero until several checks have failed."""
-        if goal.unheard < _SILENT_CHECKS or not self._settings.follow_blind_distance:
+        """Return the time since the client was last alive [s]; zero until several checks have failed."""
+        if goal.missed_checks < _SILENT_CHECKS or not self._settings.follow_blind_distance:
             return 0.0
-        return time.monotonic() - goal.heard_at
+        return time.monotonic() - goal.alive_at
 
-    def _arrived(self, goal: FollowGoal, tick: LoopTick) -> End:
+    def _arrival(self, goal: FollowGoal, tick: LoopTick) -> End:
         assert tick.result is not None
         settings, estimate = self._settings, tick.result.estimate
         if estimate is None:
             return End(GoalOutcome.ABORTED, Code.TF_ERROR, "at the end of the path the robot's pose is not known")
         gap = _gap(estimate.pose, goal.poses[-1])
         words = f"{gap[0]:.3f} m and {gap[1]:.3f} rad from the goal"
-        if _within(gap, settings):
-            assert goal.laid is not None
-            note = f"; {goal.laid.note}" if goal.laid.note else ""
+        if _has_arrived(gap, settings):
+            assert goal.path is not None
+            note = f"; {goal.path.note}" if goal.path.note else ""
             return End(GoalOutcome.SUCCEEDED, Code.NONE, f"arrived, {words}{note}")
         return End(GoalOutcome.ABORTED, Code.FAILED_TO_MAKE_PROGRESS, f"the path has ended {words}")
 
     def _code(self, tick: LoopTick) -> Code:
-        """Return the code for a robot that does not drive."""
+        """Return the error code of a robot that does not drive."""
         assert tick.result is not None
         inbox = self._loop.inbox
         if inbox.odometry.fault(inbox.now, self._settings.odom_timeout) or tick.result.estimate is None:
@@ -461,24 +464,24 @@ class Following:
             return Code.NO_VALID_CONTROL
         return Code.PATIENCE_EXCEEDED
 
-    def _stands(self, goal: FollowGoal, tick: LoopTick) -> bool:
-        """Return True if the robot is known to be at rest."""
+    def _is_at_rest(self, goal: FollowGoal, tick: LoopTick) -> bool:
+        """Return True if the robot is at rest."""
         now = self._loop.inbox.now
         if tick.command.any():
             goal.since = now
             return False
         estimate = None if tick.result is None else tick.result.estimate
         still = estimate is not None and float(np.abs(estimate.twist).max()) <= _STANDING
-        return still or tick.state in (LoopState.FAULT, LoopState.IDLE) or now - goal.since > _SETTLES
+        return still or tick.state in (LoopState.FAULT, LoopState.IDLE) or now - goal.since > _REST_TIME
 
     def _progress(self, goal: FollowGoal, tick: LoopTick) -> tuple[float, float] | None:
-        result, begun = tick.result, self._loop.begun
+        result, drive = tick.result, self._loop.drive
         assert result is not None
-        assert goal.laid is not None
-        reference = goal.laid.reference
-        if result.estimate is None or begun is None or begun.reference is not reference:
+        assert goal.path is not None
+        reference = goal.path.reference
+        if result.estimate is None or drive is None or drive.reference is not reference:
             return goal.progress
-        time = self._loop.inbox.now - begun.t0 - result.reference_delay
+        time = self._loop.inbox.now - drive.t0 - result.reference_delay
         done, whole = reference.sample([time, reference.duration]).arc_length.tolist()
         error = tracking_error(result)
         ahead = error[0] if error is not None else 0.0

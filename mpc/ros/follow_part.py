@@ -10,23 +10,23 @@ from diffdrive_mpc.mpc.ros.control_loop import LoopTick
 from diffdrive_mpc.mpc.ros.follow_goal import Following, FrameError, lay_for_robot
 from diffdrive_mpc.mpc.ros.inbox import Inbox
 from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools
-from diffdrive_mpc.mpc.ros.reference_input import nothing
+from diffdrive_mpc.mpc.ros.reference_input import preload
 from diffdrive_mpc.mpc.ros.transforms.buffer import TransformError
 from diffdrive_mpc.mpc.ros.transforms.frames import moved_poses
-from diffdrive_mpc.mpc.trajectories.planned.lay import Laid
+from diffdrive_mpc.mpc.trajectories.planned.lay import PlannedPath
 
 if TYPE_CHECKING:
     from diffdrive_mpc.mpc.ros.follow_path import FollowPathServer
 
 
 class FollowPathPart(NodePart):
-    """Action server of the node, and the goals of the present activation."""
+    """Action server of the node, and the goals of the current activation."""
 
     server: FollowPathServer | None = None
     _following: Following | None = None
 
     def configure(self, tools: NodeTools) -> None:
-        """Start the action server if it is wanted and its type is installed."""
+        """Start the action server if it is enabled and its type is installed."""
         if not tools.settings.follow_path:
             return
         try:
@@ -45,11 +45,11 @@ class FollowPathPart(NodePart):
         checks = tuple(check for part in self.node.parts.values() if (check := part.path_check()) is not None)
 
         def lay(
-            arguments: tuple[object, ...], done: Callable[[Laid | None], None], failed: Callable[[str], None]
+            arguments: tuple[object, ...], done: Callable[[PlannedPath | None], None], failed: Callable[[str], None]
         ) -> None:
             side_process.submit("follow_path", lay_for_robot, (*arguments, checks), done, failed)
 
-        side_process.prepare(nothing)
+        side_process.prepare(preload)
         self._following = Following(
             loop,
             tools.settings,
@@ -61,14 +61,14 @@ class FollowPathPart(NodePart):
         self.server.open(self._following)
 
     def tick(self, tick: LoopTick) -> None:
-        """Judge the goal that is driven."""
+        """Update the current goal."""
         if self._following is not None:
-            self._following.after(tick)
+            self._following.update(tick)
 
     def deactivate(self) -> None:
         """End all goals, and refuse new ones."""
         if self.server is not None:
-            self.server.shut("the node was deactivated")
+            self.server.end_goals("the node was deactivated")
         self._following = None
 
     def tear_down(self) -> None:
@@ -79,14 +79,14 @@ class FollowPathPart(NodePart):
 
 
 def in_control_frame(inbox: Inbox, poses: FloatArray, frame: str, stamp: int) -> FloatArray:
-    """Return poses (n, 3) of `frame` in the control frame, with the present transforms.
+    """Transform poses (n, 3) from `frame` to the control frame with the current transforms.
 
-    They do not move with their frame: a planner sends a newer path after a correction of the localisation.
+    The result does not move with `frame`, since a planner sends a new path after a correction of the localisation.
 
     Raises
     ------
     FrameError
-        If the transform is not known.
+        If the transform is unknown.
     """
     if inbox.frames is None:
         if frame != inbox.frame:

@@ -1,6 +1,6 @@
-"""The action server `follow_path` (nav2_msgs/action/FollowPath): Nav2's behaviour tree drives the robot through it.
+"""The action server `follow_path` (nav2_msgs/action/FollowPath), through which Nav2's behaviour tree drives the robot.
 
-It has its own node and thread: to take a path of some thousand poses apart takes longer than a tick.
+It has a separate node and thread, since reading a path of several thousand poses takes longer than a tick.
 """
 
 from __future__ import annotations
@@ -31,28 +31,27 @@ from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 ACTION = "follow_path"
 _REQUESTS = QoSProfile(depth=2000)
-"""Depth of the request queue: with the services' default of 10, the middleware drops requests that arrive while others
+"""Depth of the request queue. With the services' default of 10, the middleware drops requests that arrive while others
 are read.
 """
-_RESULTS_AT_ONCE = 4
-"""Results sent in one look: a client has room for 10 that it has not read."""
+_MAX_RESULTS = 4
+"""Maximum number of results sent in one period; the queue of a client has room for 10 unread results."""
 _LONG_WORK = 0.005
-"""After work that took longer [s] the thread rests as long: the interpreter runs one thread at a time, and the loop's
-has priority.
+"""Duration of work above which the thread then sleeps for the same time [s], so that the control loop can use the
+interpreter.
 """
-_RESULT_KEPT = 60
-"""Time for which a result waits for its client [s]: a client that sends hundreds of goals a second reads results late.
-"""
+_RESULT_TIMEOUT = 60
+"""Time for which a result is stored for its client [s]; a client that sends hundreds of goals per second reads late."""
 _MIN_CHECK_RATE = 10.0
-"""Lowest rate of feedback while the clients are observed [Hz]."""
-_LOOK = 0.02
+"""Minimum rate of feedback while the clients are monitored [Hz]."""
+_POLL_PERIOD = 0.02
 """Period of the check for finished goals [s]."""
-_FAREWELL = 0.4
-"""Time limit for the last results [s]."""
+_CLOSE_TIMEOUT = 0.4
+"""Time limit for sending the last results [s]."""
 
 
 class _Server(ActionServer):
-    """Action server that keeps the sequence number of the goal request that it handles, which rclpy hides."""
+    """Action server that stores the sequence number of the current goal request, which rclpy does not expose."""
 
     sequence_number = 0
 
@@ -62,22 +61,22 @@ class _Server(ActionServer):
 
 
 class FollowPathServer:
-    """Accept goals while there is a `Following` to take them, and report their results to clients.
+    """Action server that passes goals to a `Following` and reports their results to clients.
 
     Parameters
     ----------
     node
-        The node that drives; its name, namespace and remappings count.
+        Node of the control loop; the server uses its name, namespace and remappings.
     settings
-        The node's.
+        Settings of the node.
     """
 
     def __init__(self, node: Node, settings: NodeSettings) -> None:
         self._node, self._settings = node, settings
         self._following: Following | None = None
         self._incoming: deque[tuple[Following, FollowGoal]] = deque()
-        self._open: list[tuple[FollowGoal, ServerGoalHandle, Future]] = []
-        self._arrived = node.create_guard_condition(self._pass_on)
+        self._goals: list[tuple[FollowGoal, ServerGoalHandle, Future]] = []
+        self._goal_arrived = node.create_guard_condition(self._forward_goals)
         self._side = rclpy.create_node(
             f"{node.get_name()}_{ACTION}",
             context=node.context,
@@ -85,7 +84,7 @@ class FollowPathServer:
             use_global_arguments=False,
             start_parameter_services=False,
         )
-        # As the node's own remappings have it.
+        # Use the remappings of the node.
         action = node.resolve_topic_name(ACTION)
         self._clients: dict[bytes, frozenset[bytes]] = {}
         self._watch = ClientWatch(self._side, action)
@@ -94,30 +93,30 @@ class FollowPathServer:
             FollowPath,
             action,
             self._execute,
-            goal_callback=self._judge,
+            goal_callback=self._handle_request,
             handle_accepted_callback=self._accepted,
             cancel_callback=self._cancel,
             goal_service_qos_profile=_REQUESTS,
             result_service_qos_profile=_REQUESTS,
             cancel_service_qos_profile=_REQUESTS,
-            result_timeout=_RESULT_KEPT,
+            result_timeout=_RESULT_TIMEOUT,
         )
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._side.create_timer(_LOOK, self._look, clock=steady)
+        self._side.create_timer(_POLL_PERIOD, self._send_results, clock=steady)
         rate = max(settings.follow_feedback_rate, _MIN_CHECK_RATE if settings.follow_blind_distance else 0.0)
-        self._side.create_timer(1.0 / rate, self._tell, clock=steady)
+        self._side.create_timer(1.0 / rate, self._send_feedback, clock=steady)
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(self._side)
-        self._closing = self._said = False
+        self._closing = self._has_results = False
         self._thread = threading.Thread(target=self._spin, name=ACTION, daemon=True)
         self._thread.start()
 
     def open(self, following: Following) -> None:
-        """Accept goals from now on, for `following`."""
+        """Accept goals and pass them to `following`."""
         self._following = following
 
-    def shut(self, why: str) -> None:
-        """Accept no goals from now on, and end those there are."""
+    def end_goals(self, why: str) -> None:
+        """Reject new goals and end the current goals."""
         following, self._following = self._following, None
         while self._incoming:
             _, goal = self._incoming.popleft()
@@ -126,36 +125,36 @@ class FollowPathServer:
             following.stop(why)
 
     def close(self) -> None:
-        """Send the last results, and end."""
-        self._said = bool(self._open)
-        self.shut("the node is shut down")
+        """Send the last results and stop the server."""
+        self._has_results = bool(self._goals)
+        self.end_goals("the node is shut down")
         self._closing = True
-        self._thread.join(2.0 * _FAREWELL)
+        self._thread.join(2.0 * _CLOSE_TIMEOUT)
         self._server.destroy()
         self._watch.destroy()
         self._executor.shutdown()
         self._side.destroy_node()
-        self._node.destroy_guard_condition(self._arrived)
+        self._node.destroy_guard_condition(self._goal_arrived)
 
     def _spin(self) -> None:
-        left = round(_FAREWELL / _LOOK)
-        while not self._closing or (self._said and left > 0):
-            began = time.thread_time()
+        left = round(_CLOSE_TIMEOUT / _POLL_PERIOD)
+        while not self._closing or (self._has_results and left > 0):
+            start = time.thread_time()
             try:
-                self._executor.spin_once(timeout_sec=_LOOK)
+                self._executor.spin_once(timeout_sec=_POLL_PERIOD)
             except ExternalShutdownException:
                 return
             except Exception as error:  # a fault of one goal must not block the results of all others
                 words = f"{ACTION}: {type(error).__name__}: {plain_line(str(error))}"
-                self._node.get_logger().error(words, throttle_duration_sec=_FAREWELL)
-                time.sleep(_LOOK)
-            worked = time.thread_time() - began
+                self._node.get_logger().error(words, throttle_duration_sec=_CLOSE_TIMEOUT)
+                time.sleep(_POLL_PERIOD)
+            worked = time.thread_time() - start
             if worked > _LONG_WORK:
                 time.sleep(worked)
             left -= self._closing
 
-    def _pass_on(self) -> None:
-        """Forward queued goals in the thread of the loop."""
+    def _forward_goals(self) -> None:
+        """Forward queued goals, in the thread of the control loop."""
         while self._incoming:
             following, goal = self._incoming.popleft()
             if following is self._following:
@@ -163,7 +162,7 @@ class FollowPathServer:
             else:
                 goal.end = End(GoalOutcome.ABORTED, Code.UNKNOWN, "the node was deactivated")
 
-    def _judge(self, _: FollowPath.Goal) -> GoalResponse:
+    def _handle_request(self, _: FollowPath.Goal) -> GoalResponse:
         if self._following is None:
             self._node.get_logger().error(f"{ACTION}: goal refused: the node is not active; activate it first")
             return GoalResponse.REJECT
@@ -174,8 +173,8 @@ class FollowPathServer:
         handle.execute()
 
     def _cancel(self, handle: ServerGoalHandle) -> CancelResponse:
-        for goal, held, _ in self._open:
-            if bytes(held.goal_id.uuid) == bytes(handle.goal_id.uuid):
+        for goal, goal_handle, _ in self._goals:
+            if bytes(goal_handle.goal_id.uuid) == bytes(handle.goal_id.uuid):
                 goal.cancelled = True
                 return CancelResponse.ACCEPT
         return CancelResponse.REJECT
@@ -191,15 +190,15 @@ class FollowPathServer:
             GoalOutcome.ABORTED: handle.abort,
         }[end.outcome]()
         result = FollowPath.Result(error_code=int(end.code))
-        # Nav2 has had it since its first release for Jazzy; older definitions have not.
+        # Definitions older than Nav2's first release for Jazzy lack this field.
         if hasattr(result, "error_msg"):
             result.error_msg = "" if end.outcome is GoalOutcome.SUCCEEDED else end.words
         return result
 
     def _begin(self, handle: ServerGoalHandle, clients: frozenset[bytes]) -> Future | End:
-        """Pass a goal to the loop; return the future of its end, or its end."""
+        """Pass a goal to the control loop; return the future of its end, or the end if it fails immediately."""
         request, following, settings = handle.request, self._following, self._settings
-        # A fault ends the drive that the goal was to replace, too: that is the loop's to do.
+        # A faulty goal is also passed on, since the control loop must end the drive that the goal replaces.
         poses, fault = np.zeros((0, 3)), None
         try:
             poses = path_poses(request.path, settings.follow_most_poses)
@@ -212,30 +211,30 @@ class FollowPathServer:
             return End(GoalOutcome.ABORTED, Code.UNKNOWN, "the node was deactivated")
         header = request.path.header
         goal = FollowGoal(poses, header.frame_id, nanoseconds(header.stamp), fault=fault, clients=clients)
-        # The handle keeps its request as long as its result, and collecting that many objects would stop the loop for a
-        # second.
+        # The handle stores its request as long as its result; garbage collection of that many objects would stop the
+        # control loop for a second.
         request.path = Path()
         future = Future(executor=self._executor)
-        self._open.append((goal, handle, future))
+        self._goals.append((goal, handle, future))
         self._incoming.append((following, goal))
-        self._arrived.trigger()
+        self._goal_arrived.trigger()
         return future
 
-    def _look(self) -> None:
-        """Pass on the ends of goals to the waiting clients."""
-        ended = [entry for entry in self._open if entry[0].end is not None]
-        for entry in ended if self._closing else ended[:_RESULTS_AT_ONCE]:
-            self._open.remove(entry)
+    def _send_results(self) -> None:
+        """Send the results of ended goals to the waiting clients."""
+        ended = [entry for entry in self._goals if entry[0].end is not None]
+        for entry in ended if self._closing else ended[:_MAX_RESULTS]:
+            self._goals.remove(entry)
             entry[2].set_result(entry[0].end)
 
-    def _tell(self) -> None:
+    def _send_feedback(self) -> None:
         now = time.monotonic()
-        heard_goals = self._watch.check([goal.clients for goal, _, _ in self._open])
-        for (goal, _, _), heard in zip(self._open, heard_goals, strict=True):
-            goal.unheard = 0 if heard else goal.unheard + 1
-            if heard:
-                goal.heard_at = now
-        for goal, handle, _ in self._open:
+        alive_goals = self._watch.check([goal.clients for goal, _, _ in self._goals])
+        for (goal, _, _), is_alive in zip(self._goals, alive_goals, strict=True):
+            goal.missed_checks = 0 if is_alive else goal.missed_checks + 1
+            if is_alive:
+                goal.alive_at = now
+        for goal, handle, _ in self._goals:
             if goal.progress is not None and goal.end is None:
                 distance, speed = goal.progress
                 feedback = FollowPath.Feedback(distance_to_goal=distance, speed=speed)
@@ -244,18 +243,18 @@ class FollowPathServer:
     def _log(self, end: End) -> None:
         log = self._node.get_logger()
         words = f"{ACTION}: {end.outcome}{f' ({end.code.name})' if end.code else ''}: {end.words}"
-        # One line for each severity: a logger refuses a line that changes it from call to call.
+        # One call for each severity, since rclpy's logger does not allow a call site to change it.
         if end.outcome is GoalOutcome.ABORTED and end.code:
             log.error(words)
         else:
             log.info(words)
 
 
-def path_poses(message: Path, most: int) -> FloatArray:
+def path_poses(message: Path, max_poses: int) -> FloatArray:
     """Extract poses (n, 3) of a path; raise MessageError if they are invalid, too many, or in different frames."""
     frame, count = message.header.frame_id, len(message.poses)
-    if count > most:
-        raise MessageError(f"the path has {count} poses, the most is {most} (parameter follow_most_poses)")
+    if count > max_poses:
+        raise MessageError(f"the path has {count} poses, the limit is {max_poses} (parameter follow_most_poses)")
     rows = []
     for index, pose in enumerate(message.poses):
         if (pose.header.frame_id or frame) != frame:

@@ -1,4 +1,4 @@
-"""The input buffer: sensor messages come in as they arrive, and one measurement goes out with each tick."""
+"""The input buffer: it collects sensor messages as they arrive, and provides one measurement per tick."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from diffdrive_mpc.mpc.ros.transforms.frames import Frames
 
 
 class Inbox:
-    """Inbox that checks messages and keeps the newest good one of each kind for the next tick.
+    """Inbox that checks messages and stores the newest valid message of each kind for the next tick.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class Inbox:
     Attributes
     ----------
     mounts
-        Transforms of the gyro's mount; None: its z axis points up.
+        Transforms of the gyro's mount; None: the gyro's z axis points up.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class Inbox:
         self.restart()
 
     def restart(self) -> None:
-        """Discard everything that arrived."""
+        """Discard all received messages."""
         self.newest_pose: Stamped | None = None
         self._pose: Stamped | None = None
         self._twist: Stamped | None = None
@@ -88,24 +88,24 @@ class Inbox:
 
     @property
     def topics(self) -> list[TopicWatch]:
-        """Those that are used."""
+        """Watches of the topics that are used."""
         settings = self._settings
         chosen = ((self.odometry, True), (self.imu, settings.use_imu), (self.pose, settings.poses_from != "odometry"))
         return [topic for topic, used in chosen if used]
 
     @property
     def fault(self) -> str:
-        """Name the stale topic without which the robot can still drive; return an empty string without any."""
+        """Fault of an optional topic, without which the robot can still drive; empty if there is none."""
         settings = self._settings
         return self.imu.fault(self.now, settings.odom_timeout) if settings.use_imu else ""
 
     @property
     def frame(self) -> str:
-        """Frame that control is in."""
+        """Control frame."""
         return self._settings.control_frame
 
     def take_odometry(self, message: Odometry) -> None:
-        """Take in wheel odometry: its twist, and its pose unless poses have a separate topic."""
+        """Store the twist of wheel odometry, and its pose if poses come from odometry."""
         settings = self._settings
         try:
             check_frame(message.child_frame_id, settings.base_frame, "base_frame", "child_frame_id")
@@ -123,7 +123,7 @@ class Inbox:
             self.newest_pose = self._pose = pose
 
     def take_imu(self, message: Imu) -> None:
-        """Take in the yaw rate of the gyro."""
+        """Store the yaw rate of the gyro."""
         try:
             yaw_rate = imu_yaw_rate(message, self._epoch, self._upward(message.header.frame_id))
             self.imu.accept(yaw_rate.time, self.now, self._settings.odom_timeout)
@@ -133,14 +133,14 @@ class Inbox:
         self._yaw_rate = yaw_rate
 
     def _upward(self, frame: str) -> tuple[float, float, float]:
-        """Return the axis of the gyro's frame that points up; z without a transform."""
+        """Return the upward direction in the gyro's frame; z if there is no transform."""
         if self.mounts is not None:
             with suppress(TransformError):
                 return self.mounts.lookup(self._settings.base_frame, frame, self._clock()).transform.vertical
         return 0.0, 0.0, 1.0
 
     def take_pose(self, message: PoseWithCovarianceStamped) -> None:
-        """Take in a pose, such as that of a SLAM."""
+        """Store a pose, for example from SLAM."""
         try:
             check_frame(message.header.frame_id, self._settings.map_frame, "map_frame")
             pose = measured_pose(message, self._epoch, covariance=self._settings.pose_covariance)
@@ -151,7 +151,7 @@ class Inbox:
         self.newest_pose = self._pose = pose
 
     def look_up_pose(self) -> None:
-        """Take in the newest pose by transforms, if there is a newer one than at the last call."""
+        """Store the newest pose from transforms, if it is newer than at the last call."""
         if self.frames is None or self._settings.poses_from != "tf":
             return
         try:

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-_ENOUGH = 20
-"""Number of ticks from which their pace is judged."""
-_OUT_OF_STEP = 0.1
-"""Share of the period by which ticks may be off it [-]."""
+_MIN_TICKS = 20
+"""Minimum number of ticks from which their period is judged."""
+_MAX_DEVIATION = 0.1
+"""Maximum deviation of the median tick interval, as a share of the period [-]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Percentiles:
-    """Median, 99th percentile and maximum [s] of `count` values; NaN where there are none."""
+    """Median, 99th percentile and maximum [s] of `count` values; NaN if `count` is 0."""
 
     p50: float
     p99: float
@@ -29,14 +29,14 @@ class Durations:
     Parameters
     ----------
     window
-        Number of durations that are kept.
+        Number of stored durations.
     """
 
     def __init__(self, window: int) -> None:
         self._values: deque[float] = deque(maxlen=window)
 
     def add(self, value: float) -> None:
-        """Take in one duration [s]."""
+        """Add one duration [s]."""
         self._values.append(value)
 
     def percentiles(self) -> Percentiles:
@@ -55,18 +55,18 @@ class LoopTimes:
     period
         Nominal time between two ticks [s].
     window
-        Number of ticks that are kept.
+        Number of stored ticks.
 
     Attributes
     ----------
     step
-        Time of one whole tick [s].
+        Duration of one tick [s].
     jitter
-        Absolute deviation of the time between two ticks from the nominal [s].
+        Absolute deviation of the time between two ticks from the period [s].
     latency
-        From the stamp of the newest odometry to the command that used it [s].
+        Time from the stamp of the newest odometry to the command that uses it [s].
     misses
-        Ticks that took longer than the period, or came so late that another one was lost.
+        Number of ticks that took longer than the period, or started so late that a tick was lost.
     """
 
     def __init__(self, period: float, window: int) -> None:
@@ -84,10 +84,10 @@ class LoopTimes:
         self._last = now
 
     @property
-    def out_of_step(self) -> bool:
+    def is_off_period(self) -> bool:
         """True if the median interval of ticks differs from the period."""
         jitter = self.jitter.percentiles()
-        return jitter.count >= _ENOUGH and jitter.p50 > _OUT_OF_STEP * self._period
+        return jitter.count >= _MIN_TICKS and jitter.p50 > _MAX_DEVIATION * self._period
 
     def end(self, duration: float, latency: float | None) -> None:
         """Record the `duration` of a tick [s], and its `latency` [s] if odometry has arrived."""

@@ -18,9 +18,9 @@ from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.mpc.ros.node import TrackingNode
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
-# How long a signal may wait while nothing else happens [s].
-_LONGEST_WAIT = 0.1
-# As for the commands.
+# Maximum delay of the response to a signal [s].
+_MAX_WAIT = 0.1
+# Exit code for invalid input, as for the commands of the command line.
 _BAD_INPUT = 2
 
 
@@ -29,23 +29,23 @@ def run(
     settings: NodeSettings | None = None,
     overrides: Mapping[str, object] | None = None,
 ) -> None:
-    """Run the node until SIGINT, SIGTERM or SIGHUP; a second signal ends the braking ramp, too.
+    """Run the node until SIGINT, SIGTERM or SIGHUP; a second signal also cancels the braking ramp.
 
     Parameters
     ----------
     arguments
         Arguments for ROS, such as `--ros-args -r cmd_vel:=/base/cmd_vel`.
     settings
-        Defaults of the node's own parameters.
+        Defaults of the node's parameters, other than those of the controller.
     overrides
-        Values of the controller's configuration by dotted key, in place of those of the file.
+        Values of the controller's configuration by dotted key; they override the file.
 
     Raises
     ------
     ValueError
-        If an argument or a parameter cannot be used, or the node does not start though it shall; one line.
+        If an argument or a parameter is invalid, or the node fails to start with autostart; the message is one line.
     """
-    # rclpy's own handlers would end all communication before zero could be sent.
+    # rclpy's signal handlers would end all communication before the zero command is sent.
     try:
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # the base of rclpy's errors, which have no public names
@@ -67,14 +67,14 @@ def run(
         executor.add_node(node)
         try:
             node.bring_up()
-            # The matrices are small: waking other threads for them takes longer than the sums, at times half a tick.
+            # The matrices are small: waking other threads takes longer than the operations, sometimes half a tick.
             with threadpool_limits(limits=1):
                 while not signals:
-                    executor.spin_once(timeout_sec=_LONGEST_WAIT)
-                # By the computer's clock, since the node's may have stopped.
+                    executor.spin_once(timeout_sec=_MAX_WAIT)
+                # Use the computer's clock, since the node's clock may have stopped.
                 end = time.monotonic() + node.brake(f"{signal.Signals(signals[0]).name}: the node is shut down")
                 while node.is_moving and len(signals) == 1 and (left := end - time.monotonic()) > 0.0:
-                    executor.spin_once(timeout_sec=min(left, _LONGEST_WAIT))
+                    executor.spin_once(timeout_sec=min(left, _MAX_WAIT))
         except ExternalShutdownException:
             pass
         finally:

@@ -1,4 +1,4 @@
-"""Series of messages on one topic: one living publisher, or two at the same time."""
+"""Series of messages on one topic: detect if two publishers are alive at the same time."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections import deque
 from dataclasses import dataclass, field
 
 _DEPTH = 3
-"""Largest number of messages that may overtake a message."""
+"""Maximum number of messages that may overtake a message."""
 _LIFETIME, _LIFETIME_PERIODS, _MAX_LIFETIME = 0.3, 4.0, 5.0
-"""Time without a message after which a series has ended: at least [s], in its periods, and at most [s]."""
-_TURNS = 6
-"""Number of changes from one series to another that are remembered."""
+"""Time without a message after which a series has ended: minimum [s], in periods of the series, and maximum [s]."""
+_MAX_CHANGES = 6
+"""Number of stored changes from one series to another."""
 _REPETITIONS = 4
-"""Number of consecutive messages with one number after which the numbers count as constant."""
+"""Number of consecutive messages with the same number after which the numbers count as constant."""
 
 
 @dataclass(eq=False)
@@ -20,18 +20,18 @@ class _Series:
     newest: int = 0
     arrival: float = 0.0
     recent: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=_DEPTH + 1))
-    """Number and time of sending of the last messages."""
+    """Number and sending time of the last messages."""
 
     def fits(self, number: int, sent: int) -> bool:
-        """Return True if the publisher of this series can have sent the message: its numbers rise with the time."""
+        """Return True if the message can belong to this series: numbers must increase with the sending time."""
         return number > self.newest - _DEPTH and all(
             sent >= time if number > past else sent <= time and number < past for past, time in self.recent
         )
 
-    def lives(self, arrival: float) -> bool:
-        """Return True if its publisher may still send at `arrival` [s]."""
-        (first, began), (last, ended) = min(self.recent), max(self.recent)
-        period = 1e-9 * (ended - began) / (last - first) if last > first else _MAX_LIFETIME
+    def is_alive(self, arrival: float) -> bool:
+        """Return True if the publisher of this series may still send at `arrival` [s]."""
+        (first, start), (last, end) = min(self.recent), max(self.recent)
+        period = 1e-9 * (end - start) / (last - first) if last > first else _MAX_LIFETIME
         return arrival - self.arrival <= min(max(_LIFETIME, _LIFETIME_PERIODS * period), _MAX_LIFETIME)
 
     def append(self, number: int, sent: int, arrival: float) -> None:
@@ -40,16 +40,16 @@ class _Series:
 
 
 class MessageSeries:
-    """Detect that the messages of a topic come from two living publishers.
+    """Detector of two live publishers on one topic.
 
-    Each publisher numbers its messages in the order of sending. A message that cannot continue a known series begins
-    another one. A restarted publisher leaves its old series behind for good. With two living publishers both series go
-    on: each of them has two of the last turns.
+    Each publisher numbers its messages in the order of sending. A message that cannot continue a known series starts a
+    new series. A restarted publisher never continues its old series. With two live publishers both series continue, so
+    each occurs at least twice among the last changes of series.
 
     Attributes
     ----------
     is_shared
-        True once two living publishers were detected, until `restart`.
+        True once two live publishers were detected, until `restart`.
     is_numbered
         False if the middleware does not number messages; two publishers are then not detected.
     """
@@ -63,31 +63,31 @@ class MessageSeries:
         """Discard all messages."""
         self.is_shared = False
         self._series: list[_Series] = []
-        self._turns: deque[_Series] = deque(maxlen=_TURNS)
+        self._changes: deque[_Series] = deque(maxlen=_MAX_CHANGES)
 
     def take(self, number: int | None, sent: int, arrival: float) -> None:
-        """Take in a message.
+        """Record a message.
 
         Parameters
         ----------
         number
             Publication number; None or 0 if the middleware has none.
         sent
-            Time of sending by the clock of the publisher [ns].
+            Sending time by the clock of the publisher [ns].
         arrival
-            Time of a monotonic clock [s].
+            Time of arrival by a monotonic clock [s].
         """
         self._repetitions = self._repetitions + 1 if number == self._last else 1
         self._last = number or 0
         self.is_numbered = bool(number) and self._repetitions < _REPETITIONS
         if not number or not self.is_numbered:
             return
-        self._series = [series for series in self._series if series.lives(arrival)]
+        self._series = [series for series in self._series if series.is_alive(arrival)]
         fitting = [series for series in self._series if series.fits(number, sent)]
-        # The last of equally close ones: the list is in the order of their last messages.
+        # Of equally close series take the latest: the list is in the order of the last messages.
         series = min(reversed(fitting), key=lambda series: abs(number - series.newest), default=_Series())
         series.append(number, sent, arrival)
         self._series = [*(each for each in self._series if each is not series), series]
-        if not self._turns or self._turns[-1] is not series:
-            self._turns.append(series)
-            self.is_shared = self.is_shared or sum(self._turns.count(each) > 1 for each in self._series) > 1
+        if not self._changes or self._changes[-1] is not series:
+            self._changes.append(series)
+            self.is_shared = self.is_shared or sum(self._changes.count(each) > 1 for each in self._series) > 1

@@ -33,11 +33,11 @@ from diffdrive_mpc.mpc.ros.parameters import (
     check_overrides,
     declare,
     fields,
-    logged,
+    log_failures,
     name_features,
     name_parts,
     read,
-    refuse_what_is_not_allowed,
+    reject_forbidden_transitions,
 )
 from diffdrive_mpc.mpc.ros.publishers import Publishers
 from diffdrive_mpc.mpc.ros.recording import RecordingPart
@@ -56,14 +56,14 @@ _MAX_READING_TIME = 10.0
 
 
 class TrackingNode(PartHost):
-    """Drives a robot along references with the controller.
+    """Node that drives a robot along references with the controller.
 
     Parameters
     ----------
     defaults
-        Defaults of the node's own parameters.
+        Defaults of the node's parameters, other than those of the controller.
     overrides
-        Values of the controller's configuration by dotted key, in place of those of the file.
+        Values of the controller's configuration by dotted key; they override the file.
     **options
         As for `rclpy.node.Node`.
 
@@ -75,7 +75,7 @@ class TrackingNode(PartHost):
     Raises
     ------
     models.checked_yaml.ConfigError, rclpy.exceptions.ParameterException
-        If the configuration file or an override cannot be used.
+        If the configuration file or an override is invalid.
     models.errors.MissingPackageError
         If the package of a part is not installed.
     """
@@ -87,7 +87,7 @@ class TrackingNode(PartHost):
         **options: Any,  # noqa: ANN401 - those of the base class
     ) -> None:
         super().__init__("diffdrive_mpc", **options)
-        refuse_what_is_not_allowed(self)
+        reject_forbidden_transitions(self)
         defaults = defaults or NodeSettings()
         declare(self, defaults, read_only=True, skip=tuple(key for key, _ in fields(defaults) if key != "config"))
         self._declared_config = name_features(self, load_config(self.get_parameter("config").value, overrides))
@@ -132,7 +132,7 @@ class TrackingNode(PartHost):
         self.parts = {name: kind(self) for name, kind in kinds.items()}
 
     def bring_up(self) -> None:
-        """Configure and activate, if the parameter autostart is set; raises ValueError with the reason if it fails."""
+        """Configure and activate if the parameter autostart is set; raise ValueError with the reason of a failure."""
         if not self.get_parameter("autostart").value:
             return
         for trigger in (self.trigger_configure, self.trigger_activate):
@@ -140,7 +140,7 @@ class TrackingNode(PartHost):
                 raise ValueError(self.failure)
 
     def brake(self, reason: str) -> float:
-        """Brake for good; returns the longest time that this may take [s]."""
+        """Brake permanently; return the maximum duration [s]."""
         if self._loop is None:
             return 0.0
         self._loop.end(reason)
@@ -152,7 +152,7 @@ class TrackingNode(PartHost):
         return self._loop is not None and self._loop.is_moving
 
     def stop(self) -> None:
-        """Send zero as the last command, if the node is active, and stay silent."""
+        """Send zero as the last command if the node is active."""
         if self._loop is None:
             return
         self._loop = None
@@ -161,16 +161,16 @@ class TrackingNode(PartHost):
         self._outgoing.stop(self._now())
         self.deactivate_parts()
 
-    @logged
+    @log_failures
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Build controller, subscriptions and publishers from the parameters."""
         self._build()
         self.label = "inactive"
         return super().on_configure(state)
 
-    @logged
+    @log_failures
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Start to send zero commands; fail if another node of this project sends commands already."""
+        """Start to send zero commands; fail if another node of this project already sends commands."""
         if self._changes.pending or self._controller is None:
             self._tear_down()
             self._build()
@@ -178,7 +178,7 @@ class TrackingNode(PartHost):
         success = super().on_activate(state)
         assert self._controller is not None
         config = self._controller.config
-        # Logged before the timer starts also because the first line of a logger takes 30 ms, more than a tick.
+        # Log before the timer starts, since the first line of a logger takes 30 ms, more than a tick.
         self.get_logger().info(
             f"active: model {config.model}, {config.horizon} steps of {config.sample_time} s, frame {self._inbox.frame}"
         )
@@ -189,28 +189,28 @@ class TrackingNode(PartHost):
             self._controller, self._settings, self._inbox, self._trajectory, in_sim_time=in_sim_time, held=self._held
         )
         self.activate_parts(self._loop)
-        # A full collection walks all objects for some 60 ms, three ticks: they are set aside until deactivation.
+        # A full garbage collection takes about 60 ms, three ticks, so existing objects are excluded until deactivation.
         gc.collect()
         gc.freeze()
         clock = self.get_clock() if in_sim_time else Clock(clock_type=ClockType.STEADY_TIME)
         period = config.sample_time
-        # The executor serves timers first: where the clock brings many messages at once, the tick waits its turn
-        # behind the sensors that came before it.
-        self._timer = self.create_timer(period, self._due.trigger if in_sim_time else self._tick, clock=clock)
+        # The executor serves timers first. In simulated time, where a clock step brings many messages at once, a guard
+        # condition makes the tick wait until the earlier sensor messages are processed.
+        self._timer = self.create_timer(period, self._tick_due.trigger if in_sim_time else self._tick, clock=clock)
         # The constructor truncates to nanoseconds, and 0.0202 s is stored as slightly less.
         self._period = self._timer.timer_period_ns = round(1e9 * period)
         self._ticks, self._visual_ticks = 0, max(1, round(1.0 / (self._settings.visual_rate * period)))
         self.label = "active"
         return success
 
-    @logged
+    @log_failures
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Send zero, then no more commands."""
+        """Send zero as the last command."""
         self.stop()
         self.label = "inactive"
         return super().on_deactivate(state)
 
-    @logged
+    @log_failures
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Destroy the objects of `on_configure`."""
         success = super().on_cleanup(state)
@@ -218,25 +218,25 @@ class TrackingNode(PartHost):
         self.label = "unconfigured"
         return success
 
-    @logged
+    @log_failures
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Send zero if active, and drop everything."""
+        """Send zero if active, and destroy all objects."""
         self.stop()
         success = super().on_shutdown(state)
         self._tear_down()
         self.label = "finalized"
         return success
 
-    @logged
+    @log_failures
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Send zero and be unconfigured."""
+        """Send zero and return to the unconfigured state."""
         self.stop()
         self._tear_down()
         self.label = "unconfigured"
         return super().on_error(state)
 
     def destroy_node(self) -> None:
-        """Send zero if active, and drop everything."""
+        """Send zero if active, and destroy all objects."""
         self.stop()
         self._tear_down()
         super().destroy_node()
@@ -246,7 +246,7 @@ class TrackingNode(PartHost):
             hook(part)
 
     def _build(self) -> None:
-        """Build everything that lives from configuration to cleanup, or nothing if a step fails."""
+        """Build the objects that exist from configuration to cleanup; destroy them all if a step fails."""
         settings, config = read(self, self._declared_settings), read(self, self._declared_config)
         trajectory: Trajectory | None = None
         if settings.trajectory:
@@ -256,32 +256,32 @@ class TrackingNode(PartHost):
                 self.get_logger().info(trajectory.remark)
         controller = Controller(config)
         with ExitStack() as built:
-            hears_tf = settings.use_tf or settings.poses_from == "tf"
+            uses_tf = settings.use_tf or settings.poses_from == "tf"
             frames = Frames(settings.control_frame, settings.base_frame, settings.tf_timeout, self._now)
-            if hears_tf or (settings.use_imu and message_type("tf2_msgs", "TFMessage")):
-                for subscription in listen(self, frames, moving=hears_tf):
+            if uses_tf or (settings.use_imu and message_type("tf2_msgs", "TFMessage")):
+                for subscription in listen(self, frames, moving=uses_tf):
                     built.callback(self.destroy_subscription, subscription)
-            self._inbox = Inbox(settings, self._now, self._now(), frames if hears_tf else None)
-            # With a stated sign the configuration defines the gyro's mount.
+            self._inbox = Inbox(settings, self._now, self._now(), frames if uses_tf else None)
+            # A negative sign in the configuration defines the gyro's mount, and transforms are not used.
             self._inbox.mounts = frames.buffer if config.sensors.yaw_rate.sign > 0 else None
             self._outgoing = Publishers(self, settings, lambda: controller.config, self._inbox.frame)
             built.callback(self._outgoing.destroy)
             watched: list[tuple[TopicWatch, Subscription]] = []
             for kind, topic, take, watch in self._input_topics(self._inbox, settings):
-                made = subscribe_bounded(
+                subscription = subscribe_bounded(
                     self, kind, topic, take, qos_profile_sensor_data, refuse=watch.refuse, series=watch.series
                 )
-                built.callback(self.destroy_subscription, made)
-                watched.append((watch, made))
+                built.callback(self.destroy_subscription, subscription)
+                watched.append((watch, subscription))
             wake = self.create_guard_condition(lambda: None)
             built.callback(self.destroy_guard_condition, wake)
-            self._aside = SideProcess(wake.trigger, _MAX_READING_TIME)
-            built.callback(self._aside.close)
-            wake.callback = self._aside.deliver
-            self._due = self.create_guard_condition(self._tick)
-            built.callback(self.destroy_guard_condition, self._due)
+            self._worker = SideProcess(wake.trigger, _MAX_READING_TIME)
+            built.callback(self._worker.close)
+            wake.callback = self._worker.deliver
+            self._tick_due = self.create_guard_condition(self._tick)
+            built.callback(self.destroy_guard_condition, self._tick_due)
             built.callback(self.tear_down_parts)
-            self.configure_parts(NodeTools(settings, controller, self._inbox, self._outgoing, self._aside, watched))
+            self.configure_parts(NodeTools(settings, controller, self._inbox, self._outgoing, self._worker, watched))
             diagnostics_timer = self.create_timer(
                 1.0 / settings.diagnostics_rate, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME)
             )
@@ -317,10 +317,10 @@ class TrackingNode(PartHost):
         tick = loop.tick()
         self._each_part(lambda part: part.tick(tick))
         outgoing.command(tick.command, time)
-        due = loop.due()
-        if due is not None:
-            # Before the mode: the monitor must know the reference before it learns that the robot drives.
-            outgoing.reference(due.reference, loop.inbox.stamp_of(due.t0), time)
+        published = loop.reference_to_publish()
+        if published is not None:
+            # Publish before the mode: the monitor must receive the reference before the mode TRACKING.
+            outgoing.reference(published.reference, loop.inbox.stamp_of(published.t0), time)
         outgoing.mode(tick)
         if tick.result is not None:
             outgoing.error(tick.result, time)
@@ -341,7 +341,7 @@ class TrackingNode(PartHost):
         self._each_part(lambda part: part.after_diagnostics(message, time))
 
     def _serve(self, request: Callable[[ControlLoop], str]) -> Callable[[Any, Any], Any]:
-        """Return a service that passes a request to the control loop, and responds with the result or the refusal."""
+        """Return a service callback that passes a request to the control loop and responds with result or reason."""
 
         def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
@@ -356,7 +356,7 @@ class TrackingNode(PartHost):
         return serve
 
     def _hold(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        """Hold the robot or let go; a hold lasts across deactivation."""
+        """Hold or release the robot; a hold persists across deactivation."""
         self._held = bool(request.data)
         if self._loop is None:
             words = "is held once it is active" if self._held else "is not held"

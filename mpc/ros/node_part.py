@@ -1,8 +1,8 @@
 """Hooks by which features attach to the node.
 
 A package registers a subclass of `NodePart` as an entry point of the group `diffdrive_mpc.node_parts`. The name of the
-entry is that of the part and of its parameters, `parts.<name>.<key>`. The node loads the parts that its settings name,
-and those of the controller's features that have a part of the same name.
+entry point is the name of the part and of its parameters, `parts.<name>.<key>`. The node loads the parts in its
+settings, and the parts with the same name as a configured feature of the controller.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from diffdrive_mpc.mpc.ros.settings import NodeSettings, PartSettings
 from diffdrive_mpc.mpc.ros.side_process import SideProcess
 from diffdrive_mpc.mpc.ros.topic_watch import TopicWatch
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.planned.lay import Laid
+from diffdrive_mpc.mpc.trajectories.planned.lay import PlannedPath
 
 _Settings = TypeVar("_Settings", bound=PartSettings)
 
@@ -37,28 +37,28 @@ class PathCheck(Protocol):
 
     def lay(
         self,
-        lay: Callable[[TrajectoryLimits], Laid],
+        lay: Callable[[TrajectoryLimits], PlannedPath],
         config: ControllerConfig,
         speed: float,
         limits: TrajectoryLimits,
-    ) -> Laid:
-        """Return a laid path that keeps to the condition.
+    ) -> PlannedPath:
+        """Return a planned path that satisfies the condition.
 
         Parameters
         ----------
         lay
-            Lays the path within limits of speed and acceleration.
+            Function that plans the path within limits of speed and acceleration.
         config
             Configuration of the controller.
         speed
-            Present speed of the robot [m/s].
+            Current speed of the robot [m/s].
         limits
             Limits of the path without the condition.
 
         Raises
         ------
         ConfigError
-            If no path within the limits keeps to it.
+            If no path within the limits satisfies the condition.
         """
         ...
 
@@ -107,7 +107,7 @@ class PartHost(LifecycleNode):
             part.activate()
 
     def deactivate_parts(self) -> None:
-        """Take the loop from the parts, and deactivate them."""
+        """Remove the loop from the parts and deactivate them."""
         for part in self.parts.values():
             part.loop = None
             part.deactivate()
@@ -161,22 +161,22 @@ class NodePart:
         """Prepare for the first tick of an activation."""
 
     def deactivate(self) -> None:
-        """End the activation; the robot has been sent its last command."""
+        """End the activation; called after the last command was sent."""
 
     def tear_down(self) -> None:
-        """Destroy the objects of `configure`, or those that exist after a failure."""
+        """Destroy the objects of `configure`, or the existing ones if `configure` failed."""
 
     def change_limits(self) -> None:
         """Apply changed weights or limits of the active controller."""
 
     def tick(self, tick: LoopTick) -> None:
-        """Handle the decision of a tick before its command is sent."""
+        """Handle the result of a tick before its command is sent."""
 
     def after_tick(self, tick: LoopTick, time: int, row: dict[str, Cell]) -> None:
         """Handle a tick at `time` [ns] after its command was sent; add columns to the `row` of the recording."""
 
     def path_check(self) -> PathCheck | None:
-        """Return the condition on paths of `follow_path`; None without a condition."""
+        """Return the condition on paths of `follow_path`; None if there is no condition."""
         return None
 
     def diagnostics(self) -> Mapping[str, str]:
@@ -214,8 +214,8 @@ class NodePart:
         max_bytes: int = SENSOR_BYTES,
     ) -> None:
         """Subscribe to messages of at most `max_bytes` until the part is torn down."""
-        made = subscribe_bounded(self.node, kind, topic, take, qos, refuse=refuse, most=max_bytes)
-        self._subscriptions.append(made)
+        subscription = subscribe_bounded(self.node, kind, topic, take, qos, refuse=refuse, max_bytes=max_bytes)
+        self._subscriptions.append(subscription)
 
     def subscribe_raw(
         self, kind: type[Any], topic: str, take: Callable[[bytes], None], qos: QoSProfile | int = 1

@@ -1,4 +1,4 @@
-"""The typed schemas as ROS parameters: declared with type, description and range, and read back checked."""
+"""Declare the typed schemas as ROS parameters with type, description and range, and read and check their values."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ from diffdrive_mpc.mpc.ros.settings import FORMER_SETTINGS, REPLACED_SETTINGS, N
 Value = bool | int | float | str
 Schema = TypeVar("Schema", bound=BaseModel)
 
-_LARGEST_INTEGER = 2**63 - 1
+_MAX_INTEGER = 2**63 - 1
 NONE = 0.0
-"""Value that represents None: a ROS parameter has a type and cannot be None."""
+"""Value that represents None, since a ROS parameter has a fixed type."""
 
 
 class _Entry(NamedTuple):
-    """Field with its dotted key, and its value in the instance; the value of a schema is None."""
+    """Field with its dotted key and its value in the instance; the value is None for a schema."""
 
     key: str
     field: FieldInfo
@@ -56,10 +56,10 @@ class _Entry(NamedTuple):
 
 
 def fields(config: BaseModel | type[BaseModel]) -> list[tuple[str, FieldInfo]]:
-    """Return every field that is a parameter by its dotted key, groups resolved; lists come by file only.
+    """Return all fields that are parameters, by dotted key; lists are not parameters, but keys of the file only.
 
-    Those of a controller come room by room, see `mpc.config.rooms`. The groups of parts and features are those that
-    an instance has; a schema has none.
+    Fields of a controller are sorted by room, see `mpc.config.rooms`. Groups of parts and features are those of the
+    instance; a schema has none.
     """
     return [(entry.key, entry.field) for entry in _entries(config)]
 
@@ -73,11 +73,11 @@ def _entries(config: BaseModel | type[BaseModel]) -> list[_Entry]:
 
 
 _PREFIXES = {"parts": "parts.", "features": ""}
-"""Prefix of the keys in a mapping from names to groups, by the field that holds the mapping."""
+"""Prefix of the keys in a mapping from names to groups, by the field of the mapping."""
 
 
 def _leaves(config: BaseModel | type[BaseModel], prefix: str = "") -> Iterator[_Entry]:
-    """Yield the fields of all groups with plain keys; lists are left out."""
+    """Yield the fields of all groups with plain keys, except lists."""
     for name, field in (config if isinstance(config, type) else type(config)).model_fields.items():
         kind, value = field.annotation, None if isinstance(config, type) else getattr(config, name)
         if name in _PREFIXES:
@@ -88,12 +88,12 @@ def _leaves(config: BaseModel | type[BaseModel], prefix: str = "") -> Iterator[_
         elif get_origin(kind) is not list:
             yield _Entry(prefix + name, field, value)
             sides = value.sides if isinstance(value, TwoSided) and not value.is_symmetric else (None, None)
-            for (side, of_side), limit in zip(side_fields(name, field).items(), sides, strict=False):
-                yield _Entry(prefix + side, of_side, limit)
+            for (side, side_field), limit in zip(side_fields(name, field).items(), sides, strict=False):
+                yield _Entry(prefix + side, side_field, limit)
 
 
 def _lists(config: BaseModel | type[BaseModel], prefix: str = "") -> Iterator[tuple[str, object]]:
-    """Yield the lists of an instance, which are no parameters, with plain keys."""
+    """Yield the lists of an instance, which are not parameters, with plain keys."""
     for name, value in config if isinstance(config, BaseModel) else ():
         groups = {name: value} if isinstance(value, BaseModel) else value if name in _PREFIXES else {}
         if isinstance(value, list):
@@ -103,16 +103,16 @@ def _lists(config: BaseModel | type[BaseModel], prefix: str = "") -> Iterator[tu
 
 
 def declare(node: Node, config: BaseModel, *, read_only: bool = False, skip: tuple[str, ...] = ()) -> None:
-    """Declare every field of `config` but those in `skip`, with the values of `config` as defaults.
+    """Declare all fields of `config` except those in `skip`, with the values of `config` as defaults.
 
     Raises
     ------
     rclpy.exceptions.ParameterException
-        If an override from the command line or a parameter file has another type, or lies out of range.
+        If an override from the command line or a parameter file has a wrong type or is out of range.
     """
     if isinstance(config, ControllerConfig):
         present = {plain_key(key): key for key, _ in fields(config)}
-        _take_overrides(node, lambda name: present.get(plain_key(name), name))
+        _rename_keys(node, lambda name: present.get(plain_key(name), name))
     parameters = [
         (key, _to_parameter(value), descriptor(field, read_only=read_only))
         for key, field, value in _entries(config)
@@ -126,47 +126,47 @@ def declare(node: Node, config: BaseModel, *, read_only: bool = False, skip: tup
 
 
 def _as_real(parameter: Parameter) -> Parameter:
-    """Return an integer as the real number that it is, and any other parameter as it is."""
+    """Convert an integer parameter to a real number; return other parameters unchanged."""
     if parameter.type_ is not Parameter.Type.INTEGER:
         return parameter
     return Parameter(parameter.name, value=float(parameter.value))
 
 
 _NO_HINT = "; docs/parameters.md lists all of them"
-_OF_ROS = "qos_overrides."
-"""Prefix of parameters that ROS declares itself, some of them later."""
+_ROS_PREFIX = "qos_overrides."
+"""Prefix of parameters that rclpy declares, some of them later."""
 
 
 def check_overrides(node: Node, config: ControllerConfig) -> None:
-    """Check that each parameter of the command line and of files is declared; warn of those without an effect.
+    """Check that each parameter of the command line and of files is declared; warn about those without an effect.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If one is unknown and resembles a parameter of the node, with the name that it may stand for. Any other one may
-        be meant for another node, since files of a robot share parameters in their section `/**`: it is warned of.
+        If an unknown parameter resembles a parameter of the node; the message has a suggestion. Other unknown
+        parameters cause a warning only, since the section `/**` of a file is shared with other nodes.
     """
     groups = {known.partition(".")[0] for known in node.list_parameters([], 0).names if "." in known}
-    idle: dict[str, list[str]] = {}
+    disabled: dict[str, list[str]] = {}
     for name, parameter in _overrides(node).items():
         group, _, key = plain_key(name).rpartition(".")
         switch = shown_key(f"{group}.enabled")
         if node.has_parameter(name):
             if node.has_parameter(switch) and not node.get_parameter(switch).value and key != "enabled":
-                idle.setdefault(switch, []).append(name)
+                disabled.setdefault(switch, []).append(name)
         elif is_feature(group.partition(".")[0]) and group.partition(".")[0] not in config.features:
-            idle.setdefault(switch, []).append(name)
-        elif not name.startswith(_OF_ROS) and fixed_values().get(plain_key(name)) != parameter.value:
+            disabled.setdefault(switch, []).append(name)
+        elif not name.startswith(_ROS_PREFIX) and fixed_values().get(plain_key(name)) != parameter.value:
             message = unknown_parameter(node, config, name)
             if not message.endswith(_NO_HINT) or name.partition(".")[0] in groups:
                 raise ConfigError(message)
             node.get_logger().warning(f"without effect: {message}")
-    for switch, names in idle.items():
+    for switch, names in disabled.items():
         node.get_logger().warning(f"without effect while {switch} is false: {', '.join(names)}")
 
 
 def unknown_parameter(node: Node, config: ControllerConfig, name: str) -> str:
-    """Return the message about a parameter that is not declared: the possible meaning, or the place of its value."""
+    """Return the message about an undeclared parameter: a suggestion, or the place of its value."""
     key = plain_key(name)
     if removed_message(key):
         return f"parameter {removed_message(key)}"
@@ -174,7 +174,7 @@ def unknown_parameter(node: Node, config: ControllerConfig, name: str) -> str:
     if key in fixed_values():
         return f"{name!r} is {place} now, with the value {fixed_values()[key]}; leave it out"
     if key in dict(_lists(config)) or place:
-        return f"{name!r} is no parameter: state {place or shown_key(key)} in the file that the parameter config names"
+        return f"{name!r} is no parameter: set {place or shown_key(key)} in the file given by the parameter config"
     near = difflib.get_close_matches(name, list(node.list_parameters([], 0).names), n=1, cutoff=0.75)
     if near:
         return f"unknown parameter {name!r}; did you mean '{near[0]}'?"
@@ -184,12 +184,12 @@ def unknown_parameter(node: Node, config: ControllerConfig, name: str) -> str:
 
 
 def name_features(node: Node, config: ControllerConfig) -> ControllerConfig:
-    """Return `config` with a group for each feature that only the parameters name: ROS would ignore them in silence.
+    """Return `config` with a group for each feature that only parameters configure; ROS would silently ignore them.
 
     Raises
     ------
     MissingPackageError
-        If the parameters ask for a feature that no installed package has.
+        If the parameters configure a feature that no installed package provides.
     """
     stated: dict[str, dict[str, object]] = {}
     for name, parameter in _overrides(node).items():
@@ -206,14 +206,14 @@ def name_features(node: Node, config: ControllerConfig) -> ControllerConfig:
 
 
 def name_parts(node: Node, settings: NodeSettings, features: Iterable[str]) -> NodeSettings:
-    """Return `settings` with a group for each part that the parameters or the controller's features name.
+    """Return `settings` with a group for each part in the parameters or in the controller's features.
 
     Raises
     ------
     ConfigError
-        If the parameters name one that was replaced.
+        If a parameter was replaced by another one.
     MissingPackageError
-        If no installed package has a part that the parameters name.
+        If no installed package provides a part in the parameters.
     """
     overrides = _overrides(node)
     for name, remedy in REPLACED_SETTINGS.items():
@@ -225,7 +225,7 @@ def name_parts(node: Node, settings: NodeSettings, features: Iterable[str]) -> N
             part = FORMER_SETTINGS[name][0]
             node.get_logger().warning(f"parameter {name} is parts.{part}.{name} now; it states the default")
             del overrides[name]
-    _take_overrides(node, lambda name: f"parts.{FORMER_SETTINGS[name][0]}.{name}" if name in FORMER_SETTINGS else name)
+    _rename_keys(node, lambda name: f"parts.{FORMER_SETTINGS[name][0]}.{name}" if name in FORMER_SETTINGS else name)
     named = [name.split(".")[1] for name in overrides if name.startswith("parts.")]
     installed = plug_in_names("node_parts")
     named += [name for name in features if name in installed]
@@ -234,31 +234,31 @@ def name_parts(node: Node, settings: NodeSettings, features: Iterable[str]) -> N
 
 
 def _overrides(node: Node) -> dict[str, Parameter]:
-    """Return the values of the command line and parameter files; they have no public name in rclpy 7.1."""
+    """Return the parameters of the command line and of parameter files; rclpy 7.1 has no public name for them."""
     overrides: dict[str, Parameter] = getattr(node, "_parameter_overrides", {})
     return overrides
 
 
-def _take_overrides(node: Node, present_name: Callable[[str], str]) -> None:
-    """Take overrides that are stated under a former name or in the other room, with a warning for each.
+def _rename_keys(node: Node, present_name: Callable[[str], str]) -> None:
+    """Rename overrides with a former name or in the wrong room, with a warning for each.
 
-    ROS ignores a parameter that no node declares: a limit in a file would be lost without a word.
+    ROS silently ignores undeclared parameters, so a limit in a file would be lost.
     """
     overrides = _overrides(node)
     for name, parameter in list(overrides.items()):
         key = present_name(name)
         if key == name:
             continue
-        taken = key not in overrides
-        if taken:
+        is_renamed = key not in overrides
+        if is_renamed:
             overrides[key] = Parameter(key, parameter.type_, parameter.value)
         del overrides[name]
-        outcome = "it was taken" if taken else "it was not taken, as that is stated, too"
+        outcome = "its value is used" if is_renamed else "its value is ignored, since both are set"
         node.get_logger().warning(f"parameter {name} is {key} now; {outcome}")
 
 
 def descriptor(field: FieldInfo, *, read_only: bool = False) -> ParameterDescriptor:
-    """Describe a field with its range. An exclusive bound is named in the description."""
+    """Describe a field with its range; the description states exclusive bounds."""
     bounds = [bound for bound in _metadata(field) if isinstance(bound, Gt | Ge | Lt | Le)]
     low: Any = next((b.gt if isinstance(b, Gt) else b.ge for b in bounds if isinstance(b, Gt | Ge)), None)
     high: Any = next((b.lt if isinstance(b, Lt) else b.le for b in bounds if isinstance(b, Lt | Le)), None)
@@ -276,8 +276,8 @@ def descriptor(field: FieldInfo, *, read_only: bool = False) -> ParameterDescrip
     if _kind(field) is int:
         described.integer_range = [
             IntegerRange(
-                from_value=-_LARGEST_INTEGER if low is None else int(low),
-                to_value=_LARGEST_INTEGER if high is None else int(high),
+                from_value=-_MAX_INTEGER if low is None else int(low),
+                to_value=_MAX_INTEGER if high is None else int(high),
             )
         ]
     else:
@@ -291,9 +291,9 @@ def descriptor(field: FieldInfo, *, read_only: bool = False) -> ParameterDescrip
 
 
 def read(node: Node, config: Schema | type[Schema], changes: Mapping[str, object] | None = None) -> Schema:
-    """Return the declared parameters as a checked instance, with `changes` in place of some.
+    """Return the declared parameters as a checked instance; `changes` override their values.
 
-    The parameters are those of `config`, from which lists are taken, too, as they are no parameters.
+    The parameters are those of `config`; lists, which are not parameters, are copied from `config`.
 
     Raises
     ------
@@ -327,7 +327,7 @@ def _to_parameter(value: object) -> Value:
 
 
 def _kind(field: FieldInfo) -> type:
-    """Return the type of the field's values; of an optional field, the type other than None."""
+    """Return the type of the field's values; for an optional field, the type other than None."""
     kinds = [kind for kind in get_args(field.annotation) or (field.annotation,) if kind is not NoneType]
     inner = get_args(kinds[0])
     return inner[0] if inner else kinds[0]
@@ -338,21 +338,21 @@ def _optional(field: FieldInfo) -> bool:
 
 
 def _metadata(field: FieldInfo) -> Iterator[object]:
-    """Yield the bounds of the field, also those of the type other than None."""
+    """Yield the bounds of the field, including those of the type other than None."""
     yield from field.metadata
     for kind in get_args(field.annotation):
         for item in getattr(kind, "__metadata__", ()):
             yield from item.metadata if isinstance(item, FieldInfo) else (item,)
 
 
-# Changes of parameters while the node runs: judged before, without side effects, and applied after.
+# Changes of parameters while the node runs: validated without side effects, then applied.
 
 
 _WHILE_DRIVING = ("weights.", "limits.")
 
 
 class ParameterChanges:
-    """Watches the declared parameters of a node; those of other nodes pass.
+    """Watch of the declared parameters of a node; other parameters are accepted unchecked.
 
     Parameters
     ----------
@@ -361,14 +361,14 @@ class ParameterChanges:
     settings, config
         Settings and configuration as declared.
     running
-        Returns the controller that drives; None while the node is not active.
+        Function that returns the active controller; None while the node is not active.
     changed
-        Called when weights or limits of the controller that drives have changed.
+        Function that is called when weights or limits of the active controller have changed.
 
     Attributes
     ----------
     pending
-        Whether values have changed since this was last set to False.
+        True if values have changed since this was last set to False.
     """
 
     def __init__(
@@ -384,11 +384,11 @@ class ParameterChanges:
         self._known = {name for part in (settings, config) for name, _ in fields(part)} | {"use_sim_time"}
         self.pending = False
         node.add_pre_set_parameters_callback(self._prepare)
-        node.add_on_set_parameters_callback(self._judge)
+        node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._apply)
 
     def _prepare(self, parameters: list[Parameter]) -> list[Parameter]:
-        """Take integers for real numbers, and name a parameter that is not declared, which rclpy does not."""
+        """Convert integers to real numbers; raise a helpful error for an undeclared parameter, which rclpy does not."""
         for parameter in parameters:
             if not self._node.has_parameter(parameter.name):
                 error = ParameterNotDeclaredException([])
@@ -398,7 +398,7 @@ class ParameterChanges:
         real = ParameterType.PARAMETER_DOUBLE
         return [_as_real(item) if types[item.name] == real else item for item in parameters]
 
-    def _judge(self, parameters: list[Parameter]) -> SetParametersResult:
+    def _validate(self, parameters: list[Parameter]) -> SetParametersResult:
         changes = self._declared(parameters)
         fixed = [name for name, value in changes.items() if self._is_fixed_now(name, value)]
         if fixed:
@@ -411,7 +411,7 @@ class ParameterChanges:
                 Controller(config)
             controller = self._running()
             if controller is not None:
-                # What cannot be changed while driving would otherwise be known only when nobody can be told any more.
+                # Check here that the change is possible while driving, since `_apply` cannot reject it.
                 controller.updated(*_groups(changes, config))
         except (ValueError, OSError) as error:
             return SetParametersResult(successful=False, reason=str(error))
@@ -423,7 +423,7 @@ class ParameterChanges:
         return bool(self._node.get_parameter(name).value != value)
 
     def _apply(self, parameters: list[Parameter]) -> None:
-        """Apply changes between two ticks while active, or else at the next activation."""
+        """Apply changes between two ticks while active; otherwise they take effect at the next activation."""
         changes = self._declared(parameters)
         self.pending = self.pending or bool(changes)
         controller = self._running()
@@ -444,7 +444,7 @@ def _groups(changes: Mapping[str, Any], config: ControllerConfig) -> list[dict[s
     return [
         {
             name: getattr(getattr(config, prefix[:-1]), name)
-            # A side of a limit changes the limit.
+            # A changed side of a limit changes the whole limit.
             for name in (key.split(".")[1] for key in map(plain_key, changes) if key.startswith(prefix))
         }
         for prefix in _WHILE_DRIVING
@@ -468,8 +468,8 @@ NodeType = TypeVar("NodeType", bound=Managed)
 Transition = Callable[[NodeType, LifecycleState], TransitionCallbackReturn]
 
 
-def logged(transition: Transition[NodeType]) -> Transition[NodeType]:
-    """Log exceptions of a transition: bad input (ValueError, OSError) refuses it, anything else is an error."""
+def log_failures(transition: Transition[NodeType]) -> Transition[NodeType]:
+    """Log exceptions of a transition: ValueError and OSError return FAILURE, other exceptions return ERROR."""
 
     @wraps(transition)
     def run(self: NodeType, state: LifecycleState) -> TransitionCallbackReturn:
@@ -487,10 +487,11 @@ def logged(transition: Transition[NodeType]) -> Transition[NodeType]:
     return run
 
 
-def refuse_what_is_not_allowed(node: LifecycleNode) -> None:
-    """Let the service change_state of `node` answer no, with a warning, where rclpy ends the process.
+def reject_forbidden_transitions(node: LifecycleNode) -> None:
+    """Make the service change_state of `node` reject forbidden transitions with a warning.
 
-    For a transition that its state does not have, rclpy raises inside the service's callback, and `spin` with it.
+    Without this, rclpy raises inside the service's callback for a transition that the state does not allow, which ends
+    `spin` and the process.
     """
     services = {service.srv_type: service for service in node.services}
     change = services[ChangeState].callback
@@ -500,7 +501,7 @@ def refuse_what_is_not_allowed(node: LifecycleNode) -> None:
         # Two services have this type: one has the transitions of this state, the other those of all states.
         known = services[GetAvailableTransitions].callback(None, GetAvailableTransitions.Response())
         allowed = [row.transition for row in known.available_transitions if row.start_state.id == state.id]
-        # As rclpy: a label goes before the number.
+        # As in rclpy, a label has priority over the number.
         if any(wanted.label == each.label if wanted.label else wanted.id == each.id for each in allowed):
             return change(request, response)
         requested = f"'{wanted.label}'" if wanted.label else str(wanted.id)

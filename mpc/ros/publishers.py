@@ -1,4 +1,4 @@
-"""Everything that the node publishes, except for diagnostics."""
+"""All publishers of the node, except for diagnostics."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.step_result import Mode, StepResult
 
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-# How long the last command may take to reach the base when the node stops [s].
-_LAST_WORDS = 0.3
+# Time limit for the last command to reach the base when the node stops [s].
+_STOP_TIMEOUT = 0.3
 _LINE_WIDTH = 0.02
 _GREEN, _RED = (0.1, 0.8, 0.2), (0.9, 0.1, 0.1)
 
 
 class Publishers:
-    """The node's publishers; those of a lifecycle node are silent while it is not active.
+    """Publishers of the node; lifecycle publishers publish only while the node is active.
 
     Parameters
     ----------
@@ -43,9 +43,9 @@ class Publishers:
     settings
         Settings of the node.
     config
-        Function that returns the present configuration of the controller.
+        Function that returns the current configuration of the controller.
     frame
-        Frame that control is in.
+        Control frame.
     """
 
     def __init__(
@@ -61,29 +61,29 @@ class Publishers:
         self._error = create(Vector3Stamped, "~/tracking_error", 10)
         self._mode = create(String, "~/mode", _LATCHED)
         self._tick, self._drive = create(String, "~/tick", 100), create(String, "~/drive", _LATCHED)
-        self._said = ""
+        self._last_mode = ""
 
     def destroy(self) -> None:
-        """Destroy them all."""
+        """Destroy all publishers."""
         self._command.destroy()
         self._estimate.destroy()
-        heard = (self._predicted, self._reference, self._marker, self._error, self._mode)
-        for publisher in (*heard, self._tick, self._drive):
+        subscribed = (self._predicted, self._reference, self._marker, self._error, self._mode)
+        for publisher in (*subscribed, self._tick, self._drive):
             self._node.destroy_lifecycle_publisher(publisher)
 
     def command(self, command: FloatArray, time: int) -> None:
-        """Send `command` (2,) v [m/s], omega [rad/s], decided at `time` [ns]."""
+        """Send `command` (2,) v [m/s], omega [rad/s] of the tick at `time` [ns]."""
         self._command.send(command, time)
 
     def stop(self, time: int) -> None:
-        """Send zero and wait until it has arrived, though not for long."""
+        """Send zero and wait a limited time until it is acknowledged."""
         self.command(np.zeros(2), time)
-        self._command.wait(_LAST_WORDS)
+        self._command.wait(_STOP_TIMEOUT)
 
     def mode(self, tick: LoopTick) -> None:
         """Publish and log mode and message when the mode changes."""
-        if tick.mode != self._said:
-            self._said = tick.mode
+        if tick.mode != self._last_mode:
+            self._last_mode = tick.mode
             words = f"{tick.mode}: {tick.message}" if tick.message else tick.mode
             self._mode.publish(String(data=words))
             self._node.get_logger().info(words)
@@ -94,7 +94,7 @@ class Publishers:
         return bool(self._tick.get_subscription_count())
 
     def record(self, lines: Sequence[tuple[str, str]]) -> None:
-        """Send lines of the topics of ticks and drives, each with its topic."""
+        """Publish `lines`, pairs of topic and text, on the topics of ticks and drives."""
         for topic, line in lines:
             (self._drive if topic == DRIVE else self._tick).publish(String(data=line))
 
@@ -110,7 +110,7 @@ class Publishers:
         self._error.publish(message)
 
     def reference(self, reference: Reference, begins: int, time: int) -> None:
-        """Send the whole path of `reference` that begins at `begins` [ns]; late subscribers get it too."""
+        """Publish the whole path of `reference` with start time `begins` [ns]; late subscribers also receive it."""
         times = path_times(reference.duration)
         stamps = begins + np.round(times * 1e9).astype(np.int64)
         self._reference.publish(self._path(reference.sample(times).pose, stamps.tolist(), time))
@@ -141,7 +141,7 @@ class Publishers:
         return marker
 
 
-# Peers of the node's topics, in words: wrong message types, or missing peers.
+# Descriptions of publishers and subscribers on the node's topics: wrong message types, missing publishers.
 
 
 _PACKAGE = "geometry_msgs/msg/"
@@ -150,28 +150,28 @@ NAMELESS = "a node not known by name yet"
 _COMMANDS = {"TwistStamped": "stamped:=true", "Twist": "stamped:=false"}
 
 
-def deaf_to_commands(node: Node, topic: str, *, stamped: bool) -> str:
-    """Return which node listens on `topic` to another type of command than is sent, with the remedy; empty if none."""
+def mismatched_subscribers(node: Node, topic: str, *, stamped: bool) -> str:
+    """Describe the subscribers of `topic` with a wrong command type, and the remedy; return "" if there are none."""
     sent, unused = ("TwistStamped", "Twist") if stamped else ("Twist", "TwistStamped")
-    deaf = [info for info in node.get_subscriptions_info_by_topic(topic) if info.topic_type == _PACKAGE + unused]
-    if not deaf:
+    mismatched = [info for info in node.get_subscriptions_info_by_topic(topic) if info.topic_type == _PACKAGE + unused]
+    if not mismatched:
         return ""
     return (
-        f"{_names(deaf)} listens on {topic} to {unused} and cannot hear this node's {sent}: set the parameter "
-        f"{_COMMANDS[unused]}"
+        f"{_names(mismatched)} subscribes to {topic} with type {unused} and does not receive this node's {sent}: set "
+        f"the parameter {_COMMANDS[unused]}"
     )
 
 
 def publishers_of(node: Node, subscription: Subscription) -> str:
-    """Return topic, type and reliability that `subscription` asks for, and who publishes on that topic."""
+    """Describe topic, type and reliability of `subscription`, and the publishers on its topic."""
     topic, kind = subscription.topic_name, _type_name(subscription.msg_type)
     infos = node.get_publishers_info_by_topic(topic)
     wanted = f"{topic}, {kind}, {_reliability(subscription.qos_profile)}"
     if not infos:
-        return f"{wanted}: nobody publishes there; is the base running, and the topic remapped (-r name:=/base/name)?"
+        return f"{wanted}: no publisher; is the base running, and the topic remapped (-r name:=/base/name)?"
     words = "; ".join(
         f"{_names([info])} publishes {info.topic_type}, {_reliability(info.qos_profile)}"
-        + ("" if info.topic_type == kind else ", which is another type")
+        + ("" if info.topic_type == kind else ", which is a different type")
         for info in infos
     )
     return f"{wanted}: {words}"
@@ -191,7 +191,7 @@ def _names(infos: Sequence[Any]) -> str:
 
 
 def full_name(info: Any) -> str:  # noqa: ANN401 - rclpy has no types
-    """Return the full name of the node of a publisher or subscription; `NAMELESS` until discovery brings it."""
+    """Return the full name of the node of a publisher or subscription; `NAMELESS` until it is discovered."""
     return NAMELESS if _UNKNOWN in info.node_name else f"{info.node_namespace.rstrip('/')}/{info.node_name}"
 
 
@@ -201,7 +201,7 @@ _POSE, _TWIST = (0, 1, 5), (0, 5)
 
 
 class EstimateOutput:
-    """Publisher of the estimate, slip included, for existing subscribers.
+    """Publisher of the estimate, including slip; it publishes only if there are subscribers.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ class EstimateOutput:
     settings
         Settings of the node.
     frame
-        Frame that control is in.
+        Control frame.
     """
 
     def __init__(self, node: LifecycleNode, settings: NodeSettings, frame: str) -> None:
@@ -218,7 +218,7 @@ class EstimateOutput:
         self._publisher = node.create_lifecycle_publisher(Odometry, ESTIMATE, 10)
 
     def send(self, estimate: Estimate | None, time: int) -> None:
-        """Send the estimate of the tick at `time` [ns]; nothing before the first pose."""
+        """Publish the estimate of the tick at `time` [ns]; None, before the first pose, is ignored."""
         if estimate is None or not self._publisher.get_subscription_count():
             return
         message = Odometry(child_frame_id=self._base)
@@ -235,7 +235,7 @@ class EstimateOutput:
 
 
 def _covariance(deviation: FloatArray, rows: tuple[int, ...]) -> list[float]:
-    """Build the covariance (36,): variances of estimated values, zero elsewhere; correlations are left out."""
+    """Build the covariance (36,): variances of estimated values, zero elsewhere; correlations are omitted."""
     diagonal = np.zeros(6)
     diagonal[list(rows)] = np.square(deviation)
     return [float(value) for value in np.diag(diagonal).ravel()]

@@ -1,4 +1,4 @@
-"""Recorder of the active node's inputs, decisions and messages in an MCAP file, as `simulate --log` writes it."""
+"""Recorder of the active node's inputs, results and messages in an MCAP file, with the format of `simulate --log`."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from diffdrive_mpc.models.logs.drive_log.topics import DIAGNOSTICS, DRIVE, TICK,
 from diffdrive_mpc.models.logs.tick_record import DriveRecord, TickRecord
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.controller import Controller
-from diffdrive_mpc.mpc.ros.control_loop import Begun, LoopTick
+from diffdrive_mpc.mpc.ros.control_loop import Drive, LoopTick
 from diffdrive_mpc.mpc.ros.inbox import Inbox
 from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 from diffdrive_mpc.mpc.trajectories.native import table_of
 
-# How long the node waits for the file to be there, before its first tick, and to be whole, after its last [s].
-_PATIENCE = 5.0
+# Time limit for opening the file before the first tick, and for completing it after the last tick [s].
+_FILE_TIMEOUT = 5.0
 Method = Callable[..., None]
-# A reference larger than one parcel to the writing process is left out, since it would end the recording.
-_LONGEST_LINE = 100_000
+# A longer reference exceeds a message to the writing process and would end the recording, so it is omitted.
+_MAX_LINE_LENGTH = 100_000
 _REFERENCE = ("reference_x_m", "reference_y_m", "reference_theta_rad")
 
 
-def _harmless(method: Method) -> Method:
-    """Let a fault in recording end the recording, not the node."""
+def _end_recording_on_error(method: Method) -> Method:
+    """Return `method` with its exceptions ending the recording instead of the node."""
 
     @wraps(method)
     def run(self: ActivationRecording, *arguments: Any) -> None:  # noqa: ANN401 - those of the method
@@ -51,14 +51,14 @@ def _harmless(method: Method) -> Method:
 
 
 class ActivationRecording:
-    """The recording of one activation. A failure is reported once, without an exception and without a wait.
+    """The recording of one activation. A failure is reported once, without an exception and without waiting.
 
     Parameters
     ----------
     settings, config
         Settings of the node and configuration of its controller.
     frame
-        Frame that control is in.
+        Control frame.
     logger
         Logger of the node.
     """
@@ -68,7 +68,11 @@ class ActivationRecording:
         self._logger, self._warned = logger, False
         self._period = round(1e9 * config.sample_time)
         self._recorder = DriveRecorder(
-            path, _told(settings, config), patience=_PATIENCE, frame=frame, pose_topic=settings.poses_from != "odometry"
+            path,
+            _metadata(settings, config),
+            patience=_FILE_TIMEOUT,
+            frame=frame,
+            pose_topic=settings.poses_from != "odometry",
         )
         if not self._recorder.fault:
             logger.info(f"records into {self._recorder.path}")
@@ -86,21 +90,21 @@ class ActivationRecording:
         lost = f", {recorder.lost} messages lost: the disk is too slow" if recorder.lost else ""
         return f"ended: {recorder.fault}" if recorder.fault else f"{recorder.path}{lost}"
 
-    @_harmless
-    def reference(self, begun: Begun, time: int) -> None:
+    @_end_recording_on_error
+    def reference(self, drive: Drive, time: int) -> None:
         """Record the path that begins at `time` [ns]."""
-        times = path_times(begun.reference.duration)
+        times = path_times(drive.reference.duration)
         stamps = (time + np.round(times * 1e9).astype(np.int64)).tolist()
-        self._recorder.hand("reference", time, stamps, begun.reference.sample(times).pose)
+        self._recorder.hand("reference", time, stamps, drive.reference.sample(times).pose)
 
-    @_harmless
-    def tick(self, tick: LoopTick, time: int, inbox: Inbox, heard: Mapping[str, Cell]) -> None:
-        """Record one tick, which began at `time` [ns], with what else of its row was `heard`."""
+    @_end_recording_on_error
+    def tick(self, tick: LoopTick, time: int, inbox: Inbox, columns: Mapping[str, Cell]) -> None:
+        """Record one tick, which began at `time` [ns], with further `columns` of its row."""
         request, result = tick.request, tick.result
         row: dict[str, Cell] = {
             **(_standing(tick) if result is None else decided_cells(result)),
             "t_s": inbox.now if request is None else request.time,
-            **heard,
+            **columns,
         }
         if result is not None and result.reference is not None:
             row |= zip(_REFERENCE, result.reference[0].tolist(), strict=True)
@@ -114,35 +118,35 @@ class ActivationRecording:
             diagnose=False,
         )
 
-    @_harmless
+    @_end_recording_on_error
     def record(self, lines: Sequence[tuple[str, str]], time: int) -> None:
-        """Record lines about a tick with their topics, so that it can be replayed: with the next `tick`."""
+        """Record lines for a replay, each with its topic; they are written with the next `tick`."""
         for topic, line in lines:
-            if len(line) <= _LONGEST_LINE:
+            if len(line) <= _MAX_LINE_LENGTH:
                 self._recorder.prepare("serialized", time, topic, serialize_message(String(data=line)))
 
-    @_harmless
+    @_end_recording_on_error
     def diagnostics(self, message: DiagnosticArray, time: int) -> None:
         """Record the node's diagnostics, and read the state of the recording."""
         self._recorder.hand("serialized", time, DIAGNOSTICS, serialize_message(message))
         self._recorder.poll()
         self._warn()
 
-    @_harmless
+    @_end_recording_on_error
     def close(self) -> None:
-        """End the file, after the robot's last command."""
-        self._recorder.close(_PATIENCE)
+        """Complete the file after the robot's last command."""
+        self._recorder.close(_FILE_TIMEOUT)
         self._warn()
 
     def abandon(self, fault: str) -> None:
-        """Record no more, because of a fault."""
+        """End the recording because of a fault."""
         self._recorder.fault = self._recorder.fault or fault
         self._warn()
 
     def _warn(self) -> None:
         if self._recorder.fault and not self._warned:
             self._warned = True
-            self._logger.warning(f"recording has ended: {self._recorder.fault}; the robot is not concerned")
+            self._logger.warning(f"recording has ended: {self._recorder.fault}; the robot is not affected")
 
 
 def _standing(tick: LoopTick) -> dict[str, Cell]:
@@ -152,8 +156,8 @@ def _standing(tick: LoopTick) -> dict[str, Cell]:
     return {"v_ref_m_s": v, "omega_ref_rad_s": omega, **words}
 
 
-def _told(settings: NodeSettings, config: ControllerConfig) -> Metadata:
-    """Collect the metadata of a drive by name of the record."""
+def _metadata(settings: NodeSettings, config: ControllerConfig) -> Metadata:
+    """Collect the metadata of a drive by record name."""
     try:
         release = version("diffdrive-mpc")
     except PackageNotFoundError:
@@ -177,35 +181,35 @@ def _told(settings: NodeSettings, config: ControllerConfig) -> Metadata:
 
 
 class TickRecords:
-    """Numbers drives, and puts them and their ticks into records.
+    """Builder of the records of drives, which it numbers, and of their ticks.
 
     Parameters
     ----------
     controller
-        The controller that is called.
+        Controller of the node.
     """
 
     def __init__(self, controller: Controller) -> None:
         self._controller = controller
         self._number = 0
-        self._told: tuple[Begun, ControllerConfig] | None = None
+        self._last_drive: tuple[Drive, ControllerConfig] | None = None
 
-    def lines(self, begun: Begun, tick: LoopTick) -> list[tuple[str, str]]:
-        """Return the lines to publish for a tick of the drive `begun` with their topics, a new drive first."""
-        records = ((DRIVE, self.drive(begun)), (TICK, self.tick(tick)))
+    def lines(self, drive: Drive, tick: LoopTick) -> list[tuple[str, str]]:
+        """Return the lines to publish for a tick of `drive`, with their topics; the line of a new drive comes first."""
+        records = ((DRIVE, self.drive(drive)), (TICK, self.tick(tick)))
         return [(topic, record.line()) for topic, record in records if record is not None]
 
-    def drive(self, begun: Begun) -> DriveRecord | None:
-        """Return the current drive if it or its configuration is new since the last call, or else None."""
+    def drive(self, drive: Drive) -> DriveRecord | None:
+        """Return the record of `drive` if the drive or the configuration is new since the last call, or else None."""
         config = self._controller.config
-        if self._told is not None and self._told[0] is begun and self._told[1] is config:
+        if self._last_drive is not None and self._last_drive[0] is drive and self._last_drive[1] is config:
             return None
-        starts = self._told is None or self._told[0] is not begun
-        self._told = (begun, config)
+        starts = self._last_drive is None or self._last_drive[0] is not drive
+        self._last_drive = (drive, config)
         self._number += 1
-        reference, values = table_of(begun.reference), config.model_dump(mode="json")
+        reference, values = table_of(drive.reference), config.model_dump(mode="json")
         model = _model_text(config.model)
-        return DriveRecord(self._number, starts, begun.reset, begun.t0, reference, values, model, begun.goes_on)
+        return DriveRecord(self._number, starts, drive.reset, drive.t0, reference, values, model, drive.continues)
 
     def tick(self, tick: LoopTick) -> TickRecord | None:
         """Build the record of a tick with a controller step; it belongs to the drive of the last `drive`."""
@@ -214,10 +218,11 @@ class TickRecords:
             return None
         hold = None if request.hold is None else (request.hold.reason, request.hold.failure)
         solver = result.solver
-        # A backend that was cut off gave no solution: 0. A bound of 1 leaves the minimiser without limits unchanged.
+        # 0: a backend was cut off without a solution. 1 is the minimum otherwise, and also reproduces the minimiser
+        # without limits.
         cut_off = solver.status is SolverStatus.TIME_LIMIT
-        late = None if not solver.missed else 0 if cut_off else max(solver.iterations, 1)
-        cells = (str(result.mode), result.message, str(solver.method), result.step_time, late)
+        max_iterations = None if not solver.missed else 0 if cut_off else max(solver.iterations, 1)
+        cells = (str(result.mode), result.message, str(solver.method), result.step_time, max_iterations)
         return TickRecord(request.number, request.time, self._number, request.measurement, hold, result.command, *cells)
 
 
@@ -232,14 +237,14 @@ def _model_text(model: str) -> str:
 
 
 class RecordingPart(NodePart):
-    """Records of ticks on topics, and the recording of an activation; it is the last part, after all columns."""
+    """Records of ticks on topics, and the recording of an activation; the last part, since other parts add columns."""
 
     recording: ActivationRecording | None = None
     records: TickRecords | None = None
-    _recorded: Begun | None = None
+    _recorded: Drive | None = None
 
     def activate(self) -> None:
-        """Start a recording if the settings ask for it."""
+        """Start a recording if it is enabled."""
         tools = self.running()[1]
         self.records, self._recorded = TickRecords(tools.controller), None
         self.recording = self._begin(tools) if tools.settings.record else None
@@ -247,13 +252,13 @@ class RecordingPart(NodePart):
     def after_tick(self, tick: LoopTick, time: int, row: dict[str, Cell]) -> None:
         """Publish and record the tick."""
         loop, tools = self.running()
-        begun, recording = loop.begun, self.recording
-        if begun is not None and begun is not self._recorded:
-            self._recorded = begun
+        drive, recording = loop.drive, self.recording
+        if drive is not None and drive is not self._recorded:
+            self._recorded = drive
             if recording is not None:
-                recording.reference(begun, time)
-        if begun is not None and (tools.publishers.recorded or recording is not None):
-            self._publish(begun, tick, time)
+                recording.reference(drive, time)
+        if drive is not None and (tools.publishers.recorded or recording is not None):
+            self._publish(drive, tick, time)
         if recording is not None:
             recording.tick(tick, time, loop.inbox, row)
 
@@ -279,9 +284,9 @@ class RecordingPart(NodePart):
             self.recording.diagnostics(message, time)
 
     def _begin(self, tools: NodeTools) -> ActivationRecording | None:
-        """Return the recording of this activation; None, with a warning, if none can begin."""
+        """Return the recording of this activation; None, with a warning, if it cannot be started."""
         try:
-            # Two robots that are activated in the same second must not write one file.
+            # Two robots that are activated in the same second must not write to the same file.
             folder = tools.settings.record_folder + self.node.get_namespace().rstrip("/")
             settings = tools.settings.model_copy(update={"record_folder": folder})
             return ActivationRecording(settings, tools.controller.config, tools.inbox.frame, self.node.get_logger())
@@ -289,12 +294,12 @@ class RecordingPart(NodePart):
             self.node.get_logger().warning(f"nothing is recorded: {error}")
             return None
 
-    def _publish(self, begun: Begun, tick: LoopTick, time: int) -> None:
+    def _publish(self, drive: Drive, tick: LoopTick, time: int) -> None:
         """Publish and record the data for a replay of the tick; a fault ends this for the activation."""
         if self.records is None or self.tools is None:
             return
         try:
-            lines = self.records.lines(begun, tick)
+            lines = self.records.lines(drive, tick)
             self.tools.publishers.record(lines)
             if self.recording is not None:
                 self.recording.record(lines, time)

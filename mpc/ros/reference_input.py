@@ -1,6 +1,6 @@
-"""References that arrive as messages: checked as strictly as those from files.
+"""References that arrive as messages; they pass the same checks as references from files.
 
-They are read in a separate process, in the frame that they state.
+They are read in a separate process. A reference stays in the frame of its message.
 """
 
 from __future__ import annotations
@@ -31,24 +31,24 @@ from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 from diffdrive_mpc.mpc.trajectories.timed_poses import lay_timed_poses
 
-# Limits for planning, which takes 15 ms outside the loop; starting it costs a part of a tick.
-_MOST_POSES = 1000
-MOST_BYTES = path_bytes(_MOST_POSES)
-"""Bytes of a message at most that can be accepted."""
-MOST_TRAJECTORY_BYTES = MOST_BYTES + _MOST_POSES * 3 * 6 * 8
-"""Size of a base's trajectory, whose points also have velocity, acceleration and effort."""
+# Planning a reference of this length takes 15 ms in the separate process.
+_MAX_POSES = 1000
+MAX_BYTES = path_bytes(_MAX_POSES)
+"""Maximum size of an accepted message [bytes]."""
+MAX_TRAJECTORY_BYTES = MAX_BYTES + _MAX_POSES * 3 * 6 * 8
+"""Maximum size of a trajectory message whose points also have velocity, acceleration and effort [bytes]."""
 
 
 class StatedReference(NamedTuple):
-    """A reference, the frame that it is stated in, and the time that it is stated for [ns; 0: now]."""
+    """A reference with its frame and the time of that frame [ns; 0: now]."""
 
     reference: SplineTrajectory
     frame: str
     stamp: int
 
 
-def nothing() -> None:
-    """Load this module when called in the side process, before the first reference arrives."""
+def preload() -> None:
+    """Load this module in the side process, before the first reference arrives; the function does nothing else."""
 
 
 def read_path(raw: bytes, limits: Limits) -> StatedReference:
@@ -78,9 +78,9 @@ def read_timed_trajectory(raw: bytes, limits: Limits) -> StatedReference:
 
 
 def timed_trajectory_reference(message: Any, limits: Limits) -> SplineTrajectory:  # noqa: ANN401 - either type
-    """Convert a trajectory of a base: the pose of each point at the time in its header, or after the start.
+    """Convert a trajectory of a base: poses at the time in each point's header, or at its time from the start.
 
-    Velocities, accelerations and efforts are not used: they follow from poses and times. Parameters and errors are
+    Velocities, accelerations and efforts are ignored, since they follow from poses and times. Parameters and errors are
     those of `path_reference`.
     """
     frame = message.header.frame_id
@@ -100,19 +100,19 @@ def timed_trajectory_reference(message: Any, limits: Limits) -> SplineTrajectory
 
 
 def path_reference(message: Path, limits: Limits) -> SplineTrajectory:
-    """Convert a path whose poses carry their times in their headers; only time differences count.
+    """Convert a path whose poses have their times in their headers; only time differences are used.
 
     Parameters
     ----------
     message
-        The path, in the frame that it names; a pose that names one must have the same.
+        The path; its frame is that of its header, and the frame of a pose must be the same or empty.
     limits
-        Speeds to respect.
+        Limits of speed.
 
     Raises
     ------
     MessageError, models.checked_yaml.ConfigError
-        With the error in one line.
+        If the path is invalid; the message is one line.
     """
     frame = message.header.frame_id
     _check_header(frame, len(message.poses))
@@ -147,41 +147,41 @@ def trajectory_reference(message: MultiDOFJointTrajectory, limits: Limits) -> Sp
 def _check_header(frame: str, count: int) -> None:
     if not frame:
         raise MessageError("it names no frame: set header.frame_id")
-    if not 2 <= count <= _MOST_POSES:
-        raise MessageError(f"it has {count} poses; give 2 to {_MOST_POSES}, further apart if need be")
+    if not 2 <= count <= _MAX_POSES:
+        raise MessageError(f"it has {count} poses; give 2 to {_MAX_POSES}, further apart if need be")
 
 
 def _lay(times: list[float], poses: list[tuple[float, float, float]], limits: Limits, name: str) -> SplineTrajectory:
     rows: FloatArray = np.column_stack([times, poses])
-    late = np.flatnonzero(np.diff(rows[:, 0]) <= 0)
-    if late.size:
+    index = 1 + int(np.argmax(np.diff(rows[:, 0]) <= 0))
+    if rows[index, 0] <= rows[index - 1, 0]:
         raise MessageError(
-            f"pose {late[0] + 1} at {rows[late[0] + 1, 0]:g} s does not come after the one before; give each its time"
+            f"pose {index} at {rows[index, 0]:g} s is not later than the previous pose; give increasing times"
         )
     if not all(map(math.isfinite, rows.ravel())):
         raise MessageError("it holds a number that is not finite")
     return lay_timed_poses(rows, TrajectoryLimits.of_controller(limits), name=name, where=name)
 
 
-# Limits of the speed from outside, as Nav2's speed filter publishes them (nav2_msgs/SpeedLimit).
+# External speed limits, as published by Nav2's speed filter (nav2_msgs/SpeedLimit).
 
 
-SLOWEST = 1e-3
-"""A limit below is taken to be this [m/s]: `~/hold` stops the robot."""
+MIN_SPEED_LIMIT = 1e-3
+"""Minimum of a speed limit [m/s]; lower limits are raised to it, since `~/hold` is the means to stop the robot."""
 
 
 @dataclass(frozen=True)
 class SpeedLimit:
-    """A limit as it was stated: `value` [m/s], or in percent of the greatest speed."""
+    """A limit as in the message: `value` in m/s, or in percent of the maximum speed if `percentage`."""
 
     value: float
     percentage: bool
 
-    def speed(self, greatest: float) -> float | None:
-        """Return the limit [m/s] for a robot whose maximum speed is `greatest` [m/s]; return None if there is none."""
+    def speed(self, max_speed: float) -> float | None:
+        """Return the limit [m/s] for a robot whose maximum speed is `max_speed` [m/s]; return None if there is none."""
         if self.value == 0.0:
             return None
-        return max(SLOWEST, min(greatest, 0.01 * self.value * greatest if self.percentage else self.value))
+        return max(MIN_SPEED_LIMIT, min(max_speed, 0.01 * self.value * max_speed if self.percentage else self.value))
 
 
 def read_speed_limit(message: Any) -> SpeedLimit:  # noqa: ANN401 - ROS messages have no types to check
@@ -190,7 +190,7 @@ def read_speed_limit(message: Any) -> SpeedLimit:  # noqa: ANN401 - ROS messages
     Raises
     ------
     MessageError
-        If it is no number, or negative.
+        If the limit is not finite, or negative.
     """
     value = float(message.speed_limit)
     if not math.isfinite(value) or value < 0.0:
@@ -198,14 +198,14 @@ def read_speed_limit(message: Any) -> SpeedLimit:  # noqa: ANN401 - ROS messages
     return SpeedLimit(value, bool(message.percentage))
 
 
-# Distance of the robot from its target, by the estimate.
+# Distance of the estimated pose from the target.
 
 
 def tracking_error(result: StepResult) -> tuple[float, float, float] | None:
-    """Return distances ahead and to the left of the tracked pose [m] and heading error [rad], or else None."""
+    """Return the distances ahead and to the left of the tracked pose [m] and the heading error [rad], or else None."""
     if result.estimate is None or result.reference is None:
         return None
     x, y, theta = result.reference[0].tolist()
-    at_x, at_y, at_theta = result.estimate.pose.tolist()
-    along, across = in_path(at_x - x, at_y - y, theta)
-    return float(along), float(across), math.remainder(at_theta - theta, math.tau)
+    robot_x, robot_y, robot_theta = result.estimate.pose.tolist()
+    along, across = in_path(robot_x - x, robot_y - y, theta)
+    return float(along), float(across), math.remainder(robot_theta - theta, math.tau)

@@ -1,4 +1,4 @@
-"""Parts of the node that take references and speed limits from topics."""
+"""Parts of the node that receive references and speed limits from topics."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, RefusedError
 from diffdrive_mpc.mpc.ros.conversions import check_frame, message_type, too_long
 from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools
 from diffdrive_mpc.mpc.ros.reference_input import (
-    MOST_BYTES,
-    MOST_TRAJECTORY_BYTES,
+    MAX_BYTES,
+    MAX_TRAJECTORY_BYTES,
     SpeedLimit,
     StatedReference,
-    nothing,
+    preload,
     read_path,
     read_speed_limit,
     read_timed_trajectory,
@@ -30,7 +30,7 @@ _TOPICS = "set_path", "set_trajectory", "set_timed_trajectory"
 
 
 class ReferencePart(NodePart):
-    """References from topics: the side process reads them, and the loop drives along them."""
+    """References from topics, which the side process reads and the control loop drives along."""
 
     def configure(self, _tools: NodeTools) -> None:
         """Subscribe to the topics whose types are installed."""
@@ -38,17 +38,17 @@ class ReferencePart(NodePart):
         self.subscribe_raw(MultiDOFJointTrajectory, _TOPICS[1], self._reader(read_trajectory))
         timed = timed_trajectory_type()
         if timed is not None:
-            self.subscribe_raw(timed, _TOPICS[2], self._reader(read_timed_trajectory, MOST_TRAJECTORY_BYTES))
+            self.subscribe_raw(timed, _TOPICS[2], self._reader(read_timed_trajectory, MAX_TRAJECTORY_BYTES))
 
     def after_diagnostics(self, _message: DiagnosticArray, _time: int) -> None:
         """Start the side process once a node publishes references."""
         if self.loop is not None and any(self.node.count_publishers(topic) for topic in _TOPICS):
-            self.running()[1].side_process.prepare(nothing)
+            self.running()[1].side_process.prepare(preload)
 
     def _reader(
-        self, read_reference: Callable[[bytes, Limits], StatedReference], max_bytes: int = MOST_BYTES
+        self, read_reference: Callable[[bytes, Limits], StatedReference], max_bytes: int = MAX_BYTES
     ) -> Callable[[bytes], None]:
-        """Return a callback that has the side process read references of at most `max_bytes`."""
+        """Return a callback that reads references of at most `max_bytes` in the side process."""
 
         def take(raw: bytes) -> None:
             try:
@@ -79,7 +79,7 @@ class ReferencePart(NodePart):
                 raise RefusedError("the node was deactivated while it was read")
             inbox = loop.inbox
             if inbox.frames is None:
-                parameter = "odom_frame, or map_frame with use_pose_topic; with use_tf it may be any that /tf knows"
+                parameter = "odom_frame, or map_frame with use_pose_topic; with use_tf, any frame on /tf is allowed"
                 check_frame(stated.frame, inbox.frame, parameter)
                 loop.offer(stated.reference)
             else:
@@ -91,14 +91,14 @@ class ReferencePart(NodePart):
 
 
 class SpeedLimitPart(NodePart):
-    """Speed limit from a topic; it also holds for later activations."""
+    """Speed limit from a topic; it also applies to later activations."""
 
     _limit: SpeedLimit | None = None
     _refusal = ""
 
     @property
     def fault(self) -> str:
-        """Refusal of the last limit; empty once one is accepted."""
+        """Reason why the last limit was refused; empty once a limit is accepted."""
         return self._refusal
 
     def configure(self, tools: NodeTools) -> None:
@@ -107,7 +107,7 @@ class SpeedLimitPart(NodePart):
             return
         kind = message_type("nav2_msgs", "SpeedLimit")
         if kind is None:
-            self.node.get_logger().info("speed_limit is not heard: nav2_msgs is not installed")
+            self.node.get_logger().info("no subscription to speed_limit: nav2_msgs is not installed")
             return
         self.subscribe(kind, "speed_limit", self._take, 10, self._refuse)
 
@@ -116,7 +116,7 @@ class SpeedLimitPart(NodePart):
         self.change_limits()
 
     def change_limits(self) -> None:
-        """Apply the limit to the controller, as a share of the present maximum speed if it is a percentage."""
+        """Apply the limit to the controller; a percentage is relative to the current maximum speed."""
         if self.tools is None or self._limit is None:
             return
         controller = self.tools.controller

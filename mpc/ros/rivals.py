@@ -14,20 +14,18 @@ from std_msgs.msg import Empty
 
 from diffdrive_mpc.mpc.ros.command_output import command_topic
 from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, LoopTick, RefusedError
-from diffdrive_mpc.mpc.ros.conversions import take_waiting
+from diffdrive_mpc.mpc.ros.conversions import take_pending
 from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools
-from diffdrive_mpc.mpc.ros.publishers import NAMELESS, deaf_to_commands, full_name, publishers_of
+from diffdrive_mpc.mpc.ros.publishers import NAMELESS, full_name, mismatched_subscribers, publishers_of
 from diffdrive_mpc.mpc.ros.topic_watch import TopicWatch
 
 _CLAIM = "_diffdrive_mpc"
-"""Below the topic of the commands: every node of this project that commands on it has a publisher there, which never
-sends.
-"""
+"""Topic below that of the commands; every active node of this project has a publisher there, which never publishes."""
 _POLL = 0.02
-_CHRISTENING = 4.0
-"""Maximum time until a node whose publisher was discovered is known by name [s]."""
+_NAME_TIMEOUT = 4.0
+"""Maximum time from the discovery of a publisher to that of its node's name [s]."""
 _PERIOD = 0.2
-"""Period of looking for rivals while the node is active [s]."""
+"""Period of the checks for other publishers while the node is active [s]."""
 
 
 class Others(NamedTuple):
@@ -38,7 +36,7 @@ class Others(NamedTuple):
     project
         Other active nodes of this project that send commands to the same topic.
     foreign
-        Other nodes that publish on it; a node of this project that is not active is one of them.
+        Other nodes that publish on the topic, including inactive nodes of this project.
     """
 
     project: tuple[str, ...]
@@ -46,7 +44,7 @@ class Others(NamedTuple):
 
 
 class Rivals:
-    """Detector of other command publishers than `node`, which also announces this node to others.
+    """Detector of command publishers other than `node`; it also announces `node` to other nodes of this project.
 
     Parameters
     ----------
@@ -59,20 +57,21 @@ class Rivals:
     def __init__(self, node: Node, topic: str) -> None:
         self._node = node
         self.topic = node.resolve_topic_name(topic)
-        self._born = time.monotonic()
+        self._created_at = time.monotonic()
         self._claim: Publisher | None = None
 
     def claim(self, wait: float) -> Others:
-        """Claim the topic and return the others on it; a node younger than `wait` [s] waits until it has that age.
+        """Claim the topic and return the other publishers; wait until the node has existed for `wait` [s].
 
-        Until then the middleware may not have discovered the others. Two that claim at the same time see each other.
+        Before that, the middleware may not have discovered the others. Two nodes that claim at the same time detect
+        each other.
         """
         if self._claim is None:
             self._claim = self._node.create_publisher(Empty, f"{self.topic}/{_CLAIM}", 1)
         rivals = self.others()
-        began = time.monotonic()
-        while (not rivals.project and time.monotonic() - self._born < wait) or (
-            NAMELESS in rivals.project and time.monotonic() - began < _CHRISTENING
+        start = time.monotonic()
+        while (not rivals.project and time.monotonic() - self._created_at < wait) or (
+            NAMELESS in rivals.project and time.monotonic() - start < _NAME_TIMEOUT
         ):
             time.sleep(_POLL)
             rivals = self.others()
@@ -85,29 +84,28 @@ class Rivals:
             self._claim = None
 
     def others(self) -> Others:
-        """Return the other publishers on the topic, as far as the middleware has discovered them."""
-        project = self._beside_own(f"{self.topic}/{_CLAIM}", has_own=self._claim is not None)
-        foreign = self._beside_own(self.topic, has_own=True)
+        """Return the other publishers on the topic that the middleware has discovered."""
+        project = self._other_publishers(f"{self.topic}/{_CLAIM}", is_included=self._claim is not None)
+        foreign = self._other_publishers(self.topic, is_included=True)
         for name in project:
             if name in foreign:
                 foreign.remove(name)
         return Others(tuple(project), tuple(foreign))
 
-    def _beside_own(self, topic: str, *, has_own: bool) -> list[str]:
+    def _other_publishers(self, topic: str, *, is_included: bool) -> list[str]:
         names = sorted(map(full_name, self._node.get_publishers_info_by_topic(topic)))
         name = self._node.get_fully_qualified_name()
-        # One publisher of that name is this node's; a second one is another node's. If this node has no publisher, the
-        # first is another node's.
-        if has_own and name in names:
+        # The first publisher with this name belongs to this node if this node has one; others belong to other nodes.
+        if is_included and name in names:
             names.remove(name)
         return names
 
 
-def speak_together(node: Node, watch: TopicWatch, topic: str) -> str:
-    """Describe the publishers that share an input, with the remedy; empty if only one publishes.
+def describe_shared_input(node: Node, watch: TopicWatch, topic: str) -> str:
+    """Describe the publishers that share an input, with the remedy; return "" if there is only one.
 
-    The middleware may list a killed node for a while. Two publishers of one name therefore count as two only if both
-    send, or if the middleware does not distinguish their messages.
+    The middleware may list a killed node for some time. Two publishers with the same name therefore count as two only
+    if both publish messages, or if the middleware does not distinguish their messages.
     """
     infos, series = node.get_publishers_info_by_topic(topic), watch.series
     names = sorted({*map(full_name, infos)} - {NAMELESS})
@@ -118,18 +116,18 @@ def speak_together(node: Node, watch: TopicWatch, topic: str) -> str:
         if series.is_numbered and not series.is_shared:
             return ""
     who = _names(names) if len(names) > 1 else f"two publishers of {_names(names) or NAMELESS}"
-    return f"{who} publish on {topic}, and nobody knows whose message is true; stop all but one"
+    return f"{who} publish on {topic}, and it is not known which messages are right; stop all but one"
 
 
-def drive_too(others: Others, topic: str) -> str:
-    """Describe the conflict with other driving nodes of this project; return an empty string without one."""
+def describe_rivals(others: Others, topic: str) -> str:
+    """Describe the conflict with other active nodes of this project; return an empty string if there is none."""
     if not others.project:
         return ""
     return f"{_names(others.project)} of this project drives by {topic} too; deactivate one of them"
 
 
-def publish_too(others: Others, topic: str) -> str:
-    """Describe the other publishers; return an empty string without any."""
+def describe_foreign(others: Others, topic: str) -> str:
+    """Describe the other publishers; return an empty string if there are none."""
     return f"{_names(others.foreign)} publishes on {topic} too" if others.foreign else ""
 
 
@@ -149,28 +147,28 @@ class RivalWatch(NodePart):
         self.rivals = Rivals(self.node, command_topic(tools.settings))
 
     def check_activation(self) -> None:
-        """Claim the topic of the commands; raise RefusedError if the robot must not be driven."""
+        """Claim the topic of the commands; raise RefusedError if the node must not drive the robot."""
         assert self.rivals is not None
         assert self.tools is not None
         others = self.rivals.claim(self.tools.settings.discovery_wait)
         objection = self._objection(self.tools, self.rivals, others)
         if not objection and self.tools.settings.exclusive_inputs:
-            self._hear_inputs(self.tools)
+            self._await_inputs(self.tools)
             objection = self._objection(self.tools, self.rivals, others)
         if objection:
             self.rivals.release()
             raise RefusedError(objection)
 
     def activate(self) -> None:
-        """Look for rivals now and periodically."""
-        self._look_around()
-        self._timer = self.node.create_timer(_PERIOD, self._look_around, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        """Check for other publishers now and periodically."""
+        self._check_others()
+        self._timer = self.node.create_timer(_PERIOD, self._check_others, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def tick(self, tick: LoopTick) -> None:  # noqa: ARG002 - that of the base class
-        """Check for rivals at once if the messages of an input come from two publishers."""
+        """Check for other publishers immediately if the messages of an input come from two publishers."""
         is_shared = self.tools is not None and any(watch.series.is_shared for watch, _ in self.tools.watched)
         if is_shared and not self._was_shared:
-            self._look_around()
+            self._check_others()
         self._was_shared = is_shared
 
     def deactivate(self) -> None:
@@ -186,43 +184,43 @@ class RivalWatch(NodePart):
             self.rivals = None
 
     def _objection(self, tools: NodeTools, rivals: Rivals, others: Others) -> str:
-        """Return the reason why the robot must not be driven while `others` publish; empty if it may."""
-        objection = drive_too(others, rivals.topic)
+        """Return the reason why the node must not drive the robot while `others` publish; empty if it may."""
+        objection = describe_rivals(others, rivals.topic)
         if not objection and others.foreign and tools.settings.exclusive_cmd_vel:
-            objection = f"{publish_too(others, rivals.topic)}; stop that, or set exclusive_cmd_vel to false"
+            objection = f"{describe_foreign(others, rivals.topic)}; stop that, or set exclusive_cmd_vel to false"
         if not objection and tools.settings.exclusive_inputs:
             objection = self._shared_input(tools)
         return objection
 
     def _shared_input(self, tools: NodeTools) -> str:
-        shared = (speak_together(self.node, watch, made.topic_name) for watch, made in tools.watched)
+        shared = (describe_shared_input(self.node, watch, topic.topic_name) for watch, topic in tools.watched)
         return next(filter(None, shared), "")
 
-    def _hear_inputs(self, tools: NodeTools) -> None:
-        """Take in messages of inputs with two publishers of one name, until both were heard or the time is up."""
+    def _await_inputs(self, tools: NodeTools) -> None:
+        """Receive messages of inputs with two publishers until both have published, or the time limit is reached."""
 
-        def unclear() -> list[Subscription]:
-            return [made for _, made in tools.watched if self.node.count_publishers(made.topic_name) > 1]
+        def ambiguous() -> list[Subscription]:
+            return [topic for _, topic in tools.watched if self.node.count_publishers(topic.topic_name) > 1]
 
         end = time.monotonic() + tools.settings.discovery_wait
-        while unclear() and not any(watch.series.is_shared for watch, _ in tools.watched) and time.monotonic() < end:
-            for made in unclear():
-                take_waiting(made)
+        while ambiguous() and not any(watch.series.is_shared for watch, _ in tools.watched) and time.monotonic() < end:
+            for subscription in ambiguous():
+                take_pending(subscription)
             time.sleep(_POLL)
 
-    def _look_around(self) -> None:
-        """Pass objection and warnings to the loop, which brakes for an objection."""
+    def _check_others(self) -> None:
+        """Pass objection and warnings to the loop, which brakes if there is an objection."""
         if self.loop is None or self.tools is None or self.rivals is None:
             return
         loop, tools, topic = self.loop, self.tools, self.rivals.topic
         others, before = self.rivals.others(), (loop.objection, loop.warning)
         loop.objection = self._objection(tools, self.rivals, others)
         warnings = (
-            "" if loop.objection else publish_too(others, topic),
-            # With exclusive inputs the objection has covered them.
+            "" if loop.objection else describe_foreign(others, topic),
+            # With exclusive inputs, the objection covers shared inputs.
             "" if loop.objection or tools.settings.exclusive_inputs else self._shared_input(tools),
-            deaf_to_commands(self.node, topic, stamped=tools.settings.stamped),
-            self._out_of_step(loop, tools),
+            mismatched_subscribers(self.node, topic, stamped=tools.settings.stamped),
+            self._clock_warning(loop, tools),
         )
         loop.warning = "; ".join(filter(None, warnings))
         if (loop.objection, loop.warning) != before and (loop.objection or loop.warning):
@@ -230,9 +228,9 @@ class RivalWatch(NodePart):
         for watch, subscription in tools.watched:
             watch.source = "" if watch.accepted else publishers_of(self.node, subscription)
 
-    def _out_of_step(self, loop: ControlLoop, tools: NodeTools) -> str:
+    def _clock_warning(self, loop: ControlLoop, tools: NodeTools) -> str:
         """Warn if the simulated clock does not advance in steps of the period."""
-        if not (self.node.get_parameter("use_sim_time").value and loop.times.out_of_step):
+        if not (self.node.get_parameter("use_sim_time").value and loop.times.is_off_period):
             return ""
         return (
             "the simulated clock does not advance in steps of this node's sample_time, "

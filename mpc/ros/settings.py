@@ -1,6 +1,6 @@
 """Typed schema of the node's settings, which complement the controller's configuration.
 
-Units are in brackets at the end of each description. Nothing here needs ROS.
+Units are in brackets at the end of each description. This module does not need ROS.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class PartSettings(Group):
     """Base of the settings of a part from another package."""
 
     enabled: bool = Field(
-        True, description="use this part; the node loads it when a key of it is stated or its feature is configured [-]"
+        True, description="use this part; the node loads it if one of its keys is set or its feature is configured [-]"
     )
 
 
@@ -36,26 +36,26 @@ class NodeSettings(StrictModel, strict=True):
         "ssm",
         min_length=1,
         description="configuration whose values are the defaults of all parameters of the controller: mbm, sm, ssm, "
-        "lstm, p2_experimental, p2_physical, kinematic or the path of the YAML file "
-        "that was simulated with; read once, at start-up [-]",
+        "lstm, p2_experimental, p2_physical, kinematic or the path of a YAML file, "
+        "for example that of the simulation; read once, at start-up [-]",
     )
     trajectory: str = Field(
         "circle",
-        description="a shipped name such as circle, or the path of a file; empty: references come by topic [-]",
+        description="name of a built-in trajectory, such as circle, or path of a file; empty: references come from "
+        "topics [-]",
     )
     start_at_robot: bool = Field(
-        True, description="lay the trajectory so that it starts where the robot stands; false: as its file has it [-]"
+        True,
+        description="move the trajectory so that it starts at the robot's pose; false: use the poses of its file [-]",
     )
     stamped: bool = Field(True, description="publish TwistStamped; false: Twist [-]")
     command_output: Literal["twist", "wheels"] = Field(
         "twist",
-        description="twist: commands go out on `cmd_vel`; wheels: wheel speeds on `wheel_commands` "
-        "(std_msgs/Float64MultiArray [rad/s]), for a velocity controller of ros2_control on a base without (v, omega) "
-        "[-]",
+        description="twist: publish commands on `cmd_vel`; wheels: publish wheel speeds on `wheel_commands` "
+        "(std_msgs/Float64MultiArray [rad/s]), for a velocity controller of ros2_control on a base without an input "
+        "for twists [-]",
     )
-    wheel_radius: NotNegative = Field(
-        0.0, description="with command_output wheels: radius of the wheels, which has to be given then [m]"
-    )
+    wheel_radius: NotNegative = Field(0.0, description="radius of the wheels; required with command_output wheels [m]")
     wheel_sides: Annotated[str, Field(pattern="^(left|right)(,(left|right)){1,11}$")] = Field(
         "left,right",
         description="with command_output wheels: side of each joint, in the order of the velocity controller's joints "
@@ -63,108 +63,109 @@ class NodeSettings(StrictModel, strict=True):
     )
     exclusive_cmd_vel: bool = Field(
         False,
-        description="refuse activation, and brake, while anybody else publishes on `cmd_vel`; false: only warn, unless "
-        "it is an active node of this project, which is never let through [-]",
+        description="refuse activation, and brake, while another node publishes on `cmd_vel`; false: only warn, except "
+        "about active nodes of this project, which are always refused [-]",
     )
     exclusive_inputs: bool = Field(
         True,
-        description="refuse activation, and brake, while two nodes, or two publishers of one name that both send, "
-        "publish on `odom`, `imu` or `pose`: which message is whose is not known; false: only warn [-]",
+        description="refuse activation, and brake, while two nodes, or two active publishers with the same name, "
+        "publish on `odom`, `imu` or `pose`, since their messages cannot be distinguished; false: only warn [-]",
     )
     discovery_wait: NotNegative = Field(
-        1.0, description="time before activation in which the node looks for other nodes [s]"
+        1.0, description="minimum age of the node at activation, so that it has discovered other nodes [s]"
     )
     pose_source: Literal["odometry", "topic", "tf"] = Field(
         "odometry",
-        description="odometry: control in odom_frame by the poses of odometry; topic: in map_frame by those on `pose`; "
-        "tf: in map_frame by the transform of base_frame in it; odometry always gives the twist [-]",
+        description="odometry: control in odom_frame with poses from odometry; topic: control in map_frame with poses "
+        "from `pose`; tf: control in map_frame with the transform of base_frame; the twist is always from odometry [-]",
     )
-    use_pose_topic: bool = Field(False, description="true: as pose_source topic, whose older name it is [-]")
+    use_pose_topic: bool = Field(False, description="older name of pose_source topic: true has the same effect [-]")
     use_tf: bool = Field(
         False,
-        description="hear /tf, so that references may be stated in other frames than that of control; pose_source tf "
-        "hears it anyway [-]",
+        description="subscribe to /tf, so that references may be in frames other than the control frame; always on with "
+        "pose_source tf [-]",
     )
     tf_timeout: Positive = Field(
         1.0,
-        description="without a transform newer than this of the frame that its reference is stated in, the robot "
-        "brakes; of that of the robot it is failure.max_pose_age [s]",
+        description="maximum age of the transform of the reference's frame; if it is older, the robot brakes; for the "
+        "transform of the robot, failure.max_pose_age applies [s]",
     )
     pose_covariance: bool = Field(
-        True, description="believe the covariance on `pose` where it states one; false: the estimator's noise [-]"
+        True, description="use the covariance of messages on `pose`, if any; false: use the estimator's noise [-]"
     )
     use_speed_limit: bool = Field(
-        True, description="keep to the limits of the speed on `speed_limit`, where nav2_msgs is installed [-]"
+        True, description="apply the speed limits on `speed_limit`, if nav2_msgs is installed [-]"
     )
     use_imu: bool = Field(True, description="use the yaw rate on `imu` [-]")
     odom_frame: Frame = Field("odom", description="frame_id that odometry must have [-]")
     map_frame: Frame = Field(
-        "map", description="frame_id that poses must have; with pose_source tf the frame that control is in [-]"
+        "map", description="frame_id that poses must have; with pose_source tf, the control frame [-]"
     )
     base_frame: Frame = Field("base_link", description="child_frame_id that odometry must have [-]")
-    odom_timeout: Positive = Field(0.2, description="without good odometry for longer, the robot brakes [s]")
+    odom_timeout: Positive = Field(0.2, description="time without valid odometry after which the robot brakes [s]")
     blocked_timeout: Positive = Field(
-        3.0, description="a robot that does not move for so long though it is asked to is paused [s]"
+        3.0, description="time without motion, despite a command, after which a blocked robot is paused [s]"
     )
     bond_heartbeat_period: NotNegative = Field(
         0.1,
-        description="of the bond with nav2_lifecycle_manager, which then knows when the node has died; 0: no bond [s]",
+        description="period of the bond with nav2_lifecycle_manager, which detects the end of the node; 0: no bond [s]",
     )
     autostart: bool = Field(False, description="configure and activate at start-up [-]")
     drive_on_activate: bool = Field(
-        False, description="drive as soon as the node is active and measurements arrive, without a call of start [-]"
+        False, description="start to drive without a call of start, once the node is active and measurements arrive [-]"
     )
     drive_on_reference: bool = Field(
-        False, description="drive along a reference as soon as it has arrived and was accepted [-]"
+        False, description="start to drive along a reference as soon as it is accepted [-]"
     )
     shutdown_time: NotNegative = Field(
         1.0,
-        description="longest time for the braking ramp after SIGINT, SIGTERM or SIGHUP, by the computer's clock; then, "
-        "or at a second signal, zero is sent; 0: zero at once [s]",
+        description="maximum duration of the braking ramp after SIGINT, SIGTERM or SIGHUP, by the computer's clock; "
+        "zero is sent after it, or at a second signal; 0: send zero immediately [s]",
     )
-    record: bool = Field(False, description="record each activation into an MCAP file of its own [-]")
+    record: bool = Field(False, description="record each activation into a separate MCAP file [-]")
     record_folder: str = Field(
-        "~/.ros/diffdrive_mpc", min_length=1, description="folder of these files; made where it is missing [-]"
+        "~/.ros/diffdrive_mpc", min_length=1, description="folder of the recordings; created if missing [-]"
     )
-    visual_rate: Rate = Field(5.0, description="how often predicted path and marker are published [Hz]")
-    diagnostics_rate: Rate = Field(1.0, description="how often diagnostics are published [Hz]")
+    visual_rate: Rate = Field(5.0, description="publication rate of predicted path and marker [Hz]")
+    diagnostics_rate: Rate = Field(1.0, description="publication rate of diagnostics [Hz]")
     statistics_window: Annotated[int, Field(ge=10, le=100_000)] = Field(
-        3000, description="ticks that the percentiles in diagnostics are taken over [-]"
+        3000, description="number of ticks for the percentiles in diagnostics [-]"
     )
     follow_path: bool = Field(
-        True, description="offer the action follow_path (nav2_msgs/FollowPath) where its type is installed [-]"
+        True, description="offer the action follow_path (nav2_msgs/FollowPath), if its type is installed [-]"
     )
     follow_controller_id: str = Field(
-        "", description="goals for another controller_id are aborted (INVALID_CONTROLLER); empty: any will do [-]"
+        "", description="goals with another controller_id are aborted (INVALID_CONTROLLER); empty: accept any [-]"
     )
     follow_speed_share: Share = Field(
-        0.4, description="paths of follow_path are driven at so much of limits.v and limits.omega [-]"
+        0.4, description="speed of paths of follow_path, as a share of limits.v and limits.omega [-]"
     )
     follow_acceleration_share: Share = Field(
-        0.25, description="the same of limits.v_slew and limits.omega_slew, for accelerations along a path [-]"
+        0.25,
+        description="accelerations along paths of follow_path, as a share of limits.v_slew and limits.omega_slew [-]",
     )
     follow_deviation: Annotated[float, Field(gt=0, le=0.5)] = Field(
-        0.05, description="how far the smoothed path may be from the planner's: a cell, or its diagonal [m]"
+        0.05, description="maximum distance of the smoothed path from the planner's: a cell, or its diagonal [m]"
     )
     follow_backwards: bool = Field(
-        True, description="drive backwards where poses point against the travel; false: turn round instead [-]"
+        True, description="drive backwards if poses point against the direction of travel; false: turn around [-]"
     )
-    follow_goal_position: Positive = Field(0.1, description="arrived if no further from the goal's place [m]")
-    follow_goal_heading: Positive = Field(0.15, description="arrived if no further from the goal's heading [rad]")
+    follow_goal_position: Positive = Field(0.1, description="position tolerance at the goal [m]")
+    follow_goal_heading: Positive = Field(0.15, description="heading tolerance at the goal [rad]")
     follow_patience: Positive = Field(
-        1.0, description="a goal is aborted if the robot cannot be driven for longer: no pose, no way, no solution [s]"
+        1.0, description="time without progress (no pose, no path, no solution) after which a goal is aborted [s]"
     )
     follow_blind_distance: NotNegative = Field(
         1.0,
-        description="distance that the robot may travel after the client of its goal has ended or was killed, braking "
-        "included; the goal is aborted after 5 s; the speed of a path is limited so that the distance suffices; 0: the "
-        "goal is driven to its end [m]",
+        description="distance that the robot may travel after the client of its goal has ended or was killed, including "
+        "braking; the goal is aborted after 5 s; the speed of a path is limited accordingly; 0: the goal is driven to "
+        "its end [m]",
     )
     follow_feedback_rate: Rate = Field(
-        10.0, description="how often feedback is sent, at least 10 Hz unless follow_blind_distance is 0 [Hz]"
+        10.0, description="rate of feedback, at least 10 Hz unless follow_blind_distance is 0 [Hz]"
     )
     follow_most_poses: Annotated[int, Field(ge=2, le=100_000)] = Field(
-        10_000, description="a path of more poses is refused [-]"
+        10_000, description="maximum number of poses of a path; longer paths are refused [-]"
     )
     parts: Mapping[str, SerializeAsAny[PartSettings]] = Field(
         {}, description="settings of parts from other packages by name, written parts.<name>.<key> [-]"
@@ -185,7 +186,7 @@ class NodeSettings(StrictModel, strict=True):
     @model_validator(mode="after")
     def _one_source_of_poses(self) -> NodeSettings:
         if self.use_pose_topic and self.pose_source == "tf":
-            raise ValueError("use_pose_topic means pose_source topic, and pose_source is tf: set one of them")
+            raise ValueError("use_pose_topic is true, but pose_source is tf: set only one of them")
         return self
 
     @model_validator(mode="after")
@@ -198,16 +199,16 @@ class NodeSettings(StrictModel, strict=True):
 
     @property
     def poses_from(self) -> Literal["odometry", "topic", "tf"]:
-        """Source of the poses, by either name of the setting."""
+        """Source of the poses, from `pose_source` or `use_pose_topic`."""
         return "topic" if self.use_pose_topic else self.pose_source
 
     @property
     def control_frame(self) -> str:
-        """Frame that control is in."""
+        """Control frame."""
         return self.odom_frame if self.poses_from == "odometry" else self.map_frame
 
 
-# Parameters of version 0.2.0 that are keys of a part now.
+# Parameters of version 0.2.0 that have become keys of a part.
 
 
 FORMER_SETTINGS: Mapping[str, tuple[str, bool | float | str]] = {

@@ -1,7 +1,7 @@
-"""A separate process for tasks that take longer than a tick: a thread would take turns with the loop's.
+"""A separate process for tasks that take longer than a tick; a thread would delay the control loop.
 
-`python -m diffdrive_mpc.mpc.ros.side_process DESCRIPTOR` is that process: it runs requests from the socket in order,
-until the other end closes for any reason.
+`python -m diffdrive_mpc.mpc.ros.side_process DESCRIPTOR` is the process: it runs requests from the socket in order
+until the other end of the socket closes.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from typing import Any, NamedTuple
 
 _MODULE = "diffdrive_mpc.mpc.ros.side_process"
 _NICENESS = 10
-_FAREWELL = 2.0
+_END_TIMEOUT = 2.0
 """Time limit for the end of the process [s]."""
-_LONGEST_BEGINNING = 60.0
-"""Time limit for the start of the process with its module [s]; on a busy computer it has the lowest priority."""
+_START_TIMEOUT = 60.0
+"""Time limit for the start of the process with its module [s]; the process has a low priority."""
 Done = Callable[[Any], None]
 Failed = Callable[[str], None]
 
@@ -36,23 +36,23 @@ class _Job(NamedTuple):
 
 
 class SideProcess:
-    """Caller of functions in a separate process, one after the other; nothing here waits for it but `close`.
+    """Caller of functions in a separate process, in order; only `close` waits for the process.
 
-    The process begins with the first of them, and takes a second for that.
+    The process starts with the first call, which takes about a second.
 
     Parameters
     ----------
     wake
-        Called from a separate thread when `deliver` has something to do.
+        Function that is called from a separate thread when `deliver` has results to deliver.
     patience
-        A function that takes longer is given up, and the process with it [s]. It counts from when its module is loaded.
+        Time limit of a function from the loading of its module [s]; after this time the process is ended.
     """
 
     def __init__(self, wake: Callable[[], None], patience: float) -> None:
         self._wake, self._patience = wake, patience
         self._changed = threading.Condition()
         self._waiting: OrderedDict[str, _Job] = OrderedDict()
-        self._answers: list[tuple[_Job, bool, Any]] = []
+        self._results: list[tuple[_Job, bool, Any]] = []
         self._closed = False
         self._thread: threading.Thread | None = None
         self._process: subprocess.Popen[bytes] | None = None
@@ -63,7 +63,7 @@ class SideProcess:
     ) -> None:
         """Queue `function(*arguments)`; call `done` with its result, or `failed` with the reason of the failure.
 
-        The function is one of a module. One that still waits under the same `key` is superseded, and fails.
+        The function must be defined at module level. A waiting job with the same `key` is replaced, and fails.
         """
         with self._changed:
             if self._thread is None:
@@ -71,23 +71,23 @@ class SideProcess:
                 self._thread.start()
             old = self._waiting.pop(key, None)
             if old is not None:
-                self._answers.append((old, False, "a newer one came before it was read"))
+                self._results.append((old, False, "a newer one came before it was read"))
             self._waiting[key] = _Job(function, arguments, done, failed)
             self._changed.notify()
         if old is not None:
             self._wake()
 
     def prepare(self, function: Callable[[], Any]) -> None:
-        """Start the process and load the module of `function`, unless that has happened already."""
+        """Start the process and load the module of `function`, unless the process has already been started."""
         if self._thread is None:
             self.submit("prepare", function, (), _ignore, _ignore)
 
     def deliver(self) -> None:
-        """Call `done` or `failed` of all that has been answered, in the caller's thread."""
+        """Call `done` or `failed` of all completed jobs, in the caller's thread."""
         with self._changed:
-            answers, self._answers = self._answers, []
-        for job, well, content in answers:
-            (job.done if well else job.failed)(content)
+            results, self._results = self._results, []
+        for job, succeeded, content in results:
+            (job.done if succeeded else job.failed)(content)
 
     def close(self) -> None:
         """End the process; its pending requests are dropped."""
@@ -96,25 +96,25 @@ class SideProcess:
             self._changed.notify()
             self._end()
         if self._thread is not None:
-            self._thread.join(_FAREWELL)
+            self._thread.join(_END_TIMEOUT)
 
     def _begin(self) -> Connection:
-        ours, theirs = socket.socketpair()
-        command = [sys.executable, "-m", _MODULE, str(theirs.fileno())]
+        parent_end, child_end = socket.socketpair()
+        command = [sys.executable, "-m", _MODULE, str(child_end.fileno())]
         # A separate session, so that Ctrl-C reaches the node only.
         self._process = subprocess.Popen(
-            command, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, start_new_session=True
+            command, pass_fds=[child_end.fileno()], stdin=subprocess.DEVNULL, start_new_session=True
         )
-        theirs.close()
-        self._link = Connection(ours.detach())
+        child_end.close()
+        self._link = Connection(parent_end.detach())
         return self._link
 
     def _end(self) -> None:
         if self._process is not None:
             self._process.kill()
-            # The process ends as soon as the machine has time for it, so waiting longer is harmless.
+            # A killed process ends in any case, so it need not be awaited longer.
             with suppress(subprocess.TimeoutExpired):
-                self._process.wait(_FAREWELL)
+                self._process.wait(_END_TIMEOUT)
                 self._process = None
 
     def _serve(self) -> None:
@@ -124,27 +124,27 @@ class SideProcess:
                 if self._closed:
                     break
                 _, job = self._waiting.popitem(last=False)
-            well, content = self._ask(job)
+            succeeded, content = self._run_job(job)
             with self._changed:
                 if self._closed:
                     break
-                self._answers.append((job, well, content))
+                self._results.append((job, succeeded, content))
             self._wake()
         if self._link is not None:
             self._link.close()
 
-    def _ask(self, job: _Job) -> tuple[bool, Any]:
+    def _run_job(self, job: _Job) -> tuple[bool, Any]:
         why = "the process that reads it ended; send it again"
         try:
             link = self._link or self._begin()
             link.send((job.function, job.arguments))
-            why = f"the process that reads it does not begin within {_LONGEST_BEGINNING:g} s"
-            if link.poll(_LONGEST_BEGINNING):
+            why = f"the process that reads it does not begin within {_START_TIMEOUT:g} s"
+            if link.poll(_START_TIMEOUT):
                 link.recv()
                 why = f"to read it takes longer than {self._patience:g} s"
                 if link.poll(self._patience):
-                    well, content = link.recv()
-                    return bool(well), content
+                    succeeded, content = link.recv()
+                    return bool(succeeded), content
         except (OSError, EOFError):
             pass
         except (pickle.PicklingError, TypeError, AttributeError, MemoryError) as error:
@@ -158,7 +158,7 @@ class SideProcess:
 
 
 def _ignore(_: object) -> None:
-    """Ignore a result without a receiver."""
+    """Ignore a result that is not needed."""
 
 
 def _main(descriptor: int) -> None:
@@ -171,13 +171,13 @@ def _main(descriptor: int) -> None:
         try:
             function, arguments = link.recv()
             link.send("its module is loaded")
-            reply = _answer(function, arguments)
+            reply = _run_function(function, arguments)
             link.send(reply)
         except (EOFError, OSError):
             return
 
 
-def _answer(function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[bool, Any]:
+def _run_function(function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[bool, Any]:
     try:
         return True, function(*arguments)
     except ValueError as error:

@@ -1,6 +1,6 @@
-"""Watch of one incoming topic: age of its last good message, and reasons for rejected messages.
+"""Watch of one incoming topic: age of its last valid message, and reasons for rejected messages.
 
-Reactions of the node to a fault are in `ControlLoop` (`control_loop.py`), and in words in docs/safety.md.
+The reactions of the node to a fault are in `ControlLoop` (`control_loop.py`) and documented in docs/safety.md.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ class TopicWatch:
     Parameters
     ----------
     name
-        Name of the topic, for people.
+        Name of the topic for messages to the user.
 
     Attributes
     ----------
     accepted, refused
         Number of accepted and of refused messages.
     reason
-        Why the last message was refused; empty once a good one came.
+        Reason why the last message was refused; empty once a valid message arrives.
     last_refusal
-        The same, kept for diagnostics.
+        Last non-empty `reason`, for diagnostics.
     source
-        Content of the topic and its publisher, in words, for a topic on which nothing has arrived yet.
+        Description of the topic and its publishers, before the first message arrives.
     delay
-        From the stamp of the last good message to its arrival [s]; NaN before the first.
+        Time from the stamp of the last valid message to its arrival [s]; NaN before the first.
     series
-        Publication numbers of all messages, refused ones included.
+        Publication numbers of all messages, including refused messages.
     """
 
     def __init__(self, name: str) -> None:
@@ -44,17 +44,17 @@ class TopicWatch:
         self.restart()
 
     def restart(self) -> None:
-        """Discard the stamps: the next message is the first."""
+        """Discard the stamp of the last message, so that the next message counts as the first."""
         self._stamp: float | None = None
 
     def accept(self, stamp: float, now: float, ahead: float) -> None:
-        """Take in a good message with `stamp` [s], arrived at `now` [s].
+        """Accept a valid message with `stamp` [s], which arrived at `now` [s].
 
         Raises
         ------
         MessageError
-            If its stamp is more than `ahead` [s] in the future, or not newer than that of the last. A refused stamp is
-            not remembered: the next good message counts.
+            If the stamp is more than `ahead` [s] in the future, or not newer than the last accepted stamp. A refused
+            stamp is not stored.
         """
         if stamp - now > ahead:
             raise MessageError(f"its stamp is {stamp - now:.3f} s in the future: are the clocks in step?")
@@ -64,17 +64,17 @@ class TopicWatch:
         self.accepted += 1
 
     def take_back(self, stamp: float | None) -> None:
-        """Undo the last `accept`: the message cannot be used after all, and the last good one has `stamp` [s]."""
+        """Undo the last `accept` if the message turns out unusable; the last valid message has `stamp` [s]."""
         self._stamp = stamp
         self.accepted -= 1
 
     def refuse(self, reason: str) -> None:
-        """Count a message that cannot be used, and why."""
+        """Count an unusable message and store the reason."""
         self.reason = self.last_refusal = f"{self.name} refused: {reason}"
         self.refused += 1
 
     def age(self, now: float) -> float:
-        """Time since the stamp of the last good message [s]; infinite before the first."""
+        """Return the time since the stamp of the last valid message [s]; infinite before the first."""
         return math.inf if self._stamp is None else now - self._stamp
 
     def fault(self, now: float, timeout: float) -> str:
@@ -82,9 +82,9 @@ class TopicWatch:
         age = self.age(now)
         if -timeout <= age <= timeout:
             return ""
-        late = f"{self.name} is {age:.2f} s old, the limit is {timeout:g} s"
+        fault = f"{self.name} is {age:.2f} s old, the limit is {timeout:g} s"
         if math.isinf(age):
-            late = f"no {self.name} yet" + (f" ({self.source})" if self.source else "")
+            fault = f"no {self.name} yet" + (f" ({self.source})" if self.source else "")
         elif age < 0:
-            late = f"{self.name} is {-age:.2f} s in the future: are the clocks in step?"
-        return f"{late}; {self.reason}" if self.reason else late
+            fault = f"{self.name} is {-age:.2f} s in the future: are the clocks in step?"
+        return f"{fault}; {self.reason}" if self.reason else fault

@@ -1,4 +1,4 @@
-"""Hears /tf and /tf_static."""
+"""Subscriptions to /tf and /tf_static."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from diffdrive_mpc.mpc.ros.conversions import message_type, nanoseconds, subscri
 from diffdrive_mpc.mpc.ros.transforms.frames import Frames
 from diffdrive_mpc.mpc.ros.transforms.rigid import Rigid
 
-# As many messages wait as for tf2's own listener.
+# The same queue depth as in tf2's listener.
 _DYNAMIC = QoSProfile(depth=100)
 _STATIC = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-MOST_BYTES = 200_000
-"""Maximum size of one message, some hundred frames, which take some milliseconds to read."""
+MAX_BYTES = 200_000
+"""Maximum size of a message [bytes], several hundred frames, which take several milliseconds to read."""
 
 
 def listen(node: Node, frames: Frames, *, moving: bool = True) -> list[Subscription]:
-    """Subscribe `node` to both topics, for `frames`; without `moving` to what never moves.
+    """Subscribe `node` to /tf_static, and if `moving` also to /tf, for `frames`.
 
     Raises
     ------
     ValueError
-        If the type of their messages is not installed.
+        If the message type is not installed.
     """
     kind = message_type("tf2_msgs", "TFMessage")
     if kind is None:
         raise ValueError("transforms are to be used (pose_source: tf, or use_tf), but tf2_msgs is not installed")
 
-    def taking(*, static: bool) -> Any:  # noqa: ANN401 - a callback
+    def callback(*, static: bool) -> Any:  # noqa: ANN401 - a callback
         def take(message: Any) -> None:  # noqa: ANN401 - ROS messages have no types to check
             for each in message.transforms:
                 translation, turn = each.transform.translation, each.transform.rotation
@@ -42,6 +42,6 @@ def listen(node: Node, frames: Frames, *, moving: bool = True) -> list[Subscript
         return take
 
     return [
-        subscribe_bounded(node, kind, topic, taking(static=static), qos, refuse=frames.refuse, most=MOST_BYTES)
+        subscribe_bounded(node, kind, topic, callback(static=static), qos, refuse=frames.refuse, max_bytes=MAX_BYTES)
         for topic, qos, static in (("/tf_static", _STATIC, True), ("/tf", _DYNAMIC, False))[: 1 + moving]
     ]

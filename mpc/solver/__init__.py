@@ -1,1 +1,1 @@
-"""Backend solvers besides the core's own methods: an interface, backends for OSQP and DAQP, and their reports."""
+"""Backend solvers in addition to the core's methods: an interface, backends for OSQP and DAQP, and solver reports."""

@@ -1,6 +1,6 @@
-"""Solve with DAQP, a dual active-set method, from the limits that are taken to be active.
+"""Solve with DAQP, a dual active-set method, warm-started from a guess of the active limits.
 
-Soft limits are its own: an exact and a quadratic price on each row, without slack variables.
+DAQP handles soft limits natively: each row has a linear and a quadratic penalty, without slack variables.
 """
 
 from __future__ import annotations
@@ -16,29 +16,29 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import Weights
 from diffdrive_mpc.mpc.config.solver import Solver
 from diffdrive_mpc.mpc.problem.constants import HARD_KINDS as HARD
-from diffdrive_mpc.mpc.solver.backend import SHORTEST, Kinds, Program, SetUpTime, Solved
+from diffdrive_mpc.mpc.solver.backend import MIN_TIME_LIMIT, Kinds, Program, SetUpTime, Solved
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 
-# The active set that it was given is not one of independent rows.
+# The rows of the initial active set are linearly dependent.
 _DEPENDENT = -6
 _TOO_LATE = -7
 _STATUS = {
     2: SolverStatus.SOLVED,  # with a soft limit exceeded
     1: SolverStatus.SOLVED,
     -1: SolverStatus.INFEASIBLE,
-    -2: SolverStatus.MAX_ITERATIONS,  # it cycles: no more progress
+    -2: SolverStatus.MAX_ITERATIONS,  # cycling: no more progress
     -3: SolverStatus.UNBOUNDED,
     -4: SolverStatus.MAX_ITERATIONS,
     -5: SolverStatus.NOT_CONVEX,
     _TOO_LATE: SolverStatus.TIME_LIMIT,
 }
-# Flags of a row; the last marks a soft limit that is active but not exceeded.
-_ACTIVE, _LOWER, _SOFT, _KEPT = 1, 2, 8, 32
+# Flags of a row; the last marks a soft limit that is active but not violated.
+_ACTIVE, _LOWER, _SOFT, _NOT_VIOLATED = 1, 2, 8, 32
 
 
 @cache
 def _set_up_time(steps: int) -> SetUpTime:
-    """Return the time to factorise a Hessian (2 N, 2 N) and to transform a row of limits with it."""
+    """Measure the time per row of limits to factorise a Hessian (2 N, 2 N) and to transform the rows with it."""
     measured, n = SetUpTime(), 2 * steps
     for _ in range(2):  # the first one also loads the library
         sense = np.zeros(n, dtype=c_int)
@@ -48,7 +48,7 @@ def _set_up_time(steps: int) -> SetUpTime:
 
 
 class DaqpBackend:
-    """Implements `mpc.solver.backend.Backend`."""
+    """DAQP as a `mpc.solver.backend.Backend`."""
 
     def __init__(self, steps: int, kinds: int, settings: Solver, weights: Weights) -> None:
         self._steps, self._count, self._weights = steps, kinds, weights
@@ -79,14 +79,14 @@ class DaqpBackend:
         status = _STATUS.get(flag, SolverStatus.NOT_RUN)
         if solved is None:
             return Solved(guess, np.zeros((self._count, self._steps)), status)
-        plan, pressing, iterations = solved
+        plan, active, iterations = solved
         duals = np.zeros((self._count, self._steps))
-        duals[chosen] = pressing.reshape(-1, self._steps)
-        dual = program.H @ plan + program.g + rows.T @ pressing
+        duals[chosen] = active.reshape(-1, self._steps)
+        stationarity = program.H @ plan + program.g + rows.T @ active
         values = rows @ plan
         excess = np.maximum(values - program.upper[chosen].reshape(-1), program.lower[chosen].reshape(-1) - values)
         worst = float(np.max(excess[~soft], initial=0.0))
-        return Solved(plan, duals, status, iterations, max(worst, 0.0), float(np.abs(dual).max()))
+        return Solved(plan, duals, status, iterations, max(worst, 0.0), float(np.abs(stationarity).max()))
 
     def _run(
         self,
@@ -97,13 +97,13 @@ class DaqpBackend:
         near: FloatArray,
         deadline: float | None,
     ) -> tuple[int, tuple[FloatArray, FloatArray, int] | None]:
-        """Solve from the multipliers `near`; nothing is found where DAQP refuses the numbers."""
+        """Solve from the multipliers `near`; return DAQP's flag, and None if DAQP rejects the data or time is short."""
         if deadline is not None and self._set_up_time.expected(len(rows)) >= deadline - time.monotonic():
             return _TOO_LATE, None
         price = self._weights.soft
         sense = np.where(near > 0, _ACTIVE, np.where(near < 0, _ACTIVE | _LOWER, 0)) | np.where(soft, _SOFT, 0)
-        # From a start with exceeded soft limits, it may end near the solution and call it solved.
-        sense |= np.where(soft & (near != 0), _KEPT, 0)
+        # If a warm start marks soft limits as violated, DAQP may report success at a point near the solution.
+        sense |= np.where(soft & (near != 0), _NOT_VIOLATED, 0)
         model = daqp.Model()
         with self._set_up_time.measured(len(rows)):
             flag, _ = model.setup(
@@ -116,8 +116,8 @@ class DaqpBackend:
             )
         if flag < 0:
             return int(flag), None
-        # DAQP counts from here, and looks at the clock at every 32nd iteration.
-        left = {} if deadline is None else {"time_limit": max(deadline - time.monotonic(), SHORTEST)}
+        # DAQP's time limit starts here; it is checked at every 32nd iteration.
+        left = {} if deadline is None else {"time_limit": max(deadline - time.monotonic(), MIN_TIME_LIMIT)}
         model.settings = {**self._settings, **left}
         if soft.any():
             looseness, prices = np.full(len(near), 1 / self._weights.soft_quadratic), np.full(len(near), price)

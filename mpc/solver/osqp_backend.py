@@ -1,9 +1,9 @@
-"""Solve with OSQP, an operator-splitting method, driven directly and warm-started.
+"""Solve with OSQP, an operator-splitting method, warm-started.
 
-Variables are (U, p, m): p, m >= 0 are the excesses over the soft limits upwards and downwards. Rows of a soft limit and
-their p and m are divided by the greatest entry of these rows: without it OSQP needs ten times the iterations while
-limits are active. The work space of the hard limits is set up with the controller; one for each set of soft limits when
-it first matters.
+Variables are (U, p, m): slacks p, m >= 0 are the violations of the upper and the lower soft limits. The rows of a soft
+limit and their slacks are divided by the largest entry of these rows: without this scaling, OSQP needs ten times as
+many iterations while limits are active. The work space of the hard limits is set up with the controller; the work space
+of a set of soft limits is set up when it is first needed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import Weights
 from diffdrive_mpc.mpc.config.solver import Solver
 from diffdrive_mpc.mpc.problem.constants import HARD_KINDS as HARD
-from diffdrive_mpc.mpc.solver.backend import SHORTEST, Kinds, Program, SetUpTime, Solved
+from diffdrive_mpc.mpc.solver.backend import MIN_TIME_LIMIT, Kinds, Program, SetUpTime, Solved
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 
 _STATUS = {
@@ -34,16 +34,16 @@ _STATUS = {
     osqp.SolverStatus.OSQP_DUAL_INFEASIBLE_INACCURATE: SolverStatus.UNBOUNDED,
     osqp.SolverStatus.OSQP_NON_CVX: SolverStatus.NOT_CONVEX,
 }
-# Multipliers below this are numerical remainders of inactive limits.
-_NO_PRESSURE = 1e-6
-# OSQP's own default [s].
+# Multipliers below this are numerical noise of inactive limits.
+_MIN_MULTIPLIER = 1e-6
+# Default of OSQP [s].
 _NO_TIME_LIMIT = 1e10
-# Few sets of soft limits come up in practice.
-_MOST_WORKSPACES = 16
+# Few sets of soft limits occur in practice.
+_MAX_WORKSPACES = 16
 
 
 class _Times:
-    """Times to set up the work space of the hard limits, and to factorise one with the numbers of a tick."""
+    """Times to set up the work space of the hard limits, and to factorise a work space with the data of a tick."""
 
     def __init__(self) -> None:
         self.set_up, self.update = SetUpTime(), SetUpTime()
@@ -55,13 +55,13 @@ def _times(_steps: int) -> _Times:
 
 
 class OsqpBackend:
-    """Implements `mpc.solver.backend.Backend`."""
+    """OSQP as a `mpc.solver.backend.Backend`."""
 
     def __init__(self, steps: int, kinds: int, settings: Solver, weights: Weights) -> None:
         self._count, self._steps, self._times = kinds, steps, _times(steps)
         self._make = partial(_Workspace, steps, kinds, settings, weights, self._times.update)
         self._workspaces: dict[Kinds, _Workspace] = {}
-        # The first one of a process also loads the library.
+        # The first set-up of a process also loads the library, so it is measured again.
         for _ in range(1 if self._times.set_up.expected() else 2):
             with self._times.set_up.measured():
                 self._workspaces[()] = self._make(())
@@ -83,20 +83,20 @@ class OsqpBackend:
         if time_limit is not None and needed >= time_limit:
             return Solved(guess, np.zeros((self._count, self._steps)), SolverStatus.TIME_LIMIT)
         if workspace is None:
-            if len(self._workspaces) >= _MOST_WORKSPACES:
-                # The oldest but that of the hard limits.
+            if len(self._workspaces) >= _MAX_WORKSPACES:
+                # Delete the oldest work space, except that of the hard limits.
                 del self._workspaces[list(self._workspaces)[1]]
             workspace = self._workspaces[soft] = self._make(soft)
         return workspace.solve(program, guess, multipliers, deadline)
 
 
 def _size(soft: Kinds) -> float:
-    """Return the time of a factorisation in units of that without soft limits, whose rows are dense."""
+    """Return the time of a factorisation relative to one without soft limits, whose rows are dense."""
     return (1.0 + 0.5 * len(soft)) ** 2
 
 
 class _Workspace:
-    """One OSQP instance of fixed sparsity: rows of the hard limits, of some soft ones, and bounds of their slacks."""
+    """One OSQP instance of fixed sparsity: rows of the hard limits and of a set of soft limits, and slack bounds."""
 
     def __init__(
         self, steps: int, count: int, settings: Solver, weights: Weights, update_time: SetUpTime, soft: Kinds
@@ -104,11 +104,11 @@ class _Workspace:
         self._update_time, self._size_of_update = update_time, _size(soft)
         self._n, self._steps, self._count, self._weights = 2 * steps, steps, count, weights
         kinds = [*range(HARD), *soft]
-        # A slice is quicker than a list.
+        # A slice is faster than a list.
         self._soft, self._kinds = list(soft), kinds if soft else slice(HARD)
-        # The rows of U are the hard kinds', then the soft ones'.
+        # Rows of the hard kinds come first, then those of the soft kinds.
         n, self._rows, rows = self._n, steps * len(kinds), steps * len(soft)
-        # Commands are interleaved and rows go by kind: the commands of one channel are every second one.
+        # Commands are interleaved, rows are sorted by kind: every second command belongs to the same channel.
         channels = [sparse.identity(n, format="csr")[i::2] for i in (0, 1)]
         difference = sparse.identity(steps) - sparse.eye(steps, k=-1)
         hard = [[rows_of, None, None] for rows_of in (*channels, *(difference @ channel for channel in channels))]
@@ -116,12 +116,12 @@ class _Workspace:
         slacks = [[pattern, -unit, unit], [None, unit, None], [None, None, unit]] if rows else []
         blocks = [*hard, *slacks] if rows else [row[:1] for row in hard]
         self._A = _sorted_csc(sparse.bmat(blocks))
-        # Places of the changing block of A among its stored values: the columns of U hold it below the hard rows.
+        # Indices of the soft rows of U among the stored values of A; only these values change.
         self._soft_place = _positions(self._A, self._rows - rows, rows, n) if rows else np.empty((0, n), dtype=np.intp)
-        # Entries off the diagonal are stored, and nothing to begin with: numbers come with each tick.
+        # Off-diagonal entries are part of the sparsity pattern; their values are set at each tick.
         triangle = sparse.csc_matrix(np.triu(np.ones((n, n))))
         self._P = _sorted_csc(sparse.block_diag([triangle, sparse.identity(2 * rows)]) if rows else triangle)
-        # Column by column of the upper triangle, as places in the flattened matrix.
+        # Indices of the upper triangle in the flattened matrix, in column-major order.
         column = np.repeat(np.arange(n), np.arange(1, n + 1))
         self._triangle = n * np.concatenate([np.arange(k + 1) for k in range(n)]) + column
         self._gradient = np.zeros(n + 2 * rows)
@@ -131,7 +131,7 @@ class _Workspace:
         self._upper = np.full(self._rows + 2 * rows, np.inf)
         self._P.data[: len(self._triangle)] = np.eye(n).reshape(-1)[self._triangle]
         self._solver = self._set_up(settings)
-        # OSQP counts the time of its set-up at the first solve; this one begins at its solution.
+        # OSQP counts its set-up time in the first solve; this solve starts at its solution and takes little time.
         self._solver.solve(raise_error=False)
         self._update()
         self._time_limit = _NO_TIME_LIMIT
@@ -146,7 +146,7 @@ class _Workspace:
             self._upper,
             verbose=False,
             **settings.osqp.model_dump(),
-            # By iterations, not by time: a run must not depend on how fast the machine is.
+            # Adapt after a number of iterations, not a time, so that results do not depend on the machine's speed.
             adaptive_rho=1,
             adaptive_rho_interval=50,
             polishing=False,
@@ -159,11 +159,11 @@ class _Workspace:
             self._solver.update(q=self._gradient, l=self._lower, u=self._upper, Px=self._P.data, **changed)
 
     def solve(self, program: Program, guess: FloatArray, multipliers: FloatArray, deadline: float | None) -> Solved:
-        """Solve with the limits of this work space, until `deadline` by `time.monotonic` [s]."""
+        """Solve with the limits of this work space; stop at `deadline` [s, `time.monotonic`]."""
         values = self._load(program, guess)
-        # OSQP counts from the update on, and looks at the clock at every iteration.
+        # OSQP's time limit starts with the update; it is checked at every iteration.
         left = _NO_TIME_LIMIT if deadline is None else deadline - time.monotonic()
-        time_limit = min(max(left, SHORTEST), _NO_TIME_LIMIT)
+        time_limit = min(max(left, MIN_TIME_LIMIT), _NO_TIME_LIMIT)
         if time_limit != self._time_limit:
             self._solver.update_settings(time_limit=time_limit)
             self._time_limit = time_limit
@@ -184,7 +184,7 @@ class _Workspace:
         )
 
     def _load(self, program: Program, guess: FloatArray) -> FloatArray:
-        """Take the program's numbers; returns the values of the soft limits along `guess`, scaled as their rows are."""
+        """Copy the program's data; return the values of the soft limits along `guess`, scaled like their rows."""
         n, entries = self._n, len(self._triangle)
         program.H.take(self._triangle, out=self._P.data[:entries])
         self._gradient[:n] = program.g
@@ -193,8 +193,8 @@ class _Workspace:
         if not self._soft:
             return np.empty(0)
         rows = np.stack([program.rows(kind) for kind in self._soft])
-        greatest = np.abs(rows).max(axis=(1, 2))
-        size = self._size = np.repeat(np.where(greatest > 0.0, greatest, 1.0), self._steps)
+        largest = np.abs(rows).max(axis=(1, 2))
+        size = self._size = np.repeat(np.where(largest > 0.0, largest, 1.0), self._steps)
         scaled = rows.reshape(-1, n) / size[:, None]
         self._A.data[self._soft_place] = scaled
         self._upper[self._limits] /= size
@@ -212,22 +212,22 @@ class _Workspace:
         return np.concatenate([guess, over, under])
 
     def _dual(self, multipliers: FloatArray) -> FloatArray:
-        """Fill the multipliers of all rows; a slack's bound gets the part of the price that its limit does not use."""
-        pressing = multipliers[self._kinds].reshape(-1)
+        """Return the multipliers of all rows; that of a slack's bound is its limit's multiplier minus the price."""
+        active = multipliers[self._kinds].reshape(-1)
         if not self._soft:
-            return pressing
-        soft = pressing[self._limits]
+            return active
+        soft = active[self._limits]
         soft *= self._size
         price = self._gradient[self._n :].reshape(2, -1)[0]
-        return np.concatenate([pressing, np.minimum(soft - price, 0), np.minimum(-soft - price, 0)])
+        return np.concatenate([active, np.minimum(soft - price, 0), np.minimum(-soft - price, 0)])
 
     def _multipliers(self, dual: FloatArray) -> FloatArray:
         multipliers = np.zeros((self._count, self._steps))
-        pressing = dual[: self._rows]
+        active = dual[: self._rows]
         if self._soft:
-            pressing[self._limits] /= self._size
-        pressing[np.abs(pressing) < _NO_PRESSURE] = 0.0
-        multipliers[self._kinds] = pressing.reshape(-1, self._steps)
+            active[self._limits] /= self._size
+        active[np.abs(active) < _MIN_MULTIPLIER] = 0.0
+        multipliers[self._kinds] = active.reshape(-1, self._steps)
         return multipliers
 
 
@@ -239,7 +239,7 @@ def _sorted_csc(matrix: FloatArray | sparse.spmatrix) -> sparse.csc_matrix:
 
 
 def _positions(matrix: sparse.csc_matrix, first_row: int, rows: int, columns: int) -> NDArray[np.intp]:
-    """Return (rows, columns) places in `matrix.data` of the dense block from `first_row` in the first column."""
+    """Return the indices (rows, columns) in `matrix.data` of a dense block that starts at `first_row`, column 0."""
     numbered = matrix.copy()
     numbered.data = np.arange(1, matrix.nnz + 1, dtype=float)
     return np.asarray(numbered[first_row : first_row + rows, :columns].toarray() - 1, dtype=np.intp)

@@ -1,4 +1,4 @@
-"""A tick's problem in the form that QP solvers take: minimise x'Px/2 + q'x subject to l <= A x <= u."""
+"""Problem of a tick in the standard form of QP solvers: minimise x'Px/2 + q'x subject to l <= A x <= u."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ _HARD_NAMES = ("v", "omega", "v_increment", "omega_increment")
 class QuadraticProgram(NamedTuple):
     """Minimise x'Px/2 + q'x subject to l <= A x <= u.
 
-    The first 2 N variables are the commands v [m/s], omega [rad/s], step by step. Slacks follow: what a value with a
-    soft limit exceeds its upper limit by (`over`), then its lower one (`under`).
+    The first 2 N variables are the commands v [m/s], omega [rad/s], step by step. Slacks of the soft limits follow:
+    first the violations of the upper limits (`over`), then those of the lower limits (`under`).
 
     Attributes
     ----------
     P, q
-        (n, n) symmetric, (n,).
+        Hessian (n, n), symmetric, and gradient (n,).
     A
-        (m, n).
+        Constraint matrix (m, n).
     l, u
-        (m,) bounds, infinite where there is none. Increments of the first step count from zero: the command before is
-        part of their bounds. Soft limits apply to the values along the plan less those at a plan of zeros.
+        (m,) bounds, infinite if a row has none. Increments of the first step are relative to zero: the previous command
+        is part of their bounds. Soft limits apply to the difference of the values from those at a plan of zeros.
     variables, rows
-        (n,), (m,) names, such as `v[3]` and `soft omega[3]`; the number is the step.
+        Names (n,) and (m,), such as `v[3]` and `soft omega[3]`; the number is the step.
     """
 
     P: sparse.csc_matrix
@@ -52,7 +52,7 @@ def quadratic_program(program: Program, weights: Weights, soft_names: Sequence[s
     program
         Quadratic program of the controller.
     weights
-        Prices of slacks.
+        Penalty weights of the slacks.
     soft_names
         (kinds - 4,) names of the kinds of soft limit.
     """

@@ -1,4 +1,4 @@
-"""Report of the solver about one tick; it accompanies every command."""
+"""Report of the solver for one tick; each command comes with one."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ _USABLE = frozenset(
 
 
 class SolverMethod(StrEnum):
-    """The method that gave the plan of a tick; a backend has its name in the configuration instead."""
+    """Method that computed the plan of a tick; a backend is identified by its name in the configuration."""
 
     NONE = "none"
-    """Nothing was solved."""
+    """No problem was solved."""
     UNLIMITED = "unlimited"
-    """No limit is active: the minimiser without limits keeps them all. One factorisation."""
+    """No limit is active: the unconstrained minimiser satisfies all limits. One factorisation."""
     ACTIVE_SET = "active_set"
-    """The active limits were identified, and proven by their multipliers."""
+    """The active limits were identified, and verified by their multipliers."""
 
 
 @dataclass(frozen=True)
@@ -54,23 +54,23 @@ class SolverReport:
     Attributes
     ----------
     status
-        The outcome; only a `usable` one may move the robot.
+        Outcome of the solve; the plan is used only if the status is `usable`.
     method
-        "none", "unlimited", "active_set", or the name of the backend that was asked.
+        "none", "unlimited", "active_set", or the name of the backend.
     iterations
-        Iterations over all solves of the tick: of the backend, or systems of the active set; 0 where the minimiser
-        without limits keeps them all and so is the exact solution.
+        Iterations over all solves of the tick: of the backend, or linear systems of the active set; 0 if the
+        unconstrained minimiser satisfies all limits, and therefore is the exact solution.
     primal_residual, dual_residual
-        Largest violation of a limit, and largest residual of the stationarity condition: OSQP's own figures at its end,
-        else computed from the solution. NaN if there is none.
+        Largest violation of a limit, and largest residual of the stationarity condition: as reported by OSQP, else
+        computed from the solution. NaN if there is no solution.
     soft_limits
-        Whether the problem had soft limits.
+        True if the problem had soft limits.
     operations
-        Operations of the active set: multiplications of its loops, also where a backend was used after it. At most
-        `Controller.operations_bound`; docs/tuning.md says how they are counted.
+        Operations of the active set: multiplications in its loops, also if a backend was used afterwards. At most
+        `Controller.operations_bound`; docs/tuning.md explains the count.
     missed
-        Ticks in a row, this one included, whose solve was cut off by the deadline or ended after it; from
-        `solver.max_missed` on the robot brakes.
+        Consecutive ticks, including this one, whose solve was cut off by the deadline or ended after it; at
+        `solver.max_missed` the robot brakes.
     """
 
     status: SolverStatus
@@ -84,6 +84,6 @@ class SolverReport:
 
     @property
     def path(self) -> str:
-        """Return `method`, which it was called before; it warns."""
+        """Return `method`; deprecated, emits DeprecationWarning."""
         warnings.warn("SolverReport.path is SolverReport.method now", DeprecationWarning, stacklevel=2)
         return self.method

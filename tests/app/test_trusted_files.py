@@ -16,8 +16,8 @@ def stranger(tmp_path):
 def test_term_that_exits_is_refused_with_one_line(error, stranger):
     (stranger / "term.py").write_text(f"raise {error}\n")
     code, printed, _ = call("simulate", "--config", stranger / "config.yaml", "--plant", "model:ssm")
-    assert code == 2 and f"{stranger}/term.py: running it ends with" in printed, printed
-    with pytest.raises(ConfigError, match="running it ends with"):
+    assert code == 2 and f"{stranger}/term.py: running it fails with" in printed, printed
+    with pytest.raises(ConfigError, match="running it fails with"):
         Controller(load_config(stranger / "config.yaml"))
 
 

@@ -228,8 +228,8 @@ static ddmpc_constants make_constants(const ddmpc_sizes *s)
     for (int i = 0; i <= CURVED_SLIPS; i++) {
         const int gain = i >= OMEGA_GAIN && i <= YAW_GAIN;
         if (i < CURVED_SLIPS) {
-            k.least_slip[i] = gain ? R(0.3) : i < FLAT_SLIPS ? -(real)INFINITY : R(-0.5);
-            k.most_slip[i] = gain ? R(1.5) : i < FLAT_SLIPS ? (real)INFINITY : R(0.5);
+            k.min_slip[i] = gain ? R(0.3) : i < FLAT_SLIPS ? -(real)INFINITY : R(-0.5);
+            k.max_slip[i] = gain ? R(1.5) : i < FLAT_SLIPS ? (real)INFINITY : R(0.5);
         }
         k.prior[i] = gain ? R(1.0) : R(0.0);
         k.drift[i] = wild(1e-5, seldom);
@@ -435,7 +435,7 @@ static int go_on(ddmpc_controller *c, const ddmpc_sizes *s, int pending)
             plan[i] = (real)spoilt(uniform(-1.0, 1.0), seldom);
         for (int i = 0; i < rows; i++)
             multipliers[i] = once_in(20) ? (real)spoilt(uniform(-60.0, 60.0), seldom) : R(0.0);
-        ddmpc_broken(c, plan, R(1e-6), broken);
+        ddmpc_violated_kinds(c, plan, R(1e-6), broken);
         ddmpc_soft_rows(c, HARD + below(s->soft), soft);
         pending = ddmpc_answer(c, plan, multipliers, &report);
         free(plan);

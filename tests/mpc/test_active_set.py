@@ -44,16 +44,16 @@ static void row(const void *context, int row, real *out, int *first, int *last)
     *last = end;
 }
 ddmpc_limited_result solve_dense(int n, int m, int hard, const real *factor, const real *minimiser, const real *rows,
-                                 const real *lower, const real *upper, const real *numbers, int most_iterations,
-                                 int most_active, real *reals, int *ints, real *multipliers, real *plan)
+                                 const real *lower, const real *upper, const real *numbers, int max_iterations,
+                                 int max_active, real *reals, int *ints, real *multipliers, real *plan)
 {
     const dense all = {n, m, rows};
-    const ddmpc_limited_memory memory = {most_active, reals, ints};
+    const ddmpc_limited_memory memory = {max_active, reals, ints};
     const ddmpc_limited_problem problem = {
         .inputs = n, .rows = m, .hard = hard, .factor = factor, .minimiser = minimiser, .lower = lower, .upper = upper,
         .price = numbers[0], .slope = numbers[1], .values = values, .row = row, .context = &all,
-        .slack = numbers[2], .most_iterations = most_iterations,
-        .most_operations = numbers[4] > 0 ? ddmpc_limited_most(n, m, most_active) : 1LL << 60,
+        .slack = numbers[2], .max_iterations = max_iterations,
+        .max_operations = numbers[4] > 0 ? ddmpc_limited_allowance(n, m, max_active) : 1LL << 60,
         .deadline = numbers[3] > 0 ? 1e-9 : INFINITY};
     return ddmpc_solve_limited(&problem, &memory, multipliers, plan);
 }
@@ -65,13 +65,13 @@ typedef struct {{
     long long operations;
     real primal, dual;
 }} ddmpc_limited_result;
-long long ddmpc_limited_most(int inputs, int rows, int most_active);
-long long ddmpc_limited_bound(int inputs, int rows, int most_active);
-unsigned long ddmpc_limited_reals(int inputs, int rows, int most_active);
-unsigned long ddmpc_limited_ints(int inputs, int rows, int most_active);
+long long ddmpc_limited_allowance(int inputs, int rows, int max_active);
+long long ddmpc_limited_bound(int inputs, int rows, int max_active);
+unsigned long ddmpc_limited_reals(int inputs, int rows, int max_active);
+unsigned long ddmpc_limited_ints(int inputs, int rows, int max_active);
 ddmpc_limited_result solve_dense(int n, int m, int hard, const real *factor, const real *minimiser, const real *rows,
-                                 const real *lower, const real *upper, const real *numbers, int most_iterations,
-                                 int most_active, real *reals, int *ints, real *multipliers, real *plan);
+                                 const real *lower, const real *upper, const real *numbers, int max_iterations,
+                                 int max_active, real *reals, int *ints, real *multipliers, real *plan);
 """
 
 
@@ -113,10 +113,10 @@ class Solution:
     operations: int
 
 
-def solve(p, warm=None, number="double", slack=1e-6, most_iterations=2000, most_active=None, late=False, bounded=False):
+def solve(p, warm=None, number="double", slack=1e-6, max_iterations=2000, max_active=None, late=False, bounded=False):
     ffi, functions, kind = library(number)
     m, n = p.A.shape
-    most_active = most_active or n + m
+    max_active = max_active or n + m
     factor = np.linalg.cholesky(p.H).T if np.isfinite(p.H).all() else p.H
     minimiser = -np.linalg.solve(p.H, p.g) if np.isfinite(p.H).all() else p.g
 
@@ -126,12 +126,12 @@ def solve(p, warm=None, number="double", slack=1e-6, most_iterations=2000, most_
 
     held = [given_as(a) for a in (factor, minimiser, p.A, p.lower, p.upper, [p.price, p.slope, slack, late, bounded])]
     # Garbage, which nobody may read.
-    _reals, at_reals = given_as(np.full(functions.ddmpc_limited_reals(n, m, most_active), np.nan))
-    ints = np.full(functions.ddmpc_limited_ints(n, m, most_active), 2**30, dtype=np.intc)
+    _reals, at_reals = given_as(np.full(functions.ddmpc_limited_reals(n, m, max_active), np.nan))
+    ints = np.full(functions.ddmpc_limited_ints(n, m, max_active), 2**30, dtype=np.intc)
     multipliers, at_multipliers = given_as(np.zeros(m) if warm is None else warm.copy())
     plan, at_plan = given_as(np.zeros(n))
     result = functions.solve_dense(
-        n, m, p.hard, *(pointer for _, pointer in held), most_iterations, most_active, at_reals,
+        n, m, p.hard, *(pointer for _, pointer in held), max_iterations, max_active, at_reals,
         ffi.cast("int *", ints.ctypes.data), at_multipliers, at_plan,
     )  # fmt: skip
     return Solution(
@@ -361,7 +361,7 @@ def test_a_wrong_start_costs_iterations_only(seed, size):
 def test_what_is_stopped_leaves_the_plan_of_its_multipliers_and_can_go_on(seed):
     p, result = pressing_problem(seed)
     needed = result.iterations
-    for stopped, most in [(solve(p, most_iterations=most), most) for most in (1, needed - 1)] + [
+    for stopped, most in [(solve(p, max_iterations=most), most) for most in (1, needed - 1)] + [
         (solve(p, late=True), 1)
     ]:
         assert (stopped.status, stopped.iterations) == (UNFINISHED, most)
@@ -369,7 +369,7 @@ def test_what_is_stopped_leaves_the_plan_of_its_multipliers_and_can_go_on(seed):
         on = solve(p, stopped.multipliers)
         assert on.status == PROVEN
         assert on.plan == pytest.approx(result.plan, abs=1e-6)
-    assert solve(p, most_iterations=needed).status == PROVEN
+    assert solve(p, max_iterations=needed).status == PROVEN
 
 
 def test_from_whatever_start_its_operations_stay_below_the_bound():
@@ -384,9 +384,9 @@ def test_from_whatever_start_its_operations_stay_below_the_bound():
         m, n = p.A.shape
         room = int(rng.integers(n, n + m))
         start = 10 ** rng.uniform(-3, 3) * rng.normal(size=m) * (rng.random(m) < rng.random())
-        result = solve(p, start, most_active=room, bounded=True)
+        result = solve(p, start, max_active=room, bounded=True)
         shares.append(result.operations / functions.ddmpc_limited_bound(n, m, room))
-        stopped += result.status == UNFINISHED and result.operations >= functions.ddmpc_limited_most(n, m, room)
+        stopped += result.status == UNFINISHED and result.operations >= functions.ddmpc_limited_allowance(n, m, room)
         if result.status == PROVEN:
             assert_optimal(p, result)
     assert max(shares) < 1.0
@@ -396,7 +396,7 @@ def test_from_whatever_start_its_operations_stay_below_the_bound():
 
 def test_without_room_for_all_rows_it_is_stopped():
     p, solution = pressing_problem(0)
-    stopped = solve(p, most_active=solution.active - 2)
+    stopped = solve(p, max_active=solution.active - 2)
     assert stopped.status == UNFINISHED
     assert 0 < stopped.active <= solution.active - 2
 

@@ -17,7 +17,7 @@ from diffdrive_mpc import Controller, Measurement, Stamped, load_config, load_tr
 from diffdrive_mpc.mpc import Mode
 from diffdrive_mpc.mpc.ros.control_loop import ControlLoop
 from diffdrive_mpc.mpc.ros.recording import TickRecords
-from diffdrive_mpc.mpc.solver.backend import BACKENDS, SetUpTime, ask, load_backend
+from diffdrive_mpc.mpc.solver.backend import BACKENDS, SetUpTime, load_backend, solve_all
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 from diffdrive_mpc_extras.replay.node_log import LoggedConfigs, recorded_drive
 from diffdrive_mpc_extras.replay.replay import replay
@@ -56,7 +56,7 @@ class PlainProgram:
         values = self.all_rows() @ plan
         return np.maximum(values - self.upper, self.lower - values)
 
-    def broken(self, plan, margin):
+    def violated_kinds(self, plan, margin):
         return tuple(np.flatnonzero(self.excess(plan).max(axis=1) > margin).tolist())
 
 
@@ -146,7 +146,7 @@ def test_random_programs_exercise_all_limits():
 def test_adding_violated_limits_gives_the_full_solution(backend, seed, tightness):
     program = random_program(seed, tightness, softness=0.3)
     whole = solve(program, "daqp")
-    solution, report = ask(
+    solution, report = solve_all(
         load_backend(backend)(STEPS, KINDS, solver_settings(backend), WEIGHTS), program, backend, 1e-9
     )
     assume(report.status is SolverStatus.SOLVED)
@@ -158,7 +158,9 @@ def test_adding_violated_limits_gives_the_full_solution(backend, seed, tightness
 def test_nan_in_a_program_is_reported(backend):
     program = random_program(0)
     program.g = np.full_like(program.g, np.nan)
-    _, report = ask(load_backend(backend)(STEPS, KINDS, solver_settings(backend), WEIGHTS), program, backend, 1e-9)
+    _, report = solve_all(
+        load_backend(backend)(STEPS, KINDS, solver_settings(backend), WEIGHTS), program, backend, 1e-9
+    )
     assert not report.status.usable
 
 
@@ -206,7 +208,7 @@ def test_backend_plan_equals_the_active_set_with_active_limits(backend):
         step = controller.step(plant.time, plant.measure())
         plant.advance(step.command)
         if step.solver.method == "active_set":
-            solution, report = ask(exact, controller.program, backend, 1e-9)
+            solution, report = solve_all(exact, controller.program, backend, 1e-9)
             assert report.status is SolverStatus.SOLVED
             assert solution.plan == pytest.approx(step.planned_commands.reshape(-1), abs=2e-5)
             compared += 1
@@ -224,8 +226,8 @@ def test_violated_limit_is_detected_at_every_step():
         for bounds, beyond in ((program.upper, 0.01), (program.lower, -0.01)):
             plan = np.zeros(2 * controller.config.horizon)
             plan[2 * row + channel] = bounds[channel, row] + beyond
-            assert [kind for kind in program.broken(plan, 0.005) if kind < 2] == [channel]
-            assert [kind for kind in program.broken(plan, 0.02) if kind < 2] == []
+            assert [kind for kind in program.violated_kinds(plan, 0.005) if kind < 2] == [channel]
+            assert [kind for kind in program.violated_kinds(plan, 0.02) if kind < 2] == []
 
 
 # Solves that are stopped.
@@ -339,7 +341,7 @@ def test_node_bounds_solves_by_the_clock_and_replay_is_exact(time_limit, tmp_pat
         inbox.measurement, inbox.newest_pose = lambda latest=measured: latest, measured.pose
         tick = loop.tick()
         if tick.result is not None:
-            lines += records.lines(loop.begun, tick)
+            lines += records.lines(loop.drive, tick)
             results.append(tick.result)
         robot.advance(tick.command)
     limit = time_limit or 0.5 * driven.sample_time

@@ -16,7 +16,7 @@ from side_by_side import ACTIVE_SET, Pair, changed
 
 from diffdrive_mpc import ControllerConfig, Measurement, Stamped, load_config, load_model
 from diffdrive_mpc.mpc.hold import Hold
-from diffdrive_mpc.mpc.problem.margin import LIGHTEST
+from diffdrive_mpc.mpc.problem.margin import MIN_WEIGHTS
 from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS, Slip
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
@@ -80,7 +80,7 @@ def numeric_fields():
         for name, field in type(attrgetter(group)(ControllerConfig())).model_fields.items():
             # Curved slip, dead reckoning and the signs of sensors are not the oracle's: they have tests of their own.
             excluded = (*CURVED_SLIPS, "dead_reckoning", "sign", "turn_sign")
-            default = dict(zip(("v_increment", "omega_increment"), LIGHTEST.tolist(), strict=True)).get(
+            default = dict(zip(("v_increment", "omega_increment"), MIN_WEIGHTS.tolist(), strict=True)).get(
                 name, field.default
             )
             if not (default is None or isinstance(default, bool) or name.startswith(excluded)):

@@ -21,14 +21,14 @@ class Loop:
 
     def __init__(self):
         self.inbox = SimpleNamespace(now=0.0)
-        self.state, self.begun, self.held, self.blocked = LoopState.IDLE, None, False, False
+        self.state, self.drive, self.held, self.blocked = LoopState.IDLE, None, False, False
         self.wait_reason = ""
         self.calls = []
 
     def missing(self):
         return ""
 
-    def whereabouts(self):
+    def pose_and_twist(self):
         return np.zeros(3), (0.0, 0.0)
 
     def follow(self, reference, t0):
@@ -73,10 +73,10 @@ def test_a_goal_waits_for_its_path_and_then_for_the_loop(made):
     loop, beside, following = made
     goal = FollowGoal(STRAIGHT, "odom")
     following.take(goal)
-    following.after(standing())
+    following.update(standing())
     assert loop.calls == [] and goal.end is None
     beside.respond()
-    assert loop.calls == ["follow"] and goal.laid.length == pytest.approx(1.0)
+    assert loop.calls == ["follow"] and goal.path.length == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(
@@ -91,26 +91,26 @@ def test_a_goal_waits_for_its_path_and_then_for_the_loop(made):
 )
 def test_a_robot_that_stands_at_the_end_has_arrived(made, robot, poses):
     loop, beside, following = made
-    loop.whereabouts = lambda: (np.array(robot), (0.0, 0.0))
+    loop.pose_and_twist = lambda: (np.array(robot), (0.0, 0.0))
     following.take(goal := FollowGoal(poses, "odom"))
     beside.respond()
     assert (goal.end.outcome, goal.end.code) == (GoalOutcome.SUCCEEDED, Code.NONE)
     assert loop.calls == []
 
 
-@pytest.mark.parametrize("whereabouts", [((1.0, 0.0, 0.0), (0.1, 0.0)), ((1.2, 0.0, 0.0), (0.0, 0.0)), None])
-def test_nothing_left_to_drive_is_no_arrival_where_the_robot_moves_or_is_elsewhere(made, whereabouts):
+@pytest.mark.parametrize("state", [((1.0, 0.0, 0.0), (0.1, 0.0)), ((1.2, 0.0, 0.0), (0.0, 0.0)), None])
+def test_nothing_left_to_drive_is_no_arrival_where_the_robot_moves_or_is_elsewhere(made, state):
     loop, beside, following = made
     following.take(old := FollowGoal(STRAIGHT, "odom"))
     beside.respond()
-    loop.whereabouts = lambda: (np.array([1.0, 0.0, 0.0]), (0.0, 0.0) if whereabouts is None else whereabouts[1])
+    loop.pose_and_twist = lambda: (np.array([1.0, 0.0, 0.0]), (0.0, 0.0) if state is None else state[1])
     following.take(goal := FollowGoal(STRAIGHT, "odom"))
-    loop.whereabouts = lambda: whereabouts and (np.array(whereabouts[0]), whereabouts[1])
+    loop.pose_and_twist = lambda: state and (np.array(state[0]), state[1])
     beside.respond()
-    code = Code.TF_ERROR if whereabouts is None else Code.INVALID_PATH
+    code = Code.TF_ERROR if state is None else Code.INVALID_PATH
     assert (goal.end.outcome, goal.end.code) == (GoalOutcome.ABORTED, code)
     # The drive that it was to replace ends, too.
-    following.after(standing())
+    following.update(standing())
     assert loop.calls == ["follow", "brake", "release"] and old.end.outcome is GoalOutcome.ABORTED
 
 
@@ -134,7 +134,7 @@ def test_cancelling_what_has_not_begun_ends_the_drive_that_it_was_to_replace(mad
     beside.respond()
     following.take(newer)
     newer.cancelled = True
-    following.after(standing())
+    following.update(standing())
     assert newer.end.outcome is GoalOutcome.CANCELED
     assert loop.calls == ["follow", "brake", "release"]
     assert (old.end.outcome, old.end.words) == (GoalOutcome.ABORTED, "a newer goal was cancelled")
@@ -146,8 +146,8 @@ def test_a_path_that_is_never_laid_is_given_up(made, monkeypatch):
     _, beside, following = made
     goal = FollowGoal(STRAIGHT, "odom")
     following.take(goal)
-    goal.handed_on -= follow_goal._LONGEST_LAYING + 1.0
-    following.after(standing())
+    goal.received_at -= follow_goal._MAX_PLANNING_TIME + 1.0
+    following.update(standing())
     assert goal.end.code is Code.CONTROLLER_TIMED_OUT
     following.take(slow := FollowGoal(STRAIGHT, "odom"))
     beside.requests[-1][2]("to read it takes longer than 10 s")
@@ -159,7 +159,7 @@ def test_a_fault_of_the_loop_ends_the_goal(made):
     goal = FollowGoal(STRAIGHT, "odom")
     following.take(goal)
     beside.respond()
-    following.after(LoopTick(np.zeros(2), LoopState.FAULT, "ValueError: nothing"))
+    following.update(LoopTick(np.zeros(2), LoopState.FAULT, "ValueError: nothing"))
     assert (goal.end.code, goal.end.words) == (Code.UNKNOWN, "ValueError: nothing")
 
 
@@ -169,10 +169,10 @@ def test_without_a_pose_it_waits_for_its_patience_and_no_longer(made):
     following.take(goal)
     beside.respond()
     loop.inbox.now = 0.9 * SETTINGS.follow_patience
-    following.after(standing())
+    following.update(standing())
     assert goal.end is None
     loop.inbox.now = 1.1 * SETTINGS.follow_patience
-    following.after(standing())
+    following.update(standing())
     assert (goal.end.code, goal.end.words) == (Code.TF_ERROR, "no pose arrives")
 
 
@@ -189,26 +189,26 @@ def test_robot_waits_for_a_silent_client_drives_on_and_then_gives_up(made, monke
     goal = FollowGoal(STRAIGHT, "odom")
     following.take(goal)
     beside.respond()
-    start = goal.heard_at
+    start = goal.alive_at
     drives = LoopTick(np.array([0.6, 0.0]), LoopState.DRIVING, "")
     distance = 0.0
     for count in range(200):
-        goal.unheard = count
+        goal.missed_checks = count
         monkeypatch.setattr(follow_goal.time, "monotonic", lambda now=start + count * CONFIG.sample_time: now)
-        following.after(drives)
+        following.update(drives)
         if loop.wait_reason:
             break
         distance += 0.6 * CONFIG.sample_time
     braking = 0.6**2 / (2.0 * CONFIG.limits.v_braking)
     assert SETTINGS.follow_blind_distance - 0.35 < distance + braking < SETTINGS.follow_blind_distance - 0.1
-    following.after(standing())
+    following.update(standing())
     assert "does not acknowledge" in loop.wait_reason and goal.ending is None
-    goal.unheard, goal.heard_at = 0, goal.heard_at + 2.0
-    following.after(standing())
+    goal.missed_checks, goal.alive_at = 0, goal.alive_at + 2.0
+    following.update(standing())
     assert loop.wait_reason == ""
-    goal.unheard = 3
-    monkeypatch.setattr(follow_goal.time, "monotonic", lambda: goal.heard_at + 5.1)
-    following.after(standing())
+    goal.missed_checks = 3
+    monkeypatch.setattr(follow_goal.time, "monotonic", lambda: goal.alive_at + 5.1)
+    following.update(standing())
     assert goal.end.outcome is GoalOutcome.ABORTED and "its client has ended" in goal.end.words
 
 

@@ -78,12 +78,12 @@ def test_one_computation_serves_all_controllers_alike():
     assert margin._increment_weights.cache_info().misses == before.misses
 
 
-def test_where_no_weight_gives_the_margin_a_stated_one_is_refused_and_the_default_leaves_constants():
+def test_unreachable_margin_raises_config_error_and_default_margin_leaves_constants():
     assert weights({"horizon": 5})[1] == 4.0
-    with pytest.raises(ConfigError, match=r"margin\.omega = 0\.6 s.*state less"):
+    with pytest.raises(ConfigError, match=r"margin\.omega = 0\.6 s.*set a smaller margin"):
         weights({"margin.omega": 0.6})
     assert margin.with_increments(load_config("sm"), saturating()).weights.v_increment == 5.0
-    # What has no weight stays as it is, and what no arithmetic bears is no error.
+    # Zero and extreme weights raise no error.
     assert np.isfinite(weights({"weights.along": 0.0, "weights.heading": 1e12})).all()
 
 

@@ -174,7 +174,7 @@ def test_what_cannot_be_a_robots_model_is_refused_in_one_line():
             model(after)
     with pytest.raises(ModelError, match="step has 4 numbers in window, expected 6"):
         model(0.5 * x + window[2:], memory=2)
-    with pytest.raises(ConfigError, match="set sample_time to that"):
+    with pytest.raises(ConfigError, match="set sample_time to it"):
         Controller(load_config("ssm"), model=saturating(dt=0.01))
 
 

@@ -187,7 +187,7 @@ def test_resume_returns_to_where_the_reference_waits_and_start_begins_anew():
     assert first.reference_delay > 20.0
     rig.run(5.0)
     assert rig.loop.last.mode == Mode.TRACKING
-    sample = rig.loop.reference.sample([rig.now * 1e-9 - rig.loop.begun.t0 - rig.loop.last.result.reference_delay])
+    sample = rig.loop.reference.sample([rig.now * 1e-9 - rig.loop.drive.t0 - rig.loop.last.result.reference_delay])
     assert np.hypot(*(rig.pose() - sample.pose[0])[:2]) < 0.05
     assert np.hypot(*(sample.pose[0] - reached)[:2]) > 0.5
 

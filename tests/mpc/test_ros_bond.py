@@ -25,7 +25,7 @@ class Side:
         for _ in range(round(seconds / PERIOD)):
             self.time += PERIOD
             if hears is not None:
-                self.protocol.hear(lives=hears)
+                self.protocol.receive(is_alive=hears)
             self.protocol.beat()
         return self.protocol.state
 
@@ -40,11 +40,11 @@ def test_it_waits_is_bound_and_leaves_when_the_sister_has_heard():
     assert side.heartbeats[-1] is False
     assert side.pass_by(1.0, hears=True) is BondState.LEAVING
     assert not any(side.heartbeats[-10:])
-    side.protocol.hear(lives=False)
+    side.protocol.receive(is_alive=False)
     count = len(side.heartbeats)
     assert side.pass_by(10.0, hears=True) is BondState.DEAD
     assert len(side.heartbeats) == count
-    assert not side.protocol.lost
+    assert not side.protocol.end_reason
 
 
 @pytest.mark.parametrize(
@@ -56,7 +56,7 @@ def test_without_a_sister_it_falls_silent_after_a_while(bound, timeout, lost):
         side.pass_by(1.0, hears=True)
     assert side.pass_by(timeout - 0.3) is not BondState.DEAD
     assert side.pass_by(0.6) is BondState.DEAD
-    assert side.protocol.lost == lost
+    assert side.protocol.end_reason == lost
     count = len(side.heartbeats)
     side.pass_by(20.0, hears=True)
     assert len(side.heartbeats) == count
@@ -65,9 +65,9 @@ def test_without_a_sister_it_falls_silent_after_a_while(bound, timeout, lost):
 def test_a_sister_that_dies_is_answered_once_and_one_that_never_answers_is_left():
     side = Side()
     side.pass_by(1.0, hears=True)
-    side.protocol.hear(lives=False)
+    side.protocol.receive(is_alive=False)
     assert side.heartbeats[-1] is False
-    assert side.protocol.lost == "it has ended the bond"
+    assert side.protocol.end_reason == "it has ended the bond"
     count = len(side.heartbeats)
     assert side.pass_by(5.0, hears=False) is BondState.DEAD
     assert len(side.heartbeats) == count
@@ -90,7 +90,7 @@ def test_whatever_happens_the_dead_stay_dead_and_say_nothing(events):
         elif event == "leave":
             side.protocol.leave()
         else:
-            side.protocol.hear(lives=event == "alive")
+            side.protocol.receive(is_alive=event == "alive")
         if dead:
             assert side.protocol.state is BondState.DEAD
             assert len(side.heartbeats) == count
@@ -141,7 +141,7 @@ def test_over_dds_a_manager_is_bound_and_told_at_once_of_deactivation(managed):
     s, manager = managed
     assert s.trigger("start").success
     manager.live(1.5)
-    assert s.node.parts["bond"].bond.words == "bound"
+    assert s.node.parts["bond"].bond.text == "bound"
     first = manager.heard[-1]
     assert (first.active, first.id, first.instance_id) == (True, "diffdrive_mpc", manager.sister)
     assert first.heartbeat_period == pytest.approx(0.1)

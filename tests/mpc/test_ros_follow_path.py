@@ -238,7 +238,7 @@ def test_goal_that_cannot_be_driven_is_aborted_without_motion(parts):
         "frame": (STRAIGHT, {"frame": "map"}, 102, "'map'"),
         "far": (STRAIGHT + [3.0, 0.0, 0.0], {}, 103, "begins 3.00 m from the robot"),
         "wild": (wild, {}, 103, "turns back"),
-        "many": (np.repeat(STRAIGHT, 2, axis=0), {}, 103, "82 poses, the most is 50"),
+        "many": (np.repeat(STRAIGHT, 2, axis=0), {}, 103, "82 poses, the limit is 50"),
         "controller": (STRAIGHT, {"controller": "other"}, 101, "controller_id is 'other'"),
     }
     with parts.following(follow_most_poses=50, follow_controller_id="FollowPath") as follow:

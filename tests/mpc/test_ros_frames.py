@@ -123,7 +123,7 @@ def test_poses_from_transforms_drive_the_robot_in_the_map(localised):
     s.base.run(150)
     assert s.loop.last.mode == Mode.TRACKING
     np.testing.assert_allclose(s.loop.last.result.estimate.pose[:2], robot.in_map()[:2], atol=0.02)
-    start = s.loop.begun.reference.sample([0.0]).pose[0]
+    start = s.loop.drive.reference.sample([0.0]).pose[0]
     assert abs(wrap_angle(start[2] - 0.7)) < 0.01
     centre = placed(start, (0.0, 1.0, 0.0))[:2]
     assert abs(math.hypot(*(robot.in_map()[:2] - centre)) - 1.0) < 0.02
@@ -156,7 +156,7 @@ def test_path_in_the_map_follows_corrections_of_the_localisation(localised):
     first = s.base.run(150)
     assert s.loop.last.mode == Mode.TRACKING
     assert abs(beside(start, robot.in_map())) < 0.01
-    begun = s.loop.begun
+    begun = s.loop.drive
     for correction in (0.05, 0.25):
         x, y, turn = robot.map_to_odom
         robot.map_to_odom = (x - math.sin(turn) * correction, y + math.cos(turn) * correction, turn)
@@ -164,8 +164,8 @@ def test_path_in_the_map_follows_corrections_of_the_localisation(localised):
         assert s.loop.last.mode == Mode.TRACKING
         assert abs(beside(start, robot.in_map())) < 0.015
     # Nothing was begun anew for it, and no command left its limits.
-    assert s.loop.begun is begun
-    assert s.loop.relaid >= 2
+    assert s.loop.drive is begun
+    assert s.loop.frame_shifts >= 2
     assert (np.abs(np.diff(first, axis=0)) <= SLEW).all()
     robot.map_to_odom = (50.0, 0.0, 0.0)
     s.base.run(BRAKING + 30)
@@ -184,7 +184,7 @@ def test_lost_frame_of_the_path_brakes_the_robot_until_it_returns(localised):
     robot.published.discard("odom")
     s.base.run(math.ceil(0.5 / DT) + 2)
     assert s.loop.last.mode == Mode.BRAKING
-    assert "where 'map' lies in 'odom' was last said 0.5" in s.loop.last.message
+    assert "the transform of 'map' in 'odom' is 0.5" in s.loop.last.message
     s.base.run(BRAKING)
     assert s.loop.last.mode == Mode.STOPPED
     heard.clear()
@@ -206,9 +206,9 @@ def test_path_in_the_body_frame_starts_at_the_pose_of_its_stamp(localised):
     send(s, straight("base_link", (0.0, 0.0, 0.0), stamp=stamp))
     assert s.trigger("start").success
     s.base.run(1)
-    np.testing.assert_allclose(s.loop._laid.sample([0.0]).pose[0], [2.0, 1.0, 1.0], atol=1e-6)
+    np.testing.assert_allclose(s.loop._moved_reference.sample([0.0]).pose[0], [2.0, 1.0, 1.0], atol=1e-6)
     s.base.run(5)
-    np.testing.assert_allclose(s.loop._laid.sample([0.0]).pose[0], [2.0, 1.0, 1.0], atol=1e-6)
+    np.testing.assert_allclose(s.loop._moved_reference.sample([0.0]).pose[0], [2.0, 1.0, 1.0], atol=1e-6)
 
 
 def test_path_in_an_unknown_frame_or_time_is_rejected(localised, capfd):
@@ -219,16 +219,16 @@ def test_path_in_an_unknown_frame_or_time_is_rejected(localised, capfd):
     publisher = s.publisher(Path, "set_path")
     s.base.run(3)
     for frame, stamp, reason in (
-        ("nowhere", 0, "nobody has spoken of 'nowhere'"),
-        ("base_link", s.base.now + 10**9, "after the last that was heard"),
-        ("base_link", 1, "before the first that was heard"),
+        ("nowhere", 0, "there is no transform of 'nowhere'"),
+        ("base_link", s.base.now + 10**9, "after the last transform"),
+        ("base_link", 1, "before the first transform"),
         ("", 0, "it names no frame"),
     ):
         capfd.readouterr()
         publisher.publish(straight(frame, (0.0, 0.0, 0.0), stamp=stamp))
         refused_for(s, reason, capfd)
         s.base.run(3)
-        assert s.loop.begun.reference.name == "circle"
+        assert s.loop.drive.reference.name == "circle"
         assert s.loop.state is LoopState.DRIVING
 
 

@@ -25,7 +25,7 @@ from diffdrive_mpc.mpc import Mode
 from diffdrive_mpc.mpc.config.schema import Limits
 from diffdrive_mpc.mpc.ros.control_loop import LoopState
 from diffdrive_mpc.mpc.ros.conversions import (
-    LONGEST_NAME,
+    MAX_NAME_LENGTH,
     MessageError,
     measured_pose,
     nanoseconds,
@@ -222,7 +222,7 @@ def path_of(poses, frame="odom"):
 
 
 @settings(deadline=None, max_examples=30)
-@given(poses=st.integers(0, 50), name=st.integers(0, LONGEST_NAME), frame_length=st.integers(0, LONGEST_NAME))
+@given(poses=st.integers(0, 50), name=st.integers(0, MAX_NAME_LENGTH), frame_length=st.integers(0, MAX_NAME_LENGTH))
 def test_bound_of_bytes_covers_every_usable_path(poses, name, frame_length):
     path = Path(poses=[PoseStamped()] * poses)
     path.header.frame_id = "x" * name
@@ -239,7 +239,7 @@ def test_too_long_path_is_rejected_unread_and_the_robot_drives_on(capfd):
         s.base.until(lambda: "reference refused: it has 1" in capfd.readouterr().err, "the refusal")
         assert s.base.run(20)[-1, 0] > 0.1
         assert s.loop.state is LoopState.DRIVING
-        assert s.loop.begun.reference.name == "circle"
+        assert s.loop.drive.reference.name == "circle"
 
 
 def test_refused_reference_is_a_warning_until_one_is_accepted():
@@ -273,7 +273,7 @@ def test_late_robot_is_a_warning_that_names_its_limit():
 def test_control_loop_runs_while_a_reference_is_read():
     with stack(drive=True) as s:
         s.base.run(20)
-        before = s.loop.begun
+        before = s.loop.drive
         path = Path()
         path.header.frame_id = "odom"
         x, y, theta = s.base.plant.true_pose
@@ -282,15 +282,15 @@ def test_control_loop_runs_while_a_reference_is_read():
             path.poses.append(stamped_pose_message(pose, 10**9 + index * 20_000_000, "odom"))
         publisher = s.publisher(Path, "set_path")
         publisher.publish(path)
-        s.base.until(lambda: s.node._aside._process is not None, "the path to arrive")
+        s.base.until(lambda: s.node._worker._process is not None, "the path to arrive")
         # While the process that reads is halted, ticks are answered.
-        os.kill(s.node._aside._process.pid, signal.SIGSTOP)
+        os.kill(s.node._worker._process.pid, signal.SIGSTOP)
         s.base.run(3)
-        assert s.loop.begun is before
-        os.kill(s.node._aside._process.pid, signal.SIGCONT)
-        s.base.until(lambda: s.loop.begun is not before, "the path to be begun")
+        assert s.loop.drive is before
+        os.kill(s.node._worker._process.pid, signal.SIGCONT)
+        s.base.until(lambda: s.loop.drive is not before, "the path to be begun")
         s.base.run(2)
-        assert s.loop.begun.reference.name == "path"
+        assert s.loop.drive.reference.name == "path"
         s.base.run(40)
         assert s.loop.last.mode == Mode.TRACKING
 

@@ -152,7 +152,7 @@ def test_trajectory_starts_at_the_robot():
         assert s.trigger("start").success
         s.base.run(40)
         assert s.loop.last.mode == Mode.TRACKING
-        np.testing.assert_allclose(s.loop.begun.reference.sample([0.0]).pose[0], [2.0, -1.0, 2.0], atol=1e-6)
+        np.testing.assert_allclose(s.loop.drive.reference.sample([0.0]).pose[0], [2.0, -1.0, 2.0], atol=1e-6)
         moved = s.base.plant.true_pose - [2.0, -1.0, 2.0]
         assert math.cos(2.0) * moved[0] + math.sin(2.0) * moved[1] > 0.15
 
@@ -210,7 +210,7 @@ def no_times():
     ("path", "reason"),
     [
         (straight(frame="map"), "its frame_id is 'map', expected 'odom'"),
-        (no_times(), "does not come after the one before"),
+        (no_times(), "is not later than the previous pose"),
     ],
 )
 def test_bad_path_is_rejected_and_the_previous_one_goes_on(path, reason, capfd):
@@ -219,7 +219,7 @@ def test_bad_path_is_rejected_and_the_previous_one_goes_on(path, reason, capfd):
         sent_path(s, path)
         s.base.until(lambda: reason in capfd.readouterr().err, "the refusal")
         assert s.loop.state is LoopState.DRIVING
-        assert s.loop.begun.reference.name == "circle"
+        assert s.loop.drive.reference.name == "circle"
 
 
 def test_paths_marker_error_and_mode_are_published():

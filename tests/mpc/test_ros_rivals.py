@@ -71,7 +71,7 @@ def test_base_with_another_command_type_is_reported_with_the_remedy(stamped, com
         deaf = rclpy.create_node("deaf_base", context=context)
         deaf.create_subscription(command_type, "cmd_vel", lambda _: None, 1)
         s.base.until(lambda: "/deaf_base" in s.loop.warning, "the warning")
-        assert s.loop.warning.startswith(f"/deaf_base listens on /cmd_vel to {command_type.__name__} and cannot hear")
+        assert s.loop.warning.startswith(f"/deaf_base subscribes to /cmd_vel with type {command_type.__name__} and")
         assert s.loop.warning.endswith(f"set the parameter stamped:={remedy}")
         deaf.destroy_node()
         rclpy.shutdown(context=context)

@@ -235,10 +235,10 @@ class Scenario:
         assert self.s.loop.last.result.reference_delay > seconds
 
     def remember(self, _):
-        self.begun = self.s.loop.begun
+        self.first_drive = self.s.loop.drive
 
     def same_reference(self, _):
-        assert self.s.loop.begun is self.begun
+        assert self.s.loop.drive is self.first_drive
 
 
 def rows():

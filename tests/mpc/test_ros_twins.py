@@ -14,7 +14,7 @@ from sensor_driver import KINDS, driver, message_of
 from diffdrive_mpc.mpc.ros.conversions import time_message
 
 INPUTS = list(KINDS)
-SHARED = "two publishers of /fake_base publish on /{}, and nobody knows whose message is true; stop all but one"
+SHARED = "two publishers of /fake_base publish on /{}, and it is not known which messages are right; stop all but one"
 
 
 class Twin:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from diffdrive_mpc import Controller, load_config, load_trajectory, make_plant
-from diffdrive_mpc.mpc.ros.reference_input import SLOWEST, SpeedLimit
+from diffdrive_mpc.mpc.ros.reference_input import MIN_SPEED_LIMIT, SpeedLimit
 from diffdrive_mpc.mpc.step_result import Mode
 
 CONFIG = load_config("ssm")
@@ -114,6 +114,6 @@ def test_a_stated_limit_is_none_or_between_almost_nothing_and_the_greatest_speed
     if value == 0.0:
         assert result is None
     else:
-        assert SLOWEST <= result <= greatest
+        assert MIN_SPEED_LIMIT <= result <= greatest
         stated = value * greatest / 100 if percentage else value
-        assert result == pytest.approx(min(max(stated, SLOWEST), greatest))
+        assert result == pytest.approx(min(max(stated, MIN_SPEED_LIMIT), greatest))

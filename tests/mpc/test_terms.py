@@ -10,7 +10,7 @@ import yaml
 from ideal_robot import IdealRobot, drive
 
 from diffdrive_mpc import ConfigError, Controller, Measurement, Stamped, Term, load_config, load_model
-from diffdrive_mpc.mpc.problem.terms import MOST_SOFT_ROWS
+from diffdrive_mpc.mpc.problem.terms import MAX_SOFT_ROWS
 from diffdrive_mpc.mpc.step_result import Mode
 from diffdrive_mpc.mpc.trajectories import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
@@ -235,7 +235,7 @@ def taking(inputs, output="pose[0]", names=None):
 @pytest.mark.parametrize(
     ("text", "changes", "message"),
     [
-        (FILE, {"file": "none.py"}, "none.py: no such Python file; a term names the file of its function"),
+        (FILE, {"file": "none.py"}, "none.py: no such Python file; give the path of the term"),
         (taking("pose, x", names=["pose", "twst"]), {}, MINE + "unknown input 'twst'; name it twist"),
         (taking("pose", "pose[0] + x[0]").replace("['out'])", "['out'], {'allow_free': True})"), {}, "depends on x_0"),
         (FILE, {"lower": ...}, MINE + "kind soft, but no limit; give upper or lower, or make it a residual"),
@@ -272,9 +272,9 @@ def wide(rows):
 
 def test_too_many_rows_of_terms_raise_error():
     terms = [Term("a", wide(20), "soft", upper=20 * [5.0]), Term("b", wide(4), "soft", upper=4 * [5.0])]
-    assert sum(term.rows for term in terms) == MOST_SOFT_ROWS
+    assert sum(term.rows for term in terms) == MAX_SOFT_ROWS
     Controller(load_config("ssm", {"horizon": 200}), terms=terms)
-    with pytest.raises(ConfigError, match=r"25 rows together \(a 20, b 4, c 1\), at most 24 are held; leave some out"):
+    with pytest.raises(ConfigError, match=r"25 rows together \(a 20, b 4, c 1\), the maximum is 24; remove some"):
         Controller(CONFIG, terms=[*terms, Term("c", wide(1), "soft", upper=5.0)])
 
 
@@ -286,7 +286,7 @@ def test_duplicate_term_names_raise_error():
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("push_of", [1.0, 2.0], "term 'push_of': there is none; there are: keep_off, push_off"),
+        ("push_of", [1.0, 2.0], "term 'push_of': not found; there are: keep_off, push_off"),
         ("push_off", [1.0], "term 'push_off': give 2 parameters, or 31 rows of them (found shape (1,))"),
         ("push_off", [1.0, float("nan")], "term 'push_off': its parameters contain a value that is not finite"),
     ],

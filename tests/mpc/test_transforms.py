@@ -8,7 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from diffdrive_mpc.mpc.ros.transforms.buffer import AHEAD, KEPT, MOST_FRAMES, MOST_KEPT, TransformBuffer, TransformError
+from diffdrive_mpc.mpc.ros.transforms.buffer import (
+    MAX_FRAMES,
+    MAX_FUTURE,
+    MAX_TRANSFORMS,
+    STORED_TIME,
+    TransformBuffer,
+    TransformError,
+)
 from diffdrive_mpc.mpc.ros.transforms.rigid import IDENTITY, Rigid
 
 NOW = 100 * 10**9
@@ -105,15 +112,15 @@ def test_what_is_static_holds_at_any_time():
     assert buffer.lookup("odom", "laser", NOW, NOW + 10**9).transform.x == pytest.approx(1.0 + 0.2 * math.cos(0.1))
     buffer.clear()
     assert buffer.lookup("base_link", "laser", NOW).transform.x == 0.2
-    with pytest.raises(TransformError, match="nobody has spoken of 'odom'"):
+    with pytest.raises(TransformError, match="there is no transform of 'odom'"):
         buffer.lookup("odom", "base_link", NOW)
 
 
 @pytest.mark.parametrize(
     ("time", "words"),
     [
-        (NOW + 2 * 10**9, "0.10 s after the last that was heard"),
-        (NOW - 10**9, "1.00 s before the first that was heard"),
+        (NOW + 2 * 10**9, "0.10 s after the last transform"),
+        (NOW - 10**9, "1.00 s before the first transform"),
     ],
 )
 def test_nothing_is_guessed_beyond_what_was_heard(time, words):
@@ -126,7 +133,7 @@ def test_frames_that_are_not_connected_are_named():
     buffer.insert("map", "robot2/odom", NOW, IDENTITY, NOW)
     with pytest.raises(TransformError, match="no chain of frames leads from one to the other"):
         buffer.lookup("map", "base_link", NOW)
-    with pytest.raises(TransformError, match="nobody has spoken of 'mpa'"):
+    with pytest.raises(TransformError, match="there is no transform of 'mpa'"):
         buffer.lookup("mpa", "base_link", NOW)
 
 
@@ -147,7 +154,7 @@ def test_two_parents_in_turns_are_a_dispute_and_one_change_is_none():
     with pytest.raises(TransformError, match="'base_link' is placed in 'odom' and in 'map' by turns"):
         buffer.lookup("odom", "base_link", later + 1)
     # Once it has been settled for as long as anything is kept, it is forgotten.
-    settled = later + KEPT + 2
+    settled = later + STORED_TIME + 2
     buffer.insert("odom", "base_link", settled, planar(3.0, 0.0, 0.0), settled)
     assert buffer.lookup("odom", "base_link", settled).transform.x == 3.0
 
@@ -157,7 +164,7 @@ def test_two_parents_in_turns_are_a_dispute_and_one_change_is_none():
     [
         (planar(math.nan, 0.0, 0.0), NOW, ("odom", "base_link"), "not finite"),
         (Rigid(0, 0, 0, 0, 0, 0, 0), NOW, ("odom", "base_link"), "no unit quaternion"),
-        (IDENTITY, NOW + AHEAD + 1, ("odom", "base_link"), "in the future: are the clocks in step"),
+        (IDENTITY, NOW + MAX_FUTURE + 1, ("odom", "base_link"), "in the future: are the clocks in step"),
         (IDENTITY, NOW, ("odom", "odom"), "names no two frames"),
     ],
 )
@@ -171,12 +178,12 @@ def test_what_cannot_be_used_is_refused_and_changes_nothing(transform, stamp, fr
 
 def test_memory_is_bounded():
     buffer = TransformBuffer()
-    for index in range(MOST_KEPT + 100):
+    for index in range(MAX_TRANSFORMS + 100):
         buffer.insert("odom", "base_link", NOW + index * 1000, IDENTITY, NOW)
-    assert len(buffer) == MOST_KEPT
-    buffer.insert("odom", "base_link", NOW + 2 * KEPT, IDENTITY, NOW + 2 * KEPT)
+    assert len(buffer) == MAX_TRANSFORMS
+    buffer.insert("odom", "base_link", NOW + 2 * STORED_TIME, IDENTITY, NOW + 2 * STORED_TIME)
     assert len(buffer) == 1
     with pytest.raises(TransformError, match="one frame too many"):
-        for index in range(MOST_FRAMES + 1):
+        for index in range(MAX_FRAMES + 1):
             buffer.insert("odom", f"f{index}", NOW, IDENTITY, NOW)
-    assert len(buffer) == MOST_FRAMES
+    assert len(buffer) == MAX_FRAMES

@@ -1,1 +1,1 @@
-"""Frames and the transforms between them: stored for some seconds, looked up along chains, and checked."""
+"""Frames and the transforms between them: stored for several seconds, looked up along chains, and checked."""

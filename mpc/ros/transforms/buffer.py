@@ -1,7 +1,8 @@
-"""Transforms of the last seconds, by the frame that they place; looked up along chains of frames, at any stored time.
+"""Buffer of the transforms of the last seconds by child frame, for lookups along chains of frames at any stored time.
 
-As tf2 does it: no transform is guessed beyond its newest stamp, and without a time the newest is taken that the whole
-chain has. It also reports faults: loops, frames placed by two parents in turns, stamps from the future.
+As in tf2, transforms are not extrapolated beyond their newest stamp, and the default time of a lookup is the newest
+time that all transforms of the chain have. The buffer also reports faults: loops, frames with two alternating parents,
+stamps in the future.
 """
 
 from __future__ import annotations
@@ -17,36 +18,36 @@ from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.mpc.ros.transforms.rigid import IDENTITY, Rigid
 
 _SECOND = 1_000_000_000
-KEPT = 10 * _SECOND
-"""Time for which a transform is stored [ns], the same as in tf2."""
-AHEAD = 2 * _SECOND
-"""A stamp may be so far in the future [ns]: localisations post-date theirs, AMCL by up to a second."""
-MOST_FRAMES = 500
-MOST_KEPT = 4000
+STORED_TIME = 10 * _SECOND
+"""Time for which a transform is stored [ns], as in tf2."""
+MAX_FUTURE = 2 * _SECOND
+"""Maximum time of a stamp in the future [ns]; localisations post-date their transforms, AMCL by up to a second."""
+MAX_FRAMES = 500
+MAX_TRANSFORMS = 4000
 """Maximum number of transforms of one frame; a frame beyond 400 Hz is stored for a shorter time."""
 _NORM_TOLERANCE = 1e-2
 _DISPUTED = 2
-"""Number of parent changes in the stored time from which a frame counts as having two parents."""
+"""Number of parent changes within `STORED_TIME` from which a frame counts as having two parents."""
 
 
 class TransformError(DiffdriveMpcError, ValueError):
-    """Error of an unusable or missing transform; contains the reason, in few words."""
+    """A transform is unusable or missing; the error text is the reason in one line."""
 
     def __init__(self, reason: str) -> None:
-        super().__init__(plain_line(reason))  # its frame names are untrusted text, and logs go to terminals
+        super().__init__(plain_line(reason))  # frame names are untrusted text, and logs are shown in terminals
 
 
 class TransformLookup(NamedTuple):
-    """A transform that was looked up.
+    """Result of a lookup.
 
     Attributes
     ----------
     transform
-        From the source's coordinates to the target's.
+        Transform from coordinates of the source frame to those of the target frame.
     stamp
-        The time that it is valid for [ns]; None: at any, as nothing in it moves.
+        Time at which the transform is valid [ns]; None if all transforms of the chain are static.
     oldest
-        The frame of the chain that was heard of the longest ago; empty where nothing moves.
+        Frame of the chain with the oldest transform; empty if all are static.
     """
 
     transform: Rigid
@@ -56,7 +57,7 @@ class TransformLookup(NamedTuple):
 
 @dataclass
 class _Placed:
-    """Placement of one frame: parent and transforms, oldest first; a static transform holds forever."""
+    """Placement of one frame: parent and transforms, oldest first; a static transform is valid at all times."""
 
     parent: str
     static: bool
@@ -73,7 +74,7 @@ class TransformBuffer:
         self._frames: dict[str, _Placed] = {}
 
     def clear(self) -> None:
-        """Clear moving transforms after the clock was set back; static ones stay."""
+        """Delete moving transforms, after the clock was set back; static transforms stay."""
         self._frames = {name: placed for name, placed in self._frames.items() if placed.static}
 
     def __len__(self) -> int:
@@ -81,12 +82,13 @@ class TransformBuffer:
         return sum(len(placed.stamps) or 1 for placed in self._frames.values())
 
     def insert(self, parent: str, child: str, stamp: int, transform: Rigid, now: int, *, static: bool = False) -> None:
-        """Take in where `child` is in `parent` at `stamp`, heard at `now` [ns].
+        """Store the transform of `child` in `parent` at `stamp`, received at `now` [ns].
 
         Raises
         ------
         TransformError
-            If it is no rigid motion, unused, older than the buffer, or from the future; then nothing changes.
+            If it is not a rigid transform, older than the buffer, in the future, or of too many frames. The buffer is
+            then unchanged.
         """
         parent, child = parent.removeprefix("/"), child.removeprefix("/")
         link = f"'{parent}' -> '{child}'"
@@ -95,15 +97,15 @@ class TransformBuffer:
         norm = math.hypot(*transform[3:])
         if not (all(map(math.isfinite, transform)) and abs(norm - 1.0) <= _NORM_TOLERANCE):
             raise TransformError(f"{link} is not finite, or its rotation no unit quaternion")
-        if not static and stamp - now > AHEAD:
+        if not static and stamp - now > MAX_FUTURE:
             raise TransformError(f"{link} is {(stamp - now) / _SECOND:.1f} s in the future: are the clocks in step?")
         placed = self._frames.get(child)
-        if placed is None and len(self._frames) >= MOST_FRAMES:
-            raise TransformError(f"{link} is one frame too many: {MOST_FRAMES} are kept")
-        # A different parent is a change; parents that alternate come from two publishers in dispute.
+        if placed is None and len(self._frames) >= MAX_FRAMES:
+            raise TransformError(f"{link} is one frame too many: the limit is {MAX_FRAMES}")
+        # A different parent is a change; alternating parents indicate two conflicting publishers.
         if placed is None or (placed.parent, placed.static) != (parent, static):
             changes = (
-                [] if placed is None else [*(change for change in placed.changes if abs(now - change) <= KEPT), now]
+                [] if placed is None else [*(time for time in placed.changes if abs(now - time) <= STORED_TIME), now]
             )
             placed = _Placed(
                 parent, static, changes=changes[-_DISPUTED:], rival_parent="" if placed is None else placed.parent
@@ -113,34 +115,35 @@ class TransformBuffer:
         if static:
             placed.stamps, placed.history = [], {0: unit}
             return
-        if placed.stamps and stamp < placed.stamps[-1] - KEPT:
+        if placed.stamps and stamp < placed.stamps[-1] - STORED_TIME:
             raise TransformError(f"{link} is {(placed.stamps[-1] - stamp) / _SECOND:.1f} s older than the last")
         if stamp not in placed.history:
             insort(placed.stamps, stamp)
         placed.history[stamp] = unit
-        start = bisect_left(placed.stamps, placed.stamps[-1] - KEPT)
-        start = max(start, len(placed.stamps) - MOST_KEPT)
+        start = bisect_left(placed.stamps, placed.stamps[-1] - STORED_TIME)
+        start = max(start, len(placed.stamps) - MAX_TRANSFORMS)
         for old in placed.stamps[:start]:
             del placed.history[old]
         del placed.stamps[:start]
 
     def lookup(self, target: str, source: str, now: int, time: int | None = None) -> TransformLookup:
-        """Look up the transform from `source` to `target` at `time` [ns]; by default the newest of the whole chain.
+        """Look up the transform from `source` to `target` at `time` [ns]; None: the newest time of the whole chain.
 
         Raises
         ------
         TransformError
-            If there is no chain of frames, if it loops or is disputed, or not all of it is known at that time.
+            If there is no chain of frames, if it has a loop or a frame with two parents, or if a transform is not known
+            at that time.
         """
         up, down = self._ancestors(source.removeprefix("/")), self._ancestors(target.removeprefix("/"))
         common = next((name for name in up if name in down), None)
         if common is None:
-            raise TransformError(self._apart(target, source))
+            raise TransformError(self._missing_chain(target, source))
         chain = [*up[: up.index(common)], *down[: down.index(common)]]
         moving = []
         for name in chain:
             placed = self._frames[name]
-            if len([change for change in placed.changes if abs(now - change) <= KEPT]) >= _DISPUTED:
+            if len([change for change in placed.changes if abs(now - change) <= STORED_TIME]) >= _DISPUTED:
                 raise TransformError(
                     f"frame '{name}' is placed in '{placed.parent}' and in '{placed.rival_parent}' by turns: "
                     "it needs one parent"
@@ -178,11 +181,11 @@ class TransformBuffer:
             frame = placed.parent
         raise TransformError(f"frames loop: {' -> '.join([*visited[visited.index(frame) :], frame])}")
 
-    def _apart(self, target: str, source: str) -> str:
+    def _missing_chain(self, target: str, source: str) -> str:
         known = {*self._frames, *(placed.parent for placed in self._frames.values())}
         missing = [name for name in (target, source) if name not in known]
         if missing:
-            return f"no transform from '{source}' to '{target}': nobody has spoken of '{missing[0]}'"
+            return f"no transform from '{source}' to '{target}': there is no transform of '{missing[0]}'"
         return f"no transform from '{source}' to '{target}': no chain of frames leads from one to the other"
 
     def _at(self, name: str, stamp: int | None) -> Rigid:
@@ -195,7 +198,7 @@ class TransformBuffer:
             side, bound = ("after", stamps[-1]) if stamp > stamps[-1] else ("before", stamps[0])
             raise TransformError(
                 f"'{placed.parent}' -> '{name}' is not known at that time: it is {abs(stamp - bound) / _SECOND:.2f} s "
-                f"{side} the {'last' if side == 'after' else 'first'} that was heard"
+                f"{side} the {'last' if side == 'after' else 'first'} transform"
             )
         right = bisect_left(stamps, stamp)
         after = stamps[right]

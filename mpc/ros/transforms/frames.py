@@ -14,25 +14,25 @@ _SECOND = 1e9
 
 
 class Frames:
-    """Answers for one frame that control is in.
+    """Transforms relative to the control frame.
 
     Parameters
     ----------
     control, base
-        Names of the frame that control is in, and of that of the robot.
+        Names of the control frame and of the robot's frame.
     timeout
-        A transform that has not been renewed for longer cannot be relied on [s].
+        Maximum age of a transform [s].
     clock
         The node's clock [ns].
 
     Attributes
     ----------
     buffer
-        Transforms that were received.
+        Received transforms.
     accepted, refused
         Number of accepted and of refused transforms.
     last_refusal
-        Why one was; empty if none was.
+        Reason of the last refusal; empty if there was none.
     """
 
     def __init__(self, control: str, base: str, timeout: float, clock: Callable[[], int]) -> None:
@@ -42,7 +42,7 @@ class Frames:
         self.last_refusal = ""
 
     def take(self, parent: str, child: str, stamp: int, transform: Rigid, *, static: bool) -> None:
-        """Take in one transform with its stamp [ns], or count why not."""
+        """Store one transform with its stamp [ns]; count it and store the reason if it is unusable."""
         try:
             self.buffer.insert(parent, child, stamp, transform, self._clock(), static=static)
         except TransformError as error:
@@ -51,17 +51,17 @@ class Frames:
             self.accepted += 1
 
     def refuse(self, reason: str) -> None:
-        """Count unusable transforms and their reasons."""
+        """Count an unusable transform and store the reason."""
         self.refused += 1
         self.last_refusal = reason
 
     def pose(self) -> tuple[FloatArray, int]:
-        """Return x, y [m], yaw [rad] (3,) of the robot, and their stamp [ns]: the newest of the whole chain.
+        """Return x, y [m], yaw [rad] (3,) of the robot and the stamp [ns], the newest of the whole chain.
 
         Raises
         ------
         TransformError
-            If there is none.
+            If the transform is unknown or static.
         """
         transform = self.buffer.lookup(self.control, self._base, self._clock())
         if transform.stamp is None:
@@ -69,19 +69,19 @@ class Frames:
         return transform.transform.planar, transform.stamp
 
     def oldest(self) -> str:
-        """Return the frame of the robot's chain with the oldest transform; return an empty string without a chain."""
+        """Return the frame of the robot's chain with the oldest transform; empty if there is no chain."""
         try:
             return self.buffer.lookup(self.control, self._base, self._clock()).oldest
         except TransformError:
             return ""
 
     def placement(self, frame: str, stamp: int) -> Placement | None:
-        """Place a reference stated in `frame` at `stamp` [ns; 0: now]; return None if that is the control frame.
+        """Return the placement of a reference in `frame` at `stamp` [ns; 0: now]; None if `frame` is the control frame.
 
         Raises
         ------
         TransformError
-            If that is not known.
+            If the position of `frame` is unknown.
         """
         frame = frame.removeprefix("/")
         return None if frame == self.control else Placement(self, frame, stamp, self._base, self._timeout, self._clock)
@@ -101,16 +101,16 @@ def moved_poses(poses: FloatArray, motion: FloatArray) -> FloatArray:
 
 
 class Placement:
-    """Placement of a reference stated in another frame within the control frame.
+    """Placement of a reference in another frame relative to the control frame.
 
-    A frame that moves with the robot, such as its base, is looked up once, at the stamp of the reference: "a metre
-    ahead" means from there. Any other belongs to the world, as the reference does: it is looked up again and again, as
-    the frame of control drifts in it, and jumps where a localisation corrects it.
+    A frame that moves with the robot, such as its base, is looked up once, at the stamp of the reference: the reference
+    is then relative to the robot's pose at that time. Any other frame is fixed to the world, like the reference. It is
+    looked up at each call of `motion`, since the control frame drifts in it, and jumps after a localisation update.
 
     Raises
     ------
     TransformError
-        If it is not known where the frame is.
+        If the position of the frame is unknown.
     """
 
     def __init__(
@@ -125,12 +125,12 @@ class Placement:
             self.motion()
 
     def motion(self) -> FloatArray:
-        """Return translation x, y [m] and the rotation theta [rad] before it, (3,).
+        """Return the motion (3,): translation x, y [m], and the rotation theta [rad], which is applied first.
 
         Raises
         ------
         TransformError
-            If that is not known, or was not renewed for too long.
+            If the transform is unknown or too old.
         """
         if self._fixed is not None:
             return self._fixed
@@ -139,7 +139,7 @@ class Placement:
         age = 0.0 if transform.stamp is None else (now - transform.stamp) / _SECOND
         if age > self._timeout:
             raise TransformError(
-                f"where '{self.frame}' lies in '{self._frames.control}' was last said {age:.2f} s ago, the limit is "
+                f"the transform of '{self.frame}' in '{self._frames.control}' is {age:.2f} s old, the limit is "
                 f"{self._timeout:g} s (frame '{transform.oldest}')"
             )
         return transform.transform.planar

@@ -1,4 +1,4 @@
-"""Rigid motions in space, as on /tf, and their part in the plane."""
+"""Rigid transforms in space, as on /tf, and their planar part."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 
-_NEARLY = 1.0 - 1e-9
-"""Cosine between two quaternions above which they are interpolated along the chord [-]."""
+_CHORD_COSINE = 1.0 - 1e-9
+"""Cosine between two quaternions above which they are interpolated linearly [-]."""
 
 
 class Rigid(NamedTuple):
-    """Takes coordinates in the child's frame to those in the parent's: turned by the unit quaternion, then moved.
+    """Transform from coordinates of the child frame to those of the parent frame: rotation, then translation.
 
     Attributes
     ----------
     x, y, z
-        [m].
+        Translation [m].
     qx, qy, qz, qw
-        [-].
+        Unit quaternion of the rotation [-].
     """
 
     x: float
@@ -33,10 +33,10 @@ class Rigid(NamedTuple):
     qw: float
 
     def after(self, first: Rigid) -> Rigid:
-        """Compose `first` and then this transform."""
+        """Return the composition that applies `first`, then this transform."""
         ax, ay, az, aw = self[3:]
         bx, by, bz, bw = first[3:]
-        dx, dy, dz = _turned(self, first.x, first.y, first.z)
+        dx, dy, dz = _rotate(self, first.x, first.y, first.z)
         return Rigid(
             self.x + dx,
             self.y + dy,
@@ -48,9 +48,9 @@ class Rigid(NamedTuple):
         )
 
     def inverse(self) -> Rigid:
-        """Invert the transform: from the parent's frame to the child's."""
+        """Return the inverse transform, from the parent frame to the child frame."""
         back = Rigid(0.0, 0.0, 0.0, -self.qx, -self.qy, -self.qz, self.qw)
-        x, y, z = _turned(back, self.x, self.y, self.z)
+        x, y, z = _rotate(back, self.x, self.y, self.z)
         return back._replace(x=-x, y=-y, z=-z)
 
     def towards(self, target: Rigid, share: float) -> Rigid:
@@ -59,25 +59,25 @@ class Rigid(NamedTuple):
         cosine = float(start @ end)
         if cosine < 0.0:
             end, cosine = -end, -cosine
-        if cosine > _NEARLY:
-            turned = start + share * (end - start)
+        if cosine > _CHORD_COSINE:
+            attitude = start + share * (end - start)
         else:
             angle = math.acos(cosine)
-            turned = (math.sin((1.0 - share) * angle) * start + math.sin(share * angle) * end) / math.sin(angle)
-        turned /= np.linalg.norm(turned)
+            attitude = (math.sin((1.0 - share) * angle) * start + math.sin(share * angle) * end) / math.sin(angle)
+        attitude /= np.linalg.norm(attitude)
         x, y, z = (a + share * (b - a) for a, b in zip(self[:3], target[:3], strict=True))
-        return Rigid(x, y, z, *turned.tolist())
+        return Rigid(x, y, z, *attitude.tolist())
 
     @property
     def yaw(self) -> float:
-        """Heading of the child's x axis in the parent's plane [rad]."""
+        """Heading of the child's x axis in the parent's x-y plane [rad]."""
         return math.atan2(
             2.0 * (self.qw * self.qz + self.qx * self.qy), 1.0 - 2.0 * (self.qy * self.qy + self.qz * self.qz)
         )
 
     @property
     def vertical(self) -> tuple[float, float, float]:
-        """The parent's z axis, seen from the child."""
+        """The parent's z axis in coordinates of the child frame."""
         x, y, z, w = self[3:]
         return 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
 
@@ -90,7 +90,7 @@ class Rigid(NamedTuple):
 IDENTITY = Rigid(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
-def _turned(by: Rigid, x: float, y: float, z: float) -> tuple[float, float, float]:
+def _rotate(by: Rigid, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Rotate a vector by a quaternion q: v + 2 w (u x v) + 2 u x (u x v) for q = (u, w)."""
     ux, uy, uz, w = by[3:]
     cx, cy, cz = uy * z - uz * y, uz * x - ux * z, ux * y - uy * x

@@ -174,7 +174,7 @@ _AT_ONCE = 1e-9  # [s]
 
 
 @dataclass(frozen=True, eq=False)
-class Laid:
+class PlannedPath:
     """Reference laid along a path.
 
     Attributes
@@ -208,7 +208,7 @@ def lay_poses(
     beside: float,
     backwards: bool = True,
     name: str = "path",
-) -> Laid:
+) -> PlannedPath:
     """Lay a reference along a planner's poses, to rest at the last of them, heading included.
 
     It starts at the robot's place along the path with the robot's twist, so that a new path replaces another without a
@@ -274,7 +274,7 @@ def lay_poses(
         raise ConfigError("path: all of its poses are at one place, and there is nothing to turn there")
     reference = _joined(nodes, float(robot[2]), name)
     start = reference.sample([0.0]).pose[0]
-    return Laid(reference, sum(run.length for run in runs), off, float(np.hypot(*(start - robot)[:2])))
+    return PlannedPath(reference, sum(run.length for run in runs), off, float(np.hypot(*(start - robot)[:2])))
 
 
 def _check(poses: FloatArray, longest: float) -> None:

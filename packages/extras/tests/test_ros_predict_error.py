@@ -40,7 +40,7 @@ def test_no_tick_waits_for_an_answer_and_cleaning_up_gives_one(monkeypatch):
     service, jobs = "/diffdrive_mpc/predict_error", []
     with stack(drive=True, **PART) as s:
         s.base.run(20)
-        monkeypatch.setattr(s.node._aside, "submit", lambda *job: jobs.append(job))
+        monkeypatch.setattr(s.node._worker, "submit", lambda *job: jobs.append(job))
         client = s.base.node.create_client(Trigger, service)
         s.base.until(lambda: client.service_is_ready() and s.node.count_clients(service), "the service")
         future = client.call_async(Trigger.Request())

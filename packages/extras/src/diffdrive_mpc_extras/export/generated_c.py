@@ -41,12 +41,12 @@ def operations_bound(problem: Problem) -> int:
     """Compute the upper bound of the active set's operations in a tick of the exported controller."""
     _, lib = load_core()
     sizes = _sizes(problem)
-    return int(lib.ddmpc_operations_bound(sizes["steps"], HARD_KINDS + sizes["soft"], sizes["pressing"]))
+    return int(lib.ddmpc_operations_bound(sizes["steps"], HARD_KINDS + sizes["soft"], sizes["max_active"]))
 
 
 def _sizes(problem: Problem) -> dict[str, int]:
     """Return the sizes of the problem with less room for active limits, which take most of the memory."""
-    return problem.sizes | {"pressing": 2 * problem.config.horizon + 32}
+    return problem.sizes | {"max_active": 2 * problem.config.horizon + 32}
 
 
 def constants_text(problem: Problem, functions: str | None) -> str:

@@ -444,7 +444,7 @@ static void go_on(const ddmpc_controller *c, const real *newest, real *commands)
 
 int ddmpc_roll(const ddmpc_controller *c, const real *planned, int count, real *poses, real *twists)
 {
-    real commands[2 * (DDMPC_MOST_WINDOW + 1)], means[2][MOST_BELIEF];
+    real commands[2 * (DDMPC_MAX_WINDOW + 1)], means[2][MAX_BELIEF];
     real *now = means[0], *next = means[1];
     if (!c->result.has_estimate || count < 1)
         return 0;
@@ -467,9 +467,9 @@ int ddmpc_roll(const ddmpc_controller *c, const real *planned, int count, real *
 
 int ddmpc_spread(const ddmpc_controller *c, const real *planned, int count, real *covariance)
 {
-    static const int most = MOST_BELIEF;
-    real commands[2 * (DDMPC_MOST_WINDOW + 1)], means[2][MOST_BELIEF], covariances[2][MOST_BELIEF * MOST_BELIEF];
-    real pending[2 * DDMPC_MOST_WINDOW];
+    static const int most = MAX_BELIEF;
+    real commands[2 * (DDMPC_MAX_WINDOW + 1)], means[2][MAX_BELIEF], covariances[2][MAX_BELIEF * MAX_BELIEF];
+    real pending[2 * DDMPC_MAX_WINDOW];
     ddmpc_belief beliefs[2] = {{means[0], covariances[0], {0}}, {means[1], covariances[1], {0}}};
     const int Z = BELIEF(c), first = STATES(c) + POSE(c);
     if (Z > most || count < 1 || !ddmpc_newest_belief(c, means[0], covariances[0], pending))

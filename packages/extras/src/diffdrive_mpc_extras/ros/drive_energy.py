@@ -12,7 +12,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import BatteryState
 
 from diffdrive_mpc.models.logs.drive_log.tick import Cell
-from diffdrive_mpc.mpc.ros.control_loop import Begun, LoopTick
+from diffdrive_mpc.mpc.ros.control_loop import Drive, LoopTick
 from diffdrive_mpc.mpc.ros.conversions import BATTERY_BYTES, MessageError, nanoseconds
 from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools, PartHost
 from diffdrive_mpc.mpc.ros.settings import PartSettings, Positive
@@ -96,7 +96,7 @@ class EnergyPart(NodePart):
         self._costs: TurnCosts | None = None
         self.battery = TopicWatch("battery")
         self._measured = EnergyMeter(self._settings.battery_timeout)
-        self._drive: Begun | None = None
+        self._drive: Drive | None = None
         self._reading: tuple[float, float] | None = None
         self._begin()
 
@@ -167,10 +167,10 @@ class EnergyPart(NodePart):
 
         A drive starts at zero energy unless it continues the previous drive.
         """
-        drive = None if self.loop is None else self.loop.begun
+        drive = None if self.loop is None else self.loop.drive
         if drive is not self._drive:
             self._drive = drive
-            if drive is None or not drive.goes_on:
+            if drive is None or not drive.continues:
                 self._begin()
         if self._costs is not None:
             self._commands.append(tick.command)

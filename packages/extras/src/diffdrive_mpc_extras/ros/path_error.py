@@ -23,7 +23,7 @@ from diffdrive_mpc.mpc.ros.control_loop import RefusedError
 from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools, PartHost, PathCheck
 from diffdrive_mpc.mpc.ros.settings import NotNegative, PartSettings
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.planned.lay import Laid
+from diffdrive_mpc.mpc.trajectories.planned.lay import PlannedPath
 from diffdrive_mpc_extras.predicted_error.calibration import ErrorCalibration, load_calibration
 from diffdrive_mpc_extras.predicted_error.predicted_error import (
     ErrorTube,
@@ -121,8 +121,8 @@ class ErrorLimit:
     settings: PredictedErrorSettings
 
     def lay(
-        self, lay: Callable[[TrajectoryLimits], Laid], config: ControllerConfig, speed: float, limits: TrajectoryLimits
-    ) -> Laid:
+        self, lay: Callable[..., PlannedPath], config: ControllerConfig, speed: float, limits: TrajectoryLimits
+    ) -> PlannedPath:
         """Lay a path whose predicted error keeps to the limit, slower if the settings allow that.
 
         A reference that began below the present `speed` [m/s] of the robot would pull it back: a moving robot is

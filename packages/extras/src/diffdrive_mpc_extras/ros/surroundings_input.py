@@ -25,7 +25,7 @@ from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.mpc.controller import Controller
 from diffdrive_mpc.mpc.ros.control_loop import RefusedError
 from diffdrive_mpc.mpc.ros.conversions import (
-    LONGEST_NAME,
+    MAX_NAME_LENGTH,
     MessageError,
     check_frame,
     nanoseconds,
@@ -34,7 +34,7 @@ from diffdrive_mpc.mpc.ros.conversions import (
 )
 from diffdrive_mpc.mpc.ros.inbox import Inbox
 from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools
-from diffdrive_mpc.mpc.ros.reference_input import nothing
+from diffdrive_mpc.mpc.ros.reference_input import preload
 from diffdrive_mpc.mpc.ros.settings import PartSettings
 from diffdrive_mpc.mpc.ros.side_process import SideProcess
 from diffdrive_mpc.mpc.ros.topic_watch import TopicWatch
@@ -45,7 +45,7 @@ from diffdrive_mpc_extras.free_space.pieces import PreparedGrid, prepared_grid
 from diffdrive_mpc_extras.free_space.surroundings import check_disc
 
 _MOST_DISCS = 500
-_OVERHEAD = 1024 + 2 * LONGEST_NAME
+_OVERHEAD = 1024 + 2 * MAX_NAME_LENGTH
 _OBSTACLES_BYTES = 64 * _MOST_DISCS + _OVERHEAD
 _NUMBERS = {PointField.FLOAT32: "f4", PointField.FLOAT64: "f8"}
 _NEEDED, _MOTION = ("x", "y", "radius"), ("vx", "vy")
@@ -289,7 +289,7 @@ class FreeSpacePart(NodePart):
             self.subscribe_raw(GridMessage, "costmap", surroundings.take_costmap)
         if settings.use_obstacles:
             self.subscribe_raw(PointCloud2, "obstacles", surroundings.take_obstacles, qos_profile_sensor_data)
-        tools.side_process.prepare(nothing)
+        tools.side_process.prepare(preload)
 
     def activate(self) -> None:
         """Forget the surroundings of the last activation."""

@@ -1,4 +1,4 @@
-"""The limit that costs a plan most."""
+"""Find the active limit that raises the cost of a plan most."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _KEYS = {"v": "predicted_v", "omega": "predicted_omega", "right": "wheel_speed",
 _KEYS |= {"across": "corridor", "turn": "min_turn_radius", "commanded": "min_commanded_radius"}
 
 
-def pressing_limit(program: Program, config: ControllerConfig, soft_names: Sequence[str]) -> str:
-    """Return the key of the limit whose relaxation by a share lowers the cost most; empty if no limit is active.
+def costliest_limit(program: Program, config: ControllerConfig, soft_names: Sequence[str]) -> str:
+    """Return the key of the limit whose relative relaxation lowers the cost most; empty if no limit is active.
 
-    Soft limits of terms have the names of their rows. `soft_names` (kinds - 4,) are those of the soft kinds.
+    The result is the name of the row for soft limits of terms. `soft_names` (kinds - 4,) are names of the soft kinds.
     """
     forces, bounds = program.multipliers, np.where(program.multipliers > 0.0, program.upper, program.lower)
     bounds[HARD:] = program.soft_limits[:, None]
