@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from diffdrive_mpc.bench.case import DIMENSIONS, MOST_SEEDS, Case, Overrides, check_count
+from diffdrive_mpc.bench.case import DIMENSIONS, MAX_SEEDS, Case, Overrides, check_count
 from diffdrive_mpc.bench.controllers import build_plant, case_config, check_cases, load_reference, make_controller
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.run_row import statistics_of
@@ -160,8 +160,8 @@ def _listed(value: Any) -> list[Any]:  # noqa: ANN401
 
 def _seeds(seeds: Any) -> list[int]:  # noqa: ANN401
     """Return the given seeds, or the first n seeds."""
-    if isinstance(seeds, int) and not 1 <= seeds <= MOST_SEEDS:
-        raise ConfigError(f"sweep: seeds = {seeds}; give 1 to {MOST_SEEDS}, or a list such as [3, 4]")
+    if isinstance(seeds, int) and not 1 <= seeds <= MAX_SEEDS:
+        raise ConfigError(f"sweep: seeds = {seeds}; give 1 to {MAX_SEEDS}, or a list such as [3, 4]")
     listed = list(range(seeds)) if isinstance(seeds, int) else _listed(seeds)
     if not all(isinstance(seed, (int, np.integer)) and seed >= 0 for seed in listed):
         raise ConfigError(f"sweep: seeds {seeds!r}; give whole numbers from 0 on, or how many")

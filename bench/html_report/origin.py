@@ -23,7 +23,7 @@ def origin(run: Mapping[str, Any], more: Sequence[tuple[str, str]] = ()) -> Orig
     run
         Description of the run from `bench.machine.describe_run`.
     more
-        Other facts as name and value, such as seeds.
+        Further facts as name and value, such as seeds.
     """
     machine = run["machine"]
     packages = ", ".join(f"{name} {version}" for name, version in machine["packages"].items())
@@ -49,7 +49,7 @@ def case_config(case: Case) -> ControllerConfig | None:
 
 
 def configuration(case: Case) -> list[ConfigurationView]:
-    """View the configuration of a case with every value and its model named without folders."""
+    """Return a view of the configuration of a case with every value; the model is named without folders."""
     config = case_config(case)
     if config is None:
         return []

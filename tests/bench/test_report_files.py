@@ -184,7 +184,7 @@ def test_least_error_is_that_of_any_controller_that_completed_every_run(results,
     page = shown(replace(results, main=main))
     card = page.key_figures[1]
     assert ("Not ranked" in page.summary[0]) is not (ours[1] and peer[1])
-    assert (card.label, card.value, card.note) == ("least position error, RMSE", value, note)
+    assert (card.label, card.value, card.note) == ("minimum position error, RMSE", value, note)
 
 
 def times_in(table: Table, line: int = 0) -> list[str]:
