@@ -53,7 +53,9 @@ def split_names(text: str, option: str) -> tuple[str, ...]:
 def check_count(count: int, limit: int = MAX_CASES) -> None:
     """Raise ValueError if a study has more runs than the limit, before the cases are listed."""
     if count > limit:
-        raise ValueError(f"{count:,} runs are requested, at most {limit:,}; give fewer values or seeds, or split the study")
+        raise ValueError(
+            f"{count:,} runs are requested, at most {limit:,}; give fewer values or seeds, or split the study"
+        )
 
 
 def split_numbers(text: str, option: str, *, minimum: int, maximum: int | None = None) -> tuple[int, ...]:
@@ -141,8 +143,8 @@ class Case:
     Fields that are no dimensions: `config` is the controller's configuration file, None for the model's shipped
     configuration. `overrides` replace configuration values. `top_speed` rebuilds the trajectory's segments so that the
     fastest one has this speed [m/s]. `scaled` fits the segments to size and limits of the configuration's robot.
-    `excess_delay` is the plant's dead time minus the controller's [ticks]: a positive value is added to the plant's dead time;
-    for a negative value, `overrides` configure a longer dead time. `gains` replace the gains of a peer.
+    `excess_delay` is the plant's dead time minus the controller's [ticks]: if positive, it is added to the plant's dead
+    time; if negative, `overrides` configure a longer dead time. `gains` replace the gains of a peer.
     """
 
     controller: str = _dimension(
@@ -211,7 +213,7 @@ class Case:
 
     @property
     def labels(self) -> dict[str, str]:
-        """Value of each dimension for tables and files; a path is reduced to its stem, which hides machine folders."""
+        """Value of each dimension for tables and files; a path is reduced to its stem."""
         return {dimension.name: label(getattr(self, dimension.name)) for dimension in DIMENSIONS}
 
     def as_row(self, leave_out: Container[str] = ()) -> dict[str, object]:
@@ -257,7 +259,7 @@ def combinations(**values: Iterable[object]) -> list[Case]:
 
 
 def label(value: object) -> str:
-    """Return a value as text, with each path reduced to its stem, also in "model:PATH+SECONDS" and "KIND:PATH@PLANT"."""
+    """Return a value as text, with paths reduced to their stem, also in "model:PATH+SECONDS" and "KIND:PATH@PLANT"."""
     inner, at_sign, outer = str(value).rpartition("@")
     if at_sign and outer.partition(":")[0] in BUILT_IN:
         return f"{label(inner)}@{label(outer)}"

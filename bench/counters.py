@@ -1,8 +1,8 @@
 """Detect by counters whether a timed run was disturbed. Standard library only: processes of peers import this module.
 
 A short piece of work is undisturbed if its thread was never preempted and held the processor all the time, and if the
-machine ran at full speed before and after it. The speed is measured by a yardstick, a fixed computation: it takes longer
-if the processor is throttled, or if its core is shared with a virtual machine that the system cannot detect.
+machine ran at full speed before and after it. The speed is measured by a yardstick, a fixed computation: it takes
+longer if the processor is throttled, or if its core is shared with a virtual machine that the system cannot detect.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Effort(NamedTuple):
         return self.switches == 0 and away <= AWAY[0] + AWAY[1] * self.elapsed and self.pace <= SLOWER * best_pace
 
 
-def watched(work: Callable[[], T]) -> tuple[T, Effort]:
+def measure_effort(work: Callable[[], T]) -> tuple[T, Effort]:
     """Run `work`; return its result and its effort. The yardstick is measured before and after."""
     pace = yardstick()
     began, processor, switches = time.perf_counter(), time.thread_time(), _switches()

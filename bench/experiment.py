@@ -72,7 +72,7 @@ def frame(rows: Iterable[Row]) -> DataFrame:
     return DataFrame(list(rows))
 
 
-def joined(*parts: DataFrame) -> DataFrame:
+def concatenate(*parts: DataFrame) -> DataFrame:
     """Concatenate tables; drop empty tables and repeated cases."""
     filled = [part for part in parts if len(part)]
     return pd.concat(filled, ignore_index=True).drop_duplicates("case") if filled else DataFrame()
@@ -94,7 +94,7 @@ def total(rows: DataFrame, column: str) -> int:
     return int(values(rows, column).sum())
 
 
-def grouped(rows: DataFrame, columns: Sequence[str]) -> list[tuple[tuple[str, ...], DataFrame]]:
+def group_rows(rows: DataFrame, columns: Sequence[str]) -> list[tuple[tuple[str, ...], DataFrame]]:
     """Group rows by columns in the order of first appearance; the first column varies most slowly.
 
     The column `COMPARED` names controllers by every setting that varies inside the groups of the preceding columns.
@@ -117,7 +117,7 @@ def _names(cases: pd.Series[Any]) -> pd.Series[Any]:
 
 def by(rows: DataFrame, column: str) -> dict[str, DataFrame]:
     """Return rows by the value of a column (or `COMPARED`), in the order of first appearance."""
-    return {name: part for (name,), part in grouped(rows, [column])}
+    return {name: part for (name,), part in group_rows(rows, [column])}
 
 
 def json_rows(rows: DataFrame, digits: int = 6) -> list[Row]:

@@ -35,5 +35,7 @@ class ExperimentFile(StrictModel):
     title: str = Field(description="heading of the report")
     vary: Varied = Field({}, description="values for every part that does not define them; the last varies fastest")
     variants: dict[str, dict[str, Value]] = Field({}, description="configuration values under the name of a variant")
-    parts: dict[str, tuple[Varied, ...]] = Field(description="blocks of each part; a block is every combination of its values")
+    parts: dict[str, tuple[Varied, ...]] = Field(
+        description="blocks of each part; a block is every combination of its values"
+    )
     tables: Mapping[str, TableFile] = Field({}, description="tables of the report, in order")

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from pandas import DataFrame
 
-from diffdrive_mpc.bench.experiment import by, grouped, total, values
+from diffdrive_mpc.bench.experiment import by, group_rows, total, values
 from diffdrive_mpc.bench.experiment_file import TableFile
 from diffdrive_mpc.bench.table import Table, duration, number
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
@@ -144,7 +144,7 @@ def grouped_table(
         True to append a row for the whole block after each block of the last of `names`.
     """
     entries: list[tuple[tuple[str, ...], DataFrame]] = []
-    for outer, block in itertools.groupby(grouped(rows, list(names.values())), key=lambda entry: entry[0][:-1]):
+    for outer, block in itertools.groupby(group_rows(rows, list(names.values())), key=lambda entry: entry[0][:-1]):
         entries += (listed := list(block))
         if mean and len(listed) > 1:
             entries.append(((*outer, "mean"), pd.concat(part for _, part in listed)))

@@ -53,7 +53,7 @@ def interval(differences: FloatArray) -> FloatArray:
 
 
 def order(rows: DataFrame) -> list[Rank]:
-    """Rank controllers by mean position RMSE, the best first; omit a controller with a run that has no RMSE."""
+    """Sort controllers by mean position RMSE, the best first; omit a controller with a run that has no RMSE."""
     errors = _errors(rows).dropna(axis=1)
     means = errors.mean().sort_values(kind="stable")
     spreads = errors.groupby("seed").mean().std(ddof=0)

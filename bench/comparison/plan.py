@@ -33,7 +33,9 @@ from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
 class ComparisonSettings(StrictModel):
     """Settings of a comparison: the fields here, and the values of every dimension under its plural name."""
 
-    horizons: tuple[Annotated[int, Field(ge=1)], ...] = Field((), description="horizons of the sweep [steps]; empty for no sweep")
+    horizons: tuple[Annotated[int, Field(ge=1)], ...] = Field(
+        (), description="horizons of the sweep [steps]; empty for no sweep"
+    )
     config: str | None = Field(None, description="controller configuration file that replaces the shipped ones")
     settings: tuple[Overrides, ...] = Field(((),), description="combinations of swept configuration values")
     scaled: bool = Field(False, description="whether paths are scaled to the configuration's robot")
@@ -104,9 +106,7 @@ def read_options(
     if "controllers" not in options and (config is not None or settings or "models" in options):
         options["controllers"] = ("mpc",)  # these options apply to the predictive controller only
     if sweeps and (quick or config or settings or scaled or set(options) - {"controllers", "models", "seeds"}):
-        raise ConfigError(
-            "--sweeps: combine it with --controllers, --models, --seeds and --horizons only, or omit it"
-        )
+        raise ConfigError("--sweeps: combine it with --controllers, --models, --seeds and --horizons only, or omit it")
     options["osqp"] = not (config or settings or {"controllers", "models"} & set(options))
     chosen = default.model_copy(update={"settings": tuple(sweep_settings(settings)), "scaled": scaled, **options})
     if not chosen.ours:

@@ -13,7 +13,7 @@ from diffdrive_mpc.bench.case import DIMENSIONS, NO_SCENARIO, Case, label
 from diffdrive_mpc.bench.comparison.plan import ComparisonSettings
 from diffdrive_mpc.bench.comparison.properties import Property, property_rows
 from diffdrive_mpc.bench.controllers import controller_config
-from diffdrive_mpc.bench.experiment import joined, mean
+from diffdrive_mpc.bench.experiment import concatenate, mean
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.run_row import CLOCK, FORMER_COLUMNS, STATISTICS, Row, SolverShares
@@ -68,7 +68,7 @@ class ComparisonResults:
     @property
     def all(self) -> DataFrame:
         """Every row once, in order."""
-        return joined(self.main, self.horizon)
+        return concatenate(self.main, self.horizon)
 
     @property
     def silent(self) -> list[str]:

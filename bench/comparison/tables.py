@@ -166,7 +166,7 @@ def error_parts_table(rows: DataFrame) -> Table:
         for part in ("repeats", "noise")
     }
     note = "RMS over time, means over trajectories. Repeats: the mean over seeds at each time; noise: the rest."
-    return grouped_table("Components of the error", rows, {"controller": COMPARED}, columns, note)
+    return grouped_table("What the error consists of", rows, {"controller": COMPARED}, columns, note)
 
 
 def error_part(rows: DataFrame, *, component: int, repeats: bool) -> str:

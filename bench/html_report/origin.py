@@ -9,7 +9,7 @@ from diffdrive_mpc.bench.case import Case, label
 from diffdrive_mpc.bench.controllers import controller_config
 from diffdrive_mpc.bench.html_report.page import ConfigurationView, Origin
 from diffdrive_mpc.bench.peers import PEERS
-from diffdrive_mpc.bench.run_row import who_drives
+from diffdrive_mpc.bench.run_row import driver_name
 from diffdrive_mpc.models.typed_command import command_line
 from diffdrive_mpc.mpc.config.described import commented_yaml
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
@@ -56,6 +56,6 @@ def configuration(case: Case) -> list[ConfigurationView]:
     named = config.model_copy(update={"model": label(config.model)})
     return [
         ConfigurationView(
-            f"Configuration of {who_drives(case)}, every value with its meaning (YAML)", commented_yaml(named)
+            f"Configuration of {driver_name(case)}, every value with its meaning (YAML)", commented_yaml(named)
         )
     ]

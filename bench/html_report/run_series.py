@@ -91,7 +91,7 @@ def run_series(
 
 
 def kept_ticks(run: Run, points: int) -> NDArray[np.intp]:
-    """Return at most `points` ticks of a run: from each group of neighbours, the one with the largest position error."""
+    """Return at most `points` ticks of a run, from each group of neighbours the one with the largest position error."""
     count = len(run.time)
     groups = np.array_split(np.arange(count), min(points, count))
     error = np.nan_to_num(run.errors.position)

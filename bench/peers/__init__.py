@@ -1,6 +1,7 @@
 """Tracking controllers to compare the predictive controller with; docs/recipes.md shows how to add one.
 
-Packages register peers in the group `diffdrive_mpc.peers`: a `TrackingLaw`, or a class that is constructed without arguments.
+Packages register peers in the group `diffdrive_mpc.peers`: a `TrackingLaw`, or a class whose constructor has no
+arguments.
 """
 
 from __future__ import annotations

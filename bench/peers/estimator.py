@@ -1,7 +1,7 @@
 """Estimator of every peer: the predictive controller's estimate, predicted over the robot's delay.
 
-A command takes effect one lag later, so a law that acts on the present pose acts too late. The commands already sent are
-known, and the velocity model predicts their effect.
+A command takes effect one lag later, so a law that acts on the present pose acts too late. The commands already sent
+are known, and the velocity model predicts their effect.
 """
 
 from __future__ import annotations

@@ -78,7 +78,7 @@ class LqrLaw:
         along, across = ahead_and_left(gap, sight.reference[2])
         expected = self._reference.sample([sight.time]).twist[0]
         if abs(expected[0]) > STANDING:
-            self._integral = float(np.clip(self._integral + self._dt * across, -_MAX_INTEGRAL, _MOST_INTEGRAL))
+            self._integral = float(np.clip(self._integral + self._dt * across, -_MAX_INTEGRAL, _MAX_INTEGRAL))
         state = np.array([along, across, gap[2], self._integral, *(sight.motion.twist - expected)])
         row = min(max(int(sight.time / self._dt), 0), len(self._K) - 1)
         return np.asarray(sight.feed_forward - self._K[row] @ state)

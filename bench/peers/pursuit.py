@@ -1,9 +1,9 @@
 """Regulated pure pursuit of a timed reference.
 
 Source: S. Macenski, S. Singh, F. Martin, J. Gines, "Regulated pure pursuit for robot path tracking", Autonomous Robots
-2023, as implemented in Nav2: a look-ahead distance that grows with speed between bounds, the arc through that point, reduced
-speed on tight arcs, and turning to the heading of a standing reference. The original tracks a path; a reference also has
-times, so the speed is that of the reference plus feedback of the lag along it.
+2023, as implemented in Nav2: a look-ahead distance that grows with speed between bounds, the arc through that point,
+reduced speed on tight arcs, and turning to the heading of a standing reference. The original tracks a path; a reference
+also has times, so the speed is that of the reference plus feedback of the lag along it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ class PursuitGains(Gains):
     min_look_ahead: AboveZero = Field(description="lower bound of the look-ahead distance [m]")
     along: NotNegative = Field(description="gain of the lag along the path [1/s]")
     turn: NotNegative = Field(description="gain of the heading error while turning on the spot [1/s]")
-    least_radius: NotNegative = Field(description="radius below which the speed decreases with the radius of the arc [m]")
+    least_radius: NotNegative = Field(
+        description="radius below which the speed decreases with the radius of the arc [m]"
+    )
 
 
 class PursuitLaw:

@@ -188,12 +188,12 @@ class TrackingPeer:
         return PeerStep(command, mode, message, time.perf_counter() - began, took)
 
     def _since_start(self, t: float, estimate: Estimate | None) -> float:
-        """Compute the robot's time on the reference's clock at `t` [s]."""
+        """Return the time since the start of the reference at `t` [s]; a subclass may use the estimate."""
         del estimate
         return t - self._t0
 
     def _allowed(self, twist: FloatArray, sight: LawInput) -> tuple[FloatArray, str]:
-        """Limit the wanted twist (2,) of the law; return it with the reason, or an empty text."""
+        """Limit the desired twist (2,) of the law; return it and the reason for a limit, or an empty text."""
         del sight
         return twist, ""
 
@@ -202,7 +202,7 @@ class TrackingPeer:
         sample = reference.sample(since_start + np.array([self._lead, *self._lag, self._lag[0] + dt]))
         feed_forward = sample.twist[[1, 2], [0, 1]]
         acceleration = (sample.twist[3, 0] - feed_forward[0]) / dt
-        # Turning on the spot, there is no direction of travel.
+        # A turn on the spot has no direction of travel.
         crab = float(self._aim(np.zeros(3), feed_forward, slip.flat, acceleration)[3])
         crab = crab if abs(feed_forward[0]) > STANDING else 0.0
         travel = motion.pose - np.array([0.0, 0.0, crab])
@@ -217,9 +217,9 @@ def make_tracking_peer(
     config: ControllerConfig | None = None,
     overrides: Mapping[str, object] | None = None,
 ) -> TrackingPeer:
-    """Make the peer of a tracking law, with the shipped gains and configuration by default.
+    """Create the peer of a tracking law, with the shipped gains and configuration by default.
 
-    "NAME+slip" is the law NAME with compensation of side-slip; it has its own gains. `overrides` replace values of the
+    "NAME+slip" is the law NAME with compensation of side-slip and separate gains. `overrides` replace values of the
     shipped configuration.
     """
     kind = law_kind(name)
@@ -230,20 +230,20 @@ def make_tracking_peer(
 
 
 def delayed(config: ControllerConfig) -> Delayed:
-    """Describe the robot of a configuration for the laws."""
+    """Return the parameters of the configuration's robot for a law."""
     model = load_linear_model(config.model)
     return Delayed(config.sample_time, model.lag - model.dead_time, config.limits)
 
 
-def law_kind(name: str) -> Any:  # noqa: ANN401 - each law has gains of its own type
-    """Return the class of the law of a peer; raises ConfigError for a peer without a law."""
+def law_kind(name: str) -> Any:  # noqa: ANN401 - the type of the gains depends on the law
+    """Return the class of the law of a peer; raise ConfigError for a peer without a law."""
     return _law(name).kind
 
 
 def load_gains(name: str, path: Path | None = None) -> Gains:
     """Read the gains of a peer from a file of gains by peer, by default the shipped one.
 
-    Raises ConfigError if the file has a mistake.
+    Raises ConfigError if the file is invalid.
     """
     law = _law(name)
     file = path or law.gains
