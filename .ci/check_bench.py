@@ -1,8 +1,8 @@
-"""Hold the main job to what it promises and to its last result: `python .ci/check_bench.py bench.json`.
+"""Check the results of the main job against limits and against the last result: `check_bench.py bench.json`.
 
-A model may be at most `WORSE` worse than `bench_errors.json` says, over the same trajectories and seeds. Who means a
-change to be worse, or made it better, writes that file anew in the same commit: `python .ci/check_bench.py bench.json
---store`. Times belong to the machine.
+The error of a model may exceed the error in `bench_errors.json` by at most the share `WORSE`, over the same
+trajectories and seeds. A commit that changes the error on purpose, or reduces it, writes the file again: `python .ci/check_bench.py
+bench.json --store`. Times are not checked, because they depend on the machine.
 """
 
 import itertools

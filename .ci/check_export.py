@@ -1,10 +1,10 @@
-"""Hold an exported controller to the robot's own microcontroller: `python .ci/check_export.py export.json`."""
+"""Check that an exported controller fits the robot's microcontroller: `python .ci/check_export.py export.json`."""
 
 import json
 import sys
 from pathlib import Path
 
-# With soft limits active, half of the 20 ms at 100 MHz of packages/extras/docs/export.md. QEMU counts instructions.
+# Half of the 20 ms at 100 MHz in packages/extras/docs/export.md, with active soft limits. QEMU counts instructions.
 LIMITS = {"instructions_max": 1_000_000, "flash_bytes": 100_000, "ram_bytes": 165_000}
 LARGEST_DIFFERENCE = 2e-4
 

@@ -1,6 +1,7 @@
-"""Open reports that tests have left in Chromium: usage is `check_pages.py BASETEMP FOLDER...`.
+"""Open reports of earlier tests in Chromium: usage is `check_pages.py BASETEMP FOLDER...`.
 
-Each is held against what `tests/bench/opened_report.py` asks of every report; to make them for it alone takes minutes.
+Each report is checked by `tests/bench/opened_report.py`. Reports of earlier tests are used because building them takes
+minutes.
 """
 
 import sys
@@ -10,10 +11,10 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "bench"))
 from opened_report import check_report
 
-left, *names = sys.argv[1:]
+base, *names = sys.argv[1:]
 for name in names:
-    pages = sorted(Path(left).glob(f"popen-gw*/{name}[0-9]*/**/report.html"))
+    pages = sorted(Path(base).glob(f"popen-gw*/{name}[0-9]*/**/report.html"))
     if not pages:
-        sys.exit(f"{left}: no test has left a report in a folder {name}")
+        sys.exit(f"{base}: no test wrote a report into a folder {name}")
     check_report(pages[0])
     print(f"{name}: its report is drawn")

@@ -1,6 +1,6 @@
 """Compare refitted parameter files with the shipped ones: `python .ci/check_refit.py NEW SHIPPED [NEW SHIPPED ...]`.
 
-Numbers may differ by a little from machine to machine, also those in texts; the date may differ.
+Numbers, also in texts, may differ by a small tolerance, because results depend on the machine. The date is ignored.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Hold the speed command to its form: `python .ci/check_speed.py speed.json`. Times belong to the machine."""
+"""Check the results of the study `speed`, except times: `python .ci/check_speed.py speed.json`."""
 
 import json
 import sys

@@ -22,9 +22,9 @@ OPENINGS = re.compile(
 )
 VERBS = frozenset(re.findall("[A-Z][a-z]+", (ROOT / ".ci" / "verbs.txt").read_text(encoding="utf-8").split("\n", 1)[1]))
 RULES = {
-    "name": "is no name; use a noun of the field",
-    "opening": "opens with a clause; name the thing, or start a function with an imperative verb",
-    "verb": "does not start with an imperative verb; an unlisted verb belongs into .ci/verbs.txt",
+    "name": "must not be used as a name; use a noun of the field",
+    "opening": "opens with a clause; start with a noun, or a function's docstring with an imperative verb",
+    "verb": "does not start with an imperative verb; add a missing verb to .ci/verbs.txt",
 }
 C_TEXT = re.compile(r"""("(?:\\.|[^"\\\n])*"|'(?:\\.|[^'\\\n])*')|/\*(.*?)\*/|//([^\n]*)""", re.DOTALL)
 C_DECLARATION = re.compile(
@@ -34,7 +34,7 @@ C_LIST = re.compile(rf"^[ \t]*(?:\w+[ \t*]+)+\w+[^;(){{}}]*?,[ \t*]*({NAMES})\s*
 
 
 class Violation(NamedTuple):
-    """A line of a file that breaks a rule, with the text that breaks it."""
+    """Line of a file that violates a rule, and the offending text."""
 
     line: int
     rule: str
@@ -42,7 +42,7 @@ class Violation(NamedTuple):
 
 
 def python_violations(source: str) -> Iterator[Violation]:
-    """Yield violations of Python source: openings of docstrings, and names that it binds."""
+    """Yield violations of Python source: openings of docstrings, and bound names."""
     for node in ast.walk(ast.parse(source)):
         yield from (Violation(line, "name", name) for line, name in bound_names(node) if re.fullmatch(NAMES, name))
         if isinstance(node, ast.Module | ast.ClassDef):
@@ -62,7 +62,7 @@ def starts_with_verb(node: ast.AST) -> bool:
 
 
 def docstring_violations(node: ast.stmt, is_function: bool) -> Iterator[Violation]:
-    """Yield the violation of a statement if it is a docstring that opens badly."""
+    """Yield the violation of a statement if it is a docstring with a wrong opening."""
     if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
         words = node.value.value.split(maxsplit=3)
         opening = " ".join(words[:3])
@@ -73,7 +73,7 @@ def docstring_violations(node: ast.stmt, is_function: bool) -> Iterator[Violatio
 
 
 def bound_names(node: ast.AST) -> Iterator[tuple[int, str]]:
-    """Yield line and name of what a node binds: variable, argument, field, function, class or import."""
+    """Yield line and name of each variable, argument, field, function, class or import that a node binds."""
     match node:
         case ast.Name(id=name, ctx=ast.Store()) | ast.Attribute(attr=name, ctx=ast.Store()) | ast.arg(arg=name):
             yield node.lineno, name
@@ -108,7 +108,7 @@ def violations(root: Path) -> dict[str, list[Violation]]:
 
 
 def listed_counts(path: Path) -> Counter[tuple[str, str]]:
-    """Read the exceptions: a line per file, with its path and `rule=count` words."""
+    """Read the exceptions; each line has the path of a file and `rule=count` words."""
     lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
     rows = [line.split() for line in lines if not line.startswith("#")]
     pairs = [(name, *pair.split("=")) for name, *pairs in rows for pair in pairs]
@@ -116,7 +116,7 @@ def listed_counts(path: Path) -> Counter[tuple[str, str]]:
 
 
 def exceptions_text(counts: Counter[tuple[str, str]]) -> str:
-    """Format exceptions as `listed_counts` reads them."""
+    """Format exceptions in the format of `listed_counts`."""
     rows: dict[str, list[str]] = {}
     for (name, rule), count in sorted(counts.items()):
         rows.setdefault(name, []).append(f"{rule}={count}")

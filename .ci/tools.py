@@ -1,6 +1,6 @@
 """Licences of the installed packages (`bill`), and their known vulnerabilities (`audit`).
 
-The tools live in an environment of their own, made from tools.txt with its hashes and kept in the user's cache.
+The tools are installed in a separate environment in the user's cache, from tools.txt with hashes.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from diffdrive_mpc.models.compiled.cache import user_folder
 
 _LIST = Path(__file__).with_name("tools.txt")
 _KNOWN_BAD = "jinja2==2.4.1"
-"""Vulnerable by every data base there is: who finds nothing against it has not looked."""
+"""Package with vulnerabilities in every database; an audit that reports none has failed."""
 _COPYLEFT = {"GPL or LGPL": ("GPL", "General Public License"), "MPL": ("MPL", "Mozilla")}
 
 
@@ -32,7 +32,7 @@ def main() -> None:
 
 
 def bill(python: str, out: Path) -> None:
-    """Write what is installed beside an interpreter as CycloneDX, and say whose licence asks for something."""
+    """Write the installed packages of an interpreter as CycloneDX, and print packages with copyleft licences."""
     out.parent.mkdir(parents=True, exist_ok=True)
     subprocess.run(
         [tool("cyclonedx-py"), "environment", python, "--output-format", "JSON", "--output-file", str(out)], check=True
@@ -52,19 +52,19 @@ def bill(python: str, out: Path) -> None:
 def audit(lists: list[str]) -> None:
     """Audit the packages that the lists pin; exit with 1 if there are vulnerabilities.
 
-    Where nobody could be asked it says so, and does not fail: that a service is down is no fault of what is tested.
+    If the service cannot be reached, print a note and do not fail: an outage is no fault of the packages.
     """
     with tempfile.TemporaryDirectory() as folder:
         probe = Path(folder) / "probe.txt"
         probe.write_text(f"{_KNOWN_BAD}\n", encoding="utf-8")
-        packages, reason = _asked(str(probe), "--no-deps")
+        packages, reason = _pip_audit(str(probe), "--no-deps")
     if not any(package.get("vulns") for package in packages):
-        print(f"NOT AUDITED: nothing is said against {_KNOWN_BAD}, which has known vulnerabilities ({reason})")
-        print("  elsewhere: make audit; or give the bill of materials (make bill) to a scanner")
+        print(f"NOT AUDITED: the service reports nothing for {_KNOWN_BAD}, which has known vulnerabilities ({reason})")
+        print("  run `make audit` on another machine, or pass the bill of materials (make bill) to a scanner")
         return
     bad, unknown, count = list[str](), list[str](), 0
     for name in lists:
-        packages, reason = _asked(name)
+        packages, reason = _pip_audit(name)
         if not packages:
             print(f"NOT AUDITED: {name} ({reason})")
         count += sum("vulns" in package for package in packages)
@@ -79,13 +79,13 @@ def audit(lists: list[str]) -> None:
         sys.exit("known vulnerabilities:\n  " + "\n  ".join(sorted(set(bad))))
 
 
-def _asked(requirements: str, *more: str) -> tuple[list[dict[str, object]], str]:
+def _pip_audit(requirements: str, *more: str) -> tuple[list[dict[str, object]], str]:
     """Return pip-audit's result for each package of a list, or the reason for its failure."""
     words = ["--requirement", requirements, "--disable-pip", *more]
     words += ["--format", "json", "--progress-spinner", "off", "--timeout", "15"]
     done = subprocess.run([tool("pip-audit"), *words], capture_output=True, text=True, check=False)
     try:
-        return list(json.loads(done.stdout)["dependencies"]), "the service that was asked does not know it"
+        return list(json.loads(done.stdout)["dependencies"]), "the service does not know the package"
     except (ValueError, KeyError):
         errors = done.stderr.strip().splitlines()
         return [], errors[-1][:200] if errors else f"exit code {done.returncode}"

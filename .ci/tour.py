@@ -1,7 +1,7 @@
-"""Paste the commands of documents, as they stand, where only a wheel is installed: `python .ci/tour.py PAGE...`.
+"""Run the commands of documents unchanged where only a wheel is installed: `python .ci/tour.py PAGE...`.
 
-In order, in the current folder. Lines with `make` or `--from .` need the clone and are left out; a file is
-written as its block shows it. Only what a shell and Python bring is used, so that any installation can be tried.
+The commands run in order in the current folder. Lines with `make` or `--from .` need the clone and are skipped; a YAML
+block is written to its file. Only a shell and the standard library are used, so that any installation can be tested.
 """
 
 import re

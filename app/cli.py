@@ -1,4 +1,4 @@
-"""The command line `diffdrive-mpc`: the commands of `app.commands`, and those that installed packages register.
+"""The command line `diffdrive-mpc`: the commands of `app.commands`, and commands that installed packages register.
 
 A command imports its dependencies when it runs. Entry points of the group `diffdrive_mpc.commands` add commands: the
 name of an entry is the name of the command, or `GROUP.NAME` for a command of a group such as `models`.
@@ -35,14 +35,14 @@ class Commands(PackagedGroup, OneLineErrors):
 
 
 class CommandEntry(NamedTuple):
-    """Place of a command below `app.commands`."""
+    """Location of a command in `app.commands`."""
 
     panel: str
     module: str
     function: str = ""
-    """By default called as the command."""
+    """Name of the function; if empty, the name of the command."""
     passed_on: bool = False
-    """True if the command handles unknown words itself."""
+    """True if the command passes unknown words on, for instance to ROS."""
 
 
 _COMMANDS = {
@@ -54,7 +54,7 @@ _COMMANDS = {
     "doctor": CommandEntry("Robot", "ros"),
 }
 _GROUPS = {"models": "models", "config": "config", "log": "log"}
-"""Groups of commands, each with its module."""
+"""Module of each group of commands."""
 
 
 def command_line(words: Sequence[str] = ()) -> typer.Typer:
@@ -66,31 +66,31 @@ def command_line(words: Sequence[str] = ()) -> typer.Typer:
         First words of the command line. If the first word is a command, only that command is imported; if it is a
         group, only the commands of that group.
     """
-    made = typer.Typer(
+    app = typer.Typer(
         cls=Commands,
         no_args_is_help=True,
-        # Rich would take units such as [m] for markup.
+        # Rich would parse units such as [m] as markup.
         rich_markup_mode=None,
         context_settings={"help_option_names": ["-h", "--help"]},
         help="Model-predictive trajectory tracking for skid-steer and differential-drive robots.",
     )
-    made.callback(help=_HELP, epilog="Example: diffdrive-mpc bench --quick --out results")(_options)
+    app.callback(help=_HELP, epilog="Example: diffdrive-mpc bench --quick --out results")(_options)
     added = {name: name.partition(".") for name in plug_in_names("commands")}
     every = _COMMANDS.keys() | _GROUPS.keys() | {first for first, _, _ in added.values()}
     chosen = {*words[:1]} & every or every
     for name, entry in _COMMANDS.items():
         if name in chosen:
-            _add_command(made, name, entry)
+            _add_command(app, name, entry)
     groups = {}
     for name, module in _GROUPS.items():
         if name in chosen:
             groups[name] = getattr(import_module(f"{_HOME}.{module}"), f"{name}_app")
-            made.add_typer(groups[name], name=name, rich_help_panel="Files")
+            app.add_typer(groups[name], name=name, rich_help_panel="Files")
     for entry_name, (first, _, second) in added.items():
         is_named = not second or not words[1:] or words[1] == second or words[1].startswith("-")
         if first in chosen and is_named:
-            _add_plugged(groups[first] if second else made, entry_name, second or first)
-    return made
+            _add_plugged(groups[first] if second else app, entry_name, second or first)
+    return app
 
 
 def _add_command(app: typer.Typer, name: str, entry: CommandEntry) -> None:
@@ -102,7 +102,7 @@ def _add_command(app: typer.Typer, name: str, entry: CommandEntry) -> None:
 
 
 def _add_plugged(app: typer.Typer, entry_name: str, name: str) -> None:
-    """Add the command of a package; if its package cannot be imported, a command that raises the reason."""
+    """Add the command of a package; if the package cannot be imported, add a command that raises the reason."""
     if name in {command.name for command in app.registered_commands}:
         return  # groups are shared by all command lines of a process
     try:
@@ -139,7 +139,7 @@ def _options(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
-    """Accept the options of the program itself."""
+    """Accept the options of the program, which no command has."""
 
 
 @cache
@@ -153,13 +153,13 @@ def __getattr__(name: str) -> typer.Typer:
 def main() -> None:
     """Run the console command."""
     leave_on_sigterm()
-    # Matrices are small, and campaigns have processes: threads of NumPy cost more than they bring, and another number
-    # of them rounds differently. Settings of the user take precedence.
+    # Matrices are small, and campaigns run in several processes: threads of NumPy cost more time than they save, and
+    # their number changes the rounding. Settings of the user take precedence.
     for library in ("OPENBLAS", "OMP", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     completing = "_DIFFDRIVE_MPC_COMPLETE" in os.environ
     app = command_line([] if completing else sys.argv[1:3])
-    # Command completion must not print this.
+    # Command completion must not print the shortened help.
     if not completing:
         build_only_named(app, sys.argv[1:])
     app(prog_name="diffdrive-mpc")

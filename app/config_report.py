@@ -27,11 +27,11 @@ _OF_THE_ROBOT = {
     "wheels.track": "m",
     "wheels.encoder_track": "m",
 }
-"""Keys whose default is a number of the papers' robot, with their unit."""
+"""Keys whose default is a parameter of the papers' robot, with their unit."""
 
 
 def robot_defaults(config: ControllerConfig) -> list[str]:
-    """List the defaults of the papers' robot in a configuration, as `key value unit`; none for a shipped model."""
+    """List the defaults of the papers' robot in a configuration, as `key value unit`; empty for a shipped model."""
     if is_shipped(config.model):
         return []
     groups: dict[str, BaseModel] = {"": config, "limits": config.limits, "wheels": config.wheels}
@@ -44,7 +44,7 @@ def robot_defaults(config: ControllerConfig) -> list[str]:
 
 
 def check_term_files(config: ControllerConfig) -> list[str]:
-    """List the Python files of terms, each once; raise ConfigError for a missing one. None of them is run."""
+    """List the distinct Python files of terms without running them; raise ConfigError if a file is missing."""
     files = list(dict.fromkeys(term.file for term in config.terms))
     for file in files:
         if not is_file(file):
@@ -53,7 +53,7 @@ def check_term_files(config: ControllerConfig) -> list[str]:
 
 
 def feasibility(controller: Controller, name: str) -> Iterator[str]:
-    """Yield lines on missing abilities of the robot for a trajectory, and on timings that suit it.
+    """Yield lines on the feasibility of a trajectory within the robot's limits, and on a timing that makes it feasible.
 
     Raises ConfigError if the trajectory cannot be loaded with the limits of the configuration.
     """
@@ -68,7 +68,7 @@ def feasibility(controller: Controller, name: str) -> Iterator[str]:
 
 
 def print_schema(part: str | None = None) -> None:
-    """Print the schema as a table, or only the group or key `part`; a pipe gets it wide enough that nothing is broken.
+    """Print the schema as a table, or only the group or key `part`; a pipe gets a table without line breaks.
 
     Raises ConfigError if there is no such part.
     """
@@ -86,6 +86,9 @@ def print_schema(part: str | None = None) -> None:
 
 
 def _is_part(key: str, part: str) -> bool:
-    """Return True if a key is `part` or belongs to it, with or without its room; `expert` is all of the second room."""
+    """Return True if a key is `part` or belongs to it, with or without the prefix `expert`.
+
+    The part `expert` contains all keys for experts.
+    """
     plain, whole = plain_key(key), plain_key(part)
     return key.startswith(f"{part}.") or plain == whole or plain.startswith((f"{whole}.", f"{whole}[]."))

@@ -1,4 +1,4 @@
-"""Checks of this computer for `diffdrive-mpc doctor`: one line each, with the remedy where a check fails."""
+"""Checks of this computer for `diffdrive-mpc doctor`: one line per check, with a remedy if it fails."""
 
 from __future__ import annotations
 
@@ -50,12 +50,12 @@ class Check(NamedTuple):
 
 
 def examine() -> Iterator[Check]:
-    """Run all checks in order. A check that raises becomes a failed check."""
+    """Run all checks in order. A check that raises counts as failed."""
     for check in (_python, _dependencies, _controller, _compiler, _mujoco, _ros, _governor, _priority):
-        yield _careful(check)
+        yield _run_check(check)
 
 
-def _careful(check: Callable[[], Check]) -> Check:
+def _run_check(check: Callable[[], Check]) -> Check:
     try:
         return check()
     except Exception as error:
@@ -72,12 +72,12 @@ def _python() -> Check:
 def _dependencies() -> Check:
     """Compare installed versions with the requirements of the package, without its extras."""
     requirements = [Requirement(text) for text in requires("diffdrive-mpc") or []]
-    wanted = [
+    required = [
         requirement
         for requirement in requirements
         if requirement.marker is None or requirement.marker.evaluate({"extra": ""})
     ]
-    faults = [fault for requirement in wanted if (fault := _fault(requirement))]
+    faults = [fault for requirement in required if (fault := _fault(requirement))]
     versions = ", ".join(f"{name} {_installed(name)}" for name in _SHOWN)
     remedy = "pip install --upgrade diffdrive-mpc"
     return Check("dependencies", not faults, "; ".join(faults) or versions, remedy, is_required=True)
@@ -120,7 +120,7 @@ def _compiler() -> Check:
     try:
         path, words = find_compiler()
     except NotCompiledError:
-        return Check("compiler", False, "no C compiler", "own costs and models need one: apt install gcc")
+        return Check("compiler", False, "no C compiler", "custom costs and models need one: apt install gcc")
     return Check("compiler", True, f"{Path(path).name}: {words.splitlines()[0]}")
 
 
@@ -133,7 +133,7 @@ def _mujoco() -> Check:
 
 
 def _ros() -> Check:
-    """Import rclpy in a separate process: a broken middleware can end the process."""
+    """Import rclpy in a separate process, because a defective middleware can kill the process."""
     sourced = os.environ.get("ROS_DISTRO", "")
     probe = subprocess.run(
         [sys.executable, "-c", _ROS_PROBE], capture_output=True, text=True, timeout=_PROBE_TIMEOUT, check=False

@@ -15,7 +15,7 @@ from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
 
 _LABEL = 19
-"""Characters of the labels on the left of a model's text, with the space after them."""
+"""Width of the column of labels in a model's text, with the space after it [characters]."""
 
 
 def print_models() -> None:
@@ -32,7 +32,7 @@ def print_models() -> None:
 
 
 def print_model(name: str) -> None:
-    """Print everything about one model; raises ConfigError or ModelError when it cannot be loaded."""
+    """Print all properties of one model; raise ConfigError or ModelError if it cannot be loaded."""
     console = output_console()
     for line in model_text(load_model(name), console.width).splitlines():
         for part in _wrapped(line, console.width):
@@ -46,7 +46,7 @@ def model_text(model: VelocityModel | NonlinearModel, width: int = 140) -> str:
 
 
 def _wrapped(line: str, width: int) -> list[str]:
-    """Break a line between words, and indent what follows as far as its value; long words stay whole."""
+    """Wrap a line between words, and indent continuation lines to the column of values; do not break words."""
     return textwrap.wrap(line, width, subsequent_indent=" " * _LABEL, break_long_words=False, break_on_hyphens=False)
 
 

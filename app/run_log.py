@@ -1,4 +1,4 @@
-"""The log of a run as `simulate --log` writes it: CSV, or MCAP with a description of the run."""
+"""Log of a run, written by `simulate --log`: CSV, or MCAP with a description of the run."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ WriteLog = Callable[..., None]
 
 
 def holds_plans(log: Path | None) -> bool:
-    """Return True if a log of this name contains predictions, which the run must then store."""
+    """Return True if a log of this name contains predicted plans, so that the run must store them."""
     return log is not None and log.suffix == ".mcap"
 
 
 @contextmanager
 def run_log(log: Path | None) -> Iterator[WriteLog]:
-    """Return the writer of a run's log, if one was requested; the file appears in the end, whole or not at all.
+    """Yield a function that writes a run's log; on exit the complete file appears, or no file after a failure.
 
-    It takes the run, its case, and the words of the command that repeats it if `simulate` does not.
+    The function takes the run, its case, and the arguments of the command that repeats the run, by default `simulate`.
 
     Parameters
     ----------
     log
-        The file, whose ending selects the format: .mcap, else CSV; None for no log.
+        Path of the file; the suffix .mcap selects MCAP, any other suffix CSV. None for no log.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        With the name of the option, if the file cannot be written, at once or in the end.
+        If the file cannot be written; the message names the option. It is raised on entry or on exit.
     """
     if log is None:
         yield lambda *_: None
@@ -51,9 +51,9 @@ def run_log(log: Path | None) -> Iterator[WriteLog]:
             if holds_plans(log):
                 from diffdrive_mpc.sim.log_mcap import write_ticks  # noqa: PLC0415 - loads slowly
 
-                write_ticks(run, draft, _told(case, command or ["simulate", *repeating(case)]))
+                write_ticks(run, draft, _metadata(case, command or ["simulate", *repeat_arguments(case)]))
             else:
-                from diffdrive_mpc.sim.log_csv import write_rows  # noqa: PLC0415 - most runs leave no log
+                from diffdrive_mpc.sim.log_csv import write_rows  # noqa: PLC0415 - most runs write no log
 
                 write_rows(run, draft)
         except OSError as error:
@@ -67,7 +67,7 @@ def run_log(log: Path | None) -> Iterator[WriteLog]:
         yield write
 
 
-def repeating(case: Case) -> list[str]:
+def repeat_arguments(case: Case) -> list[str]:
     """Return the arguments of `simulate` that repeat a case."""
     chosen = [
         dimension for dimension in DIMENSIONS if getattr(case, dimension.name) not in (dimension.default, NO_MODEL)
@@ -78,8 +78,8 @@ def repeating(case: Case) -> list[str]:
     return words + [word for key, value in case.overrides for word in ("--set", f"{key}={value}")]
 
 
-def _told(case: Case, command: Sequence[str]) -> dict[str, Mapping[str, str]]:
-    """Return the metadata of the run, by name of the record."""
+def _metadata(case: Case, command: Sequence[str]) -> dict[str, Mapping[str, str]]:
+    """Return the metadata of a run by the name of the metadata record."""
     labels = {name: str(value) for name, value in case.labels.items()}
     version = {"version": project_version(), "repeat": shlex.join(["diffdrive-mpc", *command])}
     metadata: dict[str, Mapping[str, str]] = {"case": {**version, **labels}}

@@ -1,7 +1,7 @@
-"""JSON Schemas of controller, model and trajectory files, from the schemas of their readers.
+"""JSON Schemas of controller, model and trajectory files, derived from the classes that read them.
 
-`python -m diffdrive_mpc.app.schemas` writes them to their places in a clone; with a folder, into that copy of the
-package: a wheel contains them.
+`python -m diffdrive_mpc.app.schemas` writes the schemas into the clone; with a folder as argument, into the copy of the
+package in this folder. A wheel contains the schemas.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ SCHEMAS = {
     "model": PACKAGE / "models" / "schemas" / "model.schema.json",
     "trajectory": PACKAGE / "mpc" / "schemas" / "trajectory.schema.json",
 }
-"""Place of each JSON Schema, by the name of the kind. A schema is in the room of its reader, so that shipped files name
-it by the same relative path in a clone and in an installed wheel."""
+"""Path of each JSON Schema by the kind of file. A schema is in the folder of the module that reads the file, so that
+shipped files refer to it by the same relative path in a clone and in an installed wheel."""
 
 
 def json_schema(kind: str) -> str:
@@ -42,27 +42,27 @@ def json_schema(kind: str) -> str:
     """
     if kind not in SCHEMAS:
         raise ConfigError(f"--json: there is no schema of '{kind}'; give {', '.join(SCHEMAS)}")
-    return json.dumps(_closed(_SCHEMAS[kind]()), indent=2) + "\n"
+    return json.dumps(_reject_other_keys(_SCHEMAS[kind]()), indent=2) + "\n"
 
 
 def write_all(package: Path = PACKAGE) -> None:
-    """Write every schema to its place in the package, or in a copy of it; raise OSError if that fails."""
+    """Write every schema into the package, or into a copy of it; raise OSError if a file cannot be written."""
     for kind, place in SCHEMAS.items():
         file = package / place.relative_to(PACKAGE)
         file.parent.mkdir(exist_ok=True)
         file.write_text(json_schema(kind), encoding="utf-8")
 
 
-def _closed(node: Any) -> Any:  # noqa: ANN401 - any part of a schema
-    """Reject names that match no pattern, as the readers do."""
+def _reject_other_keys(node: Any) -> Any:  # noqa: ANN401 - any part of a schema
+    """Add `additionalProperties: false` to objects with patterns, because the readers reject unmatched keys."""
     if isinstance(node, Mapping):
-        inside = {key: _closed(inner) for key, inner in node.items()}
+        inside = {key: _reject_other_keys(inner) for key, inner in node.items()}
         return {"additionalProperties": False, **inside} if "patternProperties" in node else inside
-    return [_closed(inner) for inner in node] if isinstance(node, list) else node
+    return [_reject_other_keys(inner) for inner in node] if isinstance(node, list) else node
 
 
 def _controllers() -> Schema:
-    """Divide groups with keys for users and for experts into two."""
+    """Split each group into its keys for users and its keys for experts."""
     whole = ControllerConfig.model_json_schema()
     groups = whole["$defs"]
     rooms: tuple[Schema, Schema] = ({}, {})

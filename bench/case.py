@@ -23,15 +23,15 @@ Overrides = tuple[tuple[str, object], ...]
 
 NO_SCENARIO, NO_MODEL, AS_FILED = "none", "none", "file"
 """The scenario without disturbances; the model of a peer without one; the timing that a trajectory file states."""
-MOST_SEEDS = 10_000
-"""More runs of one case than this take days, and their list alone could fill the memory."""
-MOST_CASES = 100_000
+MAX_SEEDS = 10_000
+"""Maximum number of seeds of one case: more runs take days, and their list alone could fill the memory."""
+MAX_CASES = 100_000
 """Maximum number of cases of one study: some days on two cores, and a gigabyte of results."""
 COMPARED = (
     *((peer, NO_MODEL) for peer in ("lqr+slip", "kanayama+slip", "pursuit+slip")),
     *(("mpc", model) for model in ("kinematic", "two_delays", "mbm", "sm", "ssm")),
 )
-"""Controllers, each with its model, that `bench` compares without options: the one place to name another."""
+"""Controllers, each with its model, that `bench` compares without options; add further default controllers here."""
 OSQP_MODEL, BY_OSQP = "ssm", (("solver.method", "osqp"),)
 """Model that `bench` compares by default with OSQP at every tick, and the value that selects OSQP."""
 HORIZONS = (7, 10, 20, 30, 50)
@@ -39,7 +39,7 @@ HORIZONS = (7, 10, 20, 30, 50)
 
 
 def split_names(text: str, option: str) -> tuple[str, ...]:
-    """Split `a,b,c`; raises ValueError when a name is empty or given twice."""
+    """Split `a,b,c`; raise ValueError if a name is empty or given twice."""
     names = tuple(name.strip() for name in text.split(","))
     if not all(names):
         raise ValueError(f"{option} '{text}': give one name, or several with commas between them")
@@ -50,34 +50,36 @@ def split_names(text: str, option: str) -> tuple[str, ...]:
     return names
 
 
-def check_count(count: int, most: int = MOST_CASES) -> None:
-    """Raise ValueError for more runs than one study drives, before they are listed."""
-    if count > most:
-        raise ValueError(f"{count:,} runs are asked for, at most {most:,}; give fewer values or seeds, or split it up")
+def check_count(count: int, limit: int = MAX_CASES) -> None:
+    """Raise ValueError if a study has more runs than the limit, before the cases are listed."""
+    if count > limit:
+        raise ValueError(
+            f"{count:,} runs are requested, at most {limit:,}; give fewer values or seeds, or split the study"
+        )
 
 
-def split_numbers(text: str, option: str, *, least: int, most: int | None = None) -> tuple[int, ...]:
-    """Split `1,2,3` into whole numbers from `least` to `most`; raises ValueError on anything else."""
+def split_numbers(text: str, option: str, *, minimum: int, maximum: int | None = None) -> tuple[int, ...]:
+    """Split `1,2,3` into whole numbers from `minimum` to `maximum`; raise ValueError for other text."""
     try:
         numbers = tuple(int(number) for number in split_names(text.rstrip(","), option))
     except ValueError as error:
         raise ValueError(f"{option} '{text}': give whole numbers with commas between them, each once") from error
-    if min(numbers) < least:
-        raise ValueError(f"{option} '{text}': each number must be at least {least}")
-    if most is not None and max(numbers) > most:
-        raise ValueError(f"{option} '{text}': each number must be at most {most}")
+    if min(numbers) < minimum:
+        raise ValueError(f"{option} '{text}': each number must be at least {minimum}")
+    if maximum is not None and max(numbers) > maximum:
+        raise ValueError(f"{option} '{text}': each number must be at most {maximum}")
     return numbers
 
 
 def parse_seeds(text: str, option: str = "--seeds") -> tuple[int, ...]:
-    """Parse seeds: `5` means the seeds 0 to 4, a list with commas (`7,` or `3,4`) those seeds; raise ValueError."""
-    numbers = split_numbers(text, option, least=0)
+    """Parse seeds: `5` means the seeds 0 to 4, a list with commas (`7,` or `3,4`) lists the seeds; raise ValueError."""
+    numbers = split_numbers(text, option, minimum=0)
     if "," in text:
         return numbers
     if numbers[0] == 0:
         raise ValueError(f"{option} 0: give the number of seeds (at least 1), or a list such as 0,1,2")
-    if numbers[0] > MOST_SEEDS:
-        raise ValueError(f"{option} {text}: give at most {MOST_SEEDS} seeds; for the one seed {text} write {text},")
+    if numbers[0] > MAX_SEEDS:
+        raise ValueError(f"{option} {text}: give at most {MAX_SEEDS} seeds; for the one seed {text} write {text},")
     return tuple(range(numbers[0]))
 
 
@@ -91,21 +93,21 @@ class Dimension:
         The dimension's name in the plural: the key of the requested values, in settings and in the `meta` part of a
         report.
     default
-        Value where none is requested.
+        Value if none is requested.
     help
         Help text of the option.
     compared
-        Values that `bench` compares without options, by default the default alone.
+        Values that `bench` compares without options; if empty, only `default`.
     list_option, list_help
-        Option that takes several values, and its help; by default those of the option that takes a single value.
+        Option that takes several values, and its help text; by default equal to `option` and `help`.
     kind
         Type of a value, with its range.
     read
-        Reads the values of the list option; raises ValueError.
+        Function that parses the text of the list option; it raises ValueError.
     silent
-        Whether rows and introduction omit it where only the default was requested.
+        True if rows and introduction omit the dimension when only its default was requested.
     name
-        The field of `Case`: word in tables, key of a run in JSON.
+        Name of the field of `Case`; also the column name in tables and the key of a run in JSON.
     """
 
     several: str
@@ -136,13 +138,13 @@ def _dimension(several: str, default: object, text: str, **more: Any) -> Any:  #
 
 @dataclass(frozen=True)
 class Case:
-    """Everything that fixes one run bit for bit.
+    """Complete definition of one run; equal cases give bit-identical runs.
 
-    Beside the dimensions it has `config`, the controller's configuration file, None for the shipped one of the model,
-    and `overrides`, values that replace those of the configuration. `top_speed` rebuilds the trajectory's segments so
-    that the fastest of them has this speed [m/s]; `scaled` fits them to size and limits of the configuration's robot;
-    `late` is the number of ticks by which the plant's dead time exceeds that of the controller: that many are added to
-    the plant's; if it is negative, `overrides` configure a longer one; `gains` replace those of a peer.
+    Fields that are no dimensions: `config` is the controller's configuration file, None for the model's shipped
+    configuration. `overrides` replace configuration values. `top_speed` rebuilds the trajectory's segments so that the
+    fastest one has this speed [m/s]. `scaled` fits the segments to size and limits of the configuration's robot.
+    `excess_delay` is the plant's dead time minus the controller's [ticks]: if positive, it is added to the plant's dead
+    time; if negative, `overrides` configure a longer dead time. `gains` replace the gains of a peer.
     """
 
     controller: str = _dimension(
@@ -168,16 +170,16 @@ class Case:
     timing: str = _dimension(
         "timings",
         AS_FILED,
-        f"Of the trajectory: stop, commanded, smooth, or {AS_FILED} for what it says itself.",
+        f"Timing of the trajectory: stop, commanded, smooth, or {AS_FILED} for the timing in its file.",
         silent=True,
     )
     plant: str = _dimension(
         "plants", "mujoco", "mujoco, mujoco:ROBOT, model:NAME, model:NAME+DEAD_TIME, or world:NAME[@PLANT]."
     )
-    surface: str = _dimension("surfaces", "default", "Floor of the mujoco plant, slip of a model: plant.")
+    surface: str = _dimension("surfaces", "default", "Surface under the mujoco plant, or slip of a model: plant.")
     sensors: str = _dimension("sensors", "default", "Sensor set.")
     scenario: str = _dimension(
-        "scenarios", NO_SCENARIO, "What happens: none, push, ..., or the path of a file.", silent=True
+        "scenarios", NO_SCENARIO, "Disturbance scenario: none, push, ..., or the path of a file.", silent=True
     )
     seed: int = _dimension(
         "seeds",
@@ -185,7 +187,7 @@ class Case:
         "Seed of the noise; the same seed gives the same run.",
         compared=(0, 1, 2, 3, 4),
         list_option="--seeds",
-        list_help="How many seeds, or a list of them.",
+        list_help="Number of seeds, or a list of seeds.",
         kind=Annotated[int, Ge(0)],
         read=parse_seeds,
     )
@@ -193,7 +195,7 @@ class Case:
     overrides: Overrides = ()
     top_speed: float | None = None
     scaled: bool = False
-    late: int = 0
+    excess_delay: int = 0
     gains: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
@@ -203,19 +205,19 @@ class Case:
 
     @property
     def horizon(self) -> int | None:
-        """Steps that the controller looks ahead; None for one that does not."""
-        from diffdrive_mpc.bench.controllers import controller_config  # noqa: PLC0415 - --help does without it
+        """Horizon of the predictive controller [steps]; None for a peer."""
+        from diffdrive_mpc.bench.controllers import controller_config  # noqa: PLC0415 - --help does not need it
 
         ours = self.controller not in PEERS
         return controller_config(self.model, self.config, self.overrides).horizon if ours else None
 
     @property
     def labels(self) -> dict[str, str]:
-        """Value of each dimension for tables and files; of a path only the stem, which hides the machine."""
+        """Value of each dimension for tables and files; a path is reduced to its stem."""
         return {dimension.name: label(getattr(self, dimension.name)) for dimension in DIMENSIONS}
 
     def as_row(self, leave_out: Container[str] = ()) -> dict[str, object]:
-        """Return the value of each dimension for JSON, without those in `leave_out`."""
+        """Return the values of the dimensions for JSON, except dimensions in `leave_out`."""
         values = {
             dimension.name: getattr(self, dimension.name) for dimension in DIMENSIONS if dimension.name not in leave_out
         }
@@ -246,9 +248,9 @@ def _trajectory_default() -> str:
 
 
 def combinations(**values: Iterable[object]) -> list[Case]:
-    """Return a case for each combination of values of some fields, the last varying fastest, with other defaults.
+    """Return a case for each combination of `values` by field name; the last field varies fastest.
 
-    Raises ValueError where there are more than `MOST_CASES`.
+    Other fields have their defaults. Raises ValueError if there are more than `MAX_CASES` combinations.
     """
     listed = [tuple(several) for several in values.values()]
     check_count(math.prod(map(len, listed)))
@@ -257,7 +259,7 @@ def combinations(**values: Iterable[object]) -> list[Case]:
 
 
 def label(value: object) -> str:
-    """Return a value; a path without folders and ending. "model:PATH+SECONDS" and "KIND:PATH@PLANT" keep the rest."""
+    """Return a value as text, with paths reduced to their stem, also in "model:PATH+SECONDS" and "KIND:PATH@PLANT"."""
     inner, at_sign, outer = str(value).rpartition("@")
     if at_sign and outer.partition(":")[0] in BUILT_IN:
         return f"{label(inner)}@{label(outer)}"

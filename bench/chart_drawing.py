@@ -1,4 +1,4 @@
-"""Draw the charts of a report as a picture, from the description that its page is drawn from."""
+"""Draw the charts of a report into PNG files, from the same description as the charts of its HTML page."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from diffdrive_mpc.bench.html_report.page import Chart, GridMap, Mark, RunViews,
 from diffdrive_mpc.models.interface import FloatArray
 
 _WIDTH, _HEIGHT, _LEGEND_ROW = 4.6, 3.4, 0.22
-"""Size of a chart, and of each row of names below it [inches]."""
+"""Width and height of a chart, and height of a row of its legend [inches]."""
 _NAMES_IN_A_ROW = 3
 _DENSE = 100
-"""Number of points from which markers are small."""
+"""Number of points of a series at and above which markers are small."""
 HATCHES = ("", "//", "..", "\\\\", "xx", "--", "++")
 _BARS = 0.84
-"""Width of all bars of a category, of the distance between two."""
+"""Total width of the bars of a category, as a share of the distance between two categories."""
 
 
 def draw_charts(
     charts: Sequence[Chart | GridMap], path: Path, width: float = _WIDTH, columns: int | None = None
 ) -> None:
-    """Draw charts of a width [inches] into the PNG file `path`, `columns` in a row, by default all of them.
+    """Draw charts, each `width` inches wide, into the PNG file `path`.
 
-    The names of the series are listed once, below the charts.
+    A row has `columns` charts, by default all charts. A common legend is below the charts.
     """
     columns = columns or len(charts)
     names = {entry.name: None for chart in charts if isinstance(chart, Chart) for entry in chart.series}
@@ -42,8 +42,8 @@ def draw_charts(
             axes.set_visible(False)
         for axes, chart in zip(panels, charts, strict=False):
             if isinstance(chart, GridMap):
-                shown = draw_map(axes, chart)
-                figure.colorbar(shown, ax=axes, label=chart.unit)
+                mesh = draw_map(axes, chart)
+                figure.colorbar(mesh, ax=axes, label=chart.unit)
             else:
                 draw_chart(axes, chart)
             axes.set_title(chart.title)
@@ -52,7 +52,10 @@ def draw_charts(
 
 
 def draw_run(views: RunViews, title: str, path: Path, draw_more: Callable[[Axes], None] = lambda _: None) -> None:
-    """Draw the plane of runs, `draw_more` on it, and their panes over time into the PNG file `path`."""
+    """Draw the paths of runs in the plane, and their panes over time, into the PNG file `path`.
+
+    `draw_more` draws additional elements into the axes of the plane.
+    """
     panes = views.panes
     with new_figure(path, 9.6, 6.4) as figure:
         grid = figure.add_gridspec(len(panes), 2, width_ratios=(1.1, 1.0))
@@ -80,7 +83,7 @@ def _legend(figure: Figure, panels: Sequence[Axes], columns: int) -> None:
 
 
 def draw_chart(axes: Axes, chart: Chart) -> None:
-    """Draw the series of a chart, and its marks; without its title."""
+    """Draw the series and marks of a chart, without the title."""
     categories = _categories(chart)
     bars = [entry for entry in chart.series if entry.kind in ("bars", "rows")]
     for series in chart.series:
@@ -92,8 +95,8 @@ def draw_chart(axes: Axes, chart: Chart) -> None:
         axes.set_yticks(range(len(categories)), categories)
         axes.invert_yaxis()
     elif categories:
-        turned = 20 if sum(map(len, categories)) > 40 else 0
-        axes.set_xticks(range(len(categories)), categories, rotation=turned, ha="right" if turned else "center")
+        angle = 20 if sum(map(len, categories)) > 40 else 0
+        axes.set_xticks(range(len(categories)), categories, rotation=angle, ha="right" if angle else "center")
     for axis, scale in ((chart.x, axes.set_xscale), (chart.y, axes.set_yscale)):
         if axis.type == "log":
             scale("log")
@@ -121,8 +124,8 @@ def _draw_mark(axes: Axes, mark: Mark) -> None:
         axes.annotate(mark.text, place, offset, ("axes fraction", "data"), ha="left", va="bottom", **look)
 
 
-def draw_map(axes: Axes, chart: GridMap) -> Any:  # noqa: ANN401 - what a colour bar is made of
-    """Draw a map with logarithmic colours and a cross where the chart has one; gives the coloured mesh."""
+def draw_map(axes: Axes, chart: GridMap) -> Any:  # noqa: ANN401 - argument of Figure.colorbar
+    """Draw a map with logarithmic colours and a cross at each crossed cell; return the mesh for a colour bar."""
     values = _numbers([value for row in chart.values for value in row]).reshape(len(chart.values), -1)
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     norm = LogNorm(low, max(high, 1.001 * low))
@@ -139,8 +142,8 @@ def _categories(chart: Chart) -> list[str]:
     rows = any(entry.kind == "rows" for entry in chart.series)
     if not rows and chart.x.type != "category":
         return []
-    named = (value for entry in chart.series for value in (entry.y if rows else entry.x))
-    return list(dict.fromkeys(map(str, named)))
+    names = (value for entry in chart.series for value in (entry.y if rows else entry.x))
+    return list(dict.fromkeys(map(str, names)))
 
 
 def _draw_bars(axes: Axes, series: Series, place: int, count: int, categories: Sequence[str]) -> None:
@@ -181,7 +184,7 @@ def _draw_points(axes: Axes, series: Series, categories: Sequence[str]) -> None:
 
 
 def _interval(series: Series, values: FloatArray) -> FloatArray | None:
-    """Compute (2, n) lengths of the interval below and above each value; None without one."""
+    """Compute (2, n) lengths of the interval below and above each value; None if the series has no interval."""
     if not len(series.low):
         return None
     return np.asarray(np.abs([values - _numbers(series.low), _numbers(series.high) - values]))

@@ -8,10 +8,10 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 PLOTLY_MARKERS = ("circle", "square", "triangle-up", "diamond", "triangle-down", "cross", "x")
 LINE_STYLES = ("-", "--", "-.", ":")
 DASHES = ("solid", "dash", "dashdot", "dot", "longdash", "longdashdot")
-"""Dashes of Plotly: with seven colours a pair repeats after 42 series."""
+"""Dashes of Plotly: with seven colours, a pair of colour and dash repeats after 42 series."""
 REFERENCE_COLOUR = "#7F7F7F"
 
 
 def marker_number(style: int) -> int:
-    """Return the number of a marker: in the second round of colours each goes with the next marker."""
+    """Return the index of a style's marker; when the colours repeat, each is paired with the next marker."""
     return (style + style // len(PALETTE)) % len(MARKERS)

@@ -34,7 +34,7 @@ from diffdrive_mpc.sim.plants.plant import PlantAround
 
 
 class LatePlant(PlantAround):
-    """`plant` behind a line that holds every command for `ticks` samples; see `sim.plants.plant.Plant`."""
+    """`plant` with a delay line that holds every command for `ticks` samples; see `sim.plants.plant.Plant`."""
 
     def __init__(self, plant: Plant, ticks: int) -> None:
         super().__init__(plant)
@@ -42,12 +42,12 @@ class LatePlant(PlantAround):
         self._under_way: deque[FloatArray] = deque()
 
     def reset(self, pose: ArrayLike) -> None:
-        """Reset the plant, with nothing under way."""
+        """Reset the plant, and fill the delay line with zero commands."""
         self._plant.reset(pose)
         self._under_way = deque(np.zeros(2) for _ in range(self._ticks))
 
     def measure(self) -> Measurement:
-        """Collect the plant's sensor data; the applied command is the one that entered the line."""
+        """Collect the plant's sensor data; the applied command is the last one that entered the delay line."""
         measurement = self._plant.measure()
         if measurement.sent is None or not self._under_way:
             return measurement
@@ -55,21 +55,21 @@ class LatePlant(PlantAround):
         return replace(measurement, sent=(v, omega))
 
     def advance(self, command: ArrayLike) -> None:
-        """Send `command` (2,) into the line, and advance the plant with the output of the line."""
+        """Append `command` (2,) to the delay line, and advance the plant with the output of the line."""
         self._under_way.append(np.array(command, dtype=float))
         self._plant.advance(self._under_way.popleft())
 
 
 CONTROLLERS = ("mpc", *PEERS)
 _SAME_TRACK = 0.05
-"""Tracks of a plant and a configuration that differ by less are those of one robot [-]."""
+"""Relative difference of track between plant and configuration above which they count as different robots [-]."""
 
 
 def build(case: Case) -> tuple[TrackingController, Plant, Reference]:
     """Make the controller, plant and reference of a case.
 
     The plant takes commands at the sample time of the configuration. Raises ConfigError or ValueError if a name is
-    unknown or a file has a mistake.
+    unknown or a file is invalid.
     """
     return make_controller(case), build_plant(case), load_reference(case)
 
@@ -80,7 +80,7 @@ def build_plant(case: Case) -> Plant:
     if case.controller not in PEERS:
         options = plant_settings(controller_config(case.model, case.config, settings_of(case)))
     plant = make_plant(case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario, **options)
-    return LatePlant(plant, case.late) if case.late > 0 else plant
+    return LatePlant(plant, case.excess_delay) if case.excess_delay > 0 else plant
 
 
 def run_case(case: Case) -> Run:
@@ -100,7 +100,8 @@ def check_cases(cases: Iterable[Case]) -> None:
 def load_reference(case: Case) -> Trajectory:
     """Return the trajectory of a case with its timing; raises ConfigError if either cannot be used.
 
-    With a top speed, or scaled to the robot, it stops where the curvature jumps. A plant may have its own reference.
+    With a top speed, or scaled to the robot, the trajectory stops at jumps of curvature. A plant may have its own
+    reference.
     """
     plant_path = _reference_of_plant(case)
     if plant_path is not None:
@@ -141,16 +142,16 @@ def _reference_of_plant(case: Case) -> Trajectory | None:
     is_named = case.trajectory != case.plant
     if reference is not None and is_named:
         raise ConfigError(
-            f"--trajectory {case.trajectory}: the plant '{label(case.plant)}' has its own path; leave the option out, "
+            f"--trajectory {case.trajectory}: the plant '{label(case.plant)}' has its own path; omit the option, "
             "or remove the path from a copy of the plant's file"
         )
     if reference is None and not is_named:
-        raise ConfigError(f"--plant {case.plant}: it has no own path; give a --trajectory")
+        raise ConfigError(f"--plant {case.plant}: the plant has no path; give a --trajectory")
     return reference
 
 
 def other_robots(cases: Iterable[Case]) -> list[str]:
-    """Return a sentence for each physics plant that differs from the robot in the configuration of its case."""
+    """Return a warning for each physics plant that differs from the robot in the configuration of its case."""
     predictive = (case for case in cases if case.controller == "mpc" and case.model != NO_MODEL)
     kinds = {(case.model, case.config, settings_of(case), case.plant): case for case in predictive}
     sentences = (_other_robot(case) for case in kinds.values())
@@ -178,13 +179,13 @@ def _other_robot(case: Case) -> str:
     if not differences:
         return ""
     return (
-        f"the plant '{label(case.plant)}' is another robot than the configuration's: {'; '.join(differences)}. For "
-        "yours give --plant model:FILE with its model, or mujoco:FILE with its twin (diffdrive-mpc twin)"
+        f"the plant '{label(case.plant)}' does not match the robot of the configuration: {'; '.join(differences)}. For "
+        "your robot, give --plant model:FILE with its model, or mujoco:FILE with its twin (diffdrive-mpc twin)"
     )
 
 
 def _config_of_robot(case: Case) -> ControllerConfig:
-    """Return the configuration for the robot of a case; a peer has none of its own."""
+    """Return the configuration for the robot of a case; for a peer, that of the default model."""
     model = Case().model if case.controller in PEERS or case.model == NO_MODEL else case.model
     return controller_config(model, case.config, settings_of(case))
 
@@ -204,9 +205,9 @@ def make_controller(case: Case) -> TrackingController:
 
 
 def settings_of(case: Case) -> Overrides:
-    """Return configuration values by dotted key: `case.overrides`, and those that the user of a drawn robot states.
+    """Return configuration values by dotted key: `case.overrides`, and the values stated by a random robot's user.
 
-    A peer that does not act on this project's estimate takes none.
+    For a peer that does not use this project's estimator, return `case.overrides` only.
     """
     drawn = None if case.controller in PEERS and not takes_settings(case.controller) else drawn_robot(case.plant)
     return case.overrides if drawn is None else tuple((dict(drawn.stated) | dict(case.overrides)).items())
@@ -226,8 +227,8 @@ def case_config(case: Case) -> ControllerConfig:
 def controller_config(model: str, config: str | None = None, overrides: Overrides = ()) -> ControllerConfig:
     """Return the configuration of the predictive controller.
 
-    Without a file it is the shipped one of `model`. A model file of the user's own has none: it takes that of the
-    SSM, without the extra dead time, which belongs to the model it was found with.
+    Without `config`, it is the shipped configuration of `model`. A user's model file has no shipped configuration and
+    takes that of the SSM without the extra dead time, which was identified with the SSM.
 
     Raises ConfigError if the model is unknown or the configuration has a mistake.
     """
@@ -242,14 +243,16 @@ def controller_config(model: str, config: str | None = None, overrides: Override
 
 
 def chosen_model(model: str | None, config: Path | None) -> str:
-    """Return the requested model, or else that of a configuration file, or else the default one.
+    """Return the requested model; if None, the model of the configuration file, or the default model without a file.
 
     Raises ConfigError if the name is empty or the file cannot be used.
     """
     if model is None:
         return Case().model if config is None else load_config(config).model
     if not model.strip():
-        raise ConfigError("--model: it is empty; give mbm, sm, ssm, two_delays, kinematic or the path of a model file")
+        raise ConfigError(
+            "--model: the name is empty; give mbm, sm, ssm, two_delays, kinematic or the path of a model file"
+        )
     return model
 
 

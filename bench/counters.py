@@ -1,8 +1,8 @@
-"""Detect by counters whether a timed run was disturbed. Standard library only: the processes of peers use it, too.
+"""Detect by counters whether a timed run was disturbed. Standard library only: processes of peers import this module.
 
-A short stretch of work is undisturbed if its thread was never preempted, had the processor all the time, and the
-machine was as fast before and after it as at its best. The last is measured by a yardstick, a fixed bit of arithmetic:
-a processor that is throttled, or shares its core with a neighbour that the system does not show, is slower at it.
+A short piece of work is undisturbed if its thread was never preempted and held the processor all the time, and if the
+machine ran at full speed before and after it. The speed is measured by a yardstick, a fixed computation: it takes
+longer if the processor is throttled, or if its core is shared with a virtual machine that the system cannot detect.
 """
 
 from __future__ import annotations
@@ -15,20 +15,23 @@ from typing import NamedTuple, TypeVar
 
 try:
     import resource
-except ImportError:  # a system without it counts no switches
+except ImportError:  # without this module, context switches are not counted
     resource = None  # type: ignore[assignment]
 
 T = TypeVar("T")
 
 AWAY = (2e-5, 0.01)
-"""Tolerated time without the processor [s] and share of the elapsed time [-]: the clocks are read in turn."""
+"""Tolerated time without the processor: constant part [s], and share of the elapsed time [-].
+
+The clocks are read one after the other, so a small difference is normal.
+"""
 SLOWER = 1.15
-"""The machine counts as slow if the yardstick exceeds its best time by this factor."""
+"""Ratio of the yardstick's time to its best time above which the machine counts as slow."""
 _PROBES, _SUMMANDS = 3, 300
 
 
 class Effort(NamedTuple):
-    """Cost of some work: elapsed and own processor time [s], involuntary switches, time of the yardstick [s]."""
+    """Cost of some work: elapsed and processor time [s], involuntary context switches, time of the yardstick [s]."""
 
     elapsed: float
     processor: float
@@ -36,12 +39,12 @@ class Effort(NamedTuple):
     pace: float
 
     def undisturbed(self, best_pace: float) -> bool:
-        """Return True if the work was undisturbed, for a machine whose yardstick takes `best_pace` [s] at its best."""
+        """Return True if the work was undisturbed; `best_pace` is the minimum time of the machine's yardstick [s]."""
         away = self.elapsed - self.processor
         return self.switches == 0 and away <= AWAY[0] + AWAY[1] * self.elapsed and self.pace <= SLOWER * best_pace
 
 
-def watched(work: Callable[[], T]) -> tuple[T, Effort]:
+def measure_effort(work: Callable[[], T]) -> tuple[T, Effort]:
     """Run `work`; return its result and its effort. The yardstick is measured before and after."""
     pace = yardstick()
     began, processor, switches = time.perf_counter(), time.thread_time(), _switches()
@@ -51,7 +54,7 @@ def watched(work: Callable[[], T]) -> tuple[T, Effort]:
 
 
 def yardstick() -> float:
-    """Time a fixed sum [s], the minimum of a few runs: a few dozen microseconds in all."""
+    """Return the minimum time of a fixed sum over a few runs [s]; the call takes a few dozen microseconds."""
     return min(_one_sum() for _ in range(_PROBES))
 
 
@@ -70,7 +73,7 @@ def _switches() -> int:
 
 
 def busy_time(core: int | None) -> float:
-    """Return the time for which a core was busy since the system started [s]; 0 if unknown."""
+    """Return the busy time of a core since the system started [s]; 0 if unknown."""
     try:
         lines = Path("/proc/stat").read_text(encoding="ascii").splitlines()
     except OSError:

@@ -1,4 +1,4 @@
-"""`diffdrive_mpc.simulate`: the closed loop of `sim`, with names and files where objects are expected."""
+"""`diffdrive_mpc.simulate`: the closed loop of `sim`; accepts names and files in place of objects."""
 
 from __future__ import annotations
 
@@ -41,28 +41,28 @@ def simulate(
     Parameters
     ----------
     controller
-        Anything with `start` and `step`; or a configuration, or what `load_config` makes one of, such as "ssm".
+        Object with `start` and `step`; or a configuration, or an argument of `load_config`, such as "ssm".
     plant
-        The robot stand-in, which is reset first; or what `make_plant` makes one of, such as "mujoco" or a velocity
-        model. It is made with the sample time and the limits of the controller's configuration.
+        Simulated robot, which is reset first; or an argument of `make_plant`, such as "mujoco" or a velocity model. A
+        new plant has the sample time and the limits of the controller's configuration.
     reference
-        The timed trajectory; or what `load_trajectory` makes one of, such as "circle", with the limits of the
+        Timed trajectory; or an argument of `load_trajectory`, such as "circle", loaded with the limits of the
         controller's configuration.
     extra_time, keep_plans, on_tick
-        As `sim.loop.simulate` takes them: time to go on after the end [s], whether the run keeps the plans, and what is
-        called after each tick with the number of ticks done and their total.
+        Arguments of `sim.loop.simulate`: time to continue after the end [s], whether the run stores the plans, and a
+        function that is called after each tick with the number of completed ticks and the total number.
 
     Returns
     -------
     Run
-        See `sim.loop.simulate`. A warning names the place at which the reference exceeds the robot's abilities.
+        See `sim.loop.simulate`. A warning names the point at which the reference exceeds the limits of the robot.
 
     Raises
     ------
     ArgumentError
-        If an argument has another type, or the order is another one.
+        If an argument has the wrong type, or the arguments are in the wrong order.
     ConfigError, ModelError, ValueError
-        If a name is unknown, a file has a mistake, or the arguments do not fit each other.
+        If a name is unknown, a file is invalid, or the arguments do not match each other.
     """
     _check_names({"controller": controller, "plant": plant, "trajectory": reference})
     if isinstance(controller, (ControllerConfig, str, Path, Mapping)):
@@ -91,15 +91,15 @@ def simulate(
 
 
 def plant_settings(config: ControllerConfig) -> dict[str, Any]:
-    """Sample time and limits of the plant of a controller, as `make_plant` takes them."""
-    carried = load_robot().limits
-    # The range of the papers' link does not apply to another robot's model.
-    bounds = {name: max(*sides_of(getattr(config.limits, name)), getattr(carried, name)) for name in ("v", "omega")}
+    """Return sample time and limits of the plant of a controller, as arguments of `make_plant`."""
+    shipped = load_robot().limits
+    # A robot with higher limits than the papers' robot must not be clipped at the range of that robot's link.
+    bounds = {name: max(*sides_of(getattr(config.limits, name)), getattr(shipped, name)) for name in ("v", "omega")}
     return {"sample_time": config.sample_time, "limits": TwistBounds(**bounds)}
 
 
 def _check_names(places: Mapping[str, object]) -> None:
-    """Raise ArgumentError for the shipped name of another argument; `places` are the arguments by kind."""
+    """Raise ArgumentError if an argument is a shipped name of another kind; `places` are the arguments by kind."""
     for kind, names in {"plant": (PHYSICS,), "trajectory": BUILT_IN}.items():
         for place, value in places.items():
             if isinstance(value, str) and value in names and place != kind:
@@ -111,6 +111,6 @@ def _has(value: object, names: tuple[str, ...]) -> bool:
 
 
 def _check(value: object, names: tuple[str, ...], argument: str, expected: str) -> None:
-    """Raise ArgumentError where `value` has no attributes of these names."""
+    """Raise ArgumentError if `value` lacks an attribute in `names`."""
     if not _has(value, names):
         raise wrong_type(argument, expected, value, _ORDER)

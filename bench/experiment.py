@@ -1,4 +1,4 @@
-"""Drive many cases, one row a run, and group the rows; pandas holds them."""
+"""Run many cases, and group their rows in pandas tables; one row per run."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim import Run
 
 Measure = Callable[[Case, Run], Mapping[str, object]]
-"""Further columns of a run, computed in the process of its drive; the run itself is not stored."""
+"""Function that computes further columns of a run in the process that drives it; the run itself is not stored."""
 PROCESSOR = "processor_s"
 """Column of the processor time of a run [s]."""
 COMPARED = "compared"
-"""Grouping by it distinguishes controllers by all that varies among the rows, see `bench.run_row.driver_names`."""
+"""Column that names controllers by every setting that varies among the rows, see `bench.run_row.driver_names`."""
 
 
 @dataclass(frozen=True)
 class ExperimentRun:
-    """A run of an experiment: the case, and labels that become columns beside its dimensions."""
+    """A run of an experiment: its case, and labels that become additional columns."""
 
     case: Case
     labels: Mapping[str, object] = field(default_factory=dict)
@@ -44,18 +44,18 @@ def drive_all(
     measure: Measure | None = None,
     run_one: Callable[[Case], Run] = run_case,
 ) -> DataFrame:
-    """Drive everything in `jobs` processes, see `bench.runner.run_tasks`; one row a run, in order.
+    """Run `drives` in `jobs` processes, see `bench.runner.run_tasks`; return one row per run, in order.
 
     Parameters
     ----------
     drives
-        The drives of the experiment.
+        Runs of the experiment.
     jobs, on_done
-        As `run_tasks` takes them.
+        Arguments of `run_tasks`.
     measure
-        Gives further columns of a run.
+        Function that computes further columns of a run; None for no further columns.
     run_one
-        Drives a case.
+        Function that runs a case.
     """
     return frame(run_tasks([partial(_row, drive, measure, run_one) for drive in drives], jobs, on_done))
 
@@ -72,19 +72,19 @@ def frame(rows: Iterable[Row]) -> DataFrame:
     return DataFrame(list(rows))
 
 
-def joined(*parts: DataFrame) -> DataFrame:
-    """Concatenate several tables; empty tables and repeated cases are dropped."""
+def concatenate(*parts: DataFrame) -> DataFrame:
+    """Concatenate tables; drop empty tables and repeated cases."""
     filled = [part for part in parts if len(part)]
     return pd.concat(filled, ignore_index=True).drop_duplicates("case") if filled else DataFrame()
 
 
 def values(rows: DataFrame, column: str) -> FloatArray:
-    """Return the numbers (runs,) of a column, NaN for unknown ones."""
+    """Return the numbers (runs,) of a column; unknown values are NaN."""
     return np.asarray(rows[column].to_numpy(dtype=float)) if len(rows) else np.zeros(0)
 
 
 def mean(rows: DataFrame, column: str) -> float:
-    """Compute the mean of a column over runs; NaN without runs, and if a run lacks the value."""
+    """Compute the mean of a column over runs; NaN if there are no runs, or if a run lacks the value."""
     column_values = values(rows, column)
     return float(np.mean(column_values)) if column_values.size else math.nan
 
@@ -94,10 +94,10 @@ def total(rows: DataFrame, column: str) -> int:
     return int(values(rows, column).sum())
 
 
-def grouped(rows: DataFrame, columns: Sequence[str]) -> list[tuple[tuple[str, ...], DataFrame]]:
+def group_rows(rows: DataFrame, columns: Sequence[str]) -> list[tuple[tuple[str, ...], DataFrame]]:
     """Group rows by columns in the order of first appearance; the first column varies most slowly.
 
-    `COMPARED` names controllers by all that varies inside the groups of the columns before it.
+    The column `COMPARED` names controllers by every setting that varies inside the groups of the preceding columns.
     """
     if not len(rows) or not columns:
         return [((), rows)] if len(rows) else []
@@ -116,8 +116,8 @@ def _names(cases: pd.Series[Any]) -> pd.Series[Any]:
 
 
 def by(rows: DataFrame, column: str) -> dict[str, DataFrame]:
-    """Return rows by the value of a column, or by what is `COMPARED`, in the order of first appearance."""
-    return {name: part for (name,), part in grouped(rows, [column])}
+    """Return rows by the value of a column (or `COMPARED`), in the order of first appearance."""
+    return {name: part for (name,), part in group_rows(rows, [column])}
 
 
 def json_rows(rows: DataFrame, digits: int = 6) -> list[Row]:

@@ -15,17 +15,17 @@ Varied = dict[str, Annotated[tuple[Value, ...], Field(min_length=1)]]
 
 
 class TableFile(StrictModel):
-    """A table over groups of runs; cells that only the program can compute have a name of one word."""
+    """A table over groups of runs; cells that the program computes have a name of one word."""
 
     title: str
-    part: tuple[str, ...] = Field((), description="parts of the experiment whose runs it shows; none for all runs")
-    where: dict[str, Value] = Field({}, description="value that a column has in the runs it shows")
-    by: Annotated[dict[str, str], Field(min_length=1)] = Field(description="columns to group by, by their heading")
-    columns: dict[str, str] = Field(description="what a cell states, by the heading of its column")
+    part: tuple[str, ...] = Field((), description="parts of the experiment to tabulate; empty for all runs")
+    where: dict[str, Value] = Field({}, description="required value of a column, by column; selects the runs")
+    by: Annotated[dict[str, str], Field(min_length=1)] = Field(description="columns to group by, under their headings")
+    columns: dict[str, str] = Field(description="definition of the cells, by the heading of their column")
     across: str = Field(
-        "", description="column each of whose values has the columns once, with its name in place of {}"
+        "", description="column for whose values the columns are repeated; the value replaces {} in headings"
     )
-    mean: bool = Field(False, description="whether a row below each block holds all of it")
+    mean: bool = Field(False, description="whether a row below each block summarises the block")
     note: str = ""
 
 
@@ -33,7 +33,9 @@ class ExperimentFile(StrictModel):
     """Runs of an experiment and their presentation."""
 
     title: str = Field(description="heading of the report")
-    vary: Varied = Field({}, description="values for every part that does not state its own; the last varies fastest")
+    vary: Varied = Field({}, description="values for every part that does not define them; the last varies fastest")
     variants: dict[str, dict[str, Value]] = Field({}, description="configuration values under the name of a variant")
-    parts: dict[str, tuple[Varied, ...]] = Field(description="blocks of each part: every combination of its values")
+    parts: dict[str, tuple[Varied, ...]] = Field(
+        description="blocks of each part; a block is every combination of its values"
+    )
     tables: Mapping[str, TableFile] = Field({}, description="tables of the report, in order")

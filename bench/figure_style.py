@@ -1,4 +1,4 @@
-"""The look that all figures share."""
+"""Common style of all figures."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def colour(index: int) -> str:
 
 
 def line_style(index: int) -> str:
-    """Return the line style of the series number `index`, so that lines differ without colour, too."""
+    """Return the line style of the series number `index`, so that lines also differ in print without colour."""
     return LINE_STYLES[index % len(LINE_STYLES)]
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from pandas import DataFrame
 
-from diffdrive_mpc.bench.experiment import by, grouped, total, values
+from diffdrive_mpc.bench.experiment import by, group_rows, total, values
 from diffdrive_mpc.bench.experiment_file import TableFile
 from diffdrive_mpc.bench.table import Table, duration, number
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
@@ -30,7 +30,7 @@ Figure = Callable[[DataFrame], float]
 UNITS = {"mm": (1e3, 1), "mrad": (1e3, 1), "ms": (1e3, 2), "percent": (100.0, 1)}
 """Factor from the unit of the column, and the usual decimal places."""
 KNOWN = "_known"
-"""Ending of a statistic that leaves out runs whose value could not be computed; else the statistic is NaN."""
+"""Suffix of a statistic that omits runs without a value; without the suffix, such a run makes the statistic NaN."""
 STATISTICS: dict[str, Callable[[FloatArray], Any]] = {
     "mean": np.mean,
     "max": np.max,
@@ -42,9 +42,9 @@ STATISTICS: dict[str, Callable[[FloatArray], Any]] = {
 
 
 def figure(text: str, where: str = "figure") -> Figure:
-    """Return the function for "STATISTIC COLUMN", in the unit of the column; NaN without runs.
+    """Return the function for "STATISTIC COLUMN", in the unit of the column; it returns NaN without runs.
 
-    Raises ConfigError, naming the place `where`, if it is not understood.
+    Raises ConfigError, which names the place `where`, if the text is invalid.
     """
     name, _, column = text.partition(" ")
     statistic = STATISTICS.get(name.removesuffix(KNOWN))
@@ -62,10 +62,10 @@ def figure(text: str, where: str = "figure") -> Figure:
 def cell(text: str, where: str = "column") -> Cell:
     """Parse a cell such as "mean position_rmse_m mm" or "share completed".
 
-    Further statistics are `runs` (their number), `share` (of runs with a true value), and `time` or `longest` (mean and
-    maximum of a time, infinite for never).
+    Further statistics are `runs` (number of runs), `share` (share of runs with a true value), and `time` or `longest`
+    (mean and maximum of a time, which is infinite if the event did not occur).
 
-    Raises ConfigError, naming the place `where`, if it is not understood.
+    Raises ConfigError, which names the place `where`, if the text is invalid.
     """
     statistic, *words = text.split()
     column = " ".join(words[:1])
@@ -74,8 +74,8 @@ def cell(text: str, where: str = "column") -> Cell:
     if statistic == "share" and len(words) == 1:
         return lambda rows: f"{total(rows, column)}/{len(rows)}"
     if statistic in ("time", "longest") and len(words) == 1:
-        made = figure(f"{'mean' if statistic == 'time' else 'max'} {column}", where)
-        return lambda rows: duration(made(rows))
+        time = figure(f"{'mean' if statistic == 'time' else 'max'} {column}", where)
+        return lambda rows: duration(time(rows))
     unit = [word for word in words[1:2] if word in UNITS]
     places = words[1 + len(unit) :]
     factor, digits = UNITS[unit[0]] if unit else (1.0, 0 if statistic == "total" else 4)
@@ -86,36 +86,36 @@ def cell(text: str, where: str = "column") -> Cell:
 
 
 class TableSpec(TableFile):
-    """A table over groups of runs, as a file states it."""
+    """Definition of a table over groups of runs, as read from a file."""
 
     def table(self, rows: DataFrame, cells: Mapping[str, Cell] | None = None, note: str = "") -> Table:
-        """Build the table of the rows that it selects.
+        """Build the table of the selected rows.
 
-        `cells` are those that have a name of their own, and `note` follows that of the file.
+        `cells` are the cells that the program computes, by name; `note` is appended to the note of the file.
         """
         for column, value in self.where.items():
             rows = rows[rows[column] == value]
         known = cells or {}
-        made = {
+        columns = {
             heading: known.get(text) or cell(text, f"{self.title}, {heading}") for heading, text in self.columns.items()
         }
         if self.across:
-            made = {
-                heading.replace("{}", name): partial(_among, made_cell, part.index)
+            columns = {
+                heading.replace("{}", name): partial(_cell_of_rows, column_cell, part.index)
                 for name, part in by(rows, self.across).items()
-                for heading, made_cell in made.items()
+                for heading, column_cell in columns.items()
             }
-        return grouped_table(self.title, rows, self.by, made, self.note + note, mean=self.mean)
+        return grouped_table(self.title, rows, self.by, columns, self.note + note, mean=self.mean)
 
 
-def _among(made: Cell, index: pd.Index, rows: DataFrame) -> str:
-    """Return the cell of those rows of a group that are in an index."""
+def _cell_of_rows(column_cell: Cell, index: pd.Index, rows: DataFrame) -> str:
+    """Return the cell of the rows of a group whose index is in `index`."""
     part = rows[rows.index.isin(index)]
-    return made(part) if len(part) else "-"
+    return column_cell(part) if len(part) else "-"
 
 
 def load_tables(file: Path) -> dict[str, TableSpec]:
-    """Load the tables of a file by name, in order; raise ConfigError for a mistake."""
+    """Load the tables of a file by name, in order; raise ConfigError if the file is invalid."""
     return {name: check(TableSpec, data, f"{file.name}: {name}") for name, data in read_yaml(file).items()}
 
 
@@ -135,16 +135,16 @@ def grouped_table(
     title, note
         Title of the table and note below it.
     rows
-        One for each run.
+        One row per run.
     names
-        Columns to group by, under the headings of their names; the first varies most slowly.
+        Columns to group by, by heading; the first varies most slowly.
     columns
         Cells by heading.
     mean
-        Whether each block of the last of `names` is followed by a row for all of it.
+        True to append a row for the whole block after each block of the last of `names`.
     """
     entries: list[tuple[tuple[str, ...], DataFrame]] = []
-    for outer, block in itertools.groupby(grouped(rows, list(names.values())), key=lambda entry: entry[0][:-1]):
+    for outer, block in itertools.groupby(group_rows(rows, list(names.values())), key=lambda entry: entry[0][:-1]):
         entries += (listed := list(block))
         if mean and len(listed) > 1:
             entries.append(((*outer, "mean"), pd.concat(part for _, part in listed)))

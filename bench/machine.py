@@ -1,4 +1,4 @@
-"""Description of the machine behind a figure, without names of hosts, users or paths."""
+"""Description of the machine that produced a result, without names of hosts, users or paths."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 from diffdrive_mpc.bench.runner import available_cores
 
 PACKAGES = ("numpy", "scipy", "casadi", "osqp", "daqp", "mujoco", "control", "joblib")
-"""Packages whose version can change a figure."""
+"""Packages whose version can change a result."""
 
 
 def describe_run(wall_time: float) -> dict[str, Any]:
@@ -44,7 +44,7 @@ def project_version() -> str:
 
 
 def git_revision() -> str | None:
-    """Return the revision of the running checkout, with a plus sign after changes; None outside a checkout."""
+    """Return the revision of the running checkout, with "+" for uncommitted changes; None outside a checkout."""
     root = Path(__file__).resolve().parents[1]
     top = _git("rev-parse", "--show-toplevel")
     revision = _git("rev-parse", "--short=12", "HEAD")
@@ -64,7 +64,7 @@ def _git(*arguments: str) -> str:
 
 
 def package_version(package: str) -> str:
-    """Return the version of an installed package, or a remark that it is missing."""
+    """Return the version of a package, or "not installed"."""
     try:
         return version(package)
     except PackageNotFoundError:

@@ -1,4 +1,4 @@
-"""Values as JSON takes them."""
+"""Conversion to values that JSON can represent."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BaseModel
 
 
-def plain(value: object, digits: int | None = None) -> Any:  # noqa: ANN401 - whatever JSON takes
+def plain(value: object, digits: int | None = None) -> Any:  # noqa: ANN401 - any value of JSON
     """Convert dataclasses, settings, mappings, sequences and arrays to JSON values; NaN and infinity become None.
 
     Parameters
@@ -19,7 +19,7 @@ def plain(value: object, digits: int | None = None) -> Any:  # noqa: ANN401 - wh
     value
         Value to convert.
     digits
-        Significant digits of every number that is not whole; None for all of them.
+        Significant digits of every number that is no integer; None for all digits.
     """
     if isinstance(value, BaseModel):
         value = value.model_dump(mode="json")

@@ -1,4 +1,4 @@
-"""The terminal: a progress bar that does not disturb the measured work, and the console for results."""
+"""Terminal output: a progress bar that does not disturb time measurements, and the console for results."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ if TYPE_CHECKING:
 
 _REFRESH_PERIOD = 0.2
 _LINE_PERIOD = 10.0
-"""Time between two lines of progress where stderr is no terminal, such as a pipe or a build log [s]."""
+"""Time between two lines of progress if stderr is no terminal, such as a pipe or a build log [s]."""
 
 
 class _PlainConsole(Console):
-    """Console without control characters in its text: names may come from untrusted files."""
+    """Console that removes control characters from text, because names may come from untrusted files."""
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
-        """Yield the drawn parts; colours and moves of the cursor are no text, and stay."""
+        """Yield the rendered segments; segments for colours and cursor moves are kept."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else Segment(plain_text(segment.text), segment.style)
 
 
 class ProgressBar:
-    """A bar on stderr, drawn by the caller's own thread: a drawing thread would disturb measured step times.
+    """A bar on stderr, drawn in the caller's thread: a separate thread would disturb measured step times.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class ProgressBar:
     total
         Number of steps; it may become known later.
     lines
-        Write a line now and then if stderr is no terminal.
+        True to write a line of progress periodically if stderr is no terminal.
     """
 
     def __init__(self, text: str, total: int | None = None, *, lines: bool = False) -> None:
@@ -77,7 +77,7 @@ class ProgressBar:
         self._draw()
 
     def start_stage(self, text: str, total: int, done: int = 0) -> None:
-        """Show another activity, or resume one of which `done` steps are finished."""
+        """Start another stage, or resume one of which `done` steps are finished."""
         self._progress.update(self._task, description=text, completed=done, total=total)
         self._progress.refresh()
 
@@ -94,9 +94,9 @@ class ProgressBar:
 
 
 def output_console(width_elsewhere: int = 140) -> Console:
-    """Create a console on stdout, as wide as the variable COLUMNS or else the terminal.
+    """Create a console on stdout with the width of the variable COLUMNS or of the terminal.
 
-    Without both (a file, a pipe, a build log) it is wide enough for the tables.
+    Other outputs (a file, a pipe, a build log) get the width `width_elsewhere`, which is enough for the tables.
     """
     console = _PlainConsole()
     if console.is_terminal or os.environ.get("COLUMNS", "").isdigit():

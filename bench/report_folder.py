@@ -1,4 +1,4 @@
-"""Write a folder of results so that it holds the old ones or the new ones, never a mixture that is half written."""
+"""Write a folder of results so that it contains either the old or the new results, never a mixture."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from diffdrive_mpc.models.whole_file import (
 REPORT = "report.html"
 """Name of the page in a folder of results."""
 CONTENTS = ".contents.json"
-"""In the folder; hidden, since it is for internal use."""
-_LARGEST = 16 * MEGABYTE
+"""Name of the hidden file in the folder that records the commands that wrote its files."""
+_MAX_CONTENTS_BYTES = 16 * MEGABYTE
 
 
 Entries = dict[str, dict[str, Any]]
@@ -36,9 +36,9 @@ Entries = dict[str, dict[str, Any]]
 
 
 def _contents(folder: Path) -> Entries:
-    """Return the entries of a folder; none if its list cannot be read."""
+    """Return the entries of a folder; empty if its record cannot be read."""
     try:
-        listed: Any = parse_json(read_input(folder / CONTENTS, _LARGEST))
+        listed: Any = parse_json(read_input(folder / CONTENTS, _MAX_CONTENTS_BYTES))
         entries = {
             str(name): _entry(str(entry["by"]), entry["bytes"], entry["changed_ns"]) for name, entry in listed.items()
         }
@@ -66,7 +66,7 @@ def _other_owner(entries: Entries, name: str, owner: str) -> str:
 
 
 def _stale(entries: Entries, folder: Path, owner: str, new: set[str]) -> list[str]:
-    """Return files that the command wrote before and not now; a file that was changed since, or is read, stays."""
+    """Return files that the command wrote before and not now, except files that were changed since or are in use."""
     return sorted(
         name
         for name, entry in entries.items()
@@ -75,28 +75,28 @@ def _stale(entries: Entries, folder: Path, owner: str, new: set[str]) -> list[st
 
 
 @contextmanager
-def alone_in(folder: Path, shown: object, *, wait: bool = False) -> Iterator[None]:
-    """Keep other commands out of a folder meanwhile; the system lets them in again however this process ends.
+def exclusive_access(folder: Path, shown: object, *, wait: bool = False) -> Iterator[None]:
+    """Lock a folder against other commands inside the context; the system releases the lock when this process ends.
 
     Parameters
     ----------
     folder
-        The folder, which exists.
+        Existing folder.
     shown
         Name of the folder in the message.
     wait
-        Whether to wait for the other command to finish, as where several share a folder and each is quickly done.
+        True to wait for the other command, for short locks of processes that share a folder.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If another command is writing there.
+        If another command is writing into the folder.
     """
     try:
         handle = lock_folder(folder, wait=wait)
     except BlockingIOError as error:
         raise ConfigError(
-            f"--out {shown}: another command is writing there; wait for its end, or give another folder"
+            f"--out {shown}: another command is writing to it; wait for its end, or give another folder"
         ) from error
     try:
         yield
@@ -114,38 +114,38 @@ def staged(
     owner: str = "",
     shared: bool = False,
 ) -> Iterator[Path]:
-    """Yield a temporary folder to write into; on success its files go to `target`, on failure none of them do.
+    """Yield a temporary folder to write into; on success its files are moved to `target`, on failure none of them.
 
-    Other files of `target` stay, also in folders that get new files, except for former results of the same command
-    without a fixed name. Folders made for nothing are removed.
+    Other files of `target` are kept, except former results of the same command. Folders that were created and stay
+    empty are removed.
 
     Parameters
     ----------
     target
-        Folder for the results; made where missing.
+        Folder for the results; created if missing.
     files
-        Names of files that will be written; they are put in place last, in this order.
+        Names of files that will be written; they are moved last, in this order.
     folders
         Names of folders that will be written.
     owner
-        The command whose results these are. What it wrote there before is replaced, and its page goes by its own name
-        where `report.html` is that of another command; where it is empty, neither is checked.
+        Command that writes the results. Its former results are replaced. If `report.html` belongs to another command,
+        the page is named after this command. If empty, owners are not checked.
     shared
-        Whether several processes may work in `target` at the same time; else a second one is refused.
+        True if several processes may work in `target` at the same time; else a second process raises ConfigError.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        At once, if `target` is a file or cannot be written to, if another process writes there, if one of `files` is a
-        folder there or the reverse, belongs to another command, or is read by this one. In the end, if another of the
-        results meets something that is not of its kind; then nothing is replaced.
+        On entry, if `target` is a file or cannot be written to, if another process writes to it, or if one of `files`
+        is a folder in `target` (or the reverse), belongs to another command, or is an input of this command. On exit,
+        if another result has the name of an entry of a different kind; then nothing is replaced.
     """
     with ExitStack() as stack:
         try:
             place = target.resolve()
             stack.enter_context(new_folder(place))
             if owner and not shared:
-                stack.enter_context(alone_in(place, target))
+                stack.enter_context(exclusive_access(place, target))
             scratch = stack.enter_context(scratch_folder(place))
         except (OSError, RuntimeError) as error:
             raise ConfigError(f"--out {target}: cannot be written to ({reason(error)}); give a folder") from error
@@ -157,7 +157,7 @@ def staged(
         results.mkdir()
         yield results
         if owner and shared:
-            stack.enter_context(alone_in(place, target, wait=True))
+            stack.enter_context(exclusive_access(place, target, wait=True))
         before = _contents(place)
         if owner and (results / REPORT).exists() and _other_owner(before, REPORT, owner):
             (results / REPORT).rename(results / f"{owner}.html")
@@ -177,38 +177,38 @@ def staged(
 
 
 def _check_owners(place: Path, target: Path, files: Sequence[str], owner: str) -> None:
-    """Refuse to replace a file of another command; of its page only the name is another."""
+    """Raise ConfigError if a file of another command would be replaced; the page is excepted, as it can be renamed."""
     known = _contents(place)
     for name in files if owner else ():
         former = _other_owner(known, name, owner)
         if former and name != REPORT:
-            raise ConfigError(f"--out {target}: '{name}' there is a result of `{former}`; give another folder")
+            raise ConfigError(f"--out {target}: '{name}' is a result of `{former}`; give another folder")
         check_not_read(place / name, f"--out {target / name}")
 
 
 def _check_kind(place: Path, name: Path, target: Path, *, folder: bool) -> None:
-    """Refuse a file where a folder is needed and the reverse, and links: their targets must not be replaced."""
+    """Raise ConfigError for a file in place of a folder or the reverse, and for links, which must not be replaced."""
     path = place / name
     if not os.path.lexists(path):
         return
     if path.is_symlink() or not (path.is_dir() if folder else path.is_file()):
         kind = "folder" if folder else "file"
-        raise ConfigError(f"--out {target}: '{name}' there is in the way of a {kind} of the results; move it away")
+        raise ConfigError(f"--out {target}: '{name}' exists and is no {kind}, as the results need; move it away")
 
 
 def _put_in_place(results: Path, place: Path, old: Path, last: Sequence[str], stale: Sequence[str]) -> None:
-    """Move every file to its place, and stale ones away; undo all moves if one fails."""
+    """Move every new file to its place, and stale files away; undo all moves if one fails."""
     names = [path.relative_to(results) for path in results.rglob("*") if path.is_file()]
     names.sort(key=lambda name: (last.index(str(name)) if str(name) in last else -1, name))
     done: list[Path] = []
-    with ExitStack() as made:
+    with ExitStack() as created:
         try:
             for name in map(Path, stale):
                 (old / name).parent.mkdir(parents=True, exist_ok=True)
                 (place / name).replace(old / name)
                 done.append(name)
             for name in names:
-                made.enter_context(new_folder((place / name).parent))
+                created.enter_context(new_folder((place / name).parent))
                 if (place / name).exists():
                     (old / name).parent.mkdir(parents=True, exist_ok=True)
                     shutil.copy2(place / name, old / name)

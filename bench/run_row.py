@@ -1,4 +1,4 @@
-"""The row of a run: all columns for tables, figures, JSON and Parquet."""
+"""Row of a run: all columns for tables, figures, JSON and Parquet."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from diffdrive_mpc.sim.run import NO_SOLVER
 
 Row = dict[str, Any]
 CLOCK = ("step_time", "solve_time", "deadline")
-"""Beginnings of the columns that differ when a run is repeated."""
+"""Prefixes of the columns that differ when a run is repeated."""
 FORMER_COLUMNS = {f"path_{name}_percent": f"method_{name}_percent" for name in ("unlimited", "active_set", "backend")}
-"""Columns under the names that they had before, for one release, by these names."""
+"""Columns by their deprecated name, which is written for one more release."""
 STATISTICS = "true pose against the reference, from t = 0 to the end of the reference, no settling time added"
 
 
@@ -30,8 +30,8 @@ STATISTICS = "true pose against the reference, from t = 0 to the end of the refe
 class SolverShares:
     """Shares of the solver methods in the solved ticks [%], and the number of ticks without a solve.
 
-    Unlimited: no limit was active. Active set: the limits that were guessed were proven. Backend: OSQP or DAQP solved
-    it. NaN where nothing was solved.
+    Unlimited: no limit was active. Active set: the guessed active set was verified. Backend: solved by OSQP or DAQP.
+    NaN if no tick was solved.
     """
 
     method_unlimited_percent: float
@@ -53,10 +53,10 @@ class SolverShares:
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """A case and all of its run.
+    """A case and its run.
 
-    Where it was timed, `clean_share` is the share of its ticks that could be measured undisturbed; the times of the
-    others are NaN, unless those of all controllers were kept, see `bench.timing.time_outcomes`. NaN: it was not timed.
+    `clean_share` is the share of ticks that were timed undisturbed, or NaN if the run was not timed. Times of disturbed
+    ticks are NaN, unless those of all controllers were kept, see `bench.timing.time_outcomes`.
     """
 
     case: Case
@@ -65,13 +65,13 @@ class RunOutcome:
 
     @property
     def untimed(self) -> RunOutcome:
-        """Without the times of the run, which neighbours disturbed."""
+        """The outcome without step times, which runs in parallel disturb."""
         nothing = np.full(len(self.run.time), np.nan)
         return replace(self, run=self.run.with_step_time(nothing, nothing), clean_share=math.nan)
 
     @property
     def row(self) -> Row:
-        """The row of the run; in it are also the run, the clean share, and how far the path is from the drawn one."""
+        """The row of the run, with the run, the clean share, and the distance of the path from the drawn path [m]."""
         times, reference = self.run.time[self.run.counted], self.run.reference
         distance = reference.drawn_distance(times) if isinstance(reference, Trajectory) else np.zeros(times.size)
         return row_of(self.case, self.run) | {
@@ -85,11 +85,11 @@ class RunOutcome:
 
 def row_of(case: Case, run: Run) -> Row:
     """Build the row of a run: the case, its driver, the dimensions of the case, and `run_columns`."""
-    return {"case": case, "driver": who_drives(case)} | case.as_row() | run_columns(run)
+    return {"case": case, "driver": driver_name(case)} | case.as_row() | run_columns(run)
 
 
 def statistics_of(run: Run, *, timed: bool = True) -> Row:
-    """Compute metrics and shares of the solver, without the columns of the clock if not `timed`."""
+    """Compute metrics and shares of the solver, without the columns of times unless `timed`."""
     values = asdict(run.metrics) | asdict(SolverShares.of_run(run))
     values |= {former: values[name] for former, name in FORMER_COLUMNS.items()}
     return {name: value for name, value in values.items() if timed or not name.startswith(CLOCK)}
@@ -110,14 +110,14 @@ def run_columns(run: Run) -> Row:
     }
 
 
-def who_drives(case: Case) -> str:
+def driver_name(case: Case) -> str:
     """Return the model of the predictive controller, or the name of a peer."""
     labels = case.labels
     return model_name(labels["model"]) if labels["controller"] == "mpc" else labels["controller"]
 
 
 def model_name(name: str) -> str:
-    """Return the name of a model as in the papers, or that of the user's file."""
+    """Return the name of a model as in the papers, or the name of the user's file."""
     if name in STRUCTURES:
         return name.replace("_", " ") if "_" in name else name.upper()
     return {
@@ -130,9 +130,9 @@ def _setting(key: str, value: object) -> str:
 
 
 def driver_names(cases: Sequence[Case]) -> list[str]:
-    """Name the compared drivers: controller and model, with place and settings if they vary.
+    """Name the compared controllers: peer or model, with the dimensions and settings that vary.
 
-    The names of a dimension that does not vary are left out, and so is "mpc" beside the name of its model.
+    A dimension that does not vary is omitted, and so is "mpc" before the name of its model.
     """
     labels = [case.labels for case in cases]
     varying = [
@@ -143,7 +143,7 @@ def driver_names(cases: Sequence[Case]) -> list[str]:
     several = len({case.overrides for case in cases if case.controller == "mpc"}) > 1
     names = []
     for case, labels_of_case in zip(cases, labels, strict=True):
-        parts = [who_drives(case)]
+        parts = [driver_name(case)]
         parts += [
             labels_of_case[entry.name] if entry.kind is str else f"{entry.name}={labels_of_case[entry.name]}"
             for entry in varying

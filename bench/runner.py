@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from diffdrive_mpc.models.errors import DiffdriveMpcError, FormerNameWarning
 
-# Failures of a study that are no mistakes of the user; each message is one line.
+# Failures of a study that are no user errors; each message is one line.
 
 
 class StudyFailedError(DiffdriveMpcError, RuntimeError):
@@ -24,18 +24,18 @@ class StudyFailedError(DiffdriveMpcError, RuntimeError):
 
 
 class NotReproducibleError(StudyFailedError):
-    """The same measurements gave other commands when they were replayed."""
+    """A replay of the same measurements gave different commands."""
 
 
 class WorkerDiedError(StudyFailedError):
-    """A process that ran a part of a study ended without a result."""
+    """A worker process of a study ended without a result."""
 
 
 T = TypeVar("T")
 OnDone = Callable[[], None]
-_LOOKS_EVERY = 1.0
+_PARENT_CHECK_PERIOD = 1.0
 """Period of the check for the parent process [s]."""
-_LASTING: ContextVar[bool] = ContextVar("processes last", default=False)
+_PERSISTENT: ContextVar[bool] = ContextVar("processes last", default=False)
 
 
 def available_cores() -> int:
@@ -44,35 +44,35 @@ def available_cores() -> int:
 
 
 @contextmanager
-def lasting_processes() -> Iterator[None]:
+def persistent_processes() -> Iterator[None]:
     """Keep processes of `run_tasks` alive between calls inside the context."""
-    before = _LASTING.set(True)
+    before = _PERSISTENT.set(True)
     try:
         yield
     finally:
-        _LASTING.reset(before)
+        _PERSISTENT.reset(before)
         _end_processes(at_once=False)
 
 
-def processes_last() -> bool:
-    """Return True if a started process serves several calls of `run_tasks`."""
-    return _LASTING.get()
+def keeps_processes() -> bool:
+    """Return True if processes are kept alive between calls of `run_tasks`."""
+    return _PERSISTENT.get()
 
 
 def run_tasks(tasks: Sequence[Callable[[], T]], jobs: int, on_done: OnDone) -> list[T]:
-    """Call every task with one BLAS thread, in `jobs` processes, and `on_done` after each.
+    """Call every task with one BLAS thread, in `jobs` processes; call `on_done` after each task.
 
-    An exception of a task is raised here, and ends the others.
+    An exception of a task is raised, and ends the other tasks.
 
     Returns
     -------
     list
-        In the order of `tasks`; the result does not depend on `jobs`.
+        Results in the order of `tasks`; they do not depend on `jobs`.
 
     Raises
     ------
     WorkerDiedError
-        If a process was ended from outside, for instance because the memory was full.
+        If a process was killed, for instance because the memory was full.
     """
     results = {}
     if jobs == 1 or len(tasks) < 2:
@@ -97,10 +97,12 @@ def _in_processes(tasks: Sequence[Callable[[], T]], jobs: int) -> Iterator[T]:
             yield from Parallel(return_as="generator_unordered")(delayed(_call)(task) for task in tasks)
         finished = True
     except BrokenProcessPool as error:
-        raise WorkerDiedError(f"one of {jobs} processes was ended from outside; try a smaller --jobs") from error
+        raise WorkerDiedError(
+            f"one of {jobs} processes was killed, for instance for lack of memory; try a smaller --jobs"
+        ) from error
     finally:
-        # Idle workers would disturb the timing that follows; those of a failed study are not waited for.
-        if not (finished and processes_last()):
+        # Idle workers would disturb the subsequent timing; workers of a failed study are killed.
+        if not (finished and keeps_processes()):
             _end_processes(at_once=not finished)
 
 
@@ -117,19 +119,19 @@ def _numbered(number: int, task: Callable[[], T]) -> tuple[int, T]:
 
 def _call(task: Callable[[], T]) -> T:
     _end_with_parent()
-    # The parent process has read the same file, and reported it.
+    # The parent process has read the same file and shown the warning.
     warnings.simplefilter("ignore", FormerNameWarning)
     return task()
 
 
 @cache
 def _end_with_parent() -> None:
-    """End this process soon after its parent, even if the parent was killed."""
+    """End this process soon after its parent ends, even if the parent was killed."""
     parent = os.getppid()
 
     def watch() -> None:
         while os.getppid() == parent:
-            time.sleep(_LOOKS_EVERY)
+            time.sleep(_PARENT_CHECK_PERIOD)
         os._exit(1)
 
-    threading.Thread(target=watch, name="watches its parent", daemon=True).start()
+    threading.Thread(target=watch, name="parent watch", daemon=True).start()

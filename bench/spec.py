@@ -1,4 +1,4 @@
-"""An experiment as a file states it: variations, parts and tables."""
+"""Experiment of an experiment file: variations, parts and tables."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ _DIMENSIONS = {dimension.name for dimension in DIMENSIONS}
 
 
 class Experiment(ExperimentFile):
-    """Experiment of a file, to be driven and shown."""
+    """Experiment file with its runs and tables."""
 
     tables: dict[str, TableSpec] = Field({}, description="tables of the report, in order")
 
     def drives(self, only: Sequence[str] = ()) -> dict[str, list[ExperimentRun]]:
         """List the drives of each part, or of the named parts only.
 
-        Raises ConfigError if there is no such part, variant or configuration value, ValueError where there are too
-        many runs.
+        Raises ConfigError if there is no such part, variant or configuration value, ValueError if there are too many
+        runs.
         """
         check_parts(only, tuple(self.parts))
         chosen = {name: blocks for name, blocks in self.parts.items() if not only or name in only}
@@ -60,7 +60,7 @@ class Experiment(ExperimentFile):
 
 
 def load_experiment(file: str | Path) -> Experiment:
-    """Read an experiment; raises ConfigError when its file has a mistake."""
+    """Read an experiment; raise ConfigError if its file is invalid."""
     return load_checked(Experiment, file)
 
 
@@ -68,16 +68,16 @@ Drives = dict[str, list[ExperimentRun]]
 
 
 class SpecStudy(Study[Drives, DataFrame]):
-    """An experiment as a study; a subclass adds its own measurements and figures.
+    """An experiment as a study; a subclass may add measurements and figures.
 
     Parameters
     ----------
     experiment
-        The experiment: its drives and its tables and figures.
+        Experiment with its runs and tables.
     only
-        Parts to drive; none for all.
+        Parts to run; empty for all.
     measure, run_one
-        As `bench.experiment.drive_all` takes them.
+        Arguments of `bench.experiment.drive_all`.
     """
 
     name: ClassVar[str] = "experiment"
@@ -99,11 +99,11 @@ class SpecStudy(Study[Drives, DataFrame]):
         return plan
 
     def driven(self, plan: Drives) -> Iterable[Case]:
-        """Return the cases of the experiment's own controllers."""
+        """Return the cases with a controller of `CONTROLLERS`."""
         return (drive.case for drives in plan.values() for drive in drives if drive.case.controller in CONTROLLERS)
 
     def run(self, plan: Drives, jobs: int, bar: ProgressBar) -> DataFrame:
-        """Drive every case once; the rows have a column `part`, and a run that belongs to several has a row in each."""
+        """Run every case once; the rows have a column `part`, and a run in several parts has a row in each."""
         drives = {drive.case: drive for listed in plan.values() for drive in listed}
         bar.start_stage(f"driving, {jobs} at a time", len(drives))
         rows = drive_all(list(drives.values()), jobs, bar.advance, self._measure, self._run_one)
@@ -111,19 +111,19 @@ class SpecStudy(Study[Drives, DataFrame]):
 
     def tables(self, rows: DataFrame) -> list[Table]:
         """Build the tables of the report."""
-        return self.stated_tables(rows, {})
+        return self.tables_with_cells(rows, {})
 
-    def stated_tables(self, rows: DataFrame, cells: Mapping[str, Cell]) -> list[Table]:
-        """Build the tables of driven parts; `cells` are those with a name of their own."""
-        shown = []
+    def tables_with_cells(self, rows: DataFrame, cells: Mapping[str, Cell]) -> list[Table]:
+        """Build the tables of the parts that were run; `cells` are the cells that the program computes, by name."""
+        tables = []
         for spec in self.experiment.tables.values():
             part_rows = rows[rows["part"].isin(spec.part)] if spec.part else rows
             if len(part_rows) and (not spec.part or spec.part[0] in set(part_rows["part"])):
-                shown.append(spec.table(part_rows.reset_index(drop=True), cells))
-        return shown
+                tables.append(spec.table(part_rows.reset_index(drop=True), cells))
+        return tables
 
     def report(self, results: DataFrame, seconds: float) -> Report:
-        """Report tables and every row."""
+        """Build the report with the tables and every row."""
         rows = results.drop_duplicates("case")
         return Report(
             counted=f"{len(rows)} runs",
@@ -136,7 +136,7 @@ class SpecStudy(Study[Drives, DataFrame]):
 
 
 def in_parts(rows: DataFrame, plan: Drives) -> DataFrame:
-    """Stack the rows of the parts, with the labels of their drives."""
+    """Stack the rows of all parts, with the labels of their runs."""
     places = {case: place for place, case in enumerate(rows["case"])}
     listed = [(name, drive) for name, drives in plan.items() for drive in drives]
     placed = rows.iloc[[places[drive.case] for _, drive in listed]].reset_index(drop=True)

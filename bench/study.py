@@ -1,4 +1,4 @@
-"""The one skeleton of all studies: its runs, and their presentation as tables, figures, NAME.md, NAME.json and a page.
+"""Base of all studies: runs, and their presentation as tables, figures, NAME.md, NAME.json and a page.
 
 docs/recipes.md shows how to add one.
 """
@@ -45,24 +45,24 @@ class Report:
     counted
         Number of runs, such as "12 runs".
     meta
-        Entries of the `meta` part beside machine, versions and duration: definitions and requested settings.
+        Entries of the `meta` part in addition to machine, versions and duration: definitions and requested settings.
     content
-        Content of the JSON file beside `meta`: rows of plain values by name.
+        Content of the JSON file besides `meta`: rows of plain values by name.
     facts, notes
-        Sentences of the introduction: the runs and the results of the machine.
+        Sentences of the introduction before and after the facts about the machine.
     tables
-        In order.
+        Tables in order.
     figures
-        By file name, charts that stand side by side in the file and also in the page; or a function that draws another
-        figure.
+        Figures by file name: charts, drawn side by side in the file and also shown on the page, or a function that
+        draws another figure.
     figures_first
-        Number of figures above the tables, the others being below; None for all.
+        Number of figures above the tables; the others are below. None for all.
     shown
-        Content of the page `report.html` beside tables and figures.
+        Content of the page `report.html` besides tables and figures.
     files
         Text of each further file, by name.
     screen
-        Tables that are printed in place of all of them, for a screen of 80 columns.
+        Tables to print in place of `tables`, for a terminal of 80 columns.
     """
 
     counted: str
@@ -91,30 +91,30 @@ class Report:
 
 
 class Study(ABC, Generic[P, R]):
-    """Base class of a study: subclasses define runs and their presentation, `carry_out` does the rest.
+    """Base class of a study: subclasses define runs and their presentation; `carry_out` runs the study.
 
-    P is the type of the plan, R of what the runs give. `name` is that of the command and of the files, `title` the
-    heading of the report.
+    P is the type of the plan, R the type of the results. `name` names the command and the files; `title` is the heading
+    of the report.
     """
 
     name: ClassVar[str]
     title: ClassVar[str]
     shared: ClassVar[bool] = False
-    """True if several processes may carry it out in one folder at the same time."""
+    """True if several processes may run the study in one folder at the same time."""
 
     @abstractmethod
     def plan(self) -> P:
         """Plan the runs, before a folder is created.
 
-        Raises ConfigError or ValueError if something that is named does not exist or cannot be used.
+        Raises ConfigError or ValueError if a named item does not exist or cannot be used.
         """
 
     def cases(self, plan: P) -> Iterable[Case]:  # noqa: ARG002
-        """List cases whose plant is compared with the configuration's robot; none if that is irrelevant."""
+        """List cases whose plant is compared with the configuration's robot; empty by default."""
         return ()
 
     def driven(self, plan: P) -> Iterable[Case]:  # noqa: ARG002
-        """List cases whose references are compared with their files."""
+        """List cases whose references are compared with their files; empty by default."""
         return ()
 
     @abstractmethod
@@ -123,7 +123,7 @@ class Study(ABC, Generic[P, R]):
 
     @abstractmethod
     def report(self, results: R, seconds: float) -> Report:
-        """Report `results`, which took `seconds`; import matplotlib here if at all."""
+        """Build the report of `results`, which took `seconds`; import matplotlib only inside this method."""
 
 
 def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
@@ -136,10 +136,10 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
     out
         Folder of the report.
     jobs
-        Processes; by default one for each core.
+        Number of processes; by default one for each core.
 
-    Raises ConfigError, ValueError or OSError if something that is named cannot be used or `out` cannot be written to;
-    then `out` keeps its content; StudyFailedError if it could not be finished.
+    Raises ConfigError, ValueError or OSError if a named item cannot be used or `out` cannot be written to; then `out`
+    keeps its content. Raises StudyFailedError if the study could not be finished.
     """
     began = time.perf_counter()
     plan = study.plan()
@@ -160,7 +160,7 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
 
 
 def print_report(report: Report, seconds: float, out: Path) -> None:
-    """Print warnings and tables of a report, and finally its place; `seconds` are those that it states itself."""
+    """Print warnings, tables and the path of a report; `seconds` is the duration that the report states."""
     console = output_console()
     for warned in report.shown.warnings:
         console.print(f"warning: {warned.text} {warned.remedy}", highlight=False)
@@ -172,9 +172,9 @@ def print_report(report: Report, seconds: float, out: Path) -> None:
 def write_report(
     study: Study[P, R], report: Report, meta: Meta, folder: Path, on_figure: OnDone = lambda: None, jobs: int = 1
 ) -> None:
-    """Write `NAME.json`, figures, further files, `NAME.md` and the page into `folder`, which exists.
+    """Write `NAME.json`, figures, further files, `NAME.md` and the page into the existing `folder`.
 
-    `on_figure` is called after each figure. For many figures, `jobs` processes draw them.
+    `on_figure` is called after each figure. Many figures are drawn in `jobs` processes.
     """
     (folder / f"{study.name}.json").write_text(json_text(meta, report.content), encoding="utf-8")
     for name, text in report.files.items():
@@ -182,14 +182,14 @@ def write_report(
     if report.drawings:
         (folder / FIGURES).mkdir()
     draws = [partial(draw, folder / FIGURES / name) for name, draw in report.drawings.items()]
-    # Each drawing process must first load matplotlib.
+    # Several processes only pay for many figures: each process must first load matplotlib.
     run_tasks(draws, jobs if len(draws) > _DRAWN_ALONE else 1, on_figure)
     (folder / f"{study.name}.md").write_text(markdown(study.title, report, meta), encoding="utf-8")
     write_page(report_page(study, report, meta, folder / FIGURES), folder / REPORT)
 
 
 def report_page(study: Study[P, R], report: Report, meta: Meta, figures: Path) -> Page:
-    """Build the page of the report: its own views, its charts, and by default the pictures in `figures`."""
+    """Build the page of the report: its views, its charts, and by default the pictures in `figures`."""
     drawn = [name for name, figure in report.figures.items() if callable(figure) and report.shown.pictures]
     pictures = [EmbeddedPicture(_title(name), picture(figures / name)) for name in drawn]
     summary, notes = (*report.shown.summary, *report.facts), (*report.shown.notes, *report.notes)
@@ -210,7 +210,7 @@ def json_text(meta: Meta, content: Mapping[str, object]) -> str:
 
 
 def markdown(title: str, report: Report, meta: Meta) -> str:
-    """Format the report: runs and machine, the tables, and the figures by their relative paths."""
+    """Format the report as Markdown: runs and machine, tables, and links to the figures."""
     images = [f"![{Path(name).stem}]({FIGURES}/{name})" for name in report.drawings]
     first = len(images[: report.figures_first])
     parts = [f"# {title}", "", *(f"* {line}" for line in (*report.facts, *run_facts(meta), *report.notes)), ""]
@@ -243,7 +243,7 @@ def _title(figure: str) -> str:
 
 
 def check_parts(only: Sequence[str], parts: Sequence[str]) -> None:
-    """Raise ConfigError if a study has no part of a name."""
+    """Raise ConfigError if `only` names an unknown part of a study."""
     unknown = [name for name in only if name not in parts]
     if unknown:
         raise ConfigError(f"--only: unknown part '{unknown[0]}'; known: {', '.join(parts)}")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from diffdrive_mpc.bench.case import DIMENSIONS, MOST_SEEDS, Case, Overrides, check_count
+from diffdrive_mpc.bench.case import DIMENSIONS, MAX_SEEDS, Case, Overrides, check_count
 from diffdrive_mpc.bench.controllers import build_plant, case_config, check_cases, load_reference, make_controller
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.run_row import statistics_of
@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 
 
 def sweep_settings(texts: Sequence[str]) -> list[Overrides]:
-    """Return every combination of the values of several settings, in order; one empty combination without any.
+    """Return every combination of the values of several settings, in order; one empty combination for no settings.
 
-    Raises ConfigError as for `parsed_settings`, and if there are too many combinations.
+    Raises ConfigError as `parsed_settings`, and ValueError if there are too many combinations.
     """
     parsed = parsed_settings(texts)
     check_count(math.prod(len(values) for _, values in parsed))
@@ -57,44 +57,44 @@ def sweep(
     config: str | Path | None = None,
     jobs: int | None = None,
     on_done: OnDone | None = None,
-    **values: Any,  # noqa: ANN401 - as the configuration takes them
+    **values: Any,  # noqa: ANN401 - any value of a configuration
 ) -> DataFrame:
-    """Run every combination of the values, and give a pandas table with one row a run.
+    """Run every combination of the values, and return a pandas table with one row per run.
 
-    An example: `sweep(model=["sm", "ssm"], trajectory=["circle", "s"], seeds=range(5), **{"horizon": [10, 30]})`.
+    Example: `sweep(model=["sm", "ssm"], trajectory=["circle", "s"], seeds=range(5), **{"horizon": [10, 30]})`.
 
     Parameters
     ----------
     model
-        Names or paths of models as `load_model` takes them, or models.
+        Models, or their names or paths, see `load_model`.
     trajectory
-        Names or paths of trajectories as `load_trajectory` takes them, or trajectories.
+        Trajectories, or their names or paths, see `load_trajectory`.
     seeds
-        Seeds of the noise, or how many of them, from 0 on.
+        Seeds of the noise, or the number of seeds, which start at 0.
     plant
-        Names of plants as `make_plant` takes them.
+        Names of plants, see `make_plant`.
     config
-        Configuration file; by default the shipped one of each model, and for a model of yours that of the SSM without
-        its extra dead time.
+        Configuration file; by default the shipped one of each model, and for a user's model that of the SSM without its
+        extra dead time.
     jobs
-        Processes; by default one for each core. Times of steps are in the table for `jobs=1` alone: runs side by side
-        disturb each other.
+        Number of processes; by default one for each core. The table contains step times for `jobs=1` only, because
+        parallel runs disturb each other.
     on_done
         Function to call after each run, in place of a progress bar.
     values
-        By the name of a dimension of the bench (`surface`, `sensors`, `scenario`, `timing`, `controller`), or
-        else by the dotted key of a configuration, one value or several: `**{"weights.across": [100, 300]}`.
+        One or several values by the name of a dimension of the bench (`surface`, `sensors`, `scenario`, `timing`,
+        `controller`), or by the dotted key of a configuration: `**{"weights.across": [100, 300]}`.
 
     Returns
     -------
     pandas.DataFrame
-        The dimensions, the configuration values, then the statistics of `Run.metrics` and `ended`, empty where the run
-        came to its end. To plot it: `table.pivot_table("position_rmse_m", "horizon", "model").plot()`.
+        Dimensions, configuration values, statistics of `Run.metrics`, and `ended`, which is empty if the run reached
+        its end. To plot it: `table.pivot_table("position_rmse_m", "horizon", "model").plot()`.
 
     Raises
     ------
     ArgumentError, ConfigError, ModelError, ValueError
-        If a name or key is unknown or a value cannot be used; nothing is run then.
+        If a name or key is unknown or a value cannot be used; then no case is run.
     MissingPackageError
         If pandas is not installed.
     """
@@ -111,7 +111,7 @@ def sweep(
         if near and name not in _DEFAULTS and name not in ControllerConfig.model_fields:
             raise ConfigError(f"sweep: unknown argument '{name}'; did you mean '{near[0]}'?")
         if not several:
-            raise ConfigError(f"sweep: {name} has no value; give one or several")
+            raise ConfigError(f"sweep: {name} has no value; give one or more")
         if name not in _DEFAULTS and any(isinstance(value, (Mapping, list, tuple)) for value in several):
             raise ConfigError(
                 f"sweep: {name}: give numbers or words; groups have dotted keys, such as 'weights.across'"
@@ -129,7 +129,7 @@ def sweep(
 
 
 class _Task:
-    """One run: a case, and the objects that stand for its model and trajectory."""
+    """One run: a case, and the objects that replace its model and trajectory."""
 
     def __init__(self, values: Mapping[str, Any], config: str | None) -> None:
         self._values = values
@@ -142,7 +142,7 @@ class _Task:
         self.case = Case(**dimensions, config=config, overrides=overrides)
 
     def row(self, *, timed: bool) -> dict[str, object]:
-        """Run it, and give its row."""
+        """Run the case, and return its row."""
         case = self.case
         controller = make_controller(case) if self._model is None else Controller(case_config(case), self._model)
         reference = load_reference(case) if self._trajectory is None else self._trajectory
@@ -153,23 +153,23 @@ class _Task:
 
 
 def _listed(value: Any) -> list[Any]:  # noqa: ANN401
-    """Return one value or several as a list."""
+    """Return one or several values as a list."""
     single = (str, Path, Mapping, VelocityModel, NonlinearModel, Trajectory)
     return [value] if isinstance(value, single) or not isinstance(value, Iterable) else list(value)
 
 
 def _seeds(seeds: Any) -> list[int]:  # noqa: ANN401
     """Return the given seeds, or the first n seeds."""
-    if isinstance(seeds, int) and not 1 <= seeds <= MOST_SEEDS:
-        raise ConfigError(f"sweep: seeds = {seeds}; give 1 to {MOST_SEEDS}, or a list such as [3, 4]")
+    if isinstance(seeds, int) and not 1 <= seeds <= MAX_SEEDS:
+        raise ConfigError(f"sweep: seeds = {seeds}; give 1 to {MAX_SEEDS}, or a list such as [3, 4]")
     listed = list(range(seeds)) if isinstance(seeds, int) else _listed(seeds)
     if not all(isinstance(seed, (int, np.integer)) and seed >= 0 for seed in listed):
-        raise ConfigError(f"sweep: seeds {seeds!r}; give whole numbers from 0 on, or how many")
+        raise ConfigError(f"sweep: seeds {seeds!r}; give whole numbers of at least 0, or the number of seeds")
     return [int(seed) for seed in listed]
 
 
 def _named(name: str, value: object) -> str:
     if not isinstance(value, (str, Path)):
-        made = "VelocityModel.from_control(system)" if name == "model" else "Trajectory.from_arrays(t, x, y)"
-        raise wrong_type(f"sweep: {name}", f"a name, a path or a {name}", value, f"make it with {made}")
+        call = "VelocityModel.from_control(system)" if name == "model" else "Trajectory.from_arrays(t, x, y)"
+        raise wrong_type(f"sweep: {name}", f"a name, a path or a {name}", value, f"make it with {call}")
     return str(value)

@@ -27,13 +27,13 @@ _ABBREVIATIONS = {
     "completed": "done",
     "trajectory": "path",
 }
-"""Words that would make columns too wide for a terminal of 80 characters."""
+"""Abbreviations of words that would make columns too wide for a terminal of 80 characters."""
 _GAP = 2
-"""Characters between two columns."""
+"""Number of characters between two columns."""
 
 
 class Table(plain.TextTable):
-    """A table that the terminal draws."""
+    """Table that can be rendered in the terminal."""
 
     def rich(self) -> RichTables:
         """Build the table for the terminal."""
@@ -42,10 +42,10 @@ class Table(plain.TextTable):
 
 @dataclass(frozen=True)
 class RichTables:
-    """A table that Rich draws as wide as the console allows.
+    """Table that Rich renders within the width of the console.
 
-    Texts and headings wrap. Where the numbers do not fit side by side, they continue in further tables, which repeat
-    the columns of names.
+    Texts and headings wrap. Columns of numbers that do not fit continue in further tables, which repeat the columns of
+    names.
     """
 
     table: plain.TextTable
@@ -74,7 +74,7 @@ class RichTables:
         return parts
 
     def _min_width(self, column: int) -> int:
-        """Return the width of the longest word of a text or heading, and of the longest number, which do not break."""
+        """Return the width of the longest word or number of a column, which must not be broken."""
         is_number = column >= self.table.text_columns
         cells = [plain_line(row[column]) for row in self.table.rows]
         words = [word for cell in (_brief(self.table.columns[column]), *cells) for word in cell.split()]
@@ -109,12 +109,12 @@ def rich_table(table: plain.TextTable) -> RichTables:
 
 
 def millis(value: float) -> str:
-    """Format a cell in thousandths of its unit."""
+    """Format a value in thousandths of its unit."""
     return number(1e3 * value, 1)
 
 
 def duration(seconds: float) -> str:
-    """Format a cell for a time [s]; "∞" for never, "-" for a missing one."""
+    """Format a time [s]; "∞" if infinite, "-" if missing."""
     return "∞" if seconds == math.inf else number(seconds, 2)
 
 

@@ -1,7 +1,7 @@
-"""Times of steps: recorded measurements replayed through fresh controllers that take turns on one core.
+"""Step times: recorded measurements are replayed through new controllers that take turns on one core.
 
-Runs are recorded in parallel, where neighbours disturb the clock. The replay also proves determinism: it must give the
-same commands bit for bit.
+Runs are recorded in parallel, which disturbs time measurements. The replay also checks determinism: its commands must
+equal the recorded ones bit for bit.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import make_controller
-from diffdrive_mpc.bench.counters import Effort, busy_time, watched
+from diffdrive_mpc.bench.counters import Effort, busy_time, measure_effort
 from diffdrive_mpc.bench.run_row import RunOutcome
 from diffdrive_mpc.bench.runner import NotReproducibleError, OnDone
 from diffdrive_mpc.bench.turns import take_turns
@@ -32,9 +32,9 @@ _WARM_UP_TICKS = 25
 
 @contextmanager
 def quiet_core() -> Iterator[int | None]:
-    """Reserve one core if the system permits, with one BLAS thread and no garbage collection; undo it at the end.
+    """Reserve one core for this process, use one BLAS thread and disable garbage collection inside the context.
 
-    Gives the number of the core.
+    Yields the number of the core, or None if the system does not support pinning.
     """
     cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
     collecting = gc.isenabled()
@@ -43,7 +43,7 @@ def quiet_core() -> Iterator[int | None]:
         if core is not None:
             os.sched_setaffinity(0, {core})
         gc.collect()
-        gc.freeze()  # existing objects need not be searched again between runs
+        gc.freeze()  # later collections skip existing objects
         gc.disable()
         try:
             yield core
@@ -64,9 +64,9 @@ class TimingPass:
     clean_share
         Share of the ticks with an undisturbed measurement [-].
     others_share
-        Share of the time for which other programs had the core [-], as far as the system reports it.
+        Share of the time for which other programs used the core [-]; 0 if the system does not report it.
     yardstick
-        Minimum time of the yardstick of `bench.counters` [s]: times of two reports compare as far as these agree.
+        Minimum time of the yardstick of `bench.counters` [s]; two reports are comparable if these times agree.
     """
 
     clean_share: float = 1.0
@@ -79,17 +79,17 @@ UNDISTURBED = TimingPass()
 
 
 def time_outcomes(outcomes: Sequence[RunOutcome], on_done: OnDone) -> tuple[list[RunOutcome], TimingPass]:
-    """Replace the times by those of replays on one quiet core; those of the same place take turns.
+    """Replace step times by times of replays on one quiet core; controllers on the same plant and path take turns.
 
     Returns
     -------
     outcomes
-        With the new times; NaN for ticks that were disturbed whenever they were measured, unless a controller has no
-        others: then those of all controllers are kept.
+        Outcomes with the new times. Ticks that were disturbed in every measurement are NaN; if a controller has only
+        such ticks, the disturbed times of all controllers are kept.
     timing
         State of the machine during the timed runs.
 
-    Raises NotReproducibleError if a replay commanded something else than the run.
+    Raises NotReproducibleError if the commands of a replay differ from those of the run.
     """
     groups = list(_grouped(outcomes, lambda outcome: _place(outcome.case)).values())
     with quiet_core() as core:
@@ -103,13 +103,13 @@ def time_outcomes(outcomes: Sequence[RunOutcome], on_done: OnDone) -> tuple[list
         for place, several in zip(groups, durations, strict=True)
         for outcome, replayed in zip(place, several, strict=True)
     }
-    # Ticks left out of one controller's times are left out of all.
+    # Disturbed ticks are omitted for all controllers or for none.
     drivers = _grouped(outcomes, lambda outcome: _driver(outcome.case)).values()
-    alike = all(any(times[outcome.case].clean.any() for outcome in runs) for runs in drivers)
+    all_have_clean = all(any(times[outcome.case].clean.any() for outcome in runs) for runs in drivers)
     timed = {}
     for outcome in outcomes:
         measured = times[outcome.case]
-        selected = measured.only_clean if alike else measured.times
+        selected = measured.only_clean if all_have_clean else measured.times
         timed[outcome.case] = replace(
             outcome, run=outcome.run.with_step_time(*selected[0].T), clean_share=measured.share
         )
@@ -137,9 +137,9 @@ def _driver(case: Case) -> tuple[object, ...]:
 
 
 class CaseReplay:
-    """A fresh controller for `case` that gets the measurements of `run`; satisfies `bench.turns.Replay`.
+    """New controller for `case` that replays the measurements of `run`; satisfies `bench.turns.Replay`.
 
-    Another instance takes a few steps first, so that imports and one-time costs do not count.
+    Another instance takes a few steps first, so that imports and one-time costs are not timed.
     """
 
     def __init__(self, case: Case, run: Run) -> None:
@@ -152,7 +152,7 @@ class CaseReplay:
         return len(self._run.time)
 
     def restart(self) -> None:
-        """Make the controller."""
+        """Create and start a new controller."""
         warm = make_controller(self._case)
         warm.start(self._run.reference, float(self._run.time[0]))
         replay(warm, self._run, 0, min(_WARM_UP_TICKS, self.ticks))
@@ -164,9 +164,9 @@ class CaseReplay:
         """Replay ticks; return times (ticks, 2) of whole steps and solves [s]; raise as `replay`."""
         controller = self._controller
         assert controller is not None
-        times, effort = watched(lambda: replay(controller, self._run, first, last))
+        times, effort = measure_effort(lambda: replay(controller, self._run, first, last))
         if last == self.ticks:
-            self._controller = None  # its memory is not needed any more
+            self._controller = None  # release its memory
         return times, effort
 
 
@@ -176,17 +176,17 @@ def replay(controller: TrackingController, run: Run, first: int, last: int) -> F
     Returns
     -------
     FloatArray
-        (ticks, 2) of the whole step, and of the solve by the controller's own clock, NaN where there was none [s].
+        (ticks, 2) times of the whole step, and of the solve as reported by the controller, NaN without a solve [s].
 
     Raises NotReproducibleError if a command differs from the recorded one in any bit.
     """
-    took, commands = np.empty((last - first, 2)), np.empty((last - first, 2))
+    times, commands = np.empty((last - first, 2)), np.empty((last - first, 2))
     for k in range(first, last):
         t, measurement = float(run.time[k]), run.measurements[k]
         began = time.perf_counter()
         step = controller.step(t, measurement)
-        took[k - first, 0] = time.perf_counter() - began
-        took[k - first, 1] = step.solve_time
+        times[k - first, 0] = time.perf_counter() - began
+        times[k - first, 1] = step.solve_time
         commands[k - first] = step.command
     differs = np.flatnonzero((commands != run.command[first:last]).any(axis=1))
     if differs.size:
@@ -195,4 +195,4 @@ def replay(controller: TrackingController, run: Run, first: int, last: int) -> F
             f"{run.reference.name}, t = {run.time[k]:.3f} s: the replay commanded {commands[k - first].tolist()}, the "
             f"run {run.command[k].tolist()}: the controller is not deterministic"
         )
-    return took
+    return times

@@ -1,6 +1,6 @@
-"""Compared times come from replays that take turns, block by block, and disturbed blocks are measured again.
+"""Time replays that take turns block by block, and measure disturbed blocks again.
 
-Disturbances of the machine then affect all of them alike, and caches are equally warm.
+Slow disturbances of the machine then affect all replays equally, and caches are equally warm.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from diffdrive_mpc.bench.counters import Effort
 from diffdrive_mpc.models.interface import FloatArray
 
 BLOCK = 25
-"""Number of ticks that one replay runs before the next has its turn."""
+"""Number of ticks in a turn of one replay."""
 COLD = 1
-"""Ticks at the begin of a turn that are not timed: the caches contain others' data, and they take four times as long.
-"""
+"""Number of ticks at the start of a turn that are not timed: with cold caches they take four times as long."""
 STRETCH = 2e-3
-"""Longest time that is watched at once [s]: a slow controller's whole turn would rarely be undisturbed, compared with
-one whose turn takes a millisecond.
+"""Maximum duration of a stretch, the part of a turn that is checked for disturbances as a unit [s].
+
+The whole turn of a slow controller would rarely be undisturbed.
 """
 AGAIN = 4
 """Maximum number of additional replays after disturbed blocks."""
@@ -33,7 +33,7 @@ PATIENCE = 0.5
 
 
 class Replay(Protocol):
-    """A recorded drive that can be repeated from its start, as often as wanted."""
+    """A recorded drive that can be repeated from its start any number of times."""
 
     @property
     def ticks(self) -> int:
@@ -45,9 +45,9 @@ class Replay(Protocol):
         ...
 
     def run(self, first: int, last: int) -> tuple[FloatArray, Effort] | None:
-        """Run the ticks `first` to `last` - 1: times (ticks, 2) of the whole step and of the solve [s].
+        """Run the ticks `first` to `last` - 1; return times (ticks, 2) of the whole step and of the solve [s].
 
-        None if it has failed: it takes no more turns.
+        None if the replay has failed; it then takes no more turns.
         """
         ...
 
@@ -59,9 +59,9 @@ class TurnTimes:
     Attributes
     ----------
     times
-        (repetitions, ticks, 2) of the whole step and of the solve [s]; NaN where there is none, and for cold ticks.
+        (repetitions, ticks, 2) times of the whole step and of the solve [s]; NaN if missing, and for cold ticks.
     clean
-        (repetitions, ticks) whether the tick's block was undisturbed.
+        (repetitions, ticks) True if the stretch of the tick was undisturbed.
     """
 
     times: FloatArray
@@ -69,7 +69,7 @@ class TurnTimes:
 
     @property
     def share(self) -> float:
-        """Share of the wanted ticks that are clean."""
+        """Share of clean ticks over all repetitions."""
         return float(self.clean.mean())
 
     @property
@@ -79,7 +79,7 @@ class TurnTimes:
 
     @property
     def selected(self) -> FloatArray:
-        """The times with NaN for disturbed ticks, unless none is clean: then all of them."""
+        """The times with NaN for disturbed ticks; all times if no tick is clean."""
         return self.only_clean if self.clean.any() else self.times
 
 
@@ -92,7 +92,7 @@ class _Measured(NamedTuple):
 
 @dataclass(eq=False)
 class _Track:
-    """Replay with the results of its blocks so far."""
+    """Replay, and its results so far by the first tick of the stretch."""
 
     replay: Replay
     repetitions: int
@@ -101,7 +101,7 @@ class _Track:
     stretch: int = 0
 
     def stretches(self, first: int, last: int) -> list[tuple[int, int]]:
-        """Split a turn into stretches that are timed at once; the first turn is one stretch."""
+        """Split a turn into stretches; the first turn is one stretch."""
         size = self.stretch if first and self.stretch else last - first
         return [(start, min(start + size, last)) for start in range(first, last, size)]
 
@@ -118,7 +118,7 @@ class _Track:
                 self.stretch = max(1, int(STRETCH / max(turn.effort.elapsed / (end - start), 1e-9)))
 
     def clean(self, block: int, best: float) -> list[_Measured]:
-        """Return the undisturbed measurements of the stretch that starts at a tick."""
+        """Return the undisturbed measurements of the stretch that starts at tick `block`."""
         return [turn for turn in self.blocks.get(block, []) if turn.effort.undisturbed(best)]
 
     def end(self, best: float, block: int) -> int:
@@ -136,7 +136,7 @@ class _Track:
         times = np.full((self.repetitions, self.replay.ticks, 2), np.nan)
         clean = np.zeros(times.shape[:2], dtype=bool)
         for first, turns in self.blocks.items():
-            # Too few good ones are completed by disturbed ones, which stay marked.
+            # Disturbed measurements fill in for missing undisturbed ones, and are not marked clean.
             good = self.clean(first, best)
             bad = [turn for turn in turns if not turn.effort.undisturbed(best)]
             chosen = (good + bad)[: self.repetitions]
@@ -155,25 +155,25 @@ def take_turns(
     block: int = BLOCK,
     on_replay: Callable[[], None] = lambda: None,
 ) -> tuple[list[list[TurnTimes]], float]:
-    """Replay everything until every block was measured undisturbed, `AGAIN` times more than wanted or out of patience.
+    """Repeat all replays until every block has its undisturbed measurements, within the limits `AGAIN` and `PATIENCE`.
 
     Parameters
     ----------
     groups
-        Replays that are compared with each other; those of a group take turns.
+        Groups of replays; the replays of a group are compared with each other and take turns.
     repetitions
-        Undisturbed measurements that are wanted of each block.
+        Requested number of undisturbed measurements of each block.
     block
-        Ticks of a turn.
+        Number of ticks in a turn.
     on_replay
-        Called for each replay of the first pass.
+        Function that is called for each replay of the first pass.
 
     Returns
     -------
     times
         Times of each replay of each group.
     best
-        The shortest time of the yardstick [s]; see `bench.counters`.
+        Minimum time of the yardstick [s]; see `bench.counters`.
     """
     tracks = [[_Track(replay, repetitions) for replay in group] for group in groups]
     best = np.inf
@@ -184,7 +184,7 @@ def take_turns(
         for group in tracks:
             if perf_counter() > deadline:
                 break
-            _go_round([track for track in group if track.end(best, block)], best, block)
+            _run_pass([track for track in group if track.end(best, block)], best, block)
             best = min(
                 [best, *(turn.effort.pace for track in group for turns in track.blocks.values() for turn in turns)]
             )
@@ -193,13 +193,13 @@ def take_turns(
     return [[track.result(best, block) for track in group] for group in tracks], float(best)
 
 
-def _go_round(group: list[_Track], best: float, block: int) -> None:
-    """Give each member of a group one turn, as far as it lacks clean blocks."""
+def _run_pass(group: list[_Track], best: float, block: int) -> None:
+    """Run one pass of a group: each replay runs all turns up to its last block that lacks clean measurements."""
     ends = {id(track): track.end(best, block) for track in group}
     for track in group:
         track.replay.restart()
     for turn, first in enumerate(range(0, max(ends.values(), default=0), block)):
-        # Each is the first once in a while.
+        # The first replay of a turn alternates.
         for track in itertools.islice(itertools.cycle(group), turn % len(group), turn % len(group) + len(group)):
             last = min(first + block, ends[id(track)])
             if not track.failed and first < last:

@@ -179,7 +179,7 @@ def speed(
     if models is not None:
         changes["models"] = split_names(models, "--models")
     if horizons is not None:
-        changes["horizons"] = split_numbers(horizons, "--horizons", least=1, most=MOST_STEPS)
+        changes["horizons"] = split_numbers(horizons, "--horizons", minimum=1, maximum=MOST_STEPS)
     names = None if peers is None else split_names(peers, "--peers")
     _carry_out(SpeedStudy(chosen(loaded.model_copy(update=changes), names), environment), out)
 

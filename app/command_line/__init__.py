@@ -1,1 +1,1 @@
-"""Parts that all command lines share: errors in one line and options."""
+"""Common parts of all command lines: one-line errors, and options."""

@@ -1,4 +1,4 @@
-"""Print a line: names in it may come from untrusted files, so control characters are escaped."""
+"""Print a line with escaped control characters, because names in it may come from untrusted files."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from diffdrive_mpc.models.table import plain_text
 
 
 def echo(text: object = "", *, nl: bool = True, err: bool = False) -> None:
-    """Print `text` to stdout or with `err` to stderr; characters that cannot be printed are escaped.
+    """Print `text` to stdout, or to stderr if `err`; escape control characters.
 
     `nl` appends a line feed.
     """

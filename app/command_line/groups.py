@@ -10,10 +10,10 @@ from diffdrive_mpc.models.plug_ins import check_package
 
 
 class PackagedGroup(TyperGroup):
-    """Group of commands, some of which packages add."""
+    """Group of commands to which packages can add commands."""
 
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ANN401 - of classes that typer hides
-        """Return the command of that name; None if it is unknown; raise MissingPackageError if a package has it."""
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ANN401 - classes that typer does not export
+        """Return the command of a name, or None if unknown; raise MissingPackageError if an absent package has it."""
         command = super().get_command(ctx, cmd_name)
         if command is None and not ctx.resilient_parsing:
             check_package("commands", cmd_name if ctx.parent is None else f"{ctx.info_name}.{cmd_name}")

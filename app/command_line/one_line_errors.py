@@ -1,4 +1,4 @@
-"""Turn mistakes of the user into one line on stderr and an exit code."""
+"""Report user errors as one line on stderr and an exit code."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from diffdrive_mpc.models.typed_command import typed
 BAD_INPUT = 2
 """Exit code for input that cannot be used."""
 FAILED = 1
-"""Exit code for anything else that went wrong."""
+"""Exit code for any other failure."""
 INTERRUPTED = 130
-"""Exit code after Ctrl-C: 128 plus the number of the signal, as shells have it."""
+"""Exit code after Ctrl-C: 128 plus the number of the signal, as in shells."""
 TERMINATED = 143
-"""Exit code after SIGTERM, likewise."""
+"""Exit code after SIGTERM: 128 plus the number of the signal."""
 
 _ROS = "install diffdrive-mpc[ros], or source the setup file of ROS 2 Jazzy"
 OPTIONAL_PACKAGES = {
@@ -33,28 +33,28 @@ OPTIONAL_PACKAGES = {
     "builtin_interfaces": _ROS,
     "geometry_msgs": _ROS,
 }
-"""Packages that only some commands need, with the remedy for each."""
+"""Packages that only some commands need, with the remedy if one is missing."""
 
 
 _SINGULARS = {"trajectories": "trajectory", "models": "model"}
-"""Options of one value by those of several; not `seeds`, which counts where `seed` names."""
+"""Options of a single value by the option of several; without `seeds`, whose argument is a number of seeds."""
 
 
 class OneLineErrors(TyperGroup):
     """Group of commands that report bad input as `error: ...` and exit code 2, without a traceback.
 
-    Bad input means ValueError (with ConfigError and ModelError), OSError, and errors of the command-line parser. The
-    project's other errors end likewise, with exit code 1. Anything else is a fault and shows its traceback.
+    Bad input means ValueError (with ConfigError and ModelError), OSError, and errors of the command-line parser. Other
+    errors of the project are reported in one line with exit code 1. Any other exception shows its traceback.
     """
 
     program: ClassVar[str] = "diffdrive-mpc"
     """Name of the program before the command."""
 
     def make_context(self, *args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 - the signature of the base class
-        """Parse the arguments; commands of this group accept `--trajectory` and `--trajectories` for each other."""
+        """Parse the arguments; `--trajectory` and `--trajectories` are synonyms in the commands of this group."""
         return super().make_context(*args, token_normalize_func=_singular, **kwargs)
 
-    def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - of classes that typer hides
+    def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - classes that typer does not export
         """List the commands under their panels."""
         panels: dict[str, list[tuple[str, str]]] = {}
         for name in self.list_commands(ctx):
@@ -76,40 +76,40 @@ class OneLineErrors(TyperGroup):
                 warnings.showwarning = _show_warning
                 code = super().main(*args, **kwargs)
         except typer.Abort:
-            code = INTERRUPTED  # how older versions of typer pass on Ctrl-C; newer ones return the exit code
+            code = INTERRUPTED  # older versions of typer raise Abort on Ctrl-C; newer ones return the exit code
         except ModuleNotFoundError as error:
             if error.name not in OPTIONAL_PACKAGES:
                 raise
-            _complain(f"the package '{error.name}' is not installed; {OPTIONAL_PACKAGES[error.name]}")
+            _print_error(f"the package '{error.name}' is not installed; {OPTIONAL_PACKAGES[error.name]}")
             sys.exit(FAILED)
         except (ValueError, OSError) as error:
-            _complain(str(error))
+            _print_error(str(error))
             sys.exit(BAD_INPUT)
         except Exception as error:
             # The parser's own errors have no public base class that all versions of typer share.
             if not hasattr(error, "format_message"):
-                from diffdrive_mpc.models.errors import DiffdriveMpcError  # noqa: PLC0415 - loads what --help needs not
+                from diffdrive_mpc.models.errors import DiffdriveMpcError  # noqa: PLC0415 - --help does not need it
 
                 if not isinstance(error, DiffdriveMpcError):
                     raise
-                _complain(str(error))
+                _print_error(str(error))
                 sys.exit(FAILED)
             if type(error).__name__ == "NoArgsIsHelpError":
                 echo(error.format_message())
             else:
                 complaint = error.format_message().rstrip(".")
-                _complain(f"{complaint}; {_remedy(complaint)}see --help")
+                _print_error(f"{complaint}; {_remedy(complaint)}see --help")
             sys.exit(BAD_INPUT)
         if code == INTERRUPTED:
-            _complain("aborted")
+            _print_error("aborted")
         sys.exit(code if isinstance(code, int) else 0)
 
 
 def _remedy(complaint: str) -> str:
-    """Return how to give a value without its option."""
+    """Return a hint on options for an extra argument; empty for other errors."""
     if "extra argument" not in complaint:
         return ""
-    from diffdrive_mpc.mpc.trajectories.load import BUILT_IN  # noqa: PLC0415 - loads what --help needs not
+    from diffdrive_mpc.mpc.trajectories.load import BUILT_IN  # noqa: PLC0415 - --help does not need it
 
     paths = [word for word in re.findall(r"\w+", complaint.rpartition("(")[2]) if word in BUILT_IN]
     return f"a value goes after its option, as in {f'--trajectory {paths[0]}' if paths else '--model ssm'}; "
@@ -126,7 +126,7 @@ def _show_warning(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """Show former names in a file as a note, and other warnings as Python does."""
+    """Print former names in a file as a note, and other warnings in Python's format."""
     if category.__name__ == "FormerNameWarning":
         # A file that is read twice is reported once.
         note = f"note: {plain_line(str(message))}"
@@ -138,14 +138,14 @@ def _show_warning(
 
 
 def _singular(name: str) -> str:
-    """Return the name of an option without the plural of its sibling; both are read by this name."""
+    """Return the singular form of an option's name; the parser uses it for both forms."""
     return _SINGULARS.get(name, name)
 
 
 def build_only_named(app: typer.Typer, words: Sequence[str]) -> None:
-    """Build only the options of the commands that `words` name; to build all takes longer than to run one.
+    """Build the options of the commands in `words` only, because building all options is slow.
 
-    The others show only their overview: their names and help.
+    Other commands keep their name and help for the overview.
     """
     for command in app.registered_commands:
         if command.name not in words and command.callback is not None:
@@ -156,24 +156,24 @@ def build_only_named(app: typer.Typer, words: Sequence[str]) -> None:
 
 
 def _without_options(callback: Callable[..., Any]) -> Callable[[], None]:
-    def shown() -> None: ...
+    def placeholder() -> None: ...
 
-    shown.__doc__ = callback.__doc__
-    return shown
+    placeholder.__doc__ = callback.__doc__
+    return placeholder
 
 
 def leave_on_sigterm() -> None:
-    """Let SIGTERM end this process as Ctrl-C does: partial files are removed, and child processes end."""
+    """Handle SIGTERM like Ctrl-C: remove partial files and end child processes."""
     if signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:
         signal.signal(signal.SIGTERM, _terminate)
 
 
 def _terminate(_number: int, _frame: FrameType | None) -> NoReturn:
-    # A second SIGTERM does not wait.
+    # A second SIGTERM ends the process at once.
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    _complain("ended by SIGTERM")
+    _print_error("ended by SIGTERM")
     sys.exit(TERMINATED)
 
 
-def _complain(message: str) -> None:
+def _print_error(message: str) -> None:
     echo(f"error: {plain_line(message)}", err=True)

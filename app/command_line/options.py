@@ -19,13 +19,13 @@ class PluggedCommand:
     Attributes
     ----------
     panel
-        Heading below which `diffdrive-mpc --help` lists it.
+        Heading of the command in `diffdrive-mpc --help`.
     run
-        Function whose parameters are its options and whose docstring is its help.
+        Function whose parameters are the options, and whose docstring is the help text.
     example
-        Last line of its help.
+        Last line of the help text.
     passed_on
-        True if it receives the words that are not its options, such as those after `--ros-args`.
+        True if the command accepts words that are no options of it, such as words after `--ros-args`.
     """
 
     panel: str
@@ -38,20 +38,20 @@ class PluggedCommand:
 
 
 def out_folder(text: str) -> Path:
-    """Read the folder of `--out`; raises typer.BadParameter when it is empty, which would be the current folder."""
+    """Parse the folder of `--out`; raise typer.BadParameter if it is empty, which would mean the current folder."""
     if not text.strip():
         raise typer.BadParameter("it is empty; give a folder, '.' for the current one")
     return Path(text)
 
 
 def out_option(content: str, usual: str | None = None) -> Any:  # noqa: ANN401 - typer's own type
-    """Create the option that names a folder for `content`, with its default if it has one."""
-    shown: str | bool = usual or False
-    return typer.Option("--out", parser=out_folder, metavar="PATH", help=f"Folder for {content}.", show_default=shown)
+    """Create the option of a folder for `content`; `usual` is the default that the help text shows."""
+    default: str | bool = usual or False
+    return typer.Option("--out", parser=out_folder, metavar="PATH", help=f"Folder for {content}.", show_default=default)
 
 
 def file_option(content: str, name: str) -> Any:  # noqa: ANN401 - typer's own type
-    """Create the option that takes a YAML file in place of a shipped one."""
+    """Create the option of a YAML file that replaces a shipped one."""
     return typer.Option(name, help=f"{content} (YAML) in place of the shipped one.", show_default=False)
 
 

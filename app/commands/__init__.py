@@ -1,1 +1,1 @@
-"""One module for each command of the command line; dependencies of a command are imported when it runs."""
+"""Modules of the commands; the dependencies of a command are imported when it runs."""

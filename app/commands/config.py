@@ -29,7 +29,7 @@ def show(
 ) -> None:
     """Print every value of a configuration as a commented YAML file."""
     from diffdrive_mpc.mpc.config.config_file import load_config  # noqa: PLC0415
-    from diffdrive_mpc.mpc.config.described import commented_yaml  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.mpc.config.described import commented_yaml  # noqa: PLC0415 - --help does not need it
 
     if robot is None:
         echo(commented_yaml(load_config(source)), nl=False)
@@ -40,8 +40,8 @@ def show(
     stated = load_stated_robot(robot)
     keys, bounds = stated.configuration(), stated.bounds(identification_settings().limit_margin)
     config = load_config(source, bounds | {key: value.value for key, value in keys.items()})
-    header = [f"{stated.name}, as its maker states it; none of this is identified:", *stated.lines()]
-    places = f"stated values stand in {', '.join(keys)}; what follows from them in {', '.join(bounds)}"
+    header = [f"{stated.name}, from its maker's data; no value is identified:", *stated.lines()]
+    places = f"values from these data: {', '.join(keys)}; derived values: {', '.join(bounds)}"
     echo("\n".join(f"# {line}" for line in [*header, places]))
     echo(commented_yaml(config), nl=False)
 
@@ -52,10 +52,10 @@ def check(
     *,
     trajectory: Annotated[
         str | None,
-        typer.Option(metavar="NAME|FILE", help="Also tell where this trajectory asks for more than the robot has."),
+        typer.Option(metavar="NAME|FILE", help="Also check this trajectory against the limits of the robot."),
     ] = None,
 ) -> None:
-    """Check a configuration file, and that a controller can be built from it; the Python of terms is not run."""
+    """Check a configuration file, and that a controller can be built from it; Python files of terms are not run."""
     from diffdrive_mpc.app.config_report import check_term_files, feasibility, robot_defaults  # noqa: PLC0415 - see show
     from diffdrive_mpc.mpc import Controller, load_config  # noqa: PLC0415
 
@@ -68,9 +68,11 @@ def check(
     )
     unset = robot_defaults(config)
     if unset:
-        echo(f"note: of the papers' robot, as the file leaves them out: {', '.join(unset)}; set those of yours")
+        echo(
+            f"note: not in the file, so taken from the papers' robot: {', '.join(unset)}; set the values of your robot"
+        )
     if not_run:
-        echo(f"note: not run here: {', '.join(not_run)}; a controller runs this Python, so read it before you use it")
+        echo(f"note: not run: {', '.join(not_run)}; a controller runs these Python files, so read them before use")
     for line in feasibility(controller, trajectory) if trajectory else ():
         echo(line)
 
@@ -82,18 +84,20 @@ def schema(
         typer.Argument(
             metavar="KEY",
             help="A group or key, such as weights or limits.v; with --json controller, model or trajectory.",
-            show_default="all of them",
+            show_default="all keys",
         ),
     ] = None,
     *,
     as_json: Annotated[
-        bool, typer.Option("--json", help="The JSON Schema of a kind of file, for editors; by default controller.")
+        bool,
+        typer.Option("--json", help="Print the JSON Schema of a kind of file, for editors; by default controller."),
     ] = False,
     out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the JSON Schema here.", show_default="standard output")
+        Path | None,
+        typer.Option(metavar="FILE", help="File to write the JSON Schema to.", show_default="standard output"),
     ] = None,
 ) -> None:
-    """List every key, or those of a group, with default, unit, range and meaning.
+    """List every key, or the keys of a group, with default, unit, range and meaning.
 
     With a first line `# yaml-language-server: $schema=FILE` in a YAML file, editors complete and check its keys.
     """
@@ -102,7 +106,7 @@ def schema(
         from diffdrive_mpc.models.checked_yaml import ConfigError  # noqa: PLC0415
 
         if out is not None:
-            raise ConfigError("--out is for the JSON Schema; give --json too")
+            raise ConfigError("--out: it applies to the JSON Schema only; also pass --json")
         print_schema(part)
         return
     from diffdrive_mpc.app.schemas import json_schema  # noqa: PLC0415

@@ -1,4 +1,4 @@
-"""The commands that drive: `simulate` one case, `bench` many of them."""
+"""Commands that run closed loops: `simulate` for one case, `bench` for many cases."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ def simulate(
     details: Annotated[bool, typer.Option("--details", help="Print the tables instead of the summary.")] = False,
     **values: Any,  # noqa: ANN401 - text or number
 ) -> None:
-    """Run one closed loop and print how well it tracked; --out draws it, --log writes it."""
-    from diffdrive_mpc.app.simulate.single import simulate_one  # noqa: PLC0415 - --help does without it
+    """Run one closed loop and print its tracking errors; --out writes a report, --log a log."""
+    from diffdrive_mpc.app.simulate.single import simulate_one  # noqa: PLC0415 - --help does not need it
 
     simulate_one(
         values,
@@ -66,22 +66,22 @@ def bench(
         ),
     ] = None,
     sweeps: Annotated[
-        bool, typer.Option("--sweeps", help="Sweep horizons, speeds and dead times, and drive other seeds, too.")
+        bool, typer.Option("--sweeps", help="Also sweep horizons, speeds, dead times and further seeds.")
     ] = False,
     jobs: Jobs = None,
     quick: Annotated[bool, typer.Option("--quick", help="One seed.")] = False,
     scale_to_robot: Scaled = False,
     spec: Annotated[
         Path | None,
-        typer.Option(help="Run the experiment of this file; takes --out and --jobs.", show_default=False),
+        typer.Option(help="Experiment file to run; only --out and --jobs can be combined with it.", show_default=False),
     ] = None,
     **values: str | None,
 ) -> None:
-    """Compare controllers on trajectories. Options that name several things take them with commas between.
+    """Compare controllers on trajectories. Options of several values take a list separated by commas.
 
-    The exit code is 1 when a run of the predictive controller did not complete; the report is written all the same.
+    The exit code is 1 if a run of the predictive controller did not complete; the report is also written then.
     """
-    from diffdrive_mpc.bench.comparison.plan import read_options  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.comparison.plan import read_options  # noqa: PLC0415 - --help does not need it
     from diffdrive_mpc.bench.comparison.results import incomplete  # noqa: PLC0415
     from diffdrive_mpc.bench.comparison.study import ComparisonStudy  # noqa: PLC0415
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
@@ -102,7 +102,7 @@ def bench(
         scaled=scale_to_robot,
         sweeps=sweeps,
     )
-    complaint = incomplete(carry_out(ComparisonStudy(request), out or Path(_BENCH_OUT), jobs))
-    if complaint:
-        echo(f"error: {complaint}", err=True)
+    failure = incomplete(carry_out(ComparisonStudy(request), out or Path(_BENCH_OUT), jobs))
+    if failure:
+        echo(f"error: {failure}", err=True)
         raise typer.Exit(FAILED)

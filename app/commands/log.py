@@ -26,12 +26,12 @@ def _log() -> None:
 def check(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="CSV file, or ROS 2 bag.")], *, mapping: Mapping = None
 ) -> None:
-    """Check a log: errors of its data, and each sensor that is reversed, swapped, scaled, turned or late [s].
+    """Check a log: errors of its data, and sensors that are reversed, swapped, scaled, rotated or delayed.
 
-    The last line lists the settings of the sensors for a configuration. The exit code is 1 where a model would be
-    wrong.
+    The last line lists the sensor settings for a configuration. The exit code is 1 if errors in the data would spoil a
+    model.
     """
-    import yaml  # noqa: PLC0415 - --help does without these
+    import yaml  # noqa: PLC0415 - --help does not need these modules
 
     from diffdrive_mpc.models.identification.fit.sensors import find_corrections  # noqa: PLC0415
     from diffdrive_mpc.models.logs import read_log  # noqa: PLC0415
@@ -42,7 +42,7 @@ def check(
     corrections = find_corrections(content.name, content.records, mapping)
     echo("\n".join([*summary(content), *counted([*content.findings, *corrections.findings])]))
     stated = yaml.safe_dump({"sensors": corrections.settings}, default_flow_style=None, sort_keys=False)
-    otherwise = "sensors: not known before the errors are mended" if content.errors else "sensors: as they are"
+    otherwise = "sensors: unknown until the errors are corrected" if content.errors else "sensors: no correction needed"
     echo(stated.rstrip() if corrections.settings else otherwise)
     if content.errors:
         raise typer.Exit(FAILED)

@@ -1,4 +1,4 @@
-"""`diffdrive-mpc models`: list of the velocity models and their contents."""
+"""`diffdrive-mpc models`: list, show and check velocity models."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ models_app = typer.Typer(
 @models_app.command("list", epilog="Example: diffdrive-mpc models list")
 def list_models() -> None:
     """List the shipped models with their order, lags, gains and origin."""
-    from diffdrive_mpc.app.model_report import print_models  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.app.model_report import print_models  # noqa: PLC0415 - --help does not need it
 
     print_models()
 
@@ -32,7 +32,7 @@ def show(
         ),
     ],
 ) -> None:
-    """Show one model: matrices, poles, gains, dead times, and where the numbers come from."""
+    """Show one model: matrices, poles, gains, dead times, and the origin of its parameters."""
     from diffdrive_mpc.app.model_report import print_model  # noqa: PLC0415
 
     print_model(name)

@@ -1,4 +1,4 @@
-"""`diffdrive-mpc node`: drive a robot through ROS 2. Loads no module of `sim` or `bench`."""
+"""`diffdrive-mpc node`: drive a robot through ROS 2. This module imports nothing from `sim` or `bench`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def node(
         str,
         typer.Option(
             help="mbm, sm, ssm, two_delays, lstm, p2_experimental, p2_physical, kinematic, "
-            "or the configuration file that was simulated with."
+            "or the configuration file that was used in simulation."
         ),
     ] = "ssm",
     trajectory: Annotated[
@@ -28,7 +28,8 @@ def node(
     settings: Settings = None,
     autostart: Annotated[bool, typer.Option("--autostart", help="Configure and activate at start-up.")] = False,
     drive: Annotated[
-        bool, typer.Option("--drive", help="The same, and drive as soon as measurements arrive: stand clear.")
+        bool,
+        typer.Option("--drive", help="Configure, activate, and drive as soon as measurements arrive: stand clear."),
     ] = False,
 ) -> None:
     """Drive a robot through ROS 2, until interrupted.

@@ -1,4 +1,4 @@
-"""Options, each declared once."""
+"""Options that several commands share."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Model = Annotated[
     typer.Option(
         help="Velocity model: mbm, sm, ssm, two_delays, lstm, p2_experimental, p2_physical, kinematic, or the path of "
         "a file.",
-        show_default="ssm, or --config's",
+        show_default="ssm, or the model of --config",
     ),
 ]
 TrustedFolders = Annotated[
@@ -42,8 +42,8 @@ TrustedFolders = Annotated[
     typer.Option(
         "--trust-terms",
         metavar="FOLDER",
-        help="Open and run files of this folder where the log or run file names them; repeatable.",
-        show_default="none: only what ships",
+        help="Folder whose files are opened and run if the log or run file names them; repeatable.",
+        show_default="none: shipped files only",
     ),
 ]
 Scaled = Annotated[
@@ -56,39 +56,39 @@ Mapping = Annotated[
     str | None,
     typer.Option(
         metavar="NAME|FILE",
-        help="What the columns or topics are.",
-        show_default="that of simulate --log, and a bag's usual topics",
+        help="Mapping from columns or topics to signals.",
+        show_default="columns of simulate --log, or the usual topics of a bag",
     ),
 ]
-"""Mapping of the columns or topics of a log."""
+"""Option with the mapping of the columns or topics of a log."""
 RobotName = Annotated[
     str | None,
     typer.Option(
         "--robot",
         metavar="NAME|FILE",
-        help="Begin with what its maker states: husky, jackal, warthog, dingo_d, turtlebot4, or a file.",
+        help="Robot whose maker's data are used: husky, jackal, warthog, dingo_d, turtlebot4, or a file.",
         show_default=False,
     ),
 ]
 
 
 def with_dimensions(*names: str, several: bool = False) -> Callable[[Command], Command]:
-    """Give a command, which takes them as `**values`, an option for each dimension of a case.
+    """Return a decorator that adds an option for each dimension of a case to a command with `**values`.
 
     Parameters
     ----------
     names
         Names of the dimensions; by default all of them.
     several
-        Whether the options take lists: `values` are texts by the plural, None where one is not given. Otherwise they
-        are values by the dimension's name.
+        True if the options take lists: `values` are then texts by the plural of the dimension's name, None if an option
+        was not passed. Otherwise they are values by the dimension's name.
     """
-    from diffdrive_mpc.bench.case import DIMENSIONS  # noqa: PLC0415 - the node's command loads no bench
+    from diffdrive_mpc.bench.case import DIMENSIONS  # noqa: PLC0415 - the command `node` must not import bench
 
     make = _list_option if several else _single_option
     added = [make(dimension) for dimension in DIMENSIONS if not names or dimension.name in names]
 
-    def extended(command: Command) -> Command:
+    def add_options(command: Command) -> Command:
         signature = inspect.signature(command, eval_str=True)
         parameters = [
             parameter
@@ -100,14 +100,14 @@ def with_dimensions(*names: str, several: bool = False) -> Callable[[Command], C
         command.__signature__ = signature.replace(parameters=[*first, *added, *rest])  # type: ignore[attr-defined]
         return command
 
-    return extended
+    return add_options
 
 
 def _single_option(dimension: Dimension) -> inspect.Parameter:
     if dimension.name == "model":
         return inspect.Parameter("model", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Model)
-    kind, least = type(dimension.default), 0 if isinstance(dimension.default, int) else None
-    option = typer.Option(dimension.option, help=dimension.help, min=least)
+    kind, minimum = type(dimension.default), 0 if isinstance(dimension.default, int) else None
+    option = typer.Option(dimension.option, help=dimension.help, min=minimum)
     annotation = Annotated[kind, option]  # type: ignore[valid-type]
     return inspect.Parameter(
         dimension.name, inspect.Parameter.KEYWORD_ONLY, default=dimension.default, annotation=annotation
@@ -122,7 +122,7 @@ def _list_option(dimension: Dimension) -> inspect.Parameter:
 
 
 def ros_arguments(context: typer.Context) -> list[str]:
-    """Return the words from `--ros-args` on; raise ValueError for unknown words before it."""
+    """Return the words from `--ros-args` to the end; raise ValueError for unknown words before it."""
     words = list(context.args)
     ours = words[: words.index("--ros-args")] if "--ros-args" in words else words
     if ours:

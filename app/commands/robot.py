@@ -1,4 +1,4 @@
-"""`diffdrive-mpc identify`: from logs of a robot to a model that the controller loads, and how far to trust it."""
+"""`diffdrive-mpc identify`: identify a model for the controller, with its uncertainty, from logs of a robot."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def identify(
     structure: Annotated[
         str,
         typer.Option(
-            help="mbm, sm, ssm; p2_experimental or p2_physical, a drive; lstm, a network; hybrid, sm and network."
+            help="mbm, sm, ssm; p2_experimental or p2_physical (drives); lstm (network); hybrid (sm and network)."
         ),
     ] = "sm",
     mapping: Mapping = None,
@@ -35,32 +35,39 @@ def identify(
     ] = None,
     validate: Annotated[
         list[Path] | None,
-        typer.Option(metavar="LOG", help="Log to try the model on; repeatable.", show_default="a share of each log"),
+        typer.Option(
+            metavar="LOG", help="Log to validate the model with; repeatable.", show_default="a share of each log"
+        ),
     ] = None,
     fit_share: Annotated[
         float | None,
-        typer.Option(help="Share of each log to identify from; the rest scores it.", show_default="0.6"),
+        typer.Option(help="Share of each log to identify from; the rest validates the model.", show_default="0.6"),
     ] = None,
     order: Annotated[str, typer.Option(metavar="auto|N", help="Order of an ssm, 1 to 5.")] = "auto",
     effects: Annotated[
-        bool, typer.Option("--effects", help="Look for what the base does around an sm: slew, steps, tyres, veer.")
+        bool,
+        typer.Option("--effects", help="Also identify effects of the base that an sm lacks: slew, steps, tyres, veer."),
     ] = False,
     packages: Annotated[
         str | None,
         typer.Option(
             "--for",
             metavar="NAMES",
-            help="Write parameters of nav2, ros2_control, robot_localization, too; several with commas.",
+            help="Also write parameters of nav2, ros2_control, robot_localization; separate several by commas.",
             show_default="none",
         ),
     ] = None,
     name: Annotated[str | None, typer.Option(help="Name of the model.", show_default="from the logs")] = None,
     robot: RobotName = None,
     draft_mapping: Annotated[
-        bool, typer.Option("--draft-mapping", help="Only write a first mapping of LOG, to be corrected (mapping.yaml).")
+        bool,
+        typer.Option("--draft-mapping", help="Only write a draft of the mapping of LOG to correct (mapping.yaml)."),
     ] = False,
     force: Annotated[
-        bool, typer.Option("--force", help="Write model and configuration also where logs or FIT speak against it.")
+        bool,
+        typer.Option(
+            "--force", help="Write model and configuration even if errors in the logs or a low FIT advise against it."
+        ),
     ] = False,
 ) -> None:
     """Identify a velocity model from logs; write it with a configuration, a report and figures."""
@@ -69,7 +76,7 @@ def identify(
 
         write_draft(logs, out)
         return
-    from diffdrive_mpc.app.identification.study import identify_into  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.app.identification.study import identify_into  # noqa: PLC0415 - --help does not need it
 
     identify_into(
         logs,

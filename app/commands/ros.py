@@ -1,4 +1,4 @@
-"""The commands that run ROS 2 nodes: `node`, the controller, and `sim-robot`, the simulated robot."""
+"""Commands `sim-robot`, which runs the simulated robot as a ROS 2 node, and `doctor`, which checks the installation."""
 
 from __future__ import annotations
 
@@ -20,14 +20,15 @@ def robot(
     context: typer.Context,
     *,
     lock_step: Annotated[
-        bool, typer.Option("--lock-step/--real-time", help="Publish /clock and wait for the command to each tick.")
+        bool, typer.Option("--lock-step/--real-time", help="Publish /clock and wait for the command of each tick.")
     ] = False,
     duration: Annotated[
-        float | None, typer.Option(help="End after so many seconds on the robot's clock.", show_default="go on")
+        float | None,
+        typer.Option(help="Time after which the robot ends, on its clock, in seconds.", show_default="no end"),
     ] = None,
     config: Annotated[
         Path | None,
-        file_option("Configuration of the node that drives it: the robot takes its sample time and limits", "--config"),
+        file_option("Configuration of the node that drives it, with sample time and limits of the robot", "--config"),
     ] = None,
     base: Annotated[Path | None, file_option("Base settings: rates, timeouts", "--base")] = None,
     stamped: Annotated[
@@ -35,39 +36,40 @@ def robot(
         typer.Option("--stamped/--unstamped", help="Commands are TwistStamped or Twist.", show_default="as --base"),
     ] = None,
     command_timeout: Annotated[
-        float | None, typer.Option(help="Stop after so many seconds without a command.", show_default="as --base")
+        float | None,
+        typer.Option(help="Time without a command after which the robot stops, in seconds.", show_default="as --base"),
     ] = None,
     answer_timeout: Annotated[
         float | None,
         typer.Option(
-            help="In lock step: longest wait for the command to a tick, in seconds.", show_default="as --base"
+            help="In lock step: maximum wait for the command of a tick, in seconds.", show_default="as --base"
         ),
     ] = None,
     odometry_pose: Annotated[
         Literal["dead_reckoning", "pose_sensor"] | None,
-        typer.Option(help="Where the pose in odom comes from.", show_default="as --base"),
+        typer.Option(help="Source of the pose in odom.", show_default="as --base"),
     ] = None,
     transforms: Annotated[
         Literal["none", "odom", "map"] | None,
-        typer.Option(help="Send odom -> base_link on /tf, or map -> odom too.", show_default="as --base"),
+        typer.Option(help="Transforms on /tf: odom -> base_link, or also map -> odom.", show_default="as --base"),
     ] = None,
     frame_prefix: Annotated[
-        str | None, typer.Option(help="Before all frames but map, such as r1/.", show_default="as --base")
+        str | None, typer.Option(help="Prefix of all frames except map, such as r1/.", show_default="as --base")
     ] = None,
     record: Annotated[Path | None, typer.Option(help="Folder for a bag of the drive.", show_default=False)] = None,
-    storage: Annotated[Literal["mcap", "sqlite3"], typer.Option(help="Kind of that bag.")] = "mcap",
+    storage: Annotated[Literal["mcap", "sqlite3"], typer.Option(help="Storage format of the bag.")] = "mcap",
     **values: Any,  # noqa: ANN401 - text or number
 ) -> None:
     """Run the simulated robot as a ROS 2 node: twist in; odometry, IMU, pose, joint states and ground truth out.
 
-    It starts at the beginning of the trajectory and ends on Ctrl-C. Arguments after `--ros-args` are passed to ROS:
+    The robot starts at the start of the trajectory and ends on Ctrl-C. Arguments after `--ros-args` are passed to ROS:
     remappings, parameters.
     """
     if duration is not None and not duration > 0:
         raise ValueError(f"--duration {duration}: give a time in seconds, more than zero")
     arguments = ros_arguments(context)
 
-    from diffdrive_mpc.bench.case import Case  # noqa: PLC0415 - --help does without it, and without ROS
+    from diffdrive_mpc.bench.case import Case  # noqa: PLC0415 - --help needs neither this nor ROS
     from diffdrive_mpc.bench.controllers import build_plant, chosen_model, load_reference  # noqa: PLC0415
     from diffdrive_mpc.sim import make_plant  # noqa: PLC0415
     from diffdrive_mpc.sim.ros.run_robot import run_robot  # noqa: PLC0415
@@ -113,7 +115,7 @@ def doctor() -> None:
 
     The exit code is 1 if the controller cannot run.
     """
-    from diffdrive_mpc.app.doctor import examine  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.app.doctor import examine  # noqa: PLC0415 - --help does not need it
     from diffdrive_mpc.bench.machine import project_version  # noqa: PLC0415
 
     echo(f"diffdrive-mpc {project_version()}")

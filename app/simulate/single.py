@@ -1,4 +1,4 @@
-"""One case for `diffdrive-mpc simulate`: run it, print a summary or its tables, draw it, log it."""
+"""Single case of `diffdrive-mpc simulate`: run it, print a summary or tables, and write report and log."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from diffdrive_mpc.bench.controllers import build, chosen_model, controller_conf
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.report_folder import REPORT, staged
-from diffdrive_mpc.bench.run_row import RunOutcome, who_drives
+from diffdrive_mpc.bench.run_row import RunOutcome, driver_name
 from diffdrive_mpc.bench.table import Table, duration
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc.config.typed_settings import single_settings
@@ -37,7 +37,7 @@ _METHODS = {
     "osqp": "OSQP",
     "daqp": "DAQP",
 }
-"""Words for how the solver found the solution of a tick."""
+"""Description of the method that solved a tick."""
 
 
 def simulate_one(
@@ -55,14 +55,14 @@ def simulate_one(
     Parameters
     ----------
     values
-        By dimension, `model` being None where it was not given.
+        Values by dimension; `model` is None if it was not passed.
     config, settings, out, log, scaled
-        The arguments of the command as the user gave them.
+        Options of the command as the user passed them.
     details
-        Whether the tables of the run are printed instead of a summary.
+        True to print the tables of the run instead of a summary.
 
-    Raises ConfigError, ValueError or OSError if a name, a file, a value or a place to write to cannot be used; before
-    the run, and nothing is made then.
+    Raises ConfigError, ValueError or OSError before the run if a name, a file, a value or an output path cannot be
+    used; then nothing is written.
     """
     case = case_from_options(values, config=config, settings=settings, scaled=scaled)
     controller, plant, reference = build(case)
@@ -115,12 +115,12 @@ def report(outcome: RunOutcome, out: Path | None, *, details: bool = False) -> N
 
 
 def _summary(outcome: RunOutcome, out: Path | None) -> Iterator[str]:
-    """Yield six lines, one more for a scenario and for each part of the run."""
+    """Yield six lines, and another line for a scenario and for each part of the run."""
     run, metrics, labels = outcome.run, outcome.run.metrics, outcome.case.labels
     last = int(np.flatnonzero(run.counted)[-1])
     if metrics.completed:
-        who = who_drives(outcome.case)
-        yield f"completed: {who} along {run.reference.name} on {labels['plant']}, {run.time[last]:.1f} s"
+        driver = driver_name(outcome.case)
+        yield f"completed: {driver} along {run.reference.name} on {labels['plant']}, {run.time[last]:.1f} s"
     else:
         away = f"{run.errors.position[last]:.3f} m from the reference at its end"
         yield f"not completed: {run.ended or away}"
@@ -153,7 +153,7 @@ def _summary(outcome: RunOutcome, out: Path | None) -> Iterator[str]:
 
 def tables(outcome: RunOutcome) -> list[Table]:
     """Build the tables of one run."""
-    from diffdrive_mpc.bench.comparison.tables import (  # noqa: PLC0415 - the summary does without them
+    from diffdrive_mpc.bench.comparison.tables import (  # noqa: PLC0415 - the summary does not need them
         error_table,
         path_table,
         scenario_table,
@@ -161,17 +161,17 @@ def tables(outcome: RunOutcome) -> list[Table]:
     )
     from diffdrive_mpc.bench.experiment import frame  # noqa: PLC0415
 
-    shown = [summary_table, error_table, path_table]
+    builders = [summary_table, error_table, path_table]
     rows = frame([outcome.row])
-    made = [make(rows) for make in shown]
+    run_tables = [build_table(rows) for build_table in builders]
     if outcome.case.scenario != NO_SCENARIO:
-        made.append(scenario_table(rows))
-    added = (part.table(rows) for part in columns_of(outcome.run))
-    return [*filter(None, added), *made]
+        run_tables.append(scenario_table(rows))
+    part_tables = (part.table(rows) for part in columns_of(outcome.run))
+    return [*filter(None, part_tables), *run_tables]
 
 
 def draw(outcome: RunOutcome, folder: Path, seconds: float) -> None:
-    """Draw a run of duration `seconds` and its step times into `folder`, and write its page."""
+    """Draw a run and its step times into `folder`, and write its page; the run took `seconds` of wall time."""
     from diffdrive_mpc.app.simulate.single_page import single_page  # noqa: PLC0415
     from diffdrive_mpc.bench.html_report.document import write_page  # noqa: PLC0415 - only --out needs it
 
@@ -187,6 +187,6 @@ def draw_figures(outcome: RunOutcome, folder: Path) -> None:
     from diffdrive_mpc.bench.experiment import frame  # noqa: PLC0415
     from diffdrive_mpc.bench.figure_style import file_name  # noqa: PLC0415
 
-    title = f"{who_drives(outcome.case)}, {outcome.case.labels['trajectory']}"
+    title = f"{driver_name(outcome.case)}, {outcome.case.labels['trajectory']}"
     draw_case(outcome.run, f"{title}, seed {outcome.case.seed}", folder / f"{file_name(title)}.png")
     draw_charts([step_time_chart(frame([outcome.row]))], folder / f"{file_name(title)}-step-time.png")

@@ -10,7 +10,7 @@ from diffdrive_mpc.bench.html_report.page import KeyFigure, Page, RunViews, Show
 from diffdrive_mpc.bench.html_report.run_series import HOW_TO_READ, PEAKS, run_series
 from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
 from diffdrive_mpc.bench.machine import describe_run
-from diffdrive_mpc.bench.run_row import STATISTICS, RunOutcome, who_drives
+from diffdrive_mpc.bench.run_row import STATISTICS, RunOutcome, driver_name
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.sim import Run
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
@@ -38,7 +38,7 @@ def key_figures(run: Run) -> list[KeyFigure]:
 
 
 def sentences(case: Case, run: Run) -> list[str]:
-    """Describe the run and say whether it completed."""
+    """Describe the run and its completion."""
     metrics, labels, silent = run.metrics, case.labels, (NO_SCENARIO, AS_FILED)
     where = [
         f"{dimension.name} {labels[dimension.name]}"
@@ -47,18 +47,18 @@ def sentences(case: Case, run: Run) -> list[str]:
     ]
     ending = "reached the end" if metrics.completed else "did not reach the end"
     return [
-        f"{who_drives(case)} drove “{run.reference.name}” in {run.reference.duration:.1f} s ({', '.join(where)}, "
-        f"seed {case.seed}). It {ending}: the robot was {_mm(metrics.lateral_rmse_m)} beside its path (RMSE) and "
+        f"{driver_name(case)} drove “{run.reference.name}” in {run.reference.duration:.1f} s ({', '.join(where)}, "
+        f"seed {case.seed}). It {ending}: the lateral error was {_mm(metrics.lateral_rmse_m)} RMSE and "
         f"{_mm(metrics.lateral_max_m)} at most.",
         *filter(None, (part.summary(run) for part in columns_of(run))),
     ]
 
 
 def single_page(outcome: RunOutcome, tables: Sequence[Table], seconds: float) -> Page:
-    """Build the page of one run, which took `seconds` [s], with `tables`."""
+    """Build the page of one run with `tables`; the run took `seconds` of wall time."""
     case, run = outcome.case, outcome.run
     config = case_config(case)
-    series = run_series(run, who_drives(case), points=POINTS, config=config)
+    series = run_series(run, driver_name(case), points=POINTS, config=config)
     shown = Shown(
         summary=sentences(case, run),
         notes=[
@@ -70,7 +70,7 @@ def single_page(outcome: RunOutcome, tables: Sequence[Table], seconds: float) ->
         warnings=run_warnings(run, config),
         configurations=configuration(case),
     )
-    title = f"{who_drives(case)} along {case.labels['trajectory']}"
+    title = f"{driver_name(case)} along {case.labels['trajectory']}"
     return Page(
         "diffdrive-mpc simulate", title, shown, tables, origin(describe_run(seconds), [("seed", str(case.seed))])
     )

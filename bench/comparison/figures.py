@@ -31,12 +31,12 @@ _TICKS_OF_A_RUN = 2000
 
 
 def drawings(results: ComparisonResults) -> dict[str, Draw | Charts]:
-    """Return every figure by file name, the overview first. Only runs of the first seed are drawn singly."""
-    made = charts(results)
-    first = [name for name in ("speed.png", "dead-time.png") if name in made]
+    """Return every figure by file name, the overview first; runs of the first seed have a figure each."""
+    swept = charts(results)
+    first = [name for name in ("speed.png", "dead-time.png") if name in swept]
     overview = [*_error_charts(results.main), error_chart(results.main), step_time_chart(results.main)]
     figures: dict[str, Draw | Charts] = {"overview.png": partial(draw_charts, overview, columns=_CHARTS_IN_A_ROW)}
-    figures |= {name: made[name] for name in [*first, *(name for name in made if name not in first)]}
+    figures |= {name: swept[name] for name in [*first, *(name for name in swept if name not in first)]}
     for name, rows in predictive(by(results.main, COMPARED)).items():
         seed = results.settings.values("seeds")[0]
         for case, run in zip(rows["case"], rows["run"], strict=True):
@@ -47,38 +47,38 @@ def drawings(results: ComparisonResults) -> dict[str, Draw | Charts]:
 
 
 def _error_charts(main: DataFrame) -> list[Chart]:
-    """Return a chart of the position error over time for each trajectory, on one scale: the best MPC and peer."""
+    """Return a chart of position error over time per trajectory for the best MPC and peer, all with one y range."""
     compared = by(main, COMPARED)
     styles, ours = list(compared), predictive(compared)
     peers = {name: rows for name, rows in compared.items() if name not in ours}
-    drawn = [best_of(part) for part in (ours, peers) if part]
-    rows = {name: by(compared[name], "trajectory") for name in drawn}
-    runs = {path: {name: rows[name][path]["run"].iloc[0] for name in drawn} for path in rows[drawn[0]]}
+    best = [best_of(part) for part in (ours, peers) if part]
+    rows = {name: by(compared[name], "trajectory") for name in best}
+    runs = {path: {name: rows[name][path]["run"].iloc[0] for name in best} for path in rows[best[0]]}
     errors = {path: {name: 1e3 * run.errors.position for name, run in part.items()} for path, part in runs.items()}
     top = 1.05 * max(float(np.percentile(error, 99)) for part in errors.values() for error in part.values())
-    made = []
+    error_charts = []
     for path, part in errors.items():
         series = [
             Series(name, rounded_list(runs[path][name].time, 3), rounded_list(error, 2), styles.index(name), "line")
             for name, error in part.items()
         ]
-        means = [f"{name} {1e3 * mean(rows[name][path], 'position_rmse_m'):.1f}" for name in drawn]
+        means = [f"{name} {1e3 * mean(rows[name][path], 'position_rmse_m'):.1f}" for name in best]
         stopped = [f"{name} did not complete" for name, run in runs[path].items() if run.ended]
         title = f"{path}: {', '.join([*means, *stopped])}"
         axes = Axis("time [s]"), Axis("position error [mm]", range=(0.0, top))
-        made.append(Chart(title, *axes, series))
-    return made
+        error_charts.append(Chart(title, *axes, series))
+    return error_charts
 
 
 def magnification(run: Run) -> float:
     """Return the factor 1, 2, 5, ... that makes the maximum position error visible."""
     error = np.linalg.norm((run.true_pose - run.reference_pose)[run.counted, :2], axis=1).max()
-    wanted = _VISIBLE * float(np.ptp(run.reference_pose[:, :2], axis=0).max()) / max(float(error), 1e-9)
-    return max([1.0, *(factor for factor in _MAGNIFICATIONS if factor <= wanted)])
+    limit = _VISIBLE * float(np.ptp(run.reference_pose[:, :2], axis=0).max()) / max(float(error), 1e-9)
+    return max([1.0, *(factor for factor in _MAGNIFICATIONS if factor <= limit)])
 
 
 def magnified(run: Run, factor: float) -> FloatArray:
-    """Return (n, 3) the driven poses with their error magnified by `factor`."""
+    """Return the driven poses (n, 3) with their deviation from the reference multiplied by `factor`."""
     return np.asarray(run.reference_pose + factor * (run.true_pose - run.reference_pose))
 
 

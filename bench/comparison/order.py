@@ -15,23 +15,23 @@ from diffdrive_mpc.models.interface import FloatArray
 RESAMPLES, CERTAINTY = 2000, 95.0
 """Number of resamples of the bootstrap, and the confidence of its interval [%]."""
 RULE = (
-    "Two controllers are told apart where the mean difference of their position RMSE, paired by trajectory "
+    "Two controllers differ significantly if the mean difference of their position RMSE, paired by trajectory "
     f"and seed, has one sign in the middle {CERTAINTY:g} % of {RESAMPLES} bootstrap samples of these differences."
 )
 
 
 @dataclass(frozen=True)
 class Rank:
-    """One controller in the order.
+    """One controller in the ranking.
 
     Attributes
     ----------
     name
         Name of the controller.
     rmse, spread
-        Mean position RMSE, and the standard deviation of its means over the trajectories from seed to seed [m].
+        Mean position RMSE, and the standard deviation over seeds of its mean over trajectories [m].
     behind
-        (2,) interval of the mean difference to the controller before it [m]; NaN for the first.
+        (2,) interval of the mean difference from the next better controller [m]; NaN for the best one.
     """
 
     name: str
@@ -40,20 +40,20 @@ class Rank:
     behind: FloatArray
 
     @property
-    def told_apart(self) -> bool:
-        """True if it is significantly worse than the previous one."""
+    def is_significant(self) -> bool:
+        """True if the controller is significantly worse than the next better one."""
         return bool(self.behind[0] > 0)
 
 
 def interval(differences: FloatArray) -> FloatArray:
-    """Compute a bootstrap interval (2,) of the mean of paired `differences` (n,); it is the same at each call."""
+    """Compute a bootstrap interval (2,) of the mean of paired `differences` (n,), with a fixed seed."""
     draws = np.random.default_rng(0).integers(len(differences), size=(RESAMPLES, len(differences)))
     tail = (100.0 - CERTAINTY) / 2
     return np.asarray(np.percentile(differences[draws].mean(axis=1), [tail, 100.0 - tail]))
 
 
 def order(rows: DataFrame) -> list[Rank]:
-    """Return controllers by mean position RMSE, the best first; those with a run that has none are left out."""
+    """Sort controllers by mean position RMSE, the best first; omit a controller with a run that has no RMSE."""
     errors = _errors(rows).dropna(axis=1)
     means = errors.mean().sort_values(kind="stable")
     spreads = errors.groupby("seed").mean().std(ddof=0)
@@ -63,7 +63,7 @@ def order(rows: DataFrame) -> list[Rank]:
 
 
 def reversed_pairs(main: DataFrame, others: DataFrame) -> tuple[list[str], list[str]]:
-    """Return pairs with different order in two sets of runs: those distinguished in both, and those that are not."""
+    """Return pairs whose order differs between two sets of runs: significant in both sets, and all other pairs."""
     sets = _errors(main), _errors(others)
     certain: list[str] = []
     uncertain: list[str] = []
@@ -76,22 +76,22 @@ def reversed_pairs(main: DataFrame, others: DataFrame) -> tuple[list[str], list[
 
 
 def order_table(main: DataFrame, others: DataFrame) -> Table:
-    """Return the order over the seeds of the tables, and over other seeds if they were run."""
+    """Tabulate the ranking over the seeds of the tables, and over other seeds if those were run."""
     rows = []
     for label, runs in (("these", main), ("others", others)):
         for rank, place in enumerate(order(runs) if len(runs) else [], 1):
             low, high = 1e3 * place.behind
-            behind = ("-", "-") if rank == 1 else (f"{number(low, 2)} to {number(high, 2)}", _YES[place.told_apart])
+            behind = ("-", "-") if rank == 1 else (f"{number(low, 2)} to {number(high, 2)}", _YES[place.is_significant])
             errors = (number(1e3 * place.rmse, 2), number(1e3 * place.spread, 2))
             rows.append((f"{runs['seed'].nunique()} ({label})", place.name, *errors, *behind))
-    columns = ("seeds", "controller", "position RMSE [mm]", "spread [mm]", "behind the one above [mm]", "told apart")
+    columns = ("seeds", "controller", "position RMSE [mm]", "spread [mm]", "behind the one above [mm]", "significant")
     note = f"{RULE} Spread: from seed to seed."
     if len(others):
         certain, uncertain = reversed_pairs(main, others)
         if not certain + uncertain:
             note += " The order is the same over the other seeds."
         if uncertain:
-            note += f" Over the other seeds {', '.join(uncertain)} change places, which are not told apart."
+            note += f" Over the other seeds {', '.join(uncertain)} change places without a significant difference."
         if certain:
             note += f" The order of {', '.join(certain)} is reversed over the other seeds."
     return Table("Order", columns, tuple(rows), text_columns=2, note=note)

@@ -1,7 +1,7 @@
-"""Robots other than that of the shipped models: a drawn population, and two with slow dynamics.
+"""Robots without shipped models: a random population, and two robots with slow dynamics.
 
-The controllers know a drawn robot by its user's data, which are often wrong. For the other two, models were identified
-from three drives of each, and the peers were tuned on it with the same estimate.
+Controllers of a random robot are configured with data that its user states, which are often wrong. For the two others,
+models were identified from three drives of each, and the peers were tuned on the robot with the same estimator.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ PATHS = Path(__file__).with_name("paths")
 
 
 class Population(StrictModel):
-    """Seeds of drawn robots, with their controllers and paths."""
+    """Seeds of random robots, with their controllers and paths."""
 
     robots: tuple[int, ...]
     trajectories: tuple[str, ...]
@@ -36,13 +36,13 @@ class KnownRobot(StrictModel):
     Attributes
     ----------
     models
-        Structures with files in `MODELS`; the peers' estimate is that of the last one.
+        Structures with files in `MODELS`; the peers' estimator uses the last one.
     settings
         Configuration values that its user states, or that `identify` wrote.
     gains
         Gains of each peer.
     weights
-        Weights of the predictive controller, tuned by the same search.
+        Weights of the predictive controller, tuned by the same search as the gains.
     """
 
     models: tuple[str, ...]
@@ -62,12 +62,15 @@ class OtherRobots(StrictModel):
 
 @cache
 def other_robots() -> OtherRobots:
-    """Read the file beside this one; raises ConfigError on a mistake in it."""
+    """Read `other_robots.yaml`; raise ConfigError if it is invalid."""
     return load_checked(OtherRobots, Path(__file__).with_suffix(".yaml"))
 
 
 def population_cases(*, whole: bool = False) -> tuple[Case, ...]:
-    """Return the cases of every controller on every drawn robot, along one trajectory each or the `whole`."""
+    """Return the cases of every controller on every random robot, along one trajectory per robot.
+
+    If `whole`, every robot drives every trajectory.
+    """
     stated = other_robots().population
     paths = stated.trajectories
     drives = [
@@ -82,7 +85,7 @@ def population_cases(*, whole: bool = False) -> tuple[Case, ...]:
 
 
 def dynamics_cases(seeds: tuple[int, ...] | None = None) -> tuple[Case, ...]:
-    """Return the cases of identified models and tuned peers on known robots; `seeds` replaces those of the file."""
+    """Return the cases of identified models and tuned peers on known robots; `seeds` replaces the file's seeds."""
     stated, cases = other_robots(), []
     for name, robot in stated.robots.items():
         files = {model: str(MODELS / name / f"{model}.yaml") for model in robot.models}
@@ -105,5 +108,5 @@ def dynamics_cases(seeds: tuple[int, ...] | None = None) -> tuple[Case, ...]:
 
 
 def _driver(name: str) -> Case:
-    """Return a case of a peer or of a model."""
+    """Return a case with the named peer, or with the named model in the predictive controller."""
     return Case(controller=name, model=NO_MODEL) if name in PEERS else Case(model=name)

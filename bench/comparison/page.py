@@ -30,7 +30,7 @@ from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
 from diffdrive_mpc.bench.table import number
 
 _TICKS = 28_000
-"""Ticks of all runs together that the page holds at most, so that it stays small."""
+"""Maximum number of ticks of all runs together on the page, which limits its size."""
 _TICKS_OF_A_RUN = 350
 _WARNINGS_SHOWN = 12
 
@@ -57,20 +57,21 @@ def shown(results: ComparisonResults) -> Shown:
 
 def charts(results: ComparisonResults) -> dict[str, list[Chart]]:
     """Return charts of step times and sweeps, by the name of the figure file."""
-    made = {"step-time.png": [step_time_chart(results.main)]}
+    chart_files = {"step-time.png": [step_time_chart(results.main)]}
     names, sample = list(by(results.main, COMPARED)), results.main["run"].iloc[0].sample_time
     if len(results.speed):
         speeds = [round(case.top_speed or 0.0, 6) for case in results.speed["case"]]
         axis = f"top speed [m/s] of {' and '.join(by(results.speed, 'trajectory'))}"
-        made["speed.png"] = _swept(results.speed, speeds, axis, _errors("Error against speed"), names)
+        chart_files["speed.png"] = _swept(results.speed, speeds, axis, _errors("Error against speed"), names)
     if len(results.dead_time):
-        delays = [round(1e3 * sample * case.late, 6) for case in results.dead_time["case"]]
+        delays = [round(1e3 * sample * case.excess_delay, 6) for case in results.dead_time["case"]]
         axis, title = "dead time beyond the configured one [ms]", "Error against an unknown dead time"
-        made["dead-time.png"] = _swept(results.dead_time, delays, axis, _errors(title), names)
+        chart_files["dead-time.png"] = _swept(results.dead_time, delays, axis, _errors(title), names)
     if len(results.horizon):
         axis = f"horizon [steps of {1e3 * sample:.1f} ms]"
-        made["horizon.png"] = _swept(results.horizon, list(results.horizon["horizon"]), axis, _HORIZON_FIGURES, names)
-    return made
+        horizons = list(results.horizon["horizon"])
+        chart_files["horizon.png"] = _swept(results.horizon, horizons, axis, _HORIZON_FIGURES, names)
+    return chart_files
 
 
 def _sentences(main: DataFrame, drivers: Mapping[str, DataFrame]) -> list[str]:
@@ -81,14 +82,14 @@ def _sentences(main: DataFrame, drivers: Mapping[str, DataFrame]) -> list[str]:
     done = total(main, "completed")
     first = "All" if done == len(main) else f"{done} of"
     return [
-        f"{first} {len(main)} runs came to their end. "
-        f"Position RMSE [mm], mean over paths and seeds, the least first: {listed}."
+        f"{first} {len(main)} runs were completed. "
+        f"Position RMSE [mm], mean over paths and seeds, in ascending order: {listed}."
         + (f" Not ranked, with runs that did not complete: {others}." if others else "")
     ]
 
 
 def _key_figures(results: ComparisonResults, drivers: Mapping[str, DataFrame]) -> list[KeyFigure]:
-    """Return those of the predictive controllers, and the least error of all controllers."""
+    """Return the key figures of the predictive controllers, and the minimum error of all controllers."""
     ours = predictive(drivers)
     every = results.main[results.main["driver"].isin({rows["driver"].iloc[0] for rows in ours.values()})]
     done, fallbacks = total(results.main, "completed"), total(every, "fallbacks")
@@ -104,17 +105,17 @@ def _key_figures(results: ComparisonResults, drivers: Mapping[str, DataFrame]) -
             f"{number(1e3 * time_percentile(times, 50), 2)} ms",
             f"p99 {number(1e3 * time_percentile(times, 99), 2)} ms; {whose}",
         ),
-        KeyFigure("late steps", str(total(every, "deadline_misses")), f"of {times.size} that were timed; {whose}"),
+        KeyFigure("late steps", str(total(every, "deadline_misses")), f"of {times.size} timed steps; {whose}"),
         KeyFigure("fallbacks", str(fallbacks), "ticks without a fresh plan", "good" if not fallbacks else "bad"),
     ]
 
 
 def _least_error(drivers: Mapping[str, DataFrame]) -> KeyFigure:
-    """Return the least error of the controllers that completed every run; next to that of a peer, the best MPC."""
+    """Return the minimum error of the controllers that completed every run; if a peer is best, also the best MPC."""
     ranked = complete(drivers)
     errors = {name: mean(rows, "position_rmse_m") for name, rows in ranked.items()}
     shown = {name: f"{number(1e3 * error, 1)} mm" for name, error in errors.items()}
-    label = "least position error, RMSE"
+    label = "minimum position error, RMSE"
     if not ranked:
         return KeyFigure(label, "-", "no controller completed every run", "bad")
     best, worst = best_of(ranked), max(errors, key=errors.__getitem__)
@@ -127,7 +128,10 @@ def _least_error(drivers: Mapping[str, DataFrame]) -> KeyFigure:
 
 
 def _runs(main: DataFrame, drivers: Mapping[str, DataFrame]) -> RunViews:
-    """View every run in the style of its controller, predictive ones first; lines are thinner the more there are."""
+    """Return a view of every run in the style of its controller, predictive controllers first.
+
+    The number of points of a run decreases with the number of runs.
+    """
     points = min(_TICKS_OF_A_RUN, _TICKS // len(main))
     series = []
     styles, ours = list(drivers), predictive(drivers)
@@ -163,13 +167,13 @@ def step_time_chart(main: DataFrame) -> Chart:
     series = []
     for i, (name, rows) in enumerate(by(main, COMPARED).items()):
         times = 1e3 * step_times(rows)
-        if times.size:  # on a busy machine a short run may have no undisturbed tick
+        if times.size:  # on a busy machine, all ticks of a short run may be disturbed
             series.append(Series(name, *tail(times), i, "line", labels={"controller": name}))
     sample = 1e3 * main["run"].iloc[0].sample_time
-    note = f"Whole step, from measurement to command. A step has {sample:.1f} ms."
+    note = f"Whole step, from measurement to command. The sample time is {sample:.1f} ms."
     axes = Axis("step time [ms]", "log"), Axis("share of longer steps", "log")
     marks = [Mark(0.01, "1 %"), Mark(sample, "sample time", upright=True)]
-    return Chart("How long steps take", *axes, series, note, marks=marks)
+    return Chart("Distribution of step times", *axes, series, note, marks=marks)
 
 
 Figures = Mapping[str, tuple[str, Callable[[DataFrame], float]]]
@@ -195,8 +199,8 @@ def _errors(title: str) -> Figures:
 
 
 def _swept(rows: DataFrame, x: Sequence[float], axis: str, figures: Figures, names: Sequence[str]) -> list[Chart]:
-    """Return figures of the runs at each x, and the range of the figures of single seeds."""
-    rows, made = rows.assign(x=x), []
+    """Return charts of figures of the runs at each x, with the range over single seeds."""
+    rows, swept_charts = rows.assign(x=x), []
     for title, (unit, figure) in figures.items():
         series = []
         for name, part in by(rows, "driver").items():
@@ -206,12 +210,12 @@ def _swept(rows: DataFrame, x: Sequence[float], axis: str, figures: Figures, nam
             low, high = (list(of_seeds.groupby(level=0).agg(end)) if several else () for end in ("min", "max"))
             style, labels = _style(name, names), _labels(name, names)
             series.append(Series(name, [*values], [*values.values()], style, low=low, high=high, labels=labels))
-        made.append(Chart(title, Axis(axis), Axis(unit, _scale(series)), series))
-    return made
+        swept_charts.append(Chart(title, Axis(axis), Axis(unit, _scale(series)), series))
+    return swept_charts
 
 
 def _labels(name: str, names: Sequence[str]) -> dict[str, str]:
-    """Return the label that hides a series: its controller's toggle, if it has one."""
+    """Return the label of the toggle that hides a series; empty if its controller has no toggle."""
     return {"controller": name} if name in names else {}
 
 
@@ -220,24 +224,24 @@ def _style(name: str, names: Sequence[str]) -> int:
 
 
 def _scale(series: Sequence[Series]) -> Division:
-    """Choose a logarithmic scale if one value would hide the differences of the others."""
+    """Choose a logarithmic scale if a large value would hide the differences between the others."""
     values = [value for line in series for value in line.y if isinstance(value, float) and value]
     return "log" if values and max(values) > 20 * min(values) else "linear"
 
 
 def _warnings(drivers: Mapping[str, DataFrame]) -> list[Warned]:
-    """List the warnings of all runs; for a warning of many runs the first run and the number of others."""
-    warned: dict[tuple[str, str], list[Warned]] = {}
+    """List the warnings of all runs; a repeated warning names its first run and the number of further runs."""
+    groups: dict[tuple[str, str], list[Warned]] = {}
     for name, rows in drivers.items():
         for case, run in zip(rows["case"], rows["run"], strict=True):
             place = f"{name}, {case.labels['trajectory']}, seed {case.labels['seed']}"
             for run_warning in run_warnings(run, case_config(case), place):
-                warned.setdefault((name, run_warning.remedy), []).append(run_warning)
-    made = []
-    for alike in warned.values():
-        more = f" The same kind in {len(alike) - 1} more of its runs." if len(alike) > 1 else ""
-        made.append(Warned(alike[0].text + more, alike[0].remedy))
-    if len(made) > _WARNINGS_SHOWN:
-        rest = Warned(f"And {len(made) - _WARNINGS_SHOWN} other kinds of warning: see the tables.")
-        return [*made[:_WARNINGS_SHOWN], rest]
-    return made
+                groups.setdefault((name, run_warning.remedy), []).append(run_warning)
+    warned = []
+    for group in groups.values():
+        more = f" The same warning applies to {len(group) - 1} more of its runs." if len(group) > 1 else ""
+        warned.append(Warned(group[0].text + more, group[0].remedy))
+    if len(warned) > _WARNINGS_SHOWN:
+        rest = Warned(f"And {len(warned) - _WARNINGS_SHOWN} other kinds of warning: see the tables.")
+        return [*warned[:_WARNINGS_SHOWN], rest]
+    return warned

@@ -33,13 +33,15 @@ from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
 class ComparisonSettings(StrictModel):
     """Settings of a comparison: the fields here, and the values of every dimension under its plural name."""
 
-    horizons: tuple[Annotated[int, Field(ge=1)], ...] = Field((), description="of the sweep [steps]; empty for none")
-    config: str | None = Field(None, description="controller configuration file in place of the shipped ones")
+    horizons: tuple[Annotated[int, Field(ge=1)], ...] = Field(
+        (), description="horizons of the sweep [steps]; empty for no sweep"
+    )
+    config: str | None = Field(None, description="controller configuration file that replaces the shipped ones")
     settings: tuple[Overrides, ...] = Field(((),), description="combinations of swept configuration values")
     scaled: bool = Field(False, description="whether paths are scaled to the configuration's robot")
-    osqp: bool = Field(True, description="whether OSQP at every tick is compared with the other solvers, too")
-    beyond: bool = Field(False, description="other speeds, dead times and seeds beside the tables, see `CasePlan`")
-    robots: bool = Field(False, description="other robots beside the tables, see `other_robots`")
+    osqp: bool = Field(True, description="whether OSQP at every tick is also compared")
+    beyond: bool = Field(False, description="whether further speeds, dead times and seeds are run, see `CasePlan`")
+    robots: bool = Field(False, description="whether further robots are run, see `other_robots`")
 
     def values(self, dimension: str) -> tuple[Any, ...]:
         """Return the values of a dimension by its plural name."""
@@ -48,22 +50,22 @@ class ComparisonSettings(StrictModel):
 
     @property
     def ours(self) -> bool:
-        """True if a controller with a model and a configuration is among them."""
+        """True if the controllers include one that is no peer: it has a model and a configuration."""
         return not set(self.values("controllers")) <= set(PEERS)
 
 
 SPEEDS = (0.3, 0.6, 0.9, 1.2)
-"""Top speeds of the error against speed [m/s]."""
+"""Top speeds of the speed sweep [m/s]."""
 SPEED_TRAJECTORIES, SPEED_SEEDS = ("circle", "s"), 1
 """Trajectories driven at these speeds, and their number of seeds."""
 SWEPT_TRAJECTORIES = ("s", "cane")
-"""Over which horizons are swept in a bench without options: the others give the same result."""
+"""Trajectories over which horizons are swept by default; the others give the same result."""
 LATE_TICKS, LATE_TRAJECTORY = (-2, 0, 2, 4), "s"
-"""Excess of the plant's dead time over the configured one [samples], and the trajectory of these runs."""
+"""Plant's dead time minus the configured dead time [samples], and the trajectory of these runs."""
 OTHER_SEEDS = (10, 11)
 """Seeds over which the order of the controllers is checked again."""
 ROBOT_SEEDS = tuple(range(0, 40, 2))
-"""Seeds with which robots of known dynamics are driven in a sweep."""
+"""Seeds of robots with known dynamics in a sweep."""
 
 _DIMENSIONS: dict[str, Any] = {
     entry.several: (Annotated[tuple[entry.kind, ...], Field(min_length=1)], entry.compared)  # type: ignore[name-defined]
@@ -92,9 +94,9 @@ def read_options(
     Parameters
     ----------
     values
-        By the plural of a dimension's name, the text of its option; None where it was not given.
+        Text of the option of each dimension, by the plural of the dimension's name; None if it was not passed.
     horizons, config, settings, quick, scaled, sweeps
-        The arguments of the command as the user gave them.
+        Options of the command as the user passed them.
 
     Raises ConfigError or ValueError if an option cannot be used.
     """
@@ -102,11 +104,9 @@ def read_options(
     stated = {dimension: text for dimension in DIMENSIONS if (text := values.get(dimension.several)) is not None}
     options: dict[str, object] = {entry.several: entry.read(text, entry.list_option) for entry, text in stated.items()}
     if "controllers" not in options and (config is not None or settings or "models" in options):
-        options["controllers"] = ("mpc",)  # who asks for a model or a configuration asks about that
+        options["controllers"] = ("mpc",)  # these options apply to the predictive controller only
     if sweeps and (quick or config or settings or scaled or set(options) - {"controllers", "models", "seeds"}):
-        raise ConfigError(
-            "--sweeps: beside it give --controllers, --models, --seeds and --horizons alone, or leave it out"
-        )
+        raise ConfigError("--sweeps: combine it with --controllers, --models, --seeds and --horizons only, or omit it")
     options["osqp"] = not (config or settings or {"controllers", "models"} & set(options))
     chosen = default.model_copy(update={"settings": tuple(sweep_settings(settings)), "scaled": scaled, **options})
     if not chosen.ours:
@@ -132,7 +132,7 @@ def _horizons(text: str, settings: Sequence[str]) -> tuple[int, ...]:
         return ()
     if any(setting.partition("=")[0].strip() == "horizon" for setting in settings):
         raise ConfigError("--horizons and --set horizon=...: give one of them")
-    return split_numbers(text, "--horizons", least=1)
+    return split_numbers(text, "--horizons", minimum=1)
 
 
 @dataclass(frozen=True)
@@ -144,10 +144,10 @@ class CasePlan:
     main
         Every combination of controllers, models, settings and the other dimensions.
     horizon
-        Models x horizons x trajectories with the first of everything else; see `SWEPT_TRAJECTORIES`.
+        Models x horizons x trajectories, with the first value of every other dimension; see `SWEPT_TRAJECTORIES`.
     speed, dead_time
-        Every controller at other top speeds; on plants that are later or earlier than configured. A controller without
-        a configurable dead time has later plants only.
+        Every controller at other top speeds; on plants with a longer or shorter dead time than configured. A controller
+        without a configurable dead time is run on plants with a longer one only.
     other_seeds
         `main` over other seeds.
     population, dynamics
@@ -169,18 +169,18 @@ class CasePlan:
 
     @property
     def timed(self) -> tuple[Case, ...]:
-        """Those with the first seed: steps take the same time with the others, and timing has one core."""
+        """Cases whose steps are timed: those with the first seed, because step times do not depend on the seed."""
         return tuple(case for case in self.all if case.seed == self.main[0].seed)
 
     @property
     def beyond(self) -> tuple[Case, ...]:
-        """Every other case once, in order."""
+        """Every case whose rows are stored without its run, once, in order."""
         cases = (*self.speed, *self.dead_time, *self.other_seeds, *self.population, *self.dynamics)
         return tuple(case for case in dict.fromkeys(cases) if case not in set(self.all))
 
 
 def plan_cases(settings: ComparisonSettings) -> CasePlan:
-    """List the cases, after a check that everything they name exists and can be used.
+    """List the cases; check that everything they name exists and can be used.
 
     Raises ConfigError or ValueError if a value of a dimension or of the configuration cannot be used, or two values
     would have the same name in tables and figures.
@@ -195,7 +195,7 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
     )
     drivers = [replace(case, overrides=values) for case in ours for values in settings.settings]
     if any(controller_config(case.model, case.config, case.overrides).start_delay for case in drivers):
-        raise ConfigError("start_delay: bench compares starts without it; leave it out, or use simulate")
+        raise ConfigError("start_delay: bench runs do not delay the start; omit it, or use simulate")
     peers = {
         name: [Case(controller=name, model=NO_MODEL, scaled=settings.scaled)] for name in controllers if name in PEERS
     }
@@ -226,7 +226,7 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
                 for case, trajectory, speed, seed in itertools.product(each, SPEED_TRAJECTORIES, SPEEDS, seeds)
             ),
             dead_time=tuple(
-                _late(replace(case, trajectory=LATE_TRAJECTORY), ticks)
+                _with_excess_delay(replace(case, trajectory=LATE_TRAJECTORY), ticks)
                 for case, ticks in itertools.product(each, LATE_TICKS)
                 if ticks >= 0 or case.controller not in PEERS
             ),
@@ -237,7 +237,7 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
     check_cases((*plan.all, *plan.beyond))
     if not settings.robots:
         return plan
-    # Other robots are shipped, and a hundred of them take seconds to build, so the request is checked without them.
+    # Cases of other robots are not checked: their files are shipped, and building a hundred robots takes seconds.
     population, dynamics = (
         population_cases(whole=settings.beyond),
         dynamics_cases(ROBOT_SEEDS if settings.beyond else None),
@@ -245,26 +245,26 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
     return replace(plan, population=population, dynamics=dynamics)
 
 
-def _late(case: Case, ticks: int) -> Case:
-    """Return the case on a plant that is later than configured, or with a configured dead time that is too long."""
+def _with_excess_delay(case: Case, ticks: int) -> Case:
+    """Return the case with `ticks` more dead time in the plant, or -`ticks` more in the configuration if negative."""
     if ticks >= 0:
-        return replace(case, late=ticks)
+        return replace(case, excess_delay=ticks)
     known = controller_config(case.model, case.config, case.overrides)
     for channel in ("v", "omega"):
         stated = getattr(known.extra_dead_time, channel) - ticks * known.sample_time
         case = case.with_override(f"extra_dead_time.{channel}", round(stated, 6))
-    return replace(case, late=ticks)
+    return replace(case, excess_delay=ticks)
 
 
 def _at_horizon(case: Case, steps: int) -> Case:
-    """Return the case with another horizon, or the same case for its own: equal cases run once."""
+    """Return the case with a horizon of `steps`; the case itself if its horizon is equal, so that it runs once."""
     return case if case.horizon == steps else case.with_override("horizon", steps)
 
 
 def _check_labels(settings: ComparisonSettings) -> None:
-    """Refuse two files with the same stem in one dimension: tables and figures would merge them.
+    """Raise ConfigError if two files of a dimension have the same stem: tables and figures would merge them.
 
-    A model and a peer both appear under their names; names that differ in case only would share a file.
+    Models and peers share one set of names. The comparison ignores case, because figure files use these names.
     """
     dimensions = {dimension.several: settings.values(dimension.several) for dimension in DIMENSIONS}
     peers = tuple(name for name in dimensions.pop("controllers") if name in PEERS)

@@ -23,11 +23,11 @@ from diffdrive_mpc.sim import make_plant
 from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, random_commands
 
 EXCITATION_SEEDS = (2001, 2002)
-"""Seeds of random set-points and noise of drives that no model is identified from."""
+"""Seeds of random set-points and noise of the validation drives; no model is identified from these drives."""
 DRIFT_AFTER = 2.0
 """Length of a free prediction of the pose [s]: about three horizons."""
-_FEWEST = 5
-"""Number of pairs of model and plant from which a rank correlation is meaningful."""
+_MIN_PAIRS = 5
+"""Minimum number of pairs of model and plant for a meaningful rank correlation."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Property:
 
     @classmethod
     def measure(cls, case: Case) -> Property | None:
-        """Drive the plant of `case` open loop; None for a model that is a function, which cannot be run freely."""
+        """Drive the plant of `case` open loop; return None if the model is no VelocityModel and cannot run freely."""
         from diffdrive_mpc.models.identification.fit.poses import pose_drift  # noqa: PLC0415 - loads slowly
 
         config = controller_config(case.model, case.config, case.overrides)
@@ -78,7 +78,7 @@ def measure_properties(cases: Sequence[Case], jobs: int, on_done: OnDone = lambd
 
 
 def _property_case(case: Case) -> Case:
-    """Return the case without the values that do not affect the properties: the plant, and the solver."""
+    """Return the case with defaults for values that do not affect the properties, and without solver settings."""
     plain = {
         dimension.name: dimension.default
         for dimension in DIMENSIONS
@@ -89,7 +89,7 @@ def _property_case(case: Case) -> Case:
 
 
 def property_rows(properties: Sequence[Property], runs: DataFrame) -> list[dict[str, object]]:
-    """Return each property as plain values with the tracking error of the same model on the same plant."""
+    """Return the properties as plain values, each with the tracking error of that model on that plant."""
     of_case = [_property_case(case) for case in runs["case"]]
     return [
         {
@@ -105,7 +105,7 @@ def property_rows(properties: Sequence[Property], runs: DataFrame) -> list[dict[
 
 
 def property_table(properties: Sequence[Property], runs: DataFrame) -> Table:
-    """Tabulate FIT, drift and tracking error, and the correlation of the first two with the third."""
+    """Tabulate FIT, drift and tracking error, and the correlation of FIT and drift with the tracking error."""
     rows = property_rows(properties, runs)
     cells = tuple(
         (
@@ -126,14 +126,14 @@ def property_table(properties: Sequence[Property], runs: DataFrame) -> Table:
     )
     note = (
         "FIT and drift: free runs from the commands alone, dead time included, over "
-        f"{len(EXCITATION_SEEDS)} drives with random set-points; slip is not in them. {predicts(rows)}"
+        f"{len(EXCITATION_SEEDS)} drives with random set-points; slip is not included. {predicts(rows)}"
     )
     return Table("Which property of a model predicts tracking", columns, cells, text_columns=2, note=note)
 
 
 def predicts(rows: Sequence[dict[str, object]]) -> str:
-    """Describe the rank correlation of each property with the tracking error, or the lack of points for one."""
-    if len(rows) < _FEWEST:
+    """Describe the rank correlation of each property with the tracking error; say if there are too few points."""
+    if len(rows) < _MIN_PAIRS:
         return f"{len(rows)} pairs of model and plant are too few for a correlation with the tracking error."
     from scipy.stats import spearmanr  # noqa: PLC0415 - loads slowly
 

@@ -13,7 +13,7 @@ from diffdrive_mpc.bench.case import DIMENSIONS, NO_SCENARIO, Case, label
 from diffdrive_mpc.bench.comparison.plan import ComparisonSettings
 from diffdrive_mpc.bench.comparison.properties import Property, property_rows
 from diffdrive_mpc.bench.controllers import controller_config
-from diffdrive_mpc.bench.experiment import joined, mean
+from diffdrive_mpc.bench.experiment import concatenate, mean
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.run_row import CLOCK, FORMER_COLUMNS, STATISTICS, Row, SolverShares
@@ -25,13 +25,13 @@ from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 
 TIMING = (
     "replays of the measurements of the first seed on one core, one BLAS thread, garbage collection off; controllers "
-    f"take turns every {BLOCK} ticks, the first of which is not timed; blocks that counters or the yardstick call "
-    f"disturbed are measured again, up to {AGAIN} times"
+    f"take turns every {BLOCK} ticks, the first of which is not timed; blocks that are disturbed according to counters "
+    f"or the yardstick are measured again, up to {AGAIN} times"
 )
 
 
 BEYOND = ("speed", "dead_time", "other_seeds", "population", "dynamics")
-"""Parts of the plan with stored rows, but no runs."""
+"""Parts of the plan of which only rows are stored, without runs."""
 
 
 @dataclass(frozen=True)
@@ -43,15 +43,15 @@ class ComparisonResults:
     settings
         Settings of the comparison.
     main
-        Rows of the comparison, each with its run, as `bench.run_row.RunOutcome.row` gives them.
+        Rows of the comparison from `bench.run_row.RunOutcome.row`, each with its run.
     horizon
-        Drives of the horizon sweep; they may be among `main` too.
+        Runs of the horizon sweep; `main` may contain some of them.
     timing
         State of the machine during all timed runs.
     properties
-        Properties of the models on the plants.
+        Open-loop properties of the models on the plants.
     speed, dead_time, other_seeds, population, dynamics
-        Rows without runs, see `CasePlan`; empty where they were not driven.
+        Rows without runs, see `CasePlan`; empty if the part was not run.
     """
 
     settings: ComparisonSettings
@@ -68,11 +68,11 @@ class ComparisonResults:
     @property
     def all(self) -> DataFrame:
         """Every row once, in order."""
-        return joined(self.main, self.horizon)
+        return concatenate(self.main, self.horizon)
 
     @property
     def silent(self) -> list[str]:
-        """Dimensions that were not requested, and are therefore left out."""
+        """Names of dimensions that rows omit because only their default was requested."""
         return [
             dimension.name
             for dimension in DIMENSIONS
@@ -80,7 +80,7 @@ class ComparisonResults:
         ]
 
     def rows(self) -> list[Row]:
-        """Return every run as plain values, with None for missing ones."""
+        """Return every run as plain values; a missing value is None."""
         swept, smoothed = any(self.settings.settings), bool((self.all["drawn_max_m"] > 0.0).any())
         rows = self.all.to_dict("records")
         return [json_row(row, self.silent, with_settings=swept, with_drawn=smoothed) for row in rows]
@@ -107,12 +107,12 @@ def json_row(row: Row, silent: Container[str], *, with_settings: bool = False, w
     row
         Row of the run.
     silent
-        Dimensions to leave out. Unless "scenario" is one of them, there are also the reason why the run ended before
-        its time, begin and end of the disturbance [s] and the figures of the recovery from it.
+        Dimensions to omit. Unless they include "scenario", the row also contains the reason of an early end, start and
+        end of the disturbance [s], and the statistics of the recovery.
     with_settings
-        Add the swept configuration values under "set".
+        True to add the swept configuration values under "set".
     with_drawn
-        Add how far the reference is from the path as it was drawn.
+        True to add the distance of the reference from the path before smoothing [m].
     """
     values = row["case"].as_row(silent) | {name: row[name] for name in ("horizon", *_STATISTICS)}
     values["timed_clean_percent"] = 100.0 * row["clean_share"]
@@ -130,19 +130,19 @@ def beyond_row(row: Row, silent: Container[str]) -> Row:
     """Convert a run without timing to plain values; `late_s` is the plant's delay beyond the configured one."""
     case = row["case"]
     sample_time = controller_config(Case().model).sample_time
-    values = case.as_row(silent) | {"top_speed_m_s": case.top_speed, "late_s": case.late * sample_time}
+    values = case.as_row(silent) | {"top_speed_m_s": case.top_speed, "late_s": case.excess_delay * sample_time}
     statistics = {name: row[name] for name in _STATISTICS if not name.startswith(CLOCK)}
     return dict(plain(values | statistics))
 
 
 def predictive(compared: Mapping[str, DataFrame]) -> dict[str, DataFrame]:
-    """Return the groups of predictive controllers, which figures show, or all groups if there are only peers."""
+    """Return the groups of predictive controllers, or all groups if there are only peers."""
     ours = {name: rows for name, rows in compared.items() if rows["controller"].iloc[0] not in PEERS}
     return ours or dict(compared)
 
 
 def complete(compared: Mapping[str, DataFrame]) -> dict[str, DataFrame]:
-    """Return the groups that completed every run: only their errors compare."""
+    """Return the groups that completed every run; only their errors are comparable."""
     return {name: rows for name, rows in compared.items() if rows["completed"].all()}
 
 

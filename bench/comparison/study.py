@@ -52,7 +52,7 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         return plan.all
 
     def run(self, plan: CasePlan, jobs: int, bar: ProgressBar) -> ComparisonResults:
-        """Run every case, and time the controllers' steps; raises NotReproducibleError where a replay differs."""
+        """Run every case, and time the controllers' steps; raise NotReproducibleError if a replay differs."""
         cases, whole, timed_cases = (*plan.all, *plan.beyond), set(plan.all), plan.timed
         bar.start_stage(f"running, {jobs} at a time", len(cases))
         # Cases of tables and figures keep the whole run, others only their row.
@@ -64,18 +64,18 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         rows: dict[Case, Row] = {case: outcome.row for case, outcome in recorded.items()}
         rows |= {run["case"]: run for run in driven if not isinstance(run, RunOutcome)}
 
-        def of_listed(listed: Iterable[Case]) -> DataFrame:
-            return frame(rows[case] for case in listed)
+        def rows_of(part: Iterable[Case]) -> DataFrame:
+            return frame(rows[case] for case in part)
 
-        beyond = {name: of_listed(getattr(plan, name)) for name in BEYOND}
-        results = ComparisonResults(self.settings, of_listed(plan.main), of_listed(plan.horizon), timing, **beyond)
+        beyond = {name: rows_of(getattr(plan, name)) for name in BEYOND}
+        results = ComparisonResults(self.settings, rows_of(plan.main), rows_of(plan.horizon), timing, **beyond)
         if not self.settings.beyond:
             return results
         # In one process: another pool takes longer to start.
         return replace(results, properties=tuple(measure_properties(plan.main, 1)))
 
     def report(self, results: ComparisonResults, seconds: float) -> Report:
-        """Report the overview above the tables, and below them the runs of the first seed."""
+        """Report the overview figures above the tables, and the runs of the first seed below them."""
         from diffdrive_mpc.bench.comparison.figures import drawings  # noqa: PLC0415 - matplotlib loads slowly
 
         named = [
@@ -115,12 +115,12 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
 
 def _drive(case: Case, *, whole: bool) -> RunOutcome | Row:
     run = run_case(case)
-    _ = run.errors  # computed here, where several processes work
+    _ = run.errors  # cache the errors in this process, because cases run in parallel
     return RunOutcome(case, run) if whole else row_of(case, run)
 
 
 def _undisturbed(timing: TimingPass) -> str:
     return (
-        f"In the end {100 * timing.clean_share:.1f} % of the ticks were undisturbed; other programs had the core for "
+        f"{100 * timing.clean_share:.1f} % of the ticks were undisturbed; other programs used the core for "
         f"{100 * timing.others_share:.0f} % of the time, and the yardstick took {1e6 * timing.yardstick:.1f} us."
     )

@@ -1,4 +1,4 @@
-"""The tables of the comparison: `tables.yaml` states them, here are the cells that only the program can make."""
+"""Tables of the comparison: `tables.yaml` defines them, and this module computes their named cells."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import ahead_and_left
 
 _PATHS_ON_SCREEN = 4
-"""Columns of single paths for which 80 letters have room."""
+"""Maximum number of columns of single paths in a terminal of 80 columns."""
 
 
 @cache
@@ -31,12 +31,12 @@ def table_specs() -> dict[str, TableSpec]:
 
 
 def step_times(rows: DataFrame) -> FloatArray:
-    """Collect times of the whole step [s] at the counted ticks of the runs that have them."""
+    """Collect the finite times of the whole step [s] at counted ticks of all runs."""
     return _times([run.step_time[run.counted] for run in rows["run"]])
 
 
 def solve_times(rows: DataFrame) -> FloatArray:
-    """Return the same of linearising, condensing and solving."""
+    """Collect the finite times of linearising, condensing and solving [s] at counted ticks of all runs."""
     return _times([run.solve_time[run.counted] for run in rows["run"]])
 
 
@@ -46,12 +46,12 @@ def _times(parts: list[FloatArray]) -> FloatArray:
 
 
 def time_percentile(times: FloatArray, percent: float) -> float:
-    """Compute a percentile of times; NaN without any."""
+    """Compute a percentile of times; NaN if `times` is empty."""
     return float(np.percentile(times, percent)) if times.size else math.nan
 
 
 def disturbed_share(rows: DataFrame) -> float:
-    """Compute the share of ticks without an undisturbed timing among timed runs; 0 without any."""
+    """Compute the share of ticks of timed runs that have no undisturbed timing; 0 if no run was timed."""
     timed = rows[np.isfinite(values(rows, "clean_share"))]
     ticks = [len(run.time) for run in timed["run"]]
     return float(np.average(1.0 - values(timed, "clean_share"), weights=ticks)) if ticks else 0.0
@@ -60,12 +60,12 @@ def disturbed_share(rows: DataFrame) -> float:
 def _time(name: str, percent: float, digits: int = 2) -> Cell:
     """Format a percentile of times [ms], with an asterisk if some of them are disturbed."""
 
-    def made(rows: DataFrame) -> str:
+    def time_cell(rows: DataFrame) -> str:
         times = step_times(rows) if name == "step" else solve_times(rows)
         mark = "*" if times.size and disturbed_share(rows) > 0 else ""
         return number(1e3 * time_percentile(times, percent), digits) + mark
 
-    return made
+    return time_cell
 
 
 def _recovered(rows: DataFrame) -> str:
@@ -82,11 +82,11 @@ CELLS: dict[str, Cell] = {
     **{f"{name}_p{percent}": _time(name, percent) for name in ("solve", "step") for percent in (50, 99)},
     **{f"{name}_p{percent}_3": _time(name, percent, 3) for name in ("solve", "step") for percent in (50, 95, 99, 100)},
 }
-"""Those that `tables.yaml` names in one word."""
+"""Cells by the name that `tables.yaml` uses for them."""
 
 
 def report_tables(results: ComparisonResults) -> list[Table]:
-    """Build every table of a report in order; those of horizons and scenarios only if they were run."""
+    """Build every table of a report in order; omit tables of horizons and scenarios that were not run."""
     main, several = results.main, len(by(results.main, COMPARED)) > 1
     tables = [make(main) for make in (summary_table, error_table, path_table, time_table, solver_table)]
     if several:
@@ -124,7 +124,7 @@ def path_table(rows: DataFrame) -> Table:
             f"reference to drawn path, {statistic} [m]": f"{name} drawn_{statistic}_m"
             for name, statistic in _DRAWN.items()
         }
-        note += " The path is that of the reference, which smooth timing and waypoints lay beside the drawn one."
+        note += " The path is that of the reference; smooth timing and waypoints change it from the drawn path."
     return spec.model_copy(update={"columns": columns, "note": note}).table(rows)
 
 
@@ -143,7 +143,7 @@ def other_robot_tables(results: ComparisonResults) -> list[Table]:
 
 
 def _ahead(rows: DataFrame) -> str:
-    """State the lead of the best identified model over the best peer on each robot and path, paired by seed."""
+    """Describe the advantage of the best identified model over the best peer on each robot and path, paired by seed."""
     leads, delays = [], model_name("two_delays")
     for (robot, path), part in rows.groupby(["plant", "trajectory"], sort=False) if len(rows) else ():
         ranked = complete(by(part, "driver"))
@@ -161,38 +161,41 @@ def _ahead(rows: DataFrame) -> str:
 def error_parts_table(rows: DataFrame) -> Table:
     """Split errors along and across the path into the part that repeats with every seed and the part that differs."""
     columns = {
-        f"{way} the path, {part} [m]": partial(error_part, way=i, repeats=part == "repeats")
-        for i, way in enumerate(("along", "across"))
+        f"{direction} the path, {part} [m]": partial(error_part, component=i, repeats=part == "repeats")
+        for i, direction in enumerate(("along", "across"))
         for part in ("repeats", "noise")
     }
     note = "RMS over time, means over trajectories. Repeats: the mean over seeds at each time; noise: the rest."
     return grouped_table("What the error consists of", rows, {"controller": COMPARED}, columns, note)
 
 
-def error_part(rows: DataFrame, *, way: int, repeats: bool) -> str:
-    """Return the RMS [m] of the error along (0) or across (1) the reference that repeats with every seed, or not."""
+def error_part(rows: DataFrame, *, component: int, repeats: bool) -> str:
+    """Return the RMS [m] of the part of the error that repeats with every seed, or of the rest.
+
+    `component` 0 is the error along the reference, 1 the error across it.
+    """
     parts = []
     for group in by(rows, "trajectory").values():
         runs = [run for run in group["run"] if not run.ended]
         length = min((int(run.counted.sum()) for run in runs), default=0)
         gaps = [run.true_pose[:length] - run.reference_pose[:length] for run in runs]
         headings = [run.reference_pose[:length, 2] for run in runs]
-        errors = np.array([ahead_and_left(*pair)[way] for pair in zip(gaps, headings, strict=True)])
+        errors = np.array([ahead_and_left(*pair)[component] for pair in zip(gaps, headings, strict=True)])
         if len(errors) < 2:
             return "-"
         spread = float(np.mean(np.var(errors, axis=0, ddof=1)))
-        square = float(np.mean(errors.mean(axis=0) ** 2)) - spread / len(errors)  # the mean has noise, too
+        square = float(np.mean(errors.mean(axis=0) ** 2)) - spread / len(errors)  # the mean also contains noise
         parts.append(math.sqrt(max(square, 0.0)) if repeats else math.sqrt(spread))
     return number(float(np.mean(parts)), 4)
 
 
 def time_table(rows: DataFrame) -> Table:
-    """Tabulate percentiles of solve and whole step over all ticks of a controller."""
+    """Tabulate percentiles of the times of the solve and of the whole step over all ticks of a controller."""
     return table_specs()["times"].table(rows, CELLS, _disturbed_note(rows))
 
 
 def solver_table(rows: DataFrame) -> Table:
-    """Tabulate solver methods and iterations; a controller without a solver is left out."""
+    """Tabulate solver methods and iterations; omit controllers without a solver."""
     solving = [part for part in by(rows, COMPARED).values() if math.isfinite(mean(part, "iterations_mean"))]
     solved = rows[rows.index.isin([index for part in solving for index in part.index])]
     return table_specs()["solver"].table(solved)
@@ -227,9 +230,9 @@ def screen_table(rows: DataFrame) -> Table:
 def side_by_side_table(rows: DataFrame) -> Table:
     """Tabulate position RMSE, a row for each trajectory and a column for each controller."""
     drivers = by(rows, COMPARED)
-    named = {name: _of_rows(part) for name, part in drivers.items()}
-    note = "Position RMSE [mm], means over seeds; of runs that did not complete, up to their end."
-    return grouped_table("Path by path", rows, {"trajectory": "trajectory"}, named, note, mean=True)
+    cells = {name: _of_rows(part) for name, part in drivers.items()}
+    note = "Position RMSE [mm], means over seeds; incomplete runs count up to their end."
+    return grouped_table("Path by path", rows, {"trajectory": "trajectory"}, cells, note, mean=True)
 
 
 def _on_path(path: str) -> Cell:
@@ -238,24 +241,24 @@ def _on_path(path: str) -> Cell:
 
 
 def _of_rows(subset: DataFrame) -> Cell:
-    """Return a cell for the position RMSE of those rows of a group that are among `subset`."""
+    """Return a cell for the position RMSE of the rows that a group shares with `subset`."""
     error = cell("mean position_rmse_m mm")
     return lambda rows: error(rows[rows.index.isin(subset.index)])
 
 
 def _disturbed_note(rows: DataFrame) -> str:
-    """Explain the asterisk, if there is one."""
+    """Return the note that explains the asterisk; empty if no tick was disturbed."""
     share = disturbed_share(rows)
     if not share:
         return ""
     finite = np.array([np.isfinite(run.step_time).mean() for run in rows["run"]])
     left_out = not (finite > values(rows, "clean_share")).any()
-    rest = "and are left out" if left_out else "of one controller none could, so all are kept"
-    return f" *: something else ran; {100 * share:.1f} % of the ticks could not be timed undisturbed, {rest}."
+    rest = "and are omitted" if left_out else "for one controller all of them, so none are omitted"
+    return f" *: other programs ran; {100 * share:.1f} % of the ticks could not be timed undisturbed, {rest}."
 
 
 def _where(rows: DataFrame) -> str:
-    """Describe the place of the horizon sweep, which sweeps only the first value of each dimension."""
+    """Describe the fixed dimensions of the horizon sweep, which uses only the first value of each."""
     case = rows["case"].iloc[0]
     labels = {dimension: case.labels[dimension.name] for dimension in DIMENSIONS if dimension.place}
     parts = [f"{entry.name} {text}" for entry, text in labels.items() if not (entry.silent and text == entry.default)]

@@ -1,1 +1,1 @@
-"""Reports as one page that a browser opens without a network: contents by commands, and the engine that draws them."""
+"""Reports as one HTML page that needs no network: contents from the commands, and the engine that draws them."""

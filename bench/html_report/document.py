@@ -1,4 +1,4 @@
-"""A page as one file: its content as JSON, style, script and plotting library inside it."""
+"""A page as one HTML file that contains its content as JSON, style, scripts and the plotting library."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def _escaped_title(text: str) -> str:
     return text.replace("&", "&amp;").replace("<", "&lt;")
 
 
-def _view(view: View) -> Any:  # noqa: ANN401 - a picture as it is, others as plain values
+def _view(view: View) -> Any:  # noqa: ANN401 - a picture, or plain values of other views
     if isinstance(view, EmbeddedPicture):
         return view
     if isinstance(view, RunViews):

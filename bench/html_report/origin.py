@@ -9,7 +9,7 @@ from diffdrive_mpc.bench.case import Case, label
 from diffdrive_mpc.bench.controllers import controller_config
 from diffdrive_mpc.bench.html_report.page import ConfigurationView, Origin
 from diffdrive_mpc.bench.peers import PEERS
-from diffdrive_mpc.bench.run_row import who_drives
+from diffdrive_mpc.bench.run_row import driver_name
 from diffdrive_mpc.models.typed_command import command_line
 from diffdrive_mpc.mpc.config.described import commented_yaml
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
@@ -23,7 +23,7 @@ def origin(run: Mapping[str, Any], more: Sequence[tuple[str, str]] = ()) -> Orig
     run
         Description of the run from `bench.machine.describe_run`.
     more
-        Other facts as name and value, such as seeds.
+        Further facts as name and value, such as seeds.
     """
     machine = run["machine"]
     packages = ", ".join(f"{name} {version}" for name, version in machine["packages"].items())
@@ -49,13 +49,13 @@ def case_config(case: Case) -> ControllerConfig | None:
 
 
 def configuration(case: Case) -> list[ConfigurationView]:
-    """View the configuration of a case with every value and its model named without folders."""
+    """Return a view of the configuration of a case with every value; the model is named without folders."""
     config = case_config(case)
     if config is None:
         return []
     named = config.model_copy(update={"model": label(config.model)})
     return [
         ConfigurationView(
-            f"Configuration of {who_drives(case)}, every value with its meaning (YAML)", commented_yaml(named)
+            f"Configuration of {driver_name(case)}, every value with its meaning (YAML)", commented_yaml(named)
         )
     ]

@@ -14,7 +14,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.table import TextTable
 
 Labels = Mapping[str, str]
-"""Value of each toggle that shows or hides something, by the toggle's name."""
+"""Values of the toggles that show or hide an element, by the toggle's name."""
 
 
 Division = Literal["linear", "log", "category"]
@@ -23,7 +23,7 @@ Division = Literal["linear", "log", "category"]
 
 @dataclass(frozen=True)
 class KeyFigure:
-    """A large figure of the summary; `state` is the verdict on it, if there is one."""
+    """A prominent value of the summary; `state` rates it, or is empty."""
 
     label: str
     value: str
@@ -33,7 +33,7 @@ class KeyFigure:
 
 @dataclass(frozen=True)
 class Warned:
-    """Warning in words, and its remedy."""
+    """Text of a warning, and its remedy."""
 
     text: str
     remedy: str = ""
@@ -41,18 +41,18 @@ class Warned:
 
 @dataclass(frozen=True)
 class Toggle:
-    """Buttons that show and hide.
+    """Group of buttons that show and hide elements.
 
     Attributes
     ----------
     name
-        Name of the quantity that the values belong to.
+        Name of the quantity.
     values
-        One button each.
+        Values of the quantity; each has a button.
     shown
         Values that are selected when the page opens.
     styled
-        Whether value i is drawn in the style number i.
+        True if value i is drawn in style i.
     """
 
     name: str
@@ -77,19 +77,19 @@ class Series:
     Attributes
     ----------
     name
-        In the legend.
+        Name in the legend.
     x, y
         Coordinates of the points.
     style
-        Number of its colour, line and marker.
+        Index of colour, line style and marker.
     kind
-        Kind of the drawing; rows are horizontal bars, whose names are their y; steps hold each y until the next x.
+        Kind of the drawing; rows are horizontal bars, named by `y`; steps hold each y until the next x.
     low, high
-        Ends of an interval about each y; empty for none.
+        Ends of an interval about each y; empty for no interval.
     text
         Text of the tooltip at each point; empty for the coordinates.
     labels
-        Toggles that hide it.
+        Values of the toggles that hide the series.
     group
         Name of a run; series of one group have their points at the same ticks.
     """
@@ -108,7 +108,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Mark:
-    """Level across a chart with its label; `upright` for one of x."""
+    """Labelled line across a chart at a value of y, or of x if `upright`."""
 
     value: float
     text: str
@@ -117,7 +117,10 @@ class Mark:
 
 @dataclass(frozen=True)
 class Chart:
-    """Series over two axes; `broad` over the whole width of the page, `height` in pixels, `equal` scales of x and y."""
+    """Series over two axes.
+
+    A `broad` chart has the width of the page; `height` is in pixels; `equal` gives x and y the same scale.
+    """
 
     title: str
     x: Axis
@@ -142,7 +145,7 @@ class GridAxis:
 
 @dataclass(frozen=True)
 class GridMap:
-    """A value [unit] for each pair of x and y, a row for each y; `crossed` are marked."""
+    """Map of a value [unit] over x and y, with a row for each y; cells in `crossed` are marked by a cross."""
 
     title: str
     x: GridAxis
@@ -168,7 +171,7 @@ class EmbeddedPicture:
 
 @dataclass(frozen=True)
 class RunSeries:
-    """Series of a closed-loop run: in the plane, and by the title of each pane over time."""
+    """Series of a closed-loop run: in the plane, and over time by the title of the pane."""
 
     name: str
     plane: Sequence[Series]
@@ -176,7 +179,7 @@ class RunSeries:
     marks: Mapping[str, Sequence[Mark]] = field(default_factory=dict)
 
     def in_style(self, style: int) -> RunSeries:
-        """Return the run with another number of colour and line."""
+        """Return the run drawn in another style."""
         plane = _styled(self.plane, style)
         return replace(self, plane=plane, panes={title: _styled(pane, style) for title, pane in self.panes.items()})
 
@@ -201,7 +204,7 @@ class RunViews:
 
     @property
     def panes(self) -> list[Chart]:
-        """Charts over time, to be drawn below each other."""
+        """Charts over time, in order from top to bottom."""
         titles = dict.fromkeys(title for run in self.runs for title in run.panes)
         return [
             Chart(
@@ -216,7 +219,7 @@ class RunViews:
 
 
 def _references_once(series: Iterable[Series]) -> list[Series]:
-    """Drop references that equal an earlier one in name and labels: runs on one path share theirs."""
+    """Drop a reference if an earlier one has the same name and labels: runs on one path share their reference."""
     entries: dict[object, Series] = {}
     for entry in series:
         is_reference = entry.kind == "reference"
@@ -229,39 +232,38 @@ View = Chart | GridMap | EmbeddedPicture | RunViews
 
 @dataclass(frozen=True)
 class ConfigurationView:
-    """A configuration as it was used, as text."""
+    """Text of a configuration as it was used."""
 
     name: str
     text: str
 
     @classmethod
     def of_files(cls, folder: Path, files: Mapping[str, str]) -> list[ConfigurationView]:
-        """View the existing ones of the files of a folder, given by name with their titles."""
+        """Return views of the existing files in a folder; `files` are titles by file name."""
         paths = {f"{title}: {name} (YAML)": folder / name for name, title in files.items()}
         return [cls(title, path.read_text(encoding="utf-8")) for title, path in paths.items() if path.is_file()]
 
 
 @dataclass(frozen=True)
 class Shown:
-    """Contents of a report besides tables, definitions and origin, which only its command knows.
+    """Contents of a report that depend on its command; tables, definitions and origin are separate.
 
     Attributes
     ----------
     summary, notes
-        Sentences at the top: whether it completed, its quality, and the comparison; and explanations of terms in small
-        letters.
+        Sentences at the top: completion, quality and comparison; and explanations of terms in small letters.
     key_figures
-        The figures of the summary.
+        Key figures of the summary.
     toggles
         Buttons that act on all views.
     views
-        In order; neighbouring charts are side by side.
+        Views in order; neighbouring charts are side by side.
     warnings
-        In order of weight.
+        Warnings, the most serious first.
     configurations
         Configurations of the controllers.
     pictures
-        Whether the page includes the pictures of the Markdown report, too.
+        True if the page also includes the pictures of the Markdown report.
     """
 
     summary: Sequence[str] = ()
@@ -275,7 +277,7 @@ class Shown:
 
 
 NOTHING = Shown()
-"""Contents of a report with tables and pictures only."""
+"""Empty contents, for a report with tables and pictures only."""
 
 
 @dataclass(frozen=True)
@@ -297,26 +299,26 @@ class Page:
     origin: Origin
 
 
-# Numbers of charts: rounded, and no more of them than can be seen.
+# Values of charts are rounded, and their number is limited to the visible resolution.
 
 
 _TAIL_POINTS = 120
 
 
 def from_zero(time: FloatArray) -> tuple[FloatArray, str]:
-    """Count times (n,) [s] from the first; return them with the title of their axis, which names the first."""
+    """Return times (n,) since the first one [s], and the title of their axis, which contains the first time."""
     start = float(time[0]) if len(time) else 0.0
     since = f" since {start:.2f} s on the log's clock" if start else ""
     return time - start, f"time [s]{since}"
 
 
 def rounded(value: float) -> float | None:
-    """Round a number to four leading digits; None if it is not finite."""
+    """Round a number to four significant digits; None if it is not finite."""
     return float(f"{value:.4g}") if math.isfinite(value) else None
 
 
 def tail(values: Sequence[float] | FloatArray) -> tuple[list[float], list[float | None]]:
-    """Return values and the share of larger ones, sampled evenly over the logarithm of that share."""
+    """Return sorted values and the share of larger values, sampled evenly over the logarithm of that share."""
     ordered = np.sort(np.asarray(values, dtype=float))
     indices = np.unique(ordered.size - np.geomspace(1, ordered.size, _TAIL_POINTS).round().astype(int))
     return [float(f"{value:.4g}") for value in ordered[indices]], [rounded(1.0 - k / ordered.size) for k in indices]

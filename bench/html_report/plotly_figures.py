@@ -26,7 +26,7 @@ _PATTERNS = ("", "/", ".", "x", "-")
 _PANE_HEIGHT = 150
 """Height of a pane of a run [pixels]."""
 _DENSE = 100
-"""Number of points from which markers are small."""
+"""Number of points of a series at and above which markers are small."""
 _MODES = {"points": "markers", "both": "lines+markers"}
 
 
@@ -91,7 +91,7 @@ def panes_figure(views: RunViews) -> dict[str, Any]:
     drawn = [(name, series) for name, pane in listed for series in pane.series]
     first = {series.name: index for index, (_, series) in reversed([*enumerate(drawn)])}
     traces = [
-        # One entry of the legend for a name in several panes.
+        # A name in several panes has one legend entry.
         _trace(series) | {"yaxis": name, "legendgroup": escape(series.name), "showlegend": first[series.name] == index}
         for index, (name, series) in enumerate(drawn)
     ]
@@ -106,7 +106,7 @@ def panes_figure(views: RunViews) -> dict[str, Any]:
             "height": _PANE_HEIGHT * len(panes),
             "shapes": [_shape(mark, name) for name, pane in listed for mark in pane.marks],
             "showlegend": single,
-            # Values of all panes at one time in one box.
+            # One tooltip shows the values of all panes at one time.
             "hovermode": "x unified" if single else "closest",
             "hoversubplots": "axis" if single else "overlaying",
         },

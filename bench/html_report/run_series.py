@@ -14,11 +14,11 @@ from diffdrive_mpc.sim import Run
 from diffdrive_mpc.sim.metrics.metrics import FALLBACK_MODES
 
 HOW_TO_READ = "Point at either view: the other marks the same time"
-PEAKS = "Of neighbouring ticks the one with the largest position error is drawn"
+PEAKS = "Among neighbouring ticks, only the one with the largest position error is drawn"
 ERROR, HEADING, STEP, METHOD = "error [mm]", "heading error [mrad]", "step time [ms]", "solver or mode"
 TWIST = ("v [m/s]", "omega [rad/s]")
 _NEAR_LIMIT = 0.1
-"""Share of a limit that a command must exceed for the limit to be drawn: else it would press the curves flat."""
+"""Share of a limit that a command must exceed for the limit to be drawn: a distant limit would flatten the curves."""
 
 
 def run_series(
@@ -37,14 +37,14 @@ def run_series(
     run
         The run.
     name
-        In legends, if the run is compared.
+        Name in legends, if the run is compared.
     points
         Maximum number of ticks.
     labels
         Toggles of a run that is compared with others; the value of "path" names the shared reference. None for a single
         run, which also shows estimate, poses, true twist, the error along the path, and the limits of `config`.
     style
-        Number of colour and line of a compared run.
+        Index of the style of a compared run.
     config
         Configuration of the controller; None for a peer.
     """
@@ -53,8 +53,8 @@ def run_series(
     time = rounded_list(run.time[ticks], 3)
 
     def line(title: str, x: Sequence[float | None], values: FloatArray, digits: int, number: int = 0) -> Series:
-        shown = (title, number) if single else (name, style)
-        return Series(shown[0], x, rounded_list(values, digits), shown[1], "line", labels=labels, group=name)
+        legend = (title, number) if single else (name, style)
+        return Series(legend[0], x, rounded_list(values, digits), legend[1], "line", labels=labels, group=name)
 
     def reference(x: Sequence[float | None], values: FloatArray) -> Series:
         return Series("reference", x, rounded_list(values, 3), kind="reference", labels=of_path)
@@ -91,7 +91,7 @@ def run_series(
 
 
 def kept_ticks(run: Run, points: int) -> NDArray[np.intp]:
-    """Return at most `points` ticks of a run: of neighbours the one with the largest position error."""
+    """Return at most `points` ticks of a run, from each group of neighbours the one with the largest position error."""
     count = len(run.time)
     groups = np.array_split(np.arange(count), min(points, count))
     error = np.nan_to_num(run.errors.position)
@@ -99,7 +99,7 @@ def kept_ticks(run: Run, points: int) -> NDArray[np.intp]:
 
 
 def along_error(run: Run) -> FloatArray:
-    """Return (n,) the distance by which the robot is ahead of its reference, along the reference's heading [m]."""
+    """Return the distance (n,) of the robot ahead of its reference, along the reference's heading [m]."""
     offset, heading = run.true_pose - run.reference_pose, run.reference_pose[:, 2]
     return np.asarray(offset[:, 0] * np.cos(heading) + offset[:, 1] * np.sin(heading))
 
@@ -110,9 +110,9 @@ def rounded_list(values: FloatArray, digits: int) -> list[float | None]:
 
 
 def _words(run: Run, name: str, labels: Labels, style: int) -> Series:
-    """Return the state at each tick without a fresh plan, late or after the end, else the solver's method, as steps."""
-    telling = {*FALLBACK_MODES, "FINISHED", "LATE"}
-    words = [state if state in telling else word for state, word in zip(run.states, run.solver_methods, strict=True)]
+    """Return a step series with the solver's method at each tick, or the state at a fallback, late or finished tick."""
+    special = {*FALLBACK_MODES, "FINISHED", "LATE"}
+    words = [state if state in special else word for state, word in zip(run.states, run.solver_methods, strict=True)]
     changes = [k for k in range(len(words)) if k == 0 or words[k] != words[k - 1]]
     time = rounded_list(run.time[[*changes, len(words) - 1]], 3)
     return Series(name, time, [words[k] for k in (*changes, len(words) - 1)], style, "steps", labels=labels)

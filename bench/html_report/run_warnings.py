@@ -17,7 +17,7 @@ from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.sim import Run
 
 _SAME = 1e-6
-"""A command this close to its limit [m/s, rad/s] is at it."""
+"""Distance from its limit below which a command counts as at the limit [m/s, rad/s]."""
 _SHOWN = 3
 
 
@@ -53,18 +53,18 @@ def run_warnings(run: Run, config: ControllerConfig | None = None, name: str = "
     config
         Configuration of the controller, for the limits; None for a peer.
     name
-        Prefix of each warning where there are several runs.
+        Prefix of each warning if there are several runs.
     """
     remedies_of_kinds = remedies()
     warned = [
         (_not_completed(run), remedies_of_kinds.not_completed),
-        (_modes(run, ("BRAKING", "STOPPED")), remedies_of_kinds.waited),
-        (_modes(run, ("REUSED_PLAN",)), remedies_of_kinds.fallback),
-        (_late(run), remedies_of_kinds.late),
+        (_fallbacks(run, ("BRAKING", "STOPPED")), remedies_of_kinds.waited),
+        (_fallbacks(run, ("REUSED_PLAN",)), remedies_of_kinds.fallback),
+        (_missed_deadlines(run), remedies_of_kinds.late),
         (_poses_lost(run, remedies_of_kinds), remedies_of_kinds.poses_lost),
         (_at_limit(run, config, remedies_of_kinds), remedies_of_kinds.at_limit),
         (_on_backend(run, config, remedies_of_kinds), remedies_of_kinds.backend),
-        (_said(run), remedies_of_kinds.messages),
+        (_messages(run), remedies_of_kinds.messages),
     ]
     before = f"{name}: " if name else ""
     return [Warned(before + sentence, remedy) for sentence, remedy in warned if sentence]
@@ -76,21 +76,21 @@ def _not_completed(run: Run) -> str:
     return f"The run did not complete: {run.ended or 'the robot was not near the end of its path in time'}."
 
 
-def _modes(run: Run, wanted: Sequence[str]) -> str:
-    """Describe the number of counted ticks in one of the `wanted` modes, and the first of them."""
+def _fallbacks(run: Run, modes: Sequence[str]) -> str:
+    """Describe the number of counted ticks in one of the `modes`, and the time of the first one."""
     entered = [
         (mode, t)
         for mode, t, counted in zip(run.modes, run.time, run.counted, strict=True)
-        if counted and mode in wanted
+        if counted and mode in modes
     ]
     if not entered:
         return ""
     counts = Counter(mode for mode, _ in entered)
     counted_modes = ", ".join(f"{mode} at {_ticks(count)}" for mode, count in counts.items())
-    return f"The controller did without a fresh plan: {counted_modes}, first at {entered[0][1]:.2f} s."
+    return f"The controller had no fresh plan: {counted_modes}, first at {entered[0][1]:.2f} s."
 
 
-def _late(run: Run) -> str:
+def _missed_deadlines(run: Run) -> str:
     misses = run.metrics.deadline_misses
     if not misses:
         return ""
@@ -101,7 +101,7 @@ def _late(run: Run) -> str:
 def _poses_lost(run: Run, remedy: Remedies) -> str:
     arrived = run.time[np.isfinite(run.measured_pose[:, 0])]
     if len(arrived) < 3:
-        return "" if len(arrived) or not len(run.time) else "No pose arrived at all."
+        return "" if len(arrived) or not len(run.time) else "No pose arrived."
     pauses = np.diff([*arrived, run.time[-1]])
     usual = float(np.median(pauses[:-1]))
     long = pauses > remedy.pose_gap * usual
@@ -109,7 +109,7 @@ def _poses_lost(run: Run, remedy: Remedies) -> str:
         return ""
     first = arrived[np.flatnonzero(long)[0]]
     return (
-        f"Poses failed to come {_times(int(long.sum()))}, for {pauses.max():.2f} s at most (usually one every "
+        f"Poses were missing {_times(int(long.sum()))}, for {pauses.max():.2f} s at most (usually one every "
         f"{usual:.2f} s), first at {first:.2f} s."
     )
 
@@ -121,7 +121,7 @@ def _at_limit(run: Run, config: ControllerConfig | None, remedy: Remedies) -> st
     sides = (config.limits.v, config.limits.omega)
     limits = np.column_stack([sides_at(limit, column) for limit, column in zip(sides, command.T, strict=True)])
     command = np.abs(command)
-    # A path that asks for the limit itself is driven at the limit.
+    # A path that demands the limit itself is driven at the limit without a warning.
     shares = 100.0 * np.mean((command >= limits - _SAME) & (demanded < limits - _SAME), axis=0)
     sentences = [
         f"{name} at {share:.0f} %"
@@ -129,7 +129,7 @@ def _at_limit(run: Run, config: ControllerConfig | None, remedy: Remedies) -> st
         if share > remedy.share_at_limit
     ]
     return (
-        f"Commands are at their limit though the path asks for less: {' and '.join(sentences)} of the ticks."
+        f"Commands are at their limit although the path demands less: {' and '.join(sentences)} of the ticks."
         if sentences
         else ""
     )
@@ -143,12 +143,12 @@ def _on_backend(run: Run, config: ControllerConfig | None, remedy: Remedies) -> 
     return f"A backend had to solve {share:.0f} % of the ticks." if share > remedy.share_on_backend else ""
 
 
-def _said(run: Run) -> str:
+def _messages(run: Run) -> str:
     messages = [message for message in dict.fromkeys(run.messages) if message]
     if not messages:
         return ""
     more = f" And {len(messages) - _SHOWN} more." if len(messages) > _SHOWN else ""
-    return "The controller said: " + " ".join(f"“{message}”" for message in messages[:_SHOWN]) + more
+    return "The controller reported: " + " ".join(f"“{message}”" for message in messages[:_SHOWN]) + more
 
 
 def _ticks(count: int) -> str:

@@ -1,6 +1,7 @@
-"""Controllers of other kinds, to compare the predictive controller with; docs/recipes.md shows how to add one.
+"""Tracking controllers to compare the predictive controller with; docs/recipes.md shows how to add one.
 
-Packages register peers in the group `diffdrive_mpc.peers`: a `TrackingLaw`, or a class that is made without arguments.
+Packages register peers in the group `diffdrive_mpc.peers`: a `TrackingLaw`, or a class whose constructor has no
+arguments.
 """
 
 from __future__ import annotations
@@ -17,13 +18,13 @@ if TYPE_CHECKING:
     from diffdrive_mpc.models.interface import FloatArray, TrackingController
 
 GAINS = Path(__file__).with_name("gains.yaml")
-"""Gains of the laws in this folder by the name of the peer, as the study `peers` found them."""
+"""File of gains of the laws in this folder by the name of the peer, as tuned by the study `peers`."""
 _KINDS = {"pursuit": "PursuitLaw", "kanayama": "KanayamaLaw", "lqr": "LqrLaw"}
 LAWS = tuple(name + option for name in _KINDS for option in ("", "+slip"))
-"""Peers of this folder: a tracking law on the predictive controller's own estimate, moved forward over the robot's
-delay; with "+slip" it also compensates the estimated side-slip."""
+"""Peers of this folder: a tracking law on the predictive controller's estimate, predicted over the robot's delay; with
+"+slip" it also compensates the estimated side-slip."""
 PEERS = (*LAWS, *plug_in_names("peers"))
-"""Every peer by name. None takes a model."""
+"""Names of all peers. A peer takes no model."""
 
 
 class TrackingLaw(NamedTuple):
@@ -36,7 +37,7 @@ class TrackingLaw(NamedTuple):
 
 
 def find_peer(name: str) -> TrackingLaw | Callable[[], TrackingController]:
-    """Return the law of a peer, or the class of a peer without one; raise MissingPackageError if there is none."""
+    """Return the law of a peer, or the class of a peer without a law; raise MissingPackageError if it is unknown."""
     if name not in LAWS:
         peer: TrackingLaw | Callable[[], TrackingController] = plug_in("peers", name)
         return peer
@@ -52,22 +53,22 @@ def takes_settings(name: str) -> bool:
 def make_peer(
     name: str, overrides: Mapping[str, object] | None = None, gains: Mapping[str, float] | None = None
 ) -> TrackingController:
-    """Make the peer of a name.
+    """Create a peer by name.
 
     Parameters
     ----------
     name
         One of `PEERS`.
     overrides
-        Configuration values of the robot by dotted key, for a tracking law: its estimate then has the same data of the
-        robot as the predictive controller. Other peers know the papers' robot only.
+        Configuration values of the robot by dotted key, for a tracking law: its estimator then has the same data of the
+        robot as the predictive controller. Other peers are configured for the papers' robot only.
     gains
-        Gains in place of the shipped ones.
+        Gains that replace the shipped ones.
     """
     peer = find_peer(name)
     if not isinstance(peer, TrackingLaw):
         return peer()
-    from diffdrive_mpc.bench.peers import tracking_peer  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.peers import tracking_peer  # noqa: PLC0415 - --help does not need it
 
     chosen = tracking_peer.law_kind(name).gains(**gains) if gains else None
     return tracking_peer.make_tracking_peer(name, chosen, overrides=overrides)

@@ -1,7 +1,7 @@
-"""Estimator of every peer: the predictive controller's own estimate, moved forward over the robot's delay.
+"""Estimator of every peer: the predictive controller's estimate, predicted over the robot's delay.
 
-A command shows its effect one lag later, so a law that answers to the present pose answers too late. Commands that are
-on their way are known: the velocity model predicts their effect.
+A command takes effect one lag later, so a law that acts on the present pose acts too late. The commands already sent
+are known, and the velocity model predicts their effect.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class HeldEstimator:
     Parameters
     ----------
     config
-        Configuration whose estimator and velocity model it is.
+        Configuration of the estimator and the velocity model.
     """
 
     def __init__(self, config: ControllerConfig) -> None:
@@ -67,7 +67,7 @@ class PredictedMotion(NamedTuple):
 
 
 class DelayPredictor:
-    """Moves an estimate forward through the commands that are on their way; the last of them stays in force.
+    """Predictor of an estimate over the commands already sent; the last one is held.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class DelayPredictor:
         whole = int(np.floor(lead / dt + 1e-9))
         self._durations = np.append(np.full(whole, dt), max(0.0, lead - whole * dt))
         self._share = self._durations[-1] / dt
-        # The outputs are linear in state and commands: those of unit ones are the columns of the matrices.
+        # The outputs are linear in state and commands: the outputs of unit vectors are the columns of the matrix.
         ticks, n = whole + 2, sampled.order
         units = np.eye(2 * self._memory).reshape(-1, self._memory, 2)
         states = [sampled.simulate(np.zeros((ticks, 2)), state=unit).ravel() for unit in np.eye(n)]

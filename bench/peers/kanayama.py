@@ -16,37 +16,39 @@ from diffdrive_mpc.models.interface import FloatArray, Reference
 class KanayamaGains(Gains):
     """Gains of the law."""
 
-    along: AboveZero = Field(description="on the error along the path [1/s]")
-    across: AboveZero = Field(description="on the error across the path [1/m^2]")
-    heading: AboveZero = Field(description="on the sine of the heading error, by distance [1/m]")
-    turn: NotNegative = Field(0.0, description="the same by time, for turns on the spot; not in the paper [1/s]")
+    along: AboveZero = Field(description="gain of the error along the path [1/s]")
+    across: AboveZero = Field(description="gain of the error across the path [1/m^2]")
+    heading: AboveZero = Field(description="gain of the sine of the heading error per distance [1/m]")
+    turn: NotNegative = Field(
+        0.0, description="gain of the sine of the heading error per time, for turns on the spot; not in the paper [1/s]"
+    )
 
 
 def kanayama_twist(gains: KanayamaGains, feed_forward: FloatArray, error: FloatArray) -> FloatArray:
-    """Compute v [m/s] and omega [rad/s] (2,): feed-forward (2,) plus feedback of the error (3,), ahead, left, turned.
+    """Compute v [m/s] and omega [rad/s] (2,): feed-forward (2,) plus feedback of `LawInput.error` (3,).
 
-    |v| multiplies the heading term so that it also stabilises in reverse.
+    |v| multiplies the heading term, so that the law is also stable in reverse.
     """
     v, omega = feed_forward
-    ahead, left, turned = error
+    ahead, left, heading = error
     turning = abs(v) * gains.heading + gains.turn
     return np.array(
-        [v * np.cos(turned) + gains.along * ahead, omega + v * gains.across * left + turning * np.sin(turned)]
+        [v * np.cos(heading) + gains.along * ahead, omega + v * gains.across * left + turning * np.sin(heading)]
     )
 
 
 class KanayamaLaw:
-    """The law on an estimate that is moved forward over the robot's delay."""
+    """Kanayama's law on the predicted motion."""
 
     gains = KanayamaGains
 
     def __init__(self, gains: KanayamaGains, robot: Delayed) -> None:
-        del robot  # the prediction is its only input about it
+        del robot  # the law needs no data of the robot besides the prediction
         self._gains = gains
 
     def start(self, reference: Reference) -> None:
         """Start to track `reference`; no preparation is needed."""
 
     def decide(self, sight: LawInput) -> FloatArray:
-        """Compute the wanted v [m/s] and omega [rad/s] (2,)."""
+        """Compute the desired v [m/s] and omega [rad/s] (2,)."""
         return kanayama_twist(self._gains, sight.feed_forward, sight.error)

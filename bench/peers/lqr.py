@@ -15,12 +15,12 @@ from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.pose import ahead_and_left
 
 _STATES = 6
-_MOST_INTEGRAL = 0.1
+_MAX_INTEGRAL = 0.1
 """Bound of the integral of the error across the path [m s]."""
 
 
 class LqrGains(Gains):
-    """Weights, relative to 1 s^2/m^2 on the deviation of v from its feed-forward."""
+    """Weights, relative to a weight of 1 s^2/m^2 of the deviation of v from its feed-forward."""
 
     along: AboveZero = Field(description="squared error along the path [1/m^2]")
     across: AboveZero = Field(description="squared error across the path [1/m^2]")
@@ -44,7 +44,7 @@ class LqrLaw:
         self._reference, self._integral = reference, 0.0
         count = int(np.ceil(reference.duration / self._dt)) + 1
         twists = reference.sample(self._dt * (np.arange(count) + 0.5)).twist
-        # Rest at the end: from there on the last weights count once more.
+        # The reference rests at its end; the state weights are also the terminal weights.
         self._K, P = np.empty((count, 2, _STATES)), self._Q
         for k in reversed(range(count)):
             self._K[k], P = self.backwards(P, *self.linearised(*twists[k]))
@@ -52,33 +52,33 @@ class LqrLaw:
     def linearised(self, v: float, omega: float) -> tuple[FloatArray, FloatArray]:
         """Linearise one sample around a reference of constant twist: A (6, 6) and B (6, 2).
 
-        The states are errors along [m] and across [m], of heading [rad], the integral of the second [m s], and of v
-        [m/s] and omega [rad/s].
+        The states are the error along [m], across [m] and of heading [rad], the integral of the error across [m s], and
+        the error of v [m/s] and omega [rad/s].
         """
         dt = self._dt
         decay = np.exp(-dt / self._time_constant)
         A, B = np.eye(_STATES), np.zeros((_STATES, 2))
         A[0, 1], A[1, 0], A[1, 2] = dt * omega, -dt * omega, dt * v
         A[0, 4], A[2, 5] = dt, dt
-        # A standing robot cannot reduce an error across, so it must not accumulate.
+        # A standing robot cannot reduce an error across, so the integral must not grow.
         A[3, 1] = dt if abs(v) > STANDING else 0.0
         A[4, 4], A[5, 5] = decay
         B[4, 0], B[5, 1] = 1 - decay
         return A, B
 
     def backwards(self, P: FloatArray, A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Compute gain K (2, 6) and cost-to-go (6, 6) one sample before that of P (6, 6)."""
+        """Compute gain K (2, 6) and cost-to-go (6, 6) one sample before cost-to-go P (6, 6)."""
         K = np.asarray(np.linalg.solve(self._R + B.T @ P @ B, B.T @ P @ A), dtype=float)
         before = self._Q + A.T @ P @ (A - B @ K)
         return K, np.asarray(0.5 * (before + before.T))
 
     def decide(self, sight: LawInput) -> FloatArray:
-        """Compute the wanted v [m/s] and omega [rad/s] (2,)."""
+        """Compute the desired v [m/s] and omega [rad/s] (2,)."""
         gap = sight.motion.pose - sight.reference
         along, across = ahead_and_left(gap, sight.reference[2])
         expected = self._reference.sample([sight.time]).twist[0]
         if abs(expected[0]) > STANDING:
-            self._integral = float(np.clip(self._integral + self._dt * across, -_MOST_INTEGRAL, _MOST_INTEGRAL))
+            self._integral = float(np.clip(self._integral + self._dt * across, -_MAX_INTEGRAL, _MAX_INTEGRAL))
         state = np.array([along, across, gap[2], self._integral, *(sight.motion.twist - expected)])
         row = min(max(int(sight.time / self._dt), 0), len(self._K) - 1)
         return np.asarray(sight.feed_forward - self._K[row] @ state)

@@ -1,4 +1,4 @@
-"""A tracking law between estimate and limits: common parts of all peers, so that only their laws differ."""
+"""Common parts of all peers: estimate, prediction and command limits around a tracking law."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from diffdrive_mpc.mpc.estimate import Estimate
 from diffdrive_mpc.mpc.problem.formulas import formula
 from diffdrive_mpc.mpc.problem.slip import Slip
 
-# Command limits of peers: range and slew, as the core applies them for our controller.
+# Command limits of peers: range and slew, applied as the core does for the predictive controller.
 
 
 def slew_step(limits: Limits, dt: float) -> FloatArray:
@@ -34,14 +34,14 @@ def slew_step(limits: Limits, dt: float) -> FloatArray:
 
 
 def nearest_command(command: FloatArray, limits: Limits, dt: float, last: FloatArray) -> FloatArray:
-    """Return the nearest command (2,) inside the range, and inside slew of `last` (2,)."""
+    """Return the nearest command (2,) inside the range, and reachable from `last` (2,) within the slew limits."""
     upper, lower = np.transpose([limits.v.sides, limits.omega.sides])
     grows, falls = np.transpose([limits.v_slew.sides, limits.omega_slew.sides]) * dt
     return reached(last, np.clip(command, -lower, upper), grows, falls)
 
 
 STANDING = 0.01
-"""Speed below which a reference stands, or turns on the spot [m/s]."""
+"""Speed below which a reference counts as standing or turning on the spot [m/s]."""
 MODEL = "sm"
 """Configuration and model of every peer: the one that separates dead time and lag."""
 
@@ -52,7 +52,7 @@ AboveZero = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 class Gains(StrictModel):
     """Tuned gains of a peer's law, and its lead."""
 
-    lead: NotNegative = Field(0.0, description="the law acts on the pose so far ahead [s]")
+    lead: NotNegative = Field(0.0, description="prediction time of the pose that the law acts on [s]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,13 +62,13 @@ class LawInput:
     Attributes
     ----------
     time
-        Since the start of the reference [s].
+        Time since the start of the reference [s].
     motion
-        Predicted pose (3,) and twist (2,). With compensation of side-slip the heading is that of travel.
+        Predicted pose (3,) and twist (2,). With compensation of side-slip, the heading is the direction of travel.
     reference
-        (3,) pose of the reference; the heading is on the robot's turn, less than pi away from its heading.
+        (3,) pose of the reference; its heading is unwrapped to within pi of the robot's heading.
     feed_forward
-        (2,) twist that the reference asks for, each channel its own lag ahead [m/s, rad/s].
+        (2,) twist of the reference, each channel ahead by its lag [m/s, rad/s].
     """
 
     time: float
@@ -85,7 +85,7 @@ class LawInput:
 
 @dataclass(frozen=True)
 class Delayed:
-    """Knowledge of a law about the robot, in addition to the prediction.
+    """Parameters of the robot that a law may use in addition to the prediction.
 
     Attributes
     ----------
@@ -103,9 +103,9 @@ class Delayed:
 
 
 class Law(Protocol):
-    """A tracking law: from its input to the wanted twist of the body.
+    """Tracking law: map from its input to the desired twist of the body.
 
-    It is made from its gains and a `Delayed`; the type of its gains is its attribute `gains`.
+    It is constructed from its gains and a `Delayed`; its attribute `gains` is the type of the gains.
     """
 
     def start(self, reference: Reference) -> None:
@@ -113,28 +113,28 @@ class Law(Protocol):
         ...
 
     def decide(self, sight: LawInput) -> FloatArray:
-        """Compute the wanted v [m/s] and omega [rad/s] (2,) of the body."""
+        """Compute the desired v [m/s] and omega [rad/s] (2,) of the body."""
         ...
 
 
 class TrackingPeer:
-    """Estimate, prediction over the delay, law, command inside range and slew; see `models.interface`.
+    """Peer with a tracking law: estimate, predict over the delay, apply the law, limit the command.
 
-    The twist that the law wants becomes a command by the feed-forward of the predictive controller, which inverts the
-    model's gain and the estimated slip.
+    The feed-forward of the predictive controller converts the desired twist into a command: it inverts the model's gain
+    and the estimated slip. See `models.interface`.
 
     Parameters
     ----------
     law
-        The law.
+        Tracking law.
     lead
-        Time by which the peer acts ahead of the measured state [s].
+        Prediction time of the state that the law acts on [s].
     side_slip
-        Whether the estimated side-slip is compensated: the robot then turns into the curve, so that it travels along
-        the path.
+        True to compensate the estimated side-slip: the robot then turns into the curve, so that it travels along the
+        path.
     config
-        Limits, estimator and velocity model; by default those of the shipped configuration of SM, the model with
-        separate dead time and lag.
+        Limits, estimator and velocity model; by default the shipped configuration of SM, the model with separate dead
+        time and lag.
     """
 
     def __init__(
@@ -157,7 +157,7 @@ class TrackingPeer:
         self._reference, self._t0 = reference, t0
 
     def step(self, t: float, measurement: Measurement) -> PeerStep:
-        """Decide the command for the tick at `t` [s]; without a recent pose it brakes.
+        """Compute the command for the tick at `t` [s]; brake without a recent pose.
 
         Raises RuntimeError if `start` was not called.
         """
@@ -188,12 +188,12 @@ class TrackingPeer:
         return PeerStep(command, mode, message, time.perf_counter() - began, took)
 
     def _since_start(self, t: float, estimate: Estimate | None) -> float:
-        """Compute the robot's time on the reference's clock at `t` [s]."""
+        """Return the time since the start of the reference at `t` [s]; a subclass may use the estimate."""
         del estimate
         return t - self._t0
 
     def _allowed(self, twist: FloatArray, sight: LawInput) -> tuple[FloatArray, str]:
-        """Limit the wanted twist (2,) of the law; return it with the reason, or an empty text."""
+        """Limit the desired twist (2,) of the law; return it and the reason for a limit, or an empty text."""
         del sight
         return twist, ""
 
@@ -202,7 +202,7 @@ class TrackingPeer:
         sample = reference.sample(since_start + np.array([self._lead, *self._lag, self._lag[0] + dt]))
         feed_forward = sample.twist[[1, 2], [0, 1]]
         acceleration = (sample.twist[3, 0] - feed_forward[0]) / dt
-        # Turning on the spot, there is no direction of travel.
+        # A turn on the spot has no direction of travel.
         crab = float(self._aim(np.zeros(3), feed_forward, slip.flat, acceleration)[3])
         crab = crab if abs(feed_forward[0]) > STANDING else 0.0
         travel = motion.pose - np.array([0.0, 0.0, crab])
@@ -217,9 +217,9 @@ def make_tracking_peer(
     config: ControllerConfig | None = None,
     overrides: Mapping[str, object] | None = None,
 ) -> TrackingPeer:
-    """Make the peer of a tracking law, with the shipped gains and configuration by default.
+    """Create the peer of a tracking law, with the shipped gains and configuration by default.
 
-    "NAME+slip" is the law NAME with compensation of side-slip; it has its own gains. `overrides` replace values of the
+    "NAME+slip" is the law NAME with compensation of side-slip and separate gains. `overrides` replace values of the
     shipped configuration.
     """
     kind = law_kind(name)
@@ -230,20 +230,20 @@ def make_tracking_peer(
 
 
 def delayed(config: ControllerConfig) -> Delayed:
-    """Describe the robot of a configuration for the laws."""
+    """Return the parameters of the configuration's robot for a law."""
     model = load_linear_model(config.model)
     return Delayed(config.sample_time, model.lag - model.dead_time, config.limits)
 
 
-def law_kind(name: str) -> Any:  # noqa: ANN401 - each law has gains of its own type
-    """Return the class of the law of a peer; raises ConfigError for a peer without a law."""
+def law_kind(name: str) -> Any:  # noqa: ANN401 - the type of the gains depends on the law
+    """Return the class of the law of a peer; raise ConfigError for a peer without a law."""
     return _law(name).kind
 
 
 def load_gains(name: str, path: Path | None = None) -> Gains:
     """Read the gains of a peer from a file of gains by peer, by default the shipped one.
 
-    Raises ConfigError if the file has a mistake.
+    Raises ConfigError if the file is invalid.
     """
     law = _law(name)
     file = path or law.gains

@@ -1,7 +1,6 @@
 """Model-predictive trajectory tracking with identified velocity models: the public names.
 
-They are imported on first use, so that a robot needs neither MuJoCo nor matplotlib, and nobody waits for what is not
-asked for.
+They are imported on first use, so that a robot needs neither MuJoCo nor matplotlib, and unused modules cost no time.
 """
 
 from __future__ import annotations
@@ -63,7 +62,7 @@ _HOMES = {
     "sweep": "bench.sweep",
 }
 
-if not TYPE_CHECKING:  # a type checker takes the imports above for the public names
+if not TYPE_CHECKING:  # a type checker uses the imports above as the public names
     __all__ = list(_HOMES)
 __getattr__ = on_first_use(__name__, _HOMES)
 

@@ -1,14 +1,14 @@
 """Sources of the compiled core, for packages that compile C with it.
 
-A package states the version that it was written for and compiles what it gets:
+A package requires the version that it was written for, and compiles the sources:
 
     from diffdrive_mpc import core_sources
 
     core_sources.require(1)
     texts = core_sources.core_texts() | {"mine.c": ...}
 
-`VERSION` changes whenever such a package has to change: with a header, with the constants of the core, or with a name
-below. The names are imported on first use, since generating C loads CasADi.
+`VERSION` changes with every change that such packages must follow: of a header, of the constants of the core, or of a
+name below. The names are imported on first use, because generating C loads CasADi.
 """
 
 from __future__ import annotations

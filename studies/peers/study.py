@@ -13,7 +13,7 @@ import yaml
 from pydantic import Field
 from scipy.stats import qmc
 
-from diffdrive_mpc.bench.case import MOST_CASES
+from diffdrive_mpc.bench.case import MAX_CASES
 from diffdrive_mpc.bench.peers import LAWS
 from diffdrive_mpc.bench.peers.tracking_peer import law_kind, make_tracking_peer
 from diffdrive_mpc.bench.progress import ProgressBar
@@ -106,7 +106,7 @@ TUNED = (*LAWS, "mppi", "mppi+slip")
 _FOLDER = Path(__file__).parent
 _LOST = 1.0
 """Error that counts for a run that does not complete [m]."""
-Count = Annotated[int, Field(ge=1, le=MOST_CASES)]
+Count = Annotated[int, Field(ge=1, le=MAX_CASES)]
 
 
 class PeersSettings(StrictModel):

@@ -16,7 +16,7 @@ from diffdrive_mpc.bench.controllers import controller_config, load_reference, r
 from diffdrive_mpc.bench.experiment import by
 from diffdrive_mpc.bench.html_report.page import RunSeries
 from diffdrive_mpc.bench.html_report.run_series import run_series
-from diffdrive_mpc.bench.run_row import who_drives
+from diffdrive_mpc.bench.run_row import driver_name
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import ahead_and_left
@@ -126,7 +126,7 @@ def is_plain(case: Case) -> bool:
 
 
 def _series(case: Case, run: Run) -> RunSeries:
-    model, path = who_drives(case), case.labels["trajectory"]
+    model, path = driver_name(case), case.labels["trajectory"]
     config = controller_config(case.model, case.config, case.overrides)
     labels = {"model": model, "path": path}
     return run_series(run, f"{model}, {path}", points=_POINTS, labels=labels, config=config)

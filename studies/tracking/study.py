@@ -126,7 +126,7 @@ class TrackingStudy(SpecStudy):
         """Build the targets first, then every table of a driven part."""
         shown = rows.assign(variant=rows["variant"].mask(rows["controller"] == BOUND, BOUND_NAME))
         targets = rows[rows["part"] == "targets"]
-        return [*([target_table(judge(targets))] if len(targets) else []), *self.stated_tables(shown, _cells(rows))]
+        return [*([target_table(judge(targets))] if len(targets) else []), *self.tables_with_cells(shown, _cells(rows))]
 
     def report(self, results: DataFrame, seconds: float) -> Report:
         """Report tables of every part that was run, and its figures."""

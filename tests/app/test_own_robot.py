@@ -113,7 +113,7 @@ def test_a_plant_that_is_another_robot_than_the_configuration_s_is_said(files):
     (files / "wide.yaml").write_text(yaml.safe_dump(wide))
     wide_robot, fast_robot = Case(model="sm", config="wide.yaml"), Case(model="sm", config="fast.yaml")
     (sentence,) = other_robots([wide_robot, wide_robot])
-    assert "'mujoco' is another robot" in sentence
+    assert "'mujoco' does not match the robot of the configuration" in sentence
     assert "its track is 0.33 m, the configuration's 0.6 m" in sentence
     (sentence,) = other_robots([fast_robot])
     assert "it clips v at 1.5 m/s, limits.v is 4.1 m/s" in sentence

@@ -203,7 +203,7 @@ def test_what_needs_attention_is_said_with_what_to_do(outcome: RunOutcome) -> No
         "BRAKING at 4 ticks",
         "REUSED_PLAN at 2 ticks",
         "1 tick took longer",
-        "Poses failed to come once",
+        "Poses were missing once",
     ):
         assert expected in texts
     assert "v at 100 %" in texts

@@ -184,7 +184,7 @@ def test_least_error_is_that_of_any_controller_that_completed_every_run(results,
     page = shown(replace(results, main=main))
     card = page.key_figures[1]
     assert ("Not ranked" in page.summary[0]) is not (ours[1] and peer[1])
-    assert (card.label, card.value, card.note) == ("least position error, RMSE", value, note)
+    assert (card.label, card.value, card.note) == ("minimum position error, RMSE", value, note)
 
 
 def times_in(table: Table, line: int = 0) -> list[str]:
@@ -200,7 +200,7 @@ def test_times_are_those_of_undisturbed_ticks_and_a_row_that_has_others_is_marke
     table = summary_table(rows_of(half))
     assert times_in(table) == ["0.50*", "0.50*", "2.00*", "2.00*"]
     assert times_in(summary_table(rows_of(half, whole.untimed))) == times_in(table)
-    assert "*: something else ran; 50.0 % of the ticks" in table.note
+    assert "*: other programs ran; 50.0 % of the ticks" in table.note
     assert json_row(half.row, SILENT)["timed_clean_percent"] == 50.0
     assert json_row(half.row, SILENT)["solve_time_p99_s"] == pytest.approx(5e-4)
     assert times_in(summary_table(rows_of(whole))) == ["1.00", "1.00", "2.00", "2.00"]
@@ -271,7 +271,7 @@ def test_a_conflict_found_in_the_end_replaces_nothing(kind: str, tmp_path: Path)
         (out / "b.txt").mkdir()
     else:
         (out / "b.txt").symlink_to(mine)
-    with pytest.raises(ConfigError, match=r"'b\.txt' there is in the way"), staged(out) as folder:
+    with pytest.raises(ConfigError, match=r"'b\.txt' exists and is no"), staged(out) as folder:
         (folder / "a.txt").write_text("new")
         (folder / "b.txt").write_text("new")
     assert (out / "a.txt").read_text() == "old"
@@ -323,7 +323,7 @@ def test_two_commands_keep_both_their_results(tmp_path: Path) -> None:
     assert (tmp_path / "report.html").read_text(encoding="utf-8") == "bench report.html"
     assert (tmp_path / "tracking.html").read_text(encoding="utf-8") == "tracking report.html"
     with (
-        pytest.raises(ConfigError, match=r"'bench.md' there is a result of `bench`; give another folder"),
+        pytest.raises(ConfigError, match=r"'bench.md' is a result of `bench`; give another folder"),
         staged(tmp_path, files=("bench.md",), owner="twin"),
     ):
         raise AssertionError("it began")
@@ -387,7 +387,7 @@ def test_a_second_command_is_refused_until_the_first_has_ended_however_it_ends(t
         if shared:
             _write(tmp_path, "bench", "second", shared=True)
         else:
-            with pytest.raises(ConfigError, match="another command is writing there"):
+            with pytest.raises(ConfigError, match="another command is writing to it"):
                 _write(tmp_path, "tracking", "second")
     finally:
         process.kill()
@@ -404,8 +404,8 @@ def test_workers_end_when_their_parent_is_killed() -> None:
     program = (
         "import os, time\n"
         "from functools import partial\n"
-        "from diffdrive_mpc.bench.runner import lasting_processes, run_tasks\n"
-        "with lasting_processes():\n"
+        "from diffdrive_mpc.bench.runner import persistent_processes, run_tasks\n"
+        "with persistent_processes():\n"
         "    print(*set(run_tasks([os.getpid] * 8, 2, lambda: None)), flush=True)\n"
         "    time.sleep(60)\n"
     )

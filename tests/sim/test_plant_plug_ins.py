@@ -150,7 +150,7 @@ def test_plant_brings_settings_and_a_path() -> None:
     assert case_config(Case(plant="walled:path", overrides=(("horizon", 9),))).horizon == 9
     with pytest.raises(ConfigError, match="has its own path"):
         load_reference(Case(plant="walled:path", trajectory="cane"))
-    with pytest.raises(ConfigError, match="has no own path; give a --trajectory"):
+    with pytest.raises(ConfigError, match="the plant has no path; give a --trajectory"):
         load_reference(Case(plant="walled:none"))
     assert load_reference(Case(plant="walled:none", trajectory="cane")).name == "cane"
 

@@ -10,7 +10,7 @@ from pandas import DataFrame
 
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.experiment import frame
-from diffdrive_mpc.bench.run_row import SolverShares, who_drives
+from diffdrive_mpc.bench.run_row import SolverShares, driver_name
 from diffdrive_mpc.bench.spec import in_parts
 from diffdrive_mpc.bench.study import write_report
 from diffdrive_mpc.sim import Metrics
@@ -72,7 +72,7 @@ def row(case: Case, *, arcs: tuple[float, ...] = (0.001,), across: np.ndarray | 
     n = 100
     made = {
         "case": case,
-        "driver": who_drives(case),
+        "driver": driver_name(case),
         **case.as_row(),
         **statistics(),
         **recovery(1.0, 0.01, 3.0, 2.0),

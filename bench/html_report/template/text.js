@@ -1,13 +1,13 @@
 "use strict";
-// What is text on the page: everything from the content goes in as text, never as markup.
+// Text of the page. All content is inserted as text, never as markup.
 const content = JSON.parse(document.getElementById("content").textContent);
 const byId = (id) => document.getElementById(id);
 
 function element(tag, attributes = {}, ...children) {
-  const made = document.createElement(tag);
-  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
-  made.append(...children);
-  return made;
+  const node = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
+  node.append(...children);
+  return node;
 }
 
 // Words between backticks are code.
@@ -62,9 +62,9 @@ function writeText() {
   fill("views", "Views", content.views.length ? [""] : []);
   fill("tables", "Tables", content.tables.map(tableCard));
   const count = content.warnings.length;
-  const told = count === 1 ? "1 warning, with what to do" : `${count} warnings, each with what to do`;
-  if (count) byId("sentences").prepend(element("p", {}, element("a", { href: "#warnings" }, told)));
-  const fine = element("p", {}, "None: nothing was found that needs your attention.");
+  const link = count === 1 ? "1 warning, with its remedy" : `${count} warnings, each with its remedy`;
+  if (count) byId("sentences").prepend(element("p", {}, element("a", { href: "#warnings" }, link)));
+  const fine = element("p", {}, "No warnings.");
   fill("warnings", count ? `Warnings (${count})` : "Warnings", count ? content.warnings.map(warningCard) : [fine]);
   fill("configuration", "Configuration", content.configurations.map(configurationCard));
   fill("repeat", "How to repeat", [element("div", { class: "card" },

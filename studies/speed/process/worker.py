@@ -36,7 +36,7 @@ class Worker:
         self._make = getattr(importlib.import_module(module), name)
         self._subject: Any = None
         # Not at the top: its folder is on the path only by now.
-        self._watched = importlib.import_module("diffdrive_mpc.bench.counters").watched
+        self._measure_effort = importlib.import_module("diffdrive_mpc.bench.counters").measure_effort
 
     def build(self, problem: object, settings: dict[str, Any], folder: str, core: int | None) -> dict[str, float]:
         """Make the subject; returns the time that took [s] and the memory before [bytes]."""
@@ -56,7 +56,7 @@ class Worker:
 
     def run(self, *ticks: tuple[object, ...]) -> tuple[list[Answer], tuple[float, float, int, float]]:
         """Step through ticks: an answer for each, and the `bench.counters.Effort` of all."""
-        answers, effort = self._watched(lambda: [self._timed(data) for data in ticks])
+        answers, effort = self._measure_effort(lambda: [self._timed(data) for data in ticks])
         return answers, tuple(effort)
 
     def _timed(self, data: tuple[object, ...]) -> Answer:

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, model_validator
 from scipy.stats import qmc
 
-from diffdrive_mpc.bench.case import MOST_SEEDS, NO_MODEL, NO_SCENARIO, Case
+from diffdrive_mpc.bench.case import MAX_SEEDS, NO_MODEL, NO_SCENARIO, Case
 from diffdrive_mpc.bench.peers import LAWS, PEERS
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray
@@ -76,7 +76,7 @@ CONDITION = "condition"
 """Factor whose value is a condition of the robustness study: plant, surface, sensors, scenario and the values given to
 the controller.
 """
-MOST_RUNS = 100 * MOST_SEEDS
+MOST_RUNS = 100 * MAX_SEEDS
 _SEED = "seed"
 _INSIDE = 2.0**-33
 

@@ -24,7 +24,7 @@ from diffdrive_mpc.bench.runner import (
     StudyFailedError,
     WorkerDiedError,
     available_cores,
-    processes_last,
+    keeps_processes,
     run_tasks,
 )
 from diffdrive_mpc.models.checked_yaml import ConfigError, parse_json
@@ -192,7 +192,7 @@ def drive_here(tasks: Iterable[CampaignTask], folder: Path, jobs: int, on_done: 
     left, tries = list(tasks), 0
     while left:
         try:
-            processes = min(jobs, max(1, len(left) // (1 if processes_last() else _WORTH)))
+            processes = min(jobs, max(1, len(left) // (1 if keeps_processes() else _WORTH)))
             run_tasks([partial(_keep, task, folder) for task in left], processes, on_done)
             return
         except WorkerDiedError:

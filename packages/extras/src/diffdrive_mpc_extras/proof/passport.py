@@ -19,7 +19,7 @@ import yaml
 from diffdrive_mpc.bench.html_report.page import Axis, Chart, ConfigurationView, Series, Shown, Warned
 from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.progress import ProgressBar
-from diffdrive_mpc.bench.runner import lasting_processes
+from diffdrive_mpc.bench.runner import persistent_processes
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.interface import FloatArray
@@ -216,7 +216,7 @@ class PassportStudy(Study[dict[str, list[Definition]], MeasuredSpeeds]):
             lateral = {outcome.definition: largest_lateral(outcome) for outcome in outcomes}
             return {key: np.array([lateral[run] for run in definitions]) for key, definitions in runs.items()}
 
-        with lasting_processes():
+        with persistent_processes():
             measure(searches, drive)
         return MeasuredSpeeds(searches, every)
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diffdrive_mpc.app.run_log import holds_plans, repeating, run_log
+from diffdrive_mpc.app.run_log import holds_plans, repeat_arguments, run_log
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import build_plant, load_reference, make_controller
 from diffdrive_mpc.bench.html_report.page import Axis, Chart, Mark, Series, Shown, Warned
@@ -30,7 +30,7 @@ from diffdrive_mpc_extras.rehearsal.rehearsal import LapLearner
 class LapParts(NamedTuple):
     """Root mean squares of the position error of laps [m]; their squares add up to that of all laps."""
 
-    repeating: float
+    repeat_arguments: float
     """Part that repeats at the same time of every lap."""
     varying: float
     """Rest, which no correction learned from other laps can remove."""
@@ -52,8 +52,8 @@ def lap_parts(runs: Sequence[Run]) -> LapParts:
     errors = np.array([(run.true_pose - run.reference_pose)[run.counted, :2] for run in runs])
     mean = errors.mean(axis=0)
     varying = np.sum((errors - mean) ** 2) / (len(runs) - 1) / mean.shape[0]
-    repeating = np.sum(mean**2) / mean.shape[0] - varying / len(runs)
-    return LapParts(float(np.sqrt(max(repeating, 0.0))), float(np.sqrt(varying)))
+    repeat_arguments = np.sum(mean**2) / mean.shape[0] - varying / len(runs)
+    return LapParts(float(np.sqrt(max(repeat_arguments, 0.0))), float(np.sqrt(varying)))
 
 
 _ENABLED = "expert.rehearsal.enabled"
@@ -156,7 +156,7 @@ class LapsStudy(Study[Case, tuple[Laps, Laps]]):
                 )
                 for part, rehearses in enumerate((True, False))
             )
-            write_log(learned.runs[-1], plan, ["rehearse", "--laps", str(self._laps), *repeating(plan)])
+            write_log(learned.runs[-1], plan, ["rehearse", "--laps", str(self._laps), *repeat_arguments(plan)])
         return learned, plain
 
     def report(self, results: tuple[Laps, Laps], seconds: float) -> Report:
@@ -187,11 +187,11 @@ def lap_table(learned: Laps, plain: Laps) -> Table:
     rows = []
     for lap, (run, without) in enumerate(zip(learned.runs, plain.runs, strict=True), start=1):
         position = run.metrics.position_rmse_m
-        repeating = float(np.sqrt(max(position**2 - parts.varying**2, 0.0)))
-        shown = position, repeating, run.metrics.lateral_rmse_m, without.metrics.position_rmse_m
+        repeat_arguments = float(np.sqrt(max(position**2 - parts.varying**2, 0.0)))
+        shown = position, repeat_arguments, run.metrics.lateral_rmse_m, without.metrics.position_rmse_m
         rows.append((str(lap), *(number(1e3 * value, 2) for value in shown)))
-    heads = ("lap", "position RMSE [mm]", "repeating part [mm]", "lateral RMSE [mm]", "without rehearsal [mm]")
-    repeats, varying = 1e3 * parts.repeating, 1e3 * parts.varying
+    heads = ("lap", "position RMSE [mm]", "repeat_arguments part [mm]", "lateral RMSE [mm]", "without rehearsal [mm]")
+    repeats, varying = 1e3 * parts.repeat_arguments, 1e3 * parts.varying
     note = f"Without rehearsal {repeats:.2f} mm repeat and {varying:.2f} mm do not: the lower bound."
     return Table("Laps", heads, tuple(rows), note=note)
 

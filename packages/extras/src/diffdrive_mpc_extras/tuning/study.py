@@ -13,7 +13,7 @@ from diffdrive_mpc.bench.html_report.page import Axis, Chart, ConfigurationView,
 from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.run_row import STATISTICS
-from diffdrive_mpc.bench.runner import lasting_processes
+from diffdrive_mpc.bench.runner import persistent_processes
 from diffdrive_mpc.bench.study import Report, Study, carry_out
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import check
@@ -143,7 +143,7 @@ class TuneStudy(Study[ConfigurationSearch, TuningOutcome]):
     def run(self, plan: ConfigurationSearch, jobs: int, bar: ProgressBar) -> TuningOutcome:
         """Search with the tuning seeds, then compare with the report seeds."""
         seeds = self._plan.report_seeds.seeds
-        with lasting_processes():
+        with persistent_processes():
             points = plan.run(jobs, bar)
             best = best_of(points)
             bar.start_stage("comparing", 2 * self._plan.places * len(seeds))

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from diffdrive_mpc.bench.case import MOST_CASES, MOST_SEEDS, check_count
+from diffdrive_mpc.bench.case import MAX_CASES, MAX_SEEDS, check_count
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 
 DEFAULT = Path(__file__).with_name("default.yaml")
@@ -57,7 +57,7 @@ class SeedRange(StrictModel):
     """Consecutive seeds of the noise."""
 
     first: Annotated[int, Field(ge=0)]
-    count: Annotated[int, Field(ge=1, le=MOST_SEEDS)]
+    count: Annotated[int, Field(ge=1, le=MAX_SEEDS)]
 
     @property
     def seeds(self) -> range:
@@ -91,7 +91,7 @@ class TunePlan(StrictModel):
         tuning, report = self.tuning_seeds.seeds, self.report_seeds.seeds
         if max(tuning.start, report.start) < min(tuning.stop, report.stop):
             raise ValueError(f"report_seeds: {report.start} to {report.stop - 1} overlap with tuning_seeds")
-        check_count(self.places * (self.points * len(tuning) + 2 * len(report)), MOST_CASES)
+        check_count(self.places * (self.points * len(tuning) + 2 * len(report)), MAX_CASES)
         return self
 
     @property
