@@ -12,7 +12,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from diffdrive_mpc.models.checked_yaml import ConfigError, Schema, check, laid_over, read_yaml
+from diffdrive_mpc.models.checked_yaml import ConfigError, Schema, check, merge_mappings, read_yaml
 from diffdrive_mpc.models.errors import wrong_type
 from diffdrive_mpc.models.trust import check_trusted
 
@@ -104,7 +104,7 @@ class EntryFile:
             As for `read`, or if a value is wrong.
         """
         values, where = self.read(name)
-        return check(schema, laid_over(base, values) if base and isinstance(values, Mapping) else values, where)
+        return check(schema, merge_mappings(base, values) if base and isinstance(values, Mapping) else values, where)
 
 
 @lru_cache
