@@ -215,7 +215,7 @@ def test_from_a_log_to_a_hybrid_that_a_controller_loads(quick, tmp_path):
     identification = identify(log, tmp_path / "map.yaml", "hybrid")
     report = identification.report
     assert report.as_json()["model"] == "hybrid"
-    assert "Parameters of the linear model beside a linear model with a network" in report.markdown()
+    assert "Parameters of the linear model in addition to a linear model with a network" in report.markdown()
     assert "chosen on held-out blocks" in report.markdown()
     refitted = report.fitted.predictor.refitted(report.data.validation, "gyro")
     assert isinstance(refitted, HybridModel)
