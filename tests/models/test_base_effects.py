@@ -23,7 +23,7 @@ from diffdrive_mpc.models.base_effects import (
 )
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification.effects import identify_with_effects
-from diffdrive_mpc.models.identification.effects.free_run import free_run, smoothed, two_lags
+from diffdrive_mpc.models.identification.effects.free_run import free_run, smooth_command, two_lags
 from diffdrive_mpc.models.identification.effects.pose_sensor import pose_sensor
 from diffdrive_mpc.models.identification.fit.fitting import fit, loses
 from diffdrive_mpc.models.identification.log_data import LogData
@@ -211,7 +211,7 @@ def test_relaxation_over_a_run_is_that_of_its_samples(rates, angle, strain):
 def test_smoothed_steps_stay_within_a_step_of_the_true_ones(v, omega):
     base = WheelCommand(track=0.5, resolution=0.02)
     twist = np.array([v, omega])
-    away = base.sides(smoothed(base, twist)) - base.sides(base.apply(twist))
+    away = base.sides(smooth_command(base, twist)) - base.sides(base.apply(twist))
     assert np.abs(away).max() < base.resolution
 
 

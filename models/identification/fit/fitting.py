@@ -11,7 +11,7 @@ import numpy as np
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification.effects import IdentifiedBase, identify_with_effects
-from diffdrive_mpc.models.identification.effects.free_run import free_run, sensed
+from diffdrive_mpc.models.identification.effects.free_run import free_run, sensor_experiments
 from diffdrive_mpc.models.identification.effects.settings import effect_settings
 from diffdrive_mpc.models.identification.fit.predictor import Finder, Predictor
 from diffdrive_mpc.models.identification.log_data import LogData
@@ -178,7 +178,7 @@ def loses(base: IdentifiedBase, plain: IdentifiedModel, records: Sequence[Record
         If the records are too short to hold blocks out.
     """
     experiments, settings = joined(twist_experiments(records, plain.yaw)), effect_settings()
-    measured = joined(sensed(records, plain.yaw))
+    measured = joined(sensor_experiments(records, plain.yaw))
     powers: list[FloatArray] = []
     for row in range(2):
         channel = [experiment.channel(row, row) for experiment in experiments]
