@@ -13,7 +13,7 @@ from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate, joined
 from diffdrive_mpc.models.output_error.statistics import sandwich
 
-_FEWEST_WINDOWS = 20
+_MIN_WINDOWS = 20
 _DELAY_STEP = 0.2
 """Grid step of the search for the delay, as a share of the sample time."""
 
@@ -47,7 +47,7 @@ def pose_sensor(records: Sequence[Record], point: Mapping[str, float]) -> Parame
     if delay is None:
         return None
     windows = [window for record in used for window in _windows(record, point, delay)]
-    if len(windows) < _FEWEST_WINDOWS:
+    if len(windows) < _MIN_WINDOWS:
         return None
     rows = np.array([window.rows for window in windows])
     moved = np.array([window.moved for window in windows])
@@ -85,7 +85,7 @@ def _delay(records: Sequence[Record], point: Mapping[str, float]) -> float | Non
             both = record.fresh_pose[second:] & record.fresh_pose[:-second]
             errors.append(np.abs(error[second:] - error[:-second])[both])
         pooled = np.concatenate(errors) if errors else np.empty(0)
-        if len(pooled) < _FEWEST_WINDOWS:
+        if len(pooled) < _MIN_WINDOWS:
             return None
         size = float(np.mean(pooled))
         if best is None or size < best[0]:

@@ -25,7 +25,7 @@ from diffdrive_mpc.models.identification.fit.pose_calibration import (
     ConstantTrack,
     at_the_rim,
     calibrate_wheels,
-    side_slid,
+    twist_with_side_slip,
 )
 from diffdrive_mpc.models.identification.log_data import LogData, most_informative
 from diffdrive_mpc.models.identification.settings import identification_settings
@@ -188,7 +188,7 @@ class TwoRadii(ConstantTrack):
         *radii, track, side_slip = coefficients
         v, difference = at_the_rim(1.0, wheels * np.array(radii))
         omega = difference / track
-        return side_slid(v, omega, side_slip)
+        return twist_with_side_slip(v, omega, side_slip)
 
 
 def _later(record: Record, lag: float) -> Record:
