@@ -1,4 +1,4 @@
-"""Robot models: velocity models, kinematics of wheels, body and pose, and identification from logs.
+"""Robot models: velocity models, kinematics of wheels and pose, and identification from logs.
 
 Names are imported on first use, so that loading a model does not import the log readers.
 """

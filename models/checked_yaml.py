@@ -21,28 +21,28 @@ from diffdrive_mpc.models.input_file import read_input
 from diffdrive_mpc.models.suggestions import suggestion
 from diffdrive_mpc.models.table import plain_line
 
-# Conversion of YAML text to plain values, with bounds: deep, huge or recursive documents are rejected before they are
-# built.
+# Conversion of YAML text to plain values, with bounds: documents that are too deep, too large or recursive are rejected
+# before they are built.
 
 
 try:
-    from yaml import CSafeLoader as SafeLoader  # ten times as quick
+    from yaml import CSafeLoader as SafeLoader  # ten times faster
 except ImportError:
     from yaml import SafeLoader  # type: ignore[assignment]
 
-DEEPEST = file_limits().yaml_depth
-"""Levels of lists and groups."""
-MOST_VALUES = file_limits().yaml_values
-"""Keys and values, those that aliases repeat counted each time."""
+MAX_DEPTH = file_limits().yaml_depth
+"""Maximum nesting depth of lists and groups."""
+MAX_VALUES = file_limits().yaml_values
+"""Maximum number of keys and values; values behind an alias count at each use."""
 
 _UNFIT = (LookupError, TypeError, AttributeError, ArithmeticError, ValueError)
-"""Exceptions of PyYAML, beside its own errors, for a tag whose value does not fit it."""
+"""Exceptions that PyYAML raises, in addition to its own, if a value does not fit its tag."""
 
 
 class _UniqueKeyLoader(SafeLoader):
-    """Safe YAML loader that refuses a key given twice: the second would silently win.
+    """Safe YAML loader that rejects duplicate keys, of which PyYAML silently keeps the last.
 
-    1e-3 is a number, as in YAML 1.2 and for editors; YAML 1.1 takes it for a word.
+    1e-3 is a number, as in YAML 1.2 and for editors; in YAML 1.1 it is a string.
     """
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
@@ -63,20 +63,18 @@ def _refuse_tag(_loader: _UniqueKeyLoader, node: yaml.Node) -> NoReturn:
     raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
 
 
-_LONGEST_NUMBER = 1000
-"""Largest number of characters of a number; YAML 1.1 reads 1:1:1 as base 60, which takes quadratic time for long
-numbers.
-"""
+_MAX_NUMBER_LENGTH = 1000
+"""Maximum number of characters of a number. YAML 1.1 reads 1:1:1 as base 60, in quadratic time."""
 
 
 def _add_bounded(kind: str) -> None:
-    """Let the loader refuse long numbers of this kind before it computes them."""
+    """Make the loader reject long numbers of this kind before it computes them."""
     tag = f"tag:yaml.org,2002:{kind}"
     construct = SafeLoader.yaml_constructors[tag]
 
     def bounded(loader: _UniqueKeyLoader, node: yaml.ScalarNode) -> object:
-        if len(node.value) > _LONGEST_NUMBER:
-            problem = f"a number of {len(node.value):,} characters, at most {_LONGEST_NUMBER:,} are read"
+        if len(node.value) > _MAX_NUMBER_LENGTH:
+            problem = f"a number of {len(node.value):,} characters, at most {_MAX_NUMBER_LENGTH:,} are read"
             raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
         return construct(loader, node)
 
@@ -97,8 +95,8 @@ def parse_yaml(text: str) -> Any:  # noqa: ANN401 - the schema gives it a type
     Raises
     ------
     yaml.YAMLError
-        If it is no YAML, has a key twice, is deeper than `DEEPEST`, holds more than `MOST_VALUES`, refers to itself, or
-        a value does not fit its tag.
+        If `text` is invalid YAML, repeats a key, is nested deeper than `MAX_DEPTH`, holds more than `MAX_VALUES`
+        values, refers to itself, or has a value that does not fit its tag.
     """
     return pickle.loads(_parsed(text))
 
@@ -113,10 +111,10 @@ def _parsed(text: str) -> bytes:
         raise yaml.YAMLError(f"a value does not fit its type: {error or type(error).__name__}") from error
 
 
-def parse_json(text: str | bytes) -> Any:  # noqa: ANN401 - who reads it checks its type
+def parse_json(text: str | bytes) -> Any:  # noqa: ANN401 - the caller checks its type
     """Parse `text` as JSON; raise ValueError if it is invalid, too large, or too deeply nested for Python."""
-    if len(text) > (most := file_limits().json_bytes):
-        raise ValueError(f"{len(text):,} bytes of JSON, at most {most:,} are read")
+    if len(text) > (limit := file_limits().json_bytes):
+        raise ValueError(f"{len(text):,} bytes of JSON, at most {limit:,} are read")
     try:
         return json.loads(text)
     except RecursionError as error:
@@ -124,20 +122,20 @@ def parse_json(text: str | bytes) -> Any:  # noqa: ANN401 - who reads it checks 
 
 
 class _Part:
-    """A list or a group that is being read: number of its values, depth, and names."""
+    """A list or a group that is being read: its anchor, number of values and depth."""
 
     def __init__(self, anchor: str | None) -> None:
         self.anchor = anchor
         self.values, self.depth = 1, 1
 
-    def take(self, values: int, depth: int) -> None:
-        """Include the content of the node."""
+    def add(self, values: int, depth: int) -> None:
+        """Add the number of values and the depth of a child node."""
         self.values += values
         self.depth = max(self.depth, depth + 1)
 
 
 def _check_bounds(text: str) -> None:
-    """Check the limits on the events of the parser, which builds nothing and does not recurse."""
+    """Check the limits on the parser's events; the parser builds nothing and does not recurse."""
     whole = _Part(None)
     open_parts, known = [whole], dict[str, _Part]()
     for event in yaml.parse(text, Loader=SafeLoader):
@@ -147,34 +145,34 @@ def _check_bounds(text: str) -> None:
             closed = open_parts.pop()
             if closed.anchor:
                 known[closed.anchor] = closed
-            open_parts[-1].take(closed.values, closed.depth)
+            open_parts[-1].add(closed.values, closed.depth)
         elif isinstance(event, yaml.AliasEvent):
             if any(part.anchor == event.anchor for part in open_parts):
-                raise _refused(f"'*{event.anchor}' refers to a value that contains it", event)
-            meant = known.get(event.anchor or "")
-            open_parts[-1].take(meant.values if meant else 1, meant.depth if meant else 0)
+                raise _bounds_error(f"'*{event.anchor}' refers to a value that contains it", event)
+            target = known.get(event.anchor or "")
+            open_parts[-1].add(target.values if target else 1, target.depth if target else 0)
         elif isinstance(event, yaml.ScalarEvent):
-            open_parts[-1].take(1, 0)
-        if len(open_parts) - 1 + open_parts[-1].depth - 1 > DEEPEST:
-            raise _refused(f"more than {DEEPEST} levels of lists and groups", event)
-        if open_parts[-1].values > MOST_VALUES:
-            raise _refused(f"more than {MOST_VALUES:,} values", event)
+            open_parts[-1].add(1, 0)
+        if len(open_parts) - 1 + open_parts[-1].depth - 1 > MAX_DEPTH:
+            raise _bounds_error(f"more than {MAX_DEPTH} levels of lists and groups", event)
+        if open_parts[-1].values > MAX_VALUES:
+            raise _bounds_error(f"more than {MAX_VALUES:,} values", event)
 
 
-def _refused(problem: str, event: yaml.Event) -> yaml.MarkedYAMLError:
-    mark: Any = event.start_mark  # of the parser in C or of that in Python; both have lines
+def _bounds_error(problem: str, event: yaml.Event) -> yaml.MarkedYAMLError:
+    mark: Any = event.start_mark  # of the C parser or the Python parser; both have lines
     return yaml.MarkedYAMLError(problem=problem, problem_mark=mark)
 
 
 _SHOWN = 100
-"""Characters of a wrong value or of a key that a message repeats."""
-_MOST_BITS = 1024
-_MOST_MISTAKES = 10
-"""Mistakes that a message lists."""
+"""Maximum number of characters of a value or a key in a message."""
+_MAX_BITS = 1024
+_MAX_MISTAKES = 10
+"""Maximum number of mistakes that a message lists."""
 
 
 class ConfigError(DiffdriveMpcError, ValueError):
-    """A parameter or configuration file cannot be used. The message is one line: place, mistakes, remedies."""
+    """Error for a parameter or configuration file that cannot be used: one line with place, mistakes and remedies."""
 
 
 class StrictModel(BaseModel):
@@ -187,13 +185,13 @@ Schema = TypeVar("Schema", bound=BaseModel)
 
 
 def read_yaml(path: str | Path) -> Any:  # noqa: ANN401 - the schema gives it a type
-    """Parse a YAML file of at most `MOST_VALUES` keys and values without executing anything in it.
+    """Parse a YAML file of at most `MAX_VALUES` keys and values without executing anything in it.
 
     Raises
     ------
     ConfigError
-        If the file is missing, unreadable, no regular file or too large; if it is no YAML, has a key twice, is too deep
-        or holds too much.
+        If the file is missing, unreadable, no regular file or too large; if its YAML is invalid, repeats a key, is
+        nested too deeply or holds too many values.
     """
     path = Path(path)
     try:
@@ -217,22 +215,24 @@ def load_checked(schema: type[Schema], path: str | Path) -> Schema:
     Raises
     ------
     ConfigError
-        With one line that names the file and for every mistake the key, the error and the correction.
+        If the file does not match; the message is one line that names the file and, for every mistake, the key, the
+        error and the correction.
     """
     return check(schema, read_yaml(path), str(path))
 
 
-def laid_over(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return `base` with the values of `changes` in place of its own, groups key by key."""
+def merge_mappings(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Merge `changes` into a copy of `base`; groups are merged key by key."""
     whole = dict(base)
     for key, value in changes.items():
-        under = whole.get(key)
-        whole[key] = laid_over(under, value) if isinstance(under, Mapping) and isinstance(value, Mapping) else value
+        base_value = whole.get(key)
+        both_groups = isinstance(base_value, Mapping) and isinstance(value, Mapping)
+        whole[key] = merge_mappings(base_value, value) if both_groups else value
     return whole
 
 
 def check(schema: type[Schema], data: object, where: str, shown: Callable[[str], str] = str) -> Schema:
-    """Check `data` against `schema`; `where` names its source in the error message, `shown` a dotted key.
+    """Check `data` against `schema`; in error messages `where` names its source, and `shown` formats a dotted key.
 
     Raises
     ------
@@ -246,22 +246,25 @@ def check(schema: type[Schema], data: object, where: str, shown: Callable[[str],
     try:
         return schema.model_validate(data)
     except SchemaError as error:
-        if "KeyboardInterrupt" in str(error):  # pydantic replaces it where Ctrl-C comes while it builds the schema
+        if "KeyboardInterrupt" in str(error):  # pydantic replaces a Ctrl-C that interrupts the schema build
             raise KeyboardInterrupt from error
         raise
     except ValidationError as error:
-        # Each sentence needs a search for similar keys, and nobody reads a thousand sentences.
+        # Each sentence needs a search for similar keys: limit the number of sentences.
         details = error.errors()
-        sentences = [_sentence(schema, detail, shown) for detail in details[: 3 * _MOST_MISTAKES]]
+        sentences = [_sentence(schema, detail, shown) for detail in details[: 3 * _MAX_MISTAKES]]
         raise ConfigError(mistakes(where, sentences, len(details) - len(sentences))) from error
 
 
 def mistakes(where: str, sentences: Sequence[str], more: int = 0) -> str:
-    """Format all mistakes of `where` in one line, numbered if there are several, and the count of `more` of them."""
+    """Format all mistakes of `where` in one numbered line, with the number of mistakes that are not listed.
+
+    `more` is the number of mistakes without a sentence.
+    """
     different = list(dict.fromkeys(sentences))
     if len(different) + more == 1:
         return f"{where}: {different[0]}"
-    listed = [f"({number}) {sentence}" for number, sentence in enumerate(different[:_MOST_MISTAKES], start=1)]
+    listed = [f"({number}) {sentence}" for number, sentence in enumerate(different[:_MAX_MISTAKES], start=1)]
     more += len(different) - len(listed)
     return f"{where}: {len(listed) + more} mistakes: {'; '.join(listed)}{f' (and {more} more)' if more else ''}"
 
@@ -283,7 +286,7 @@ def _sentence(schema: type[BaseModel], error: Any, shown: Callable[[str], str]) 
         near = get_close_matches(str(stated_value).lower(), re.findall(r"'([^']*)'", error["ctx"]["expected"]), 1)
         hint = f"; did you mean '{near[0]}'?" if near else ""
     plain = isinstance(stated_value, (int, float, str, bool, type(None)))
-    if isinstance(stated_value, int) and stated_value.bit_length() > _MOST_BITS:
+    if isinstance(stated_value, int) and stated_value.bit_length() > _MAX_BITS:
         plain = False  # Python prints no integer of thousands of digits
     value = f" (found {plain_line(repr(stated_value), _SHOWN)})" if plain else ""
     return f"{place}: {message}{value}{hint}" if place else message

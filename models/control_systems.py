@@ -14,16 +14,16 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.velocity_model import CHANNELS, ModelError, VelocityModel
 
 _ZERO = 1e-12
-"""Poles of a discrete system below this share of its norm are delays."""
+"""Share of its norm below which poles of a discrete system count as delays."""
 _ROUNDING = 1e-14
-"""Numerators of a discrete system below this are zero."""
+"""Coefficient below which a numerator of a discrete system counts as zero."""
 _SAME = 1e-9
-"""Impulse responses agree within this share of their largest value."""
+"""Relative tolerance of two impulse responses."""
 _REMEDY = "give a 2x2 control.TransferFunction or control.StateSpace, or two single-input ones for v and omega"
 
 
 class _StateSpace(NamedTuple):
-    """x' = A x + B u, y = C x; or x[k+1] where `dt` is above 0 [s]."""
+    """x' = A x + B u, y = C x; or x[k+1] in place of x' if the sample time `dt` [s] is positive."""
 
     A: FloatArray
     B: FloatArray
@@ -32,7 +32,7 @@ class _StateSpace(NamedTuple):
 
 
 def from_control(system: Any, dead_time: ArrayLike, name: str | None) -> VelocityModel:  # noqa: ANN401 - untyped package
-    """Make the model of `VelocityModel.from_control`."""
+    """Implement `VelocityModel.from_control`."""
     is_pair = isinstance(system, (list, tuple)) and len(system) == 2
     parts = list(system) if is_pair else [system]
     label = name or str(getattr(parts[0], "name", "control")).removesuffix("$converted")
@@ -43,20 +43,20 @@ def from_control(system: Any, dead_time: ArrayLike, name: str | None) -> Velocit
     A, B, C = (block_diag(*(space[i] for space in spaces)) for i in range(3))
     delay = np.zeros(2)
     if spaces[0].dt:
-        A, B, C, delay = _continuous(where, _StateSpace(A, B, C, spaces[0].dt))
+        A, B, C, delay = _continuous_system(where, _StateSpace(A, B, C, spaces[0].dt))
     try:
-        late = np.asarray(dead_time, dtype=float)
+        extra_delay = np.asarray(dead_time, dtype=float)
     except (TypeError, ValueError) as error:
         raise wrong_type("dead_time", "seconds", dead_time, "give 0.1, or (0.06, 0.04) for v and omega") from error
-    if late.shape not in ((), (2,)):
-        raise ModelError(f"{where}: dead_time has shape {late.shape}; give seconds for v and for omega")
+    if extra_delay.shape not in ((), (2,)):
+        raise ModelError(f"{where}: dead_time has shape {extra_delay.shape}; give seconds for v and for omega")
     source = {"origin": "python-control", "source": where}
-    return VelocityModel(label, "sm" if is_pair else "ssm", A, B, C, delay + late, source)
+    return VelocityModel(label, "sm" if is_pair else "ssm", A, B, C, delay + extra_delay, source)
 
 
 def to_control(model: VelocityModel, dt: float | None) -> Any:  # noqa: ANN401 - untyped package
-    """Make the system of `VelocityModel.to_control`."""
-    import control  # noqa: PLC0415 - loads slowly, and matplotlib with it
+    """Implement `VelocityModel.to_control`."""
+    import control  # noqa: PLC0415 - loads slowly, with matplotlib
 
     labels: dict[str, Any] = {
         "inputs": [f"{channel}_ref" for channel in CHANNELS],
@@ -84,7 +84,7 @@ def to_control(model: VelocityModel, dt: float | None) -> Any:  # noqa: ANN401 -
 
 
 def _state_space(where: str, system: Any, size: int) -> _StateSpace:  # noqa: ANN401
-    """State space of a system with `size` inputs and outputs."""
+    """Return the state space of a system with `size` inputs and outputs; raise ModelError if it is unsuitable."""
     kind = type(system).__name__ if type(system).__module__.partition(".")[0] == "control" else ""
     if kind not in ("TransferFunction", "StateSpace"):
         raise wrong_type("VelocityModel.from_control", "a linear system of python-control", system, _REMEDY)
@@ -95,32 +95,32 @@ def _state_space(where: str, system: Any, size: int) -> _StateSpace:  # noqa: AN
     if kind == "StateSpace":
         A, B, C, D = (np.array(getattr(system, matrix), dtype=float) for matrix in "ABCD")
     else:
-        A, B, C, D = _realised(where, system)
+        A, B, C, D = _realise(where, system)
     if np.abs(D).max(initial=0.0) > _ZERO:
         raise ModelError(
-            f"{where}: its output jumps with its input (D = {np.abs(D).max():.3g}), which no robot's speed does; "
+            f"{where}: the output jumps with the input (D = {np.abs(D).max():.3g}), unlike the speed of a robot; "
             "give numerators of lower degree than the denominators"
         )
     return _StateSpace(A, B, C, float(system.dt or 0.0))
 
 
-def _realised(where: str, system: Any) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:  # noqa: ANN401
+def _realise(where: str, system: Any) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:  # noqa: ANN401
     """Realise a transfer function as A, B, C, D; outputs with one denominator share the states of their input."""
     blocks, inputs, outputs = [], [], []
     D = np.zeros((system.noutputs, system.ninputs))
     # Coefficients in z are of order one: smaller ones are rounding errors of a conversion.
-    least = _ROUNDING if system.dt else 0.0
+    tolerance = _ROUNDING if system.dt else 0.0
     for j in range(system.ninputs):
         shared: dict[tuple[float, ...], FloatArray] = {}
         for i in range(system.noutputs):
-            numerator, denominator = _cancelled(*(np.real(side[i][j]) for side in (system.num, system.den)))
+            numerator, denominator = _cancel_common_factors(*(np.real(side[i][j]) for side in (system.num, system.den)))
             n = len(denominator) - 1
             if len(numerator) > n + 1:
                 raise ModelError(f"{where}: a numerator of higher degree than its denominator cannot be a robot's")
             numerator = np.pad(numerator, (n + 1 - len(numerator), 0)) / denominator[0]
             denominator = denominator / denominator[0]
             D[i, j] = numerator[0]
-            if np.abs(numerator).max() > least and n:
+            if np.abs(numerator).max() > tolerance and n:
                 rows = shared.setdefault(tuple(denominator), np.zeros((system.noutputs, n)))
                 rows[i] = (numerator - numerator[0] * denominator)[1:]
         for coefficients, rows in shared.items():
@@ -133,32 +133,32 @@ def _realised(where: str, system: Any) -> tuple[FloatArray, FloatArray, FloatArr
     return block_diag(*blocks), np.vstack(inputs), np.hstack(outputs), D
 
 
-def _cancelled(numerator: FloatArray, denominator: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _cancel_common_factors(numerator: FloatArray, denominator: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Cancel leading zeros and common factors z (or s) of the coefficients."""
     both = [np.trim_zeros(side, "f") for side in (numerator, denominator)]
     common = min(len(side) - len(np.trim_zeros(side, "b")) for side in both)
     return both[0][: len(both[0]) - common], both[1][: len(both[1]) - common]
 
 
-def _continuous(where: str, sampled: _StateSpace) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def _continuous_system(where: str, sampled: _StateSpace) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return A, B, C of the continuous system with this zero-order-hold sampling, and its dead time (2,) [s]."""
     count = 2 * len(sampled.A) + 2
     response = _impulse_response(sampled.A, sampled.B, sampled.C, count)
     size = np.abs(response).max()
-    answered = (np.abs(response) > _ZERO * size).any(axis=1)
-    if not answered.any(axis=0).all():
+    is_nonzero = (np.abs(response) > _ZERO * size).any(axis=1)
+    if not is_nonzero.any(axis=0).all():
         raise ModelError(f"{where}: an input moves no output")
-    delay = answered.argmax(axis=0)
-    A, B, C = _without_delays(sampled, delay)
+    delay = is_nonzero.argmax(axis=0)
+    A, B, C = _remove_delays(sampled, delay)
     poles = np.linalg.eigvals(A)
-    worst = poles[np.argmax(np.abs(poles))] if poles.size else 1.0
-    if not abs(worst) < 1:
-        raise ModelError(f"{where}: unstable, pole at z = {worst:.4g}; every pole must lie inside the unit circle")
+    outermost = poles[np.argmax(np.abs(poles))] if poles.size else 1.0
+    if not abs(outermost) < 1:
+        raise ModelError(f"{where}: unstable, pole at z = {outermost:.4g}; every pole must lie inside the unit circle")
     negative = poles[(poles.imag == 0) & (poles.real < 0)]
     if negative.size:
         raise ModelError(
-            f"{where}: pole at z = {negative[0].real:.4g}; no continuous system has a negative one under a "
-            "zero-order hold: identify it again, with a lower order"
+            f"{where}: pole at z = {negative[0].real:.4g}; no continuous system has a negative pole under a "
+            "zero-order hold: identify the system again, with a lower order"
         )
     with warnings.catch_warnings():
         # Results of an inaccurate logarithm are rejected below.
@@ -166,40 +166,40 @@ def _continuous(where: str, sampled: _StateSpace) -> tuple[FloatArray, FloatArra
         continuous = np.real(logm(A)) / sampled.dt
     B = np.linalg.solve(A - np.eye(len(A)), continuous @ B)
     n = len(A)
-    again = expm(np.block([[continuous, B], [np.zeros((2, n + 2))]]) * sampled.dt)
-    undelayed = _impulse_response(again[:n, :n], again[:n, n:], C, count)
+    resampled = expm(np.block([[continuous, B], [np.zeros((2, n + 2))]]) * sampled.dt)
+    undelayed = _impulse_response(resampled[:n, :n], resampled[:n, n:], C, count)
     for j in (0, 1):
-        late = np.pad(undelayed[..., j], ((int(delay[j]), 0), (0, 0)))[:count]
-        if np.abs(late - response[..., j]).max() > _SAME * size:
+        delayed = np.pad(undelayed[..., j], ((int(delay[j]), 0), (0, 0)))[:count]
+        if np.abs(delayed - response[..., j]).max() > _SAME * size:
             raise ModelError(
-                f"{where}: its poles at or near z = 0 are no delay of whole samples, the same for both outputs; give "
-                "the continuous system, and dead_time="
+                f"{where}: the poles at or near z = 0 are not a whole number of samples of delay that both outputs "
+                "share; give the continuous system, and dead_time="
             )
     return continuous, B, C, delay * sampled.dt
 
 
-def _without_delays(sampled: _StateSpace, delay: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _remove_delays(sampled: _StateSpace, delay: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return A, B, C of the system whose inputs act `delay` (2,) samples earlier, without delay states."""
     A, Q, n = sampled.A.copy(), np.eye(len(sampled.A)), len(sampled.A)
-    least = _ZERO * np.linalg.norm(A)
+    tolerance = _ZERO * np.linalg.norm(A)
     k = 0
     while k < n:
         # States that no other state drives are pending commands: each round removes one sample of delay.
         left, singular, _ = np.linalg.svd(A[k:, k:])
-        rank = int((singular > least).sum())
+        rank = int((singular > tolerance).sum())
         if rank == n - k:
             break
-        turn = np.hstack([left[:, rank:], left[:, :rank]])
-        A[:, k:] = A[:, k:] @ turn
-        A[k:] = turn.T @ A[k:]
-        Q[:, k:] = Q[:, k:] @ turn
+        basis = np.hstack([left[:, rank:], left[:, :rank]])
+        A[:, k:] = A[:, k:] @ basis
+        A[k:] = basis.T @ A[k:]
+        Q[:, k:] = Q[:, k:] @ basis
         k = n - rank
-    arrived = [np.linalg.matrix_power(sampled.A, int(late)) @ b for late, b in zip(delay, sampled.B.T, strict=True)]
-    return A[k:, k:], Q[:, k:].T @ np.column_stack(arrived), sampled.C @ Q[:, k:]
+    columns = [np.linalg.matrix_power(sampled.A, int(steps)) @ b for steps, b in zip(delay, sampled.B.T, strict=True)]
+    return A[k:, k:], Q[:, k:].T @ np.column_stack(columns), sampled.C @ Q[:, k:]
 
 
 def _impulse_response(A: FloatArray, B: FloatArray, C: FloatArray, count: int) -> FloatArray:
-    """Compute (count, 2, 2) values of the impulse response from sample 1 on."""
+    """Compute the impulse response (count, 2, 2), starting at sample 1."""
     values = np.empty((count, 2, 2))
     for k in range(count):
         values[k] = C @ B

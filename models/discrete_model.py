@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from diffdrive_mpc.models.interface import FloatArray
 
-# A dead time this close to a whole number of samples counts as whole: it came from rounded decimals.
+# Tolerance [samples] within which a dead time counts as a whole number of samples: decimals are rounded.
 _WHOLE = 1e-9
 
 
@@ -17,13 +17,13 @@ _WHOLE = 1e-9
 class DiscreteModel:
     """x[k+1] = A x[k] + B0 u[k - delay] + B1 u[k - delay - 1],  y[k] = C x[k].
 
-    Column j of B0 and B1 acts on input j delayed by its own `delay[j]` samples; B1 carries the part of the sample in
-    which the older command is still at work.
+    Column j of B0 and B1 acts on input j, delayed by `delay[j]` samples; B1 belongs to the part of the sample in which
+    the older command still acts.
 
     Attributes
     ----------
     A, B0, B1, C, D
-        (n, n), (n, 2), (n, 2), (2, n), (2, 2). D is zero: no robot's velocity jumps with its command.
+        (n, n), (n, 2), (n, 2), (2, n), (2, 2). D is zero: the velocity of a robot does not jump with its command.
     delay
         (2,) whole samples.
     dt
@@ -45,7 +45,7 @@ class DiscreteModel:
 
     @property
     def memory(self) -> int:
-        """Number of past commands that still act on the future: max(delay) + 1."""
+        """Number of past commands that still act on future states: max(delay) + 1."""
         return int(self.delay.max()) + 1
 
     @property
@@ -60,7 +60,7 @@ class DiscreteModel:
 
     @property
     def dc_gain(self) -> FloatArray:
-        """(2, 2) steady-state gain; that of the continuous model."""
+        """(2, 2) steady-state gain, equal to that of the continuous model."""
         return np.asarray(self.C @ np.linalg.solve(np.eye(self.order) - self.A, self.B0 + self.B1))
 
     def effective_inputs(self, commands: FloatArray, past: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -78,9 +78,9 @@ class DiscreteModel:
         tuple
             Two arrays (K, 2): u[k - delay] and u[k - delay - 1].
         """
-        line = np.vstack([past, commands])
+        history = np.vstack([past, commands])
         rows = np.arange(len(commands))[:, None] + self.memory - self.delay
-        return line[rows, [0, 1]], line[rows - 1, [0, 1]]
+        return history[rows, [0, 1]], history[rows - 1, [0, 1]]
 
     def settled_state(self, command: ArrayLike) -> FloatArray:
         """Compute the steady state (n,) under the constant `command` (2,)."""
@@ -90,7 +90,7 @@ class DiscreteModel:
     def simulate(
         self, commands: ArrayLike, state: ArrayLike | None = None, past: ArrayLike | None = None
     ) -> FloatArray:
-        """Free run from commands alone.
+        """Simulate the response to commands.
 
         Parameters
         ----------
@@ -139,7 +139,7 @@ def zero_order_hold(A: FloatArray, B: FloatArray, C: FloatArray, dead_time: Floa
     rest = np.maximum(dead_time - delay * dt, 0.0)
     rest[rest < _WHOLE * dt] = 0.0
     n = len(A)
-    # The inputs as states that stay: one exponential holds the sampled A and B (Van Loan, IEEE TAC 23(3), 1978).
+    # With constant inputs as extra states, one exponential holds sampled A and B (Van Loan, IEEE TAC 23(3), 1978).
     extended = np.zeros((n + 2, n + 2))
     extended[:n] = np.hstack([A, B])
     whole = expm(dt * extended)[:n]

@@ -1,4 +1,4 @@
-"""Doubts about a log or a model, and their relevance for driving: one definition for each kind."""
+"""Doubts about a log or a model, and their relevance for driving, defined once for each kind."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ class DoubtRelevance:
     Attributes
     ----------
     matters
-        Yes or no.
+        True if the doubt is relevant.
     why
-        In few words.
+        Reason, in a few words.
     """
 
     matters: bool
@@ -36,15 +36,15 @@ def _no(why: str) -> DoubtRelevance:
     return DoubtRelevance(False, why)
 
 
-_ROBOT = _yes("the model would be of no robot")
+_ROBOT = _yes("the model would describe no real robot")
 _SCALE = _yes("a speed would be wrong by a factor")
 _SIGN = _yes("the robot would be steered the wrong way")
-_LATE = _yes("the dead time would be wrong by as much")
+_LATE = _yes("the dead time would be wrong by the same amount")
 _LEFT_OUT = _no("the rest of the log is used")
-_UNKNOWN = _yes("what was not driven is not known")
+_UNKNOWN = _yes("the response to motions that were not driven is unknown")
 
 VERDICTS: Mapping[str, DoubtRelevance] = {
-    # Of logs: kinds of `models.logs.Finding`.
+    # Doubts about logs: kinds of `models.logs.Finding`.
     "NaN rows": _LEFT_OUT,
     "time stands still": _LEFT_OUT,
     "time backwards": _LEFT_OUT,
@@ -68,9 +68,9 @@ VERDICTS: Mapping[str, DoubtRelevance] = {
     "reversed wheel": _SIGN,
     "swapped sides": _SIGN,
     "mirrored pose": _SIGN,
-    "late sensor": _no("`identify` puts it right"),
-    "scaled sensor": _no("`identify` puts it right"),
-    "turned pose": _yes("where the robot drives would be told beside its path"),
+    "late sensor": _no("`identify` corrects it"),
+    "scaled sensor": _no("`identify` corrects it"),
+    "turned pose": _yes("the reported position would be off the driven path"),
     "order change": _SIGN,
     "dead readings": _SCALE,
     "second publisher": _ROBOT,
@@ -80,7 +80,7 @@ VERDICTS: Mapping[str, DoubtRelevance] = {
     "curved command": _yes("the robot would drive small commands slower than the model says"),
     "scaled poses": _yes("lengths in the map are not those on the floor"),
     "slipping wheels": _yes("on another floor the robot would drive much faster than the model says"),
-    "gain drift": _yes("the robot may drive faster or slower than the model says"),
+    "gain drift": _yes("the robot may drive faster or slower than predicted"),
     "rectified sensor": _SIGN,
     "clipped sensor": _SCALE,
     "filtered sensor": _LATE,
@@ -89,50 +89,50 @@ VERDICTS: Mapping[str, DoubtRelevance] = {
     "rounded command": _SCALE,
     "wrong sign": _SIGN,
     "no response": _ROBOT,
-    "weak response": _yes("little of what the robot does is known"),
+    "weak response": _yes("the log shows little of the robot's motion"),
     "constant input": _UNKNOWN,
     "little excitation": _UNKNOWN,
-    "saturation": _yes("beyond its limit the robot may do less than it is told"),
-    # Of estimates.
+    "saturation": _yes("beyond the limit the robot may not follow its command"),
+    # Doubts about estimates.
     "second lag": _no("one lag is enough"),
     "divided lag": _no("dead time and lag are right together"),
     "equal lags": _no("together they predict the same"),
     "lag": _yes("how late the robot answers is not known"),
-    "gain": _yes("the robot may drive faster or slower than the model says"),
-    "track": _yes("the robot may turn faster or slower than the model says"),
-    "limit": _yes("keep away from that limit"),
-    "dead time": _yes("the robot may answer later than the model says"),
+    "gain": _yes("the robot may drive faster or slower than predicted"),
+    "track": _yes("the robot may turn faster or slower than predicted"),
+    "limit": _yes("stay below that limit"),
+    "dead time": _yes("the robot may respond later than predicted"),
     "no dead time": _no("dead time and lag are right together"),
     "told together": _no("together they predict the same"),
-    "prior kept": _no("where the log did not show it, the robot does not do it"),
+    "prior kept": _no("the log shows no sign of it"),
     "pose calibration": _no("the controller does not use it"),
-    "effect": _yes("drive gently until another log tells it"),
-    "unseen effects": _no("the model of what the encoders see is complete"),
-    "unknown track": _no("the model around it is complete"),
+    "effect": _yes("drive gently until another log determines it"),
+    "unseen effects": _no("the model of the encoder readings is complete"),
+    "unknown track": _no("the rest of the model is complete"),
     "effects left out": _no("the plain model is as good"),
     "network left out": _no("the linear model is as good"),
     # Doubts about scores, and about missing parts of a log.
-    "low FIT": _yes("the controller would trust a poor prediction"),
-    "FIT falls": _yes("on another drive it may be worse still"),
-    "missed dynamics": _no("FIT counts what is missed, and feedback corrects it"),
+    "low FIT": _yes("the controller would rely on a poor prediction"),
+    "FIT falls": _yes("on another drive FIT may be lower still"),
+    "missed dynamics": _no("FIT includes the missing dynamics, and feedback corrects them"),
     "no gyro": _yes("the controller would turn the robot too little"),
-    "no wheels": _yes("limits of the wheels are those of another robot"),
+    "no wheels": _yes("the wheel limits are those of another robot"),
     "pose point": _yes("the controller would take the distance for side-slip"),
-    "failed drive": _yes("mend it before the robot drives that path"),
+    "failed drive": _yes("correct it before the robot drives that path"),
 }
-"""By kind of `Doubt`, and of every finding that is more than a note."""
+"""Relevance by kind of `Doubt`, and by kind of every finding more severe than a note."""
 
 
 @dataclass(frozen=True)
 class Doubt:
-    """Something that a model is not to be trusted for.
+    """Reason not to rely on a part of a model.
 
     Attributes
     ----------
     kind
         A key of `VERDICTS`.
     words
-        What, in a sentence without a full stop.
+        Description, a sentence without a full stop.
     """
 
     kind: str
@@ -144,14 +144,14 @@ class Doubt:
         return VERDICTS[self.kind]
 
     def about(self, label: str) -> Doubt:
-        """Name the part of the model that the doubt is about."""
+        """Return the doubt with `label`, the part of the model that it concerns, in front."""
         return Doubt(self.kind, f"{label}: {self.words}")
 
     def __str__(self) -> str:
-        """Format the doubt in one line, relevance included."""
+        """Format the doubt and its relevance in one line."""
         return escaped(f"{self.words} ({self.verdict})")
 
 
 def lines(doubts: Iterable[Doubt]) -> tuple[str, ...]:
-    """Format doubts for files and the screen."""
+    """Format each doubt as a line."""
     return tuple(map(str, doubts))

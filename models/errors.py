@@ -7,28 +7,28 @@ from typing import Any
 
 from diffdrive_mpc.models.table import escaped
 
-_LONGEST_VALUE = 40
-"""Characters of a value that a message repeats."""
-_LONGEST = 4000
-"""Characters of a message."""
+_MAX_VALUE_LENGTH = 40
+"""Maximum number of characters of a value in a message."""
+_MAX_LENGTH = 4000
+"""Maximum number of characters of a message."""
 
 
-def _shown(message: str) -> str:
-    text = escaped(re.sub(r"\s*\n\s*", " ", message[:_LONGEST]))
-    return text if len(text) <= _LONGEST and len(message) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
+def _one_line(message: str) -> str:
+    text = escaped(re.sub(r"\s*\n\s*", " ", message[:_MAX_LENGTH]))
+    return text if len(text) <= _MAX_LENGTH and len(message) <= _MAX_LENGTH else f"{text[: _MAX_LENGTH - 3]}..."
 
 
 class DiffdriveMpcError(Exception):
-    """Error of the project itself; its message is one line: place, mistake, remedy.
+    """Base of the project's errors; the message is one line: place, mistake, remedy.
 
-    Most of its kinds are a ValueError or a RuntimeError too. An argument that only a programming error can cause (the
-    wrong shape of an array) raises a plain ValueError instead.
+    Most subclasses are also a ValueError or a RuntimeError. An argument that only a programming error can cause, such
+    as an array of the wrong shape, raises a plain ValueError instead.
 
     Names in a message may come from untrusted files: control characters are escaped.
     """
 
     def __init__(self, *parts: object) -> None:
-        super().__init__(*(_shown(part) if isinstance(part, str) else part for part in parts))
+        super().__init__(*(_one_line(part) if isinstance(part, str) else part for part in parts))
 
 
 class MissingPackageError(DiffdriveMpcError, ImportError):
@@ -36,23 +36,23 @@ class MissingPackageError(DiffdriveMpcError, ImportError):
 
 
 class FormerNameWarning(UserWarning):
-    """A file states something under a name that it had in an earlier version; it is read all the same."""
+    """Warning for a file that uses the name of an earlier version; the file is still read."""
 
     def __init__(self, message: str = "") -> None:
-        super().__init__(_shown(message))
+        super().__init__(_one_line(message))
 
 
 class ArgumentError(DiffdriveMpcError, TypeError):
-    """An argument has a type that cannot be used. One line: argument, expected type, actual type, how to make it."""
+    """Error for an argument of an unusable type: one line with argument, expected type, actual type and remedy."""
 
 
 def wrong_type(argument: str, expected: str, value: object, remedy: str) -> ArgumentError:
-    """Make the error for `value`, which arrived as `argument` where something else is expected."""
-    return ArgumentError(f"{argument}: expected {expected}, got {described(value)}; {remedy}")
+    """Build the error for a `value` of `argument` that has another type than `expected`."""
+    return ArgumentError(f"{argument}: expected {expected}, got {describe_type(value)}; {remedy}")
 
 
 def checked_number(argument: str, value: object, remedy: str) -> float:
-    """Return `value` as a float; raise ArgumentError if it is a text or no number at all."""
+    """Return `value` as a float; raise ArgumentError if it is a string or cannot be converted."""
     try:
         if not isinstance(value, (str, bytes)):
             return float(value)  # type: ignore[arg-type]
@@ -61,8 +61,8 @@ def checked_number(argument: str, value: object, remedy: str) -> float:
     raise wrong_type(argument, "a number", value, remedy)
 
 
-def described(value: object) -> str:
-    """Describe the type of a value, with its shape or, if it is short, the value."""
+def describe_type(value: object) -> str:
+    """Describe the type of a value, with its shape or, if short, the value itself."""
     if value is None:
         return "None"
     if isinstance(value, type):
@@ -74,14 +74,14 @@ def described(value: object) -> str:
     if isinstance(shape, tuple):
         return f"{name} of shape {shape}"
     text = repr(value)
-    return f"{name} {text}" if package == "builtins" and len(text) <= _LONGEST_VALUE and "<" not in text else name
+    return f"{name} {text}" if package == "builtins" and len(text) <= _MAX_VALUE_LENGTH and "<" not in text else name
 
 
-# pandas, loaded where rows become a table and nowhere else.
+# pandas is loaded only by functions that build a table of rows.
 
 
 def load_pandas(wanted_by: str) -> Any:  # noqa: ANN401 - a module
-    """Import pandas for `wanted_by`; raises MissingPackageError where it is not installed."""
+    """Import pandas for the function `wanted_by`; raise MissingPackageError if it is not installed."""
     try:
         import pandas as pd  # noqa: PLC0415 - loads slowly
     except ImportError as error:

@@ -1,4 +1,4 @@
-"""Largest sizes that are read from files, so that no file fills the memory."""
+"""Maximum sizes that are read from files, so that no file exhausts the memory."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import yaml
 
 @dataclass(frozen=True)
 class FileLimits:
-    """Limits by name; `file_limits.yaml` states unit and reason of each."""
+    """Limits by name; `file_limits.yaml` states the unit and the reason of each limit."""
 
     yaml_bytes: int
     yaml_depth: int
@@ -36,6 +36,6 @@ class FileLimits:
 
 @cache
 def file_limits() -> FileLimits:
-    """Load the shipped limits, without `checked_yaml`, which itself needs them."""
+    """Load the shipped limits; `checked_yaml` is not used here because it needs them."""
     text = Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8")
     return FileLimits(**yaml.safe_load(text))

@@ -1,4 +1,4 @@
-"""Structures of velocity models that plug-ins bring: functions, where `models.structures` has matrices."""
+"""Velocity model structures from plug-ins: defined by functions, whereas `models.structures` uses matrices."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FunctionStructure:
-    """One structure. Listing names imports none of the named modules.
+    """One structure. Modules are named and imported on use, so that listing structures imports none.
 
     Attributes
     ----------
@@ -28,28 +28,28 @@ class FunctionStructure:
     name
         Name of the shipped model and of the structure in `identify --structure`.
     title
-        For tables.
+        Title in tables.
     rank
-        Place among the others, the simplest first: a later one must predict better by more than chance.
+        Rank by complexity, the simplest first: a structure of higher rank must predict significantly better.
     package
-        In which the following are, each as "module:name".
+        Package of the objects below, each named as "module:name".
     loader
-        A function of the path of a parameter file and its content; returns the model.
+        Function of the path of a parameter file and its content; returns the model.
     file
         Schema of the parameter files, a pydantic model.
     finder_function
         Function that identifies such a model from a log, a `Finder`.
     check
-        Function that raises MissingPackageError where a package that the finder needs is not installed; empty for
-        nothing.
+        Function that raises MissingPackageError if a package that the finder needs is not installed; empty for no
+        check.
     shipped
-        Parameter file of its shipped model, if it exists.
+        Parameter file of the shipped model, if there is one.
     config
-        Configuration of a controller with that model, if it exists; `load_config` reads it by `name`.
+        Configuration of a controller with that model, if there is one; `load_config` reads it by `name`.
     robots
         Parameter files of named robots; a model is loaded by the stem of its file.
     slow
-        Whether it is slow: then a comparison leaves it out unless it is named.
+        Whether identification is slow: a comparison then skips the structure unless it is named.
     """
 
     structure: str
@@ -68,28 +68,28 @@ class FunctionStructure:
 
     def load(self, path: Path, data: Any) -> NonlinearModel:  # noqa: ANN401 - what a YAML file may hold
         """Load the model of the parameter file at `path` with the content `data`; raise ConfigError or ModelError."""
-        model: NonlinearModel = self._named(self.loader)(path, data)
+        model: NonlinearModel = self._import(self.loader)(path, data)
         return model
 
     def schema(self) -> type[BaseModel]:
-        """Return the schema of its parameter files."""
-        schema: type[BaseModel] = self._named(self.file)
+        """Return the schema of the structure's parameter files."""
+        schema: type[BaseModel] = self._import(self.file)
         return schema
 
     def finder(self) -> Finder:
-        """Return the finder of such a model in a log; raise MissingPackageError without its dependencies."""
+        """Return the function that identifies the model; raise MissingPackageError if a dependency is missing."""
         if self.check:
-            self._named(self.check)()
-        finder: Finder = self._named(self.finder_function)
+            self._import(self.check)()
+        finder: Finder = self._import(self.finder_function)
         return finder
 
-    def _named(self, place: str) -> Any:  # noqa: ANN401 - each place holds something else
+    def _import(self, place: str) -> Any:  # noqa: ANN401 - objects of different types
         module, _, name = place.partition(":")
         return getattr(import_module(f"{self.package}.{module}"), name)
 
 
 def function_structures() -> Mapping[str, FunctionStructure]:
-    """Return all structures by the name in their files, the simplest first."""
+    """Return all structures by the name in their parameter files, the simplest first."""
     return {
         structure.structure: structure
         for structure in sorted(plug_ins("structures"), key=lambda structure: structure.rank)

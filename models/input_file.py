@@ -1,4 +1,4 @@
-"""Files that a user names: read only from regular files, with a size limit."""
+"""Input files named by the user: only regular files are read, with a size limit."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from contextvars import ContextVar
 from io import BufferedReader
 from pathlib import Path
 
-# Input files of a command, none of which may be an output.
+# Record of the input files of a command, which must not be overwritten by its outputs.
 
 
 _Identity = tuple[int, int]
-"""Device and number on it: the same under every name, by links of both kinds and in either case of letters."""
-_READ: ContextVar[dict[_Identity, Path] | None] = ContextVar("files that are read, and where they lay", default=None)
+"""Device and inode number: independent of the file name, of links, and of case-insensitive file systems."""
+_READ: ContextVar[dict[_Identity, Path] | None] = ContextVar("paths of the files that were read", default=None)
 
 
 @contextmanager
 def reading(named: Iterable[str | Path] = ()) -> Iterator[None]:
-    """Record the files that are read inside the context, and the existing ones of `named` from its start."""
+    """Record the files that are read inside the context, and from its start the existing files among `named`."""
     token = _READ.set({})
     try:
         for path in named:
-            with suppress(OSError, ValueError):  # no such file, or no name of one
+            with suppress(OSError, ValueError):  # the file is missing or the name invalid
                 if Path(path).is_file():
                     remember(Path(path).stat(), path)
         yield
@@ -34,7 +34,7 @@ def reading(named: Iterable[str | Path] = ()) -> Iterator[None]:
 
 
 def remember(file: os.stat_result, path: str | Path) -> None:
-    """Take note that a file is read, opened at `path`; outside of `reading` none are recorded."""
+    """Record that the file at `path` is read; do nothing outside `reading`."""
     files = _READ.get()
     if files is not None:
         files[_identity(file)] = Path(path).absolute()
@@ -47,7 +47,7 @@ def is_read(path: Path) -> bool:
         return False
     try:
         identity = _identity(path.stat())
-        # The number of a file that is gone may be another one's by now.
+        # The inode number of a deleted file may belong to a new file.
         return identity in files and _identity(files[identity].stat()) == identity
     except OSError:
         return False
@@ -59,18 +59,18 @@ def _identity(file: os.stat_result) -> _Identity:
 
 MEGABYTE = 1_000_000
 _LFS_POINTER = b"version https://git-lfs"
-"""First bytes of the text that Git LFS leaves in place of a file that was not fetched."""
+"""First bytes of the text that Git LFS stores in place of a file that was not fetched."""
 
 
 def open_input(path: Path) -> BufferedReader:
-    """Open a regular file for reading; a pipe or a device, which may never end or never begin, is refused.
+    """Open a regular file for reading; refuse pipes and devices, which may block or never end.
 
     Raises
     ------
     OSError
-        If it is no regular file, cannot be opened, or was not fetched by Git LFS.
+        If the file is not regular, cannot be opened, or was not fetched by Git LFS.
     """
-    # Open without waiting for a writer of a pipe, and check the opened file itself.
+    # Open without waiting for a pipe's writer, and check the opened file rather than its name.
     handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0))
     try:
         state = os.fstat(handle)
@@ -90,8 +90,8 @@ def open_input(path: Path) -> BufferedReader:
     return file
 
 
-def read_input(path: Path, most: int) -> bytes:
-    """Read a regular file of at most `most` bytes.
+def read_input(path: Path, max_bytes: int) -> bytes:
+    """Read a regular file of at most `max_bytes` bytes.
 
     Raises
     ------
@@ -99,8 +99,8 @@ def read_input(path: Path, most: int) -> bytes:
         As for `open_input`, or if the file is larger.
     """
     with open_input(path) as file:
-        # Allocate at most the size of the file; special files may report none, and then less is read.
-        content = file.read(min(most, os.fstat(file.fileno()).st_size) + 1)
-    if len(content) > most:
-        raise OSError(errno.EFBIG, f"it is larger than {most / MEGABYTE:g} MB, the most that is read")
+        # Allocate at most the size of the file; a special file may report size 0 and is then read only in part.
+        content = file.read(min(max_bytes, os.fstat(file.fileno()).st_size) + 1)
+    if len(content) > max_bytes:
+        raise OSError(errno.EFBIG, f"it is larger than the limit of {max_bytes / MEGABYTE:g} MB")
     return content

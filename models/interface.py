@@ -1,4 +1,4 @@
-"""The types and protocols that `mpc` and `sim` share, so that neither needs to import the other.
+"""Types and protocols that `mpc` and `sim` share, so that neither imports the other.
 
 Frames follow REP 103: x forward, y left, yaw counter-clockwise. Units are SI throughout.
 """
@@ -15,21 +15,21 @@ from diffdrive_mpc.models.errors import wrong_type
 
 FloatArray = NDArray[np.float64]
 AnyArray = NDArray[Any]
-"""Real, or complex in complex-step derivatives."""
+"""Array of real numbers, or of complex numbers in complex-step derivatives."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stamped:
-    """A measured value together with the time it is valid for.
+    """A measured value with the time for which it is valid.
 
     Attributes
     ----------
     value
-        The measured value; its shape is fixed by the field of `Measurement` that holds it.
+        The measured value; the field of `Measurement` defines its shape.
     time
-        The instant the value describes [s], on the clock of the controller (not the time it arrived).
+        Time of validity (not of arrival) [s], on the clock of the controller.
     covariance
-        Covariance of the value, (k, k), or None where the sensor states none.
+        Covariance of the value, (k, k); None if the sensor states none.
     """
 
     value: ArrayLike
@@ -39,7 +39,7 @@ class Stamped:
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """Measurements since the last control tick; None means no new one.
+    """Measurements since the last control tick; None if there is no new measurement.
 
     Attributes
     ----------
@@ -48,17 +48,17 @@ class Measurement:
     wheel_twist
         (2,) v [m/s] and omega [rad/s] from the encoders and the geometric track.
     yaw_rate
-        () yaw rate of the gyro [rad/s]. On a skid-steer it differs from the wheels' by the yaw gain.
+        () yaw rate of the gyro [rad/s]. On a skid-steered robot it differs from that of the wheels by the yaw gain.
     wheel_speeds
         (4,) front left, front right, rear left, rear right [rad/s]; for logs and identification.
     sent
-        (v, omega) that the robot received in the last tick, where that is known and may differ from the command.
+        (v, omega) that the robot received in the last tick, if known; it may differ from the command.
 
     Raises
     ------
     ArgumentError
-        If a value other than `sent` is not `Stamped`. Its content is checked by `Controller.step`, which never raises
-        on data.
+        If a value other than `sent` is not `Stamped`. The content is checked by `Controller.step`, which does not raise
+        errors for data.
     """
 
     pose: Stamped | None = None
@@ -68,7 +68,7 @@ class Measurement:
     sent: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        """Refuse values without the time they are valid for."""
+        """Raise ArgumentError for values without a time."""
         for value in (self.pose, self.wheel_twist, self.yaw_rate, self.wheel_speeds):
             if value is not None and not isinstance(value, Stamped):
                 self._refuse(value)
@@ -93,7 +93,7 @@ class ReferenceSample(NamedTuple):
 
 @runtime_checkable
 class Reference(Protocol):
-    """A timed trajectory. Before 0 it rests at its start, after `duration` at its end."""
+    """A timed trajectory, at rest at its start before time 0, and at its end after `duration`."""
 
     @property
     def name(self) -> str:
@@ -111,7 +111,7 @@ class Reference(Protocol):
 
 
 class ControlStep(Protocol):
-    """Result of a controller for one tick; the closed loop reads these fields, and those of `EstimatingStep`."""
+    """Result of a controller for one tick; the closed loop reads these fields and those of `EstimatingStep`."""
 
     @property
     def command(self) -> FloatArray:
@@ -120,27 +120,27 @@ class ControlStep(Protocol):
 
     @property
     def mode(self) -> str:
-        """Name of the controller's mode, `TRACKING` when all is well."""
+        """Name of the controller's mode; `TRACKING` in normal operation."""
         ...
 
     @property
     def message(self) -> str:
-        """One sentence with the reason for the mode; empty when all is well."""
+        """Reason for the mode, in one sentence; empty in normal operation."""
         ...
 
     @property
-    def solver(self) -> Any:  # noqa: ANN401 - every solver has its own report
+    def solver(self) -> Any:  # noqa: ANN401 - the type depends on the solver
         """Report with `status`, `method` and `iterations`; None for a controller without a solver."""
         ...
 
     @property
     def solve_time(self) -> float:
-        """Time to state and solve the problem, as a part of `step_time` [s]; NaN without a solve."""
+        """Part of `step_time` for formulating and solving the problem [s]; NaN if no problem was solved."""
         ...
 
     @property
     def plan(self) -> FloatArray | None:
-        """(N + 1, 3) predicted poses, or None for a controller that does not predict."""
+        """(N + 1, 3) predicted poses; None for a controller without prediction."""
         ...
 
     @property
@@ -149,8 +149,8 @@ class ControlStep(Protocol):
         ...
 
 
-def solver_method(report: Any) -> str:  # noqa: ANN401 - every solver has its own report
-    """Return the solver method of a step in a word; other controllers may use the former name `path`."""
+def solver_method(report: Any) -> str:  # noqa: ANN401 - the type depends on the solver
+    """Return the name of a step's solver method; reports of other controllers may use the former name `path`."""
     return str(report.method if hasattr(report, "method") else report.path)
 
 
@@ -164,7 +164,7 @@ class MotionEstimate(Protocol):
 
     @property
     def pose_deviation(self) -> FloatArray:
-        """(3,) of the pose."""
+        """(3,) standard deviations of the pose [m, m, rad]."""
         ...
 
     @property
@@ -174,36 +174,36 @@ class MotionEstimate(Protocol):
 
     @property
     def twist_deviation(self) -> FloatArray:
-        """(2,) of the twist."""
+        """(2,) standard deviations of the twist [m/s, rad/s]."""
         ...
 
 
 @runtime_checkable
 class EstimatingStep(Protocol):
-    """The step of a controller that estimates: fields in addition to `ControlStep`."""
+    """Result of a controller with an estimator: fields in addition to `ControlStep`."""
 
     @property
     def estimate(self) -> MotionEstimate | None:
-        """Estimate behind the command; None before there is one."""
+        """Estimate that the command is based on; None before the first estimate."""
         ...
 
 
 class TrackingController(Protocol):
-    """Anything that the closed loop can drive a plant with: our MPC or a peer."""
+    """Interface of controllers in the closed loop: the MPC and its peers."""
 
     def start(self, reference: Reference, t0: float) -> None:
         """Start to track `reference`, whose time 0 is `t0` [s] on the controller's clock."""
         ...
 
     def step(self, t: float, measurement: Measurement) -> ControlStep:
-        """Decide the command for the tick at time `t` [s]."""
+        """Compute the command for the tick at time `t` [s]."""
         ...
 
 
 class ReadOnlyArrays:
     """Base class of frozen dataclasses, without slots, whose arrays are read-only views.
 
-    The caller's own arrays are not changed. After unpickling, a result is read-only again.
+    The caller's arrays are not changed. Arrays are also read-only after unpickling.
     """
 
     def __post_init__(self) -> None:
@@ -211,17 +211,17 @@ class ReadOnlyArrays:
         self.__setstate__(vars(self).copy())
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take in the fields."""
+        """Set the fields, with arrays replaced by read-only views."""
         for name, value in state.items():
-            vars(self)[name] = _locked(value) if isinstance(value, np.ndarray) else value
+            vars(self)[name] = _read_only(value) if isinstance(value, np.ndarray) else value
 
     def __repr__(self) -> str:
-        """Return names and shapes of the arrays, not their numbers."""
+        """Return names and shapes of the arrays, without values."""
         shapes = [f"{name} {value.shape}" for name, value in vars(self).items() if isinstance(value, np.ndarray)]
         return f"{type(self).__name__}: {', '.join(shapes)}"
 
 
-def _locked(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+def _read_only(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     view = array.view()
     view.setflags(write=False)
     return view

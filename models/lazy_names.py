@@ -1,4 +1,4 @@
-"""Public names of a package that are imported when they are first used."""
+"""Import of a package's public names on first use."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any
 
 
 def on_first_use(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
-    """Return a `__getattr__` for `package` that imports the names of `homes` from their modules on first use.
+    """Return a `__getattr__` for `package` that imports each name of `homes` from its module on first use.
 
-    A user of one module then does not load the others.
+    Using one module then does not load the others.
     """
 
-    def look_up(name: str) -> Any:  # noqa: ANN401 - the type checker sees imports of its own
+    def look_up(name: str) -> Any:  # noqa: ANN401 - type checkers use the imports under TYPE_CHECKING
         if name not in homes:
             near = get_close_matches(name, homes, 1)
             hint = f"; did you mean '{near[0]}'?" if near else ""

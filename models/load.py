@@ -1,4 +1,4 @@
-"""Load velocity models from parameter files, shipped or the user's own."""
+"""Load velocity models from parameter files, shipped or of the user."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _PLAIN = "kinematic"
 _LINEAR = {name: path for name in (*STRUCTURES, _PLAIN) if (path := PARAMETERS / f"{name}.yaml").is_file()}
 ROBOTS = PARAMETERS / "robots"
 ROBOT_NAMES = shipped_names(ROBOTS)
-"""Real robots that were identified from public logs."""
+"""Real robots, identified from public logs."""
 
 
 def load_model(name: str | Path) -> VelocityModel | NonlinearModel:
-    """Load a velocity model: a linear one, a network on past commands, a drive, or a hybrid.
+    """Load a velocity model: a linear model, a network on past commands, a drive, or a hybrid.
 
     Parameters
     ----------
@@ -36,11 +36,11 @@ def load_model(name: str | Path) -> VelocityModel | NonlinearModel:
     Raises
     ------
     models.checked_yaml.ConfigError
-        If there is no such model or its file has a mistake.
+        If there is no such model or its file is invalid.
     models.velocity_model.ModelError
-        If the numbers cannot be a robot's: unstable, not finite, wrong units.
+        If the parameters cannot describe a robot: unstable, not finite, wrong units.
     models.errors.ArgumentError
-        If it is neither a name nor a path.
+        If `name` is neither a string nor a path.
     """
     if not isinstance(name, (str, Path)):
         raise wrong_type(
@@ -59,7 +59,7 @@ def load_model(name: str | Path) -> VelocityModel | NonlinearModel:
 
 
 def model_names() -> tuple[str, ...]:
-    """List the shipped models: one of each structure that ships one, and the one for comparison."""
+    """List the shipped models: one for each structure that ships a model, and the kinematic model for comparison."""
     return tuple(_shipped())
 
 
@@ -69,31 +69,31 @@ def is_shipped(name: str | Path) -> bool:
 
 
 def _shipped() -> dict[str, Path]:
-    """Return parameter files by name; a name of `_LINEAR` needs no plug-ins."""
+    """Return the shipped parameter files by name; names of `_LINEAR` need no plug-ins."""
     functions = {structure.name: structure.shipped for structure in function_structures().values() if structure.shipped}
     linear = {name: path for name, path in _LINEAR.items() if name != _PLAIN}
     return linear | dict(sorted(functions.items())) | {_PLAIN: _LINEAR[_PLAIN]}
 
 
 def load_linear_model(name: str | Path) -> VelocityModel:
-    """Load a velocity model of matrices; raises ModelError where it is a function, otherwise as `load_model`."""
+    """Load a linear velocity model; raise ModelError if the model is nonlinear, other errors as `load_model`."""
     model = load_model(name)
     if not isinstance(model, VelocityModel):
-        raise ModelError(f"model '{name}' is a function, here matrices are needed; name a linear model")
+        raise ModelError(f"model '{name}' is nonlinear, but a linear model is required; name a linear model")
     return model
 
 
 def load_base_effects(name: str | Path) -> BaseEffects:
-    """Load the effects of the base from a model file: raises ConfigError as `load_model`."""
+    """Load the base effects from a model file; raise ConfigError as `load_model`."""
     path = model_path(name)
     data = read_yaml(path)
     return BaseEffects() if _function(data) else _checked(path, data).base_effects
 
 
 def model_path(name: str | Path) -> Path:
-    """Return the parameter file behind `name`.
+    """Return the parameter file of a model name or path.
 
-    Raises ConfigError if there is none, and MissingPackageError if a package that is not installed ships the model.
+    Raises ConfigError if there is none, and MissingPackageError if the model belongs to a package that is missing.
     """
     if str(name) in ROBOT_NAMES:
         return ROBOTS / f"{name}.yaml"
@@ -113,13 +113,13 @@ def read_model_file(path: str | Path) -> ModelFile:
 
 
 def _function(data: object) -> FunctionStructure | None:
-    """Return the structure of a function that a file names; None for matrices, which need no plug-in."""
+    """Return the structure of a nonlinear model's file; None for linear models, which need no plug-in."""
     name = _structure(data)
     return None if name in STRUCTURES else function_structures().get(name)
 
 
 def _structure(data: object) -> str:
-    """Return the structure that a file names; empty without one."""
+    """Return the name of a file's structure; empty if it names none."""
     structure = data.get("structure") if isinstance(data, Mapping) else None
     return structure if isinstance(structure, str) else ""
 

@@ -1,6 +1,6 @@
-"""The equations of one unit of a long short-term memory, for any library: CasADi, NumPy or JAX.
+"""Equations of one unit of a long short-term memory, for any library: CasADi, NumPy or JAX.
 
-`tanh` is the library's. The logistic function is written by it, so that a library needs nothing else.
+`tanh` is the function of the library. The logistic function is expressed by it, so that no other function is needed.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ Tanh = Callable[[Any], Any]
 
 
 def logistic(x: Any, tanh: Tanh) -> Any:  # noqa: ANN401 - arrays and symbols of any library
-    """Compute 1 / (1 + exp(-x))."""
+    """Compute the logistic function 1 / (1 + exp(-x))."""
     return 0.5 + 0.5 * tanh(0.5 * x)
 
 
 def next_cell(enter: Any, keep: Any, candidate: Any, cell: Any, tanh: Tanh) -> Any:  # noqa: ANN401
-    """Compute the cell one sample later, for the weighted sums of its three gates before their activation."""
+    """Compute the cell state one sample later, from the weighted sums of its gates before activation."""
     return logistic(keep, tanh) * cell + logistic(enter, tanh) * tanh(candidate)
 
 
 def hidden(leave: Any, cell: Any, tanh: Tanh) -> Any:  # noqa: ANN401
-    """Compute the output of the unit, for the weighted sum of its output gate and its cell at the same sample."""
+    """Compute the output of the unit, from the weighted sum of its output gate and the cell state of the sample."""
     return logistic(leave, tanh) * tanh(cell)

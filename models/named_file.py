@@ -1,4 +1,4 @@
-"""Parameter files by a short name or by a path."""
+"""Parameter files given by a short name or by a path."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from diffdrive_mpc.models.checked_yaml import ConfigError, Schema, check, laid_over, read_yaml
+from diffdrive_mpc.models.checked_yaml import ConfigError, Schema, check, merge_mappings, read_yaml
 from diffdrive_mpc.models.errors import wrong_type
 from diffdrive_mpc.models.trust import check_trusted
 
@@ -20,29 +20,29 @@ from diffdrive_mpc.models.trust import check_trusted
 def named_file(
     kind: str, folder: Path, name: str | Path, shipped: Sequence[str] | None = None, others: str = ""
 ) -> Path:
-    """Resolve `name` to a file: a YAML file that ships in `folder`, or the user's own.
+    """Resolve `name` to a file: a YAML file shipped in `folder`, or a file of the user.
 
     Parameters
     ----------
     kind
-        Content of the files, for the message.
+        Kind of the files, for the message.
     folder
         Folder of the shipped files.
     name
-        Name of a shipped file without its ending, or a path.
+        Name of a shipped file without its suffix, or a path.
     shipped
         Names of the shipped files; by default every YAML file in `folder`.
     others
-        Other accepted values, for the message, which lists them after those names.
+        Further accepted values, which the message lists after the shipped names.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If there is neither; the message lists the shipped names and suggests the nearest.
+        If no such file exists; the message lists the shipped names and suggests the most similar one.
     models.errors.ArgumentError
-        If `name` is neither a text nor a path.
+        If `name` is neither a string nor a path.
     models.trust.UntrustedFileError
-        If it is a file that may not be opened, see `models.trust.only_trusted`.
+        If the file must not be opened, see `models.trust.only_trusted`.
     """
     known = shipped_names(folder) if shipped is None else shipped
     if not isinstance(name, (str, Path)):
@@ -63,7 +63,7 @@ def named_file(
 
 @dataclass(frozen=True)
 class EntryFile:
-    """Shipped YAML file with one entry per name; a file of the user holds one entry without its name.
+    """Shipped YAML file with named entries; a file of the user holds a single entry without a name.
 
     Attributes
     ----------
@@ -82,12 +82,12 @@ class EntryFile:
         return tuple(sorted(_entries(self.path)))
 
     def read(self, name: str | Path) -> tuple[Any, str]:
-        """Return the values of a shipped name or of a user's file, and their place for messages.
+        """Return the values of a shipped entry or of a user's file, and their place for messages.
 
         Raises
         ------
         models.checked_yaml.ConfigError
-            If there is no such entry or file, or the file cannot be read; see also `named_file`.
+            If there is no such entry or file, or the file cannot be read. Other errors as for `named_file`.
         """
         entries = _entries(self.path)
         if isinstance(name, (str, Path)) and str(name) in entries:
@@ -96,15 +96,15 @@ class EntryFile:
         return read_yaml(path), str(path)
 
     def load(self, schema: type[Schema], name: str | Path, base: Mapping[str, Any] | None = None) -> Schema:
-        """Check the values of `name` against `schema`; they replace those of `base` key by key.
+        """Merge the values of `name` into `base`, and check the result against `schema`.
 
         Raises
         ------
         models.checked_yaml.ConfigError
-            As for `read`, or if a value is wrong.
+            As for `read`, or if a value is invalid.
         """
         values, where = self.read(name)
-        return check(schema, laid_over(base, values) if base and isinstance(values, Mapping) else values, where)
+        return check(schema, merge_mappings(base, values) if base and isinstance(values, Mapping) else values, where)
 
 
 @lru_cache
@@ -114,24 +114,24 @@ def _entries(path: Path) -> Mapping[str, Any]:
 
 
 def is_file(path: str | Path) -> bool:
-    """Return True if `path` is a file; False also for a name that is too long, for which `Path.is_file` raises."""
+    """Return True if `path` is a file; return False for a name that is too long, where `Path.is_file` would raise."""
     return os.path.isfile(path)  # noqa: PTH113
 
 
 def shipped_names(folder: Path) -> tuple[str, ...]:
-    """List the YAML files in `folder`, sorted, without their ending."""
+    """List the names of the YAML files in `folder`, sorted, without suffix."""
     return tuple(sorted(path.stem for path in folder.glob("*.yaml")))
 
 
-# The first line of a YAML file, by which editors find its schema.
+# First line of a YAML file, which tells editors the schema.
 
 
 EDITOR_LINE = "# yaml-language-server: $schema="
-"""Start of that line, which continues with the place of the schema relative to the file."""
+"""Start of the line; the path of the schema, relative to the file, follows."""
 
 
-def kept_editor_line(path: Path) -> str:
-    """Return that line of the file at `path` for its replacement; empty without one."""
+def read_editor_line(path: Path) -> str:
+    """Return the schema line of the file at `path`, to keep it in a new version; empty if the file has none."""
     with suppress(OSError, UnicodeDecodeError), path.open(encoding="utf-8") as file:
         first = file.readline()
         return first if first.startswith(EDITOR_LINE) else ""

@@ -1,4 +1,4 @@
-"""A velocity model that is a function: for robots whose response to a command depends on their motion."""
+"""Velocity models defined by functions, for robots whose response to a command depends on their motion."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from diffdrive_mpc.models.velocity_model import CHANNELS, ModelError
 
 @dataclass(frozen=True)
 class CompiledStep:
-    """Functions in C that the core brings for a model, so that a controller compiles nothing.
+    """C functions of the core for a model, so that a controller need not compile the CasADi functions.
 
     Attributes
     ----------
     step, output
-        Names of its functions in C.
+        Names of the C functions.
     parameters
-        (Q,) numbers that they take.
+        (Q,) parameters of the functions.
     work
-        Reals of memory that the step needs.
+        Work memory of the step [reals].
     """
 
     step: str
@@ -39,35 +39,36 @@ class CompiledStep:
 class NonlinearModel:
     """x[k+1] = step(x[k], window), y[k] = output(x[k]); window = (u[k - memory], ..., u[k]), oldest first.
 
-    u = (v_ref [m/s], omega_ref [rad/s]), y = (v [m/s], omega [rad/s]). Dead time is part of the window: a step that
-    reads its older commands answers late. A model without states, such as a network on past commands, uses its last
-    output as its state: step gives that from the window alone. x = 0 must be its steady state under u = 0.
+    u = (v_ref [m/s], omega_ref [rad/s]), y = (v [m/s], omega [rad/s]). Dead time is modelled by the window: a step that
+    depends on older commands responds late. A model without states, such as a network on past commands, uses its last
+    output as state, which step computes from the window alone. x = 0 must be the steady state for u = 0.
 
-    The controller linearises it at every tick along its plan, and the estimator along the sent commands.
+    At every tick the controller linearises the model along its plan, and the estimator along the sent commands.
 
     Attributes
     ----------
     name
         Name for tables and messages.
     step
-        CasADi function of `x` (n) and `window` (2 (memory + 1)), in this order, to x (n) one sample later.
+        CasADi function of `x` (n) and `window` (2 (memory + 1)), in this order, that returns x (n) one sample later.
     output
-        CasADi function of `x` (n) to y (2).
+        CasADi function of `x` (n) that returns y (2).
     dt
-        Sample time that `step` is for [s]; the configuration's `sample_time` must be the same.
+        Sample time of `step` [s]; must equal the configuration's `sample_time`.
     memory
-        Number of past commands that still act on the future, at least 1.
+        Number of past commands that still act on future states, at least 1.
     known_lag
-        (2,) mean delay of each channel [s], if it is known better than from samples; see `lag`.
+        (2,) mean delay of each channel [s], if known more accurately than from samples; see `lag`.
     provenance
-        Source of the numbers; empty for a user's functions.
+        Source of the parameters; empty for a user's functions.
     delay
-        (2,) zero: no channel's dead time is taken off beforehand.
+        (2,) zeros: the dead time is part of the window, unlike that of a discretised linear model.
 
     Raises
     ------
     ModelError
-        If names or shapes do not fit, or it does not rest, or its linearisation at rest is unstable or has no gain.
+        If names or shapes do not match, if x = 0 is no steady state, or if the linearisation at rest is unstable or has
+        a gain that is not positive.
     """
 
     name: str
@@ -80,14 +81,14 @@ class NonlinearModel:
     delay: NDArray[np.int64] = field(default_factory=lambda: np.zeros(2, dtype=np.int64), init=False, repr=False)
 
     def __repr__(self) -> str:
-        """Describe kind, name, order and sample time in one line."""
+        """Format kind, name, order and sample time in one line."""
         return (
             f"{type(self).__name__} {self.name!r} (a function; order {self.order}, {self.memory} past commands, "
             f"samples of {self.dt:g} s)"
         )
 
     def __post_init__(self) -> None:
-        """Check names, shapes, rest and stability."""
+        """Check names, shapes, steady state and stability."""
         where = f"model '{self.name}'"
         if not (np.isfinite(self.dt) and self.dt > 0):
             raise ModelError(f"{where}: dt = {self.dt} s; give the positive sample time that step is for")
@@ -107,9 +108,9 @@ class NonlinearModel:
                 f"{where}: CasADi cannot differentiate step and output; use SX, and call no solver or table"
             ) from error
         if not (np.isfinite(rest).all() and np.abs(rest).max() < 1e-9):
-            raise ModelError(f"{where}: it must rest at x = 0 under commands of zero; shift its states")
+            raise ModelError(f"{where}: x = 0 must be the steady state for zero commands; shift the states")
         if not (np.isfinite(A).all() and np.isfinite(B).all() and np.isfinite(C).all()):
-            raise ModelError(f"{where}: its derivatives at rest are not finite; write it smooth there")
+            raise ModelError(f"{where}: the derivatives at rest are not finite; make the functions smooth there")
         radius = np.abs(np.linalg.eigvals(A)).max()
         if not radius < 1:
             raise ModelError(f"{where}: unstable at rest, a state grows by {radius:.3g} each sample")
@@ -122,7 +123,9 @@ class NonlinearModel:
         if not isinstance(function, ca.Function):
             raise ModelError(f"{where} is a {type(function).__name__}; give a casadi.Function")
         if function.has_free():
-            raise ModelError(f"{where} depends on {', '.join(map(str, function.get_free()))}; make that a number")
+            raise ModelError(
+                f"{where} depends on {', '.join(map(str, function.get_free()))}; replace free symbols by numbers"
+            )
         if function.name_in() != list(inputs):
             raise ModelError(f"{where} has the inputs {', '.join(function.name_in())}; name them {', '.join(inputs)}")
         for name, length in inputs.items():
@@ -133,22 +136,22 @@ class NonlinearModel:
 
     @property
     def structure(self) -> str:
-        """Name of its kind for tables."""
+        """Name of the kind of model, for tables."""
         return "function"
 
     @property
     def compiled_step(self) -> CompiledStep | None:
-        """Compiled step of the core, or None for the user's functions; raise ModelError for an unknown kind."""
+        """Compiled step of the core; None for a user's functions. Raises ModelError for an unknown kind."""
         return None
 
     @property
     def details(self) -> tuple[tuple[str, str], ...]:
-        """Label and text of further lines of `models show` for its kind."""
+        """Labels and texts of additional lines in `models show`."""
         return ()
 
     @property
     def plant_step(self) -> ca.Function:
-        """Step function for a plant: `step`, unless that smooths a sharp behaviour of the robot."""
+        """Step function for a simulated plant: `step`, or an exact version if `step` is a smooth approximation."""
         return self.step
 
     @property
@@ -158,11 +161,11 @@ class NonlinearModel:
 
     @cached_property
     def _jacobians(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """A (n, n), B (n, memory + 1, 2) by the window's commands, and C (2, n), at rest."""
+        """A (n, n), B (n, memory + 1, 2) for each command of the window, and C (2, n), at rest."""
         x, window = ca.SX.sym("x", self.order), ca.SX.sym("window", 2 * (self.memory + 1))
         after, y = self.step(x, window), self.output(x)
-        by = [ca.jacobian(after, x), ca.jacobian(after, window), ca.jacobian(y, x)]
-        A, B, C = (part.full() for part in ca.Function("jacobians", [x, window], by)(0, 0))
+        jacobians = [ca.jacobian(after, x), ca.jacobian(after, window), ca.jacobian(y, x)]
+        A, B, C = (part.full() for part in ca.Function("jacobians", [x, window], jacobians)(0, 0))
         return A, B.reshape(self.order, self.memory + 1, 2), C
 
     @property
@@ -179,12 +182,12 @@ class NonlinearModel:
 
     @property
     def drive(self) -> FloatArray:
-        """(n, 2) effect of a command held over the whole window on the states in one sample, at rest."""
+        """(n, 2) effect on the states, in one sample at rest, of a command held over the whole window."""
         return self.linearised[1]
 
     @property
     def settled(self) -> FloatArray:
-        """(n, 2) state after a small unit command for ever."""
+        """(n, 2) steady state per unit of a small constant command."""
         A, B, _ = self.linearised
         return np.asarray(np.linalg.solve(np.eye(self.order) - A, B))
 
@@ -195,26 +198,26 @@ class NonlinearModel:
 
     @property
     def lag(self) -> FloatArray:
-        """(2,) mean delay of each channel [s] for small commands: `known_lag`, or the lag of its samples.
+        """(2,) mean delay of each channel [s] for small commands: `known_lag`, or else the lag of the samples.
 
-        That is the area between a step and its answer, with straight lines between the samples: dt (m - 1/2), m being
-        the mean of the impulse response in samples. It is exact for the controller, which drives arcs with the mean of
-        v at both ends; the lag of a continuous model differs from it by some dt^2 over its time constant.
+        The lag of the samples is the area between a step and the linearly interpolated step response: dt (m - 1/2), m
+        being the mean of the impulse response in samples. It is exact for the controller, which predicts arcs with the
+        mean of v at both ends. The lag of a continuous model differs by about dt^2 over its time constant.
         """
         if self.known_lag is not None:
             return np.array(self.known_lag, dtype=float)
         A, B, C = self._jacobians
         ages = np.arange(self.memory, -1, -1.0)
-        late = np.einsum("nwj,w->nj", B, ages)
-        moment = C @ np.linalg.solve(np.eye(self.order) - A, self.settled + late)
+        weighted = np.einsum("nwj,w->nj", B, ages)
+        moment = C @ np.linalg.solve(np.eye(self.order) - A, self.settled + weighted)
         return np.asarray(self.dt * (np.diag(moment) / np.diag(self.dc_gain) - 0.5))
 
     def with_extra_dead_time(self, extra: ArrayLike) -> Self:
-        """Return the model itself for zero dead time; raise ModelError for more, which its window lacks."""
+        """Return the model itself if `extra` is zero; otherwise raise ModelError, as the window cannot be extended."""
         if np.any(np.asarray(extra, dtype=float)):
             raise ModelError(
-                f"model '{self.name}': extra dead time {np.asarray(extra).tolist()} s: its dead time lies in its "
-                "window; train or write it with that, or set extra_dead_time to 0"
+                f"model '{self.name}': extra dead time {np.asarray(extra).tolist()} s: the dead time is part of "
+                "the window; train or define the model with it, or set extra_dead_time to 0"
             )
         return self
 
@@ -227,14 +230,14 @@ class NonlinearModel:
             Always.
         """
         raise ModelError(
-            f"model '{self.name}': it is a function for samples of {self.dt} s, not matrices to sample with {dt} s; "
+            f"model '{self.name}': a nonlinear model with sample time {self.dt} s cannot be sampled at {dt} s; "
             "use step, or a linear model"
         )
 
     def simulate(
         self, commands: ArrayLike, state: ArrayLike | None = None, past: ArrayLike | None = None
     ) -> FloatArray:
-        """Free run from commands alone.
+        """Simulate the response to commands.
 
         Parameters
         ----------
@@ -253,8 +256,8 @@ class NonlinearModel:
         commands = np.asarray(commands, dtype=float)
         before = np.zeros((self.memory, 2)) if past is None else np.asarray(past, dtype=float)
         x = np.zeros(self.order) if state is None else np.array(state, dtype=float)
-        line, outputs = np.vstack([before, commands]), np.empty((len(commands), 2))
+        history, outputs = np.vstack([before, commands]), np.empty((len(commands), 2))
         for k in range(len(commands)):
             outputs[k] = self.output(x).full().ravel()
-            x = self.step(x, line[k : k + self.memory + 1].ravel()).full().ravel()
+            x = self.step(x, history[k : k + self.memory + 1].ravel()).full().ravel()
         return outputs

@@ -54,7 +54,7 @@ def unexplained_motion(identification: Identification) -> list[FloatArray]:
             predicted = slip.body((outputs - report.fitted.offset).T).T
             predicted[:, 1] += load_shift * np.gradient(predicted[:, 0], record.dt) * predicted[:, 2]
             turning = predicted[:, 2] if yaw_rate is None else np.nan_to_num(yaw_rate - report.fitted.offset[1])
-            by_poses = _by_poses(report.poses.centred([record])[0], predicted, turning)
+            by_poses = _by_poses(report.poses.at_rotation_centre([record])[0], predicted, turning)
             if by_poses is not None:
                 rows = np.column_stack([by_poses[:, :2], (by_poses if yaw_rate is None else rows)[:, 2]])
         motion.append(rows)

@@ -1,7 +1,7 @@
-"""Cache of compiled libraries by their sources; only intact libraries of this user are loaded.
+"""Cache of compiled libraries, keyed by their sources; only intact libraries of this user are loaded.
 
-The name of a library contains the digests of its sources and of its content: one rename puts both in place. It is
-checked before each load, since loading runs code.
+The file name of a library contains the digests of its sources and of its content, so that one atomic rename installs
+both. The content digest is checked before each load, because loading a library runs code.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ _log = logging.getLogger(__name__)
 
 
 def load_cached(stem: str, origin: str, build: Callable[[Path], Path], load: Callable[[Path], _Loaded]) -> _Loaded:
-    """Load a library from the cache; build it first if there is no usable one.
+    """Load a library from the cache; build it first if the cache has no intact copy.
 
     Parameters
     ----------
     stem
-        First part of its name.
+        First part of the file name.
     origin
-        Digest of all that it comes from.
+        Digest of all inputs of the build.
     build
-        Makes it in an empty folder, and returns where.
+        Function that builds the library in an empty folder and returns its path.
     load
-        Loads it; OSError says that it is not possible.
+        Function that loads the library; raises OSError on failure.
 
     Raises
     ------
     NotCompiledError
-        If it cannot be built, or no folder will take it.
+        If the library cannot be built, or no folder is writable.
     """
     faults = []
     for folder in _folders():
@@ -67,7 +67,7 @@ def content_digest(path: Path) -> str:
 
 def _load_in(folder: Path, stem: str, build: Callable[[Path], Path], load: Callable[[Path], _Loaded]) -> _Loaded:
     for path in sorted(folder.glob(f"{stem}-*.so")):
-        if _intact(path):
+        if _is_intact(path):
             return load(path)
         _log.warning("%s is damaged; it is compiled again", path)
         with suppress(OSError):
@@ -76,13 +76,13 @@ def _load_in(folder: Path, stem: str, build: Callable[[Path], Path], load: Calla
         built = build(Path(build_folder))
         path = folder / f"{stem}-{content_digest(built)}.so"
         _to_disk(built)
-        # In one step: another process may be at the same.
+        # Atomic: another process may install the same library.
         built.replace(path)
         _to_disk(folder)
     return load(path)
 
 
-def _intact(path: Path) -> bool:
+def _is_intact(path: Path) -> bool:
     """Return True if the content matches the digest in the name."""
     try:
         return content_digest(path) == path.stem.rpartition("-")[2]
@@ -91,7 +91,7 @@ def _intact(path: Path) -> bool:
 
 
 def _to_disk(path: Path) -> None:
-    """Wait until a file or folder is on the disk: a power cut may not leave a name without its content."""
+    """Flush a file or folder to disk, so that a power cut does not leave a name without its content."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -100,12 +100,12 @@ def _to_disk(path: Path) -> None:
 
 
 def _folders() -> Iterator[Path]:
-    """Yield folders for libraries that nobody else can write to, best first: the user's, then private ones."""
+    """Yield folders that no other user can write to, best first: the user's cache, then private temporary folders."""
     for folder in (user_folder, _shared_private_folder):
         try:
             path = folder()
             path.mkdir(mode=0o700, parents=True, exist_ok=True)
-            reason = _why_not_ours(path)
+            reason = _access_fault(path)
         except (OSError, RuntimeError) as error:
             reason = getattr(error, "strerror", None) or str(error)
         if reason is None:
@@ -133,20 +133,20 @@ def _shared_private_folder() -> Path:
 def _process_folder() -> Path:
     """Return a folder that is removed at the end of this process."""
     folder = tempfile.TemporaryDirectory(prefix="diffdrive-mpc-")
-    _kept.append(folder)
+    _process_folders.append(folder)
     return Path(folder.name)
 
 
-_kept: list[tempfile.TemporaryDirectory[str]] = []
+_process_folders: list[tempfile.TemporaryDirectory[str]] = []
 
 
-def _why_not_ours(folder: Path) -> str | None:
-    """Describe why another user might have written to `folder`, which is no link; None if nobody can."""
+def _access_fault(folder: Path) -> str | None:
+    """Describe why another user may have written to `folder` (no link); None if no other user can."""
     status = folder.lstat()
     if not stat.S_ISDIR(status.st_mode):
         return f"{folder} is no folder"
     if status.st_uid not in (os.geteuid(), 0):
-        return f"{folder} belongs to somebody else"
+        return f"{folder} belongs to another user"
     if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-        return f"others can write to {folder}"
+        return f"other users can write to {folder}"
     return None

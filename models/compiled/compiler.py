@@ -1,4 +1,4 @@
-"""The C compiler: choice, flags and time limit. Needs nothing but Python's own library."""
+"""The C compiler: choice, flags and time limit. Needs only Python's standard library."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _FLAGS = (
 )
 # GCC 12 wrongly assumes alignment in loop remainders, which crashes the process: disable that optimisation.
 PLAIN_REST = "--param=vect-epilogues-nomask=0"
-# Flags for the fastest instructions of this machine; not every compiler accepts the first ones.
+# Flags for the fastest instructions of this machine, best first; not every compiler accepts all of them.
 NATIVE: tuple[tuple[str, ...], ...] = (
     ("-march=native", "-mprefer-vector-width=512", PLAIN_REST),
     ("-march=native", "-mprefer-vector-width=512"),
@@ -35,13 +35,13 @@ NATIVE: tuple[tuple[str, ...], ...] = (
     ("-mcpu=native",),
     (),
 )
-"""Flags for the processor at hand, in the order in which they are tried."""
+"""Sets of flags for the processor of this machine, in the order in which they are tried."""
 
-_PATIENCE, _ANSWER_PATIENCE = 120.0, 10.0  # [s] to compile, and to say its version
+_COMPILE_TIMEOUT, _VERSION_TIMEOUT = 120.0, 10.0  # [s]
 
 
 class NotCompiledError(DiffdriveMpcError, RuntimeError):
-    """There is no compiled library and none can be made. The message is one line: why, and the remedy."""
+    """Error if there is no compiled library and none can be built: one line with reason and remedy."""
 
 
 def build_library(texts: Mapping[str, str], folder: Path, tunings: Sequence[Sequence[str]]) -> Path:
@@ -54,14 +54,14 @@ def build_library(texts: Mapping[str, str], folder: Path, tunings: Sequence[Sequ
     folder
         An empty folder.
     tunings
-        Sets of flags for the processor; the first one that the compiler takes is used.
+        Sets of flags for the processor; the first set that the compiler accepts is used.
 
     Raises
     ------
     NotCompiledError
-        If there is no compiler, it fails, or it takes too long.
+        If there is no compiler, or if it fails or takes too long.
     OSError
-        If the folder cannot be written.
+        If the folder is not writable.
     """
     compiler, _ = find_compiler()
     for name, text in texts.items():
@@ -72,34 +72,34 @@ def build_library(texts: Mapping[str, str], folder: Path, tunings: Sequence[Sequ
         for tuning in tunings:
             command = [compiler, *_FLAGS, *tuning]
             # Run in the folder with relative names, so that the library contains no paths.
-            compiling = [pool.submit(_complaint, [*command, "-c", source], folder) for source in sources]
-            fault = next((complaint.result() for complaint in compiling if complaint.result()), "")
+            jobs = [pool.submit(_compile_error, [*command, "-c", source], folder) for source in sources]
+            fault = next((job.result() for job in jobs if job.result()), "")
             if not fault:
                 objects = [f"{Path(source).stem}.o" for source in sources]
-                fault = _complaint([*command, "-shared", *objects, "-o", "library.so", "-lm"], folder)
+                fault = _compile_error([*command, "-shared", *objects, "-o", "library.so", "-lm"], folder)
             if not fault:
                 return folder / "library.so"
     raise NotCompiledError(f"{compiler} failed: {fault}")
 
 
-def _complaint(command: Sequence[str], folder: Path) -> str:
-    """Return the compiler's error message for a command in one line; an empty string on success.
+def _compile_error(command: Sequence[str], folder: Path) -> str:
+    """Run a compiler command and return its error message in one line; an empty string on success.
 
     Raises
     ------
     NotCompiledError
-        If it takes too long.
+        If the compiler takes too long.
     """
     try:
-        code, _, output = _run(command, _PATIENCE, folder)
+        code, _, output = _run(command, _COMPILE_TIMEOUT, folder)
     except TimeoutError as error:
-        raise NotCompiledError(f"{command[0]} did not finish within {_PATIENCE:g} s") from error
+        raise NotCompiledError(f"{command[0]} did not finish within {_COMPILE_TIMEOUT:g} s") from error
     if code == 0:
         return ""
     return next((line for line in output.splitlines() if "error" in line), output.strip() or f"exit code {code}")
 
 
-def what_is_built(texts: Mapping[str, str]) -> str:
+def build_digest(texts: Mapping[str, str]) -> str:
     """Compute the digest of all inputs of a library for this machine: texts, compiler, flags and processor.
 
     Raises
@@ -108,8 +108,8 @@ def what_is_built(texts: Mapping[str, str]) -> str:
         If there is no compiler.
     """
     _, version = find_compiler()
-    how = repr((_FLAGS, NATIVE, platform.libc_ver()))
-    return digest_of([version, _machine(), how, *(part for item in sorted(texts.items()) for part in item)])
+    settings = repr((_FLAGS, NATIVE, platform.libc_ver()))
+    return digest_of([version, _machine(), settings, *(part for item in sorted(texts.items()) for part in item)])
 
 
 def digest_of(parts: Sequence[str]) -> str:
@@ -133,21 +133,21 @@ def find_compiler() -> tuple[str, str]:
         path = shutil.which(name)
         if path:
             try:
-                code, version, _ = _run([path, "--version"], _ANSWER_PATIENCE)
-            except OSError:  # a timeout is one
+                code, version, _ = _run([path, "--version"], _VERSION_TIMEOUT)
+            except OSError:  # includes TimeoutError
                 continue
             if code == 0:
                 return path, version
     raise NotCompiledError(f"no C compiler ({', '.join(_COMPILERS)}) was found")
 
 
-def _run(command: Sequence[str], patience: float, folder: Path | None = None) -> tuple[int, str, str]:
-    """Exit code and output of a command that is ended with all its children after `patience` seconds.
+def _run(command: Sequence[str], timeout: float, folder: Path | None = None) -> tuple[int, str, str]:
+    """Run a command; return exit code, standard output and standard error.
 
     Raises
     ------
     TimeoutError
-        If it took too long and was ended.
+        If the command ran longer than `timeout` seconds and was killed with its children.
     """
     process = subprocess.Popen(
         command,
@@ -161,25 +161,25 @@ def _run(command: Sequence[str], patience: float, folder: Path | None = None) ->
     )
     with process:
         try:
-            out, printed = process.communicate(timeout=patience)
+            out, printed = process.communicate(timeout=timeout)
         except BaseException as error:
             os.killpg(process.pid, signal.SIGKILL)
             if isinstance(error, subprocess.TimeoutExpired):
-                raise TimeoutError(f"{command[0]}: no end after {patience:g} s") from error
+                raise TimeoutError(f"{command[0]}: no end after {timeout:g} s") from error
             raise
     return process.returncode, out, printed
 
 
 @cache
 def _machine() -> str:
-    """Describe the processor with its features: code for one may not run on another."""
+    """Describe the processor with its features: code compiled for one processor may not run on another."""
     known = ("model name", "flags", "Features", "CPU part")
     return platform.machine() + "".join(sorted({line for line in processor_lines() if line.startswith(known)}))
 
 
 @cache
 def processor_lines() -> tuple[str, ...]:
-    """Return the system's description of its processors by line; without such a file, that of Python."""
+    """Return the lines of /proc/cpuinfo; on systems without that file, the processor name from `platform`."""
     try:
         return tuple(Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines())
     except OSError:

@@ -1,4 +1,4 @@
-"""Compiled libraries of the package: in a wheel one for each level of the architecture, else compiled at first use."""
+"""Compiled libraries of the package: a wheel holds one per architecture level; otherwise compiled at first use."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from typing import Any, NamedTuple
 import cffi
 
 from diffdrive_mpc.models.compiled.cache import content_digest, load_cached
-from diffdrive_mpc.models.compiled.compiler import NotCompiledError, build_library, processor_lines, what_is_built
+from diffdrive_mpc.models.compiled.compiler import NotCompiledError, build_digest, build_library, processor_lines
 
 BASELINE = "baseline"
-"""The level that every processor of a machine's kind has."""
+"""Architecture level that every processor of a machine type supports."""
 _log = logging.getLogger(__name__)
 
 
 class Level(NamedTuple):
-    """A level of the architecture."""
+    """An architecture level, such as x86-64-v3."""
 
     flags: tuple[str, ...]
     """Compiler flags."""
@@ -38,13 +38,13 @@ class Packaged:
     Attributes
     ----------
     name
-        First part of the names of its files.
+        First part of the file names.
     folder
         Folder of the libraries.
     origin
-        Digest of all that it comes from.
+        Digest of all inputs of the build.
     levels
-        By name, best first; the last is `BASELINE`. Higher levels exist for x86-64 only.
+        Architecture levels by name, best first; the last is `BASELINE`. Higher levels exist for x86-64 only.
     """
 
     name: str
@@ -53,12 +53,12 @@ class Packaged:
     levels: Mapping[str, Level]
 
     def write(self, texts: Mapping[str, str], folder: Path) -> list[Path]:
-        """Compile `texts` for the package in `folder`: libraries and manifest, without levels that the compiler lacks.
+        """Compile `texts` to libraries in `folder` and write the manifest; skip levels that the compiler lacks.
 
         Raises
         ------
         NotCompiledError
-            If it cannot be compiled at all.
+            If the baseline cannot be compiled.
         """
         libraries = {}
         for level, (flags, _) in self.levels.items():
@@ -89,13 +89,13 @@ class Packaged:
                 (level, self.folder / entry["file"], entry["sha256"]) for level, entry in manifest["libraries"].items()
             ]
         except FileNotFoundError:
-            return  # a source tree: nothing is packaged
+            return  # a source tree has no packaged libraries
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             _log.warning("%s cannot be read (%s); %s is compiled again", self._manifest, error, self.name)
             return
-        has = _processor_has()
+        features = _processor_features()
         for level, path, digest in entries:
-            if level not in self.levels or not self.levels[level].needs <= has:
+            if level not in self.levels or not self.levels[level].needs <= features:
                 continue
             try:
                 if content_digest(path) == digest:
@@ -106,14 +106,14 @@ class Packaged:
             _log.warning("%s is damaged; reinstall diffdrive-mpc", path)
 
     def load(self, texts: Mapping[str, str], declarations: str, complaint: str) -> tuple[cffi.FFI, Any]:
-        """Load the library of the only level, compiled of `texts` where none is packaged; see `load_library`."""
+        """Load the library of the only level; compile `texts` if none is packaged. See `load_library`."""
         (level,) = self.levels.values()
 
         def build(folder: Path) -> Path:
             return build_library(texts, folder, [level.flags])
 
-        made_of = {**texts, "flags": repr(level.flags)}
-        return load_library(self.name, declarations, self.libraries(), made_of, build, complaint)
+        build_inputs = {**texts, "flags": repr(level.flags)}
+        return load_library(self.name, declarations, self.libraries(), build_inputs, build, complaint)
 
     @property
     def _manifest(self) -> Path:
@@ -124,47 +124,47 @@ def load_library(
     name: str,
     declarations: str,
     packaged: Iterable[Path],
-    made_of: Mapping[str, str],
+    build_inputs: Mapping[str, str],
     build: Callable[[Path], Path],
     complaint: str,
 ) -> tuple[cffi.FFI, Any]:
-    """Load the declarations and the library: the one in the package, or else one compiled and cached.
+    """Load declarations and library: a packaged library, or else a compiled and cached one.
 
     Parameters
     ----------
     name
-        First part of the names of its files.
+        First part of the file names.
     declarations
         Declarations of the functions and types, in C.
     packaged
-        Libraries that the package brought, best first.
-    made_of
-        Texts that it comes from.
+        Packaged libraries, best first.
+    build_inputs
+        Source texts by name, for the key of the cache.
     build
-        Compiles it in an empty folder, and returns where.
+        Function that compiles the library in an empty folder and returns its path.
     complaint
-        Begins the message where it is not there; `{}` stands for the reason and how to get a compiler or a wheel.
+        Format of the error message; `{}` is replaced by the reason and by how to get a compiler or a wheel.
 
     Raises
     ------
     NotCompiledError
-        If the package brought no library, and none can be compiled.
+        If no packaged library can be loaded, and none can be compiled.
     """
     ffi = cffi.FFI()
     ffi.cdef(declarations)
     for path in packaged:
         try:
             return ffi, ffi.dlopen(str(path))
-        except OSError:  # such as a wheel for another C library
+        except OSError:  # for instance a wheel for another C library
             continue
     try:
-        return ffi, load_cached(name, what_is_built(made_of), build, lambda path: ffi.dlopen(str(path)))
+        return ffi, load_cached(name, build_digest(build_inputs), build, lambda path: ffi.dlopen(str(path)))
     except NotCompiledError as error:
         remedy = "install gcc, or diffdrive-mpc from a wheel (pip install diffdrive_mpc-*.whl)"
         raise NotCompiledError(complaint.format(f"{error}; {remedy}")) from error
 
 
-def _processor_has() -> frozenset[str]:
-    """Return the features that every processor of this machine reports."""
+def _processor_features() -> frozenset[str]:
+    """Return the features that all processors of this machine report."""
     flags = [frozenset(line.partition(":")[2].split()) for line in processor_lines() if line.startswith("flags")]
     return frozenset.intersection(*flags) if flags else frozenset()

@@ -1,13 +1,13 @@
 """Trial of the mapping changes that findings propose: only changes that improve the prediction are advised.
 
-The rule, in this one place. A proposal is put into the mapping, the log is read again, an SM is fitted to the thinned
-training rows and predicts the held-out rows, the same ones before and after. FIT is free of units and signs, and a free
-dead time takes up a shift; so the coherence of the streams under the gains and delays of a robot counts, too. A
-proposal is good if one of the two gains clearly and neither loses: FIT in no channel, coherence on the whole. Neither
-sees rate and direction of the clock: a clock is changed only where poses confirm it. A proposal that only states the
-reader's default behaviour is good if it removes an error of the reader. The best is taken, the next one is tried on top
-of it, until none is good. A cut of the log is tried on the held-out rows of the remaining part, to which the previous
-model is not fitted either.
+For each proposal, the mapping is changed, the log is read again, an SM is fitted to the thinned training rows, and the
+SM predicts the held-out rows; the rows are the same before and after. FIT is invariant to units and signs, and a free
+dead time absorbs time shifts. Therefore the coherence of the streams, under gains and delays of a plausible robot, is
+scored as well. A proposal is accepted if FIT or coherence improves clearly and neither decreases: FIT in no channel,
+coherence on average. FIT and coherence do not depend on rate and direction of the clock, so a change of the clock also
+needs poses that confirm it. A proposal that only states the reader's default is accepted if it removes an error of the
+reader. The best proposal is applied; the rest are tried on top of it until none is accepted. A cut of the log is scored
+on the held-out rows of the remaining part, and the previous model is not fitted to these rows either.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ FIXED_FILE, FIXED_AGAIN = "fixed.yaml", "fixed_again.yaml"
 
 @dataclass(frozen=True)
 class LogSelection:
-    """Logs, and how they are divided; attributes as the arguments of `identify`."""
+    """Logs and their division; the attributes are those arguments of `identify`."""
 
     logs: tuple[Path, ...]
     validate: tuple[Path, ...]
@@ -61,7 +61,7 @@ class Score:
     agreement
         Agreement of the streams, see `coherence` [%].
     errors
-        Number of errors that the reader of the logs finds before it compares the streams.
+        Number of errors that the log reader finds before it compares the streams.
     """
 
     fit: FloatArray
@@ -69,29 +69,30 @@ class Score:
     errors: int
 
     def gain_over(self, reference: Score | None) -> float:
-        """Compute the improvement over `reference` [percentage points]; not positive unless it is clear."""
+        """Compute the improvement over `reference` [percentage points]; 0 if it is not significant."""
         rule = identification_settings().advice
         if reference is None:
             return float(self.fit.mean()) if self.fit.min() > 0 else 0.0
         fit, agreement = self.fit - reference.fit, float(np.nan_to_num(self.agreement - reference.agreement))
-        lost = min(float(fit.min()), agreement) < -rule.tolerance
-        mended = reference.errors - self.errors
-        gained = max(float(fit.mean()), agreement) > rule.least_gain or mended > 0
-        return max(float(fit.mean()), 0.0) + max(agreement, 0.0) + max(mended, 0) if gained and not lost else 0.0
+        is_worse = min(float(fit.min()), agreement) < -rule.tolerance
+        corrected = reference.errors - self.errors
+        is_better = max(float(fit.mean()), agreement) > rule.least_gain or corrected > 0
+        gain = max(float(fit.mean()), 0.0) + max(agreement, 0.0) + max(corrected, 0)
+        return gain if is_better and not is_worse else 0.0
 
 
 @dataclass(frozen=True)
 class Advice:
-    """A mapping with which the logs are predicted better.
+    """A mapping that improves the prediction of the logs.
 
     Attributes
     ----------
     selection
         The logs.
     mapping
-        The mapping, complete.
+        The complete mapping.
     changes
-        By which it differs from the one the logs were read with.
+        Changes relative to the mapping that the logs were read with.
     before, after
         Quality of the logs before and after the changes; `before` is None if the logs were unusable.
     """
@@ -104,7 +105,7 @@ class Advice:
 
     @property
     def file(self) -> str:
-        """Name of its file; another one where the mapping that was given has that name."""
+        """File name of the mapping; different from the name of the original mapping file."""
         mapping = self.selection.mapping
         return FIXED_AGAIN if isinstance(mapping, str | Path) and Path(mapping).name == FIXED_FILE else FIXED_FILE
 
@@ -113,11 +114,11 @@ class Advice:
         return mapping_text(self.mapping)
 
     def write(self, folder: Path) -> None:
-        """Write its file into `folder`; raises OSError where that is not possible."""
+        """Write the mapping file into `folder`; raise OSError on failure."""
         (folder / self.file).write_text(self.text(), encoding="utf-8")
 
     def sentence(self, folder: Path = Path()) -> str:
-        """Describe the improvement, and the command that uses the mapping, whose file is in `folder`."""
+        """Describe the improvement, and the command that uses the mapping file in `folder`."""
         path = str(folder / self.file)
         changes = ", ".join(map(str, self.changes))
         fit, rule = _percent(self.after), identification_settings().advice
@@ -145,7 +146,7 @@ class AdvisedError(UnsoundLogError):
     Attributes
     ----------
     advice
-        The mapping with which it predicts; None where none is known.
+        Mapping that corrects the log; None if there is none.
     """
 
     def __init__(self, findings: Sequence[Finding], advice: Advice | None) -> None:
@@ -154,7 +155,7 @@ class AdvisedError(UnsoundLogError):
 
 
 def without_rejected(findings: Iterable[Finding], advice: Advice | None) -> tuple[Finding, ...]:
-    """Return the findings, without proposals that are not part of the advice."""
+    """Return the findings, without the proposed changes that are not part of the advice."""
     chosen = set() if advice is None else set(advice.changes)
     kinds = {(change.stream, change.key) for change in chosen}
     return tuple(
@@ -179,23 +180,23 @@ def advise(
     rows = start.rows() if start else None
     before = score = start.score(rows) if start and rows else None
     for _ in range(identification_settings().advice.most_changes):
-        made = best.changes if best else ()
-        judged = [
-            (proposal, *_judged(trial, best, score, rows))
+        applied = best.changes if best else ()
+        scored = [
+            (proposal, *_score_trial(trial, best, score, rows))
             for proposal in proposals
-            if (trial := _Trial.make(selection, mapping, (*made, *proposal))) is not None and trial.keeps_time()
+            if (trial := _Trial.make(selection, mapping, (*applied, *proposal))) is not None and trial.has_valid_clock()
         ]
-        taken = max(judged, key=lambda row: row[1], default=None)
-        if taken is None or taken[1] <= 0:
+        accepted = max(scored, key=lambda row: row[1], default=None)
+        if accepted is None or accepted[1] <= 0:
             break
-        proposal, _, best, score, rows = taken
+        proposal, _, best, score, rows = accepted
         proposals.remove(proposal)
         if start is None:
             proposals = best.proposals()
     if best is None or not best.changes or score is None or rows is None:
         return None
     if start and _is_cut(best.changes):
-        before = start.score(start.rows().beside(rows))
+        before = start.score(start.rows().with_held_out(rows))
     return Advice(selection, best.mapping, best.changes, before, score)
 
 
@@ -206,15 +207,15 @@ def _mapping_of(selection: LogSelection) -> LogMapping | None:
         return None
 
 
-def _judged(
+def _score_trial(
     trial: _Trial, best: _Trial | None, score: Score | None, rows: _Rows | None
 ) -> tuple[float, _Trial, Score | None, _Rows | None]:
-    """Score a trial against the best so far; return its improvement, the trial, its score and its rows."""
+    """Score a trial against the best trial so far; return improvement, trial, score and rows."""
     if rows is None or best is None:
         trial_rows, reference = trial.rows(), None
     elif _is_cut(trial.changes) and not _is_cut(best.changes):
         trial_rows = trial.rows()
-        reference = best.score(rows.beside(trial_rows))
+        reference = best.score(rows.with_held_out(trial_rows))
     else:
         trial_rows, reference = rows, score
     score_of_trial = trial.score(trial_rows)
@@ -226,7 +227,7 @@ def _is_cut(changes: Changes) -> bool:
 
 
 def _proposals(findings: Iterable[Finding]) -> list[Changes]:
-    """List the distinct proposals of the findings; of two values for one place the first."""
+    """List the distinct proposals of the findings; for each place in the mapping, the first value."""
     distinct: dict[tuple[tuple[str, str], ...], Changes] = {}
     for finding in findings:
         if finding.changes:
@@ -236,14 +237,14 @@ def _proposals(findings: Iterable[Finding]) -> list[Changes]:
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """Logs as one mapping reads them.
+    """Logs as read with one mapping.
 
     Attributes
     ----------
     selection, mapping, changes
         Selection, mapping and changes, as in `Advice`.
     logs
-        All of them, those to try the model on last.
+        All logs, validation logs last.
     """
 
     selection: LogSelection
@@ -253,7 +254,7 @@ class _Trial:
 
     @classmethod
     def make(cls, selection: LogSelection, mapping: LogMapping, changes: Changes) -> _Trial | None:
-        """Apply the changes to the logs; None if that is impossible, or the logs become unreadable."""
+        """Read the logs with the changes; return None if the changes cannot be applied or the logs not be read."""
         read: list[Log] = []
         try:
             mapping = changed(mapping, changes)
@@ -265,12 +266,12 @@ class _Trial:
         return cls(selection, mapping, changes, tuple(read))
 
     def proposals(self) -> list[Changes]:
-        """List the proposals of the findings about the logs as they are read now."""
+        """List the proposals of the findings with the current mapping."""
         logs = [read_log(path, self.mapping) for path in self.selection.logs]
         return _proposals(finding for log in logs for finding in log.findings)
 
-    def keeps_time(self) -> bool:
-        """Return False if the clock is changed and poses do not confirm its rate and direction: FIT sees neither."""
+    def has_valid_clock(self) -> bool:
+        """Return False if the clock is changed and no poses confirm rate and direction, which FIT does not show."""
         if not any(change.key == "sample_time" for change in self.changes):
             return True
         posed = [record for log in self.logs for record in log.records if record.pose is not None]
@@ -281,41 +282,41 @@ class _Trial:
         return abs(scale - 1.0) <= identification_settings().advice.clock_tolerance
 
     def rows(self) -> _Rows:
-        """Choose rows to fit and rows held out, both thinned."""
-        most = identification_settings().advice.rows
+        """Choose training rows and held-out rows, both thinned."""
+        max_rows = identification_settings().advice.rows
         count = len(self.selection.logs)
         train: list[Spans] = []
         held: list[Spans] = []
         for number, log in enumerate(self.logs):
             parts: tuple[Sequence[Record], Sequence[Record]] = ((), log.records)
             if number < count:
-                validated = bool(self.selection.validate)
-                parts = (log.records, ()) if validated else divide(log.records, self.selection.fit_share)
+                has_validation = bool(self.selection.validate)
+                parts = (log.records, ()) if has_validation else divide(log.records, self.selection.fit_share)
             for spans, part in zip((train, held), parts, strict=True):
-                thinned = most_informative(part, most // count) if part else ()
+                thinned = most_informative(part, max_rows // count) if part else ()
                 spans.append([(record.start, record.end) for record in thinned])
         return _Rows(tuple(train), tuple(held))
 
     def score(self, rows: _Rows) -> Score | None:
-        """Score a model of the training rows on those held out; None if there is no model."""
+        """Fit a model to the training rows and score it on the held-out rows; None if no model can be fitted."""
         try:
             train, held = (self._usable(spans) for spans in (rows.train, rows.held))
             yaw: YawSource = "gyro" if train[0].yaw_rate is not None else "encoders"
             system = identify_sm(train, yaw=yaw, limits=False).system
             fit = fit_percents(simulate_records(system, held, yaw), twist_experiments(held, yaw))
-        except ValueError:  # ConfigError is one
+        except ValueError:  # includes ConfigError
             return None
         settings = check_settings()
         agreement = [coherence(streams_of(log.records, settings), settings) for log in self.logs]
         return Score(fit, float(np.mean(agreement)), sum(len(log.errors) for log in self.logs))
 
     def _usable(self, spans: tuple[Spans, ...]) -> tuple[Record, ...]:
-        """Return the parts of the logs within the spans in which every signal is present."""
+        """Return the parts of the logs within the spans that have all signals."""
         records = [
             part
-            for log, of_log in zip(self.logs, spans, strict=True)
+            for log, log_spans in zip(self.logs, spans, strict=True)
             for record in log.records
-            for part in _within(record, of_log)
+            for part in _within(record, log_spans)
         ]
         gyro = ["yaw_rate"] if any(record.yaw_rate is not None for log in self.logs for record in log.records) else []
         return usable(records, ("twist", *gyro), "to try advice on", [])
@@ -323,27 +324,27 @@ class _Trial:
 
 @dataclass(frozen=True)
 class _Rows:
-    """Spans [s] of each log: rows to fit, and rows held out."""
+    """Spans [s] of the training rows and of the held-out rows of each log."""
 
     train: tuple[Spans, ...]
     held: tuple[Spans, ...]
 
-    def beside(self, division: _Rows) -> _Rows:
-        """Return the rows held out of another division, and the rows to fit that are not among them."""
-        train = tuple(_without(*spans) for spans in zip(self.train, division.held, strict=True))
+    def with_held_out(self, division: _Rows) -> _Rows:
+        """Return the held-out rows of `division`, and the training rows of this division without them."""
+        train = tuple(_subtract(*spans) for spans in zip(self.train, division.held, strict=True))
         return _Rows(train, division.held)
 
 
-def _without(spans: Spans, taken: Spans) -> Spans:
-    """Subtract the spans `taken` from `spans` [s]."""
-    for first, last in taken:
+def _subtract(spans: Spans, removed: Spans) -> Spans:
+    """Subtract the spans `removed` from `spans` [s]."""
+    for first, last in removed:
         pieces = [((start, min(end, first)), (max(start, last), end)) for start, end in spans]
         spans = [piece for pair in pieces for piece in pair if piece[0] < piece[1]]
     return spans
 
 
 def _within(record: Record, spans: Spans) -> list[Record]:
-    """Cut a record into spans [s]; grids with slightly different starts give the same rows."""
+    """Cut a record into spans [s]; the rows are the same for time grids with slightly different starts."""
     parts = []
     for span in spans:
         first, last = (round((time - record.start) / record.dt) for time in span)

@@ -1,4 +1,4 @@
-"""From logs of a robot to a model, a controller configuration and a report."""
+"""Identification of a robot from logs: model, controller configuration and report."""
 
 from __future__ import annotations
 
@@ -50,27 +50,27 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 AUTOMATIC = "auto"
-BESIDE = "sm"
+ACCOMPANYING = "sm"
 """Linear model that accompanies a predictor."""
 FILES = (MODEL_FILE, CONFIG_FILE, SURFACE_FILE, NODE_FILE, "report.json", "report.md")
-"""Files of `Identification.write`; the node's parameters for bags only. A network also has a file of weights."""
+"""Files of `Identification.write`; the node's parameters only for bags. A network also has a file of weights."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Identification:
-    """Result of an identification from logs. Its `str` is the report's summary; its arrays are read-only.
+    """Result of an identification from logs. `str` gives the report's summary; arrays are read-only.
 
     Attributes
     ----------
     model
         The velocity model, for `Controller(..., model=found.model)`.
     config
-        Keys and values that `load_config` takes: limits that the logs cover, the tracks of the wheels, and as model the
-        name of the file that `write` puts beside the configuration.
+        Keys and values for `load_config`: limits that the logs cover, tracks of the wheels, and the name of the model
+        file that `write` stores in the folder of the configuration.
     surface
-        Keys and values of a surface file: the slip of the log, for a plant of the model.
+        Keys and values of a surface file: the slip of the log, for a simulated plant with the model.
     report
-        Scores, parameters with their uncertainty, warnings: as data, `as_json` and `markdown`; prints as tables.
+        Scores, parameters with uncertainty, and warnings, as data, JSON (`as_json`), Markdown and tables.
     content
         Content of the model's parameter file.
     configuration
@@ -85,7 +85,7 @@ class Identification:
     configuration: IdentifiedConfiguration
 
     def __repr__(self) -> str:
-        """Format as one word, since the arrays would fill pages."""
+        """Format without the arrays, which would fill pages."""
         return f"<Identification {self.report.name!r}>"
 
     def __str__(self) -> str:
@@ -99,28 +99,28 @@ class Identification:
 
     @property
     def advice(self) -> Advice | None:
-        """A mapping with which the logs are predicted better, tried on them; None where none is known."""
+        """Mapping that improves the prediction of the logs, tested on them; None if there is none."""
         return self.report.data.advice
 
     @property
     def refusal(self) -> str:
-        """Reason for which no controller should drive with this model, in one line; empty without one."""
+        """Reasons for which no controller should use this model, in one line; empty if there are none."""
         return "; ".join(refusals(self.report.data.findings, self.report.fitted))
 
     def write(self, folder: str | Path, figures: Mapping[str, str] | None = None, *, force: bool = False) -> None:
-        """Write `FILES` into `folder`, which is made where missing; files of these names are replaced.
+        """Write `FILES` into `folder`; create the folder if it is missing, and replace existing files.
 
-        After a `refusal`, model, configuration and surface are written with `force` only. The mapping of an `advice` is
-        written, too.
+        If there is a `refusal`, model, configuration and surface are written only with `force`. The mapping of an
+        `advice` is also written.
 
         Parameters
         ----------
         folder
             Target folder.
         figures
-            Titles and relative paths of figures that the report shows.
+            Relative paths of the figures of the report, by title.
         force
-            Whether to write model and configuration in spite of a `refusal`.
+            Whether to write model and configuration despite a `refusal`.
 
         Raises
         ------
@@ -132,7 +132,7 @@ class Identification:
         self.write_report(folder, figures)
 
     def write_model(self, folder: str | Path) -> None:
-        """Write model, configuration, surface and, for bags, the node's parameters; as `write`."""
+        """Write model, configuration, surface and, for bags, the node's parameters into `folder`, as `write` does."""
         folder, predictor = Path(folder), self.report.fitted.predictor
         folder.mkdir(parents=True, exist_ok=True)
         if predictor is None:
@@ -145,14 +145,14 @@ class Identification:
             (folder / NODE_FILE).write_text(node_text(self.report.data.topics), encoding="utf-8")
 
     def write_report(self, folder: str | Path, figures: Mapping[str, str] | None = None) -> None:
-        """Write the report, as text and for programs, and the mapping of an `advice`; as `write`."""
-        folder, words = Path(folder), self.report.markdown(figures)
-        numbers = json.dumps(self.report.as_json(), indent=1, allow_nan=False) + "\n"
+        """Write the report as Markdown and JSON, and the mapping of an `advice`, into `folder`, as `write` does."""
+        folder, text = Path(folder), self.report.markdown(figures)
+        data = json.dumps(self.report.as_json(), indent=1, allow_nan=False) + "\n"
         folder.mkdir(parents=True, exist_ok=True)
         if self.advice:
             self.advice.write(folder)
-        (folder / "report.json").write_text(numbers, encoding="utf-8")
-        (folder / "report.md").write_text(words, encoding="utf-8")
+        (folder / "report.json").write_text(data, encoding="utf-8")
+        (folder / "report.md").write_text(text, encoding="utf-8")
 
 
 def identify(
@@ -171,52 +171,54 @@ def identify(
     on_findings: Callable[[Sequence[Finding]], None] | None = None,
     on_progress: Callable[[str], None] | None = None,
 ) -> Identification:
-    """Identify a velocity model from logs, and judge its trustworthiness.
+    """Identify a velocity model from logs, and grade its trustworthiness.
 
     Parameters
     ----------
     logs
         CSV files, ROS 2 bags or data frames of pandas, all of one robot.
     mapping
-        Mapping of the columns or topics: the name of a shipped mapping or the path of a mapping file; None for logs of
-        `diffdrive-mpc simulate --log`, and for bags with the usual topics.
+        Mapping of columns or topics: name of a shipped mapping or path of a mapping file. None for logs of
+        `diffdrive-mpc simulate --log`, and for bags with the default topics.
     structure
         "mbm", "sm", "ssm"; "p2_experimental" or "p2_physical", a drive; "lstm", a network trained on the logs; or
-        "hybrid", an sm with a small network for its residuals: both need the extra `learn` and minutes.
+        "hybrid", an sm with a small network for its residuals. Both networks need the extra `learn` and take minutes.
     effects
-        Whether to identify the effects of the base around an sm: slew, steps, tyres, veer. Takes minutes.
+        Whether to identify base effects in addition to an sm: slew, steps, tyres, veer. Takes minutes.
     robot
-        Name of a robot whose maker's statements count where the logs do not tell, or the path of a file of such: its
-        topics in bags without a `mapping`, its limits, its track, its footprint. None of it is identified.
+        Name of a robot, or path of a file, with values that the maker states: topics of bags without a `mapping`,
+        limits, track and footprint. They are used if the logs do not determine them.
     validate
-        Logs to try the model on; without any, the last part of each of `logs`.
+        Validation logs; by default the last part of each of `logs`.
     fit_share
-        Part of each log that comes before that last part [-]; by default 0.6.
+        Share of each log to identify from, if there are no validation logs [-]; by default 0.6.
     order
-        Order of an ssm, or "auto" to choose it.
+        Order of an ssm, or "auto" to select it.
     name
         Name of the model; by default from the logs.
     force
-        Whether to continue with logs that have errors: wrong units, dead wheels, channels that are never driven.
+        Whether to continue if logs have errors: wrong units, dead wheels, channels that are never driven.
     on_log
-        Called with each log once it is read, before anything is fitted.
+        Called with each log after it is read, before the fit.
     on_findings
-        Called with notes and warnings of each log once it is read, also when an error of it is raised next; without
-        their proposals for the mapping, which have not been tried yet.
+        Called with notes and warnings of each log after it is read, also if an error is raised next; proposals for the
+        mapping are removed, as they have not been tried yet.
     on_progress
-        Called with the next step, in words.
+        Called with a description of the next step.
 
     Raises
     ------
     models.identification.advice.AdvisedError
-        If a log would give a wrong model; its `advice` is the mapping that repairs it, where one is known.
+        If a log would give a wrong model; `advice` is the mapping that corrects the log, if there is one.
     models.checked_yaml.ConfigError, ValueError, OSError
-        If an argument or a log cannot be used, or the logs allow no model; the message is one line.
+        If an argument or a log cannot be used, or no model can be fitted to the logs; the message is one line.
     """
-    chosen, predictor = _chosen(structure, effects=effects)
-    wanted = _order(chosen, order)
+    chosen, predictor = _choose_structure(structure, effects=effects)
+    checked_order = _check_order(chosen, order)
     if validate and fit_share is not None:
-        raise OptionError("fit_share", ": with --validate all of the other logs is identified from; give one of them")
+        raise OptionError(
+            "fit_share", ": with --validate the other logs are used whole for identification; give one of the options"
+        )
     if name is not None and not name.strip():
         raise OptionError("name", ": it is empty; give the model a name, or leave the option out")
     share = identification_settings().fit_share if fit_share is None else fit_share
@@ -227,16 +229,16 @@ def identify(
             raise ConfigError("no logs: give at least one")
         if on_progress:
             on_progress("reading")
-        # Recordings of a node have their own names.
-        of_robot = is_bag(paths[0]) and not is_drive_log(paths[0])
-        known = stated.mapping() if stated is not None and mapping is None and of_robot else mapping
-        tried = _paths(validate, Path(folder), "validation")
-        selection = LogSelection(tuple(paths), tuple(tried), known, share)
+        # Recordings of the node have fixed topic names.
+        is_robot_bag = is_bag(paths[0]) and not is_drive_log(paths[0])
+        used_mapping = stated.mapping() if stated is not None and mapping is None and is_robot_bag else mapping
+        validation_paths = _paths(validate, Path(folder), "validation")
+        selection = LogSelection(tuple(paths), tuple(validation_paths), used_mapping, share)
         try:
             data = read_data(
                 selection.logs,
                 selection.validate,
-                mapping=known,
+                mapping=used_mapping,
                 fit_share=share,
                 wheels=chosen.needs_wheels,
                 on_findings=(lambda findings: on_findings(without_rejected(findings, None)))
@@ -248,14 +250,14 @@ def identify(
             )
         except UnsoundLogError as error:
             raise AdvisedError(error.findings, advise(selection, error.findings, on_progress)) from error
-        corrections = find_corrections(data.logs[0], data.train, known)
+        corrections = find_corrections(data.logs[0], data.train, used_mapping)
         if on_findings:
             on_findings(corrections.findings)
         advice = advise(selection, data.findings, on_progress)
     data = replace(
         data,
-        train=corrections.mended(data.train),
-        validation=corrections.mended(data.validation),
+        train=corrections.correct(data.train),
+        validation=corrections.correct(data.validation),
         findings=(*without_rejected(data.findings, advice), *corrections.findings),
         sensors=corrections.settings,
         advice=advice,
@@ -263,7 +265,14 @@ def identify(
     more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
     title = name or f"{structure.upper()} from {paths[0].stem}{more}"
     return identify_data(
-        data, chosen, title, order=wanted, effects=effects, predictor=predictor, robot=stated, on_progress=on_progress
+        data,
+        chosen,
+        title,
+        order=checked_order,
+        effects=effects,
+        predictor=predictor,
+        robot=stated,
+        on_progress=on_progress,
     )
 
 
@@ -278,7 +287,7 @@ def identify_data(
     robot: MakersRobot | None = None,
     on_progress: Callable[[str], None] | None = None,
 ) -> Identification:
-    """Identify a model from records that are divided already; otherwise as `identify`.
+    """Identify a model, as `identify` does, from records that are already divided.
 
     Parameters
     ----------
@@ -289,27 +298,28 @@ def identify_data(
     name
         Name of the model.
     order, effects, on_progress
-        As for `identify`; an order of None is chosen.
+        As for `identify`; None selects the order.
     predictor
-        One of `finders`: its model is identified, too, and predicts; limits and tracks come from the structure's model.
+        Name of a finder in `finders`: its model is identified in addition and predicts, while the model of `structure`
+        determines limits and tracks.
     robot
-        Stated robot; it bounds the configuration, and supplies values that the logs cannot determine.
+        Robot with stated values, which bound the configuration and replace values that the logs cannot determine.
 
     Raises
     ------
     ValueError
-        If the records do not allow it.
+        If the records are unsuitable.
     """
     announce = on_progress or (lambda _: None)
     announce("identification (seconds, for an SSM up to minutes)")
     fitted = fit(
-        data, structure, order, effects=effects, on_trial=lambda effect: announce(f"does the base show {effect}?")
+        data, structure, order, effects=effects, on_trial=lambda effect: announce(f"trial of the effect: {effect}")
     )
     if predictor:
         announce(f"{predictor} (a minute or more)")
         fitted = with_predictor(data, fitted, finders()[predictor]())
     poses = from_poses(data, fitted)
-    slip = slip_prior(poses.centred([*data.train, *data.validation]))
+    slip = slip_prior(poses.at_rotation_centre([*data.train, *data.validation]))
     report = IdentificationReport(name, data, fitted, poses, slip, date.today(), robot)
     configuration = configure(
         name,
@@ -338,7 +348,7 @@ def identify_data(
 
 
 def _paths(logs: object, folder: Path, name: str) -> list[Path]:
-    """Return the paths of the logs; data frames are written to CSV files called `name` in `folder`."""
+    """Return the paths of the logs; write data frames to CSV files in `folder` whose names start with `name`."""
     listed = logs if isinstance(logs, (list, tuple)) else [logs]
     paths = []
     for number, log in enumerate(listed):
@@ -348,7 +358,7 @@ def _paths(logs: object, folder: Path, name: str) -> list[Path]:
         elif isinstance(log, (str, Path)):
             paths.append(Path(log))
         else:
-            remedy = "make a pandas.DataFrame of arrays, and name its columns in a mapping"
+            remedy = "convert arrays to a pandas.DataFrame, and name its columns in a mapping"
             raise wrong_type("logs", "paths of log files or data frames", log, remedy)
     return paths
 
@@ -365,7 +375,7 @@ def _linear_content(report: IdentificationReport) -> ModelFile:
 
 
 def _fields(report: IdentificationReport, predictor: Predictor) -> dict[str, Any]:
-    """Return the fields of every predictor's file."""
+    """Return the fields that the files of all predictors have."""
     fitted, data = report.fitted, report.data
     return {
         "name": report.name,
@@ -379,7 +389,7 @@ def _fields(report: IdentificationReport, predictor: Predictor) -> dict[str, Any
 
 
 def _origin(report: IdentificationReport) -> dict[str, Any]:
-    """Return the provenance of a model file, as far as logs determine it."""
+    """Return the part of a model file's provenance that follows from the logs."""
     data = report.data
     return {
         "source": ", ".join(data.logs),
@@ -389,28 +399,29 @@ def _origin(report: IdentificationReport) -> dict[str, Any]:
     }
 
 
-def _chosen(name: str, *, effects: bool) -> tuple[Structure, str | None]:
-    """Return the structure of a name, or the one of a predictor and its name; refuse a missing package."""
+def _choose_structure(name: str, *, effects: bool) -> tuple[Structure, str | None]:
+    """Return the structure called `name` and None; for a predictor, the accompanying structure and `name`.
+
+    Raises OptionError if the options do not fit, MissingPackageError if the predictor's package is not installed.
+    """
     predictor = name if name in finders() else None
     if predictor is None and name not in STRUCTURES:
         raise OptionError("structure", f" '{name}': give one of {', '.join((*STRUCTURES, *finders()))}")
-    chosen = STRUCTURES[BESIDE if predictor else name]
+    chosen = STRUCTURES[ACCOMPANYING if predictor else name]
     if effects and (predictor or not chosen.takes_effects):
-        able = " or ".join(structure.name for structure in STRUCTURES.values() if structure.takes_effects)
-        raise OptionError("effects", f": they belong to an {able}, not an {name}; choose that structure")
+        supported = " or ".join(structure.name for structure in STRUCTURES.values() if structure.takes_effects)
+        raise OptionError("effects", f": structure {name} has no effects; choose {supported}")
     if predictor:
         finders()[predictor]()
     return chosen, predictor
 
 
-def _order(structure: Structure, order: int | str) -> int | None:
+def _check_order(structure: Structure, order: int | str) -> int | None:
     if order == AUTOMATIC:
         return None
     if structure.largest_order is None:
-        able = " or ".join(
-            name for name, structure_of_name in STRUCTURES.items() if structure_of_name.largest_order is not None
-        )
-        raise OptionError("order", f" {order}: only {able} has a choice of order; leave it out for {structure.name}")
+        supported = " or ".join(name for name, candidate in STRUCTURES.items() if candidate.largest_order is not None)
+        raise OptionError("order", f" {order}: only {supported} has a choice of order; omit it for {structure.name}")
     if not (str(order).isdecimal() and 1 <= int(order) <= structure.largest_order):
         raise OptionError("order", f" '{order}': give {AUTOMATIC}, or 1 to {structure.largest_order}")
     return int(order)

@@ -1,4 +1,4 @@
-"""Logs read, judged, and divided into records to identify from and records held out."""
+"""Reading, checking and division of logs into training and validation records."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 
 
 class OptionError(ConfigError):
-    """An option of `identify` cannot be used.
+    """Error for an unusable option of `identify`.
 
     Attributes
     ----------
     option, rest
-        Name of the option as an argument, and the rest of the message.
+        Name of the option as an argument, and the remaining message.
     """
 
     def __init__(self, option: str, rest: str) -> None:
@@ -39,7 +39,7 @@ class OptionError(ConfigError):
 
 
 class _Clock(StrictModel):
-    """Clock of a controller for the log."""
+    """Sample time of a controller for the log."""
 
     sample_time: SampleTime
 
@@ -51,25 +51,25 @@ class LogData:
     Attributes
     ----------
     train, validation
-        Records, all with one sample time; none of the second is in the first.
+        Disjoint records with a common sample time.
     logs
         Names of the logs.
     held_out
-        Selection of the validation records, in words.
+        Description of the validation records.
     yaw
-        Sensor of omega: the gyro or, without one, the encoders, or the poses where they are alone.
+        Sensor of omega: the gyro if the log has one, else the encoders, or the poses if there are no encoders.
     findings
-        Findings of all logs, notes and warnings; with `force` errors, too.
+        Notes and warnings of all logs; with `force` also errors.
     warnings
-        Parts that were left out of the logs.
+        Parts of the logs that are not used.
     stated_track
-        Track that the mapping states [m]; None where it states none.
+        Track that the mapping states [m]; None if it states none.
     sensors
-        Differences between readings and motion, by input, for the robot's configuration.
+        Delays, scales and signs of the sensors, by input, for the robot's configuration.
     topics
-        Topic and type of message by stream, of logs that are bags.
+        Topic and message type by stream, for bags.
     advice
-        A mapping with which the logs are predicted better; None where none is known.
+        Mapping that improves the prediction of the logs; None if there is none.
     """
 
     train: tuple[Record, ...]
@@ -104,27 +104,27 @@ def read_data(
     logs
         Logs to identify from.
     validate
-        Logs to try the model on; without any, the last part of each of `logs`.
+        Validation logs; by default the last part of each of `logs`.
     mapping
-        Mapping of all of them, as `models.logs.read_log` takes it.
+        Mapping of all logs, as for `models.logs.read_log`.
     fit_share
-        Part of the rows of each log that comes before that last part [-].
+        Share of the rows of each log before that last part [-].
     wheels
-        Whether the model is identified from the speeds of the wheels.
+        Whether the model is identified from wheel speeds.
     on_findings
-        Called with notes and warnings of each log once it is read, also when an error of it is raised next.
+        Called with notes and warnings of each log after it is read, also if an error is raised next.
     on_log
         Called with each log before its findings.
     force
-        Whether logs are used although findings of severity "error" speak against it.
+        Whether to use logs despite findings of severity "error".
     most_rows
-        Largest number of rows that are used of either part, those in which the commands change most; None for all.
+        Maximum number of training rows and of validation rows, selected where the commands change most; None for all.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If a log cannot be read, would give a wrong model, has no sample time of a controller, or a signal is missing
-        from all of them.
+        If a log cannot be read or would give a wrong model, if its sample time is no sample time of a controller, or if
+        a signal is missing in all logs.
     """
     _check_selection(logs, validate, fit_share)
     loaded = mapping if mapping is None or isinstance(mapping, LogMapping) else load_mapping(mapping)
@@ -140,34 +140,34 @@ def read_data(
     by_poses = not any(record.twist is not None for record in records) and any(r.pose is not None for r in records)
     if by_poses:
         read = [replace(log, records=with_twist_of_poses(log.records)) for log in read]
-    fitted, tried = read[: len(logs)], read[len(logs) :]
-    has_gyro = any(record.yaw_rate is not None for log in fitted for record in log.records)
+    training, validating = read[: len(logs)], read[len(logs) :]
+    has_gyro = any(record.yaw_rate is not None for log in training for record in log.records)
     yaw: YawSource = "gyro" if has_gyro else "poses" if by_poses else "encoders"
     if by_poses:
         subject = "v is" if has_gyro else "v and omega are"
         on_findings([Finding("poses_alone", "note", "encoders", f"the log has none: {subject} computed from poses")])
     needed = ("twist", *(["yaw_rate"] if has_gyro else []), *(["wheels"] if wheels else []))
-    train, validation, held_out = _divided(fitted, tried, fit_share)
-    spare: list[Finding] = []
+    train, validation, held_out = _divide_logs(training, validating, fit_share)
+    omitted: list[Finding] = []
     if most_rows is not None:
-        spare = _spare({"identification": train, "validation": validation}, most_rows)
+        omitted = _note_omitted({"identification": train, "validation": validation}, most_rows)
         train, validation = most_informative(train, most_rows), most_informative(validation, most_rows)
-    on_findings(spare)
+    on_findings(omitted)
     warnings: list[Doubt] = []
     train_used = usable(train, needed, "to identify from", warnings)
     validation_used = usable(validation, needed, "to validate on", warnings)
-    together = compare_logs(fitted)
-    admit(together)
+    comparison = compare_logs(training)
+    admit(comparison)
     data = LogData(
         train=train_used,
         validation=validation_used,
-        logs=tuple(log.name for log in fitted),
+        logs=tuple(log.name for log in training),
         held_out=held_out,
         yaw=yaw,
-        findings=(*(finding for log in read for finding in log.findings), *together, *spare),
+        findings=(*(finding for log in read for finding in log.findings), *comparison, *omitted),
         warnings=tuple(warnings),
         stated_track=None if geometry is None else geometry.track,
-        topics=fitted[0].topics,
+        topics=training[0].topics,
     )
     check(_Clock, {"sample_time": data.train[0].dt}, data.logs[0])
     return data
@@ -179,9 +179,7 @@ def _check_selection(logs: Sequence[Path], validate: Sequence[Path], fit_share: 
         raise OptionError("fit_share", f" {fit_share:g}: give {low:g} to {high:g}")
     twice = [path for path in (*logs, *validate) if [*logs, *validate].count(path) > 1]
     if twice:
-        raise ConfigError(
-            f"{twice[0]}: this log is given twice; a model must not be tested on its own identification data"
-        )
+        raise ConfigError(f"{twice[0]}: this log is given twice; a model must not be tested on its training data")
 
 
 def _read_alike(
@@ -190,7 +188,7 @@ def _read_alike(
     on_log: Callable[[Log], None],
     admit: Callable[[Sequence[Finding]], None],
 ) -> list[Log]:
-    """Read the logs at the sample time of the first; `admit` refuses findings that rule one out."""
+    """Read the logs at the sample time of the first; `admit` raises ConfigError for findings that exclude a log."""
     read: list[Log] = []
     for path in paths:
         log = read_log(path, mapping, read[0].records[0].dt if read else None)
@@ -200,44 +198,48 @@ def _read_alike(
     return read
 
 
-def _divided(fitted: Sequence[Log], tried: Sequence[Log], fit_share: float) -> tuple[list[Record], list[Record], str]:
-    """Divide logs into records to identify from and records held out; describe the latter in words."""
-    if tried:
-        train, validation = ([record for log in logs for record in log.records] for logs in (fitted, tried))
-        return train, validation, f"logs of their own: {', '.join(log.name for log in tried)}"
-    halves = [divide(log.records, fit_share) for log in fitted]
+def _divide_logs(
+    training: Sequence[Log], validating: Sequence[Log], fit_share: float
+) -> tuple[list[Record], list[Record], str]:
+    """Return training records, validation records, and a description of the latter."""
+    if validating:
+        train, validation = ([record for log in logs for record in log.records] for logs in (training, validating))
+        return train, validation, f"separate logs: {', '.join(log.name for log in validating)}"
+    halves = [divide(log.records, fit_share) for log in training]
     train, validation = ([record for parts in part for record in parts] for part in zip(*halves, strict=True))
     return train, validation, f"the last {100 * (1 - fit_share):.0f} % of the rows of each log"
 
 
-def _spare(parts: Mapping[str, Sequence[Record]], most: int) -> list[Finding]:
-    """Return a note for each part with more than `most` rows."""
+def _note_omitted(parts: Mapping[str, Sequence[Record]], max_rows: int) -> list[Finding]:
+    """Return a note for each part with more than `max_rows` rows."""
     counts = {use: sum(len(record.command) for record in records) for use, records in parts.items()}
     words = "{} of {} rows are used, the parts in which the commands change most"
-    return [Finding("subset", "note", use, words.format(most, rows)) for use, rows in counts.items() if rows > most]
+    return [
+        Finding("subset", "note", use, words.format(max_rows, rows)) for use, rows in counts.items() if rows > max_rows
+    ]
 
 
 def divide(records: Sequence[Record], share: float) -> tuple[list[Record], list[Record]]:
-    """Divide records into the first `share` [-] of all rows and the rest; cut the record between them."""
-    left = round(share * sum(len(record.command) for record in records))
+    """Divide records into the first `share` [-] of all rows and the rest; cut the record at the boundary."""
+    remaining = round(share * sum(len(record.command) for record in records))
     first: list[Record] = []
     last: list[Record] = []
     for record in records:
         count = len(record.command)
-        if left >= count:
+        if remaining >= count:
             first.append(record)
-        elif left <= 0:
+        elif remaining <= 0:
             last.append(record)
         else:
-            first.append(record.part(0, left))
-            last.append(record.part(left, count))
-        left -= count
+            first.append(record.part(0, remaining))
+            last.append(record.part(remaining, count))
+        remaining -= count
     return first, last
 
 
-def most_informative(records: Sequence[Record], most: int) -> list[Record]:
-    """Select at most `most` rows, in order, from the minutes in which the commands change most."""
-    if sum(len(record.command) for record in records) <= most:
+def most_informative(records: Sequence[Record], max_rows: int) -> list[Record]:
+    """Select at most `max_rows` rows, in order, from the parts in which the commands change most."""
+    if sum(len(record.command) for record in records) <= max_rows:
         return list(records)
     commands = np.concatenate([record.command for record in records])
     scale = np.maximum(commands.std(axis=0), 1e-12)
@@ -246,40 +248,40 @@ def most_informative(records: Sequence[Record], most: int) -> list[Record]:
     scores = [
         float((np.abs(np.diff(records[i].command[first : first + span], axis=0)) / scale).sum()) for i, first in parts
     ]
-    taken: list[tuple[int, int]] = []
-    left = most
+    selected: list[tuple[int, int]] = []
+    remaining = max_rows
     for index in np.argsort(-np.array(scores), kind="stable"):
         i, first = parts[index]
         count = min(span, len(records[i].command) - first)
-        if count <= left:
-            taken.append((i, first))
-            left -= count
-    return [records[i].part(first, min(first + span, len(records[i].command))) for i, first in sorted(taken)]
+        if count <= remaining:
+            selected.append((i, first))
+            remaining -= count
+    return [records[i].part(first, min(first + span, len(records[i].command))) for i, first in sorted(selected)]
 
 
 def usable(records: Sequence[Record], needed: Sequence[str], use: str, warnings: list[Doubt]) -> tuple[Record, ...]:
-    """Select records with enough readings of every signal; append a line to `warnings` for each one left out.
+    """Select the records with enough readings of every signal; append a doubt to `warnings` for each other record.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If none is left.
+        If no record has enough readings.
     """
-    least = identification_settings().fewest_readings
+    min_readings = identification_settings().fewest_readings
     selected: list[Record] = []
     lacking = ""
     for record in records:
-        missing = next((name for name in needed if _readings(record, name) < least), None)
+        missing = next((name for name in needed if _count_readings(record, name) < min_readings), None)
         if missing is None:
             selected.append(record)
             continue
-        lacking = f"{record.name}: {_readings(record, missing)} readings of {missing}, fewer than {least}"
+        lacking = f"{record.name}: {_count_readings(record, missing)} readings of {missing}, fewer than {min_readings}"
         warnings.append(Doubt("stretch left out", f"{lacking}; the stretch is not used {use}"))
     if not selected:
-        raise ConfigError(f"nothing {use}: {lacking or 'no rows are left'}; log that signal, or for longer")
+        raise ConfigError(f"nothing {use}: {lacking or 'no rows are left'}; log that signal, or record a longer log")
     return tuple(selected)
 
 
-def _readings(record: Record, name: str) -> int:
+def _count_readings(record: Record, name: str) -> int:
     fresh = record.fresh(name)
     return 0 if fresh is None else int(fresh.sum())

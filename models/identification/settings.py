@@ -1,4 +1,4 @@
-"""Settings for the division of logs and the verdict on models, read from `settings.yaml`."""
+"""Settings for the division of logs and the grading of models, read from `settings.yaml`."""
 
 from __future__ import annotations
 
@@ -13,39 +13,39 @@ from diffdrive_mpc.models.robot import Positive
 
 
 class JudgementSettings(StrictModel):
-    """Thresholds below which a model is not trusted."""
+    """Thresholds of doubts about a model."""
 
-    low_fit: float = Field(description="[%]")
-    refused_fit: float = Field(description="[%]")
-    unknown_delay: Positive = Field(description="[-]")
-    least_unknown_delay: Positive = Field(description="[s]")
-    fit_drop: Positive = Field(description="[percentage points]")
-    unexplained: Positive = Field(description="[-]")
-    lever_arm: Positive = Field(description="[m]")
+    low_fit: float = Field(description="FIT below which a doubt is raised [%]")
+    refused_fit: float = Field(description="FIT below which no configuration is written [%]")
+    unknown_delay: Positive = Field(description="relative standard deviation of an unknown delay [-]")
+    least_unknown_delay: Positive = Field(description="minimum standard deviation of an unknown delay [s]")
+    fit_drop: Positive = Field(description="decrease of FIT from training to validation [percentage points]")
+    unexplained: Positive = Field(description="correlation of residuals with commands over its 95 % bound [-]")
+    lever_arm: Positive = Field(description="distance of the pose point from the centre of rotation [m]")
 
 
 class AdviceSettings(StrictModel):
-    """When a change of the mapping is advised."""
+    """Settings of the rule for advised changes of the mapping."""
 
-    rows: int = Field(gt=0, description="to fit, and as many held out, for each trial [-]")
-    most_changes: int = Field(gt=0, description="proposals that are put one on top of the other [-]")
-    least_gain: Positive = Field(description="of FIT or agreement of the streams [percentage points]")
-    tolerance: Positive = Field(description="by which neither may fall [percentage points]")
-    clock_tolerance: Positive = Field(description="difference of wheels and poses under a changed clock [-]")
+    rows: int = Field(gt=0, description="training rows, and as many held-out rows, of each trial [-]")
+    most_changes: int = Field(gt=0, description="maximum number of combined proposals [-]")
+    least_gain: Positive = Field(description="minimum gain of FIT or agreement of the streams [percentage points]")
+    tolerance: Positive = Field(description="maximum loss of FIT or agreement [percentage points]")
+    clock_tolerance: Positive = Field(description="maximum difference of wheels and poses after a clock change [-]")
 
 
 class SensorSettings(StrictModel):
-    """Thresholds from which a sensor counts as late or scaled."""
+    """Thresholds above which a sensor counts as late or scaled."""
 
-    least_delay: Positive = Field(description="[s]")
-    least_scale: Positive = Field(description="of the gyro, beside one [-]")
-    least_wheel_scale: Positive = Field(description="of the encoders, logarithm [-]")
-    least_slip: Positive = Field(description="encoders over poses, above which wheels slip [-]")
-    certain: Positive = Field(description="[standard deviations]")
+    least_delay: Positive = Field(description="minimum delay [s]")
+    least_scale: Positive = Field(description="minimum difference of the gyro's scale from one [-]")
+    least_wheel_scale: Positive = Field(description="minimum logarithm of the encoders' scale [-]")
+    least_slip: Positive = Field(description="ratio of encoders to poses above which the wheels slip [-]")
+    certain: Positive = Field(description="minimum significance [standard deviations]")
 
 
 class SlipSettings(StrictModel):
-    """Mean of a slip, its standard deviation, and that between surfaces."""
+    """Mean of each slip parameter, standard deviation, and standard deviation between surfaces."""
 
     side_slip: tuple[Positive, Positive, Positive] = Field(description="lateral speed, outward, over v omega [s]")
     load_shift: tuple[Positive, Positive, Positive] = Field(description="turning point over acceleration [s^2]")
@@ -54,34 +54,34 @@ class SlipSettings(StrictModel):
 class IdentificationSettings(StrictModel):
     """Sizes and thresholds of the identification from logs."""
 
-    fit_share: Positive = Field(description="of each log to identify from [-]")
-    shares: tuple[Positive, Positive] = Field(description="least and largest share to identify from [-]")
+    fit_share: Positive = Field(description="share of each log to identify from [-]")
+    shares: tuple[Positive, Positive] = Field(description="minimum and maximum of `fit_share` [-]")
     most_rows: dict[str, int] = Field(
-        description="of a log that are fitted, and that are scored, without and with effects"
+        description="maximum rows of training and of validation, without and with effects [-]"
     )
-    part_time: Positive = Field(description="that is taken or left together [s]")
-    block_time: Positive = Field(description="that is drawn together for the uncertainty of a comparison [s]")
-    fewest_readings: int = Field(gt=0, description="[-]")
-    pose_window: Positive = Field(description="[s]")
+    part_time: Positive = Field(description="length of the parts selected from a long log [s]")
+    block_time: Positive = Field(description="length of the blocks resampled for the uncertainty of a comparison [s]")
+    fewest_readings: int = Field(gt=0, description="minimum readings of each signal in a stretch [-]")
+    pose_window: Positive = Field(description="window over which displacements are compared with poses [s]")
     horizons: tuple[Positive, ...] = Field(description="horizons of the open-loop pose error [s]")
     start_every: Positive = Field(description="time between two starts [s]")
-    limit_margin: float = Field(ge=1, description="[-]")
-    certain: Positive = Field(description="[standard deviations]")
-    least_slew: Annotated[float, Field(gt=0, le=1)] = Field(description="part of the slew found [-]")
-    settled: Annotated[float, Field(gt=0, lt=1)] = Field(description="[-]")
+    limit_margin: float = Field(ge=1, description="predicted limit over commanded limit [-]")
+    certain: Positive = Field(description="margin of the slew limit [standard deviations]")
+    least_slew: Annotated[float, Field(gt=0, le=1)] = Field(description="minimum share of the identified slew [-]")
+    settled: Annotated[float, Field(gt=0, lt=1)] = Field(description="tolerance of the settling time [-]")
     look_ahead: Positive = Field(description="horizon over the settling time [-]")
-    least_steps: int = Field(ge=1, le=200, description="[-]")
-    most_steps: int = Field(ge=1, le=200, description="[-]")
-    lengths: dict[str, Positive] = Field(description="by dotted key of the configuration [m]")
-    expert: tuple[str, ...] = Field(description="groups and keys of a configuration that stand under `expert:` in it")
-    least_noise: dict[str, Positive] = Field(description="by the key of the group estimator [SI units]")
+    least_steps: int = Field(ge=1, le=200, description="minimum horizon [steps]")
+    most_steps: int = Field(ge=1, le=200, description="maximum horizon [steps]")
+    lengths: dict[str, Positive] = Field(description="default lengths by dotted key of the configuration [m]")
+    expert: tuple[str, ...] = Field(description="groups and keys of a configuration that belong under `expert:`")
+    least_noise: dict[str, Positive] = Field(description="minimum noise by key of the group estimator [SI units]")
     sensors: SensorSettings
-    slip: SlipSettings = Field(description="prior of what the filter of a configuration begins with")
+    slip: SlipSettings = Field(description="prior of the filter's initial slip estimate")
     warn: JudgementSettings
-    advice: AdviceSettings = Field(description="when a change of the mapping is advised")
+    advice: AdviceSettings = Field(description="rule for advised changes of the mapping")
 
 
 @cache
 def identification_settings() -> IdentificationSettings:
-    """Read `settings.yaml`; raises ConfigError on a mistake in it."""
+    """Read `settings.yaml`; raise ConfigError if it is invalid."""
     return load_checked(IdentificationSettings, Path(__file__).with_name("settings.yaml"))

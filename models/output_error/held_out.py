@@ -72,7 +72,7 @@ class HeldOut(NamedTuple):
 
         Student's distribution corrects for the small number of blocks.
         """
-        from scipy import stats  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
+        from scipy import stats  # noqa: PLC0415 - loads slowly, and loading a model does not need it
 
         count = len(self.parameters)
         scatter = np.sqrt((count - 1) ** 2 / count * self.parameters.var(axis=0, ddof=1))

@@ -199,7 +199,7 @@ class _Data(NamedTuple):
 
 
 def _solve(layout: Layout, start: FloatArray, data: _Data, evaluations: int) -> tuple[Layout, FloatArray, float]:
-    from scipy.optimize import least_squares  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
+    from scipy.optimize import least_squares  # noqa: PLC0415 - loads slowly, and loading a model does not need it
 
     parametrisation, coordinates = layout.parametrisation.recentred(start[: layout.counts[0]])
     layout = layout.around(parametrisation)

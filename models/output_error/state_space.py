@@ -118,7 +118,7 @@ class StateResponse:
         start
             (n, S) states at sample 0; zero by default.
         """
-        from scipy import signal  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
+        from scipy import signal  # noqa: PLC0415 - loads slowly, and loading a model does not need it
 
         adjoint, triangle = self._basis.conj().T, self._triangle
         states = np.tensordot(adjoint, drive, 1)

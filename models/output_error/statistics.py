@@ -51,7 +51,7 @@ def reading_noise(readings: Sequence[FloatArray]) -> FloatArray:
 
 def _from_neighbours(rows: Sequence[FloatArray]) -> list[FloatArray]:
     """Subtract the median of five neighbours from the rows (K, p) of each experiment."""
-    from scipy import ndimage  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
+    from scipy import ndimage  # noqa: PLC0415 - loads slowly, and loading a model does not need it
 
     away = [np.full_like(part, np.nan) for part in rows]
     for difference, part in zip(away, rows, strict=True):
@@ -137,7 +137,7 @@ def long_run_covariance(scores: Sequence[FloatArray]) -> tuple[FloatArray, int]:
 
     Rows without a reading are omitted: they would hide the correlation of readings. Experiments are concatenated.
     """
-    from scipy import fft  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
+    from scipy import fft  # noqa: PLC0415 - loads slowly, and loading a model does not need it
 
     rows = np.concatenate(scores)
     rows = rows[rows.any(axis=1)]
@@ -150,7 +150,7 @@ def long_run_covariance(scores: Sequence[FloatArray]) -> tuple[FloatArray, int]:
 
 def student_factor(freedom: int) -> float:
     """Return the ratio of the 95 % intervals of Student's and the normal distribution."""
-    from scipy import special  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
+    from scipy import special  # noqa: PLC0415 - loads slowly, and loading a model does not need it
 
     return float(special.stdtrit(freedom, 0.975) / special.ndtri(0.975))
 
@@ -171,7 +171,7 @@ def _widened(covariance: FloatArray, scores: Sequence[FloatArray], bread: FloatA
     Slow drift shows between few long blocks, fast changes between many short ones. Chance is the chi-square
     distribution with as many blocks; Student's distribution corrects for their small number.
     """
-    from scipy import stats  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
+    from scipy import stats  # noqa: PLC0415 - loads slowly, and loading a model does not need it
 
     variance = np.maximum(np.diag(covariance), np.finfo(float).tiny)
     wider, settings = np.ones(len(variance)), estimator_settings().scatter

@@ -90,7 +90,7 @@ def check_residuals(errors: Sequence[FloatArray], experiments: Sequence[SampledE
     Nothing is correlated across experiments. Where the sensors are slower than the log, lags between two readings have
     no pairs and count as zero.
     """
-    from scipy import stats  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
+    from scipy import stats  # noqa: PLC0415 - loads slowly, and loading a model does not need it
 
     dt = experiments[0].dt
     lags = min(round(estimator_settings().residual_lag / dt), min(map(len, errors)) - 1)

@@ -14,7 +14,7 @@ from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.checked_yaml import StrictModel
 from diffdrive_mpc.models.file_limits import file_limits
 from diffdrive_mpc.models.interface import AnyArray, FloatArray
-from diffdrive_mpc.models.named_file import kept_editor_line
+from diffdrive_mpc.models.named_file import read_editor_line
 from diffdrive_mpc.models.robot import Positive, SampleTime
 from diffdrive_mpc.models.two_sided import BaseVelocityLimit, BaseYawRateLimit
 from diffdrive_mpc.models.velocity_model import VelocityModel
@@ -143,7 +143,7 @@ def write_parameters(path: Path, head: str, content: ParameterFile, **more: obje
     ordered |= {key: value for key, value in data.items() if key not in (*first, "uncertainty")}
     ordered |= {key: data[key] for key in ("uncertainty",) if key in data}
     text = yaml.safe_dump(ordered, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
-    path.write_text(f"{kept_editor_line(path)}# {head}\n{text}", encoding="utf-8")
+    path.write_text(f"{read_editor_line(path)}# {head}\n{text}", encoding="utf-8")
 
 
 def structure_name(schema: type[ModelFile]) -> str:

@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from diffdrive_mpc.models.checked_yaml import ConfigError, laid_over
+from diffdrive_mpc.models.checked_yaml import ConfigError, merge_mappings
 from diffdrive_mpc.models.errors import FormerNameWarning
 from diffdrive_mpc.mpc.config.feature_groups import is_feature
 from diffdrive_mpc.mpc.config.former_keys import former_keys, present_place, with_present_names
@@ -91,7 +91,7 @@ def side_by_side(data: Mapping[str, Any], where: str = "") -> dict[str, Any]:
         raise ConfigError(f"{where or 'configuration'}: {EXPERT}: expected groups of keys below it")
     second = dict(inner or {})
     _check_rooms(first, second, where or "configuration")
-    flat = with_present_names(laid_over(first, second), where or "configuration")
+    flat = with_present_names(merge_mappings(first, second), where or "configuration")
     if where:
         for key, place in _moved(first, second).items():
             message = f"{where}: {key} is {place} now; `diffdrive-mpc config show` prints the file as it is written now"

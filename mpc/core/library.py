@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.compiled.cache import load_cached
-from diffdrive_mpc.models.compiled.compiler import NATIVE, NotCompiledError, build_library, what_is_built
+from diffdrive_mpc.models.compiled.compiler import NATIVE, NotCompiledError, build_digest, build_library
 from diffdrive_mpc.models.compiled.packaged import Packaged, load_library
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.core.packaged import packaged_libraries
@@ -54,9 +54,9 @@ def load_core() -> tuple[cffi.FFI, Any]:
     def build(folder: Path) -> Path:
         return build_library(core_texts(), folder, NATIVE)
 
-    sources = {"core": core_origin(), "casadi": ca.CasadiMeta.version()}
+    build_inputs = {"core": core_origin(), "casadi": ca.CasadiMeta.version()}
     message = "the controller's core is not compiled: {}, which holds the core"
-    return load_library("ddmpc_core", core_declarations(), packaged_libraries(), sources, build, message)
+    return load_library("ddmpc_core", core_declarations(), packaged_libraries(), build_inputs, build, message)
 
 
 @cache
@@ -113,7 +113,7 @@ def _load(stem: str, texts: Mapping[str, str], declared: str) -> Any:  # noqa: A
     def build(folder: Path) -> Path:
         return build_library(texts, folder, NATIVE)
 
-    return load_cached(stem, what_is_built(texts), build, lambda path: ffi.dlopen(str(path)))
+    return load_cached(stem, build_digest(texts), build, lambda path: ffi.dlopen(str(path)))
 
 
 # Structs of core.h by field name: shapes of arrays, and checked values.

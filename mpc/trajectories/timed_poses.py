@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.errors import checked_number, described, wrong_type
+from diffdrive_mpc.models.errors import checked_number, describe_type, wrong_type
 from diffdrive_mpc.models.input_file import open_input
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.csv_layout import rest_of_line
@@ -287,7 +287,7 @@ def _from_arrays_numbers(where: str, name: str, values: ArrayLike | None) -> Flo
         is_date = np.asarray(values).dtype.kind in "mM"
         array = np.asarray(values, dtype=float)
     except (TypeError, ValueError) as error:
-        raise ConfigError(f"{where}: {name}: expected numbers, got {described(values)}") from error
+        raise ConfigError(f"{where}: {name}: expected numbers, got {describe_type(values)}") from error
     if is_date:
         raise ConfigError(f"{where}: {name}: got dates; give seconds, such as (t - t[0]) / np.timedelta64(1, 's')")
     odd = np.argwhere(~np.isfinite(array))

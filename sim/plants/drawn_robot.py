@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from diffdrive_mpc.models.checked_yaml import StrictModel, check, laid_over, load_checked
+from diffdrive_mpc.models.checked_yaml import StrictModel, check, load_checked, merge_mappings
 from diffdrive_mpc.models.robot import NotNegative, Positive
 from diffdrive_mpc.sim.disturbances.scenario import Scenario
 from diffdrive_mpc.sim.plants.chassis import WHEELS
@@ -222,7 +222,7 @@ def draw_robot(seed: int) -> DrawnRobot:
     factor = factor if stream.random() < market.stated.track.wrong else 1.0
     build["twin"]["motor"]["stall_torque"] *= _uniform(stream, market.torque)
     where = f"market.yaml, seed {seed}"
-    robot = check(SimulatedRobot, laid_over(twin, build), where)
+    robot = check(SimulatedRobot, merge_mappings(twin, build), where)
     truth = _true_settings(robot)
     stated = truth | {name: factor * truth[name] for name in ("wheels.track", "wheels.encoder_track")}
     return DrawnRobot(seed, robot, check(Scenario, befalls, where), stated, truth)

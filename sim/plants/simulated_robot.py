@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import Field, model_validator
 
-from diffdrive_mpc.models.checked_yaml import StrictModel, laid_over
+from diffdrive_mpc.models.checked_yaml import StrictModel, merge_mappings
 from diffdrive_mpc.models.named_file import EntryFile
 from diffdrive_mpc.models.robot import Positive, Robot, load_robot
 from diffdrive_mpc.sim.plants.base_motion import BaseCommands
@@ -44,7 +44,7 @@ class SimulatedRobot(StrictModel):
         if not moved:
             return data
         values = {key: value for key, value in data.items() if key not in moved}
-        return laid_over(values, {"parts": {"power": moved}})
+        return merge_mappings(values, {"parts": {"power": moved}})
 
     @model_validator(mode="after")
     def _stands_on_its_wheels(self) -> SimulatedRobot:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from diffdrive_mpc.models.checked_yaml import StrictModel, laid_over
+from diffdrive_mpc.models.checked_yaml import StrictModel, merge_mappings
 from diffdrive_mpc.models.named_file import EntryFile
 
 SENSOR_SETS = EntryFile("sensor set", Path(__file__).with_name("sensor_sets.yaml"))
@@ -74,7 +74,7 @@ class SensorSet(StrictModel):
         if not isinstance(data, Mapping) or "power" not in data:
             return data
         values = {key: value for key, value in data.items() if key != "power"}
-        return values if data["power"] is None else laid_over(values, {"parts": {"power": data["power"]}})
+        return values if data["power"] is None else merge_mappings(values, {"parts": {"power": data["power"]}})
 
 
 def load_sensor_set(name: str | Path) -> SensorSet:

@@ -27,7 +27,7 @@ from diffdrive_mpc.models.identification.fit.pose_calibration import calibrate_l
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import PARAMETERS, load_linear_model
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.named_file import kept_editor_line
+from diffdrive_mpc.models.named_file import read_editor_line
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, twist_experiments
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.validation import pooled_fit_percent, score
@@ -220,7 +220,7 @@ def _write(
 
     A file of the same name in the folder `replaced` keeps its line for editors.
     """
-    name, line = path.stem, kept_editor_line(replaced / path.name)
+    name, line = path.stem, read_editor_line(replaced / path.name)
     data["provenance"] = {
         "origin": "identified",
         "source": _SOURCE,

@@ -23,9 +23,9 @@ from diffdrive_mpc.models.base_effects import (
 )
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification.effects import identify_with_effects
-from diffdrive_mpc.models.identification.effects.free_run import free_run, smoothed, two_lags
+from diffdrive_mpc.models.identification.effects.free_run import free_run, smooth_command, two_lags
 from diffdrive_mpc.models.identification.effects.pose_sensor import pose_sensor
-from diffdrive_mpc.models.identification.fit.fitting import fit, loses
+from diffdrive_mpc.models.identification.fit.fitting import explain_rejection, fit
 from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.load import load_base_effects, load_model
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
@@ -211,7 +211,7 @@ def test_relaxation_over_a_run_is_that_of_its_samples(rates, angle, strain):
 def test_smoothed_steps_stay_within_a_step_of_the_true_ones(v, omega):
     base = WheelCommand(track=0.5, resolution=0.02)
     twist = np.array([v, omega])
-    away = base.sides(smoothed(base, twist)) - base.sides(base.apply(twist))
+    away = base.sides(smooth_command(base, twist)) - base.sides(base.apply(twist))
     assert np.abs(away).max() < base.resolution
 
 
@@ -280,11 +280,11 @@ def test_a_limit_that_the_plain_model_found_lives_on():
 def test_effects_stay_only_where_they_predict_better_than_the_plain_model(fitted):
     records = [record_of(TRUE, 7, 150.0, yaw_ratio=RATIO)]
     plain = identify_sm(records, limits=False)
-    assert loses(fitted, plain, records) is None
+    assert explain_rejection(fitted, plain, records) is None
     spoilt = replace(
         fitted, points=tuple({**point, "gain.omega": 0.5 * point["gain.omega"]} for point in fitted.points)
     )
-    assert "no better than the plain model" in loses(spoilt, plain, records)
+    assert "no better than the plain model" in explain_rejection(spoilt, plain, records)
 
 
 def test_the_place_and_delay_of_a_pose_sensor_are_found():

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from degraded_logs import FOLDERS, log_path
 
-from diffdrive_mpc.models.identification.effects.fitting import fit_effects, weighted
-from diffdrive_mpc.models.identification.effects.free_run import base_track, sensed
+from diffdrive_mpc.models.identification.effects.fitting import fit_effects, weight_readings
+from diffdrive_mpc.models.identification.effects.free_run import base_track, sensor_experiments
 from diffdrive_mpc.models.identification.effects.selection import EFFECTS, LINEAR
 from diffdrive_mpc.models.identification.effects.settings import effect_settings
 from diffdrive_mpc.models.identification.fit.fitting import fit
@@ -144,7 +144,7 @@ def husky():
     """Five minutes to fit, and the two after them."""
     record = read_log(log_path("husky_tile"), "husky_tile").records[0]
     parts = [record.part(0, 6000), record.part(6000, 8400)]
-    train, held_out = (weighted(sensed([part])) for part in parts)
+    train, held_out = (weight_readings(sensor_experiments([part])) for part in parts)
     guess = {name: low_high_guess[2] for name, low_high_guess in effect_settings().parameters.items()}
     linear = fit_effects({name: guess[name] for name in LINEAR} | {"encoders.track": ENCODER_TRACK}, LINEAR, train)
     more = [name for effect in ("twist slew", "lag of the encoders", "yaw relaxation") for name in EFFECTS[effect]]

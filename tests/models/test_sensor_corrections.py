@@ -57,14 +57,14 @@ def test_wiring_differences_are_detected_and_corrected(wired, expected):
     for name, values in expected.items():
         assert corrections.settings[name] == pytest.approx(values, rel=0.02, abs=0.004)
     assert len(corrections.findings) == sum(map(len, expected.values()))
-    again = find_corrections("drive", corrections.mended([record]), None)
+    again = find_corrections("drive", corrections.correct([record]), None)
     assert again.settings == {}
 
 
 def test_a_gyro_at_the_end_of_its_range_has_no_scale():
     corrections = find_corrections("drive", [drive(most=0.3)], None)
     assert corrections.settings == {}
-    assert ["range is too small" in str(finding) for finding in corrections.findings] == [True]
+    assert ["increase its range" in str(finding) for finding in corrections.findings] == [True]
 
 
 def test_mapping_corrections_are_stated_for_the_robot():

@@ -85,8 +85,8 @@ def test_the_model_is_the_logs_alone(identified, husky_bag):
     assert identified.content.channels == plain.content.channels
     assert identified.content.provenance.origin == "identified"
     # The track is the maker's; without a robot nobody states it.
-    assert not any("tells the track" in warning for warning in identified.report.warnings)
-    assert any("tells the track" in warning for warning in plain.report.warnings)
+    assert not any("determines the track" in warning for warning in identified.report.warnings)
+    assert any("determines the track" in warning for warning in plain.report.warnings)
 
 
 def load_mapping_of_husky(bag):

@@ -221,7 +221,7 @@ def test_folder_writable_by_others_is_not_used(folder, tmp_path, caplog):
     planted.rename(planted.with_name(f"{planted.stem.rpartition('-')[0]}-{cache.content_digest(planted)}.so"))
     folder.chmod(0o777)
     assert load_result() == 42
-    assert f"others can write to {folder}" in caplog.text
+    assert f"other users can write to {folder}" in caplog.text
     assert cache.CACHE_VARIABLE in caplog.text
     assert stat.S_IMODE(private(tmp_path).stat().st_mode) == 0o700
 
@@ -239,7 +239,7 @@ def test_folder_of_another_user_is_not_used(folder, tmp_path, monkeypatch, caplo
     give_to_somebody_else(folder, monkeypatch)
     assert load_result() == 42
     assert list(folder.iterdir()) == []
-    assert f"{folder} belongs to somebody else" in caplog.text
+    assert f"{folder} belongs to another user" in caplog.text
 
 
 @pytest.mark.parametrize("trap", ["open", "link", "file"])

@@ -167,7 +167,7 @@ def test_what_cannot_be_a_robots_model_is_refused_in_one_line():
 
     for after, message in (
         (1.1 * x + window[2:], "unstable at rest"),
-        (0.5 * x + window[2:] + 1.0, "rest at x = 0"),
+        (0.5 * x + window[2:] + 1.0, "x = 0 must be the steady state"),
         (0.5 * x, "gain 0 from v_ref"),
     ):
         with pytest.raises(ModelError, match=message):

@@ -1,1 +1,1 @@
-"""Results of an identification: configuration, report, tables."""
+"""Results of an identification: configuration, report and tables."""

@@ -1,7 +1,7 @@
 """Controller configuration for the identified robot, with a reason for each value.
 
-The one place where `config.yaml` is written: values are positive and rounded as in the file; values that a log cannot
-determine keep the schema's default, and are named.
+Only this module writes `config.yaml`. Values are positive and rounded as in the file; values that a log cannot
+determine keep the schema's default and are listed in a comment.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _TYPES = {
 
 
 def node_arguments(topics: Topics, folder: Path = Path()) -> str:
-    """Return the arguments of `diffdrive-mpc node` for these topics, with the parameters file in `folder`."""
+    """Format the arguments of `diffdrive-mpc node` for these topics, with the parameters file in `folder`."""
     words = ["--ros-args", "--params-file", str(folder / NODE_FILE)]
     for role, name in _NODE_NAMES.items():
         topic, kind = topics.get(role, (f"/{name}", ""))
@@ -54,9 +54,9 @@ def node_arguments(topics: Topics, folder: Path = Path()) -> str:
 
 
 def node_text(topics: Topics) -> str:
-    """Format the parameters file, with the topic next to each value; topics that the node cannot read are named.
+    """Format the parameters file, with the topic of each value; topics that the node cannot read are listed.
 
-    Topic names are remappings, which a parameters file cannot hold: the command that has them is its first line.
+    A parameters file cannot hold topic remappings: its first line is a comment with the command that remaps.
     """
     usable = {
         role: topic_and_type
@@ -86,7 +86,7 @@ def _reason(topics: Topics, role: str) -> str:
 
 _INSTANTS = 2000
 _SAME_PERIOD = 1e-4
-"""Two periods that differ by less are the same [-]."""
+"""Relative difference below which two periods are equal [-]."""
 
 
 @dataclass(frozen=True)
@@ -96,13 +96,13 @@ class Pace:
     Attributes
     ----------
     sample_time
-        Between two commands [s].
+        Time between two commands [s].
     every
-        Sample time of the configuration in samples of the log.
+        Sample time of the controller in samples of the log.
     horizon
-        Steps that the controller looks ahead.
+        Prediction horizon in steps.
     settling
-        Time after which the slower channel has answered a step of its command, dead time included [s].
+        Settling time of the slower channel after a command step, dead time included [s].
     """
 
     sample_time: float
@@ -112,38 +112,38 @@ class Pace:
 
 
 def settling_time(model: VelocityModel) -> float:
-    """Time after which both channels stay within a share of the end of their answers to a step [s], dead time included.
+    """Compute the settling time of both channels after a command step, dead time included [s].
 
-    The share is in `settings.yaml`. A model without lag answers at once.
+    The tolerance, as a share of the steady-state value, is in `settings.yaml`. A model without lag has 0.
     """
     share = identification_settings().settled
-    # Long enough for the slowest pole to leave a thousandth.
+    # After seven time constants, the slowest pole has decayed to a thousandth.
     slowest = max((-1.0 / pole.real for pole in model.poles), default=0.0)
-    longest = float(np.max(model.dead_time)) + 7.0 * slowest
-    if not longest > 0.0:
+    duration = float(np.max(model.dead_time)) + 7.0 * slowest
+    if not duration > 0.0:
         return 0.0
-    dt = longest / _INSTANTS
-    late = 0.0
+    dt = duration / _INSTANTS
+    settling = 0.0
     for row, step in enumerate(np.eye(2)):
         response = model.discretise(dt).simulate(np.tile(step, (_INSTANTS, 1)))[:, row]
         (unsettled,) = np.nonzero(np.abs(response - model.dc_gain[row, row]) > share * abs(model.dc_gain[row, row]))
-        late = max(late, dt * (unsettled[-1] + 1) if unsettled.size else 0.0)
-    return late
+        settling = max(settling, dt * (unsettled[-1] + 1) if unsettled.size else 0.0)
+    return settling
 
 
 def round_period(dt: float) -> float:
-    """Sample time of a controller for samples `dt` [s] apart: the shortest number within 0.01 % of it [s].
+    """Round the sample time `dt` [s] to the shortest decimal number within 0.01 % [s].
 
-    Times of a log jitter: their median step is 0.0500001 s where 0.05 s was meant.
+    Stamps of a log jitter: their median step may be 0.0500001 s for a period of 0.05 s.
     """
     rounded = (float(f"{dt:.{digits}g}") for digits in range(1, 17))
     return next((period for period in rounded if abs(period - dt) <= _SAME_PERIOD * dt), dt)
 
 
 def choose_pace(model: VelocityModel, dt: float) -> Pace:
-    """Choose period and horizon that cover the robot's step response, for a log with samples of `dt` [s].
+    """Choose period and horizon that cover the robot's step response, for a log with sample time `dt` [s].
 
-    The controller of a robot that is slow compared with its log runs every few samples, to limit the number of steps.
+    If the robot is slow relative to `dt`, the period is several samples, which limits the steps of the horizon.
     """
     settings, settling = identification_settings(), settling_time(model)
     ahead = settings.look_ahead * settling
@@ -163,10 +163,10 @@ _NOISE_UNITS = {
     "heading_noise": "rad",
 }
 _UNKNOWN_SLEW = "# v_slew and omega_slew are not in a log: set them if the robot must be driven more gently"
-_SENSORS = "as the log and its mapping tell: the robot's node reads the sensor without the mapping"
+_SENSORS = "from the log and its mapping: the robot's node reads the sensor without the mapping"
 _GROUPS = "limits", "wheels", "estimator", "reentry", "failure", "free_space"
 _SAME_TRACK = 0.01
-"""Tracks that differ by less are the same [-]."""
+"""Relative difference below which two tracks are equal [-]."""
 _UNKNOWN_WHEELS = (
     "# Not in the log: wheels.track and wheels.encoder_track keep the default; set them, and limits.wheel_speed with "
     "them."
@@ -180,11 +180,11 @@ class Setting:
     Attributes
     ----------
     name
-        Key inside its group.
+        Key within the group.
     value
-        A positive number, rounded as the file holds it, a limit with two sides, a whole number, or a word.
+        Positive number, rounded as in the file; two-sided limit; integer; or word.
     reason
-        Unit, and where the value comes from.
+        Unit and source of the value.
     """
 
     name: str
@@ -193,11 +193,11 @@ class Setting:
 
     @property
     def plain(self) -> float | int | str | dict[str, float]:
-        """The value as `load_config` takes it."""
+        """Value in the form that `load_config` accepts."""
         return self.value.plain if isinstance(self.value, TwoSided) else self.value
 
     def line(self) -> str:
-        """Format the line of the file."""
+        """Format the setting as a line of the file."""
         return f"{self.name}: {_text(self.value)}" + (f"   # {plain_line(self.reason)}" if self.reason else "")
 
 
@@ -210,9 +210,9 @@ class IdentifiedConfiguration:
     name
         Name of the model.
     general, limits, wheels, estimator, reentry, failure, free_space
-        Settings without a group, and those of groups; the others may be empty.
+        Settings without a group, and settings of each group; groups may be empty.
     sensors
-        Errors of the sensors, by input.
+        Delays and scales of the sensors, by input.
     """
 
     name: str
@@ -227,26 +227,26 @@ class IdentifiedConfiguration:
 
     @property
     def groups(self) -> dict[str, tuple[Setting, ...]]:
-        """The settings with a group, by its name."""
+        """Settings of each group, by the name of the group."""
         return {name: getattr(self, name) for name in _GROUPS}
 
     @property
     def bounds(self) -> tuple[Setting, ...]:
-        """Limits of speeds and slopes."""
+        """Limits of speeds and accelerations."""
         return tuple(
             setting for setting in self.limits if f"limits.{setting.name}" not in identification_settings().lengths
         )
 
     @property
     def room(self) -> tuple[Setting, ...]:
-        """Lengths that are more than usual, of all groups: not a limit of the robot, but its needs."""
+        """Lengths larger than the defaults, of all groups: margins that the robot needs, not limits of the robot."""
         lengths = identification_settings().lengths
         return tuple(s for group, settings in self.groups.items() for s in settings if f"{group}.{s.name}" in lengths)
 
     def slowed(self, shares: Mapping[str, float]) -> IdentifiedConfiguration:
-        """Return the configuration with a share of the limits of "v" and "omega", and of the predictions from them."""
+        """Scale the limits of "v" and "omega", and the predicted limits that follow from them, by `shares`."""
 
-        def slower(setting: Setting) -> Setting:
+        def reduce(setting: Setting) -> Setting:
             share = shares.get(setting.name.removeprefix("predicted_"), 1.0)
             if share == 1.0:
                 return setting
@@ -254,10 +254,10 @@ class IdentifiedConfiguration:
             words = f"{unit}, {100 * share:.0f} % of this, as faster trial drives failed: {reason}"
             return _setting(setting.name, _each(setting.value, lambda side: share * side), words)
 
-        return replace(self, limits=tuple(map(slower, self.limits)))
+        return replace(self, limits=tuple(map(reduce, self.limits)))
 
     def mapping(self) -> dict[str, Any]:
-        """Return keys and values for `load_config`; the model is the file in the same folder."""
+        """Return keys and values for `load_config`; the model file is in the same folder."""
         content: dict[str, Any] = {setting.name: setting.value for setting in self.general}
         for group, settings in self.groups.items():
             if settings:
@@ -265,11 +265,11 @@ class IdentifiedConfiguration:
         return {**content, **({"sensors": self.sensors} if self.sensors else {})}
 
     def text(self) -> str:
-        """Format the file, with a reason for each value."""
+        """Format the configuration file, with a reason for each value."""
         slew = any(setting.name.endswith("_slew") for setting in self.limits)
         lines = [
             f"# Controller of {plain_line(self.name)}. "
-            "Fields left out keep the schema's default: diffdrive-mpc config schema",
+            "Missing fields keep the schema's default: diffdrive-mpc config schema",
             *(setting.line() for setting in self.general),
             "limits:" if slew else f"limits:   {_UNKNOWN_SLEW}",
             *(f"  {setting.line()}" for setting in self._of("limits", expert=False)),
@@ -287,17 +287,17 @@ class IdentifiedConfiguration:
         return "\n".join(lines) + "\n"
 
     def _of(self, group: str, *, expert: bool) -> list[Setting]:
-        """Return the settings of a group that belong under `expert:`, or those that do not."""
-        under = identification_settings().expert
+        """Return the settings of a group that belong under `expert:` (if `expert`) or outside it."""
+        expert_keys = identification_settings().expert
         return [
             setting
             for setting in self.groups[group]
-            if ({group, f"{group}.{setting.name}"} & set(under) != set()) == expert
+            if ({group, f"{group}.{setting.name}"} & set(expert_keys) != set()) == expert
         ]
 
 
 def _group(name: str, settings: Sequence[Setting]) -> list[str]:
-    """Format the lines of a group; none without settings."""
+    """Format the lines of a group; empty if it has no settings."""
     return [f"{name}:", *(f"  {setting.line()}" for setting in settings)] if settings else []
 
 
@@ -312,31 +312,31 @@ def configure(
     every_sample: bool = False,
     sensors: Mapping[str, Mapping[str, float]] | None = None,
 ) -> IdentifiedConfiguration:
-    """Configure the controller of an identified robot: limits that the log covers, and the tracks of the wheels.
+    """Configure the controller of an identified robot from its model and records.
 
     Parameters
     ----------
     name
         Name of the model.
     identified
-        The model, with the effects of its base where they were identified.
+        The model, with base effects if they were identified.
     train
-        The records it was identified from.
+        Training records of the model.
     geometry
-        Wheel radius and track of the log; None without wheel speeds.
+        Wheel radius and track from the log; None if the log has no wheel speeds.
     slip
-        Values that the filter begins with.
+        Initial slip estimate of the filter.
     stated
-        Track that the mapping states [m]; it is used where the log has no wheel speeds to determine it.
+        Track stated by the mapping [m]; used if the log has no wheel speeds.
     every_sample
-        Whether the model that predicts works only at the sample time of the log.
+        True if the predicting model requires the sample time of the log.
     sensors
-        Errors of the sensors, by input.
+        Delays and scales of the sensors, by input.
 
     Raises
     ------
     models.velocity_model.ModelError
-        If the model cannot be a robot's.
+        If the model cannot describe a robot.
     """
     commands = np.concatenate([record.command for record in train])
     commanded = np.abs(commands)
@@ -353,7 +353,7 @@ def configure(
     limits.append(_wheel_speed(np.minimum(commanded, limit), width, base, float(gain[0]), reached))
     if geometry is not None and track is not None:
         wheels = [
-            _setting("track", track, "m, by which the robot turned omega_ref into wheel speeds"),
+            _setting("track", track, "m, with which the robot converts omega_ref to wheel speeds"),
             _setting("encoder_track", geometry.track, f"m, {_source_of_track(geometry, stated)}"),
         ]
     lengths = _lengths(limit[0] * gain[0], geometry)
@@ -372,50 +372,50 @@ def configure(
 def _speeds(
     identified: IdentifiedModel, commands: FloatArray, base: WheelCommand | None, gain: FloatArray
 ) -> tuple[FloatArray, list[Setting]]:
-    """Return the maxima (2,) of commands (K, 2), and the settings of both sides and of predicted values.
+    """Choose the speed limits: maxima (2,) of the commands (K, 2), and settings of commanded and predicted limits.
 
-    A side of a limited channel that the log does not show to be limited is commanded as far as the log did.
+    If the log shows the limit of one side only, the other side is limited to the largest command of the log.
     """
     limit, sides = np.abs(commands).max(axis=0), np.maximum([commands.max(axis=0), -commands.min(axis=0)], 0.0).T
     top_speed = base.top_speed if base and (base.top_speed or np.inf) < limit[0] else None
     limits = {"v": top_speed, **identified.limits}
     settings, predictions = [], []
     for row, name in enumerate(CHANNELS):
-        value, reason = limit[row], "largest command of the log, either way"
+        value, reason = limit[row], "largest command of the log in either direction"
         if (known := limits.get(name)) is not None:
             pairs = zip(sides_of(known), sides[row].tolist(), strict=True)
-            values = [(driven or float(known)) if side == np.inf else side for side, driven in pairs]
-            limit[row], reason = max(values), "where the robot clips its command"
+            values = [(commanded or float(known)) if side == np.inf else side for side, commanded in pairs]
+            limit[row], reason = max(values), "at which the robot clips its command"
             if max(sides_of(known)) == np.inf:
                 reason += ", and the largest command of the log on the side without a limit"
             value = _KINDS[name](*values)
         settings.append(_setting(name, value, f"{_UNITS[name]}, {reason}"))
         predicted = identification_settings().limit_margin * np.maximum(gain[row], 1.0) * limit[row]
-        reason = f"{_UNITS[name]}, the robot's own at most, or the command's, with a margin"
+        reason = f"{_UNITS[name]}, maximum of the robot or of the command, with a margin"
         predictions.append(_setting(f"predicted_{name}", predicted, reason))
     return limit, [*settings, *predictions]
 
 
 def _source_of_track(geometry: WheelGeometry, stated: float | None) -> str:
     if np.isnan(geometry.radius):
-        return "as the mapping states it"
-    source = "by which the log's omega was computed"
+        return "as stated by the mapping"
+    source = "with which the log's omega was computed"
     if stated is not None and abs(geometry.track - stated) > _SAME_TRACK * stated:
-        source += f"; the {stated:g} m that the mapping states is not used, as the log's wheels tell it"
+        source += f"; the {stated:g} m that the mapping states is not used, as the log's wheels determine it"
     return source
 
 
 def _lengths(speed: float, geometry: WheelGeometry | None) -> dict[str, list[Setting]]:
-    """Collect by group the lengths that a robot larger or faster than that of the papers needs."""
+    """Scale lengths for a robot larger or faster than the robot of the papers, by group; empty for other robots."""
     usual = load_robot()
-    faster, wider = speed / usual.limits.v, geometry.track / usual.track if geometry is not None else 0.0
-    larger, why = max((faster, "the robot is so much faster"), (wider, "its track is so much wider"))
+    speed_ratio, track_ratio = speed / usual.limits.v, geometry.track / usual.track if geometry is not None else 0.0
+    scale, why = max((speed_ratio, "the robot is faster by this factor"), (track_ratio, "its track is as much wider"))
     settings: dict[str, list[Setting]] = {}
-    if larger > 1.0:
+    if scale > 1.0:
         for key, length in identification_settings().lengths.items():
             group, _, name = key.partition(".")
-            reason = f"m, {larger:.1f} times the usual {length:g} m: {why}"
-            settings.setdefault(group, []).append(_setting(name, larger * length, reason))
+            reason = f"m, {scale:.1f} times the default {length:g} m: {why}"
+            settings.setdefault(group, []).append(_setting(name, scale * length, reason))
     return settings
 
 
@@ -423,31 +423,30 @@ def _general(identified: IdentifiedModel, dt: float, *, every_sample: bool) -> t
     pace = choose_pace(identified.model, dt)
     if every_sample:
         pace = replace(pace, sample_time=dt, every=1)
-    source = "of the log" if pace.every == 1 else f"{pace.every} samples of the log, as the robot answers slowly"
+    source = "of the log" if pace.every == 1 else f"{pace.every} samples of the log, as the robot responds slowly"
     return (
         Setting("model", MODEL_FILE),
         Setting("sample_time", round_period(pace.sample_time), f"s, {source}: the period at which `step` is called"),
         Setting(
             "horizon",
             pace.horizon,
-            f"steps, {pace.horizon * pace.sample_time:.2f} s; the robot has answered a "
-            f"command after {pace.settling:.2f} s",
+            f"steps, {pace.horizon * pace.sample_time:.2f} s; the robot settles {pace.settling:.2f} s after a command",
         ),
     )
 
 
 def _noises(train: Sequence[Record]) -> tuple[Setting, ...]:
-    """Return the noise settings that are larger than usual."""
-    deviations, least = sensor_noise(train), identification_settings().least_noise
+    """Return the noise settings that exceed the defaults."""
+    deviations, minima = sensor_noise(train), identification_settings().least_noise
     return tuple(
         _setting(name, deviations[name], f"{_NOISE_UNITS[name]}, scatter of the log's readings")
-        for name in least
-        if deviations.get(name, 0.0) > least[name]
+        for name in minima
+        if deviations.get(name, 0.0) > minima[name]
     )
 
 
 def _slip(prior: SlipPrior) -> list[Setting]:
-    """Return where the filter begins."""
+    """Return the settings of the filter's initial slip estimate."""
     side_slip, load_shift = prior.estimate.values
     return [
         _setting("side_slip", side_slip, f"s, lateral speed, outward, over v omega: {prior.source()}"),
@@ -457,7 +456,7 @@ def _slip(prior: SlipPrior) -> list[Setting]:
 
 
 def _slew(identified: IdentifiedModel) -> list[Setting]:
-    """Choose slew limits within the identified slopes of the base, inside which its linear model is exact."""
+    """Choose slew limits below the identified acceleration limits of the base, so that its model stays linear."""
     parameters, settings = identified.parameters, identification_settings()
     usual, known = load_robot().command_slew, limits_in(identified.base_effects)
     slews = []
@@ -468,16 +467,16 @@ def _slew(identified: IdentifiedModel) -> list[Setting]:
         for side, value in zip(SlewLimit.names, row.tolist(), strict=True):
             key = f"slew.{name}" if f"slew.{name}" in parameters.names else f"{name}.{side}"
             deviation = parameters.deviation(key) if value < np.inf else 0.0
-            # Less its uncertainty, so that the base's own limit does not act; a slope hardly seen still allows a part.
-            inside, least = value - settings.certain * deviation, settings.least_slew * value
-            sides.append(min(inside if inside > least else least, getattr(usual, name)))
-        reason = f"{_UNITS[name]} per second, within what the base follows"
+            # Subtract the uncertainty, so that the limit of the base stays inactive; keep a minimum share.
+            safe, minimum = value - settings.certain * deviation, settings.least_slew * value
+            sides.append(min(safe if safe > minimum else minimum, getattr(usual, name)))
+        reason = f"{_UNITS[name]} per second, within the limits of the base"
         slews.append(_setting(f"{name}_slew", SlewLimit(*sides), reason))
     return slews
 
 
 def _reached(identified: IdentifiedModel, train: Sequence[Record], track: float) -> float:
-    """Return the maximum observed speed of a side for a robot whose v is limited [m/s]; infinity for others."""
+    """Return the maximum observed speed of a side [m/s] if the robot limits v; otherwise infinity."""
     if "v" not in identified.limits:
         return np.inf
     twist = np.concatenate([r.twist for r in train if r.twist is not None])
@@ -485,13 +484,15 @@ def _reached(identified: IdentifiedModel, train: Sequence[Record], track: float)
 
 
 def _wheel_speed(commands: FloatArray, track: float, base: WheelCommand | None, gain: float, reached: float) -> Setting:
-    """Choose the limit of one side's speed; `commands` (K, 2) are the magnitudes that the robot was driven with."""
+    """Choose the limit of the wheel speed; `commands` (K, 2) are magnitudes of the commands in the log."""
     rim = identification_settings().limit_margin * float((commands[:, 0] + 0.5 * track * commands[:, 1]).max())
     if base is not None and base.top_speed is not None and gain * base.top_speed < rim:
-        return _setting("wheel_speed", gain * base.top_speed, "m/s at the rim, where the motors saturate")
+        return _setting("wheel_speed", gain * base.top_speed, "m/s at the rim, at which the motors saturate")
     if reached < rim:
-        return _setting("wheel_speed", reached, "m/s at the rim, the fastest seen of a robot that limits its speed")
-    return _setting("wheel_speed", rim, "m/s at the rim, the fastest that the log asked of a side, with a margin")
+        return _setting(
+            "wheel_speed", reached, "m/s at the rim, the maximum in the log of a robot that limits its speed"
+        )
+    return _setting("wheel_speed", rim, "m/s at the rim, the maximum command of a side in the log, with a margin")
 
 
 def _setting(name: str, value: float, reason: str) -> Setting:
@@ -499,7 +500,7 @@ def _setting(name: str, value: float, reason: str) -> Setting:
 
 
 def _each(value: float | str, change: Callable[[float], float]) -> float:
-    """Return a number, or each side of a limit, changed."""
+    """Apply `change` to a number or to each side of a limit."""
     return value.map(change) if isinstance(value, TwoSided) else change(float(value))
 
 
@@ -516,10 +517,9 @@ def _text(value: float | str) -> str:
 
 
 def within_stated(configuration: IdentifiedConfiguration, robot: MakersRobot) -> IdentifiedConfiguration:
-    """Reduce limits to the stated ones, and use the stated value for limits that the log does not show.
+    """Reduce limits to those that the maker states, and add stated values that the log does not determine.
 
-    Values from the log stay, as long as the maker's limits permit them: they clip the command in the base, so that the
-    controller's model would be wrong beyond them.
+    The base clips commands at the maker's limits, so that the controller's model would be wrong beyond them.
     """
     keys = robot.configuration()
     shares: dict[str, float] = {
@@ -540,13 +540,13 @@ def within_stated(configuration: IdentifiedConfiguration, robot: MakersRobot) ->
 
 
 def _bounded(setting: Setting, keys: dict[str, StatedKey], shares: dict[str, float], robot: str) -> Setting:
-    """Reduce a limit to the stated one, together with the predictions from it."""
+    """Reduce a limit to the stated one; reduce predicted limits by the same share."""
     unit, value = setting.reason.partition(", ")[0], _largest(setting.value)
     stated, share = keys.get(f"limits.{setting.name}"), shares.get(setting.name.removeprefix("predicted_"), 1.0)
     if stated is not None and float(stated.value) < value:
-        most = float(stated.value)
+        maximum = float(stated.value)
         words = f"{unit}, stated by the maker of {robot}; the log: {_text(setting.value)}"
-        return Setting(setting.name, _each(setting.value, lambda side: min(side, most)), words)
+        return Setting(setting.name, _each(setting.value, lambda side: min(side, maximum)), words)
     if share < 1.0 and stated is None:
         return Setting(setting.name, float(f"{share * value:.4g}"), f"{unit}, for the limit that the maker states")
     return setting

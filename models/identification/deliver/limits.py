@@ -1,4 +1,4 @@
-"""Limits of the base in words: each one that the log reaches with its interval, and those that it does not reach."""
+"""Text lines about the limits of the base: limits that the log reaches, with intervals, and limits not reached."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from diffdrive_mpc.models.velocity_model import CHANNELS
 
 _UNITS = {"v": "m/s", "omega": "rad/s"}
 _SPEEDS = 2
-"""Index of the first rate among the kinds of limits; those before it are speeds."""
+"""Number of kinds of limits that are speeds; the kinds after them are rates."""
 
 
 def limit_lines(identified: IdentifiedModel, records: Sequence[Record]) -> list[str]:
-    """Return a line for each limit found, with its interval of 95 %, and one for the sides that are not reached."""
+    """Return a line with a 95 % interval for each limit found, and one line for the sides that are not reached."""
     commands, reached, missing = np.concatenate([record.command for record in records]), [], []
     for row, channel in enumerate(CHANNELS):
         largest = np.maximum([commands[:, row].max(), -commands[:, row].min()], 0.0)

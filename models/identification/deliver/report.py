@@ -1,4 +1,4 @@
-"""Everything that one identification found, for people and for programs."""
+"""Report of an identification as text, Markdown and JSON."""
 
 from __future__ import annotations
 
@@ -41,18 +41,18 @@ from diffdrive_mpc.models.velocity_model import CHANNELS
 
 @dataclass(frozen=True, eq=False, repr=False)
 class IdentificationReport:
-    """One identification: data and results of the identification. `str` of it is the summary for the user.
+    """Data and results of one identification; `str` gives the summary for the user.
 
     Attributes
     ----------
     name
         Name of the model.
     data, fitted, poses, slip
-        Data of the log, the model with its scores, the values found from poses, and the first estimate of the filter.
+        Data of the logs, model with scores, parameters estimated from poses, and initial slip of the filter.
     day
         Date of the identification.
     robot
-        Robot whose maker states values that the logs do not determine; None without one.
+        Robot whose maker states values that the logs do not determine; None if no robot is named.
     """
 
     name: str
@@ -64,7 +64,7 @@ class IdentificationReport:
     robot: MakersRobot | None = None
 
     def __repr__(self) -> str:
-        """Format as one word, since the arrays of a report would fill pages."""
+        """Format without the arrays, which would fill pages."""
         return f"<IdentificationReport {self.name!r}>"
 
     def __str__(self) -> str:
@@ -83,7 +83,7 @@ class IdentificationReport:
             verdicts.append(Doubt("no gyro", words))
         if self.fitted.geometry is None and self.data.stated_track is None and self.robot is None:
             words = (
-                "wheels: neither log nor mapping (wheels.track) tells the track: in config.yaml set wheels.track, "
+                "wheels: neither log nor mapping (wheels.track) determines the track: in config.yaml set wheels.track, "
                 "wheels.encoder_track and limits.wheel_speed"
             )
             verdicts.append(Doubt("no wheels", words))
@@ -91,7 +91,7 @@ class IdentificationReport:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Everything that a user should know before trusting the model, a line each: of the logs and the `doubts`."""
+        """All warnings for the user, a line each: findings in the logs and `doubts` about the model."""
         return tuple(dict.fromkeys([*counted(self._findings), *lines(self.doubts)]))
 
     @property
@@ -99,7 +99,7 @@ class IdentificationReport:
         identified, predictor = self.fitted.identified, self.fitted.predictor
         tables = [parameter_table("Parameters", predictor.estimate)] if predictor and predictor.estimate else []
         delays = [] if identified.delays is None else [delay_table(identified.delays)]
-        title = f"Parameters of the linear model beside {predictor.title}" if predictor else "Parameters"
+        title = f"Parameters of the linear model in addition to {predictor.title}" if predictor else "Parameters"
         return [*tables, *delays, parameter_table(title, identified.parameters, dead_times=not delays)]
 
     @property
@@ -108,16 +108,16 @@ class IdentificationReport:
 
     @property
     def findings_summary(self) -> list[str]:
-        """Describe the findings, and a mapping that improves the prediction of the logs, in one line each."""
+        """Model, limits and, if there is one, a better mapping, each in one line."""
         model = self.fitted.identified.model
-        gain, late, lag = model.dc_gain, model.dead_time, model.lag - model.dead_time
+        gain, dead_time, lag = model.dc_gain, model.dead_time, model.lag - model.dead_time
         lags = [
-            f"{channel} becomes {gain[i, i]:.3g} times its command, {late[i] + lag[i]:.2f} s later (dead time "
-            f"{late[i]:.2f} s, lag {lag[i]:.2f} s)"
+            f"{channel} becomes {gain[i, i]:.3g} times its command, {dead_time[i] + lag[i]:.2f} s later (dead time "
+            f"{dead_time[i]:.2f} s, lag {lag[i]:.2f} s)"
             for i, channel in enumerate(CHANNELS)
         ]
         if self.fitted.predictor is not None:
-            linear = "by the linear model beside it, which limits and tracks come from"
+            linear = "by the accompanying linear model, which determines limits and tracks"
             lags[0] = f"{self.fitted.predictor.title}; {linear}, {lags[0]}"
         advice = [self.data.advice.sentence()] if self.data.advice else []
         limits = [f"Limits of commands: {'; '.join(self.limits)}."]
@@ -125,7 +125,7 @@ class IdentificationReport:
 
     @property
     def limits(self) -> list[str]:
-        """Limits of the base that the log shows, and those that it does not reach."""
+        """Limits of the base that the log reaches, and limits that it does not reach."""
         return limit_lines(self.fitted.identified, self.data.train)
 
     def in_short(self) -> list[str]:
@@ -134,12 +134,12 @@ class IdentificationReport:
 
     @cached_property
     def trust(self) -> Trust:
-        """Judge the trust in the model from its logs."""
+        """Trust in the model, graded from its logs."""
         return judge(self.data, self.fitted, self.doubts)
 
     @property
     def verdict(self) -> str:
-        """The same in a line."""
+        """Grade of trust with reasons, in one line."""
         return str(self.trust)
 
     @property
@@ -149,7 +149,7 @@ class IdentificationReport:
 
     @property
     def tables(self) -> list[TextTable]:
-        """Every other table, in order."""
+        """All tables except the first of `scores`, in order."""
         fitted, poses = self.fitted, self.poses
         tables = [residual_table(fitted), *self.scores[1:]]
         if fitted.orders:
@@ -193,9 +193,9 @@ class IdentificationReport:
         Parameters
         ----------
         figures
-            Titles and relative paths, in the order to be shown.
+            Relative paths by title, in order.
         first
-            Lines that stand in place of whether to trust the model, where more is known than the logs say.
+            Lines that replace findings and verdict, for instance after trial drives.
         """
         parts = [
             f"# {plain_line(self.name)}",
@@ -234,7 +234,7 @@ class IdentificationReport:
 
 
 def score_doubts(fitted: Fitted) -> list[Doubt]:
-    """Return the doubts from FIT and residuals on the records held out."""
+    """Return the doubts from FIT and residuals on the held-out records."""
     limits = identification_settings().warn
     verdicts = []
     for row, channel in enumerate(CHANNELS):
@@ -260,12 +260,12 @@ def score_doubts(fitted: Fitted) -> list[Doubt]:
 
 
 def mount_doubts(poses: PoseResults) -> list[Doubt]:
-    """Return a doubt if poses are those of a point that the robot does not turn about."""
+    """Return a doubt if the pose point is not the centre of rotation."""
     ahead, left = poses.place
     if not ahead and not left:
         return []
     words = (
-        f"poses: their point sits {ahead:.3f} m ahead and {left:.3f} m to the left of the centre of "
+        f"poses: their point is {ahead:.3f} m ahead and {left:.3f} m to the left of the centre of "
         "rotation: give the controller poses of that centre (models.base_effects.PoseMount)"
     )
     return [Doubt("pose point", words)]
@@ -289,5 +289,5 @@ def _parameters(estimate: ParameterEstimate) -> dict[str, dict[str, float | None
 def _version() -> str:
     try:
         return version("diffdrive-mpc")
-    except PackageNotFoundError:  # run from a copy that was never installed
+    except PackageNotFoundError:  # run from a source tree that is not installed
         return "unknown"

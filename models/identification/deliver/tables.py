@@ -1,4 +1,4 @@
-"""The tables of an identification."""
+"""Tables of an identification report."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from diffdrive_mpc.models.velocity_model import CHANNELS
 
 
 def score_table(fitted: Fitted) -> TextTable:
-    """Tabulate FIT and RMSE of the free simulation."""
+    """Tabulate FIT and RMSE of the simulation from commands."""
     train, validation = fitted.train, fitted.validation
     rows = [
         (
@@ -35,14 +35,14 @@ def score_table(fitted: Fitted) -> TextTable:
 
 
 def residual_table(fitted: Fitted) -> TextTable:
-    """Tabulate whiteness of the validation residuals, and the part that the commands could still explain."""
+    """Tabulate whiteness of the validation residuals, and their correlation with past commands."""
     check = fitted.validation.residuals
     rows = [
         (channel, f"{check.ljung_box_p[i]:.2g}", *(number(float(x), 2) for x in check.unexplained[i]))
         for i, channel in enumerate(CHANNELS)
     ]
     columns = ("residual of", "p if white [-]", "with past v_ref [bounds]", "with past omega_ref [bounds]")
-    note = "Largest correlation with a past command over its 95 % bound; well above 1, dynamics are missing."
+    note = "Largest correlation with a past command over its 95 % bound; values well above 1 show missing dynamics."
     return TextTable("Residuals on data held out", columns, tuple(rows), note=note)
 
 
@@ -53,22 +53,22 @@ def drift_table(poses: PoseResults) -> TextTable:
         for d in poses.drift
     ]
     columns = ("after [s]", "position RMSE [m]", "position mean [m]", "heading RMSE [rad]", "starts")
-    note = "Poses predicted from commands alone, held against the measured ones, on data held out."
+    note = "Poses predicted from commands alone, compared with measured poses, on held-out data."
     return TextTable("Open-loop pose error", columns, tuple(rows), text_columns=0, note=note)
 
 
 def delay_table(delays: ParameterEstimate) -> TextTable:
-    """Tabulate the delay of the robot: dead time plus lag, which a log determines, and its division into both."""
+    """Tabulate the delay of the robot: the sum of dead time and lag, which a log determines, and both parts."""
     cells = [f"{value:.3g} +- {deviation:.2g}" for _, value, deviation in delays.rows]
     names = dict.fromkeys(name.partition(".")[0] for name in delays.names)
     rows = [(name, *cells[3 * i : 3 * i + 3]) for i, name in enumerate(names)]
-    note = "With standard deviations. The sum is what tracking depends on; many divisions of it predict the same."
-    columns = ("answer of", "dead time and lag together [s]", "of it dead time [s]", "lag [s]")
-    return TextTable("How late the robot answers", columns, tuple(rows), note=note)
+    note = "With standard deviations. Tracking depends on the sum; many divisions of it give the same prediction."
+    columns = ("response of", "dead time and lag together [s]", "dead time [s]", "lag [s]")
+    return TextTable("Delay of the robot", columns, tuple(rows), note=note)
 
 
 def parameter_table(title: str, estimate: ParameterEstimate, *, dead_times: bool = True) -> TextTable:
-    """Tabulate values with their standard deviations, without the dead times if `delay_table` has them."""
+    """Tabulate values with standard deviations; without `dead_times`, which `delay_table` shows, if False."""
     rows = [
         (name, f"{value:.5g}", f"{deviation:.2g}")
         for name, value, deviation in estimate.rows
@@ -90,36 +90,36 @@ def order_table(choice: OrderChoice) -> TextTable:
         *("order", "", "parameters", "FIT training v [%]", "omega [%]", "FIT blocks v [%]", "omega [%]"),
         *("FIT validation v [%]", "omega [%]", "AIC", "BIC"),
     )
-    note = f"Order {choice.order}: {choice.reason}. Criteria over the lowest of all orders."
+    note = f"Order {choice.order}: {choice.reason}. AIC and BIC relative to their minimum over all orders."
     return TextTable("Orders compared", columns, tuple(rows), text_columns=2, note=note)
 
 
 def effect_table(base: IdentifiedBase) -> TextTable:
-    """Tabulate the effects tried in addition to the linear model, and those selected."""
+    """Tabulate the effects that were tried in addition to the linear model, with the selected ones marked."""
     rows = [
         (
-            trial.effect + (", once more" if trial.again else ""),
+            trial.effect + (", second trial" if trial.again else ""),
             number(trial.gain),
             str(trial.blocks),
             "yes" if trial.selected else "no",
         )
         for trial in base.trials
     ]
-    note = "Gain: fall of the logarithm of the error power on parts of the training data that were held out in turn."
+    note = "Gain: decrease of the logarithm of the error power on held-out parts of the training data."
     return TextTable(
-        "What the base does", ("effect", "gain [-]", "better in blocks", "in the model"), tuple(rows), note=note
+        "Effects of the base", ("effect", "gain [-]", "better in blocks", "in the model"), tuple(rows), note=note
     )
 
 
 def slip_table(poses: PoseResults) -> TextTable:
     """Tabulate slip laws with their errors over a short window."""
     rows = [
-        (name, ", ".join(_valued(law.parameters)), *(number(float(x)) for x in law.rmse), str(law.windows))
+        (name, ", ".join(_format_values(law.parameters)), *(number(float(x)) for x in law.rmse), str(law.windows))
         for name, law in poses.laws
     ]
     columns = ("law", "coefficients", "ahead [m]", "to the left [m]", "heading [rad]", "windows")
     note = (
-        "RMSE of the body's displacement over windows of one second, from the wheels through the law, on training data."
+        "RMSE of the body's displacement over windows of one second, from wheel speeds and slip law, on training data."
     )
     return TextTable("Slip laws", columns, tuple(rows), text_columns=2, note=note)
 
@@ -130,8 +130,10 @@ def finding_table(findings: Sequence[Finding]) -> TextTable:
         (finding.severity, finding.kind, finding.place, finding.words, str(finding.verdict or ""))
         for finding in findings
     )
-    return TextTable("Findings in the logs", ("severity", "kind", "where", "what", "for driving"), rows, text_columns=5)
+    return TextTable(
+        "Findings in the logs", ("severity", "kind", "place", "description", "for driving"), rows, text_columns=5
+    )
 
 
-def _valued(estimate: ParameterEstimate) -> list[str]:
+def _format_values(estimate: ParameterEstimate) -> list[str]:
     return [f"{name} {value:.3g} ± {deviation:.1g}" for name, value, deviation in estimate.rows]

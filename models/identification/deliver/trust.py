@@ -1,4 +1,4 @@
-"""Trust in a model, judged from everything in its logs by the one rule behind every verdict."""
+"""Trust in a model, graded from its logs by a single rule that all reports use."""
 
 from __future__ import annotations
 
@@ -37,30 +37,30 @@ class Trust:
     reasons: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        """Format one line without a full stop."""
+        """Format grade and reasons in one line without a full stop."""
         return ": ".join(part for part in (self.grade, "; ".join(self.reasons)) if part)
 
 
 def judge(data: LogData, fitted: Fitted, doubts: Sequence[Doubt]) -> Trust:
-    """Grade a model by its FIT on held-out blocks, and by the doubts that matter for driving.
+    """Grade a model by its FIT on held-out blocks and by the doubts that matter for driving.
 
     Parameters
     ----------
     data
         The logs.
     fitted
-        The model.
+        The model with its scores.
     doubts
-        All of them.
+        All doubts about the model.
     """
-    against = refusals(data.findings, fitted)
-    if against:
-        return Trust("No", against)
-    low, least = fit_interval(data, fitted)[0], identification_settings().warn.low_fit
+    refused = refusals(data.findings, fitted)
+    if refused:
+        return Trust("No", refused)
+    low, min_fit = fit_interval(data, fitted)[0], identification_settings().warn.low_fit
     reasons = [
         f"FIT of {channel} on data held out may be as low as {value:.0f} %"
         for channel, value in zip(CHANNELS, low, strict=True)
-        if not value >= least
+        if not value >= min_fit
     ]
     known = [
         *((finding.kind, finding.verdict) for finding in data.findings),
@@ -74,7 +74,7 @@ def judge(data: LogData, fitted: Fitted, doubts: Sequence[Doubt]) -> Trust:
 
 
 def refusals(findings: Sequence[Finding], fitted: Fitted) -> tuple[str, ...]:
-    """List the reasons for which no controller should drive with a model, a clause each."""
+    """List the reasons, a clause each, for which no controller should use the model."""
     limits = identification_settings().warn
     reasons = [finding.words for finding in findings if finding.severity == "error"]
     fit = fitted.validation.fit_percent
@@ -94,7 +94,7 @@ def refusals(findings: Sequence[Finding], fitted: Fitted) -> tuple[str, ...]:
 
 
 def fit_interval(data: LogData, fitted: Fitted) -> FloatArray:
-    """Compute the 95 % interval (2, 2) of FIT of v and omega on held-out data [%], by resampling blocks."""
+    """Compute the 95 % interval of FIT on held-out data by resampling blocks: (2, 2), bound by v and omega [%]."""
     measured = twist_experiments(data.validation, data.yaw)
     powers, weights = block_powers(measured, fitted.simulated)
     readings = np.concatenate([part.readings for part in measured])
@@ -112,9 +112,9 @@ INTERVAL = (0.025, 0.975)
 def block_powers(
     measured: Sequence[SampledExperiment], simulated: Sequence[FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
-    """Compute (B, 2) mean square errors of v [m/s] and omega [rad/s] in blocks of time, and their numbers of readings.
+    """Compute mean square errors (B, 2) of v and omega in blocks of time, and the numbers of readings (B, 2).
 
-    Errors within a block follow from one another; those of different blocks hardly do.
+    Errors are in (m/s)^2 and (rad/s)^2. They are correlated within a block and nearly independent between blocks.
     """
     length = identification_settings().block_time
     powers, weights = [], []
@@ -133,16 +133,16 @@ def block_powers(
 def pooled_fit(
     powers: FloatArray, weights: FloatArray, spread: FloatArray, draws: FloatArray | None = None
 ) -> FloatArray:
-    """Compute (..., 2) FIT of v and omega over all blocks [%], or over resampled blocks (..., B).
+    """Compute FIT (..., 2) of v and omega over all blocks [%], or over resampled blocks.
 
     Parameters
     ----------
     powers, weights
-        (B, 2) of `block_powers`.
+        (B, 2) each, results of `block_powers`.
     spread
-        (2,) variance of the measurements, about their mean.
+        (2,) variance of the measurements.
     draws
-        Number of times that each block counts; once by default.
+        (..., B) number of repetitions of each block; once by default.
     """
     drawn = np.ones(len(weights)) if draws is None else draws
     power = drawn @ (weights * powers)
@@ -150,6 +150,6 @@ def pooled_fit(
 
 
 def drawn_blocks(count: int) -> FloatArray:
-    """Draw (draws, count) numbers of repetitions of `count` blocks, with one seed: for the spread of a statistic."""
+    """Draw the numbers of repetitions (draws, count) of `count` blocks for a bootstrap, with a fixed seed."""
     rng = np.random.default_rng(_SEED)
     return rng.multinomial(count, np.full(count, 1.0 / count), size=_DRAWS).astype(float)

@@ -1,4 +1,4 @@
-"""Nonlinear effects of a base around its linear dynamics, estimated from records."""
+"""Nonlinear effects of the base in addition to its linear dynamics, estimated from records."""
 
 from diffdrive_mpc.models.identification.effects.base import IdentifiedBase, identify_with_effects
 from diffdrive_mpc.models.identification.effects.selection import EffectTrial

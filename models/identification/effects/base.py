@@ -1,4 +1,4 @@
-"""SM together with the effects of the base, from records."""
+"""Identification of SM together with the effects of the base."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.doubt import Doubt
-from diffdrive_mpc.models.identification.effects.fitting import EffectFit, covariance, fit_effects, weighted
-from diffdrive_mpc.models.identification.effects.free_run import Point, base_track, free_run, sensed
+from diffdrive_mpc.models.identification.effects.fitting import EffectFit, covariance, fit_effects, weight_readings
+from diffdrive_mpc.models.identification.effects.free_run import Point, base_track, free_run, sensor_experiments
 from diffdrive_mpc.models.identification.effects.pose_sensor import pose_sensor
 from diffdrive_mpc.models.identification.effects.selection import (
     BY_ENCODERS,
@@ -39,30 +39,30 @@ METHOD = (
     "only if it predicts held-out blocks of the records better; outliers held back"
 )
 _BY_GYRO = " and omega of the gyro"
-_NO_TRACK = "the track of the encoders is not known: steps of the wheels were not tried"
+_NO_TRACK = "the track of the encoders is unknown: steps of the wheels were not tried"
 _NO_GYRO = "without a gyro, twist of the tyres, veer and the encoders' lag were not tried"
-# Parameters that may be zero, for which a relative deviation is meaningless.
+# Parameters that may be zero, so that a relative deviation is meaningless.
 _MAY_BE_ZERO = ("dead_time", "encoders.delay", "gyro.offset", "veer")
 
 
 @dataclass(frozen=True)
 class IdentifiedBase:
-    """A model with base effects, and the sensors that it was seen through.
+    """A model with base effects, and the parameters of the sensors.
 
     Attributes
     ----------
     identified
-        The model: SM, with `base_effects` among its content. Its v is that of the encoders.
+        The model: SM with the group `base_effects`. Its v is measured by the encoders.
     effects
-        Names of the effects found.
+        Names of the selected effects.
     trials
-        Effects that were tried, in this order.
+        Trials of effects, in order.
     point
-        Every parameter of the free run, sensors included.
+        All parameters of the free run, sensors included.
     pose
-        Delay of the poses, travel over encoders, and mount; None without enough poses.
+        Delay of the poses, distance travelled per encoder distance, and pose mount; None if there are too few poses.
     points
-        Parameters like `point`, found without each block of the records.
+        Parameters like `point`, one fit for each held-out block of the records.
     """
 
     identified: IdentifiedModel
@@ -73,41 +73,47 @@ class IdentifiedBase:
     points: tuple[Point, ...] = ()
 
     def readings(self, records: Sequence[Record]) -> list[FloatArray]:
-        """Simulate v and omega of the encoders and, with a gyro, its omega: (K, p) for each record, in one free run."""
+        """Simulate the readings (K, p) of each record in one free run: encoders' v and omega, and omega of a gyro."""
         return self._runs(self.point, records)
 
     def body_twists(self, records: Sequence[Record]) -> list[FloatArray]:
         """Simulate true v [m/s] and yaw rate [rad/s] without sensor errors: (K, 2) for each record, in one free run."""
-        prompt = {name: value for name, value in self.point.items() if name != "encoders.lag"}
-        prompt |= {"encoders.delay": 0.0, "gyro.offset": 0.0}
+        ideal = {name: value for name, value in self.point.items() if name != "encoders.lag"}
+        ideal |= {"encoders.delay": 0.0, "gyro.offset": 0.0}
         travel = self.pose.value("pose.travel") if self.pose else 1.0
         twists = []
-        for run in self._runs(prompt, records):
+        for run in self._runs(ideal, records):
             twists.append(np.column_stack([travel * run[:, 0], run[:, -1]]))
         return twists
 
     def fit_percent(self, records: Sequence[Record]) -> FloatArray:
-        """Compute the pooled FIT (p,) [%] of encoders' v and omega, and the gyro's omega; raise as `sensed`."""
-        return fit_percents(self.readings(records), sensed(records, self.identified.yaw))
-
-    def refitted(self, records: Sequence[Record]) -> IdentifiedModel:
-        """Refit the same effects to other records; statistics stay those of `identified`.
+        """Compute the pooled FIT (p,) [%] of the encoders' v and omega and the gyro's omega.
 
         Raises
         ------
         ValueError
-            As `sensed`.
+            As `sensor_experiments`.
+        """
+        return fit_percents(self.readings(records), sensor_experiments(records, self.identified.yaw))
+
+    def refitted(self, records: Sequence[Record]) -> IdentifiedModel:
+        """Refit the selected effects to other records; statistics remain those of `identified`.
+
+        Raises
+        ------
+        ValueError
+            As `sensor_experiments`.
         """
         linear = LINEAR if self.identified.yaw == "gyro" else BY_ENCODERS
-        mine = [name for effect in self.effects for name in EFFECTS[effect]]
-        free = [name for name in (*linear, *mine) if name in self.point and name in effect_settings().parameters]
-        data = weighted(joined(sensed(records, self.identified.yaw)), self.point)
+        selected = [name for effect in self.effects for name in EFFECTS[effect]]
+        free = [name for name in (*linear, *selected) if name in self.point and name in effect_settings().parameters]
+        data = weight_readings(joined(sensor_experiments(records, self.identified.yaw)), self.point)
         point = fit_effects(self.point, free, data, near=True).point
         content = {**_linear(point), "base_effects": rounded_effects(_effects(point, None))}
         return replace(self.identified, content=content)
 
     def _runs(self, point: Point, records: Sequence[Record]) -> list[FloatArray]:
-        experiments = sensed(records, self.identified.yaw)
+        experiments = sensor_experiments(records, self.identified.yaw)
         return parted([free_run(point, run) for run in joined(experiments)], experiments)
 
 
@@ -119,40 +125,39 @@ def identify_with_effects(
     limits: Mapping[str, float] | None = None,
     on_trial: Callable[[str], None] | None = None,
 ) -> IdentifiedBase:
-    """Identify SM and the effects of the base around it.
+    """Identify SM and the effects of the base.
 
-    The effects are those of `models.base_effects`; a base that has none ends with none. The gyro is the reference for
-    time and true yaw rate: the encoders' delay and lag are found against it. Source of the relations: see each effect.
+    The effects are defined in `models.base_effects`, with sources; none is selected for a linear base. The gyro is the
+    reference for time and true yaw rate: delay and lag of the encoders are estimated relative to it.
 
     Parameters
     ----------
     records
-        Records with encoders and gyro. Poses, if present, add the pose mount and the distance travelled per encoder
-        distance.
+        Records with encoders and gyro. Poses, if present, determine the pose mount and the distance travelled per
+        encoder distance.
     yaw
-        Whether omega is the gyro's or the encoders'. Without a gyro only effects visible to the encoders are tried, and
-        poses add nothing.
+        Sensor of omega. Without a gyro only effects visible to the encoders are tried, and poses are not used.
     encoder_track
-        Track by which the encoders' yaw rate was computed [m]; by default from the records' wheel speeds. Without
-        either, it is identified together with their maximum speed; steps of the wheels are not tried, with a warning.
+        Track with which the encoders' yaw rate was computed [m]; by default from the records' wheel speeds. If neither
+        is known, the track is identified together with the top speed, and steps of the wheels are not tried.
     limits
-        Limits of channels whose command the plain model found to be clipped: tried as an effect.
+        Limits of channels whose command is clipped according to the plain model: tried as an effect.
     on_trial
-        Called with the name of the effect that is tried next.
+        Called with the name of the effect of the next trial.
 
     Raises
     ------
     ValueError
-        If a record lacks encoders or gyro, a reading never changes, or the records are too short.
+        If a record has no encoders or gyro, a reading never changes, or the records are too short.
     """
     geometry = wheel_geometry(records)
     track = encoder_track or (geometry.track if geometry else None)
-    selection = select_effects(joined(sensed(records, yaw)), track, on_trial, limits)
+    selection = select_effects(joined(sensor_experiments(records, yaw)), track, on_trial, limits)
     fit = selection.fit
     pose = pose_sensor(records, fit.point) if yaw == "gyro" else None
     effects = _effects(fit.point, pose)
-    unseen = [Doubt("unknown track", _NO_TRACK)] if track is None else []
-    unseen += [Doubt("unseen effects", _NO_GYRO)] if yaw != "gyro" else []
+    untried = [Doubt("unknown track", _NO_TRACK)] if track is None else []
+    untried += [Doubt("unseen effects", _NO_GYRO)] if yaw != "gyro" else []
     parameters = _parameters(selection)
     identified = IdentifiedModel(
         schema=SmFile,
@@ -162,7 +167,7 @@ def identify_with_effects(
         yaw=yaw,
         method=METHOD if yaw == "gyro" else METHOD.replace(_BY_GYRO, ""),
         fits=(),
-        warnings=(*unseen, *_doubts(fit, parameters)),
+        warnings=(*untried, *_doubts(fit, parameters)),
     )
     return IdentifiedBase(identified, selection.effects, selection.trials, fit.point, pose, selection.points)
 
@@ -211,21 +216,21 @@ def _effects(point: Point, pose: ParameterEstimate | None) -> BaseEffects:
 
 
 def _parameters(selection: Selection) -> ParameterEstimate:
-    """Return the free parameters as a model file names them, with the track that follows from the gains."""
+    """Return the free parameters under their names in model files, with the track that follows from the gains."""
     fit = selection.fit
     wheels = any(name in selection.effects for name in EFFECTS if name.endswith("of the wheels"))
-    names = tuple(_readable(name) for name in fit.free) + (("wheels.track",) if wheels else ())
+    names = tuple(_file_name(name) for name in fit.free) + (("wheels.track",) if wheels else ())
 
-    def readable(row: FloatArray) -> FloatArray:
+    def file_values(row: FloatArray) -> FloatArray:
         point = {**fit.point, **dict(zip(fit.free, row.tolist(), strict=True))}
         values = [_physical(name, point[name]) for name in fit.free]
         return np.array(values + ([base_track(point)] if wheels else []))
 
     values = np.array([fit.point[name] for name in fit.free])
-    return ParameterEstimate(fit.free, values, covariance(fit, selection.data)).derived(names, readable)
+    return ParameterEstimate(fit.free, values, covariance(fit, selection.data)).derived(names, file_values)
 
 
-def _readable(name: str) -> str:
+def _file_name(name: str) -> str:
     kind, _, channel = name.partition(".")
     if channel not in CHANNELS or kind == "slew":
         return name
@@ -237,30 +242,30 @@ def _physical(name: str, value: float) -> float:
 
 
 def _delays(fit: EffectFit, parameters: ParameterEstimate) -> ParameterEstimate:
-    """Compute the delay (2,) of v and omega [s]: dead time and both lags."""
-    known = {_readable(name): _physical(name, value) for name, value in fit.point.items()}
+    """Compute the delay (2,) of v and omega [s]: dead time plus both lags."""
+    known = {_file_name(name): _physical(name, value) for name, value in fit.point.items()}
 
     def delays(row: FloatArray) -> FloatArray:
         point = {**known, **dict(zip(parameters.names, row.tolist(), strict=True))}
         values = [[point.get(f"{channel}.{name}", 1.0) for name in TwoPoles.model_fields] for channel in CHANNELS]
-        late = [point[f"{channel}.dead_time"] for channel in CHANNELS]
-        return np.add(late, [TwoPoles.lag(parameters_of_row) for parameters_of_row in values])
+        dead_time = [point[f"{channel}.dead_time"] for channel in CHANNELS]
+        return np.add(dead_time, [TwoPoles.lag(poles) for poles in values])
 
     return parameters.derived(CHANNELS, delays)
 
 
 def _doubts(fit: EffectFit, parameters: ParameterEstimate) -> list[Doubt]:
-    sized = [name for name in parameters.names if not any(part in name for part in _MAY_BE_ZERO)]
+    nonzero = [name for name in parameters.names if not any(part in name for part in _MAY_BE_ZERO)]
     delays = _delays(fit, parameters)
-    verdicts = [*doubts.badly_known(parameters.part(sized), delays=delays), *doubts.late_answers(delays)]
+    verdicts = [*doubts.badly_known(parameters.part(nonzero), delays=delays), *doubts.late_answers(delays)]
     for name, (low, high, _) in effect_settings().parameters.items():
         # Zero is a valid result for an effect; a value at any other bound is not.
         if name in fit.point and fit.point[name] in (low, high) and fit.point[name] != 0.0:
             if name == "encoders.delay" and fit.point[name] < 0.0:
-                late = f", beside a lag of {fit.point['encoders.lag']:.2g} s" if "encoders.lag" in fit.point else ""
+                lag = f", with a lag of {fit.point['encoders.lag']:.2g} s" if "encoders.lag" in fit.point else ""
                 words = (
-                    f"encoders.delay = {fit.point[name]:.4g} lies at a bound of the search{late}: encoders cannot lead "
-                    "the gyro, so the mapping takes off too much delay of theirs, or the gyro has one"
+                    f"encoders.delay = {fit.point[name]:.4g} lies at a bound of the search{lag}: encoders cannot lead "
+                    "the gyro, so the mapping subtracts too much delay from them, or the gyro is delayed"
                 )
                 verdicts.append(Doubt("time shift", words))
                 continue

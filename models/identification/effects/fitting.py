@@ -1,4 +1,4 @@
-"""Least squares of a free run with effects against readings."""
+"""Least-squares fit of a free run with effects to readings."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from diffdrive_mpc.models.output_error.statistics import output_spread, residual
 
 @dataclass(frozen=True)
 class Weighted:
-    """Data, and how much each reading counts.
+    """Experiments with weights of the readings.
 
     Attributes
     ----------
     experiments
         Commands (K, 2) and readings (K, p): v and omega of the encoders, and omega of the gyro if present.
     weights
-        For each experiment (K, p): one over the scale of the sensor's residuals, less for outliers, 0 without reading.
+        For each experiment (K, p): 1 / scale, smaller for outliers, 0 if there is no reading.
     scale
-        (p,) that scale.
+        (p,) scale of the residuals of each sensor [m/s, rad/s, rad/s].
     """
 
     experiments: Sequence[SampledExperiment]
@@ -35,19 +35,19 @@ class Weighted:
     scale: FloatArray
 
     def part(self, pieces: Pieces) -> Weighted:
-        """Return a part of the data: of each piece the number of its experiment, and its first and last sample."""
+        """Return the pieces of the data, each given by index of the experiment, first sample and end (exclusive)."""
         weights = [self.weights[i][first:stop] for i, first, stop in pieces]
         return Weighted(cut(self.experiments, pieces), weights, self.scale)
 
     def errors(self, point: Point, *, smooth: bool = False) -> list[FloatArray]:
-        """Compute weighted errors (K, p) of a free run for each experiment, NaN without a reading."""
+        """Compute weighted errors (K, p) of a free run for each experiment; NaN if there is no reading."""
         return [
             w * (free_run(point, s, smooth=smooth) - s.readings)
             for s, w in zip(self.experiments, self.weights, strict=True)
         ]
 
     def slopes(self, point: Point, free: Sequence[str]) -> list[FloatArray]:
-        """Compute derivatives (K, p, q) of the weighted errors by one-sided differences, with steps smoothed."""
+        """Compute derivatives (K, p, q) of the weighted errors by one-sided differences, with smoothed wheel steps."""
         settings = effect_settings()
         simulated = [free_run(point, experiment, smooth=True) for experiment in self.experiments]
         columns: list[list[FloatArray]] = [[] for _ in self.experiments]
@@ -65,16 +65,16 @@ class Weighted:
 
 @dataclass(frozen=True)
 class EffectFit:
-    """An estimate.
+    """Result of a fit.
 
     Attributes
     ----------
     point
-        Every parameter, also those that were not free.
+        All parameters, free and fixed.
     free
-        (q,) names of those that were.
+        (q,) names of the free parameters.
     cost
-        Sum of the squared weighted errors.
+        Sum of squared weighted errors.
     """
 
     point: Mapping[str, float]
@@ -82,8 +82,8 @@ class EffectFit:
     cost: float
 
 
-def weighted(experiments: Sequence[SampledExperiment], point: Point | None = None) -> Weighted:
-    """Weight the readings by the residuals under `point`, or else by their own spread.
+def weight_readings(experiments: Sequence[SampledExperiment], point: Point | None = None) -> Weighted:
+    """Weight the readings by the scale of the residuals at `point`; by the spread of the readings if `point` is None.
 
     Raises
     ------
@@ -104,51 +104,51 @@ def weighted(experiments: Sequence[SampledExperiment], point: Point | None = Non
 def fit_effects(
     start: Point, free: Sequence[str], data: Weighted, evaluations: int | None = None, *, near: bool = False
 ) -> EffectFit:
-    """Estimate the parameters `free`, from `start`, by simulation error.
+    """Estimate the parameters `free`, starting at `start`, by minimising the simulation error.
 
-    Steps of the wheel command have no slopes: where there are any, they are smoothed at first; then the search follows
-    the slopes of the smoothed command to lower the errors under the true one.
+    The stepped wheel command has zero slope almost everywhere. The search therefore first fits a smoothed command; then
+    it fits the stepped command, with the slopes of the smoothed one.
 
     Parameters
     ----------
     start
-        First guess of every parameter; those not in `free` are kept.
+        Initial values of all parameters; those not in `free` stay fixed.
     free
-        (q,) names.
+        (q,) names of the free parameters.
     data
-        The readings.
+        The weighted readings.
     evaluations
-        Largest number of evaluations in the search; None for the usual number.
+        Maximum number of evaluations; None for the number in the settings.
     near
-        Whether `start` is nearly there, so that steps need not be smoothed.
+        True if `start` is near the solution, so that the smoothed fit is skipped.
     """
     free = tuple(free)
-    most = evaluations or effect_settings().evaluations
+    max_evaluations = evaluations or effect_settings().evaluations
     if start.get("wheels.resolution") and not near:
-        start = _best_track(_search(start, free, data, most, smooth=True).point, data)
-    return _search(start, free, data, most, smooth=False)
+        start = _best_track(_search(start, free, data, max_evaluations, smooth=True).point, data)
+    return _search(start, free, data, max_evaluations, smooth=False)
 
 
 def covariance(fit: EffectFit, data: Weighted) -> FloatArray:
-    """Compute the covariance (q, q) of the free parameters with correlated residuals; see `sandwich`."""
+    """Compute the covariance (q, q) of the free parameters for correlated residuals; see `sandwich`."""
     return sandwich(data.slopes(fit.point, fit.free), data.errors(fit.point)).covariance
 
 
 def _best_track(point: Point, data: Weighted) -> Point:
-    """Shift the gains of `point` so that the true steps fit best.
+    """Scale the track, by the gains of `point`, so that the stepped command fits best.
 
-    Which sides coast depends on the track, which follows from the gains; from one such set to another the search finds
-    no way by slopes.
+    The track, which follows from the gains, decides at which samples a side coasts. The cost jumps between such sets of
+    samples, so that a gradient search cannot pass from one to the next.
     """
 
-    def shifted(part: float) -> Point:
-        gains = {"gain.v": point["gain.v"] / np.sqrt(part), "gain.omega": point["gain.omega"] * np.sqrt(part)}
+    def with_track(share: float) -> Point:
+        gains = {"gain.v": point["gain.v"] / np.sqrt(share), "gain.omega": point["gain.omega"] * np.sqrt(share)}
         return {**point, **gains}
 
     def cost(candidate: Point) -> float:
         return float(sum(np.nansum(error**2) for error in data.errors(candidate)))
 
-    return min((shifted(part) for part in effect_settings().tracks), key=cost)
+    return min((with_track(share) for share in effect_settings().tracks), key=cost)
 
 
 def _search(start: Point, free: tuple[str, ...], data: Weighted, evaluations: int, *, smooth: bool) -> EffectFit:

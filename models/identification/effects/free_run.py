@@ -1,4 +1,4 @@
-"""Simulated readings of encoders and gyro, for a robot that follows its commands with the effects of its base."""
+"""Simulated readings of encoders and gyro for a robot with base effects."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from diffdrive_mpc.models.two_sided import BaseSlewLimit
 SENSORS = ("v", "omega of the encoders", "omega of the gyro")
 
 
-def sensed(records: Sequence[Record], yaw: YawSource = "gyro") -> list[SampledExperiment]:
-    """Build experiments of commands (v_ref, omega_ref) against v and omega of the encoders and omega of the gyro.
+def sensor_experiments(records: Sequence[Record], yaw: YawSource = "gyro") -> list[SampledExperiment]:
+    """Build experiments with inputs v_ref and omega_ref, and outputs v and omega of the encoders, omega of the gyro.
 
     Raises
     ------
     ValueError
-        If a record lacks a sensor, has too few readings, or is not finite.
+        If a record lacks a sensor, has too few readings, or has values that are not finite.
     """
     if yaw != "gyro":
         return twist_experiments(records, yaw)
@@ -44,10 +44,10 @@ Point = Mapping[str, float]
 
 
 def free_run(point: Point, experiment: SampledExperiment, *, smooth: bool = False) -> FloatArray:
-    """Simulate (K, p) v and omega of the encoders, omega of the gyro, from the commands and the first readings.
+    """Simulate readings (K, p): v and omega of the encoders, omega of the gyro, from commands and first readings.
 
-    The same chain as `models.base_effects.respond`, from encoders' units, and the sensors behind it. The robot is
-    assumed to be in steady state at its first readings.
+    The chain is that of `models.base_effects.respond`, in units of the encoders, followed by the sensors. The robot is
+    assumed to be in steady state at the first readings.
 
     Parameters
     ----------
@@ -56,16 +56,16 @@ def free_run(point: Point, experiment: SampledExperiment, *, smooth: bool = Fals
     experiment
         The commands (K, 2) and readings (K, p); p is 3, or 2 without a gyro.
     smooth
-        Whether the steps of the wheel command are smoothed to their mean, which has slopes.
+        Whether to replace the steps of the wheel command by a differentiable mean.
     """
     step = experiment.dt / PARTS
     first = experiment.first_readings
     start = np.array([first[0] / point["gain.v"], first[1] / (point["gain.omega"] * point["encoders.yaw_ratio"])])
-    requested = _asked(point, np.repeat(experiment.inputs, PARTS, axis=0), step, start, smooth)
+    requested = _motor_twist(point, np.repeat(experiment.inputs, PARTS, axis=0), step, start, smooth)
     gains = np.array([point["gain.v"], point["gain.omega"]])
     wheels = np.empty_like(requested)
     for row, channel in enumerate(("v", "omega")):
-        drive = _late(requested[:, row], start[row], point[f"dead_time.{channel}"] / step)
+        drive = _delay(requested[:, row], start[row], point[f"dead_time.{channel}"] / step)
         wheels[:, row] = gains[row] * two_lags(
             drive, start[row], point[f"lag.{channel}"], point.get(f"damping.{channel}", 1.0), step
         )
@@ -75,7 +75,7 @@ def free_run(point: Point, experiment: SampledExperiment, *, smooth: bool = Fals
     gyro = gyro + point.get("veer", 0.0) * wheels[:, 0] + point["gyro.offset"]
     readings = wheels * np.array([1.0, point["encoders.yaw_ratio"]])
     if "encoders.lag" in point:
-        readings = _lagging(readings, point["encoders.lag"], step)
+        readings = _lag(readings, point["encoders.lag"], step)
     instants = PARTS * np.arange(experiment.samples) - point["encoders.delay"] / step
     fine = np.arange(len(readings))
     by_encoders = [np.interp(instants, fine, column) for column in readings.T]
@@ -83,18 +83,18 @@ def free_run(point: Point, experiment: SampledExperiment, *, smooth: bool = Fals
 
 
 def two_lags(drive: FloatArray, start: float, lag: float, damping: float, step: float) -> FloatArray:
-    """Compute the exact zero-order-hold response (K,) of two poles that start at rest at `start`.
+    """Compute the exact zero-order-hold response (K,) of two poles that start in steady state at `start`.
 
     Parameters
     ----------
     drive
         (K,) input, each value held over one step.
     start
-        Input and output before.
+        Initial input and output.
     lag
-        One over the natural frequency [s].
+        Inverse of the natural frequency [s].
     damping
-        Below 1 the poles are complex [-].
+        Damping ratio [-]; below 1 the poles are complex.
     step
         Time between samples [s].
     """
@@ -107,15 +107,15 @@ def two_lags(drive: FloatArray, start: float, lag: float, damping: float, step: 
         a = b = np.exp(-step / lag)
         rise = 1.0 - a * (1.0 + step / lag)
     numerator = np.real([0.0, rise, (1.0 - a) * (1.0 - b) - rise])
-    from scipy import signal  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
+    from scipy import signal  # noqa: PLC0415 - loads slowly, and loading a model does not need it
 
     return np.asarray(start + signal.lfilter(numerator, np.real([1.0, -(a + b), a * b]), drive - start))
 
 
-def _asked(point: Point, commands: FloatArray, step: float, start: FloatArray, smooth: bool) -> FloatArray:
-    """Compute the twist (n, 2) that the motors are commanded."""
-    most = np.array([point.get("limit.v", np.inf), point.get("limit.omega", np.inf)])
-    requested = np.clip(commands, -most, most)
+def _motor_twist(point: Point, commands: FloatArray, step: float, start: FloatArray, smooth: bool) -> FloatArray:
+    """Compute the twist (n, 2) that the motors are commanded to follow."""
+    maximum = np.array([point.get("limit.v", np.inf), point.get("limit.omega", np.inf)])
+    requested = np.clip(commands, -maximum, maximum)
     if "slew.v" in point:
         requested = TwistSlew.model_construct(
             v=BaseSlewLimit(point["slew.v"]), omega=BaseSlewLimit(point["slew.omega"])
@@ -128,44 +128,44 @@ def _asked(point: Point, commands: FloatArray, step: float, start: FloatArray, s
         coasting_speed=point.get("wheels.coasting", 0.0),
         top_speed=point.get("wheels.top_speed"),
     )
-    return smoothed(base, requested) if smooth and base.resolution else base.apply(requested)
+    return smooth_command(base, requested) if smooth and base.resolution else base.apply(requested)
 
 
 def base_track(point: Point) -> float:
-    """Track [m] by which the base turns omega_ref into rim speeds.
+    """Compute the track [m] with which the base converts omega_ref to rim speeds.
 
-    Both sides respond equally to a commanded rim speed, so it is the encoders' track times their gain in turning over
-    that in driving straight.
+    Both sides respond equally to a commanded rim speed, so the track is that of the encoders times the ratio of their
+    gain in turning to their gain in straight driving.
     """
     turning = point["gain.omega"] * point["encoders.yaw_ratio"]
     return point["encoders.track"] * turning / point["gain.v"]
 
 
-def smoothed(base: WheelCommand, twist: FloatArray) -> FloatArray:
-    """Apply `base` without jumps: each step is replaced by its mean, and coasting sets in over half a step."""
+def smooth_command(base: WheelCommand, twist: FloatArray) -> FloatArray:
+    """Apply `base` with a smooth approximation of its steps, and of the onset of coasting."""
     sides = base.sides(twist)
     if base.top_speed is not None:
         sides = np.clip(sides, -base.top_speed, base.top_speed)
-    held = sides - 0.5 * base.resolution * np.tanh(sides / base.resolution)
+    stepped = sides - 0.5 * base.resolution * np.tanh(sides / base.resolution)
     square = (sides / base.resolution) ** 2
-    unheld = 1.0 / (1.0 + (square * square) ** 2)  # the eighth power by squares, which costs a tenth
-    coasting = unheld * (1.0 - unheld[..., ::-1])
-    along = np.clip(held[..., ::-1], -base.coasting_speed, base.coasting_speed)
-    return base.twist(held + coasting * (along - held))
+    undriven = 1.0 / (1.0 + (square * square) ** 2)  # the eighth power by squaring, ten times faster
+    coasting = undriven * (1.0 - undriven[..., ::-1])
+    coasting_speed = np.clip(stepped[..., ::-1], -base.coasting_speed, base.coasting_speed)
+    return base.twist(stepped + coasting * (coasting_speed - stepped))
 
 
-def _late(values: FloatArray, before: float, steps: float) -> FloatArray:
-    """Delay values (n,) by `steps` steps, with `before` at first; interpolate between two steps."""
+def _delay(values: FloatArray, before: float, steps: float) -> FloatArray:
+    """Delay values (n,) by `steps` steps, with linear interpolation; `before` is the value before the first."""
     whole = int(steps)
-    line = np.concatenate([np.full(whole + 1, before), values])
+    history = np.concatenate([np.full(whole + 1, before), values])
     rest = steps - whole
-    return np.asarray((1.0 - rest) * line[1 : 1 + len(values)] + rest * line[: len(values)])
+    return np.asarray((1.0 - rest) * history[1 : 1 + len(values)] + rest * history[: len(values)])
 
 
-def _lagging(values: FloatArray, lag: float, step: float) -> FloatArray:
-    """Apply a first-order lag [s] to `values`, settled at the first: (n, 2)."""
-    keep = np.exp(-step / lag)
+def _lag(values: FloatArray, lag: float, step: float) -> FloatArray:
+    """Apply a first-order lag [s] to `values` (n, 2), starting in steady state."""
+    decay = np.exp(-step / lag)
     change = values - values[0]
-    from scipy import signal  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
+    from scipy import signal  # noqa: PLC0415 - loads slowly, and loading a model does not need it
 
-    return np.asarray(values[0] + signal.lfilter([0.5 * (1 - keep), 0.5 * (1 - keep)], [1.0, -keep], change, axis=0))
+    return np.asarray(values[0] + signal.lfilter([0.5 * (1 - decay), 0.5 * (1 - decay)], [1.0, -decay], change, axis=0))

@@ -13,63 +13,63 @@ from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate, joined
 from diffdrive_mpc.models.output_error.statistics import sandwich
 
-_FEWEST_WINDOWS = 20
+_MIN_WINDOWS = 20
 _DELAY_STEP = 0.2
-"""Grid of the search for the delay, as a share of a sample."""
+"""Grid step of the search for the delay, as a share of the sample time."""
 
 
 class _Window(NamedTuple):
-    """One displacement between two poses."""
+    """Displacement between two poses."""
 
     rows: FloatArray
-    """(2, 4) contributions of travel along and across the sensor's heading, and of an arm ahead and to the left."""
+    """(2, 4) regressors: travel along and across the sensor's heading, lever arm ahead and to the left."""
     moved: FloatArray
-    """(2,) displacement [m], in the axes of the sensor at the start."""
+    """(2,) displacement [m], in the sensor frame at the start."""
 
 
 def pose_sensor(records: Sequence[Record], point: Mapping[str, float]) -> ParameterEstimate | None:
     """Identify pose.delay [s], pose.travel [-], mount.ahead, mount.left [m] and mount.heading [rad], if possible.
 
-    The delay behind the gyro is the one with which the poses turn as the gyro does. Displacements over short windows
-    are then explained by the encoders' way along the measured heading: `pose.travel` metres for each metre that they
-    count, `mount.heading` off the sensor's heading, and by the turning of the sensor about the centre of rotation.
-    Side-slip proportional to the yaw rate is indistinguishable from `mount.ahead`, and included in it.
+    The delay relative to the gyro minimises the difference between the headings and the integrated gyro. Displacements
+    over short windows are then regressed on the distance of the encoders along the measured heading (`pose.travel`
+    metres per metre, turned by `mount.heading`) and on the rotation of the sensor about the centre of rotation.
+    `mount.ahead` includes side-slip proportional to the yaw rate, which is indistinguishable from it.
 
     Parameters
     ----------
     records
         Records, some with poses.
     point
-        Parameters found from encoders and gyro; see `fit_effects`.
+        Parameters estimated from encoders and gyro; see `fit_effects`.
     """
     used = [record for record in records if record.pose is not None]
     delay = _delay(used, point) if used else None
     if delay is None:
         return None
     windows = [window for record in used for window in _windows(record, point, delay)]
-    if len(windows) < _FEWEST_WINDOWS:
+    if len(windows) < _MIN_WINDOWS:
         return None
     rows = np.array([window.rows for window in windows])
     moved = np.array([window.moved for window in windows])
-    keep = np.ones(len(windows), dtype=bool)
+    inlier = np.ones(len(windows), dtype=bool)
     for _ in range(3):
-        solution = np.linalg.lstsq(rows[keep].reshape(-1, 4), moved[keep].ravel(), rcond=None)[0]
+        solution = np.linalg.lstsq(rows[inlier].reshape(-1, 4), moved[inlier].ravel(), rcond=None)[0]
         error = rows @ solution - moved
-        keep = np.hypot(*error.T) < effect_settings().pose.outlier
-    scale = float(np.sqrt(np.mean(error[keep] ** 2)))
-    spread = sandwich([rows[keep] / scale], [error[keep] / scale]).covariance
+        inlier = np.hypot(*error.T) < effect_settings().pose.outlier
+    scale = float(np.sqrt(np.mean(error[inlier] ** 2)))
+    spread = sandwich([rows[inlier] / scale], [error[inlier] / scale]).covariance
     linear = ParameterEstimate(("along", "across", "mount.ahead", "mount.left"), solution, spread)
     place = linear.derived(
         ("pose.travel", "mount.heading", "mount.ahead", "mount.left"),
         lambda row: np.array([np.hypot(row[0], row[1]), np.arctan2(row[1], row[0]), row[2], row[3]]),
     )
-    # The grid is all that is known of the delay's spread.
+    # The standard deviation of the delay is that of the grid.
     grid = _DELAY_STEP * used[0].dt / np.sqrt(12.0)
     return joined([ParameterEstimate(("pose.delay",), np.array([delay]), np.array([[grid**2]])), place])
 
 
 def _delay(records: Sequence[Record], point: Mapping[str, float]) -> float | None:
-    """Find the delay [s] at which headings over one second agree best with the gyro."""
+    """Find the delay [s] at which heading changes over one second agree best with the gyro."""
     low, high = effect_settings().pose.delays
     best: tuple[float, float] | None = None
     for delay in np.arange(low, high, _DELAY_STEP * records[0].dt):
@@ -80,12 +80,12 @@ def _delay(records: Sequence[Record], point: Mapping[str, float]) -> float | Non
             known = np.isfinite(record.yaw_rate)
             rate = np.interp(record.time, record.time[known], record.yaw_rate[known] - point["gyro.offset"])
             turned = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * record.dt)])
-            left = record.pose[:, 2] - np.interp(record.time - delay, record.time, turned)
+            error = record.pose[:, 2] - np.interp(record.time - delay, record.time, turned)
             second = round(1.0 / record.dt)
             both = record.fresh_pose[second:] & record.fresh_pose[:-second]
-            errors.append(np.abs(left[second:] - left[:-second])[both])
+            errors.append(np.abs(error[second:] - error[:-second])[both])
         pooled = np.concatenate(errors) if errors else np.empty(0)
-        if len(pooled) < _FEWEST_WINDOWS:
+        if len(pooled) < _MIN_WINDOWS:
             return None
         size = float(np.mean(pooled))
         if best is None or size < best[0]:
@@ -94,27 +94,27 @@ def _delay(records: Sequence[Record], point: Mapping[str, float]) -> float | Non
 
 
 def _windows(record: Record, point: Mapping[str, float], delay: float) -> list[_Window]:
-    """Collect displacements between fresh poses, without overlap."""
+    """Collect displacements between new poses, without overlap."""
     if record.twist is None or record.pose is None:
         return []
     steps = round(effect_settings().pose.window / record.dt)
-    late = point["encoders.delay"] + point.get("encoders.lag", 0.0)
+    encoder_delay = point["encoders.delay"] + point.get("encoders.lag", 0.0)
     known = np.isfinite(record.twist[:, 0])
     if not known.any():
         return []
-    speed = np.interp(record.time - delay + late, record.time[known], record.twist[known, 0])
+    speed = np.interp(record.time - delay + encoder_delay, record.time[known], record.twist[known, 0])
     x, y, theta = record.pose.T
     c, s = np.cos(theta), np.sin(theta)
     windows = []
     for k in record.pose_windows(steps, np.isfinite(theta)):
         rows = slice(k, k + steps + 1)
-        way = np.array([_trapezoid(speed[rows] * c[rows]), _trapezoid(speed[rows] * s[rows])]) * record.dt
-        into = np.array([[c[k], s[k]], [-s[k], c[k]]])
+        travel = np.array([_trapezoid(speed[rows] * c[rows]), _trapezoid(speed[rows] * s[rows])]) * record.dt
+        to_sensor = np.array([[c[k], s[k]], [-s[k], c[k]]])
         turned = theta[k + steps] - theta[k]
         rotation = np.array([[np.cos(turned), -np.sin(turned)], [np.sin(turned), np.cos(turned)]])
-        along = into @ way
+        along = to_sensor @ travel
         across = np.array([-along[1], along[0]])
-        displacement = into @ np.array([x[k + steps] - x[k], y[k + steps] - y[k]])
+        displacement = to_sensor @ np.array([x[k + steps] - x[k], y[k + steps] - y[k]])
         windows.append(_Window(np.column_stack([along, across, rotation - np.eye(2)]), displacement))
     return windows
 

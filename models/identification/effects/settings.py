@@ -12,31 +12,31 @@ from diffdrive_mpc.models.robot import Positive
 
 
 class PoseSettings(StrictModel):
-    """Settings of the search for place and delay of a pose sensor."""
+    """Settings for the estimation of mount and delay of a pose sensor."""
 
-    window: Positive = Field(description="over which displacements are held against poses [s]")
-    delays: tuple[float, float] = Field(description="between which the delay is looked for [s]")
-    outlier: Positive = Field(description="error of a window beyond which it is left out [m]")
+    window: Positive = Field(description="window over which displacements are compared with poses [s]")
+    delays: tuple[float, float] = Field(description="range of the search for the delay [s]")
+    outlier: Positive = Field(description="error above which a window is excluded [m]")
 
 
 class EffectSettings(StrictModel):
-    """Bounds, first guesses and thresholds; the reasons are in `settings.yaml`."""
+    """Bounds, initial values and thresholds; the reasons are in `settings.yaml`."""
 
-    parameters: dict[str, tuple[float, float, float]] = Field(description="lowest, highest, first guess")
-    resolutions: tuple[Positive, ...] = Field(description="steps of the rim speed that are tried [m/s]")
-    finer: tuple[Positive, ...] = Field(description="multiples of the best one that are tried")
-    wheel_bases: tuple[Positive, ...] = Field(description="tracks to start from where it is not known [-]")
-    tracks: tuple[Positive, ...] = Field(description="parts of the track to start from [-]")
-    worth: Positive = Field(description="least fall of the logarithm of the held-out error power")
-    certain: Positive = Field(description="standard errors between blocks by which an effect has to be worth it")
-    most_lost: Positive = Field(description="FIT that a channel may lose against the plain model [percentage points]")
-    evaluations: int = Field(ge=2, description="steps of a search")
-    trial: int = Field(ge=2, description="steps of the search in a comparison")
-    difference: Positive = Field(description="step of the finite differences, part of a parameter's usual size")
+    parameters: dict[str, tuple[float, float, float]] = Field(description="minimum, maximum, initial value")
+    resolutions: tuple[Positive, ...] = Field(description="candidates for the step of the rim speed [m/s]")
+    finer: tuple[Positive, ...] = Field(description="factors of the best candidate for the second search [-]")
+    wheel_bases: tuple[Positive, ...] = Field(description="initial values of an unknown track, relative [-]")
+    tracks: tuple[Positive, ...] = Field(description="factors of the track from the smoothed fit [-]")
+    worth: Positive = Field(description="minimum decrease of the logarithm of the held-out error power [-]")
+    certain: Positive = Field(description="minimum significance of that decrease [standard errors]")
+    most_lost: Positive = Field(description="maximum loss of FIT against the plain model [percentage points]")
+    evaluations: int = Field(ge=2, description="maximum evaluations of a search [-]")
+    trial: int = Field(ge=2, description="maximum evaluations of a search in a comparison [-]")
+    difference: Positive = Field(description="finite-difference step over the size of the parameter [-]")
     pose: PoseSettings
 
 
 @cache
 def effect_settings() -> EffectSettings:
-    """Load the shipped settings; raise ConfigError for a mistake in them."""
+    """Load the shipped settings; raise ConfigError if they are invalid."""
     return load_checked(EffectSettings, Path(__file__).with_name("settings.yaml"))

@@ -1,1 +1,1 @@
-"""Records to a model and its scores; results from poses, and noise."""
+"""Fit of a model to records, with scores, sensor noise and calibration from poses."""

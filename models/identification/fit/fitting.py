@@ -1,4 +1,4 @@
-"""Conversion of records to a model, for every structure."""
+"""Fit of a model of any structure to records."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification.effects import IdentifiedBase, identify_with_effects
-from diffdrive_mpc.models.identification.effects.free_run import free_run, sensed
+from diffdrive_mpc.models.identification.effects.free_run import free_run, sensor_experiments
 from diffdrive_mpc.models.identification.effects.settings import effect_settings
 from diffdrive_mpc.models.identification.fit.predictor import Finder, Predictor
 from diffdrive_mpc.models.identification.log_data import LogData
@@ -30,26 +30,26 @@ from diffdrive_mpc.models.velocity_model import CHANNELS
 
 @dataclass(frozen=True)
 class Fitted:
-    """A model, and how well a free simulation of it explains the records.
+    """A model, with scores of its free simulation on the records.
 
     Attributes
     ----------
     identified
         The model.
     orders
-        The orders compared; None for structures that have no choice.
+        Comparison of orders; None for structures with a fixed order.
     base
-        The same model with the effects of its base; None where that was not requested.
+        The model with base effects; None if they were not requested.
     geometry
-        Wheel radius and track of the log; None without wheel speeds.
+        Wheel radius and track from the log; None if it has no wheel speeds.
     train, validation
-        FIT, RMSE and residuals on either set.
+        FIT, RMSE and residuals on training and validation records.
     simulated
-        For each validation record (K, 2) v [m/s] and omega [rad/s], sensor offsets included.
+        Simulated v [m/s] and omega [rad/s] (K, 2) of each validation record, sensor offsets included.
     seconds
         Duration of the estimation [s], without reading, validation and figures.
     predictor
-        Model that predicts in place of `identified`, which limits and tracks still come from; None where `identified`
+        Model that predicts in place of `identified`, which still determines limits and tracks; None if `identified`
         predicts.
     """
 
@@ -65,22 +65,22 @@ class Fitted:
 
     @property
     def structure(self) -> str:
-        """Name of the structure that predicts."""
+        """Name of the structure of the predicting model."""
         return self.identified.structure if self.predictor is None else self.predictor.structure
 
     @property
     def method(self) -> str:
-        """Method in words."""
+        """Description of the identification method."""
         return self.identified.method if self.predictor is None else self.predictor.method
 
     @property
     def offset(self) -> FloatArray:
-        """(2,) readings of v [m/s] and omega [rad/s] at rest: bias of the sensors, as the model has it."""
+        """(2,) sensor bias according to the model: readings of v [m/s] and omega [rad/s] at rest."""
         return self.identified.offset if self.predictor is None else self.predictor.offset
 
     @property
     def states(self) -> int:
-        """Number of states of the prediction model."""
+        """Number of states of the predicting model."""
         return self.identified.model.order if self.predictor is None else self.predictor.states
 
 
@@ -92,7 +92,7 @@ def fit(
     effects: bool = False,
     on_trial: Callable[[str], None] | None = None,
 ) -> Fitted:
-    """Identify a model and try it on the records held out.
+    """Identify a model and score it on the held-out records.
 
     Parameters
     ----------
@@ -101,16 +101,16 @@ def fit(
     structure
         Structure of the model.
     order
-        Order of the model, where the structure has a choice; None to choose it.
+        Order of the model, for structures without a fixed order; None to select it.
     effects
-        Whether to identify the effects of the base around the model, where the structure allows it.
+        Whether to identify base effects, for structures that support them.
     on_trial
-        Called with the name of each effect that is tried.
+        Called with the name of each effect before its trial.
 
     Raises
     ------
     ValueError
-        If the records do not allow it; ModelError, a kind of it, if the numbers found cannot be a robot's.
+        If the records are unsuitable; its subclass ModelError if the parameters found cannot describe a robot.
     """
     geometry = wheel_geometry(data.train)
     base: IdentifiedBase | None = None
@@ -121,24 +121,24 @@ def fit(
         identification, base = _with_effects(data, identification, geometry, on_trial)
     seconds = perf_counter() - started
     identified = identification.identified
-    _ = identified.model  # refuses what cannot be a robot
+    _ = identified.model  # raises ModelError for parameters of no robot
     simulated = [_simulated(identified, base, records) for records in (data.train, data.validation)]
-    scores = scored(simulated, data, identified.yaw)
+    scores = score_sets(simulated, data, identified.yaw)
     return Fitted(identified, identification.orders, base, geometry, *scores, tuple(simulated[1]), seconds)
 
 
 def _with_effects(
     data: LogData, plain: StructureFit, geometry: WheelGeometry | None, on_trial: Callable[[str], None] | None
 ) -> tuple[StructureFit, IdentifiedBase | None]:
-    """Fit the model with effects; return the plain one with a warning if it predicts held-out blocks as well."""
+    """Fit the model with base effects; return the plain model, with a warning, if it predicts as well."""
     track = geometry.track if geometry else None
     limits = plain.identified.limits
     try:
         base = identify_with_effects(data.train, yaw=data.yaw, encoder_track=track, limits=limits, on_trial=on_trial)
-        _ = base.identified.model  # refuses what cannot be a robot
-        words = loses(base, plain.identified, data.train)
+        _ = base.identified.model  # raises ModelError for parameters of no robot
+        words = explain_rejection(base, plain.identified, data.train)
     except ValueError as error:
-        words = f"effects were not looked for: {error}"
+        words = f"effects were not estimated: {error}"
     else:
         if words is None:
             return StructureFit(base.identified), base
@@ -147,16 +147,23 @@ def _with_effects(
 
 
 def _simulated(identified: IdentifiedModel, base: IdentifiedBase | None, records: Sequence[Record]) -> list[FloatArray]:
-    """Simulate speed of the encoders and omega as the model defines it, in one free run over each record."""
+    """Simulate v and omega (K, 2), as the model's sensors measure them, in one free run over each record."""
     if base is None:
         return simulate_records(identified.system, records, identified.yaw)
     return [readings[:, [0, -1]] for readings in base.readings(records)]
 
 
-def scored(simulated: Sequence[Sequence[FloatArray]], data: LogData, yaw: YawSource) -> tuple[Validation, Validation]:
-    """Score outputs (K, 2) on the training records and on those held out; raise ConfigError if that is impossible.
+def score_sets(
+    simulated: Sequence[Sequence[FloatArray]], data: LogData, yaw: YawSource
+) -> tuple[Validation, Validation]:
+    """Score simulated outputs (K, 2) on training and validation records.
 
-    `simulated` has one sequence for each of both, with one array for each record.
+    `simulated` holds one sequence for each of the two sets, with one array for each record.
+
+    Raises
+    ------
+    ConfigError
+        If the records cannot be scored.
     """
     scores = []
     for outputs, records, name in zip(
@@ -169,16 +176,16 @@ def scored(simulated: Sequence[Sequence[FloatArray]], data: LogData, yaw: YawSou
     return scores[0], scores[1]
 
 
-def loses(base: IdentifiedBase, plain: IdentifiedModel, records: Sequence[Record]) -> str | None:
-    """Explain that `base` predicts held-out blocks worse than `plain`, an SM from `records`; else None.
+def explain_rejection(base: IdentifiedBase, plain: IdentifiedModel, records: Sequence[Record]) -> str | None:
+    """Explain that `base` predicts held-out blocks no better than `plain`, an SM from `records`; None if it does.
 
     Raises
     ------
     ValueError
-        If the records are too short to hold blocks out.
+        If the records are too short for held-out blocks.
     """
     experiments, settings = joined(twist_experiments(records, plain.yaw)), effect_settings()
-    measured = joined(sensed(records, plain.yaw))
+    measured = joined(sensor_experiments(records, plain.yaw))
     powers: list[FloatArray] = []
     for row in range(2):
         channel = [experiment.channel(row, row) for experiment in experiments]
@@ -189,16 +196,16 @@ def loses(base: IdentifiedBase, plain: IdentifiedModel, records: Sequence[Record
         with_effects.append(np.nanmean(np.concatenate(errors) ** 2, axis=0))
     rms = np.sqrt([np.mean(powers, axis=1), np.mean(with_effects, axis=0)])
     fits = 100.0 * (1.0 - rms / output_spread(experiments))
-    gained = fits[1] - fits[0]
-    if gained.min() > -settings.most_lost and gained.mean() > 0.0:
+    gain = fits[1] - fits[0]
+    if gain.min() > -settings.most_lost and gain.mean() > 0.0:
         return None
-    shown = ", ".join(f"{name} {a:.1f} to {b:.1f} %" for name, a, b in zip(CHANNELS, *fits, strict=True))
+    percents = ", ".join(f"{name} {a:.1f} to {b:.1f} %" for name, a, b in zip(CHANNELS, *fits, strict=True))
     effects = ", ".join(base.effects) or "a delay of the encoders"
-    return f"effects ({effects}) predict held-out blocks no better than the plain model, FIT {shown}: left out"
+    return f"effects ({effects}) predict held-out blocks no better than the plain model, FIT {percents}: left out"
 
 
 def with_predictor(data: LogData, fitted: Fitted, find: Finder) -> Fitted:
-    """Fit a predictor to the training records; return `fitted` with it and its scores and outputs.
+    """Fit a predictor to the training records; return a copy of `fitted` with predictor, scores and outputs.
 
     Raises
     ------
@@ -212,7 +219,7 @@ def with_predictor(data: LogData, fitted: Fitted, find: Finder) -> Fitted:
     seconds = perf_counter() - started
     yaw = fitted.identified.yaw
     simulated = [predictor.simulate(records, yaw) for records in (data.train, data.validation)]
-    train, validation = scored(simulated, data, yaw)
+    train, validation = score_sets(simulated, data, yaw)
     return replace(
         fitted,
         predictor=predictor,

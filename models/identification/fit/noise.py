@@ -1,4 +1,4 @@
-"""Scatter of the readings of a log from one to the next."""
+"""Noise of the readings of a log."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 
-# Number of standard deviations that contain nine tenths of normal values. Plateaus of counted pulses make the median
-# zero.
+# Nine tenths of normal values lie within 1.645 standard deviations. The median would be zero for plateaus of counted
+# pulses.
 _SHARE, _WITHIN = 0.9, 1.645
 # Standard deviation of x[k-1] - 2 x[k] + x[k+1] over that of x: linear changes cancel.
 SECOND_DIFFERENCE = np.sqrt(6.0)
@@ -18,10 +18,10 @@ FEWEST = 50
 
 
 def sensor_noise(records: Sequence[Record]) -> dict[str, float]:
-    """Estimate the standard deviation of the random part of readings, by the key in the group `estimator`.
+    """Estimate the standard deviation of the noise of each sensor, by key of the group `estimator`.
 
-    From second differences of neighbouring readings, so outliers and steady motion do not count. Sensors without enough
-    readings have no entry. Units: m/s, rad/s, m, rad.
+    The estimate uses quantiles of second differences of neighbouring readings, which are robust against outliers and
+    free of steady motion. Sensors with too few readings have no entry. Units: m/s, rad/s, m, rad.
     """
     sources = {
         "wheel_speed_noise": ("twist", [0]),
@@ -42,7 +42,7 @@ def sensor_noise(records: Sequence[Record]) -> dict[str, float]:
 
 
 def second_differences(record: Record, signal: str, columns: list[int]) -> FloatArray:
-    """Return second differences (n, columns flattened) of readings that are equally far apart."""
+    """Return the second differences (n,) of equally spaced readings, all columns flattened."""
     fresh = record.fresh(signal)
     if fresh is None:
         return np.empty(0)

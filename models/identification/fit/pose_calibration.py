@@ -1,7 +1,7 @@
-"""Slip, geometry, gyro scale and the place of the pose point, from measured poses.
+"""Calibration of slip, wheel geometry, gyro scale and pose point from measured poses.
 
-The body's displacement over short windows is predicted from the wheels through a slip law, or from the gyro, and held
-against the poses at both ends.
+The body's displacement over short windows is predicted from the wheels and a slip law, or from the gyro, and compared
+with the poses at both ends.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from diffdrive_mpc.models.output_error.statistics import residual_scale, sandwic
 from diffdrive_mpc.models.pose import ahead_and_left, wrap_angle
 from diffdrive_mpc.models.slip_laws import POLYNOMIAL, polynomial_twist, virtual_track_yaw_rate
 
-_FEWEST_WINDOWS = 20
+_MIN_WINDOWS = 20
 _ROUNDS = 6
-# Share of the settings' window in which a lag is found: it shows at the ends of a window, by how the speed changed.
+# Share of the configured window for the estimation of lags, which depends on the speed change over a window.
 _LAG_WINDOW = 0.4
 _SHIFTS = 3
 
 
 class SlipLaw(Protocol):
-    """From wheel rates to body twist."""
+    """Map from wheel rates to body twist."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -40,7 +40,7 @@ class SlipLaw(Protocol):
 
     @property
     def start(self) -> FloatArray:
-        """(q,) coefficients of a robot that does not slip."""
+        """(q,) coefficients of a robot without slip."""
         ...
 
     @property
@@ -49,20 +49,20 @@ class SlipLaw(Protocol):
         ...
 
     def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
-        """Compute (..., 3) v, lateral speed to the left [m/s], yaw rate [rad/s] of wheels (..., 2) [rad/s]."""
+        """Compute v, speed to the left [m/s] and yaw rate [rad/s] (..., 3) from wheel rates (..., 2) [rad/s]."""
         ...
 
 
 @dataclass(frozen=True)
 class ConstantTrack:
-    """v and omega as on a differential drive, with a wider track, and side-slip lateral = -side_slip v omega.
+    """Differential drive with an effective track and the lateral speed -side_slip v omega.
 
     Coefficients: wheel_radius [m], track [m], side_slip [s].
 
     Attributes
     ----------
     wheel_radius, track
-        Values of the catalogue, to start from [m].
+        Nominal values [m], the initial values of the fit.
     """
 
     wheel_radius: float
@@ -72,7 +72,7 @@ class ConstantTrack:
 
     @property
     def start(self) -> FloatArray:
-        """(3,)."""
+        """Initial coefficients (3,)."""
         return np.array([self.wheel_radius, self.track, 0.0])
 
     def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
@@ -80,12 +80,12 @@ class ConstantTrack:
         radius, track, side_slip = coefficients
         v, difference = at_the_rim(radius, wheels)
         omega = difference / track
-        return side_slid(v, omega, side_slip)
+        return twist_with_side_slip(v, omega, side_slip)
 
 
 @dataclass(frozen=True)
 class GrowingTrack(ConstantTrack):
-    """The track grows with the yaw rate, i = p1 |yaw rate| + p0, and side-slip as in `ConstantTrack`.
+    """Track that grows with the yaw rate, i = p1 |yaw rate| + p0, with side-slip as in `ConstantTrack`.
 
     Source: `models/slip_laws.py`. Coefficients: wheel_radius [m], p0 [m], p1 [m s], side_slip [s].
     """
@@ -94,7 +94,7 @@ class GrowingTrack(ConstantTrack):
 
     @property
     def start(self) -> FloatArray:
-        """(4,)."""
+        """Initial coefficients (4,)."""
         return np.array([self.wheel_radius, self.track, 0.0, 0.0])
 
     def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
@@ -102,19 +102,19 @@ class GrowingTrack(ConstantTrack):
         radius, p0, p1, side_slip = coefficients
         v, difference = at_the_rim(radius, wheels)
         omega = virtual_track_yaw_rate(difference, p0, p1)
-        return side_slid(v, omega, side_slip)
+        return twist_with_side_slip(v, omega, side_slip)
 
 
 @dataclass(frozen=True)
 class SlipPolynomial:
-    """v, lateral speed and yaw rate each with terms in v_c, w_c and v_c w_c: `models.slip_laws.polynomial_twist`.
+    """Polynomial in v_c, w_c and v_c w_c for v, lateral speed and yaw rate: `models.slip_laws.polynomial_twist`.
 
-    A pose point away from the rotation centre adds to a12 and a22, so the polynomial is that of the pose point.
+    The polynomial describes the twist of the pose point: its distance from the rotation centre adds to a12 and a22.
 
     Attributes
     ----------
     wheel_radius, track
-        By which (v_c, w_c) are computed [m]; the coefficients belong to them.
+        Values with which (v_c, w_c) are computed [m]; the coefficients depend on them.
     """
 
     wheel_radius: float
@@ -124,7 +124,7 @@ class SlipPolynomial:
 
     @property
     def start(self) -> FloatArray:
-        """(9,)."""
+        """Initial coefficients (9,)."""
         return np.zeros(9)
 
     def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
@@ -133,28 +133,28 @@ class SlipPolynomial:
         return polynomial_twist(coefficients, np.stack([v, difference / self.track], axis=-1))
 
 
-def side_slid(v: FloatArray, omega: FloatArray, side_slip: float) -> FloatArray:
-    """Compute the twist (..., 3) of a body that slides outward in a curve, by `side_slip` [s] times v omega."""
+def twist_with_side_slip(v: FloatArray, omega: FloatArray, side_slip: float) -> FloatArray:
+    """Compute the twist (..., 3) of a body whose outward lateral speed is `side_slip` [s] times v omega."""
     return np.stack([v, -side_slip * v * omega, omega], axis=-1)
 
 
 def at_the_rim(radius: float, wheels: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Compute mean rim speed and right less left [m/s], of wheels (..., 2) left, right [rad/s]."""
+    """Compute mean rim speed, and right minus left rim speed [m/s], from wheels (..., 2) left, right [rad/s]."""
     left, right = wheels[..., 0], wheels[..., 1]
     return 0.5 * radius * (left + right), radius * (right - left)
 
 
 class PoseWindows(NamedTuple):
-    """n windows of one record, W steps each."""
+    """n windows of one record with W steps each."""
 
     dt: float
     """Sample time [s]."""
     signal: FloatArray
     """(n, W, c) mean of the signal over each step."""
     change: FloatArray
-    """(n, c) increase of the signal from the beginning to the end."""
+    """(n, c) change of the signal from start to end."""
     displacement: FloatArray
-    """(n, 3) motion of the pose point seen from the window's first pose: ahead [m], to the left [m], turned [rad]."""
+    """(n, 3) displacement of the pose point in the frame of the first pose: ahead [m], to the left [m], turn [rad]."""
 
 
 _Signal = Literal["wheels", "twist", "yaw_rate"]
@@ -163,33 +163,33 @@ _Signal = Literal["wheels", "twist", "yaw_rate"]
 def pose_windows(
     records: Sequence[Record], signal: _Signal, pose_lag: float = 0.0, share: float = 1.0
 ) -> list[PoseWindows]:
-    """Cut windows of the configured length without overlap, in which the signal is known throughout.
+    """Cut windows of the configured length, without overlap and without gaps of the signal.
 
     Parameters
     ----------
     records
         Records with a pose.
     signal
-        Signal to cut into windows beside the poses.
+        Signal to cut into windows, in addition to the poses.
     pose_lag
-        Time by which the poses are older than their stamp states, relative to the signal [s].
+        Age of the poses at their stamp, relative to the signal [s].
     share
-        Part of the window length of the settings [-].
+        Window length as a share of the configured length [-].
 
     Raises
     ------
     ValueError
-        If a record has no pose or no such signal, or there are too few windows in all.
+        If a record lacks pose or signal, or there are too few windows in total.
     """
     length = share * identification_settings().pose_window
-    of_records = [_of_record(record, signal, pose_lag, length) for record in records]
-    count = sum(len(windows.displacement) for windows in of_records)
-    if count < _FEWEST_WINDOWS:
-        raise ValueError(f"{count} windows with a pose at both ends; a calibration needs {_FEWEST_WINDOWS}: longer log")
-    return [windows for windows in of_records if len(windows.displacement)]
+    record_windows = [_cut_record(record, signal, pose_lag, length) for record in records]
+    count = sum(len(windows.displacement) for windows in record_windows)
+    if count < _MIN_WINDOWS:
+        raise ValueError(f"{count} windows with a pose at both ends; {_MIN_WINDOWS} are needed: record a longer log")
+    return [windows for windows in record_windows if len(windows.displacement)]
 
 
-def _of_record(record: Record, name: _Signal, pose_lag: float, length: float) -> PoseWindows:
+def _cut_record(record: Record, name: _Signal, pose_lag: float, length: float) -> PoseWindows:
     value, pose = getattr(record, name), record.pose
     if value is None or pose is None:
         raise ValueError(f"record '{record.name}': a calibration from poses needs pose and {name}")
@@ -214,12 +214,12 @@ class PoseCalibration:
     Attributes
     ----------
     parameters
-        The coefficients, and for wheels lever_arm_ahead and lever_arm_left [m], the pose point seen from the rotation
-        centre, unless the law holds it.
+        The coefficients. For wheels also lever_arm_ahead and lever_arm_left [m], the pose point relative to the
+        rotation centre, unless the law includes it.
     rmse
-        Root mean square error over one window: ahead [m], to the left [m], heading [rad]; of a gyro only heading.
+        Root mean square error over one window: ahead [m], to the left [m], heading [rad]; for a gyro, of its mean rate.
     windows
-        Number of windows of the calibration.
+        Number of windows.
     warnings
         Doubts about the result.
     """
@@ -240,7 +240,7 @@ def calibrate_wheels(records: Sequence[Record], law: SlipLaw, pose_lag: float = 
     law
         The slip law.
     pose_lag
-        Time by which the poses are older than their stamp states, relative to the wheels [s].
+        Age of the poses at their stamp, relative to the wheels [s].
 
     Raises
     ------
@@ -254,14 +254,14 @@ def calibrate_wheels(records: Sequence[Record], law: SlipLaw, pose_lag: float = 
         lever_arm = np.zeros(2) if law.holds_lever_arm else parameters[count:]
         parts = []
         for part in windows:
-            moved = displacement(law.twist(parameters[:count], part.signal), part.dt, lever_arm)
-            error = part.displacement - moved
+            predicted = displacement(law.twist(parameters[:count], part.signal), part.dt, lever_arm)
+            error = part.displacement - predicted
             error[:, 2] = wrap_angle(error[:, 2])
             parts.append(error)
         return np.concatenate(parts)
 
-    more = () if law.holds_lever_arm else ("lever_arm_ahead", "lever_arm_left")
-    return _solve(errors, np.append(law.start, np.zeros(len(more))), (*law.names, *more))
+    arm = () if law.holds_lever_arm else ("lever_arm_ahead", "lever_arm_left")
+    return _solve(errors, np.append(law.start, np.zeros(len(arm))), (*law.names, *arm))
 
 
 def calibrate_gyro(records: Sequence[Record], pose_lag: float = 0.0) -> PoseCalibration:
@@ -272,7 +272,7 @@ def calibrate_gyro(records: Sequence[Record], pose_lag: float = 0.0) -> PoseCali
     records
         Records with gyro and pose.
     pose_lag
-        Time by which the poses are older than their stamp states, relative to the gyro [s].
+        Age of the poses at their stamp, relative to the gyro [s].
 
     Raises
     ------
@@ -290,11 +290,11 @@ def calibrate_gyro(records: Sequence[Record], pose_lag: float = 0.0) -> PoseCali
 
 
 def calibrate_lags(records: Sequence[Record]) -> ParameterEstimate:
-    """Find the lags of wheels and gyro against poses, `wheels.lag` and `gyro.lag` [s], and their `wheels.scale` [-].
+    """Estimate the lags of wheels and gyro relative to poses, `wheels.lag` and `gyro.lag` [s], and `wheels.scale` [-].
 
-    A reading r that lags by L has the motion s ahead of it: over a window s = (integral of r + L (r_end - r_start)) /
-    scale, plus the effect of a pose point off the centre in turning, or of a gyro's bias. The wheels' yaw rate is left
-    out: on a skid-steered robot the body follows it late, by its tyres. Without a gyro there is no `gyro.lag`.
+    For a reading r with lag L, the motion over a window is s = (integral of r + L (r_end - r_start)) / scale, plus the
+    effect of the lever arm of the pose point, or of the bias of the gyro. The yaw rate of the wheels is not used: the
+    body of a skid-steered robot lags behind it because of its tyres. Without a gyro there is no `gyro.lag`.
 
     Raises
     ------
@@ -320,10 +320,10 @@ def calibrate_lags(records: Sequence[Record]) -> ParameterEstimate:
 
 
 def calibrate_delay(records: Sequence[Record]) -> ParameterEstimate:
-    """Find the delay of poses against the gyro, `pose.delay` [s]; below zero the gyro is later.
+    """Estimate the delay of poses relative to the gyro, `pose.delay` [s]; negative if the gyro is later.
 
-    The windows are shifted by whole samples to where the rest is less than one, as a lag of the gyro is a shift only
-    while its reading changes little.
+    A lag approximates a delay only for small changes of the reading. The windows are therefore shifted by whole samples
+    until the remaining delay is less than one sample.
 
     Raises
     ------
@@ -341,23 +341,23 @@ def calibrate_delay(records: Sequence[Record]) -> ParameterEstimate:
 
 
 def _lag(
-    windows: Sequence[PoseWindows], motion: Sequence[FloatArray], beside: Sequence[FloatArray]
+    windows: Sequence[PoseWindows], motion: Sequence[FloatArray], disturbance: Sequence[FloatArray]
 ) -> ParameterEstimate:
-    """Find lag and scale of a signal's first column, and the factor of `beside`, against motions (n,) of windows."""
+    """Regress the motion (n,) of windows on a signal's first column: lag, scale, and factor of `disturbance` (n,)."""
     signals = [part.signal[..., 0] for part in windows]
     whole = np.concatenate([part.dt * signal.sum(axis=1) for part, signal in zip(windows, signals, strict=True)])
     change = np.concatenate([part.change[:, 0] for part in windows])
-    moved, turning = np.concatenate(motion), np.concatenate(beside)
+    moved, disturbed = np.concatenate(motion), np.concatenate(disturbance)
 
     def errors(parameters: FloatArray) -> FloatArray:
         lag, scale, factor = parameters
-        return np.asarray(moved - (whole + lag * change) / scale - factor * turning)[:, None]
+        return np.asarray(moved - (whole + lag * change) / scale - factor * disturbed)[:, None]
 
-    return _solve(errors, np.array([0.0, 1.0, 0.0]), ("lag", "scale", "beside")).parameters
+    return _solve(errors, np.array([0.0, 1.0, 0.0]), ("lag", "scale", "disturbance")).parameters
 
 
 def displacement(twist: FloatArray, dt: float, lever_arm: FloatArray) -> FloatArray:
-    """Compute the motion (n, 3) of a point of the body from its first pose: ahead [m], to the left [m], turned [rad].
+    """Compute the displacement (n, 3) of a body point in its initial frame: ahead [m], to the left [m], turn [rad].
 
     Parameters
     ----------
@@ -366,7 +366,7 @@ def displacement(twist: FloatArray, dt: float, lever_arm: FloatArray) -> FloatAr
     dt
         Duration of a step [s].
     lever_arm
-        (2,) the point seen from the rotation centre: ahead, to the left [m].
+        (2,) position of the point relative to the rotation centre: ahead, to the left [m].
     """
     turned = np.cumsum(twist[..., 2] * dt, axis=1)
     half = 0.5 * twist[..., 2] * dt
@@ -383,24 +383,24 @@ def displacement(twist: FloatArray, dt: float, lever_arm: FloatArray) -> FloatAr
 
 
 def _solve(errors: Callable[[FloatArray], FloatArray], start: FloatArray, names: tuple[str, ...]) -> PoseCalibration:
-    """Solve for window errors (n, r) by least squares, reweighted by their scale and by agreement with neighbours."""
+    """Minimise window errors (n, r) by least squares, reweighted by their scale and by spike weights."""
     parameters, residuals = start, errors(start)
     spread = np.maximum(residuals.std(axis=0), np.finfo(float).tiny)
     for _ in range(_ROUNDS):
-        trust = spike_weights([residuals])
-        weight = np.sqrt(trust[0]) / residual_scale([residuals], trust, spread)
-        result = least_squares(_weighted(errors, weight), parameters, jac="3-point", x_scale="jac")
+        spikes = spike_weights([residuals])
+        weight = np.sqrt(spikes[0]) / residual_scale([residuals], spikes, spread)
+        result = least_squares(_apply_weight(errors, weight), parameters, jac="3-point", x_scale="jac")
         parameters, residuals = result.x, errors(result.x)
     rows = result.jac.reshape(*residuals.shape, len(start))
     estimate = ParameterEstimate(names, parameters, sandwich([rows], [weight * residuals]).covariance)
-    warnings = badly_known(estimate.part(_sizes(names)), "pose calibration")
+    warnings = badly_known(estimate.part(_nonzero_names(names)), "pose calibration")
     return PoseCalibration(estimate, np.sqrt(np.mean(residuals**2, axis=0)), len(residuals), tuple(warnings))
 
 
-def _weighted(errors: Callable[[FloatArray], FloatArray], weight: FloatArray) -> Callable[[FloatArray], FloatArray]:
+def _apply_weight(errors: Callable[[FloatArray], FloatArray], weight: FloatArray) -> Callable[[FloatArray], FloatArray]:
     return lambda parameters: (weight * errors(parameters)).ravel()
 
 
-def _sizes(names: tuple[str, ...]) -> list[str]:
-    """List the parameters that are never zero for a robot; the others may be."""
+def _nonzero_names(names: tuple[str, ...]) -> list[str]:
+    """List the parameters that cannot be zero."""
     return [name for name in names if name in ("wheel_radius", "track", "p0", "gyro_scale")]

@@ -1,4 +1,4 @@
-"""Results from poses: geometry and slip of the wheels, scale of the gyro, and the drift of a predicted pose."""
+"""Results from poses: wheel geometry and slip, gyro scale, and drift of predicted poses."""
 
 from __future__ import annotations
 
@@ -31,28 +31,28 @@ from diffdrive_mpc.models.output_error.parameters import ParameterEstimate, join
 from diffdrive_mpc.models.pose import integrate_pose, wrap_angle
 
 _NEAR = 0.2
-"""Part of the horizon by which the last pose of a prediction may be off it."""
+"""Maximum distance of the last pose of a prediction from the horizon, as a share of the horizon."""
 _LEVER_ARM = ("lever_arm_ahead", "lever_arm_left")
-# Wheels that an odometry without wheel speeds might have had: its twist is theirs by definition.
+# Fictitious wheels for an odometry without wheel speeds: their rates are computed from its twist.
 _UNIT_WHEELS = WheelGeometry(1.0, 1.0)
 Predictions = list[tuple[Record, FloatArray]]
-"""Records with a pose, each with the body's twist (K, 2) v [m/s], omega [rad/s] as predicted from the commands."""
+"""Records with a pose, each with the body's twist (K, 2) v [m/s], omega [rad/s] predicted from the commands."""
 
 
 @dataclass(frozen=True)
 class PoseDrift:
-    """Error after one horizon.
+    """Pose error at one prediction horizon.
 
     Attributes
     ----------
     horizon
-        [s].
+        Prediction horizon [s].
     position_rmse, heading_rmse
-        [m], [rad].
+        Root mean square errors [m], [rad].
     position_mean, heading_mean
-        Mean size of the error [m], [rad].
+        Mean absolute errors [m], [rad].
     starts
-        Number of predictions of the mean.
+        Number of predictions.
     """
 
     horizon: float
@@ -72,31 +72,30 @@ def pose_drift(
     pose_lag: float = 0.0,
     horizons: Sequence[float] | None = None,
 ) -> list[PoseDrift]:
-    """Compute the open-loop pose error about the rotation centre.
+    """Compute the open-loop pose error of the rotation centre.
 
-    A prediction starts at a measured pose about every second inside one record, follows the arcs of the predicted
-    twists, and ends at the pose nearest to the horizon; position errors are those of the point that the robot turns
-    about.
+    Predictions start at measured poses of a record, about one every second, integrate the predicted twists as arcs, and
+    end at the measured pose nearest to the horizon.
 
     Parameters
     ----------
     records
         Records with a pose.
     twists
-        For each record (K, 2) predicted v [m/s] and true yaw rate [rad/s], from one free run over the whole record.
+        Predicted v [m/s] and true yaw rate [rad/s] (K, 2) of each record, from one free run over the record.
     lever_arm
-        Pose point seen from the rotation centre: ahead and to the left [m].
+        Pose point relative to the rotation centre: ahead and to the left [m].
     side_slip
         Lateral speed over -v omega [s].
     pose_lag
-        Time by which the poses are older than their stamp states [s].
+        Age of the poses at their stamp [s].
     horizons
-        [s]; those of the settings by default.
+        Prediction horizons [s]; by default from the settings.
 
     Raises
     ------
     ValueError
-        If a record has no pose, or none has two poses about a horizon apart.
+        If a record has no pose, or no record has two poses about one horizon apart.
     """
     settings = identification_settings()
     return [
@@ -106,7 +105,7 @@ def pose_drift(
 
 
 def rotation_centre(pose: FloatArray, lever_arm: tuple[float, float]) -> FloatArray:
-    """Convert poses (..., 3) of a point `lever_arm` ahead and to the left of the rotation centre [m] to its poses."""
+    """Convert poses (..., 3) of a point at `lever_arm` (ahead, left) [m] to poses of the rotation centre."""
     ahead, left = lever_arm
     c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
     return np.stack([pose[..., 0] - ahead * c + left * s, pose[..., 1] - ahead * s - left * c, pose[..., 2]], axis=-1)
@@ -124,7 +123,7 @@ def _drift_after(
     errors = []
     for record, twist in zip(records, twists, strict=True):
         if record.pose is None or record.fresh_pose is None:
-            raise ValueError(f"record '{record.name}': no pose; the drift of a prediction needs one")
+            raise ValueError(f"record '{record.name}': no pose; the drift of a prediction needs poses")
         centre = rotation_centre(record.pose, lever_arm)
         lag, steps, stride = (round(time / record.dt) for time in (pose_lag, horizon, start_every))
         fresh = lag + np.flatnonzero(record.fresh_pose[lag : len(twist)])
@@ -137,9 +136,9 @@ def _drift_after(
         mean = 0.5 * (twist[1:] + twist[:-1])
         pose = centre[starts]
         for step in range(max(ends - starts, default=0)):
-            (on,) = np.nonzero(step < ends - starts)
-            v, omega = mean[starts[on] - lag + step].T
-            pose[on] = integrate_pose(pose[on], v, omega, record.dt, side_slip)
+            (active,) = np.nonzero(step < ends - starts)
+            v, omega = mean[starts[active] - lag + step].T
+            pose[active] = integrate_pose(pose[active], v, omega, record.dt, side_slip)
         error = pose - centre[ends]
         errors.append(np.column_stack([np.hypot(error[:, 0], error[:, 1]), np.abs(wrap_angle(error[:, 2]))]))
     size = np.concatenate([np.empty((0, 2)), *errors])
@@ -151,7 +150,7 @@ def _drift_after(
 
 
 def _nearest(rows: NDArray[np.int64], targets: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the one of the sorted `rows` (n,) that is nearest to each of the `targets` (k,)."""
+    """Return for each of the `targets` (k,) the nearest of the sorted `rows` (n,)."""
     after = np.searchsorted(rows, targets).clip(0, len(rows) - 1)
     before = rows[np.maximum(after - 1, 0)]
     return np.asarray(np.where(targets - before <= rows[after] - targets, before, rows[after]))
@@ -159,16 +158,16 @@ def _nearest(rows: NDArray[np.int64], targets: NDArray[np.int64]) -> NDArray[np.
 
 @dataclass(frozen=True)
 class PoseResults:
-    """Results of the calibration by poses.
+    """Results of the calibration from poses.
 
     Attributes
     ----------
     parameters
-        Parameters of wheels and gyro, SI units; empty without poses.
+        Parameters of wheels and gyro, SI units; empty if the log has no poses.
     laws
-        Slip laws compared: name, and its calibration.
+        Compared slip laws: name and calibration.
     drift
-        Open-loop error of the validation records, one entry for each horizon.
+        Open-loop pose error on the validation records, one entry for each horizon.
     warnings
         Doubts about the result.
     """
@@ -180,19 +179,19 @@ class PoseResults:
 
     @property
     def mount(self) -> tuple[str, ...]:
-        """Names of the two parameters of the pose point's place, ahead and left; empty without them."""
+        """Names of the two parameters of the pose point, ahead and left; empty if they were not estimated."""
         pairs = (_LEVER_ARM, ("mount.ahead", "mount.left"))
         return next((pair for pair in pairs if set(pair) <= set(self.parameters.names)), ())
 
     @property
     def place(self) -> tuple[float, float]:
-        """Pose point ahead and to the left of the rotation centre [m]; zeros if they agree or nothing is known."""
+        """Pose point ahead and to the left of the rotation centre [m]; zeros if near the centre or unknown."""
         ahead, left = [self.parameters.value(name) for name in self.mount] or (0.0, 0.0)
         far = np.hypot(ahead, left) >= identification_settings().warn.lever_arm
         return (ahead, left) if far else (0.0, 0.0)
 
-    def centred(self, records: Sequence[Record]) -> list[Record]:
-        """Return the records with a pose, with poses of the rotation centre."""
+    def at_rotation_centre(self, records: Sequence[Record]) -> list[Record]:
+        """Return the records that have poses, with their poses converted to those of the rotation centre."""
         return [replace(r, pose=rotation_centre(np.asarray(r.pose), self.place)) for r in _with_pose(records)]
 
 
@@ -211,9 +210,9 @@ NO_POSES = PoseResults(ParameterEstimate((), np.empty(0), np.empty((0, 0))), (),
 
 
 def from_poses(data: LogData, fitted: Fitted) -> PoseResults:
-    """Calibrate on the training records that have a pose, and predict the poses of the validation records.
+    """Calibrate on the training records with poses, and predict the poses of the validation records.
 
-    With too few poses, that part is left out with a warning.
+    Parts with too few poses are omitted with a warning.
     """
     train, validation = _with_pose(data.train), _with_pose(data.validation)
     if not train and not validation:
@@ -222,7 +221,9 @@ def from_poses(data: LogData, fitted: Fitted) -> PoseResults:
     laws = _slip_laws(train, fitted.geometry, warnings)
     if fitted.base and data.yaw == "gyro":
         pose_parameters = fitted.base.pose or NO_POSES.parameters
-        return PoseResults(pose_parameters, laws, _drift(*_of_base(data, fitted.base), warnings), tuple(warnings))
+        return PoseResults(
+            pose_parameters, laws, _drift(*_predict_with_base(data, fitted.base), warnings), tuple(warnings)
+        )
     gyro = _gyro(train, warnings) if data.yaw == "gyro" else None
     calibrations = [("wheels", laws[0][1])] if laws else []
     calibrations += [("gyro", gyro)] if gyro else []
@@ -231,20 +232,20 @@ def from_poses(data: LogData, fitted: Fitted) -> PoseResults:
     if parts and laws and fitted.geometry is None:
         parts[0] = _as_gains(parts[0])
     parameters = joined(parts) if parts else NO_POSES.parameters
-    drift = _drift(*_of_model(data, fitted, laws[0][1].parameters if laws else None, gyro), warnings)
+    drift = _drift(*_predict_with_model(data, fitted, laws[0][1].parameters if laws else None, gyro), warnings)
     return PoseResults(parameters, laws, drift, tuple(warnings))
 
 
 def _slip_laws(
     train: Sequence[Record], geometry: WheelGeometry | None, warnings: list[Doubt]
 ) -> tuple[tuple[str, PoseCalibration], ...]:
-    """Calibrate the law with a constant track first, then the others if the log has separate wheels."""
+    """Calibrate the law with a constant track and, if the log has wheel speeds, the other laws."""
     if not train:
         return ()
     records = train if geometry else [_unit_wheels(record) for record in train]
-    place = geometry or _UNIT_WHEELS
-    candidates: dict[str, SlipLaw] = {"constant track": ConstantTrack(*place)} | (
-        {"virtual track": GrowingTrack(*place), "slip polynomial": SlipPolynomial(*place)} if geometry else {}
+    size = geometry or _UNIT_WHEELS
+    candidates: dict[str, SlipLaw] = {"constant track": ConstantTrack(*size)} | (
+        {"virtual track": GrowingTrack(*size), "slip polynomial": SlipPolynomial(*size)} if geometry else {}
     )
     try:
         return tuple((name, calibrate_wheels(records, law)) for name, law in candidates.items())
@@ -261,16 +262,16 @@ def _gyro(train: Sequence[Record], warnings: list[Doubt]) -> PoseCalibration | N
         return None
 
 
-def _of_model(
+def _predict_with_model(
     data: LogData, fitted: Fitted, wheels: ParameterEstimate | None, gyro: PoseCalibration | None
 ) -> tuple[Predictions, PosePoint]:
-    """Predict the body's twist, which is the calibrated output of the model, with the point of the measured pose."""
-    place = fitted.geometry or _UNIT_WHEELS
+    """Return the body's twist predicted by the calibrated model, and the pose point."""
+    size = fitted.geometry or _UNIT_WHEELS
     gain = np.ones(2)
     if wheels:
-        gain[0] = wheels.value("wheel_radius") / place.radius
+        gain[0] = wheels.value("wheel_radius") / size.radius
         if data.yaw == "encoders":
-            gain[1] = gain[0] * place.track / wheels.value("track")
+            gain[1] = gain[0] * size.track / wheels.value("track")
     if gyro:
         gain[1] = 1.0 / gyro.parameters.value("gyro_scale")
     predictions = [
@@ -284,8 +285,8 @@ def _of_model(
     return predictions, PosePoint(arm, wheels.value("side_slip"))
 
 
-def _of_base(data: LogData, base: IdentifiedBase) -> tuple[Predictions, PosePoint]:
-    """Predict as `_of_model`, for poses from which the mount of the sensor is already removed."""
+def _predict_with_base(data: LogData, base: IdentifiedBase) -> tuple[Predictions, PosePoint]:
+    """Return the twist predicted by a model with base effects, and the pose point, after removal of the pose mount."""
     records = _with_pose(data.validation)
     predictions = list(zip(records, base.body_twists(records), strict=True))
     if base.pose is None:
@@ -318,7 +319,7 @@ def _with_pose(records: Sequence[Record]) -> list[Record]:
 
 
 def _unit_wheels(record: Record) -> Record:
-    """Convert to wheels of 1 m radius, 1 m apart, with the twist of the record."""
+    """Return the record with fictitious wheels of 1 m radius and 1 m track that have its twist."""
     if record.twist is None:
         return record
     v, omega = record.twist.T
@@ -327,6 +328,6 @@ def _unit_wheels(record: Record) -> Record:
 
 
 def _as_gains(wheels: ParameterEstimate) -> ParameterEstimate:
-    """Convert radius and track of unit wheels to gains, body over odometry."""
+    """Convert radius and track of unit wheels to gains of the body's twist over the odometry's."""
     names = ("longitudinal_gain", "yaw_gain", *wheels.names[2:])
     return wheels.derived(names, lambda row: np.concatenate([[row[0], row[0] / row[1]], row[2:]]))

@@ -1,7 +1,7 @@
-"""Models that replace the linear one for prediction: functions of a log's samples, identified together with it.
+"""Models that replace the linear model for prediction, such as networks, identified in addition to it.
 
-Limits, tracks and the poses' calibration stay those of the linear model. To add a kind: a
-`models.function_structure.FunctionStructure`, registered as `models.plug_ins` says.
+The linear model still determines limits, tracks and calibration from poses. To add a kind of predictor, register a
+`models.function_structure.FunctionStructure` as described in `models.plug_ins`.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ if TYPE_CHECKING:
 
 
 class Predictor(Protocol):
-    """Interface of such a model for the pipeline from logs to a folder."""
+    """Interface of a predicting model for the identification from logs."""
 
     @property
     def structure(self) -> str:
-        """Name of `--structure`."""
+        """Name of the structure in `--structure`."""
         ...
 
     @property
     def title(self) -> str:
-        """Noun for sentences: "a network"."""
+        """Noun for use in sentences, such as "a network"."""
         ...
 
     @property
     def method(self) -> str:
-        """Method of its identification in words."""
+        """Description of the identification method."""
         ...
 
     @property
     def offset(self) -> FloatArray:
-        """(2,) output v [m/s] and omega [rad/s] at rest: bias of the sensors, as the model has it."""
+        """(2,) sensor bias according to the model: outputs v [m/s] and omega [rad/s] at rest."""
         ...
 
     @property
@@ -53,7 +53,7 @@ class Predictor(Protocol):
 
     @property
     def estimate(self) -> ParameterEstimate | None:
-        """Its own parameters, if they are few enough to be read."""
+        """Parameters of the model; None if they are too many for a table."""
         ...
 
     @property
@@ -62,30 +62,30 @@ class Predictor(Protocol):
         ...
 
     def simulate(self, records: Sequence[Record], yaw: YawSource) -> list[FloatArray]:
-        """Simulate v [m/s] and omega [rad/s] (K, 2) of each record from its commands alone, sensor offsets included."""
+        """Simulate v [m/s] and omega [rad/s] (K, 2) of each record from its commands, sensor offsets included."""
         ...
 
     def refitted(self, records: Sequence[Record], yaw: YawSource) -> NonlinearModel | None:
-        """Fit the same kind to other records of the robot; None if that would take too long."""
+        """Fit a model of the same kind to other records of the robot; None if that would take too long."""
         ...
 
     def content(self, fields: Mapping[str, Any]) -> Any:  # noqa: ANN401 - each kind has its own file
-        """Return the content of its parameter file; `fields` are those of every file."""
+        """Return the content of the parameter file; `fields` are the fields that all parameter files have."""
         ...
 
     def model(self, content: Any) -> NonlinearModel:  # noqa: ANN401
-        """Build the velocity model of that content."""
+        """Build the velocity model from the content of its parameter file."""
         ...
 
     def write(self, path: Path, content: Any) -> None:  # noqa: ANN401
-        """Write the parameter file; raises OSError where that is not possible."""
+        """Write the parameter file; raise OSError on failure."""
         ...
 
 
 Finder = Callable[["LogData", "Fitted"], Predictor]
-"""From the training records, and the linear model of them, to a predictor."""
+"""Function that identifies a predictor from the logs and the linear model."""
 
 
 def finders() -> Mapping[str, Callable[[], Finder]]:
-    """Return finders by the name of `--structure`; each raises MissingPackageError without its dependencies."""
+    """Return a loader of each finder by structure name; it raises MissingPackageError if a package is missing."""
     return {structure.name: structure.finder for structure in function_structures().values()}

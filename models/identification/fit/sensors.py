@@ -1,4 +1,4 @@
-"""Detection of reversed, scaled or late sensors by comparison with the others."""
+"""Detection of reversed, scaled or delayed sensors by comparison of the sensors of a log."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from diffdrive_mpc.models.logs.record import Finding, Record
 
 @dataclass(frozen=True)
 class SensorCorrections:
-    """Differences between readings and motion, as `sensors` of a controller's configuration states them.
+    """Errors of sensors in the terms of the group `sensors` of a controller's configuration.
 
     Attributes
     ----------
     stated
-        By input ("wheels", "yaw_rate", "pose") corrections of the log's mapping: sign [-], delay [s].
+        Corrections stated by the log's mapping, by input ("wheels", "yaw_rate", "pose"): sign [-], delay [s].
     inferred
-        By input additional differences in the readings: scale [-], delay [s].
+        Additional errors found in the readings, by input: scale [-], delay [s].
     findings
-        The same in words, with intervals of 95 %.
+        Inferred errors as findings, with 95 % intervals.
     """
 
     stated: Mapping[str, Mapping[str, float]]
@@ -35,43 +35,43 @@ class SensorCorrections:
 
     @property
     def settings(self) -> dict[str, dict[str, float]]:
-        """Differences that the robot's configuration must contain, by input."""
+        """Content of the group `sensors` of the configuration, by input."""
         merged: dict[str, dict[str, float]] = {}
         for name in ("wheels", "yaw_rate", "pose"):
             stated, inferred = self.stated.get(name, {}), self.inferred.get(name, {})
             delay = round(stated.get("delay", 0.0) + inferred.get("delay", 0.0), 3)
-            # A reading cannot precede its cause: such a delay belongs to the log.
+            # A reading cannot precede its cause: a negative delay is a property of the log.
             values = {**stated, **inferred, "delay": delay}
             merged[name] = {key: value for key, value in values.items() if key != "delay" or value > 0.0}
         return {name: values for name, values in merged.items() if values}
 
-    def mended(self, records: Sequence[Record]) -> tuple[Record, ...]:
-        """Return the records without the inferred differences of the sensors."""
-        return tuple(self._mend(record) for record in records)
+    def correct(self, records: Sequence[Record]) -> tuple[Record, ...]:
+        """Return the records, corrected for the inferred errors."""
+        return tuple(self._correct_record(record) for record in records)
 
-    def _mend(self, record: Record) -> Record:
+    def _correct_record(self, record: Record) -> Record:
         inferred = self.inferred
         for name, field in (("yaw_rate", "yaw_rate"), ("wheels", "twist")):
             if "scale" in inferred.get(name, {}) and getattr(record, field) is not None:
                 record = replace(record, **{field: getattr(record, field) / inferred[name]["scale"]})
         for field in ("yaw_rate", "pose"):
-            late = round(inferred.get(field, {}).get("delay", 0.0) / record.dt)
+            steps = round(inferred.get(field, {}).get("delay", 0.0) / record.dt)
             value, fresh = getattr(record, field), record.fresh(field)
-            if late > 0 and value is not None and fresh is not None and late < len(value) - 1:
-                rest = record.part(0, len(value) - late)
-                record = replace(rest, name=record.name, **{field: value[late:], f"fresh_{field}": fresh[late:]})
+            if steps > 0 and value is not None and fresh is not None and steps < len(value) - 1:
+                rest = record.part(0, len(value) - steps)
+                record = replace(rest, name=record.name, **{field: value[steps:], f"fresh_{field}": fresh[steps:]})
         return record
 
 
 def stated_corrections(mapping: LogMapping | None) -> dict[str, dict[str, float]]:
-    """Return by input the corrections of a mapping: the robot's node reads them without it."""
+    """Return the corrections of a mapping by input, for the robot's node, which reads sensors without the mapping."""
     if mapping is None:
         return {}
     columns, topics = mapping.columns, mapping.topics
     stated: dict[str, dict[str, float]] = {}
 
-    def state(name: str, key: str, value: float, usual: float) -> None:
-        if value != usual:
+    def state(name: str, key: str, value: float, default: float) -> None:
+        if value != default:
             stated.setdefault(name, {})[key] = value
 
     if columns:
@@ -95,55 +95,57 @@ def stated_corrections(mapping: LogMapping | None) -> dict[str, dict[str, float]
 def find_corrections(
     name: str, records: Sequence[Record], mapping: str | Path | LogMapping | None
 ) -> SensorCorrections:
-    """Compare gyro and encoders with poses, and find how late poses are; nothing where a log has too few of them.
+    """Estimate scales of gyro and encoders, and delays of poses and gyro; none if the log has too few poses.
 
     Parameters
     ----------
     name
-        Name of the log, for findings.
+        Name of the log in findings.
     records
-        To be held against each other.
+        Records of the log.
     mapping
-        By which they were read.
+        Mapping with which the log was read.
     """
     inferred: dict[str, dict[str, float]] = {}
     findings: list[Finding] = []
     rule = identification_settings().sensors
 
-    def tell(kind: str, words: str) -> None:
+    def report(kind: str, words: str) -> None:
         findings.append(Finding(kind, "warning", name, f"{words}; `identify` states it under 'sensors' in config.yaml"))
 
     with_pose = [record for record in records if record.pose is not None]
     try:
         has_gyro = bool(with_pose) and all(record.yaw_rate is not None for record in with_pose)
-        if has_gyro and (rest := _level_of_rest(with_pose, rule.least_scale)):
-            words = f"the gyro reads no more than {rest:.3g} rad/s: its range is too small, turn it up or drive without"
+        if has_gyro and (level := _clipping_level(with_pose, rule.least_scale)):
+            words = f"the gyro is clipped at {level:.3g} rad/s: increase its range, or do not use it"
             findings.append(Finding("clipped sensor", "warning", name, words))
         elif has_gyro:
-            late = calibrate_delay(with_pose)
-            delay, deviation = late.value("pose.delay"), late.deviation("pose.delay")
+            estimate = calibrate_delay(with_pose)
+            delay, deviation = estimate.value("pose.delay"), estimate.deviation("pose.delay")
             if abs(delay) > max(rule.least_delay, rule.certain * deviation):
                 subject, key = ("poses", "pose") if delay > 0 else ("readings of the gyro", "yaw_rate")
                 inferred[key] = {"delay": round(abs(delay), 3)}
-                tell(
+                report(
                     "late sensor", f"{subject} are {abs(delay):.3f} +- {1.96 * deviation:.3f} s later than their stamps"
                 )
             gyro = calibrate_gyro(with_pose, delay).parameters
             scale, deviation = gyro.value("gyro_scale"), gyro.deviation("gyro_scale")
             if abs(scale - 1.0) > max(rule.least_scale, rule.certain * deviation):
                 inferred["yaw_rate"] = {"scale": round(scale, 4), **inferred.get("yaw_rate", {})}
-                tell("scaled sensor", f"the gyro turns {scale:.4f} +- {1.96 * deviation:.4f} times as far as the poses")
+                report(
+                    "scaled sensor", f"the gyro turns {scale:.4f} +- {1.96 * deviation:.4f} times as far as the poses"
+                )
         if with_pose and all(record.twist is not None for record in with_pose):
-            lags = calibrate_lags(SensorCorrections({}, inferred).mended(with_pose))
+            lags = calibrate_lags(SensorCorrections({}, inferred).correct(with_pose))
             scale, deviation = lags.value("wheels.scale"), lags.deviation("wheels.scale")
-            odd = abs(math.log(scale)) > rule.least_wheel_scale and abs(scale - 1.0) > rule.certain * deviation
-            if odd and _commands_agree_with_poses(with_pose, scale):
+            is_scaled = abs(math.log(scale)) > rule.least_wheel_scale and abs(scale - 1.0) > rule.certain * deviation
+            if is_scaled and _commands_agree_with_poses(with_pose, scale):
                 inferred["wheels"] = {"scale": round(scale, 4)}
                 words = f"the encoders go {scale:.3f} +- {1.96 * deviation:.3f} times as far as poses and commands"
-                tell("scaled sensor", words)
+                report("scaled sensor", words)
             elif abs(math.log(scale)) > rule.least_scale and abs(scale - 1.0) > rule.certain * deviation:
                 findings.append(_unlike_poses(name, scale, 1.96 * deviation, rule.least_slip))
-    except ValueError:  # too few windows: nothing is told
+    except ValueError:  # too few windows for an estimate
         pass
     loaded = mapping if mapping is None or isinstance(mapping, LogMapping) else load_mapping(mapping)
     return SensorCorrections(stated_corrections(loaded), inferred, tuple(findings))
@@ -160,14 +162,14 @@ def _unlike_poses(name: str, scale: float, interval: float, least_slip: float) -
     return Finding("scaled poses", "warning", name, words)
 
 
-def _level_of_rest(records: Sequence[Record], share: float) -> float:
-    """Return the size [rad/s] at which more than a share of the gyro's readings rest; 0 where they do not."""
+def _clipping_level(records: Sequence[Record], share: float) -> float:
+    """Return the maximum gyro reading [rad/s] if more than `share` of the readings have it; otherwise 0."""
     readings = np.abs(np.concatenate([np.asarray(record.yaw_rate)[record.fresh("yaw_rate")] for record in records]))
     return float(readings.max()) if np.mean(readings == readings.max()) > share else 0.0
 
 
 def _commands_agree_with_poses(records: Sequence[Record], scale: float) -> bool:
-    """Return whether poses follow the commands better than encoders do: slipping wheels follow their commands."""
+    """Return whether commands agree better with poses than with encoders; encoders of slipping wheels agree better."""
     command, wheels = (
         np.concatenate([np.abs(np.asarray(getattr(record, field))[:, 0]) for record in records])
         for field in ("command", "twist")

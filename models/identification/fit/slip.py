@@ -1,8 +1,7 @@
-"""Side-slip of a skid-steer from the poses of a log: the values that the controller's filter begins with.
+"""Side-slip of a skid-steered robot from the poses of a log: initial values of the controller's filter.
 
-The lateral speed to the left is -side_slip v omega + load_shift a omega, a the forward acceleration (see
-`mpc/problem/formulas.py`). Mean lateral speeds of short windows, from all their poses, are regressed on the means of
-both terms.
+The lateral speed to the left is -side_slip v omega + load_shift a omega, with the forward acceleration a (see
+`mpc/problem/formulas.py`). Mean lateral speeds over short windows are regressed on the means of both terms.
 """
 
 from __future__ import annotations
@@ -19,62 +18,64 @@ from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.statistics import sandwich
 
 NAMES = ("side_slip", "load_shift")
-"""[s], [s^2]."""
+"""Slip parameters [s], [s^2]."""
 
-_FEWEST_WINDOWS = 8
-_FEWEST_POSES = 3
+_MIN_WINDOWS = 8
+_MIN_POSES = 3
 
 
 class SlipPrior(NamedTuple):
-    """Values that the controller's filter begins with."""
+    """Initial slip estimate of the controller's filter."""
 
     estimate: ParameterEstimate
-    """`NAMES`; the covariance includes the differences between surfaces."""
+    """Parameters `NAMES`; the covariance includes the spread between surfaces."""
     is_regressed: bool
-    """True if the log halves the deviation of side_slip; otherwise both are about those of the settings."""
+    """True if the log at least halves the standard deviation of side_slip; otherwise the prior dominates."""
 
     def source(self) -> str:
-        """Return the origin of the values, as a comment of the configuration."""
+        """Describe the origin of the values, for comments of the configuration."""
         if self.is_regressed:
             return "regressed from the poses of the log"
         return "a wide prior, as the log has too few or too noisy poses"
 
     def __str__(self) -> str:
-        """Return one line for the report."""
+        """Format one line for the report."""
         values = (f"{name} {value:.3f} ± {sd:.3f}" for name, value, sd in self.estimate.rows)
-        return f"The filter begins with {' s and '.join(values)} s^2: {self.source()}."
+        return f"The filter starts with {' s and '.join(values)} s^2: {self.source()}."
 
 
 def slip_prior(records: Sequence[Record]) -> SlipPrior:
-    """Update the Gaussian prior of the settings by `lateral_slip` of the records (poses of the rotation centre)."""
+    """Update the Gaussian prior of the settings with `lateral_slip` of the records (poses of the rotation centre)."""
     settings, estimate = identification_settings().slip, lateral_slip(records)
-    mean, wide, surfaces = (np.array([row[k] for row in (settings.side_slip, settings.load_shift)]) for k in range(3))
-    covariance = np.diag(wide**2)
+    mean, deviation, surfaces = (
+        np.array([row[k] for row in (settings.side_slip, settings.load_shift)]) for k in range(3)
+    )
+    covariance = np.diag(deviation**2)
     if estimate is not None:
         gain = covariance @ np.linalg.inv(covariance + estimate.covariance + np.diag(surfaces**2))
-        # Inward slip is left to the filter: its configuration allows no negative start.
+        # The configuration requires an initial value of at least 0; the filter can still learn inward slip.
         mean = np.maximum(mean + gain @ (estimate.values - mean), 0.0)
         covariance = covariance - gain @ covariance
-    return SlipPrior(ParameterEstimate(NAMES, mean, covariance), bool(covariance[0, 0] < (0.5 * wide[0]) ** 2))
+    return SlipPrior(ParameterEstimate(NAMES, mean, covariance), bool(covariance[0, 0] < (0.5 * deviation[0]) ** 2))
 
 
 def lateral_slip(records: Sequence[Record]) -> ParameterEstimate | None:
-    """Estimate `NAMES` with their covariance; None without encoders, or with too few poses or turns."""
+    """Estimate `NAMES` with covariance; None if there are no encoders, or too few poses or turns."""
     table = np.array([window for record in records for window in _windows(record)])
-    if len(table) < _FEWEST_WINDOWS:
+    if len(table) < _MIN_WINDOWS:
         return None
     terms, moved = table[:, :2], table[:, 2]
     values, _, rank, _ = np.linalg.lstsq(terms, moved, rcond=None)
     if rank < len(NAMES):
         return None
-    left = moved - terms @ values
-    scale = float(np.sqrt(np.mean(left**2))) + np.finfo(float).tiny
-    covariance = sandwich([terms[:, None, :] / scale], [left[:, None] / scale]).covariance
+    residual = moved - terms @ values
+    scale = float(np.sqrt(np.mean(residual**2))) + np.finfo(float).tiny
+    covariance = sandwich([terms[:, None, :] / scale], [residual[:, None] / scale]).covariance
     return ParameterEstimate(NAMES, values, covariance)
 
 
 def _windows(record: Record) -> list[FloatArray]:
-    """Return (3,) means of each window: -v omega [m/s^2], a omega [m/s^3] and speed to the left [m/s]."""
+    """Return the means (3,) over each window: -v omega [m/s^2], a omega [m/s^3] and speed to the left [m/s]."""
     dt, span = record.dt, max(2, round(identification_settings().pose_window / record.dt))
     if record.pose is None or record.twist is None or record.fresh_pose is None or len(record.pose) <= span:
         return []
@@ -84,24 +85,24 @@ def _windows(record: Record) -> list[FloatArray]:
     for first in range(0, len(v) - span, span):
         part = slice(first, first + span + 1)
         fresh, pose = record.fresh_pose[part], record.pose[part]
-        if fresh.sum() < _FEWEST_POSES or not (np.isfinite(terms[part]).all() and np.isfinite(v[part]).all()):
+        if fresh.sum() < _MIN_POSES or not (np.isfinite(terms[part]).all() and np.isfinite(v[part]).all()):
             continue
-        # Heading by the yaw rate, laid over all poses of a window: less noise than a single pose's.
+        # Heading from the integrated yaw rate, aligned with all poses of the window: less noisy than single poses.
         turned = _integral(omega[part], dt)
         theta = turned + float(np.mean((pose[:, 2] - turned)[fresh]))
         across = np.column_stack([-np.sin(theta), np.cos(theta)])
         ahead = np.column_stack([np.cos(theta), np.sin(theta)])
-        # Slope over time by least squares. To the left at the middle: side-slip turns little in one window.
+        # Least-squares slope over time; lateral direction at the middle, as the body turns little within a window.
         time = np.flatnonzero(fresh) - np.mean(np.flatnonzero(fresh))
         slope = time / (dt * time @ time)
-        ways = [_integral(terms[part, k, None] * across, dt) for k in range(2)]
-        ways.append(pose[:, :2] - _integral(v[part, None] * ahead, dt))
-        windows.append(np.array([slope @ way[fresh] @ across[len(across) // 2] for way in ways]))
+        paths = [_integral(terms[part, k, None] * across, dt) for k in range(2)]
+        paths.append(pose[:, :2] - _integral(v[part, None] * ahead, dt))
+        windows.append(np.array([slope @ path[fresh] @ across[len(across) // 2] for path in paths]))
     return windows
 
 
 def _yaw_rate(record: Record) -> FloatArray:
-    """Return (K,) of the gyro; without one that of the encoders, scaled to the turns of the poses [rad/s]."""
+    """Return the yaw rate (K,) [rad/s] of the gyro or, if there is none, of the encoders, scaled to fit the poses."""
     if record.yaw_rate is not None:
         return record.yaw_rate
     assert record.twist is not None and record.pose is not None
@@ -112,22 +113,21 @@ def _yaw_rate(record: Record) -> FloatArray:
 
 
 def _integral(rows: FloatArray, dt: float) -> FloatArray:
-    """Integrate `rows` (K, ...) from the first one on by the trapezoidal rule."""
+    """Integrate `rows` (K, ...) from the first row by the trapezoidal rule."""
     steps = 0.5 * dt * (rows[1:] + rows[:-1])
     return np.asarray(np.concatenate([np.zeros_like(rows[:1]), np.cumsum(steps, axis=0)]))
 
 
-# Surface of a log, as far as gyro and encoders determine it, for a model plant of the robot.
+# Surface parameters that gyro and encoders of a log determine, for a simulated plant of the robot.
 
 
 SURFACE_FILE = "surface.yaml"
 
 
 def log_surface(records: Sequence[Record], prior: SlipPrior) -> dict[str, dict[str, float]]:
-    """Return keys and values of a surface file: the yaw rate of the body over that of the encoders.
+    """Return keys and values of a surface file: yaw rate of the body over yaw rate of the encoders, and side-slip.
 
-    Without a gyro the model's omega is that of the encoders, and the body is assumed to turn accordingly. Side-slip is
-    that of `slip_prior`.
+    Without a gyro the ratio is 1: the model's omega is that of the encoders. Side-slip comes from `prior`.
     """
     both = [
         (record.yaw_rate[used], record.twist[used, 1])
@@ -144,10 +144,10 @@ def log_surface(records: Sequence[Record], prior: SlipPrior) -> dict[str, dict[s
 
 
 def surface_text(surface: Mapping[str, Mapping[str, float]]) -> str:
-    """Format the surface file, with a reason for each value."""
+    """Format the surface file, with a comment for each value."""
     reasons = {
-        "yaw_gain": "true yaw rate over that of the model, which is the log's",
-        "wheel_yaw_gain": "true yaw rate over that of the encoders, by the gyro of the log; 1 without one",
+        "yaw_gain": "true yaw rate over that of the model; 1, as the model is identified from the log",
+        "wheel_yaw_gain": "true yaw rate over that of the encoders, from the gyro of the log; 1 if it has no gyro",
         "longitudinal_gain": "true forward speed over that of the encoders; not in the log",
         "side_slip": "s, lateral speed over v * omega; see config.yaml",
     }

@@ -111,7 +111,7 @@ class Streams:
         keep = np.exp(-self.dt / lag)
 
         def low_pass(part: FloatArray) -> FloatArray:
-            from scipy.signal import lfilter  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
+            from scipy.signal import lfilter  # noqa: PLC0415 - loads slowly, and loading a model does not need it
 
             start = np.where(np.isfinite(part[0]), part[0], 0.0)
             once = lfilter([1 - keep], [1, -keep], _bridged(part) - start, axis=0)

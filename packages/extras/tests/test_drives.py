@@ -220,7 +220,7 @@ def test_from_a_log_to_a_drive_that_a_controller_loads(log, structure, tmp_path)
     assert report.fitted.validation.fit_percent.min() > 90.0
     assert f"{structure}.v.gain" in report.as_json()["parameters"]
     assert structure.upper() in report.markdown()
-    assert "Parameters of the linear model beside a drive" in report.markdown()
+    assert "Parameters of the linear model in addition to a drive" in report.markdown()
     assert any("none is modelled" in warning for warning in report.warnings), "no slope limit acts here"
     model = check_written(identification, tmp_path, 1e-3, structure)
     assert isinstance(model, DriveModel) and model.dt == 0.04

@@ -171,9 +171,9 @@ def test_a_bad_file_is_one_line(tmp_path, change, message):
 
 def test_unsupported_call_of_a_hybrid_raises_model_error(tmp_path):
     write_hybrid(tmp_path / "mine.yaml", content())
-    with pytest.raises(ModelError, match=r"it is a function for samples of 0.0202 s"):
+    with pytest.raises(ModelError, match=r"a nonlinear model with sample time 0.0202 s"):
         MODEL.discretise(0.01)
-    with pytest.raises(ModelError, match="here matrices are needed"):
+    with pytest.raises(ModelError, match="a linear model is required"):
         load_linear_model(tmp_path / "mine.yaml")
     with pytest.raises(ModelError, match="unstable at rest"):
         hybrid_model("wild", LINEAR, random_correction(size=3.0))
@@ -215,7 +215,7 @@ def test_from_a_log_to_a_hybrid_that_a_controller_loads(quick, tmp_path):
     identification = identify(log, tmp_path / "map.yaml", "hybrid")
     report = identification.report
     assert report.as_json()["model"] == "hybrid"
-    assert "Parameters of the linear model beside a linear model with a network" in report.markdown()
+    assert "Parameters of the linear model in addition to a linear model with a network" in report.markdown()
     assert "chosen on held-out blocks" in report.markdown()
     refitted = report.fitted.predictor.refitted(report.data.validation, "gyro")
     assert isinstance(refitted, HybridModel)
@@ -227,5 +227,5 @@ def test_without_the_extra_one_line_says_what_to_install(tmp_path, monkeypatch):
     with pytest.raises(MissingPackageError) as refused:
         identify(tmp_path / "never read.csv", None, "hybrid")
     assert str(refused.value) == "training a hybrid needs JAX: pip install 'diffdrive-mpc[learn]'"
-    with pytest.raises(ConfigError, match="they belong to an sm, not an hybrid"):
+    with pytest.raises(ConfigError, match="structure hybrid has no effects; choose sm"):
         identify(tmp_path / "never read.csv", None, "hybrid", effects=True)

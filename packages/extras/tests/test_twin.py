@@ -9,8 +9,8 @@ import yaml
 from commands import call, refusal
 from diffdrive_mpc import ConfigError
 from diffdrive_mpc.models.base_effects import BaseEffects
-from diffdrive_mpc.models.checked_yaml import laid_over
-from diffdrive_mpc.models.identification.effects.free_run import sensed
+from diffdrive_mpc.models.checked_yaml import merge_mappings
+from diffdrive_mpc.models.identification.effects.free_run import sensor_experiments
 from diffdrive_mpc.models.identification.from_logs import identify_data
 from diffdrive_mpc.models.identification.log_data import LogData, divide
 from diffdrive_mpc.models.logs import Record
@@ -64,7 +64,7 @@ def known_robot(truth):
         "firmware": {name: truth[name] for name in ("gain_v", "lag_v", "lag_omega", "track")},
         "friction": truth["friction"],
     }
-    return SimulatedRobot.model_validate(laid_over(load_simulated_robot("heavy").model_dump(), changes))
+    return SimulatedRobot.model_validate(merge_mappings(load_simulated_robot("heavy").model_dump(), changes))
 
 
 def record_of(robot, seed, seconds):
@@ -90,7 +90,7 @@ def fitted(record, file, seconds):
     """Fit the first 60 % of a record."""
     train, rest = map(tuple, divide([record], 0.6))
     data = LogData(train, rest, ("drive",), "the rest", "gyro", (), ())
-    runs = joined(sensed(train))
+    runs = joined(sensor_experiments(train))
     beside = identified(identify_data(data, STRUCTURES["sm"], "drive").content, runs)
     nominal = nominal_robot("drive", train, file)
     space = space_of(nominal, beside.effects, gyro=True, lagging=False)

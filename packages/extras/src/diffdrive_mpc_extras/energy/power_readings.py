@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from diffdrive_mpc.models.checked_yaml import StrictModel, check, laid_over
+from diffdrive_mpc.models.checked_yaml import StrictModel, check, merge_mappings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.robot import NotNegative, Positive
 from diffdrive_mpc.sim.plants.make import simulated_robot
@@ -128,7 +128,7 @@ def robot_power(name: str) -> RobotPower:
 def _checked_power(values: Any, where: str) -> RobotPower:  # noqa: ANN401 - content of a file
     """Check values of a robot file; a drive given in full may omit values that equal those of the papers."""
     usual = {"drive": papers_drive().model_dump()}
-    return check(RobotPower, laid_over(usual, values) if isinstance(values, Mapping) else values, where)
+    return check(RobotPower, merge_mappings(usual, values) if isinstance(values, Mapping) else values, where)
 
 
 class PowerRunColumns(RunColumns):

@@ -15,8 +15,8 @@ import numpy as np
 
 from diffdrive_mpc.models.base_effects import PARTS
 from diffdrive_mpc.models.identification.effects import IdentifiedBase
-from diffdrive_mpc.models.identification.effects.fitting import covariance, fit_effects, weighted
-from diffdrive_mpc.models.identification.effects.free_run import Point, sensed
+from diffdrive_mpc.models.identification.effects.fitting import covariance, fit_effects, weight_readings
+from diffdrive_mpc.models.identification.effects.free_run import Point, sensor_experiments
 from diffdrive_mpc.models.identification.effects.pose_sensor import pose_sensor
 from diffdrive_mpc.models.identification.effects.selection import select_effects
 from diffdrive_mpc.models.identification.effects.settings import effect_settings
@@ -25,7 +25,7 @@ from diffdrive_mpc.models.identification.fit.pose_calibration import (
     ConstantTrack,
     at_the_rim,
     calibrate_wheels,
-    side_slid,
+    twist_with_side_slip,
 )
 from diffdrive_mpc.models.identification.log_data import LogData, most_informative
 from diffdrive_mpc.models.identification.settings import identification_settings
@@ -102,12 +102,12 @@ def estimate_stack(
     largest = np.abs(np.concatenate([record.command for record in data.train])).max(axis=0)
     levels = dict(zip(CHANNELS, (settings.first_limit * largest).tolist(), strict=True)) | dict(limits or {})
     track = geometry.track if geometry else None
-    experiments = joined(sensed(data.train, data.yaw))
+    experiments = joined(sensor_experiments(data.train, data.yaw))
     if base is None:
         selection = select_effects(experiments, track, limits=levels, only=_TRIED, also=_ALSO)
         fit, weights = selection.fit, selection.data
     else:
-        weights = weighted(experiments, base.point)
+        weights = weight_readings(experiments, base.point)
         fit = fit_effects(base.point, _free(base.point), weights, near=True)
     values = np.array([fit.point[name] for name in fit.free])
     estimate = ParameterEstimate(fit.free, values, covariance(fit, weights))
@@ -188,7 +188,7 @@ class TwoRadii(ConstantTrack):
         *radii, track, side_slip = coefficients
         v, difference = at_the_rim(1.0, wheels * np.array(radii))
         omega = difference / track
-        return side_slid(v, omega, side_slip)
+        return twist_with_side_slip(v, omega, side_slip)
 
 
 def _later(record: Record, lag: float) -> Record:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
-from diffdrive_mpc.models.identification.effects.free_run import sensed
+from diffdrive_mpc.models.identification.effects.free_run import sensor_experiments
 from diffdrive_mpc.models.identification.effects.pose_sensor import pose_sensor
 from diffdrive_mpc.models.identification.from_logs import identify_data
 from diffdrive_mpc.models.identification.log_data import LogData, read_data
@@ -144,7 +144,7 @@ def twin_of(
         report = identify_data(data, STRUCTURES["sm"], f"SM of {title}", effects=effects).content
         assert isinstance(report, ModelFile)
         content = report
-    experiments = sensed(data.train, data.yaw)
+    experiments = sensor_experiments(data.train, data.yaw)
     beside = identified(content, joined(experiments))
     gyro = data.yaw == "gyro"
     sensors = {"gyro.offset": 0.0, "encoders.delay": 0.0} | dict(beside.sensors)
@@ -157,7 +157,7 @@ def twin_of(
     problem = TwinProblem(space, stretches, together, on_drive or (lambda: None))
     fit = fit_twin(problem, beside.start(nominal), on_stage)
     announce("driving the rows held out", 1)
-    held_out = sensed(data.validation, data.yaw)
+    held_out = sensor_experiments(data.validation, data.yaw)
     notes = [*_notes(beside), energy_note([*data.train, *data.validation])]
 
     def held(predictions: Sequence[HeldOutPrediction], metres: float) -> HeldOutScore:

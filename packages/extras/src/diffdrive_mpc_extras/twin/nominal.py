@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from diffdrive_mpc.models.checked_yaml import ConfigError, check, laid_over
+from diffdrive_mpc.models.checked_yaml import ConfigError, check, merge_mappings
 from diffdrive_mpc.models.identification.fit.noise import sensor_noise
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.geometry import wheel_geometry
@@ -102,7 +102,7 @@ def nominal_robot(name: str, records: Sequence[Record], file: str | Path | None 
     usual = load_robot()
     if not (isinstance(mass, (int, float)) and mass > 0):
         mass = usual.mass * (track / usual.track) ** 3
-    data = laid_over(_scaled(name, records, float(track), float(radius), float(mass)), stated_data)
+    data = merge_mappings(_scaled(name, records, float(track), float(radius), float(mass)), stated_data)
     stated = frozenset(key for key, path in _STATED.items() if _holds(stated_data, path))
     return Nominal(check(SimulatedRobot, data, where), stated, float(geometry.track if geometry else track))
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from diffdrive_mpc.models.base_effects import BaseEffects
-from diffdrive_mpc.models.checked_yaml import laid_over
+from diffdrive_mpc.models.checked_yaml import merge_mappings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim.plants.simulated_robot import SimulatedRobot
 from diffdrive_mpc_extras.twin.nominal import Nominal
@@ -108,7 +108,7 @@ class Space:
             base["wheel_command"] = self.effects.wheel_command.model_dump() | {"track": track}
         if base:
             changes["base"] = base
-        return SimulatedRobot.model_validate(laid_over(start.model_dump(), changes))
+        return SimulatedRobot.model_validate(merge_mappings(start.model_dump(), changes))
 
 
 def space_of(nominal: Nominal, effects: BaseEffects, *, gyro: bool, lagging: bool, travel: float = 1.0) -> Space:

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, model_validator
 
-from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, check, laid_over, read_yaml
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, check, merge_mappings, read_yaml
 from diffdrive_mpc.models.named_file import named_file
 from diffdrive_mpc.sim.disturbances.drawn_values import check_drawn, drawn, extremes
 from diffdrive_mpc_extras.worlds.settings import Sight, world_settings
@@ -45,7 +45,7 @@ class World(StrictModel):
     @classmethod
     def _sight_is_laid_over(cls, data: Any) -> Any:  # noqa: ANN401 - what stands in a file
         if isinstance(data, Mapping) and isinstance(data.get("sight"), Mapping):
-            return {**data, "sight": laid_over(world_settings().sight.model_dump(), data["sight"])}
+            return {**data, "sight": merge_mappings(world_settings().sight.model_dump(), data["sight"])}
         return data
 
     @property
