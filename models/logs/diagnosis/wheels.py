@@ -143,14 +143,10 @@ def _each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Finding 
     return _late_wheel(log, streams, sides, response.lag, settings) if distinct and len(names) == 2 else None
 
 
-def _late_wheel(
-    log: str, streams: Streams, sides: FloatArray, lag: float, settings: CheckSettings
-) -> Finding | None:
+def _late_wheel(log: str, streams: Streams, sides: FloatArray, lag: float, settings: CheckSettings) -> Finding | None:
     """Return the finding for an encoder that answers its side later than the other."""
     assert streams.wheels is not None
-    found = [
-        fit_response(streams, sides, streams.wheels[:, i], settings, intervals=True, lags=[lag]) for i in range(2)
-    ]
+    found = [fit_response(streams, sides, streams.wheels[:, i], settings, intervals=True, lags=[lag]) for i in range(2)]
     times = [(how.dead_time, np.nan_to_num(how.deviation)) for how in found if how is not None]
     if len(times) < len(SIDES):
         return None
