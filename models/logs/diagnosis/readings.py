@@ -95,8 +95,8 @@ def check_dead_readings(raw: RawLog, settings: CheckSettings) -> list[Finding]:
         if np.median(np.diff(turning)) < bound[0] and turning[0] > bound[1] and slow >= settings.fewest_samples:
             unit = "rad/s" if names[0] != "twist" else "m/s or rad/s"
             words = (
-                f"the encoders read 0 below {turning[0]:.3g} {unit}, in {100 * still:.0f} % of the readings: they count "
-                "over too short a time; log running counts (`unit: ticks`), or drive faster than that"
+                f"the encoders read 0 below {turning[0]:.3g} {unit}, in {100 * still:.0f} % of the readings: they "
+                "count over too short a time; log running counts (`unit: ticks`), or drive faster than that"
             )
             return [Finding("dead readings", "warning", raw.name, words)]
     return []
