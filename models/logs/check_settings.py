@@ -56,7 +56,6 @@ class CheckSettings(StrictModel):
     foresight: Share = Field(description="of what past commands leave unexplained that later ones explain")
     usual_response: Positive = Field(description="dead time of a robot [s]")
     late_response: Positive = Field(description="dead time that is said [s]")
-    dead_share: Share = Field(description="of the readings of a wheel, that are exactly zero")
     dead_resolution: Share = Field(description="step of readings over the least one")
     same_command: Share = Field(description="change of a command over a moment of zero, of its size")
     longest_moment: Positive = Field(description="of a zero between two equal commands [s]")

@@ -13,7 +13,12 @@ from diffdrive_mpc.models.logs.bags import is_bag, read_bag
 from diffdrive_mpc.models.logs.check_settings import CheckSettings, check_settings
 from diffdrive_mpc.models.logs.csv_log import read_csv
 from diffdrive_mpc.models.logs.diagnosis import diagnose
-from diffdrive_mpc.models.logs.diagnosis.readings import check_dead_readings, check_period, check_publishers, without_spikes
+from diffdrive_mpc.models.logs.diagnosis.readings import (
+    check_dead_readings,
+    check_period,
+    check_publishers,
+    without_spikes,
+)
 from diffdrive_mpc.models.logs.diagnosis.streams import streams_of
 from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log, read_drive
 from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping

@@ -14,6 +14,8 @@ from degraded_logs import (
     SIMULATED,
     TIMES,
     Case,
+    drawn_case,
+    drawn_cases,
     held,
     in_bursts,
     logs_of,
@@ -30,6 +32,7 @@ from scipy.signal import lfilter
 
 from diffdrive_mpc import ConfigError
 from diffdrive_mpc.models.identification.advice import LogSelection, advise, without_rejected
+from diffdrive_mpc.models.identification.fit.sensors import find_corrections
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.logs.diagnosis import compare_logs
 from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
@@ -223,3 +226,17 @@ def test_the_cause_is_named_and_no_other(case, tmp_path):
     refused = raised is not None or any(finding.severity == "error" for finding in findings)
     if case.refused is not None and case.name not in UNTOLD:
         assert refused == case.refused, messages
+
+
+DRAWN = [*(case for _, case in drawn_cases()), *(drawn_case("sound", 7200 + k, k % 2 == 0) for k in range(30))]
+
+
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(case, id=case.name, marks=[pytest.mark.system] if row % 7 else []) for row, case in enumerate(DRAWN)],
+)
+def test_fault_of_a_drawn_robot_is_named(case, tmp_path):
+    paths, mapping = logs_of(case, tmp_path)
+    log = read_log(paths[0], mapping)
+    findings = [*log.findings, *find_corrections(log.name, log.records, mapping).findings]
+    assert verdict(case, findings) == "right", list(map(str, findings))

@@ -83,23 +83,20 @@ def _without(stretch: RawStretch, fields: list[str], times: FloatArray) -> RawSt
 
 def check_dead_readings(raw: RawLog, settings: CheckSettings) -> list[Finding]:
     """Return at most one finding: encoders that read exactly zero below a speed, and resolve finer steps above it."""
-    fields = [name for name in ("wheel_speeds", "wheels", "twist") if name in raw.stretches[0].measured]
-    if not fields:
-        return []
-    sizes = np.abs(np.concatenate([stretch.measured[fields[0]].value for stretch in raw.stretches]))
-    for size in sizes.T:
-        turning = np.unique(size[size > 0])
-        if len(turning) < _FEWEST or np.mean(size == 0) < settings.dead_share:
+    names = [name for name in ("wheel_speeds", "wheels", "twist") if name in raw.stretches[0].measured]
+    sizes = [np.abs(np.concatenate([stretch.measured[name].value for stretch in raw.stretches])) for name in names[:1]]
+    for size in (column for table in sizes for column in table.T):
+        turning, still = np.unique(size[size > 0]), float(np.mean(size == 0))
+        if len(turning) < _FEWEST or still < settings.clipped_readings:
             continue
-        least = turning[0]
-        # Readings that pass through zero are as frequent below that speed as above it.
-        slow = turning[turning < 2.0 * least]
-        is_fine = np.median(np.diff(turning)) < settings.dead_resolution * least
-        if is_fine and least > settings.dead_resolution * turning[-1] and len(slow) >= settings.fewest_samples:
-            unit = "rad/s" if fields[0] != "twist" else "m/s or rad/s"
+        # Readings that pass through zero are as frequent below the least speed as above it; coarse ones are multiples.
+        bound = settings.dead_resolution * np.array([turning[0], turning[-1]])
+        slow = np.count_nonzero(turning < 2.0 * turning[0])
+        if np.median(np.diff(turning)) < bound[0] and turning[0] > bound[1] and slow >= settings.fewest_samples:
+            unit = "rad/s" if names[0] != "twist" else "m/s or rad/s"
             words = (
-                f"the encoders read 0 below {least:.3g} {unit}, in {100 * np.mean(size == 0):.0f} % of the readings: "
-                "they count over too short a time; log running counts (`unit: ticks`), or drive faster than that"
+                f"the encoders read 0 below {turning[0]:.3g} {unit}, in {100 * still:.0f} % of the readings: they "
+                "count over too short a time; log running counts (`unit: ticks`), or drive faster than that"
             )
             return [Finding("dead readings", "warning", raw.name, words)]
     return []
@@ -107,14 +104,13 @@ def check_dead_readings(raw: RawLog, settings: CheckSettings) -> list[Finding]:
 
 def check_publishers(raw: RawLog, settings: CheckSettings) -> list[Finding]:
     """Return at most one finding: commands that fall to zero for a moment, again and again, and return."""
-    moments, total = 0, 0
-    for stretch in raw.stretches:
-        time, value = stretch.command.time, stretch.command.value
-        driven = np.flatnonzero(value.any(axis=1))
+    moments = total = 0
+    for command in (stretch.command for stretch in raw.stretches):
+        size, driven = np.linalg.norm(command.value, axis=1), np.flatnonzero(command.value.any(axis=1))
         before, after = driven[:-1], driven[1:]
-        size = np.linalg.norm(value, axis=1)
-        returns = np.linalg.norm(value[after] - value[before], axis=1) < settings.same_command * size[before]
-        moments += int(np.sum((after - before > 1) & returns & (time[after] - time[before] < settings.longest_moment)))
+        moved = np.linalg.norm(command.value[after] - command.value[before], axis=1)
+        is_short = command.time[after] - command.time[before] < settings.longest_moment
+        moments += int(np.sum((after - before > 1) & (moved < settings.same_command * size[before]) & is_short))
         total += len(driven)
     if moments < max(settings.fewest_samples, settings.publisher_share * total):
         return []

@@ -143,19 +143,13 @@ def _each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Finding 
     return _late_wheel(log, streams, sides, response.lag, settings) if distinct and len(names) == 2 else None
 
 
-def _late_wheel(
-    log: str, streams: Streams, sides: FloatArray, lag: float, settings: CheckSettings
-) -> Finding | None:
+def _late_wheel(log: str, streams: Streams, sides: FloatArray, lag: float, settings: CheckSettings) -> Finding | None:
     """Return the finding for an encoder that answers its side later than the other."""
     assert streams.wheels is not None
-    found = [
-        fit_response(streams, sides, streams.wheels[:, i], settings, intervals=True, lags=[lag]) for i in range(2)
-    ]
-    times = [(how.dead_time, np.nan_to_num(how.deviation)) for how in found if how is not None]
-    if len(times) < len(SIDES):
-        return None
-    late, deviation = times[1][0] - times[0][0], float(np.hypot(times[0][1], times[1][1]))
-    if abs(late) < max(settings.late_wheel, 3 * deviation):
+    each = [fit_response(streams, sides, wheel, settings, intervals=True, lags=[lag]) for wheel in streams.wheels.T]
+    left, right = ((np.nan, np.nan) if how is None else (how.dead_time, how.deviation) for how in each)
+    late, deviation = right[0] - left[0], float(np.hypot(*np.nan_to_num([left[1], right[1]])))
+    if not abs(late) > max(settings.late_wheel, 3 * deviation):
         return None
     streams.twist = streams.wheels = None
     words = (
