@@ -155,13 +155,13 @@ def test_the_node_predicts_for_the_identified_robot(folder):
     from diffdrive_mpc_extras.ros.path_error import ErrorPredictor, PredictedErrorSettings
 
     config = str(folder / "config.yaml")
-    controller, own = Controller(config), PredictedErrorSettings(error_population="own")
+    controller, settings = Controller(config), PredictedErrorSettings(error_population="own")
     reference = load_trajectory(folder / "short.yaml", controller.config)
-    answer = json.loads(ErrorPredictor.build(controller, own, config).summary(reference, controller.config))
+    summary = json.loads(ErrorPredictor.build(controller, settings, config).summary(reference, controller.config))
     expected = predict_by_drives(config, str(folder / "short.yaml"), own_plant(config), 20)
-    assert answer["population"] == "own"
-    assert answer["lateral"]["everywhere"] == pytest.approx(expected.lateral.everywhere.max(), abs=1e-5)
+    assert summary["population"] == "own"
+    assert summary["lateral"]["everywhere"] == pytest.approx(expected.lateral.everywhere.max(), abs=1e-5)
     with one_line_error(ConfigError, match="with follow_error_limit give a population"):
-        ErrorPredictor.build(controller, own.model_copy(update={"follow_error_limit": 0.1}), config)
+        ErrorPredictor.build(controller, settings.model_copy(update={"follow_error_limit": 0.1}), config)
     with one_line_error(ConfigError, match="no plant belongs to it"):
-        ErrorPredictor.build(controller, own, str(folder / "elsewhere" / "config.yaml"))
+        ErrorPredictor.build(controller, settings, str(folder / "elsewhere" / "config.yaml"))

@@ -142,8 +142,6 @@ def predict_reference(
     )
 
 
-def _driven(
-    reference: Reference, config: ControllerConfig, plant: str, seed: int, count: int
-) -> Sequence[FloatArray]:
+def _driven(reference: Reference, config: ControllerConfig, plant: str, seed: int, count: int) -> Sequence[FloatArray]:
     robot = make_plant(plant, seed=seed, **plant_settings(config))
     return absolute_errors(simulate(Controller(config), robot, reference), count)
