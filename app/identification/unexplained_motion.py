@@ -101,17 +101,22 @@ def identified_robot(identification: Identification, config: ControllerConfig) -
 def _explained(motion: list[FloatArray], outputs: Sequence[FloatArray], identification: Identification) -> BodySlip:
     """Return the slip of the surface that the poses show, and take it out of `motion`: it is no motion of chance.
 
-    The encoders know neither the radius of the wheels nor side-slip.
+    Encoders measure neither the radius of the wheels nor side-slip. Records without poses stay as they are.
     """
-    slip = log_slip(identification, pose_point=True)
-    if all(record.pose is None for record in identification.report.data.validation):
+    slip, validation = log_slip(identification, pose_point=True), identification.report.data.validation
+    pairs = [
+        pair
+        for pair, record in zip(zip(motion, outputs, strict=True), validation, strict=True)
+        if record.pose is not None
+    ]
+    if not pairs:
         return slip
-    v, omega = np.concatenate(outputs).T
-    beyond = np.concatenate(motion)
-    gain, side_slip = beyond[:, 0] @ v / (v @ v), max(-beyond[:, 1] @ (v * omega) / ((v * omega) @ (v * omega)), -slip.side_slip)
-    for rows, (v, omega) in zip(motion, (twist.T for twist in outputs), strict=True):
-        rows[:, 0] -= gain * v
-        rows[:, 1] += side_slip * v * omega
+    ahead, left = np.concatenate([rows[:, :2] for rows, _ in pairs]).T
+    v, turning = np.concatenate([[twist[:, 0], twist.prod(axis=1)] for _, twist in pairs], axis=1)
+    gain, side_slip = ahead @ v / (v @ v), max(-(left @ turning) / (turning @ turning), -slip.side_slip)
+    for rows, twist in pairs:
+        rows[:, 0] -= gain * twist[:, 0]
+        rows[:, 1] += side_slip * twist.prod(axis=1)
     values = {"longitudinal_gain": slip.longitudinal_gain + gain, "side_slip": slip.side_slip + side_slip}
     return slip.model_copy(update={name: float(f"{value:.4g}") for name, value in values.items()})
 

@@ -8,10 +8,7 @@ static const double PI = 3.141592653589793;
 /* models/base_effects.py, _ON_STEP; models/slip_laws.py, _LEAST_ROOT. */
 static const double ON_STEP = 1e-9, LEAST_ROOT = 0.04;
 
-static double clipped(double value, double low, double high)
-{
-  return fmin(fmax(value, low), high);
-}
+static double clipped(double value, double low, double high) { return fmin(fmax(value, low), high); }
 
 /* models/two_sided.py, reached */
 static double stepped(double last, double command, double grows, double falls)
@@ -67,15 +64,10 @@ static void move_dynamics(velocity_plant *p, const double *requested)
       p->wheels[i] += p->C[n * i + j] * now[j];
 }
 
-static double sign(double value)
-{
-  return (value > 0.0) - (value < 0.0);
-}
-
 /* YawRelaxation.advance */
 static double relaxed(velocity_plant *p, double yaw_rate)
 {
-  const double side = sign(yaw_rate), before = p->strain;
+  const double side = (yaw_rate > 0.0) - (yaw_rate < 0.0), before = p->strain;
   p->strain = side + (before - side) * exp(-fabs(yaw_rate) * p->step_time / p->angle);
   return yaw_rate - p->angle * (p->strain - before) / p->step_time;
 }

@@ -10,18 +10,14 @@ typedef struct {
   double step_time;
   const double *A, *B0, *B1, *C; /* [order][order], [order][2], [order][2], [2][order] */
   int delay[2];
-  double *state;    /* [2][order], the second one is scratch */
-  double *commands; /* [memory + 1][2], the newest last */
+  double *state, *commands; /* [2][order], the second one is scratch; [memory + 1][2], the newest last */
   double next[2];
   /* Effects of the base; infinite limits and zeros for none. */
-  double upper[2], lower[2];
-  double grows[2], falls[2]; /* in a step */
-  double track, resolution, coasting, top_speed;
-  double angle, yaw_per_metre;
+  double upper[2], lower[2], grows[2], falls[2]; /* rates are those of a step */
+  double track, resolution, coasting, top_speed, angle, yaw_per_metre;
   /* Slip of the body. */
-  double longitudinal_gain, yaw_gain, side_slip;
+  double longitudinal_gain, yaw_gain, side_slip, polynomial[9];
   double track_at_rest, track_growth; /* a track at rest of zero: no growing track */
-  double polynomial[9];
   int has_polynomial;
   /* Motion beyond the model: `rows` [count][3] repeat; count 0: none. */
   const double *rows;
@@ -30,10 +26,9 @@ typedef struct {
   /* State and results. */
   long long tick;
   double reached[2], strain, rate[2];
-  double wheels[2], body[2];             /* v, omega at the end of the sample */
-  double pose[3], twist[3];              /* true ones */
-  double yaw_rate;                       /* at the end of the sample, with its motion beyond the model */
-  double *arcs;                          /* [steps][6] pose and constant twist of each step */
+  double wheels[2], body[2], pose[3], twist[3]; /* v, omega at the end of the sample; true pose and twist */
+  double yaw_rate;                              /* at the end of the sample, with its motion beyond the model */
+  double *arcs;                                 /* [steps][6] pose and constant twist of each step */
 } velocity_plant;
 
 /* Reset to rest at `pose`, which the struct holds. */

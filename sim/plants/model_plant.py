@@ -180,18 +180,13 @@ def _plant_in_c(
         c.order, c.memory, c.delay = sampled.order, sampled.memory, sampled.delay.tolist()
         matrices = {name: getattr(sampled, name) for name in ("A", "B0", "B1", "C")}
     c.step_time = sample_time / c.steps
-    rows = np.empty((0, 3)) if disturbance is None else disturbance.rows
-    arrays = matrices | {
-        "state": np.zeros((2, c.order)),
-        "commands": np.zeros((c.memory + 1, 2)),
-        "arcs": np.zeros((c.steps, 6)),
-        "rows": rows,
-    }
+    state = {"state": np.zeros((2, c.order)), "commands": np.zeros((c.memory + 1, 2)), "arcs": np.zeros((c.steps, 6))}
+    arrays = matrices | state | ({} if disturbance is None else {"rows": disturbance.rows})
     arrays = {name: np.ascontiguousarray(array, dtype=float) for name, array in arrays.items()}
     for name, array in arrays.items():
         setattr(c, name, address(array))
-    c.count = len(rows)
     if disturbance is not None:
+        c.count = len(disturbance.rows)
         c.variance, c.largest = disturbance.variance.ravel().tolist(), disturbance.largest.tolist()
     c.upper, c.lower = _both_sides(effects.twist_range).tolist()
     c.grows, c.falls = (_both_sides(effects.twist_slew) * c.step_time).tolist()

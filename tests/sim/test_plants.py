@@ -13,9 +13,10 @@ from loop_parts import trace
 
 from diffdrive_mpc import integrate_pose, load_model, make_plant
 from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.sim.plants.identified_robot import UnexplainedMotion, intensity_features
 from diffdrive_mpc.sim.plants.model_plant import ModelPlant
 from diffdrive_mpc.sim.plants.open_loop import OpenLoopDrive, drive_open_loop, load_command_parameters, random_commands
-from diffdrive_mpc.sim.plants.surface import BodySlip, load_surface
+from diffdrive_mpc.sim.plants.surface import BodySlip, Polynomial, VirtualTrack, load_surface
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 
 DT = load_robot().sample_time
@@ -221,3 +222,23 @@ def test_random_set_points_stay_in_their_ranges_and_hold_long_enough(seed: int) 
     holds = np.diff(changes) * load_robot().sample_time
     slack = load_robot().sample_time
     assert np.all((holds >= RANDOM.hold_range[0] - slack) & (holds <= RANDOM.hold_range[1] + slack))
+
+
+def test_body_of_the_model_plant_follows_the_slip_laws_and_the_motion_beyond_the_model() -> None:
+    rng = np.random.default_rng(5)
+    terms = dict(zip(Polynomial.model_fields, rng.uniform(-0.1, 0.1, 9).tolist(), strict=True))
+    laws = {"polynomial": Polynomial(**terms), "virtual_track": VirtualTrack(p0=0.4, p1=0.1)}
+    slip = load_surface("default").slip.model_copy(update=laws)
+    motion = UnexplainedMotion(rng.normal(size=(7, 3)), rng.uniform(0.0, 1e-4, (3, 6)), np.full(6, 0.3))
+    ideal = ModelPlant(load_model("ssm"), load_surface("ideal").slip, PERFECT)
+    plants = [ModelPlant(load_model("ssm"), slip, PERFECT, disturbance=beyond) for beyond in (None, motion)]
+    before = np.zeros(2)
+    for tick, command in enumerate(random_commands(2, duration=1.0), start=1):
+        for plant in (ideal, *plants):
+            plant.advance(command)
+        output = ideal.true_twist[[0, 2]]
+        features = np.minimum(intensity_features(output, (output - before) / DT), motion.largest)
+        beyond = motion.rows[tick % 7] * np.sqrt(motion.variance @ features)
+        np.testing.assert_allclose(plants[0].true_twist, slip.body(output), atol=1e-12)
+        np.testing.assert_allclose(plants[1].true_twist, slip.body(output) + beyond, atol=1e-9)
+        before = output

@@ -21,6 +21,9 @@ _STEP = 1e-3
 _SOFT = 0.02
 """Slip speed at which friction is nearly full [m/s]."""
 
+_SWIVEL_INERTIA = 1e-3
+"""Moment of inertia of a castor about its swivel [kg m^2]."""
+
 
 class ForeignRobot:
     """Rigid body on driven wheels; see `sim.plants.plant.Plant`. Poses are midway between the driven wheels.
@@ -123,7 +126,7 @@ class RelaxingTyres(ForeignRobot):
         self.half_base = draw(0.08, 0.13)
 
     def _rest(self):
-        self._bent = {wheel: (0.0, 0.0) for wheel in product((1, -1), (0, 1))}
+        self._bent = dict.fromkeys(product((1, -1), (0, 1)), (0.0, 0.0))
 
     def _forces(self, v, lateral, omega, torques):
         total, ground = [0.0, 0.0, 0.0], [0.0, 0.0]
@@ -205,8 +208,8 @@ class SwivellingCastors(ForeignRobot):
             along = -self.rolling * carried * math.tanh(rolling / _SOFT)
             push = -self.friction * carried * math.tanh(sliding / (2 * _SOFT))
             bearing = -self.swivel * math.tanh(rate / 0.2)
-            rate += (bearing - self.trail * push) / 1e-3 * _STEP
-            self._swivels[side] = angle + rate * _STEP, rate
+            faster = rate + (bearing - self.trail * push) / _SWIVEL_INERTIA * _STEP
+            self._swivels[side] = angle + faster * _STEP, faster
             x_force, y_force = c * along - s * push, s * along + c * push
             forward, across = forward + x_force, across + y_force
             moment += self.pivot * y_force - y * x_force - bearing

@@ -12,11 +12,12 @@ from diffdrive_mpc.app.identification.unexplained_motion import write_robot
 from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.load import model_path
+from diffdrive_mpc.mpc import Controller, load_trajectory
 from diffdrive_mpc.sim.plants.identified_robot import IdentifiedRobot, intervals
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 from diffdrive_mpc_extras.campaign.own_plant import own_plant
-from diffdrive_mpc_extras.predicted_error.drives import absolute_errors, drive_case, tube
+from diffdrive_mpc_extras.predicted_error.drives import absolute_errors, drive_case, predict_by_drives, tube
 from diffdrive_mpc_extras.proof.proof_file import load_proof, proof_of
 from refusals import one_line_error
 
@@ -147,3 +148,20 @@ def test_the_passport_varies_track_wheel_base_and_wheel_servo_and_scales_them_to
     }
     wide = proof_of("ssm", None, "mujoco:wide").passport.factors["robot.robot.track"]
     assert wide["uniform"] == pytest.approx([0.52 / 0.33 * 0.30, 0.52 / 0.33 * 0.36])
+
+
+def test_the_node_predicts_for_the_identified_robot(folder):
+    pytest.importorskip("rclpy")
+    from diffdrive_mpc_extras.ros.path_error import ErrorPredictor, PredictedErrorSettings
+
+    config = str(folder / "config.yaml")
+    controller, settings = Controller(config), PredictedErrorSettings(error_population="own")
+    reference = load_trajectory(folder / "short.yaml", controller.config)
+    summary = json.loads(ErrorPredictor.build(controller, settings, config).summary(reference, controller.config))
+    expected = predict_by_drives(config, str(folder / "short.yaml"), own_plant(config), 20)
+    assert summary["population"] == "own"
+    assert summary["lateral"]["everywhere"] == pytest.approx(expected.lateral.everywhere.max(), abs=1e-5)
+    with one_line_error(ConfigError, match="with follow_error_limit give a population"):
+        ErrorPredictor.build(controller, settings.model_copy(update={"follow_error_limit": 0.1}), config)
+    with one_line_error(ConfigError, match="no plant belongs to it"):
+        ErrorPredictor.build(controller, settings, str(folder / "elsewhere" / "config.yaml"))

@@ -9,14 +9,15 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.controllers import load_reference, run_case
+from diffdrive_mpc.bench.controllers import case_config, load_reference
+from diffdrive_mpc.bench.drive import plant_settings
 from diffdrive_mpc.bench.runner import run_tasks
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.load import is_shipped
 from diffdrive_mpc.models.pose import ahead_and_left
-from diffdrive_mpc.mpc import load_config
-from diffdrive_mpc.sim import Run
+from diffdrive_mpc.mpc import Controller, ControllerConfig, load_config
+from diffdrive_mpc.sim import Run, make_plant, simulate
 from diffdrive_mpc_extras.campaign.rates import conformal_quantile
 from diffdrive_mpc_extras.predicted_error.predicted_error import ErrorTube, PredictedError
 
@@ -109,11 +110,23 @@ def predict_by_drives(
     ConfigError, ValueError
         If a name is unknown, a file has a mistake, or too few drives arrive.
     """
-    reference = load_reference(drive_case(config, trajectory, plant, 0))
-    dt = load_config(config).sample_time
+    case = drive_case(config, trajectory, plant, 0)
+    return predict_reference(load_reference(case), case_config(case), plant, draws, jobs, on_done)
+
+
+def predict_reference(
+    reference: Reference,
+    config: ControllerConfig,
+    plant: str,
+    draws: int = DRAWS,
+    jobs: int = 1,
+    on_done: Callable[[], None] = lambda: None,
+) -> PredictedError:
+    """Predict the tracking error of a reference with a configuration, as `predict_by_drives`; raises as that."""
+    dt = config.sample_time
     time = np.asarray(np.arange(max(2, int(reference.duration / dt) + 1)) * dt, dtype=np.float64)
-    cases = [drive_case(config, trajectory, plant, seed) for seed in range(draws)]
-    driven = run_tasks([partial(_driven, case, len(time)) for case in cases], jobs, on_done)
+    tasks = [partial(_driven, reference, config, plant, seed, len(time)) for seed in range(draws)]
+    driven = run_tasks(tasks, jobs, on_done)
     lateral, along = (tube(np.array(errors), dt).times(MODEL_ERROR) for errors in zip(*driven, strict=True))
     sample = reference.sample(time)
     return PredictedError(
@@ -129,5 +142,6 @@ def predict_by_drives(
     )
 
 
-def _driven(case: Case, count: int) -> Sequence[FloatArray]:
-    return absolute_errors(run_case(case), count)
+def _driven(reference: Reference, config: ControllerConfig, plant: str, seed: int, count: int) -> Sequence[FloatArray]:
+    robot = make_plant(plant, seed=seed, **plant_settings(config))
+    return absolute_errors(simulate(Controller(config), robot, reference), count)

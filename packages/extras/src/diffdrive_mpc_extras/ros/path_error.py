@@ -24,7 +24,9 @@ from diffdrive_mpc.mpc.ros.node_part import NodePart, NodeTools, PartHost, PathC
 from diffdrive_mpc.mpc.ros.settings import NotNegative, PartSettings
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.planned.lay import PlannedPath
+from diffdrive_mpc_extras.campaign.own_plant import own_plant
 from diffdrive_mpc_extras.predicted_error.calibration import ErrorCalibration, load_calibration
+from diffdrive_mpc_extras.predicted_error.drives import predict_reference
 from diffdrive_mpc_extras.predicted_error.predicted_error import (
     ErrorTube,
     PredictedError,
@@ -32,6 +34,10 @@ from diffdrive_mpc_extras.predicted_error.predicted_error import (
     predict_tubes,
 )
 
+OWN = "own"
+"""Population of the plant that belongs to the configuration."""
+_DRAWS = 20
+"""Simulated drives of that plant: the fewest for 95 %, as the side process serves others, too."""
 _SLOWER = (0.8, 0.6, 0.4, 0.2)
 """Shares of speed and acceleration at which a path is tried that has too wide a tube at full speed [-]."""
 
@@ -50,7 +56,10 @@ class PredictedErrorSettings(PartSettings):
         "refuse: it is refused [-]",
     )
     error_population: str = Field(
-        "drawn", min_length=1, description="population of the calibration that a predicted error is for [-]"
+        "drawn",
+        min_length=1,
+        description="population of the calibration that a predicted error is for; own: drives of the plant in the "
+        "folder of the configuration are simulated instead, for the service alone [-]",
     )
     error_calibration: str = Field("", description="calibration file of predicted errors; empty: the shipped one [-]")
 
@@ -67,22 +76,34 @@ class ErrorPredictor:
         Population of drives; `calibration` has it.
     calibration
         Coefficients and quantiles.
+    plant
+        Plant of `OWN`.
     """
 
     lag: FloatArray
     population: str
     calibration: ErrorCalibration
+    plant: str = ""
 
     @classmethod
-    def build(cls, controller: Controller, settings: PredictedErrorSettings) -> ErrorPredictor:
-        """Read the calibration; ConfigError or ValueError where it cannot be used, or is for another model."""
+    def build(cls, controller: Controller, settings: PredictedErrorSettings, config: str = "") -> ErrorPredictor:
+        """Read the calibration; ConfigError or ValueError where it cannot be used, or is for another model.
+
+        `config` is the name or path of the configuration, in whose folder the plant of `OWN` is.
+        """
         calibration = load_calibration(settings.error_calibration or None)
-        calibration.population(settings.error_population)
+        is_own = settings.error_population == OWN
+        if is_own and settings.follow_error_limit:
+            raise ConfigError(f"error_population: {OWN} takes seconds; with follow_error_limit give a population")
+        if not is_own:
+            calibration.population(settings.error_population)
         check_origin(controller.model)
-        return cls(controller.model.lag, settings.error_population, calibration)
+        return cls(controller.model.lag, settings.error_population, calibration, own_plant(config) if is_own else "")
 
     def predict(self, reference: Reference, config: ControllerConfig) -> PredictedError:
-        """Predict the error; raise ValueError for a reference of no duration, or over two hours."""
+        """Predict the error; raise ValueError for a reference of no duration or over two hours, or of lost drives."""
+        if self.population == OWN:
+            return predict_reference(reference, config, self.plant, _DRAWS)
         return predict_tubes(reference, config, self.lag, self.population, self.calibration)
 
     def summary(self, reference: Reference, config: ControllerConfig) -> str:
@@ -190,7 +211,7 @@ class PredictedErrorPart(NodePart):
         settings = self._settings = tools.part_settings(PredictedErrorSettings)
         self._predictor, self._unpredictable = None, ""
         try:
-            self._predictor = ErrorPredictor.build(tools.controller, settings)
+            self._predictor = ErrorPredictor.build(tools.controller, settings, tools.settings.config)
         except ConfigError:
             raise
         except ValueError as error:
