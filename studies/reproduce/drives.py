@@ -18,12 +18,7 @@ from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.mpc.trajectories import load_segments
 from diffdrive_mpc.sim import make_plant
-from diffdrive_mpc.sim.plants.open_loop import (
-    drive_open_loop,
-    load_command_parameters,
-    random_commands,
-    step_commands,
-)
+from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, load_command_parameters, random_commands, step_commands
 from studies.reproduce.published import PaperRange
 
 StepKind = Literal["wheels", "v", "omega"]

@@ -1,8 +1,9 @@
-"""The figures of `reproduce`: odometry of MBM and SM, FIT of SSM by order, the virtual track."""
+"""The figures of `reproduce`: responses and odometry of MBM and SM, FIT of SSM by order, the virtual track."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +11,17 @@ from matplotlib.axes import Axes
 
 from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, line_style, new_figure
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.load import load_linear_model
+from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.velocity_model import CHANNELS
-from studies.reproduce.drives import QUANTITIES
-from studies.reproduce.mbm_and_sm import COMPARED, SM, MbmSmResult
+from studies.reproduce.drives import QUANTITIES, sampled, trajectory_commands
+from studies.reproduce.mbm_and_sm import COMPARED, MBM, SM, MbmSmResult
 from studies.reproduce.published import load_published
-from studies.reproduce.state_space import PAPERS_ORDER, SsmResult
+from studies.reproduce.state_space import PAPERS_ORDER, SsmResult, as_printed
 from studies.reproduce.virtual_track import TrackLine, VirtualTrackResult
 
 _BAR = 0.16
+_PARTS = {"position": slice(2), "heading": slice(2, 3)}
 
 
 def draw_odometry(results: Sequence[MbmSmResult], path: Path) -> None:
@@ -68,6 +72,57 @@ def _bars(axes: Axes, results: Sequence[MbmSmResult], quantity: str) -> None:
     axes.set(yscale="log", ylabel=f"{quantity} RMSE [{QUANTITIES[quantity]}]", title=quantity)
     axes.set_xticks(range(len(names)), names)
     axes.grid(axis="x", visible=False)
+
+
+def draw_error_maps(results: Sequence[MbmSmResult], path: Path) -> None:
+    """Draw commands and errors along the trajectories of the first repetition; a cross marks the largest error."""
+    maps = list(product(QUANTITIES.items(), (MBM, SM)))
+    with new_figure(path, 12.0, 12.0) as figure:
+        columns = figure.subplots(1 + len(maps), len(results[0].paths), squeeze=False).T
+        for column, (name, paths) in zip(columns, results[0].paths.items(), strict=True):
+            commands = trajectory_commands(name)
+            for label, values, style in zip(("v [m/s]", "omega [rad/s]"), commands.T, ("-", "--"), strict=True):
+                column[0].plot(_times(len(commands)), values, style, label=label)
+            column[0].set(title=name, xlabel="time [s]", ylim=(-1.2, 1.2))
+            sizes = {
+                (quantity, model): np.linalg.norm((paths[model] - paths["driven"])[:, part], axis=1)
+                for (quantity, part), model in product(_PARTS.items(), (MBM, SM))
+            }
+            for axes, ((quantity, unit), model) in zip(column[1:], maps, strict=True):
+                size, poses = sizes[quantity, model], paths[model]
+                largest = max(sizes[quantity, MBM].max(), sizes[quantity, SM].max())
+                axes.plot(*paths["driven"][:, :2].T, color=REFERENCE_COLOUR, linewidth=0.8)
+                shown = axes.scatter(*poses[:, :2].T, c=size, s=5.0, vmin=0.0, vmax=largest)
+                axes.plot(*poses[size.argmax(), :2], "x", color="black")
+                axes.set(title=f"{model}: {size.max():.3f} {unit}", aspect="equal")
+                figure.colorbar(shown, ax=axes, label=f"{quantity} error [{unit}]")
+        columns[0][0].legend(loc="lower left", fontsize=7.0)
+
+
+def draw_responses(results: Sequence[MbmSmResult], path: Path) -> None:
+    """Draw measured and simulated speeds over the held-out steps: the motors by MBM, v and omega by SM."""
+    with new_figure(path, 11.0, 5.6) as figure:
+        grid = figure.subplots(2, 3).flat
+        for axes, (name, speeds) in zip(grid, results[0].responses.items(), strict=False):
+            axes.plot(_times(len(speeds)), speeds, linewidth=1.0, label=("measured", "simulated"))
+            unit, model = ("m/s", "SM") if name == "v" else ("rad/s", "SM" if name in CHANNELS else "MBM")
+            axes.set(title=f"{model}, {name}", xlabel="time [s]", ylabel=f"speed [{unit}]")
+        grid[0].legend(loc="best")
+
+
+def draw_steps(_: Sequence[SsmResult], path: Path) -> None:
+    """Draw the responses of v and omega to unit steps of either command, by the printed matrices of SSM."""
+    dt = load_robot().sample_time
+    model, rows = sampled(as_printed(load_linear_model("ssm")), dt), round(1.2 / dt)
+    with new_figure(path, 9.0, 3.2) as figure:
+        for axes, channel, command in zip(figure.subplots(1, 2), CHANNELS, np.eye(2), strict=True):
+            axes.plot(_times(rows), model.simulate(np.tile(command, (rows, 1))), label=CHANNELS)
+            axes.set(title=f"unit step of {channel}", xlabel="time [s]", ylabel="v [m/s], omega [rad/s]")
+            axes.legend()
+
+
+def _times(count: int) -> FloatArray:
+    return load_robot().sample_time * np.arange(count)
 
 
 def draw_orders(results: Sequence[SsmResult], path: Path) -> None:

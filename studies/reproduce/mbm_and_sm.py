@@ -12,7 +12,7 @@ from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.doubt import lines
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.output_error.experiment import wheel_experiments
+from diffdrive_mpc.models.output_error.experiment import twist_experiments, wheel_experiments
 from diffdrive_mpc.models.output_error.validation import pooled_fit_percent, simulate_experiment, validate
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
@@ -56,6 +56,8 @@ class MbmSmResult:
         By model and trajectory.
     paths
         By trajectory, the driven poses (K, 3) under the name "driven" and those that the models predict.
+    responses
+        By motor and by channel of SM, measured and simulated speeds (K, 2) [rad/s, m/s] over the held-out steps.
     parameters
         By model, the result of the identification.
     warnings
@@ -67,6 +69,7 @@ class MbmSmResult:
     sm_fit: Mapping[str, tuple[float, float]]
     errors: Mapping[str, Mapping[str, PathError]]
     paths: Mapping[str, Mapping[str, FloatArray]]
+    responses: Mapping[str, FloatArray]
     parameters: Mapping[str, Mapping[str, Any]]
     warnings: Mapping[str, tuple[str, ...]]
 
@@ -99,6 +102,7 @@ def compare_mbm_and_sm(study: MbmSmStudy, repetition: int) -> MbmSmResult:
             for model in models
         },
         paths=paths,
+        responses=_responses(own_tracks, sm, held_out),
         parameters={MBM: own_tracks.content, SM: sm.content},
         warnings={MBM: lines(own_tracks.warnings), SM: lines(sm.warnings)},
     )
@@ -112,6 +116,15 @@ def motor_fit(mbm: IdentifiedModel, records: Sequence[Record]) -> tuple[float, .
         pooled_fit_percent([stretch.outputs[:, motor] for stretch in stretches], [y[:, motor] for y in simulated])
         for motor in range(stretches[0].outputs.shape[1])
     )
+
+
+def _responses(mbm: IdentifiedModel, sm: IdentifiedModel, steps: Mapping[Any, list[Record]]) -> dict[str, FloatArray]:
+    motors = [(motor, mbm.fits[0].system, wheel_experiments(steps["wheels"]), k) for k, motor in enumerate(_MOTORS)]
+    channels = [(name, sm.system, twist_experiments(steps[name]), k) for k, name in enumerate(CHANNELS)]
+    return {
+        name: np.vstack([np.stack([run.outputs[:, k], simulate_experiment(system, run)[:, k]], 1) for run in runs])
+        for name, system, runs, k in motors + channels
+    }
 
 
 def _fit(sm: IdentifiedModel, records: Sequence[Record], channel: int) -> float:
@@ -198,7 +211,12 @@ def _compared(ours: FloatArray, theirs: FloatArray, unit: str) -> str:
     return f"{np.sum(ours < theirs)} of {len(ours)}; mean {a:.3f} against {b:.3f} {unit} ({100 * (a / b - 1):+.0f} %)"
 
 
-def fit_table(results: Sequence[MbmSmResult], published: Published) -> Table:
+def mbm_sm_tables(results: Sequence[MbmSmResult], published: Published) -> list[Table]:
+    """Tabulate FIT, and position and heading errors by trajectory and statistic."""
+    return [_fit_table(results, published), *(_odometry(results, published, quantity) for quantity in QUANTITIES)]
+
+
+def _fit_table(results: Sequence[MbmSmResult], published: Published) -> Table:
     """Tabulate FIT of the four motors and of both channels of SM."""
     motors = {name: np.mean([result.motor_fit[name] for result in results], axis=0) for name in DATA}
     channels = {name: np.mean([result.sm_fit[name] for result in results], axis=0) for name in DATA}
@@ -217,11 +235,6 @@ def fit_table(results: Sequence[MbmSmResult], published: Published) -> Table:
     )
     columns = ("model", "output", "published", *DATA)
     return Table("FIT of motors and of SM", columns, tuple(rows), text_columns=2, note=note)
-
-
-def odometry_tables(results: Sequence[MbmSmResult], published: Published) -> list[Table]:
-    """Tabulate position and heading errors by trajectory and statistic."""
-    return [_odometry(results, published, quantity) for quantity in QUANTITIES]
 
 
 def _odometry(results: Sequence[MbmSmResult], published: Published, quantity: str) -> Table:

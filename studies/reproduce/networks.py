@@ -19,21 +19,9 @@ from diffdrive_mpc.models.structures.ssm import identify_ssm
 from diffdrive_mpc_extras.networks.finding import simulate_records
 from diffdrive_mpc_extras.networks.network import Architecture, Network, divided, fit_percent, rmse, windows_of
 from diffdrive_mpc_extras.networks.training import train, training_settings
-from studies.reproduce.drives import (
-    QUANTITIES,
-    STATISTICS,
-    RobotLogs,
-    dead_reckon,
-    pose_error,
-)
+from studies.reproduce.drives import QUANTITIES, STATISTICS, RobotLogs, dead_reckon, pose_error
 from studies.reproduce.published import NetworkStudy, PaperFinding, Published, PublishedNetwork, each
-from studies.reproduce.state_space import (
-    FIT_COLUMNS,
-    PAPERS_ORDER,
-    FreeDrive,
-    VelocityFit,
-    free_drive,
-)
+from studies.reproduce.state_space import FIT_COLUMNS, PAPERS_ORDER, FreeDrive, VelocityFit, free_drive
 
 SSM, LSTM, LONGER = "SSM", "LSTM", "LSTM, trained longer"
 PAPERS_ROW = 2

@@ -18,15 +18,7 @@ from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.structures.orders import OrderRow
 from diffdrive_mpc.models.structures.ssm import choose_order, identify_ssm
 from diffdrive_mpc.models.velocity_model import VelocityModel
-from studies.reproduce.drives import (
-    QUANTITIES,
-    STATISTICS,
-    PathError,
-    RobotLogs,
-    pose_error,
-    predict_path,
-    sampled,
-)
+from studies.reproduce.drives import QUANTITIES, STATISTICS, PathError, RobotLogs, pose_error, predict_path, sampled
 from studies.reproduce.published import PaperFinding, Published, SsmStudy, each
 
 PAPERS_ORDER = 2
@@ -121,7 +113,7 @@ def compare_orders(study: SsmStudy, repetition: int) -> SsmResult:
 
 
 def _predicted(identified: IdentifiedModel, drives: Sequence[Record]) -> dict[str, tuple[FreeDrive, ...]]:
-    systems = {IDENTIFIED: identified.system, PRINTED: _as_printed(load_linear_model("ssm"))}
+    systems = {IDENTIFIED: identified.system, PRINTED: as_printed(load_linear_model("ssm"))}
     return {name: tuple(free_drive(system, drive) for drive in drives) for name, system in systems.items()}
 
 
@@ -153,7 +145,7 @@ def _pair(values: Sequence[float] | np.ndarray) -> Pair:
     return v, omega
 
 
-def _as_printed(model: VelocityModel) -> LinearSystem:
+def as_printed(model: VelocityModel) -> LinearSystem:
     """Convert a published model for the comparison with logs, without sensor offset and limit."""
     return LinearSystem(model.A, model.B, model.C, model.dead_time, np.zeros(2), np.full((2, 4), np.inf))
 
@@ -245,7 +237,7 @@ def _free_drives(where: str, results: Sequence[Sequence[FreeDrive]], published: 
     )
 
 
-def order_table(results: Sequence[SsmResult], published: Published) -> Table:
+def _order_table(results: Sequence[SsmResult], published: Published) -> Table:
     """Tabulate FIT and RMSE by order, on held-out drives."""
     rows = []
     for k, first in enumerate(results[0].orders):
@@ -264,9 +256,10 @@ def order_table(results: Sequence[SsmResult], published: Published) -> Table:
     return Table("SSM by order", ("order", *on_test, *on_train), tuple(rows), note=note)
 
 
-def free_drive_tables(results: Sequence[SsmResult], published: Published) -> list[Table]:
-    """Tabulate velocity and odometry on free drives, ours and those as fast as the paper's, with its experiments."""
+def ssm_tables(results: Sequence[SsmResult], published: Published) -> list[Table]:
+    """Tabulate orders, and velocity and odometry on free drives, ours and those as fast as the paper's."""
     return [
+        _order_table(results, published),
         *_drive_tables("free drives", [result.free_drives for result in results], published),
         *_drive_tables(_FAST, [result.full_range for result in results], published),
     ]

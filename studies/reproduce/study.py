@@ -13,14 +13,7 @@ from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.runner import run_tasks
 from diffdrive_mpc.bench.study import Draw, Report, Study, check_parts
 from diffdrive_mpc.bench.table import Table
-from studies.reproduce import (
-    cost,
-    drive_models,
-    mbm_and_sm,
-    networks,
-    state_space,
-    virtual_track,
-)
+from studies.reproduce import cost, drive_models, mbm_and_sm, networks, state_space, virtual_track
 from studies.reproduce.published import PARTS, PaperFinding, Published, ReproduceSettings, load_published
 from studies.reproduce.virtual_track import DrivenTrack
 
@@ -124,11 +117,11 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         )
 
     def report(self, results: ReproduceResults, seconds: float) -> Report:
-        """Report findings with their verdicts first, and every result except paths, which would fill the file."""
+        """Report findings with their verdicts first, and results without paths and responses, which fill the file."""
         parts = [part for part in PARTS if getattr(results, part)]
         written = plain(results)
         for result in written["mbm_sm"]:
-            del result["paths"]
+            del result["paths"], result["responses"]
         findings = find(results)
         repetitions = ", ".join(map(str, self.settings.repetitions))
         where = f"plant mujoco, surface default, sensors default, repetitions {repetitions}"
@@ -151,20 +144,8 @@ def report_tables(results: ReproduceResults, findings: Table) -> list[Table]:
     published = load_published()
     rows = [row for rows in results.rows for row in rows.rows]
     shown: list[tuple[Any, Callable[[Any, Published], list[Table]]]] = [
-        (
-            results.mbm_sm,
-            lambda part, published: [
-                mbm_and_sm.fit_table(part, published),
-                *mbm_and_sm.odometry_tables(part, published),
-            ],
-        ),
-        (
-            results.ssm,
-            lambda part, published: [
-                state_space.order_table(part, published),
-                *state_space.free_drive_tables(part, published),
-            ],
-        ),
+        (results.mbm_sm, mbm_and_sm.mbm_sm_tables),
+        (results.ssm, state_space.ssm_tables),
         (rows, lambda part, published: [networks.row_table(part, published)]),
         (results.lstm, networks.beside_tables),
         (results.cost, lambda part, published: [cost.cost_table(part, published)]),
@@ -181,7 +162,10 @@ def _drawings(results: ReproduceResults) -> dict[str, Draw]:
 
     shown: dict[str, tuple[Any, Callable[[Any, Path], None]]] = {
         "odometry.png": (results.mbm_sm, figures.draw_odometry),
+        "error-maps.png": (results.mbm_sm, figures.draw_error_maps),
+        "responses.png": (results.mbm_sm, figures.draw_responses),
         "orders.png": (results.ssm, figures.draw_orders),
+        "ssm-steps.png": (results.ssm, figures.draw_steps),
         "virtual-track.png": (results.virtual_track, figures.draw_virtual_track),
     }
     return {name: partial(draw, part) for name, (part, draw) in shown.items() if part}

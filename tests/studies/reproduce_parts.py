@@ -34,6 +34,7 @@ def mbm_sm(repetition: int = 1, *, mbm: float = 0.1, tracks: float = 0.2, sm: fl
             model: {name: pose_error(size / (k + 1)) for k, name in enumerate(NAMES)} for model, size in sizes.items()
         },
         "paths": {name: dict.fromkeys(("driven", *COMPARED), path) for name in NAMES},
+        "responses": {"front left": path[:, :2], "v": path[:, :2]},
         "parameters": {"MBM": {"dead_time": 0.05}},
         "warnings": {"MBM": ("doubt",)},
     }

@@ -72,7 +72,7 @@ def test_an_exchange_explains_what_few_others_do_and_what_the_radii_side_with(ch
     assert verdict(replace(results, virtual_track=not_given), "exchanged by mistake") == "no"
 
 
-FIGURES = ("odometry.png", "orders.png", "virtual-track.png")
+FIGURES = ("odometry.png", "error-maps.png", "responses.png", "orders.png", "ssm-steps.png", "virtual-track.png")
 
 
 @pytest.fixture(scope="module")
