@@ -76,17 +76,17 @@ def inside(name: str, origin: str, count: int, seconds: float, keep: Path, scrat
     logging.disable(logging.CRITICAL)
     fuzzer, cases, faults = FUZZERS[name], 0, dict[str, tuple[Case, BaseException]]()
 
-    def begin(case: Case) -> None:
+    def note_start(case: Case) -> None:
         nonlocal cases
         cases += 1
         Path(scratch, "case.json").write_text(json.dumps(case))
 
-    def note(case: Case, error: BaseException) -> None:
+    def note_fault(case: Case, error: BaseException) -> None:
         frames = traceback.extract_tb(error.__traceback__)
         faults[f"{type(error).__name__} in {frames[-1].name}, line {frames[-1].lineno}"] = case, error
 
     try:
-        search(fuzzer, origin, count, seconds, begin, note)
+        search(fuzzer, origin, count, seconds, note_start, note_fault)
     except Exception as error:
         traceback.print_exception(error)
         for where, (case, fault) in faults.items():

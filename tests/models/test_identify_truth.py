@@ -35,22 +35,28 @@ def agrees(parameters, truth, within=4.0):
         assert off < within, f"{name}: {off:.1f} standard deviations"
 
 
-def test_a_log_cut_anywhere_and_shifted_in_time_gives_the_same_model():
-    whole = noisy_drive(SM, 2)
-    parts = [whole.part(0, 1700), whole.part(1700, 3000)]
-    moved = Record("moved", whole.start + 1e4, DT, whole.command, twist=whole.twist, yaw_rate=whole.yaw_rate)
-    single, split, later = (identify_sm(records, limits=False).parameters for records in ([whole], parts, [moved]))
+@pytest.fixture(scope="module")
+def whole():
+    """A drive, and the parameters identified from it in one piece."""
+    drive = noisy_drive(SM, 2, count=1960)
+    return drive, identify_sm([drive], limits=False).parameters
+
+
+def test_a_log_cut_anywhere_and_shifted_in_time_gives_the_same_model(whole):
+    drive, single = whole
+    parts = [drive.part(0, 1100), drive.part(1100, 1960)]
+    moved = Record("moved", drive.start + 1e4, DT, drive.command, twist=drive.twist, yaw_rate=drive.yaw_rate)
+    split, later = (identify_sm(records, limits=False).parameters for records in (parts, [moved]))
     assert later.values.tolist() == single.values.tolist()
     assert split.values.tolist() == single.values.tolist()
 
 
 @pytest.mark.parametrize("offset", [0, 37])
-def test_stretches_whose_past_is_not_known_give_the_same_model(offset):
+def test_stretches_whose_past_is_not_known_give_the_same_model(offset, whole):
     """Cut at every step of the command, or just before it; in any order."""
-    whole = noisy_drive(SM, 2)
-    edges = [0, *range(40 + offset, 3000, 120), 3000]
-    parts = [whole.part(first, stop) for first, stop in pairwise(edges)][::-1]
-    single, split = (identify_sm(records, limits=False).parameters for records in ([whole], parts))
+    drive, single = whole
+    edges = [0, *range(40 + offset, 1960, 120), 1960]
+    split = identify_sm([drive.part(*ends) for ends in pairwise(edges)][::-1], limits=False).parameters
     # A third of the commands before a step is gone: what they taught is, too.
     assert np.abs((split.values - single.values) / split.standard_deviation).max() < 3.0
 
@@ -100,7 +106,7 @@ def test_coloured_noise_is_worth_fewer_samples():
 
 
 def test_a_limit_of_the_base_is_found_where_there_is_one():
-    limited, free = (noisy_drive(SM, 7, limit=limit) for limit in (0.9, np.inf))
+    limited, free = (noisy_drive(SM, 7, count=1500, limit=limit) for limit in (0.9, np.inf))
     identified = identify_sm([limited])
     assert set(identified.limits) == {"omega"}
     agrees(identified.parameters, {**SM_TRUTH, "omega.left": 0.9, "omega.right": 0.9})
@@ -136,12 +142,12 @@ def test_ssm_finds_the_published_model():
 @pytest.fixture(scope="module")
 def ladder():
     """A drive of the published SSM, and models of orders 1 to 4 identified from it."""
-    drive = noisy_drive(published_ssm(), 15, count=1500)
+    drive = noisy_drive(published_ssm(), 15, count=1000)
     return drive, identify_ssm_orders([drive], 4, limits=False)
 
 
 def test_the_order_of_a_second_order_robot_is_two(ladder):
-    (train, models), held_out = ladder, noisy_drive(published_ssm(), 16, count=1000)
+    (train, models), held_out = ladder, noisy_drive(published_ssm(), 16, count=700)
     choice = compare_orders(models, [train], [held_out], "gyro", requested=None)
     assert choice.order == 2
     elsewhere = replace(held_out, twist=-held_out.twist)

@@ -2,7 +2,6 @@
 
 import math
 import os
-import re
 import signal
 import time
 from contextlib import suppress
@@ -257,17 +256,6 @@ def test_refused_reference_is_a_warning_until_one_is_accepted():
         assert status().message == "IDLE: reference refused: it has 1 poses; give 2 to 1000, further apart if need be"
         s.loop.offer(load_trajectory("circle"))
         assert (status().level, status().message) == (DiagnosticStatus.OK, "IDLE")
-
-
-def test_late_robot_is_a_warning_that_names_its_limit():
-    with stack(drive=True) as s:
-        s.base.run(20)
-        with pytest.warns(UserWarning, match="will be late"):
-            s.loop._controller.update(limits={"v": 0.2})
-        s.base.run(60)
-        status = diagnostics("robot", 0, "active", s.loop).status[0]
-        assert (s.loop.last.mode, status.level) == (Mode.TRACKING, DiagnosticStatus.WARN)
-        assert re.fullmatch(r"LATE: the reference waits, \d\.\d s late; at limits\.v", status.message)
 
 
 def test_control_loop_runs_while_a_reference_is_read():

@@ -8,14 +8,12 @@ import pytest
 import rclpy
 from hypothesis import given
 from hypothesis import strategies as st
-from lifecycle_msgs.msg import Transition
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParametersAtomically
 from rclpy.context import Context
 from rclpy.parameter import Parameter
-from ros_parts import CONFIG, stack
+from ros_parts import stack
 
-from diffdrive_mpc import Controller
 from diffdrive_mpc.models.checked_yaml import ConfigError, check
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.ros.main import main
@@ -85,71 +83,6 @@ def test_every_field_is_a_parameter_with_type_text_and_range():
         progress = described[sorted(FIELDS).index("expert.reentry.max_progress")]
         assert (progress.floating_point_range[0].from_value, progress.floating_point_range[0].to_value) == (1.0, 2.0)
         assert progress.additional_constraints == "greater than 1"
-
-
-def test_weights_and_limits_change_between_two_ticks(capfd):
-    with stack(drive=True) as s:
-        s.base.run(40)
-        assert set_over_dds(s, limits__v=0.3, weights__across=300.0).successful
-        warned = capfd.readouterr().err
-        assert warned.count("the robot will be late: reference") == 1
-        assert "is more than limits.v = 0.3" in warned
-        assert s.node._controller.config.limits.v == CONFIG.limits.v
-        s.base.run(1)
-        assert s.node._controller.config.limits.v == 0.3
-        assert s.node._controller.config.weights.across == 300.0
-        slower = s.base.run(60)
-        assert slower[-1, 0] <= 0.3
-        steps = abs(slower[1:, 0] - slower[:-1, 0])
-        assert (steps <= CONFIG.limits.v_slew * CONFIG.sample_time + 1e-9).all()
-
-
-def test_a_side_of_a_limit_is_a_parameter_of_its_own():
-    with stack(drive=True, **{"limits.v.reverse": 0.2, "limits.v_slew.brake": 1.0}) as s:
-        assert s.node._controller.config.limits.v.sides == (CONFIG.limits.v, 0.2)
-        assert s.node._controller.config.limits.v_slew.sides == (CONFIG.limits.v_slew, 1.0)
-        s.base.run(5)
-        assert set_over_dds(s, limits__v__forward=0.3).successful
-        s.base.run(1)
-        assert s.node._controller.config.limits.v.sides == (0.3, 0.2)
-        assert set_over_dds(s, limits__v__forward=0.0, limits__v=0.5).successful
-        s.base.run(1)
-        assert s.node._controller.config.limits.v.sides == (0.5, 0.2)
-        refused = set_over_dds(s, limits__v__forward=-0.1)
-        assert not refused.successful
-
-
-@pytest.mark.parametrize(
-    ("values", "reason"),
-    [
-        ({"weights__across": -1.0}, "weights.across"),
-        ({"horizon": 20}, "horizon cannot change while the node is active"),
-        ({"weights__across": 200.0, "horizon": 20}, "horizon cannot change"),
-        ({"use_sim_time": False}, "use_sim_time cannot change"),
-    ],
-)
-def test_rejected_change_while_driving_reports_its_reason(values, reason):
-    with stack(drive=True) as s:
-        s.base.run(5)
-        result = set_over_dds(s, **values)
-        assert not result.successful
-        assert reason in result.reason
-        s.base.run(2)
-        assert s.node._controller.config == Controller(CONFIG).config
-
-
-def test_structural_changes_while_inactive_act_on_activation():
-    with stack() as s:
-        assert s.change(Transition.TRANSITION_DEACTIVATE)
-        refused = set_over_dds(s, model="smm")
-        assert not refused.successful
-        assert "unknown model 'smm'" in refused.reason
-        refused = set_over_dds(s, horizon=1, extra_dead_time__v=0.5)
-        assert not refused.successful
-        assert set_over_dds(s, model="sm", horizon=15, stamped=False).successful
-        assert s.change(Transition.TRANSITION_ACTIVATE)
-        assert s.node._controller.config.horizon == 15
-        assert s.node._controller.model.structure == "sm"
 
 
 def test_configuration_file_gives_the_defaults(tmp_path):

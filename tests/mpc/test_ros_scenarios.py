@@ -6,6 +6,7 @@ the slew, braking (the default) or `any`.
 """
 
 import math
+import re
 from functools import reduce
 from pathlib import Path
 
@@ -18,11 +19,14 @@ from geometry_msgs.msg import TwistStamped
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Odometry
+from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
 from ros_parts import CONFIG, DT, stack
 from std_msgs.msg import Empty
 from std_srvs.srv import SetBool
+
+from diffdrive_mpc import Controller
 
 ROWS = yaml.safe_load(Path(__file__).with_name("ros_scenarios.yaml").read_text(encoding="utf-8"))
 LIMITS = CONFIG.limits
@@ -69,7 +73,7 @@ class Scenario:
         assert len(self.base.commands) == before
 
     def odometry(self, change):
-        """Alter entries of odometry, given by dotted names; "lost" and "good" are all messages and none."""
+        """Change entries of odometry, given by dotted names; "lost" drops all messages, "good" changes none."""
 
         def tamper(message):
             for place, value in change.items():
@@ -126,6 +130,19 @@ class Scenario:
     def parameters(self, values):
         self.s.node.set_parameters([Parameter(name, value=value) for name, value in values.items()])
 
+    def set_over_dds(self, values):
+        message = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        request = SetParametersAtomically.Request(parameters=message)
+        result = self.s.call(SetParametersAtomically, "/diffdrive_mpc/set_parameters_atomically", request).result
+        self.message = result.reason
+        return result.successful
+
+    def set(self, values):
+        assert self.set_over_dds(values), self.message
+
+    def refuse_set(self, values):
+        assert not self.set_over_dds(values)
+
     def limit(self, fields):
         from nav2_msgs.msg import SpeedLimit
 
@@ -172,7 +189,7 @@ class Scenario:
     def faster_than(self, v):
         assert self.commands[-1, 0] > v
 
-    def kept(self, v):
+    def slower_than(self, v):
         assert np.abs(self.commands[-20:, 0]).max() <= v + 1e-9
 
     def mode(self, mode):
@@ -209,20 +226,38 @@ class Scenario:
         self.base.until(lambda: text in self.s.loop.warning if text else not self.s.loop.warning, "warning")
 
     def diagnoses(self, row):
-        """Wait for diagnostics with a level, a text, and values."""
-        level, text, *values = row
+        """Wait for diagnostics with a level, a pattern, and values."""
+        level, pattern, *values = row
         self.diagnosed.clear()
 
         def is_reported():
             statuses = [message.status[0] for message in self.diagnosed]
             return any(
                 each.level == getattr(DiagnosticStatus, level)
-                and text in each.message
+                and re.search(pattern, each.message)
                 and {(item.key, item.value) for item in each.values} >= {tuple(value) for value in values}
                 for each in statuses
             )
 
         self.base.until(is_reported, f"diagnostics: {row}")
+
+    def warned_once(self, pattern):
+        assert len(re.findall(pattern, self.capfd.readouterr().err)) == 1
+
+    def configured(self, values):
+        """Check values of the active configuration; `default` is all of it."""
+        config = self.s.node._controller.config
+        if values == "default":
+            assert config == Controller(CONFIG).config
+        else:
+            assert {name: reduce(getattr, name.split("."), config) for name in values} == values
+
+    def structure(self, name):
+        assert self.s.node._controller.model.structure == name
+
+    def sides(self, values):
+        limits = self.s.node._controller.config.limits
+        assert {name: list(getattr(limits, name).sides) for name in values} == values
 
     def within(self, distance):
         assert np.abs(self.base.plant.true_pose[:2]).max() < distance
