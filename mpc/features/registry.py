@@ -17,7 +17,7 @@ def features_of(config: ControllerConfig) -> dict[str, type[Feature]]:
     return dict(sorted(features.items()))
 
 
-def prepared(config: ControllerConfig) -> ControllerConfig:
+def prepare_config(config: ControllerConfig) -> ControllerConfig:
     """Return the configuration with the changes that its features need; raises ConfigError if one cannot be used."""
     for feature in features_of(config).values():
         config = feature.prepare(config)
