@@ -124,11 +124,8 @@ class Controller:
         sizes = problem.sizes
         functions, term_functions = compile_functions(chosen, self._terms)
         self._tick = Tick(sizes, problem.constants(), functions, term_functions)
-        self._kinds, self._max_active, self._soft_names = (
-            HARD_KINDS + sizes["soft"],
-            sizes["max_active"],
-            problem.soft_names,
-        )
+        self._kinds, self._max_active = HARD_KINDS + sizes["soft"], sizes["max_active"]
+        self._soft_names = problem.soft_names
         self._backend = self._make_backend(config)
         self._program = Program(self._tick, config.horizon, self._kinds)
         self._messages = MessageFormatter(self._tick, config)
@@ -687,7 +684,9 @@ class Controller:
             c = self._c_result
             if not c.reasons & self._messages.not_a_new_tick:
                 self._blocked_for = 0.0
-                pursuit.passed(since_start, followed=pending == _NEEDS_BACKEND or c.solver.status != self._not_run)
+                pursuit.record_on_time(
+                    since_start, followed=pending == _NEEDS_BACKEND or c.solver.status != self._not_run
+                )
         elif moved:
             self._blocked_for = 0.0
         refused, solve_time = False, self._c_result.solve_time

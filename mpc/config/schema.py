@@ -113,7 +113,7 @@ class Limits(Group):
     corridor: Positive = Field(0.5, description="soft: predicted distance from the path to either side [m]")
 
     @property
-    def least_radius_of_ways(self) -> float:
+    def min_path_radius(self) -> float:
         """Paths that are laid here turn no tighter [m]; 0: they may turn on the spot."""
         return max(self.min_turn_radius or 0.0, self.min_commanded_radius or 0.0)
 

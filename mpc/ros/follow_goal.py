@@ -202,7 +202,7 @@ def path_limits(config: ControllerConfig, gain: FloatArray, settings: NodeSettin
         omega=limits.omega.map(lambda side: share * omega * side),
         v_acceleration=limits.v_slew.map(lambda rate: slew * v * rate),
         omega_acceleration=limits.omega_slew.map(lambda rate: slew * omega * rate),
-        min_turn_radius=limits.least_radius_of_ways,
+        min_turn_radius=limits.min_path_radius,
     )
 
 

@@ -123,8 +123,8 @@ def scaled_to_robot(
     segments, settings, limits = load_segments(name_or_path), load_settings(), config.limits
     (v_gain, omega_gain), (v_lag, omega_lag) = np.abs(np.diag(model.dc_gain)).tolist(), model.lag.tolist()
     length = config.wheels.encoder_track / load_robot().track
-    if limits.least_radius_of_ways:
-        length = max(length, _ROOM * limits.least_radius_of_ways / _tightest(segments, name_or_path, limits))
+    if limits.min_path_radius:
+        length = max(length, _ROOM * limits.min_path_radius / _tightest(segments, name_or_path, limits))
     # Shares of commands and wheels that each segment would take, were it as long as in the file.
     taken = [
         max(
