@@ -20,7 +20,7 @@ X = np.linspace(0.0, 3.0, 61)
 
 def laid(poses, robot=AT_ORIGIN, limits=LIMITS, **options):
     return lay_poses(
-        np.array(poses, dtype=float), limits, robot=np.array(robot), deviation=DEVIATION, beside=0.08, **options
+        np.array(poses, dtype=float), limits, robot=np.array(robot), deviation=DEVIATION, max_offset=0.08, **options
     )
 
 
