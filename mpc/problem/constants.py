@@ -227,7 +227,7 @@ class Problem:
             "stamp_history": s.history,
             "pose_variance": np.square([s.position_noise, s.position_noise, s.heading_noise]),
             "twist_variance": np.square([s.wheel_speed_noise, s.wheel_yaw_rate_noise, s.yaw_rate_noise]),
-            "sensor_delay": [known.wheels.late, known.yaw_rate.late, known.pose.delay],
+            "sensor_delay": [known.wheels.total_delay, known.yaw_rate.total_delay, known.pose.delay],
             "sensor_scale": np.array([known.wheels.sign, known.wheels.turn_sign, known.yaw_rate.sign])
             * [known.wheels.scale, known.wheels.scale, known.yaw_rate.scale],
             "sensor_heading": known.pose.heading,

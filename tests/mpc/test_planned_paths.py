@@ -186,7 +186,7 @@ def test_path_without_turns_on_the_spot_if_they_are_forbidden():
     [
         (np.zeros((0, 3)), "0 poses"),
         ([(0.0, 0.0, 0.0), (math.nan, 1.0, 0.0)], "pose 1 is not finite"),
-        ([(0.0, 0.0, 0.0), (0.0, 0.0, 0.0)], "one place"),
+        ([(0.0, 0.0, 0.0), (0.0, 0.0, 0.0)], "one position"),
     ],
 )
 def test_unusable_poses_raise_error_in_one_line(poses, words):
