@@ -24,7 +24,7 @@ from diffdrive_mpc.mpc.problem.formulas import (
     arc_move,
     body_twist,
     named_function,
-    softly_limited,
+    soft_limit_values,
     term_symbols,
     tracking_errors,
     turned_tighter,
@@ -127,7 +127,7 @@ def casadi_problem(
     terms = all_terms(config.terms, (*checked_terms(terms), *feature_terms(config)))
     problem = build_problem(config, chosen_model(config, model), terms)
     symbols = _symbols(problem)
-    stage, stage_cost, limited = _stage(problem, symbols), _stage_cost(problem), _limited(problem)
+    stage, stage_cost, limited = _stage(problem, symbols), _stage_cost(problem), _soft_values(problem)
     outputs = _roll_out(problem, symbols, stage, stage_cost, limited)
     horizon = named_function("horizon", symbols, outputs)
     return CasadiProblem(stage, stage_cost, limited, horizon, _nlp(config.weights, symbols, outputs))
@@ -209,11 +209,11 @@ def _stage_cost(problem: Problem) -> ca.Function:
     return named_function("stage_cost", inputs, {"cost": 0.5 * squares})
 
 
-def _limited(problem: Problem) -> ca.Function:
+def _soft_values(problem: Problem) -> ca.Function:
     inputs, limits = term_symbols(problem.sizes["parameters"]), problem.config.limits
     inputs |= {"slip": ca.SX.sym("slip", problem.sizes["slips"]), "direction": ca.SX.sym("direction", 2)}
     half_track = ca.vertcat(inputs["slip"], 0.5 * problem.config.wheels.track)
-    shipped = softly_limited(inputs["pose"], inputs["twist"], inputs["reference"], half_track)
+    shipped = soft_limit_values(inputs["pose"], inputs["twist"], inputs["reference"], half_track)
     turns = [
         turned_tighter(inputs[moves], ca.vertcat(radius, inputs["direction"][row]))
         for row, (moves, radius) in enumerate(

@@ -115,18 +115,18 @@ class TrajectorySettings(StrictModel):
     tolerance: float = Field(gt=0, description="feasible distance from the drive without limits [m]")
     heading_tolerance: float = Field(gt=0, description="feasible difference of heading [rad]")
 
-    def pieces_between(self, points: int, usual: int, least: int, where: str) -> int:
+    def pieces_between(self, points: int, usual: int, minimum: int, where: str) -> int:
         """Return the number of pieces between two of `points`: the usual number, or fewer for very many points.
 
         Raises
         ------
         models.checked_yaml.ConfigError
-            If `least` pieces per point result in more than `max_pieces`; the message begins with `where`.
+            If `minimum` pieces per point result in more than `max_pieces`; the message begins with `where`.
         """
-        max_points = self.max_pieces // least
+        max_points = self.max_pieces // minimum
         if points > max_points:
             raise ConfigError(f"{where}: {points:,} points, at most {max_points:,}; leave some out, or split it")
-        return min(usual, max(least, self.full_pieces // max(1, points - 1)))
+        return min(usual, max(minimum, self.full_pieces // max(1, points - 1)))
 
     def check_pieces(self, count: float, where: str, remedy: str) -> None:
         """Raise ConfigError if a path needs more than `max_pieces`, before the path is computed."""

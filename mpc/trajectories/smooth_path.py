@@ -57,8 +57,8 @@ def smooth_path(
     """
     settings = load_settings()
     if pieces is None:
-        least = settings.least_pieces_per_waypoint
-        pieces = settings.pieces_between(len(waypoints), settings.pieces_per_waypoint, least, where)
+        minimum = settings.least_pieces_per_waypoint
+        pieces = settings.pieces_between(len(waypoints), settings.pieces_per_waypoint, minimum, where)
     chords = np.hypot(*np.diff(waypoints, axis=0).T)
     if chords.min() < _MIN_CHORD:
         index = int(np.argmin(chords))
