@@ -21,7 +21,7 @@ from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference, T
 from diffdrive_mpc.models.load import is_shipped, load_model, model_path
 from diffdrive_mpc.models.plug_ins import known_packages, missing_part
 from diffdrive_mpc.mpc import Controller, ControllerConfig, Trajectory, load_config, load_trajectory
-from diffdrive_mpc.mpc.features.registry import prepared
+from diffdrive_mpc.mpc.features.registry import prepare_config
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.load import load_segments
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
@@ -239,7 +239,7 @@ def controller_config(model: str, config: str | None = None, overrides: Override
     else:
         load_model(model)
         loaded = load_config("ssm", {"model": _model_reference(model), "extra_dead_time": {}, **dict(overrides)})
-    return prepared(loaded)
+    return prepare_config(loaded)
 
 
 def chosen_model(model: str | None, config: Path | None) -> str:

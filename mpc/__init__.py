@@ -1,6 +1,6 @@
 """Controller: reference trajectories, tracking problem, solver, estimator and failure ladder.
 
-Everything is imported on first use: modules next to the controller do not load it.
+Public names are imported on first use, so that other modules of this package do not load the controller.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The nonlinear problem of a tick as CasADi functions, for IPOPT and other solvers.
 
-They are composed of the formulas that the compiled controller runs (`mpc.problem.formulas`).
+The functions are composed of the formulas of the compiled controller (`mpc.problem.formulas`).
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.config_file import load_config
 from diffdrive_mpc.mpc.config.schema import ControllerConfig, Weights
-from diffdrive_mpc.mpc.features.registry import feature_terms, prepared
+from diffdrive_mpc.mpc.features.registry import feature_terms, prepare_config
 from diffdrive_mpc.mpc.problem.build import build_problem, chosen_model
 from diffdrive_mpc.mpc.problem.constants import Problem
 from diffdrive_mpc.mpc.problem.formulas import (
     arc_move,
     body_twist,
     named_function,
-    softly_limited,
+    soft_limit_values,
     term_symbols,
     tracking_errors,
     turned_tighter,
@@ -38,25 +38,26 @@ _UNLIMITED = 1e13
 class CasadiProblem:
     """The problem of a tick: dynamics and cost of a stage, and the horizon of N stages.
 
-    With n states of the velocity model, W commands on their way, S slip parameters (10, or 15 with curved slip), P
-    stage parameters of terms and K kinds of soft limit, the inputs by name are:
+    With n states of the velocity model, W pending commands, S slip parameters (10, or 15 with curved slip), P stage
+    parameters of terms and K kinds of soft limit, the inputs by name are:
 
     ==============  ==============  ====================================================================================
     plan            (2, N)          v_ref [m/s], omega_ref [rad/s] of each step
     state           (n, 1)          states of the velocity model
     pose            (3, 1)          x, y [m], theta [rad]
     slip            (S, 1)          see `mpc.problem.slip`
-    sent            (2, W)          commands sent before, oldest first
+    sent            (2, W)          pending commands, oldest first
     late            (2, 1)          estimated delays of v_ref and omega_ref beyond the model [samples]
-    last_command    (2, 1)          command from which the first increment counts
-    reference       (4, N + 1)      x, y [m], theta [rad] to aim at, and the heading [rad] to hold
-    feed_forward    (2, N + 1)      commands from which deviations count; the first is that of the last tick
-    ahead           (1, N)          distance of the turning point ahead of the origin on each arc [m], held constant
-    direction       (2, N)          1 or -1 (backwards) of the reference at the end of a step, and a lag after it
+    last_command    (2, 1)          command before the first increment
+    reference       (4, N + 1)      x, y [m], theta [rad] of the targets, and the heading [rad] to hold
+    feed_forward    (2, N + 1)      commands from which deviations are penalised; the first is that of the last tick
+    ahead           (1, N)          distance of the turning point ahead of the origin on each arc [m], a constant
+    direction       (2, N)          1 or -1 (backwards) of the reference at the end of a step, and one lag later
     parameters      (P, N + 1)      stage parameters of the terms
     ==============  ==============  ====================================================================================
 
-    Poses follow by exact arcs with the mean of the twists at their ends (Guffanti et al., Sensors 2025, 25(11), 3553).
+    Poses follow from exact arcs with the mean of the twists at their ends (Guffanti et al., Sensors 2025, 25(11),
+    3553).
     A linear model is x' = A x + B0 u[k - d] + B1 u[k - d - 1], see `models.discrete_model`.
 
     Attributes
@@ -69,13 +70,13 @@ class CasadiProblem:
         previous_feed_forward (2, 1), terminal) to `cost` [-], at the end of a stage; `terminal` multiplies the weights
         of the errors.
     limited
-        (pose, twist, command, reference (4, 1), parameters (P, 1), slip, direction (2, 1)) to `values` (K, 1) that have
-        soft limits.
+        (pose, twist, command, reference (4, 1), parameters (P, 1), slip, direction (2, 1)) to `values` (K, 1) with soft
+        limits.
     horizon
-        (plan and all inputs above) to `cost` without penalties, `hard` (4, N): v_ref, omega_ref and their increments,
-        the first from zero, `soft` (K, N), `poses` (3, N + 1) and `twists` (2, N + 1).
+        (plan and all inputs above) to `cost` without penalties, `hard` (4, N): v_ref, omega_ref and their increments
+        (the first relative to zero), `soft` (K, N), `poses` (3, N + 1) and `twists` (2, N + 1).
     nlp
-        `x`, `p`, `f`, `g` for `casadi.nlpsol`. `x` is the plan step by step, then K N excesses over upper and K N under
+        `x`, `p`, `f`, `g` for `casadi.nlpsol`. `x` is the plan step by step, then K N violations of upper and K N of
         lower soft limits; f includes their penalty.
     """
 
@@ -86,7 +87,7 @@ class CasadiProblem:
     nlp: dict[str, ca.SX]
 
     def arguments(self, inputs: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-        """Return `p`, `lbx`, `lbg` and `ubg` of a call of the solver, and a start `x0`.
+        """Return the arguments of a call of the solver: `p`, `lbx`, `lbg`, `ubg`, and the initial guess `x0`.
 
         Parameters
         ----------
@@ -113,20 +114,20 @@ def casadi_problem(
     terms: Sequence[Term] = (),
     **overrides: object,
 ) -> CasadiProblem:
-    """Return the nonlinear problem of a tick; the arguments are those of `Controller`.
+    """Build the nonlinear problem of a tick; the arguments are those of `Controller`.
 
-    `Controller.problem_inputs` returns the numbers of a tick.
+    `Controller.problem_inputs` returns the input values of a tick.
 
     Raises
     ------
     ConfigError
-        Like `Controller`.
+        As for `Controller`.
     """
-    config = prepared(load_config(config, overrides))
+    config = prepare_config(load_config(config, overrides))
     terms = all_terms(config.terms, (*checked_terms(terms), *feature_terms(config)))
     problem = build_problem(config, chosen_model(config, model), terms)
     symbols = _symbols(problem)
-    stage, stage_cost, limited = _stage(problem, symbols), _stage_cost(problem), _limited(problem)
+    stage, stage_cost, limited = _stage(problem, symbols), _stage_cost(problem), _soft_values(problem)
     outputs = _roll_out(problem, symbols, stage, stage_cost, limited)
     horizon = named_function("horizon", symbols, outputs)
     return CasadiProblem(stage, stage_cost, limited, horizon, _nlp(config.weights, symbols, outputs))
@@ -165,7 +166,7 @@ def _next_state(problem: Problem, state: ca.SX, sent: ca.SX, late: ca.SX) -> ca.
     ages = range(problem.sizes["spare"] + 1 + (problem.sizes["spare"] > 0))
 
     def acting(channel: int, lag: int) -> ca.SX:
-        """Interpolate between the commands that are older by the estimated delay."""
+        """Interpolate the command that was sent earlier by the estimated delay."""
         first = newest - lag - int(model.delay[channel])
         return ca.SX(sum(ca.fmax(0, 1 - ca.fabs(late[channel] - age)) * sent[channel, first - age] for age in ages))
 
@@ -208,11 +209,11 @@ def _stage_cost(problem: Problem) -> ca.Function:
     return named_function("stage_cost", inputs, {"cost": 0.5 * squares})
 
 
-def _limited(problem: Problem) -> ca.Function:
+def _soft_values(problem: Problem) -> ca.Function:
     inputs, limits = term_symbols(problem.sizes["parameters"]), problem.config.limits
     inputs |= {"slip": ca.SX.sym("slip", problem.sizes["slips"]), "direction": ca.SX.sym("direction", 2)}
     half_track = ca.vertcat(inputs["slip"], 0.5 * problem.config.wheels.track)
-    shipped = softly_limited(inputs["pose"], inputs["twist"], inputs["reference"], half_track)
+    shipped = soft_limit_values(inputs["pose"], inputs["twist"], inputs["reference"], half_track)
     turns = [
         turned_tighter(inputs[moves], ca.vertcat(radius, inputs["direction"][row]))
         for row, (moves, radius) in enumerate(

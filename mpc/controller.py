@@ -1,7 +1,7 @@
-"""The controller: passes measurements to the compiled tick and returns its result as arrays and messages.
+"""The controller: it passes measurements to the compiled tick and returns the result as arrays and messages.
 
-`mpc/core/tick.c` implements the tick. This module does the parts that suit Python: configuration, sampling of models,
-re-entry, the solver backends that the tick may request, and message text.
+`mpc/core/tick.c` implements the tick. This module implements configuration, sampling of models, re-entry, the solver
+backends that the tick may request, and message texts.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from diffdrive_mpc.mpc.core.generate import compile_functions
 from diffdrive_mpc.mpc.core.tick import Tick
 from diffdrive_mpc.mpc.estimate import Belief, Estimate
 from diffdrive_mpc.mpc.features.feature import Feature, Host
-from diffdrive_mpc.mpc.features.registry import feature_terms, features_of, prepared
+from diffdrive_mpc.mpc.features.registry import feature_terms, features_of, prepare_config
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.messages import MessageFormatter
 from diffdrive_mpc.mpc.problem.build import chosen_model, is_from_file, sampled_model
@@ -52,28 +52,28 @@ from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds, checked_ref
 
 _CHANGEABLE = ("weights", "limits")
 _EXAMPLES = {"weights": "across", "limits": "v"}
-# Of ddmpc_pending.
+# Values of ddmpc_pending.
 _NEEDS_TARGET, _NEEDS_BACKEND = 1, 2
-_FASTEST = 1e6
-"""Beyond any robot [m/s, rad/s]; squares of commands that were applied stay far from overflow."""
+_MAX_COMMAND = 1e6
+"""Maximum size of applied commands [m/s, rad/s], beyond any robot; their squares do not overflow."""
 
 
 @dataclass
-class _Predicted:
-    """Prediction model of the controller, with its constants."""
+class _PredictionModel:
+    """Prediction model of the controller, with its sampled form and its feed-forward."""
 
     model: VelocityModel | NonlinearModel
     sampled: DiscreteModel | NonlinearModel
     feed_forward: FeedForward
 
     @classmethod
-    def by(cls, model: VelocityModel | NonlinearModel, dt: float) -> _Predicted:
+    def from_model(cls, model: VelocityModel | NonlinearModel, dt: float) -> _PredictionModel:
         return cls(model, sampled_model(model, dt), FeedForward.from_model(model, dt))
 
 
 @dataclass
-class _Prepared:
-    """A configuration and everything built from it, ready for the next step to apply."""
+class _PendingUpdate:
+    """A new configuration and the objects built from it, which the next step applies."""
 
     config: ControllerConfig
     constants: tuple[Any, list[FloatArray]]
@@ -81,17 +81,17 @@ class _Prepared:
 
 
 class Controller:
-    """Tracks a timed reference with a velocity model.
+    """Model-predictive controller that tracks a timed reference.
 
     Parameters
     ----------
     config
-        The configuration, or anything that `load_config` accepts, such as "ssm".
+        The configuration, or any other argument of `load_config`, such as "ssm".
     model
-        A velocity model, or its name or path, used instead of the configuration's. The configuration's extra dead time
-        is not added to it.
+        A velocity model, or its name or path, which replaces that of the configuration. The configuration's extra dead
+        time is not added to it.
     terms
-        Cost terms and soft limits in addition to those that the configuration names, see `mpc.problem.terms`.
+        Cost terms and soft limits in addition to those of the configuration, see `mpc.problem.terms`.
     overrides
         Values of the configuration, such as ``horizon=20``; dotted keys as ``**{"weights.across": 200.0}``.
 
@@ -100,9 +100,9 @@ class Controller:
     ConfigError, ModelError, ValueError
         If the model cannot be loaded or used, or the horizon is too short for the dead time.
     NotCompiledError
-        If there is no compiled core, and no compiler to make one.
+        If there is no compiled core, and no compiler.
     ArgumentError
-        If an argument is of another type.
+        If an argument has a wrong type.
     """
 
     def __init__(
@@ -112,19 +112,20 @@ class Controller:
         terms: Sequence[Term] = (),
         **overrides: object,
     ) -> None:
-        config, terms = prepared(load_config(config, overrides)), checked_terms(terms)
-        self._given = model, terms
+        config, terms = prepare_config(load_config(config, overrides)), checked_terms(terms)
+        self._arguments = model, terms
         self._speed_limit: float | None = None
         self._terms = all_terms(config.terms, (*terms, *feature_terms(config)))
         dt, chosen = config.sample_time, chosen_model(config, model)
-        self._predicted = _Predicted.by(chosen, dt)
+        self._predicted = _PredictionModel.from_model(chosen, dt)
         self._config = config = with_increments(config, self._predicted.sampled)
         self._features: dict[str, Feature] = {name: kind(config, chosen) for name, kind in features_of(config).items()}
         problem = self._problem(config)
         sizes = problem.sizes
         functions, term_functions = compile_functions(chosen, self._terms)
         self._tick = Tick(sizes, problem.constants(), functions, term_functions)
-        self._kinds, self._room, self._soft_names = HARD_KINDS + sizes["soft"], sizes["max_active"], problem.soft_names
+        self._kinds, self._max_active = HARD_KINDS + sizes["soft"], sizes["max_active"]
+        self._soft_names = problem.soft_names
         self._backend = self._make_backend(config)
         self._program = Program(self._tick, config.horizon, self._kinds)
         self._messages = MessageFormatter(self._tick, config)
@@ -132,7 +133,7 @@ class Controller:
         self._pursuit = Pursuit(
             config, self._tick.stray, lambda: costliest_limit(self._program, self._config, self._soft_names)
         )
-        self._pending: _Prepared | None = None
+        self._pending: _PendingUpdate | None = None
         self._reference: Reference | None = None
         self._t0 = 0.0
         self._blocked_for = 0.0
@@ -147,20 +148,20 @@ class Controller:
         )
         for feature in self._features.values():
             feature.attach(self._host)
-        # Looked up once: each attribute access on the C library costs as much as a small computation.
+        # Look these up once, since each attribute access on the C library takes as long as a small computation.
         self._step, self._c, self._c_result = self._tick.lib.ddmpc_step, self._tick.c, self._tick.result
         self._input = self._tick.input.struct
         self._not_run: int = self._tick.lib.DDMPC_QP_NOT_RUN
 
     @property
     def operations_bound(self) -> int:
-        """Return an upper bound of `step.solver.operations`, which follows from the horizon and the kinds of limit."""
+        """Upper bound of `step.solver.operations`, computed from the horizon and the kinds of limit."""
         N = self._config.horizon
-        return int(self._tick.lib.ddmpc_operations_bound(N, self._kinds, self._room))
+        return int(self._tick.lib.ddmpc_operations_bound(N, self._kinds, self._max_active))
 
     def _problem(self, config: ControllerConfig) -> Problem:
         predicted = self._predicted
-        limited, from_file = _limited(config, self._speed_limit), is_from_file(predicted.model)
+        limited, from_file = _with_speed_limit(config, self._speed_limit), is_from_file(predicted.model)
         return Problem(limited, predicted.sampled, predicted.feed_forward, self._terms, from_file)
 
     def _make_backend(self, config: ControllerConfig) -> Backend:
@@ -180,10 +181,10 @@ class Controller:
         )
 
     def __getstate__(self) -> dict[str, object]:
-        """State to rebuild it in a process pool: configuration, model, terms, reference; no drive in progress."""
+        """Return the state for a process pool: configuration, model, terms and reference; no drive in progress."""
         return {
             "config": self._pending.config if self._pending else self._config,
-            "given": self._given,
+            "arguments": self._arguments,
             "parameters": self._tick.parameters.copy(),
             "speed_limit": self._speed_limit,
             "reference": self._reference,
@@ -193,18 +194,18 @@ class Controller:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Rebuild the controller in another process, in its state after `start`."""
-        Controller.__init__(self, state["config"], *state["given"])
+        Controller.__init__(self, state["config"], *state["arguments"])
         self._tick.parameters[:] = state["parameters"]
         self.limit_speed(state["speed_limit"])
         for name, feature_state in state["features"].items():
             self._features[name].restore(feature_state)
         if state["reference"] is not None:
-            # The reference was accepted at the start; limits tightened during the drive do not end it.
+            # The reference was checked at the start, so it is not checked against limits that were tightened later.
             self._begin(state["reference"], state["t0"])
 
     @property
     def config(self) -> ControllerConfig:
-        """The configuration in force, with numbers for the weights that follow from the margin."""
+        """The current configuration, including values for the weights that are derived from the margin."""
         return self._config
 
     @property
@@ -214,12 +215,12 @@ class Controller:
 
     @property
     def model(self) -> VelocityModel | NonlinearModel:
-        """The velocity model, extra dead time included."""
+        """The velocity model, including the extra dead time."""
         return self._predicted.model
 
     @property
     def program(self) -> Program:
-        """The quadratic program of the last tick that came as far as one; it shares the core's memory."""
+        """The quadratic program of the last tick that set one up; it shares the core's memory."""
         return self._program
 
     def quadratic_program(self, plan: ArrayLike | None = None) -> QuadraticProgram:
@@ -228,17 +229,17 @@ class Controller:
         Parameters
         ----------
         plan
-            (N, 2) commands v_ref [m/s], omega_ref [rad/s] to linearise along; None: those of the last linearisation.
+            (N, 2) commands v_ref [m/s], omega_ref [rad/s] to linearise along; None: keep the last linearisation.
 
         Raises
         ------
         RuntimeError
-            If no tick has stated one yet; with `plan`, if the last step has no fresh plan.
+            If no tick has set up a program yet; with `plan`, if the last step has no fresh plan.
         ValueError
             If the plan is not N pairs of finite numbers.
         """
         if not self._program.H.any():
-            raise RuntimeError("no tick has stated a program yet: call start and step first")
+            raise RuntimeError("no tick has set up a program yet: call start and step first")
         if plan is not None:
             self._fresh_estimate()
             pairs = _pairs(plan)
@@ -248,9 +249,9 @@ class Controller:
         return quadratic_program(self._program, self._config.weights, self._soft_names)
 
     def problem_inputs(self) -> dict[str, FloatArray]:
-        """Return the inputs of `CasadiProblem` at the last tick, in its shapes.
+        """Return the inputs of `CasadiProblem` at the last tick, with its names and shapes.
 
-        Turning points and bounds are those along the plan of the last linearisation, see `quadratic_program`.
+        Turning points and bounds are those of the last linearisation, see `quadratic_program`.
 
         Raises
         ------
@@ -283,14 +284,14 @@ class Controller:
 
     @property
     def reference(self) -> Reference | None:
-        """The reference being tracked."""
+        """The current reference."""
         return self._reference
 
     @property
     def planned_delay(self) -> float:
-        """Planned delay of the reference [s]: waiting for the robot, speed limits and obstacles.
+        """Planned delay of the reference by waiting for the robot, speed limits and obstacles [s].
 
-        Part of `reference_delay` of a step. The lag of the robot itself is not included.
+        It is a part of `reference_delay` of a step. The lag of the robot is not included.
         """
         return self._pursuit.planned_delay
 
@@ -300,12 +301,12 @@ class Controller:
         return MappingProxyType(self._features)
 
     def feature(self, name: str) -> Any:  # noqa: ANN401 - each feature has its own methods
-        """Return an attached feature by its name, for its own methods.
+        """Return an attached feature by its name.
 
         Raises
         ------
         ConfigError
-            If the configuration does not enable it; the message names the package if it is not installed.
+            If the configuration does not enable the feature; the message names the package if it is not installed.
         """
         if name in self._features:
             return self._features[name]
@@ -320,7 +321,7 @@ class Controller:
         Raises
         ------
         RuntimeError
-            If there is no estimate: no step was taken, or none since the last `start` had a pose.
+            If there is no estimate: no step since the last `start` had a pose.
         """
         pose = self._tick.newest_belief()
         if pose is None:
@@ -328,26 +329,26 @@ class Controller:
         return Belief(*pose, self._tick.layout.slip.start)
 
     def predict_belief(self, belief: Belief, commands: ArrayLike) -> Belief:
-        """Predict the filter's belief if no measurement arrives meanwhile.
+        """Predict the filter's belief without measurements, that is the future pose with its uncertainty.
 
-        Uses the estimator's own prediction, including noise and drifts: the future pose with its uncertainty.
+        The prediction is that of the estimator, including noise and drifts.
 
         Parameters
         ----------
         belief
             Belief to start from; it may be from an earlier tick, or modified.
         commands
-            (K, 2) v_ref [m/s], omega_ref [rad/s] sent from the belief's tick on, one at each sample.
+            (K, 2) v_ref [m/s], omega_ref [rad/s] from the belief's tick on, one per sample.
 
         Returns
         -------
         Belief
-            K samples later.
+            Belief K samples later.
 
         Raises
         ------
         ValueError
-            If the commands are not finite, larger than 1e6, or not pairs.
+            If a command is not finite or larger than 1e6, or the shape is wrong.
         """
         pairs = _pairs(commands)
         line = np.vstack([belief.sent, pairs])
@@ -355,21 +356,21 @@ class Controller:
         return replace(belief, mean=mean, covariance=covariance, sent=line[len(pairs) :])
 
     def set_applied_commands(self, commands: ArrayLike) -> None:
-        """Replace the last K commands by those actually sent, for instance by another controller.
+        """Replace the last K commands by those that were sent, for instance by another controller.
 
-        The next step uses them for the estimate, for the commands in the dead time, and for slew, which counts from the
-        newest. To shadow another controller, pass its command after each step. For a robot that already moves, pass
+        The next step uses them for the estimate, for the commands in the dead time, and for slew, which is relative to
+        the newest. To shadow another controller, pass its command after each step. For a robot that already moves, pass
         several commands before the first step.
 
         Parameters
         ----------
         commands
-            (K, 2) v_ref [m/s], omega_ref [rad/s], oldest first, one for each sample; they may be outside the limits.
+            (K, 2) v_ref [m/s], omega_ref [rad/s], oldest first, one per sample; they may exceed the limits.
 
         Raises
         ------
         ValueError
-            If the commands are not finite, larger than 1e6, or not pairs.
+            If a command is not finite or larger than 1e6, or the shape is wrong.
         """
         pairs = _pairs(commands)
         if not len(pairs):
@@ -382,26 +383,26 @@ class Controller:
         """Track `reference` from now on; its time 0 is `t0` [s] on the clock of `step`.
 
         The estimate and the clock restart. The robot may be moving: commands in the dead time stay, and the next
-        command keeps the slew limit relative to the last one. A name or path selects a trajectory, loaded with the
-        limits of the configuration.
+        command keeps the slew limit relative to the last one. A name or path selects a trajectory, which is loaded with
+        the limits of the configuration.
 
         Raises
         ------
         ArgumentError
-            If the reference has another type.
+            If the reference has a wrong type.
         ValueError
-            If `t0` or the reference is not finite, or if the reference exceeds the limits of the configuration, by its
-            own speeds or by the commands that they need with the model's gain.
+            If `t0` or the reference is not finite, or if the speeds of the reference, or the commands that they need
+            with the model's gain, exceed the limits of the configuration.
         """
         self._begin(self.checked_reference(reference, t0), t0)
 
     def checked_reference(self, reference: Reference | str | Path, t0: float = 0.0) -> Reference:
-        """Return a reference, or the trajectory of a name or path, checked as `start` does; nothing changes.
+        """Return a reference, or the trajectory of a name or path, with the checks of `start`; nothing changes.
 
         Raises
         ------
         ArgumentError, ValueError
-            As `start`.
+            As for `start`.
         """
         if isinstance(reference, (str, Path)):
             from diffdrive_mpc.mpc.trajectories.load import load_trajectory  # noqa: PLC0415 - rarely needed
@@ -411,9 +412,9 @@ class Controller:
         return reference
 
     def find_shortfall(self, reference: Reference, *, is_moving: bool = False) -> Shortfall | None:
-        """Return where `reference` takes the robot beyond its limits, and a feasible duration; None if nowhere.
+        """Return the first place where `reference` exceeds the robot's limits, and a feasible duration, or None.
 
-        The robot begins at rest, or with the twist of the reference if it `is_moving`. `start` refuses nothing for it.
+        The robot starts at rest, or with the twist of the reference if `is_moving`. `start` accepts such references.
         """
         return find_shortfall(reference, self._config, self.model, is_moving=is_moving)
 
@@ -423,7 +424,7 @@ class Controller:
                 "reference",
                 "a trajectory",
                 reference,
-                "make it with load_trajectory('circle') or Trajectory.from_arrays(t, x, y)",
+                "create one with load_trajectory('circle') or Trajectory.from_arrays(t, x, y)",
             )
         t0 = checked_number("start time t0", t0, "give seconds on the clock of step, such as 0.0")
         if not math.isfinite(t0):
@@ -431,40 +432,42 @@ class Controller:
         check_speeds(reference, self._config.limits, self._config.sample_time, self.model.dc_gain)
 
     def _begin(self, reference: Reference, t0: float) -> None:
-        """Track a reference that was checked."""
+        """Track a reference that has been checked."""
         tracked = reference
         for feature in self._features.values():
             tracked = feature.begin(tracked, t0)
-        native, tracked = self._laid(tracked)
+        native, tracked = self._prepare_reference(tracked)
         self._tick.lib.ddmpc_start(self._c, native.struct, t0)
-        # C reads it from now on.
+        # Store the reference, since C reads its memory.
         self._tick.reference, self._reference, self._t0, self._host.t0 = native, reference, t0, t0
         self._pursuit.start(tracked, native=native.complete)
 
-    def _laid(self, reference: Reference) -> tuple[NativeReference, Reference]:
-        """Return a reference for the core, and the same as the robot will drive it."""
+    def _prepare_reference(self, reference: Reference) -> tuple[NativeReference, Reference]:
+        """Apply the features to a reference; return it for the core, and as a Python object."""
         tracked = checked_reference(reference)
         for feature in self._features.values():
             tracked = feature.lay(tracked)
         return NativeReference(tracked), tracked
 
     def switch_reference(self, reference: Reference, t0: float | None = None) -> None:
-        """Continue along `reference` in place of the current one.
+        """Replace the current reference by `reference` and continue driving.
 
         Unlike `start`, this keeps the estimate with the learned slip, the plan and the commands. A robot off the new
-        path rejoins it. It restarts as `start` does where a feature needs that.
+        path rejoins it. If a feature requires it, the drive restarts as with `start`.
 
         Parameters
         ----------
         reference
-            The current reference transformed by a pose, such as after a frame correction; or another one, with `t0`.
+            The current reference transformed by a pose, for example after a frame correction; or a different reference
+            with `t0`.
         t0
-            Time 0 of another reference [s] on the clock of `step`. None: it is the same one, and its clock continues.
+            Time 0 of a different reference on the clock of `step` [s]. None: the reference is the same, and its clock
+            continues.
 
         Raises
         ------
         ValueError
-            If it is another reference without `t0`, or for the reasons given at `start`.
+            If the duration differs from that of the current reference and `t0` is None, or as for `start`.
         RuntimeError
             If no reference is being tracked.
         """
@@ -473,14 +476,14 @@ class Controller:
         if t0 is not None:
             self._check(reference, t0)
         elif reference.duration != self._reference.duration:
-            raise ValueError("another reference than the one under way: give its t0")
+            raise ValueError("reference with a different duration than the current one: give its t0")
         if any(feature.restarts_on_switch for feature in self._features.values()):
             self.start(reference, self._t0 if t0 is None else t0)
             return
-        native, tracked = self._laid(reference)
+        native, tracked = self._prepare_reference(reference)
         self._t0 = self._host.t0 = self._t0 if t0 is None else t0
         self._tick.lib.ddmpc_switch_reference(self._c, native.struct, self._t0)
-        # C reads it from now on.
+        # Store the reference, since C reads its memory.
         self._tick.reference, self._reference = native, reference
         if t0 is None:
             self._pursuit.switch_reference(tracked, native=native.complete)
@@ -498,13 +501,13 @@ class Controller:
     def is_latched(self) -> bool:
         """True while the robot waits for `start` or `resume` after a failure.
 
-        It waits after an outage or a leap of the clock longer than `failure.resume_within`, after a jump of the poses
-        beyond `failure.max_position_error`, and with `failure.resume` false after every failure.
+        The robot waits after an outage or a leap of the clock longer than `failure.resume_within`, after a jump of the
+        poses beyond `failure.max_position_error`, and, if `failure.resume` is false, after every failure.
         """
         return bool(self._tick.lib.ddmpc_is_latched(self._c))
 
     def resume(self) -> None:
-        """Continue along the reference where it waits, after a failure that left the robot waiting."""
+        """Continue along the waiting reference after a failure that has latched the robot."""
         self._tick.lib.ddmpc_resume(self._c)
 
     def update(
@@ -512,20 +515,21 @@ class Controller:
     ) -> ControllerConfig:
         """Change weights and limits while driving; they take effect at the start of the next step.
 
-        Everything derived from them is built here, outside the tick; `step` only applies it. A limit tightened below
-        the present command is reached at the slew limit.
+        Derived objects are built here, outside the tick; `step` only applies them. If a limit is tightened below the
+        current command, the command reaches it at the slew limit.
 
         Returns
         -------
         ControllerConfig
-            The configuration from the next step on. A warning says where the rest of the reference exceeds its limits.
+            The configuration from the next step on. A warning is issued if the rest of the reference exceeds its
+            limits.
 
         Raises
         ------
         ConfigError
-            If a key is unknown or a value out of range; then nothing changes.
+            If a key is unknown or a value is out of range; nothing changes then.
         ArgumentError
-            If `weights` or `limits` is no mapping.
+            If `weights` or `limits` is not a mapping.
         """
         config = self.updated(weights, limits)
         self._prepare_limits(config)
@@ -544,7 +548,7 @@ class Controller:
         Raises
         ------
         ConfigError, ArgumentError
-            If `update` would.
+            As for `update`.
         """
         for group, values in zip(_CHANGEABLE, (weights, limits), strict=True):
             if not isinstance(values, (Mapping, type(None))):
@@ -559,31 +563,31 @@ class Controller:
         for name in ("min_turn_radius", "min_commanded_radius"):
             if (getattr(config.limits, name) is None) != (getattr(self._config.limits, name) is None):
                 raise ConfigError(
-                    f"limits.{name}: it can be changed while driving, but neither set nor unset; set it in the "
-                    "configuration"
+                    f"limits.{name}: its value can be changed while driving, but it cannot be set or unset; set it in "
+                    "the configuration"
                 )
         return config
 
     def _prepare_limits(self, config: ControllerConfig) -> None:
         constants = self._tick.prepare(self._problem(config).constants())
-        self._pending = _Prepared(config, constants, self._make_backend(config))
+        self._pending = _PendingUpdate(config, constants, self._make_backend(config))
 
     @property
     def speed_limit(self) -> float | None:
-        """Limit of the speed on top of the configuration's [m/s]; None without a reference."""
+        """Speed limit in addition to that of the configuration [m/s]; None if there is no additional limit."""
         return self._speed_limit
 
     def limit_speed(self, v: float | None) -> None:
-        """Drive no faster than `v` [m/s] from the next step on, as in a speed zone; None: no additional limit.
+        """Limit the speed to `v` [m/s] from the next step on, as in a speed zone; None: no additional limit.
 
-        This is a hard limit on |v_ref|, reached at the slew limit, and a soft limit on the predicted speed. Where the
-        reference is faster, its clock slows down and catches up afterwards; without `reentry.enabled` the clock runs on
-        and the robot falls behind. References are still checked against the limits of the configuration.
+        This is a hard limit on |v_ref|, reached at the slew limit, and a soft limit on the predicted speed. If the
+        reference is faster, its clock slows down and catches up afterwards; if `reentry.enabled` is false, the clock
+        runs on and the robot falls behind. References are still checked against the limits of the configuration.
 
         Raises
         ------
         ValueError
-            If `v` is not a positive number.
+            If `v` is not a positive finite number.
         """
         if v is not None and not (math.isfinite(v) and v > 0.0):
             raise ValueError(f"a speed limit of {v} m/s: give a positive number, or None for no limit")
@@ -599,12 +603,12 @@ class Controller:
         Parameters
         ----------
         values
-            (p,) the same at all samples, or (N + 1, p) one row for each of the samples 0 to N from the tick on.
+            (p,) parameters for all samples, or (N + 1, p) one row for each of the samples 0 to N from the tick on.
 
         Raises
         ------
         ConfigError
-            If there is no such term, or the shape is not one of these, or a value is not finite; then nothing changes.
+            If a term does not exist, a shape is wrong, or a value is not finite; nothing changes then.
         """
         table = self._tick.parameters
         for place, rows in checked_parameters(self._terms, len(table), values):
@@ -621,28 +625,28 @@ class Controller:
     ) -> StepResult:
         """Compute the command for the tick at `t` [s] from the measurements since the last tick.
 
-        Never raises on bad data: a measurement that is not finite, jumps or is too old is rejected, and `message` says
-        so. The robot then dead-reckons. It brakes when no pose was accepted for `failure.max_pose_age`, or for
-        `failure.dead_reckoning` where wheels and gyro are good. With `hold` it brakes and stands instead of driving;
-        the estimate continues. A clock that leaps zeroes the command in one tick: where `t` is ahead by more than
-        `estimator.history`, a base without commands has stopped by itself. Every other change of the command keeps slew
-        or the braking limits.
+        The method never raises on bad data: a measurement that is not finite, jumps or is too old is rejected, with a
+        note in `message`, and the robot dead-reckons. The robot brakes if no pose was accepted for
+        `failure.max_pose_age`, or for `failure.dead_reckoning` if wheels and gyro are available. With `hold` it brakes
+        and stands instead of driving; the estimate continues. If `t` leaps by more than `estimator.history`, the
+        command is zero in one tick, since the base has already stopped by its command timeout. All other changes of the
+        command respect slew or the braking limits.
 
-        With `deadline`, by `time.monotonic` [s], the solve is stopped by the clock. The active set is, after one
-        iteration at the earliest: ranges and slew of its plan are kept, the rest as far as it got, and `solver.status`
-        says so. A backend gives no plan then, and does not begin if its first factorisation would take longer. At
-        `solver.max_missed` such ticks in a row the robot brakes. The run depends on how fast the computer is.
-        `most_iterations` repeats a tick that missed its deadline (`solver.missed`): it bounds the active set by the
-        iterations of that tick, and a backend is not asked if it is 0.
+        `deadline` [s, `time.monotonic`] stops the solve by the clock. The active set stops after at least one
+        iteration: its plan respects ranges and slew, but may violate other limits, and `solver.status` reports it. A
+        backend that is stopped gives no plan; it does not start if its factorisation is expected to take longer. At
+        `solver.max_missed` consecutive ticks of this kind the robot brakes. Results then depend on the speed of the
+        computer. `most_iterations` repeats a tick that missed its deadline (`solver.missed`): it limits the iterations
+        of the active set to those of that tick; if it is 0, no backend is used.
 
         Raises
         ------
         RuntimeError
             If `start` was not called.
         ArgumentError
-            If `measurement` is no `Measurement`.
+            If `measurement` is not a `Measurement`.
         """
-        started = time.perf_counter()
+        start = time.perf_counter()
         if self._reference is None:
             raise RuntimeError("no reference: call start(reference, t0) before step")
         if self._pending is not None:
@@ -655,7 +659,7 @@ class Controller:
                 "measurement",
                 "a Measurement",
                 measurement,
-                "call step(t, Measurement(...)); without news Measurement()",
+                "call step(t, Measurement(...)); without new data Measurement()",
             ) from error
         for feature in self._features.values():
             hold = feature.before_step(t) or hold
@@ -680,30 +684,32 @@ class Controller:
             c = self._c_result
             if not c.reasons & self._messages.not_a_new_tick:
                 self._blocked_for = 0.0
-                pursuit.passed(since_start, followed=pending == _NEEDS_BACKEND or c.solver.status != self._not_run)
+                pursuit.record_on_time(
+                    since_start, followed=pending == _NEEDS_BACKEND or c.solver.status != self._not_run
+                )
         elif moved:
             self._blocked_for = 0.0
         refused, solve_time = False, self._c_result.solve_time
         if pending == _NEEDS_BACKEND:
-            backend_began = time.perf_counter()
-            refused = self._ask_backend(0.0 if most_iterations == 0 else deadline)
-            solve_time += time.perf_counter() - backend_began
-        result = self._build(hold, message, (started, solve_time), refused=refused)
+            backend_start = time.perf_counter()
+            refused = self._solve_with_backend(0.0 if most_iterations == 0 else deadline)
+            solve_time += time.perf_counter() - backend_start
+        result = self._build(hold, message, (start, solve_time), refused=refused)
         for feature in self._features.values():
             result = feature.after_step(t, measurement, result)
-        return replace(result, step_time=time.perf_counter() - started) if self._features else result
+        return replace(result, step_time=time.perf_counter() - start) if self._features else result
 
-    def _apply_pending(self, prepared: _Prepared) -> None:
-        self._config, self._backend, self._pending = prepared.config, prepared.backend, None
-        self._tick.configure(prepared.constants)
-        self._messages.configure(prepared.config)
-        self._pursuit.configure(prepared.config)
-        self._host.config = prepared.config
+    def _apply_pending(self, update: _PendingUpdate) -> None:
+        self._config, self._backend, self._pending = update.config, update.backend, None
+        self._tick.configure(update.constants)
+        self._messages.configure(update.config)
+        self._pursuit.configure(update.config)
+        self._host.config = update.config
         for feature in self._features.values():
             feature.configure()
 
     def _choose_target(self, since_start: float, reference_time: float) -> tuple[int, str]:
-        """Choose the target for a robot off its path or schedule; return missing inputs of the core, and a message."""
+        """Choose the target of a robot off its path or late; return the core's pending work, and a message."""
         tick = self._tick
         estimate = Estimate(tick.layout, tick.layout.copy(), self._c_result.estimate.time)
         self._blocked_for = 0.0
@@ -713,15 +719,15 @@ class Controller:
                 return tick.lib.ddmpc_too_far(self._c, target.distance), ""
             self._blocked_for = target.blocked_for
             sample = target.sample or target.reference.sample(target.time + self._ahead)
-            # A blocked base must not receive ever larger commands, or it would lurch once released.
+            # Limit the commands of a blocked base, which would otherwise jerk once it is released.
             share = self._config.reentry.blocked_share if target.blocked_for else 1.0
             return tick.track(sample.pose, sample.twist, share), target.message
         except (ArithmeticError, ValueError) as error:
-            # The reference returned invalid samples after all; the rest of the last plan is better than an exception.
+            # The reference has returned invalid samples: use the rest of the last plan instead of raising.
             return tick.lib.ddmpc_give_up(self._c), f"there is nothing to track: {error}"
 
-    def _ask_backend(self, deadline: float | None) -> bool:
-        """Solve with the backend, and give the core its answer; returns whether it refused the numbers."""
+    def _solve_with_backend(self, deadline: float | None) -> bool:
+        """Solve with the backend and pass the result to the core; return True if the backend refused the data."""
         tick, solver = self._tick, self._config.solver
         solved, report = solve_all(self._backend, self._program, solver.backend, SLACK * solver.tolerance, deadline)
         ffi = tick.ffi
@@ -742,7 +748,7 @@ class Controller:
         return refused
 
     def _build(self, hold: Hold | None, message: str, times: tuple[float, float], *, refused: bool) -> StepResult:
-        """Build the step result from the result in C, with arrays and words."""
+        """Build the step result, with arrays and message, from the result in C."""
         c, pursuit = self._c_result, self._pursuit
         layout = self._tick.layout
         block = layout.copy()
@@ -780,8 +786,8 @@ class Controller:
         )
 
 
-def _limited(config: ControllerConfig, speed: float | None) -> ControllerConfig:
-    """Return `config` with a forward speed limit of at most `speed` [m/s]."""
+def _with_speed_limit(config: ControllerConfig, speed: float | None) -> ControllerConfig:
+    """Return `config` with a speed limit of at most `speed` [m/s]."""
     limits = config.limits
     if speed is None or speed >= max(limits.v.sides):
         return config
@@ -790,12 +796,12 @@ def _limited(config: ControllerConfig, speed: float | None) -> ControllerConfig:
 
 
 def _pairs(commands: ArrayLike) -> FloatArray:
-    """Return commands as (K, 2); raise ValueError for another shape."""
+    """Return commands as an array (K, 2); raise ValueError for a wrong shape or invalid values."""
     pairs = np.asarray(commands, dtype=float)
     # Negated so that NaN fails.
-    if pairs.ndim != 2 or pairs.shape[1] != 2 or not (np.abs(pairs) <= _FASTEST).all():
+    if pairs.ndim != 2 or pairs.shape[1] != 2 or not (np.abs(pairs) <= _MAX_COMMAND).all():
         raise ValueError(
             f"commands of shape {pairs.shape}: give finite pairs (K, 2) of v_ref [m/s], omega_ref [rad/s], each at "
-            f"most {_FASTEST:g}"
+            f"most {_MAX_COMMAND:g}"
         )
     return pairs

@@ -12,16 +12,16 @@ from diffdrive_mpc.mpc.core.tick import ResultLayout
 from diffdrive_mpc.mpc.problem.slip import SLIPS, Slip
 
 SENSORS = ("wheel_speed", "wheel_yaw_rate", "yaw_rate", "pose")
-"""Names of the sensors, in the order in which the filter counts them."""
+"""Names of the sensors, in the order of the filter."""
 
 
 class Estimate:
-    """One block of numbers, split on access. The filter's state is (states, slip, gyro bias, pose).
+    """Estimate of the filter, whose state is (states, slip, gyro bias, delays, pose).
 
     Parameters
     ----------
     layout, block
-        The layout of the core's result, and a copy of its numbers.
+        Layout of the core's result, and a copy of its values; properties are views of this block.
     time
         Time of the tick [s].
     """
@@ -43,7 +43,7 @@ class Estimate:
 
     @property
     def deviation(self) -> FloatArray:
-        """(n + 16 or 21,) standard deviations of the same."""
+        """(n + 16 or 21,) standard deviations of the filter's state."""
         return self._layout.take(self._block, "deviation")
 
     @property
@@ -53,17 +53,17 @@ class Estimate:
 
     @property
     def pose_deviation(self) -> FloatArray:
-        """(3,) its standard deviations."""
+        """(3,) standard deviations of the pose [m, m, rad]."""
         return self.deviation[-3:]
 
     @property
     def twist(self) -> FloatArray:
-        """(2,) v [m/s], omega [rad/s] of the body, slip included."""
+        """(2,) v [m/s], omega [rad/s] of the body, including slip."""
         return self._layout.take(self._block, "twist")
 
     @property
     def twist_deviation(self) -> FloatArray:
-        """(2,) its standard deviations."""
+        """(2,) standard deviations of the twist [m/s, rad/s]."""
         return self._layout.take(self._block, "twist_deviation")
 
     @property
@@ -73,7 +73,7 @@ class Estimate:
 
     @property
     def slip_deviation(self) -> Slip:
-        """Its standard deviations."""
+        """Standard deviations of the slip; zero for slips that are not estimated."""
         return Slip(
             **dict.fromkeys(SLIPS, 0.0) | dict(zip(SLIPS, self.deviation[self._layout.slip].tolist(), strict=False))
         )
@@ -85,12 +85,12 @@ class Estimate:
 
     @property
     def gyro_bias_deviation(self) -> float:
-        """Its standard deviation."""
+        """Standard deviation of the gyro's bias [rad/s]."""
         return float(self.deviation[-6])
 
     @property
     def delays(self) -> FloatArray:
-        """(2,) delays of v and omega that the model lacks [s]."""
+        """(2,) estimated delays of v and omega in addition to the model's [s]."""
         return self.mean[-5:-3]
 
     @property
@@ -100,28 +100,28 @@ class Estimate:
 
     @property
     def innovations(self) -> Mapping[str, float]:
-        """Newest squared innovation over its variance, by sensor [-]: 1 on average if the noise assumptions hold."""
+        """Newest squared innovation over its variance, by sensor [-]; its mean is 1 if the noise assumptions hold."""
         pairs = zip(SENSORS, self._layout.take(self._block, "innovations").tolist(), strict=True)
         return {sensor: value for sensor, value in pairs if not np.isnan(value)}
 
 
-# Full belief of the filter at one tick, including covariances between its parts.
+# Full belief of the filter at one tick, including all covariances.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Belief:
-    """Mean and covariance of the filter's state (states, slip, gyro bias, pose), see `Controller.belief`.
+    """Mean and covariance of the filter's state (states, slip, gyro bias, delays, pose), see `Controller.belief`.
 
     Attributes
     ----------
     mean
-        (Z,) in the units of `Estimate.mean`, Z = n + 16 or n + 21.
+        (Z,) mean in the units of `Estimate.mean`, Z = n + 16 or n + 21.
     covariance
-        (Z, Z).
+        (Z, Z) covariance.
     sent
-        (W, 2) commands v_ref [m/s], omega_ref [rad/s] on their way before that of the tick itself, oldest first.
+        (W, 2) pending commands v_ref [m/s], omega_ref [rad/s] before that of the tick, oldest first.
     states
-        n, number of states of the velocity model.
+        Number n of states of the velocity model.
     """
 
     mean: FloatArray
@@ -141,7 +141,7 @@ class Belief:
 
     @property
     def pose_covariance(self) -> FloatArray:
-        """(3, 3) of x, y, theta."""
+        """(3, 3) covariance of x, y, theta."""
         return self.covariance[-3:, -3:]
 
     @property
@@ -151,7 +151,7 @@ class Belief:
 
     @property
     def slip_covariance(self) -> FloatArray:
-        """(15, 15) covariance of the slip in the order of `SLIPS`, zero for coefficients without an estimate."""
+        """(15, 15) covariance of the slip in the order of `SLIPS`, zero for slips that are not estimated."""
         covariance, size = np.zeros((len(SLIPS), len(SLIPS))), self.slips.stop - self.slips.start
         covariance[:size, :size] = self.covariance[self.slips, self.slips]
         return covariance
@@ -163,7 +163,7 @@ class Belief:
         return gradient @ self.slip_covariance @ gradient.T
 
     def with_slip(self, slip: Slip) -> Belief:
-        """Return the same belief with another slip, treated as certain."""
+        """Return a copy with the given slip, without uncertainty."""
         mean, covariance = self.mean.copy(), self.covariance.copy()
         mean[self.slips] = [getattr(slip, name) for name in SLIPS[: self.slips.stop - self.slips.start]]
         covariance[self.slips], covariance[:, self.slips] = 0.0, 0.0

@@ -1,4 +1,4 @@
-"""A reason from outside the controller not to drive."""
+"""Request to the controller to stop, from outside the controller."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Hold:
-    """Request to the controller to brake and stand; the reference waits meanwhile.
+    """Request to the controller to brake and stand while the reference waits.
 
     Attributes
     ----------
     reason
-        Why, in words; it becomes part of the step's message.
+        Reason of the hold, which becomes part of the step's message.
     failure
-        Whether it counts as a failure: then `failure.resume` and `failure.resume_within` of the configuration decide
-        whether the robot drives on by itself when the hold ends. A pause is no failure.
+        True if the hold counts as a failure: `failure.resume` and `failure.resume_within` of the configuration then
+        determine whether the robot continues by itself when the hold ends. A pause does not count as a failure.
     waits
-        Whether the robot waits for `start` or `resume` when the hold ends, however short it was.
+        True if the robot waits for `start` or `resume` when the hold ends, independent of its duration.
     """
 
     reason: str

@@ -1,4 +1,4 @@
-"""Texts for the core's codes: modes, solver states, and reasons for actions and rejections."""
+"""Message texts for the core's codes: modes, solver states, and reasons of actions and rejections."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.solver.report import SolverMethod, SolverStatus
 from diffdrive_mpc.mpc.step_result import Mode
 
-_HONEST = 0.1
-"""Tolerated deviation of a sound sensor from poses [-]."""
-_ASIDE = 15.0
-"""Angle between way and heading that no side-slip explains [deg]."""
-_BOTH = 0.35
-"""Ratio above which both wheels read the same way round [-]."""
+_TOLERANCE = 0.1
+"""Tolerated deviation of a valid sensor from poses [-]."""
+_MIN_COURSE_ANGLE = 15.0
+"""Angle between course and heading that side-slip cannot explain [deg]."""
+_MIN_RATIO = 0.35
+"""Ratio of distances, wheels to poses, above which both wheels have the same sign [-]."""
 _SCALES = {"yaw rate": "sensors.yaw_rate.scale (57.3 for degrees)", "wheel speed": "sensors.wheels.scale"}
-"""Settings that undo a wrong unit."""
+"""Settings that correct a wrong unit."""
 
 
 class MessageFormatter:
-    """Sentences about one controller's results; every number of C is looked up by its name.
+    """Formatter of messages about a controller's results; codes of C are looked up by name.
 
     Attributes
     ----------
     modes, statuses
-        By their numbers in C.
+        Modes and statuses by their codes in C.
     """
 
     def __init__(self, tick: Tick, config: ControllerConfig) -> None:
@@ -53,12 +53,11 @@ class MessageFormatter:
             lib.DDMPC_TIME_FAULTY | lib.DDMPC_TIME_REPEATED | lib.DDMPC_TIME_LEAPT | lib.DDMPC_TIME_PAUSED
         )
         self.cause = ""
-        """Reason for which the robot waits for a person, from the tick that stopped it; empty while it does not wait.
-        """
+        """Reason of the failure after which the robot waits for `start` or `resume`; empty if it does not wait."""
         self.configure(config)
 
     def configure(self, config: ControllerConfig) -> None:
-        """Use the limits of `config` in messages from now on."""
+        """Use the limits of `config` in later messages."""
         self._config = config
         self._methods: dict[int, str] = {
             self._lib.DDMPC_NO_METHOD: SolverMethod.NONE,
@@ -68,11 +67,11 @@ class MessageFormatter:
         }
 
     def method(self, number: int) -> str:
-        """Return the solver's method with this number."""
+        """Return the name of the solver's method with the code `number`."""
         return self._methods[number]
 
     def sentence(self, hold: Hold | None, status: SolverStatus, target: str) -> str:
-        """Describe the tick in words; `target` describes anything unusual about the tracked target."""
+        """Return the message of a tick; `target` is the message about the tracked target."""
         c, lib = self._result, self._lib
         reasons = c.reasons
         parts = [words(c) for bit, words in self._time_words(lib) if reasons & bit]
@@ -98,10 +97,10 @@ class MessageFormatter:
     @staticmethod
     def _time_words(lib: Any) -> list[tuple[int, Callable[[Any], str]]]:  # noqa: ANN401 - cffi has no types
         return [
-            (lib.DDMPC_TIME_FAULTY, _faulty_time),
+            (lib.DDMPC_TIME_FAULTY, _describe_faulty_time),
             (
                 lib.DDMPC_TIME_REPEATED,
-                _repeated,
+                _describe_repeated,
             ),
             (lib.DDMPC_TIME_LEAPT, lambda c: f"no tick for {c.gap:.2f} s"),
             (lib.DDMPC_TIME_PAUSED, lambda c: f"no tick for {c.gap:.2f} s; the estimate starts anew"),
@@ -121,7 +120,7 @@ class MessageFormatter:
             ),
             (
                 lib.DDMPC_LEFT_FENCE,
-                f"its way to rest leaves the fence of {fence.length:g} by {fence.width:g} m; call start or reset to "
+                f"its stopping path leaves the fence of {fence.length:g} by {fence.width:g} m; call start or reset to "
                 "drive on",
             ),
             (
@@ -140,7 +139,7 @@ class MessageFormatter:
         ]
 
     def unused(self, reasons: int) -> tuple[str, ...]:
-        """Return the names of the sensors that the others contradict."""
+        """Return the names of the sensors that the other sensors contradict."""
         return tuple(name for bit, name in self._accused.items() if reasons & bit)
 
     def _findings(self, c: Any) -> list[str]:  # noqa: ANN401
@@ -148,11 +147,11 @@ class MessageFormatter:
         lib, words = self._lib, []
         for subject, (bit, name) in enumerate(self._accused.items()):
             if c.reasons & bit:
-                repeats = c.repeating >> subject & 1
-                why = "it repeats itself, and " if repeats else ""
+                is_repeating = c.repeating >> subject & 1
+                why = "it repeats itself, and " if is_repeating else ""
                 words.append(
                     f"{name} not used: {why}the other sensors contradict it"
-                    f"{'' if repeats else _wiring(name, c, unreal=bool(c.unreal >> subject & 1))}"
+                    f"{'' if is_repeating else _describe_mount(name, c, is_impossible=bool(c.unreal >> subject & 1))}"
                 )
         if c.reasons & lib.DDMPC_POSES_SCATTER:
             words.append(f"poses scatter {c.pose_scatter:.1f} times as far as they state")
@@ -184,10 +183,10 @@ class MessageFormatter:
         not_numbers = "it is not three finite numbers" if pose else "not 2 finite numbers" if wheels else "not finite"
         reasons = {
             lib.DDMPC_NOT_NUMBERS: not_numbers,
-            lib.DDMPC_BAD_COVARIANCE: "its covariance is not a possible " + ("3 x 3 matrix" if pose else "one"),
+            lib.DDMPC_BAD_COVARIANCE: "its covariance is not a valid " + ("3 x 3 matrix" if pose else "covariance"),
             lib.DDMPC_BAD_STAMP: "its stamp is not a finite number",
             lib.DDMPC_IN_FUTURE: f"its stamp lies {a:.3f} s in the future",
-            lib.DDMPC_NOT_NEWER: "its stamp is not newer than that of the one before",
+            lib.DDMPC_NOT_NEWER: "its stamp is not newer than the previous one",
             lib.DDMPC_TOO_OLD: f"it is {a:.2f} s old; the history reaches back {self._config.estimator.history} s",
             lib.DDMPC_TOO_LARGE: f"{a:.3g} is more than {b:g}",
             lib.DDMPC_JUMPS: f"it jumps by {a:.2f} m and {b:.2f} rad" if pose else f"it jumps from {a:.2f} to {b:.2f}",
@@ -196,40 +195,40 @@ class MessageFormatter:
         return f"{self._subjects[note.subject]} rejected: {reasons[note.fault]}"
 
 
-def _wiring(name: str, c: Any, *, unreal: bool) -> str:  # noqa: ANN401
-    """Return how a sensor seems to be built in, if not as configured, and the remedy; empty where nothing fits."""
-    turn, way, rolled = (float(ratio) for ratio in c.reads)
-    off = math.degrees(c.direction)
-    if unreal:
-        return f"; many of its readings are more than this robot moves: mend its unit, or set {_SCALES[name]}"
-    if name == "yaw rate" and turn and abs(turn) < _HONEST:
-        return "; it does not turn while poses do: mend its axis, or its unit"
-    if name == "yaw rate" and turn and abs(turn - 1) > _HONEST:
-        remedies = ["sensors.yaw_rate.sign: -1"] if turn < -_HONEST else []
-        if abs(abs(turn) - 1) > _HONEST:
+def _describe_mount(name: str, c: Any, *, is_impossible: bool) -> str:  # noqa: ANN401
+    """Describe the probable mounting or scaling error of a sensor, and the remedy; empty if none is found."""
+    turn, distance, wheel_turn = (float(ratio) for ratio in c.reads)
+    angle = math.degrees(c.direction)
+    if is_impossible:
+        return f"; many readings exceed the possible motion of the robot: correct its unit, or set {_SCALES[name]}"
+    if name == "yaw rate" and turn and abs(turn) < _TOLERANCE:
+        return "; it measures no turn while poses turn: correct its axis, or its unit"
+    if name == "yaw rate" and turn and abs(turn - 1) > _TOLERANCE:
+        remedies = ["sensors.yaw_rate.sign: -1"] if turn < -_TOLERANCE else []
+        if abs(abs(turn) - 1) > _TOLERANCE:
             remedies.append(f"sensors.yaw_rate.scale: {abs(turn):.2f}")
-        return f"; it turns {turn:.2f} times as far as poses: set {' and '.join(remedies)}, or mend its axis"
-    if name == "wheel speed" and (abs(way - 1) > _HONEST or rolled < 0):
-        signs = {"sign": way, "turn_sign": rolled}
+        return f"; it turns {turn:.2f} times as far as poses: set {' and '.join(remedies)}, or correct its axis"
+    if name == "wheel speed" and (abs(distance - 1) > _TOLERANCE or wheel_turn < 0):
+        signs = {"sign": distance, "turn_sign": wheel_turn}
         stated = " and ".join(f"sensors.wheels.{key}: -1" for key, ratio in signs.items() if ratio < 0)
-        wired = "exchange their sides, or mend their signs"
-        if stated and min(abs(way), abs(rolled)) > _BOTH:
-            wired += f", or set {stated}"
-        alike = abs(rolled - way) < _BOTH * abs(way)
-        scale = f", or set sensors.wheels.scale: {way:.2f}" if alike else " of each side"
-        remedy = wired if stated or way < _BOTH else f"mend ticks and radius{scale}"
-        return f"; wheels go {way:.2f} and turn {rolled:.2f} times as far as poses: {remedy}"
-    if name == "pose" and abs(off) > _ASIDE:
-        heading = f"set sensors.pose.heading: {-c.direction:.2f} if that is so everywhere"
-        return f"; they move at {off:.0f} deg to their own heading: {heading}, or mirror their frame"
+        swap = "swap the sides, or correct the signs"
+        if stated and min(abs(distance), abs(wheel_turn)) > _MIN_RATIO:
+            swap += f", or set {stated}"
+        is_scale = abs(wheel_turn - distance) < _MIN_RATIO * abs(distance)
+        scale = f", or set sensors.wheels.scale: {distance:.2f}" if is_scale else " of each side"
+        remedy = swap if stated or distance < _MIN_RATIO else f"correct ticks and radius{scale}"
+        return f"; wheels go {distance:.2f} and turn {wheel_turn:.2f} times as far as poses: {remedy}"
+    if name == "pose" and abs(angle) > _MIN_COURSE_ANGLE:
+        heading = f"set sensors.pose.heading: {-c.direction:.2f} if the angle is the same everywhere"
+        return f"; their course is at {angle:.0f} deg to their heading: {heading}, or mirror their frame"
     return ""
 
 
-def _repeated(c: Any) -> str:  # noqa: ANN401
+def _describe_repeated(c: Any) -> str:  # noqa: ANN401
     return f"called {1e3 * c.gap:.1f} ms after the last tick; its command is repeated"
 
 
-def _faulty_time(c: Any) -> str:  # noqa: ANN401
+def _describe_faulty_time(c: Any) -> str:  # noqa: ANN401
     if c.gap < 0:
         return f"time ran backwards by {-c.gap:.3f} s; call start again if the clock was set"
     return f"the time of this tick is {c.gap}; it was not used"

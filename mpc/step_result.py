@@ -12,7 +12,7 @@ from diffdrive_mpc.mpc.estimate import Estimate
 from diffdrive_mpc.mpc.solver.report import SolverReport
 
 LATE = "LATE"
-"""State of a robot that tracks and cannot keep up with its reference."""
+"""State of a robot that tracks its reference but cannot keep up."""
 
 
 class Mode(StrEnum):
@@ -27,48 +27,49 @@ class Mode(StrEnum):
     STOPPED = "STOPPED"
     """The command is zero."""
     FINISHED = "FINISHED"
-    """The end of the reference is reached; the command ramps to zero and stays there."""
+    """The end of the reference is reached; the command ramps to zero and stays zero."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StepResult:
-    """Command, mode and everything that explains them. Arrays are read-only.
+    """Command and mode of a step, with the data behind them. Arrays are read-only.
 
     Attributes
     ----------
     command
-        (2,) v_ref [m/s], omega_ref [rad/s]; finite and inside the range in every mode, and inside slew or the braking
-        limits in every mode but STOPPED, which is zero: a clock that leaps zeroes the command in one tick.
+        (2,) v_ref [m/s], omega_ref [rad/s]; always finite and within the range, and within slew or the braking limits
+        in all modes except STOPPED: after a leap of the clock the command is zero in one tick.
     mode
         Mode of the controller.
     message
-        Why, in words; empty when tracking on time and nothing was rejected.
+        Reason for the mode and rejected measurements; empty while tracking on time without rejections.
     solver
-        Status, way, residuals and iterations of the solve; its status says so if none was run.
+        Status, method, residuals and iterations of the solve; the status is NOT_RUN if there was no solve.
     progress
-        Rate of the reference's clock now: 1 on time, 0 while it waits [-].
+        Current rate of the reference's clock: 1 on time, 0 while it waits [-].
     reference_delay
-        Delay of the reference's clock behind the controller's [s]; negative where the robot was carried ahead.
+        Delay of the reference's clock behind the controller's [s]; negative if the robot was moved ahead.
     is_late, limited_by
-        True from where the reference waits for a robot that lags until it has caught up; the limit that it was at, such
-        as `limits.v.reverse`, empty if none.
+        True from the time when the reference waits for a lagging robot until the robot has caught up; key of the limit
+        that caused the lag, such as `limits.v.reverse`, empty if there is none.
     estimate
-        The estimate that the command is based on; None before the first pose.
+        Estimate on which the command is based; None before the first pose.
     blocked_for
-        Time for which the robot has not moved although it is commanded to [s]; 0 when it moves.
+        Time for which the robot has not moved despite commands [s]; 0 while it moves.
     step_time
         Duration of the whole step [s].
     solve_time
-        Part of `step_time` spent on linearising, condensing and solving, with the backend [s]; NaN without a solve.
+        Part of `step_time` for linearisation, condensing and solving, including the backend [s]; NaN if there was no
+        solve.
     unused_sensors
-        Those that the others contradict, and that are not used therefore: "wheel speed", "yaw rate", "pose".
+        Sensors that are not used because the others contradict them: "wheel speed", "yaw rate", "pose".
     clearance
-        Gap between the robot's footprint and the nearest thing it sees [m], negative in it; infinity: nothing near, NaN
-        without `free_space.enabled` or estimate.
+        Distance from the robot's footprint to the nearest obstacle [m], negative inside; infinity: no obstacle nearby;
+        NaN if `free_space.enabled` is false or there is no estimate.
     clearance_ahead
-        The same along its plan and its way to rest, at most what `clearance` looks for.
+        Minimum clearance along the plan and the stopping path [m], with the same range as `clearance`.
     pressed_by
-        Limit that the plan touches, and the time of the contact: "polygon 2 in 0.3 s".
+        Obstacle limits that are active in the plan, with their times: "polygon 2 in 0.3 s".
     """
 
     command: FloatArray
@@ -96,17 +97,17 @@ class StepResult:
 
     @property
     def plan(self) -> FloatArray | None:
-        """(N + 1, 3) predicted poses of the plan that the command comes from; None while braking or stopped."""
+        """(N + 1, 3) predicted poses of the plan of the command; None while braking or stopped."""
         return self._take("planned_poses")
 
     @property
     def planned_commands(self) -> FloatArray | None:
-        """(N, 2) the commands of that plan."""
+        """(N, 2) commands of the plan; None while braking or stopped."""
         return self._take("planned_commands")
 
     @property
     def reference(self) -> FloatArray | None:
-        """(N + 1, 3) the poses that this plan tracks: the reference, or the path back to it."""
+        """(N + 1, 3) poses that the plan tracks, of the reference or of the path back to it; None without a plan."""
         aim = self._take("aim")
         return None if aim is None else aim[:, :3]
 

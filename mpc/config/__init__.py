@@ -1,1 +1,1 @@
-"""The configuration of a controller: one typed schema, its files, and the shipped ones."""
+"""Configuration of a controller: typed schema, reading of files, and the built-in configurations."""

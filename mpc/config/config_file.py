@@ -1,4 +1,4 @@
-"""Read a controller's configuration from its YAML file, and change single fields of it by name."""
+"""Reading of a controller's configuration from a YAML file, and changes of single fields by name."""
 
 from __future__ import annotations
 
@@ -31,42 +31,42 @@ def load_config(
     Parameters
     ----------
     source
-        "mbm", "sm" or "ssm" for the shipped configuration of that model, or the path of a YAML file. A relative path of
-        a model, a term or a feature's file inside it is taken from the folder of the file. Or keys and values of such a
-        file, for instance those that `identify` found. Or a configuration.
+        "mbm", "sm" or "ssm" for the built-in configuration of this model, or the path of a YAML file. Relative paths of
+        a model, a term or a feature's file in it are relative to the folder of the YAML file. Or keys and values of
+        such a file, for instance those from `identify`. Or a configuration.
     overrides
-        Values by dotted key, for instance ``{"horizon": 20, "weights.across": 200.0}``; those of the second room with
-        or without ``expert.``.
+        Values by dotted key, for instance ``{"horizon": 20, "weights.across": 200.0}``; the prefix ``expert.`` is
+        optional.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        With one line that names the file, the key, the mistake and the remedy.
+        If the configuration is invalid, with one line that names the file, the key, the mistake and the remedy.
     models.errors.ArgumentError
-        If an argument is something else.
+        If an argument has a wrong type.
     """
     if overrides is not None and not isinstance(overrides, Mapping):
         raise wrong_type("overrides", "values by dotted key", overrides, "write {'weights.across': 200.0}")
     if isinstance(source, ControllerConfig):
         return replace_values(source, overrides) if overrides else source
     if isinstance(source, Mapping):
-        return _checked(_replaced(side_by_side(source), overrides), "configuration")
+        return _check_config(_apply_overrides(side_by_side(source), overrides), "configuration")
     if not isinstance(source, (str, Path)):
         raise wrong_type(
             "configuration",
             "load_config(...), a name such as 'ssm', a path, or keys and values",
             source,
-            "a model goes beside it: Controller('ssm', model=model)",
+            "a model is a separate argument: Controller('ssm', model=model)",
         )
     path = config_path(source)
     data = read_yaml(path)
     if not isinstance(data, Mapping):
         raise ConfigError(f"{path}: expected keys and values; an example: diffdrive-mpc config show ssm")
     where = path.stem if path.stem == str(source) else str(path)
-    config = _checked(_replaced(side_by_side(data, where), overrides), where)
-    beside = path.parent / config.model
-    if not is_shipped(config.model) and not Path(config.model).is_absolute() and is_file(beside):
-        config = config.model_copy(update={"model": str(beside)})
+    config = _check_config(_apply_overrides(side_by_side(data, where), overrides), where)
+    local = path.parent / config.model
+    if not is_shipped(config.model) and not Path(config.model).is_absolute() and is_file(local):
+        config = config.model_copy(update={"model": str(local)})
     features = {name: group.relative_to(path.parent) for name, group in config.features.items()}
     config = config.model_copy(update={"features": features})
     terms = [term.model_copy(update={"file": str((path.parent / term.file).absolute())}) for term in config.terms]
@@ -74,30 +74,31 @@ def load_config(
 
 
 def config_path(name: str | Path) -> Path:
-    """Return the file of a configuration: one of this package, one of an installed package, or the user's own.
+    """Return the file of a configuration of this package, of an installed package, or of the user.
 
-    Raises ConfigError if there is none, and MissingPackageError if a package that is not installed ships it.
+    Raises ConfigError if the file does not exist, and MissingPackageError if it belongs to a package that is not
+    installed.
     """
-    ours = shipped_names(PARAMETERS)
-    if str(name) in ours:
+    shipped = shipped_names(PARAMETERS)
+    if str(name) in shipped:
         return PARAMETERS / f"{name}.yaml"
     plugged = {structure.name: structure.config for structure in function_structures().values() if structure.config}
     if str(name) in plugged:
         return plugged[str(name)]
     check_package("models", name)
-    return named_file("configuration", PARAMETERS, name, (*ours, *plugged))
+    return named_file("configuration", PARAMETERS, name, (*shipped, *plugged))
 
 
 def replace_values(config: ControllerConfig, overrides: Mapping[str, object]) -> ControllerConfig:
-    """Return a validated copy of `config` with values replaced by dotted key; raise ConfigError."""
-    return _checked(_replaced(config.model_dump(), overrides), "configuration")
+    """Return a validated copy of `config` with values replaced by dotted key; raise ConfigError for invalid values."""
+    return _check_config(_apply_overrides(config.model_dump(), overrides), "configuration")
 
 
-def _checked(values: Mapping[str, object], where: str) -> ControllerConfig:
+def _check_config(values: Mapping[str, object], where: str) -> ControllerConfig:
     return check(ControllerConfig, values, where, shown_key)
 
 
-def _replaced(data: Mapping[str, Any], overrides: Mapping[str, object] | None) -> dict[str, Any]:
+def _apply_overrides(data: Mapping[str, Any], overrides: Mapping[str, object] | None) -> dict[str, Any]:
     replaced = dict(data)
     for key, value in (overrides or {}).items():
         replaced = _with_value(replaced, plain_key(key).split("."), value, key)
@@ -107,7 +108,7 @@ def _replaced(data: Mapping[str, Any], overrides: Mapping[str, object] | None) -
 def _with_value(data: Mapping[str, Any], keys: list[str], value: object, whole: str) -> dict[str, Any]:
     first, *rest = keys
     if not rest:
-        # Numbers of NumPy, such as those of `np.arange`, as the schema knows them.
+        # NumPy numbers, such as those of `np.arange`, are converted to Python numbers for the schema.
         return {**data, first: value.item() if isinstance(value, np.generic) else value}
     inner = data.get(first, {})
     if rest[0] in SIDES and isinstance(inner, (int, float)):

@@ -1,4 +1,4 @@
-"""The keys of a configuration as text, from the schema: rows of a table, and YAML with its meaning as comments."""
+"""Text about the keys of a configuration from its schema: rows of a table, and YAML with comments."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ class FieldRow:
 
 
 def schema_rows(schema: type[BaseModel] = ControllerConfig, prefix: str = "") -> list[FieldRow]:
-    """Return a row for every key of `schema`, groups resolved into dotted keys; NAME[].KEY is a key of each list item.
+    """Return a row for every key of `schema`, with dotted keys for groups, and NAME[].KEY for the items of lists.
 
-    Those of a controller come room by room, see `rooms`; `feature_rows` has those of installed features.
+    The rows of a controller are sorted by section, see `rooms`; `feature_rows` returns those of installed features.
     """
     rows = _rows(schema, prefix)
     if schema is not ControllerConfig:
@@ -70,14 +70,14 @@ def _rows(schema: type[BaseModel], prefix: str) -> list[FieldRow]:
 
 
 def commented_yaml(config: BaseModel, notes: Mapping[str, str] | None = None) -> str:
-    """Format a configuration as YAML, each value with its meaning as a comment and preceded by the note of its key.
+    """Format a configuration as YAML, each value with a comment that consists of the note of its key and its meaning.
 
-    That of a controller has its two rooms, see `rooms`.
+    The configuration of a controller is divided into its two sections, see `rooms`.
     """
     if not isinstance(config, ControllerConfig):
         return "\n".join(_yaml_lines(config, "", notes or {}, lambda _: True)) + "\n"
     lines = [*_yaml_lines(config, "", notes or {}, is_for_users)]
-    lines += ["", "# For experts: each of these has a default that nobody has to touch.", f"{EXPERT}:"]
+    lines += ["", "# For experts: the defaults of these keys rarely need a change.", f"{EXPERT}:"]
     lines += [f"  {line}" for line in _yaml_lines(config, "", notes or {}, lambda key: not is_for_users(key))]
     for name, group in config.features.items():
         inner = _yaml_lines(group, f"{name}.", notes or {}, lambda _: True)
@@ -86,7 +86,7 @@ def commented_yaml(config: BaseModel, notes: Mapping[str, str] | None = None) ->
 
 
 def _yaml_lines(
-    config: BaseModel, prefix: str, notes: Mapping[str, str], wanted: Callable[[str], bool]
+    config: BaseModel, prefix: str, notes: Mapping[str, str], is_included: Callable[[str], bool]
 ) -> Iterator[str]:
     indent = "  " * prefix.count(".")
     for name, field in type(config).model_fields.items():
@@ -94,9 +94,9 @@ def _yaml_lines(
         if isinstance(value, Mapping):
             continue
         if isinstance(value, BaseModel):
-            inner = [*_yaml_lines(value, f"{key}.", notes, wanted)]
+            inner = [*_yaml_lines(value, f"{key}.", notes, is_included)]
             yield from [f"{indent}{name}:", *inner] if inner else []
-        elif wanted(key):
+        elif is_included(key):
             comment = "; ".join(filter(None, (notes.get(key, ""), field.description)))
             yield f"{indent}{name}: {_scalar(value)}" + (f"  # {comment}" if comment else "")
 
@@ -116,7 +116,7 @@ def _group(kind: object) -> type[BaseModel] | None:
 
 
 def _help_and_unit(field: FieldInfo) -> tuple[str, str]:
-    """Split "what it is [unit]"; without brackets at the end there is no unit."""
+    """Split "description [unit]" into both parts; the unit is empty if there are no brackets at the end."""
     match = re.fullmatch(r"(.*?)\s*\[([^\[\]]*)\]", field.description or "", flags=re.DOTALL)
     return (match[1], match[2]) if match else (field.description or "", "")
 

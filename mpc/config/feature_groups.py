@@ -13,7 +13,7 @@ from diffdrive_mpc.mpc.config.group import FeatureGroup
 
 
 def is_feature(name: str) -> bool:
-    """Return True if a package of this project or an installed package has a feature of this name."""
+    """Return True if a package of this project or an installed package contains a feature of this name."""
     return name in plug_in_names("features") or name in known_packages()["features"]
 
 
@@ -30,20 +30,20 @@ def _schema(name: str) -> type[FeatureGroup]:
 def checked_groups(groups: Mapping[str, object]) -> dict[str, FeatureGroup]:
     """Return the groups of features by name, checked against their schemas.
 
-    A group of a feature that is not installed is left out if it asks for nothing, such as `{enabled: false}`.
+    A group of a feature that is not installed is omitted if it is disabled, such as by `{enabled: false}`.
 
     Raises
     ------
     pydantic.ValidationError
-        With the place of each mistake.
+        If values are invalid, with the key of each mistake.
     ValueError
-        If a group asks for a feature that is not installed; the message names the package.
+        If a group enables a feature that is not installed; the message names the package.
     """
     checked: dict[str, FeatureGroup] = {}
     details: list[InitErrorDetails] = []
     for name, values in groups.items():
         if name not in plug_in_names("features"):
-            if asks_for_nothing(values):
+            if is_disabled(values):
                 continue
             raise ValueError(f"{missing_part('features', name)}; or leave out expert.{name}")
         try:
@@ -55,14 +55,14 @@ def checked_groups(groups: Mapping[str, object]) -> dict[str, FeatureGroup]:
     return checked
 
 
-def asks_for_nothing(values: object) -> bool:
-    """Return True if a group is switched off: `enabled` is false, or without it all values are zero or empty."""
+def is_disabled(values: object) -> bool:
+    """Return True if `enabled` is false or, if a group has no such key, all values are false, zero or empty."""
     if not isinstance(values, Mapping):
         return False
     return not values["enabled"] if "enabled" in values else not any(values.values())
 
 
 def _at(name: str, detail: Any) -> InitErrorDetails:  # noqa: ANN401 - a typed dictionary of pydantic
-    """Return an error of a group as one of the whole configuration."""
+    """Convert an error in a group to an error in the whole configuration."""
     placed = InitErrorDetails(type=detail["type"], loc=(name, *detail["loc"]), input=detail["input"])
     return placed | {"ctx": detail["ctx"]} if "ctx" in detail else placed

@@ -1,7 +1,8 @@
 """Constants that are the same for all robots.
 
-`fixed_values.yaml` holds former keys of the configuration; thresholds of re-entry, for Python and the core, are here.
-Thresholds of the sensor test are in `sensor_test.yaml`, those of single measurements in `core_thresholds.yaml`.
+`fixed_values.yaml` contains former keys of the configuration; this module contains thresholds of re-entry for Python
+and the core. Thresholds of the sensor test are in `sensor_test.yaml`, those of single measurements in
+`core_thresholds.yaml`.
 """
 
 from __future__ import annotations
@@ -23,10 +24,10 @@ def fixed_values() -> Mapping[str, float]:
 
 
 STANDING = 0.02
-"""A reference below this speed counts as standing [m/s]: its heading is then that of the next motion."""
+"""Speed below which a reference is at standstill [m/s]; its direction is then that of the next motion."""
 TURNING = 0.05
-"""... A standing reference above this yaw rate turns on the spot [rad/s]."""
+"""Yaw rate above which a reference at standstill turns on the spot [rad/s]."""
 BEHIND = 3.0
-"""In units of `reentry.wait`: waiting leaves a robot behind by twice that at most; further back it was moved [-]."""
+"""Distance behind the reference, over `reentry.wait`, beyond which a robot was moved [-]; waiting explains 2."""
 AHEAD = 1.5
-"""The same for a robot that is ahead of its reference, which it never is by much unless it was moved [-]."""
+"""Distance ahead of the reference, over `reentry.wait`, beyond which a robot was moved [-]."""

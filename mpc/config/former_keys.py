@@ -1,4 +1,4 @@
-"""Configurations of earlier versions: keys with another name, and keys that are constants or entries of a list now."""
+"""Conversion of former configurations: renamed keys, and keys that became constants or entries of a list."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from diffdrive_mpc.mpc.config.fixed_values import FILE, fixed_values
 from diffdrive_mpc.mpc.config.schema import Estimator
 
 CURVED_SLIPS = tuple(name for name, field in Estimator.model_fields.items() if get_origin(field.annotation) is list)
-"""Kinds of slip that the estimator's group holds as one list each."""
+"""Kinds of slip that are lists in the estimator's group."""
 _FORMER_SOLVER = frozenset(("strategy", "backend", "check_every"))
 _ENTRIES = ("", "_uncertainty", "_drift")
 """Endings of the former keys of a curved slip, in the order of its present list."""
@@ -22,7 +22,7 @@ _REMOVED_GROUPS = {"online_dead_time": "the filter learns unknown delays itself"
 
 @cache
 def former_keys() -> Mapping[str, str]:
-    """Return the present names of keys by their former ones; `fixed_values.yaml` has those of constants."""
+    """Return the present names of keys by their former names; former keys of constants are in `fixed_values.yaml`."""
     data: dict[str, str] = read_yaml(Path(__file__).with_name("former_keys.yaml"))
     return data
 
@@ -46,7 +46,7 @@ def removed_message(key: str) -> str:
 
 
 def without_unused_groups(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the groups of a configuration without removed ones that it did not enable."""
+    """Return the groups of a configuration without removed groups that are disabled."""
     return {
         name: values
         for name, values in data.items()
@@ -55,12 +55,12 @@ def without_unused_groups(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def with_present_names(data: Mapping[str, Any], where: str = "configuration") -> dict[str, Any]:
-    """Return groups side by side with present names of their keys, and without those that are constants now.
+    """Return merged groups with the present names of their keys, and without keys that became constants.
 
     Raises
     ------
     ConfigError
-        If a former key states another value than the constant that replaced it, or a removed group does something.
+        If a former key has another value than the constant that replaced it, or a removed group is enabled.
     """
     data = without_unused_groups(data)
     for group in _REMOVED_GROUPS.keys() & data.keys():
@@ -102,7 +102,7 @@ def _drop_constants(data: dict[str, Any], where: str) -> None:
 
 
 def _join_curved_slips(estimator: dict[str, Any]) -> None:
-    """Put the start, the uncertainty and the drift of curved slip into one list for each kind."""
+    """Combine the start, the uncertainty and the drift of each kind of curved slip in one list."""
     for slip in CURVED_SLIPS:
         stated = {entry: f"{slip}{ending}" for entry, ending in enumerate(_ENTRIES) if f"{slip}{ending}" in estimator}
         whole = estimator.get(slip)
@@ -115,7 +115,7 @@ def _join_curved_slips(estimator: dict[str, Any]) -> None:
 
 
 def _with_method(solver: Mapping[str, Any]) -> dict[str, Any]:
-    """Return `solver` with one `method` for the strategy and the backend of earlier files, and OSQP's own group."""
+    """Return `solver` with one `method` in place of the former strategy and backend, and with the group of OSQP."""
     joined = {key: value for key, value in solver.items() if key not in _FORMER_SOLVER}
     if solver.keys() & {"strategy", "backend"}:
         strategy = solver.get("strategy", "auto")

@@ -12,35 +12,35 @@ from diffdrive_mpc.models.checked_yaml import StrictModel
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 
-SMALLEST, LARGEST = 1e-12, 1e12
-"""Sizes of numbers in a configuration, in any unit: beyond them is a mistake, and arithmetic would suffer."""
+MIN_SIZE, MAX_SIZE = 1e-12, 1e12
+"""Range of absolute values in a configuration, in any unit; other values are mistakes and could overflow."""
 
 
 class Group(StrictModel, strict=True):
-    """Base of every group: no silent conversion, so that `true` is not read as 1."""
+    """Base of all groups, without silent conversions such as that of `true` to 1."""
 
     @field_validator("*", mode="after")
     @classmethod
-    def _can_be_squared(cls, value: object) -> object:
-        """Zero, or of a size that products of such numbers neither overflow nor vanish."""
+    def _check_size(cls, value: object) -> object:
+        """Check that numbers are zero, or of a size whose products neither overflow nor underflow."""
         numbers = getattr(value, "sides", (value,)) if isinstance(value, float) else ()
-        if any(number != 0.0 and not SMALLEST <= abs(number) <= LARGEST for number in numbers):
-            raise ValueError(f"give zero or a size from {SMALLEST:g} to {LARGEST:g}, in the unit of the field")
+        if any(number != 0.0 and not MIN_SIZE <= abs(number) <= MAX_SIZE for number in numbers):
+            raise ValueError(f"give zero or a size from {MIN_SIZE:g} to {MAX_SIZE:g}, in the unit of the field")
         return value
 
 
 class FeatureGroup(Group):
-    """Base of the configuration group of a controller feature, written `expert.<name>`."""
+    """Base of the configuration groups of controller features, `expert.<name>`."""
 
     @property
     def is_enabled(self) -> bool:
-        """True if the controller attaches the feature: the field `enabled`."""
+        """True if the controller attaches the feature, by the field `enabled`."""
         return bool(getattr(self, "enabled", True))
 
     def relative_to(self, folder: Path) -> Self:
-        """Return the group of a configuration file in `folder`, with its relative paths resolved there."""
+        """Return the group with relative paths resolved in the `folder` of the configuration file."""
         del folder
         return self
 
     def check_files(self) -> None:
-        """Raise UntrustedFileError if a file that the group names may not be opened, see `models.trust`."""
+        """Raise UntrustedFileError if a file of the group is not trusted, see `models.trust`."""

@@ -1,7 +1,7 @@
-"""The two rooms of a configuration: keys that users set, and under `expert:` rarely changed keys and features.
+"""The two sections of a configuration: keys for users, and under `expert:` rarely changed keys and features.
 
-Files, `config show`, documents and the node's parameters have them; inside the program a configuration has its groups
-side by side, and so do records of runs.
+Files, `config show`, documents and the node's parameters have both sections; inside the program and in records of runs,
+the groups of both sections are merged.
 """
 
 from __future__ import annotations
@@ -50,40 +50,40 @@ USER = (
     "fence",
     "terms",
 )
-"""Keys of the first room, a group for all of its keys; everything else is under `expert:`."""
+"""Keys of the first section, with the name of a group for all of its keys; all other keys are under `expert:`."""
 
 
 def is_for_users(key: str) -> bool:
-    """Return True if a dotted key belongs to the first room."""
+    """Return True if a dotted key belongs to the first section."""
     return any(key == user_key or key.startswith((f"{user_key}.", f"{user_key}[]")) for user_key in USER)
 
 
 def shown_key(key: str) -> str:
-    """Return a dotted key of `ControllerConfig` as files, parameters and messages name it."""
+    """Convert a dotted key of `ControllerConfig` to its form in files, parameters and messages."""
     key = key.removeprefix("features.")
     group = key.partition(".")[0].partition("[")[0]
     if is_for_users(key):
         return key
     if group not in ControllerConfig.model_fields:
         return f"{EXPERT}.{key}" if is_feature(group) else key
-    # A name unknown to a group of both rooms stays in its place.
+    # An unknown name in a group of both sections keeps its place.
     known = key in _LEAVES or not any(user_key.startswith(f"{group}.") for user_key in USER)
     return f"{EXPERT}.{key}" if known else key
 
 
 def plain_key(key: str) -> str:
-    """Return a dotted key as `ControllerConfig` has it, from one in either room or of a former name."""
+    """Convert a dotted key of either section, or a former name, to the key in `ControllerConfig`."""
     inner = key.removeprefix(f"{EXPERT}.")
     return former_keys().get(inner, inner)
 
 
 def side_by_side(data: Mapping[str, Any], where: str = "") -> dict[str, Any]:
-    """Merge the values of a file, in two rooms or in the former layout, into the layout of `ControllerConfig`.
+    """Merge the values of a file, in two sections or in the former layout, into the layout of `ControllerConfig`.
 
-    If `where` names the file, each key in a former place causes one FormerNameWarning with its new place.
+    If `where` is the name of the file, each key in a former place causes one FormerNameWarning with its new place.
 
-    Raises ConfigError if a value is stated twice, a user's key under `expert`, a group as something else, or a former
-    key with another value than the constant that replaced it.
+    Raises ConfigError if a value is given twice, a user's key is under `expert`, a group is not a mapping, or a former
+    key has another value than the constant that replaced it.
     """
     first = {key: value for key, value in data.items() if key != EXPERT}
     inner = data.get(EXPERT)
@@ -93,14 +93,14 @@ def side_by_side(data: Mapping[str, Any], where: str = "") -> dict[str, Any]:
     _check_rooms(first, second, where or "configuration")
     flat = with_present_names(merge_mappings(first, second), where or "configuration")
     if where:
-        for key, place in _moved(first, second).items():
-            message = f"{where}: {key} is {place} now; `diffdrive-mpc config show` prints the file as it is written now"
+        for key, place in _new_places(first, second).items():
+            message = f"{where}: {key} is {place} now; `diffdrive-mpc config show` prints the file in its present form"
             warnings.warn(message, FormerNameWarning, stacklevel=3)
     return flat
 
 
-def _moved(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, str]:
-    """Return the present place of each key of an earlier file, by its place there."""
+def _new_places(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, str]:
+    """Return the present place of each key of an earlier file whose place has changed, by its former place."""
     moved: dict[str, str] = {}
     for prefix, room in (("", first), (f"{EXPERT}.", second)):
         for key, _ in _leaves(room):
@@ -113,7 +113,7 @@ def _moved(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, str
 
 
 def _check_rooms(first: Mapping[str, Any], second: Mapping[str, Any], where: str) -> None:
-    """Raise ConfigError if one room hides a value of the other one."""
+    """Raise ConfigError if a value of one section would replace a value of the other section."""
     for group in first.keys() & second.keys():
         for prefix, room in (("", first), (f"{EXPERT}.", second)):
             if not isinstance(room[group], Mapping):

@@ -1,4 +1,4 @@
-"""The schema of how the problem is solved."""
+"""Schema of the solver settings."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from diffdrive_mpc.mpc.config.group import Group
 
 
 class Osqp(Group):
-    """OSQP's own settings, by its names, where `solver.method` is osqp."""
+    """Settings of OSQP, with its names, for `solver.method` osqp."""
 
     eps_abs: Annotated[float, Field(ge=1e-9, le=1e-2)] = Field(
         1e-6, description="absolute tolerance of OSQP on its residuals [-]"
@@ -31,31 +31,31 @@ class Solver(Group):
 
     method: Literal["auto", "osqp", "daqp"] = Field(
         "auto",
-        description="auto: the minimiser without limits where it keeps them, then the active set, and DAQP where that "
-        "is not proven; osqp: OSQP at every tick; daqp: DAQP at every tick [-]",
+        description="auto: the unconstrained minimiser if it is within the limits, else the active set, and DAQP if "
+        "its solution is not proven optimal; osqp: OSQP at every tick; daqp: DAQP at every tick [-]",
     )
     active_set_iterations: Annotated[int, Field(ge=0, le=5000)] = Field(
         500,
-        description="systems that the active set may solve at a tick; then its plan is taken as it is, with ranges and "
-        "slew kept; 0: ask DAQP at once [-]",
+        description="maximum number of systems that the active set solves at a tick; its plan is then used as it is, "
+        "within ranges and slew; 0: use DAQP at once [-]",
     )
     max_iterations: Annotated[int, Field(ge=10, le=100_000)] = Field(
         2000, description="limit of the iterations of one solve of DAQP [-]"
     )
     tolerance: Annotated[float, Field(ge=1e-9, le=1e-2)] = Field(
         1e-5,
-        description="of DAQP on the limits, in units of rows normalised by the cost; a tenth of it counts as kept for "
-        "every solver [-]",
+        description="tolerance of DAQP on the limits, in units of rows normalised by the cost; all solvers treat a "
+        "limit as satisfied within a tenth of it [-]",
     )
     time_limit: Annotated[float, Field(gt=0)] | None = Field(
         None,
-        description="the node's: after so long of a tick the solve is stopped, and its plan taken as it is, with "
-        "ranges and slew kept; unset: half of sample_time. A simulation is bounded by iterations alone [s]",
+        description="for the node: time of a tick after which the solve is stopped and its plan used as it is, within "
+        "ranges and slew; unset: half of sample_time. A simulation is limited by iterations only [s]",
     )
     max_missed: Annotated[int, Field(ge=1, le=100_000)] = Field(
         5,
-        description="ticks in a row whose solve is cut off by time_limit or ends after it, from which on the robot "
-        "brakes, until a solve is in time again [-]",
+        description="successive ticks whose solve is stopped by time_limit or ends after it, after which the robot "
+        "brakes until a solve is in time again [-]",
     )
     osqp: Osqp = Osqp()
 

@@ -1,4 +1,4 @@
-"""Read `KEY=VALUE` and `KEY=V1,V2,...` as typed on the command line."""
+"""Parsing of the settings `KEY=VALUE` and `KEY=V1,V2,...` of the command line."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from diffdrive_mpc.mpc.config.rooms import plain_key
 def parse_setting(text: str) -> tuple[str, list[object]]:
     """Split `KEY=V1,V2,...` into the dotted key and its values.
 
-    Raises ConfigError if there is no key, no value, or the values are no YAML.
+    Raises ConfigError if the key or the value is missing, or the values are not valid YAML.
     """
     key, equals, listed = text.partition("=")
     if not equals or not key.strip() or not listed.strip():
@@ -30,7 +30,7 @@ def parse_setting(text: str) -> tuple[str, list[object]]:
 
 
 def parsed_settings(texts: Sequence[str]) -> list[tuple[str, list[object]]]:
-    """Return the keys of several settings with their values, in the order of `texts`.
+    """Parse several settings and return their keys with their values, in the order of `texts`.
 
     Raises ConfigError as `parse_setting`, and if a key or a value is given twice.
     """
@@ -45,7 +45,7 @@ def parsed_settings(texts: Sequence[str]) -> list[tuple[str, list[object]]]:
 
 
 def single_settings(texts: Sequence[str]) -> tuple[tuple[str, object], ...]:
-    """Return settings with one value each, as `simulate` takes them; raises ConfigError as `parsed_settings`."""
+    """Parse settings with one value each, for `simulate`; raises ConfigError as `parsed_settings`."""
     parsed = parsed_settings(texts)
     if any(len(values) > 1 for _, values in parsed):
         raise ConfigError("--set: one value for each key here; to compare several values use 'bench'")
@@ -53,7 +53,7 @@ def single_settings(texts: Sequence[str]) -> tuple[tuple[str, object], ...]:
 
 
 def _number(value: object) -> object:
-    """Convert text such as 1e-3, which YAML 1.1 does not read as a number without a dot."""
+    """Convert text such as 1e-3 to a number, which YAML 1.1 reads as text because it has no dot."""
     if isinstance(value, str):
         try:
             return float(value)

@@ -32,7 +32,7 @@ from diffdrive_mpc.mpc.core.sources import (
     header_text,
     shared_headers,
 )
-from diffdrive_mpc.mpc.problem.constants import Constants, padded
+from diffdrive_mpc.mpc.problem.constants import Constants, round_up
 
 if TYPE_CHECKING:
     from diffdrive_mpc.mpc.core.generate import GeneratedC
@@ -135,7 +135,7 @@ def pointer_shapes(struct: str, sizes: Mapping[str, int]) -> dict[str, tuple[int
         "P": sizes["parameters"],
         "S": sizes["slips"],
         "Q": sizes["model_parameters"],
-        "width": padded(2 * N),
+        "width": round_up(2 * N),
     }
     (body,) = (body for body, name in _STRUCT.findall(header_text()) if name == struct)
     return {

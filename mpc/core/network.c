@@ -22,7 +22,7 @@ typedef struct {
     const real *outputs, *output_offset;
 } network;
 
-static int padded(int count) { return (count + DDMPC_BLOCK - 1) / DDMPC_BLOCK * DDMPC_BLOCK; }
+static int round_up(int count) { return (count + DDMPC_BLOCK - 1) / DDMPC_BLOCK * DDMPC_BLOCK; }
 
 static network read_network(const real *p)
 {
@@ -30,9 +30,9 @@ static network read_network(const real *p)
     n.samples = (int)p[0];
     n.units = (int)p[1];
     n.dense = (int)p[2];
-    n.unit_row = padded(n.units);
-    n.dense_row = padded(n.dense);
-    n.in_row = padded(n.units + 2);
+    n.unit_row = round_up(n.units);
+    n.dense_row = round_up(n.dense);
+    n.in_row = round_up(n.units + 2);
     n.gates = p + 3;
     n.gate_offset = n.gates + (n.units + 2) * GATES * n.unit_row;
     n.gates_transposed = n.gate_offset + GATES * n.unit_row;

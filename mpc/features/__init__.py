@@ -1,1 +1,1 @@
-"""The hook by which features attach to a controller, and the features of a configuration."""
+"""Base class of features that attach to a controller, and the lookup of the features of a configuration."""

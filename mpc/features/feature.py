@@ -1,7 +1,7 @@
-"""Hook by which features attach to a controller.
+"""Base class of features that attach to a controller.
 
 A package registers a subclass of `Feature` as an entry point of the group `diffdrive_mpc.features`. The name of the
-entry is that of the feature and of its configuration group `expert.<name>`.
+entry point is the name of the feature, and of its configuration group `expert.<name>`.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ class Host:
     Attributes
     ----------
     config
-        Configuration in force.
+        Current configuration.
     model
-        Model that the controller predicts with.
+        Prediction model of the controller.
     tick
         Compiled core.
     pursuit
-        Reference with its clock, or the path back to it.
+        Choice of the target, with the reference and its clock.
     terms
         All terms of the cost.
     is_new_tick
@@ -61,7 +61,7 @@ class Feature:
     config
         Configuration that enables the feature.
     model
-        Model that the controller starts with.
+        Initial prediction model of the controller.
 
     Attributes
     ----------
@@ -89,41 +89,41 @@ class Feature:
         return ()
 
     def attach(self, host: Host) -> None:
-        """Keep access to the controller, which is complete now."""
+        """Store the access to the controller, which is completely built."""
         self.host = host
 
     def configure(self) -> None:
         """Adopt the configuration of `host` after a change."""
 
     def begin(self, reference: Reference, t0: float) -> Reference:
-        """Start a reference with its time 0 at `t0` [s]; return the reference to track in its place."""
+        """Prepare for the start of a reference at `t0` [s]; return the reference to track in place of it."""
         del t0
         return reference
 
     def lay(self, reference: Reference) -> Reference:
-        """Return a checked reference as it will be driven."""
+        """Return the form of a checked reference that the robot will track."""
         return reference
 
     def forget(self) -> None:
-        """Reset the feature, for a robot at standstill."""
+        """Reset the feature while the robot is at standstill."""
 
     def set_applied(self, command: FloatArray) -> None:
-        """Replace the last command (2,) by that of another controller."""
+        """Replace the last command by `command` (2,) of another controller."""
 
     def before_step(self, t: float) -> Hold | None:
-        """Prepare the tick at `t` [s]; return a reason to stand, if there is one."""
+        """Prepare the tick at `t` [s]; return a request to stop, or None."""
         del t
         return None
 
     def after_step(self, t: float, measurement: Measurement, result: StepResult) -> StepResult:
-        """Return the result of the tick at `t` [s], changed or not."""
+        """Return the result of the tick at `t` [s], which the feature may replace."""
         del t, measurement
         return result
 
     def state(self) -> Any:  # noqa: ANN401 - each feature has its own state
-        """Return the state that a pickled controller takes along; None without one."""
+        """Return the feature's state for a pickled controller; None if it has no state."""
         return None
 
     def restore(self, state: Any) -> None:  # noqa: ANN401 - as above
-        """Continue from a state that `state` returned, before the reference starts again."""
+        """Restore a result of `state`, before the reference is restarted."""
         del state

@@ -1,4 +1,4 @@
-"""Features of a configuration, from entry points."""
+"""Lookup of the features of a configuration by entry points."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from diffdrive_mpc.mpc.problem.terms import Term
 
 
 def features_of(config: ControllerConfig) -> dict[str, type[Feature]]:
-    """Import and return the features that a configuration enables, by name; raises ImportError as `plug_in`.
+    """Import the features that a configuration enables, by name; raises ImportError as `plug_in`.
 
-    They are in the order of their names, in which the controller calls them.
+    The features are sorted by name; the controller calls them in this order.
     """
     features = {name: plug_in("features", name) for name, group in config.features.items() if group.is_enabled}
     return dict(sorted(features.items()))
 
 
-def prepared(config: ControllerConfig) -> ControllerConfig:
-    """Return the configuration with the changes that its features need; raises ConfigError if one cannot be used."""
+def prepare_config(config: ControllerConfig) -> ControllerConfig:
+    """Return the configuration with the changes of its features; raises ConfigError if a feature cannot be used."""
     for feature in features_of(config).values():
         config = feature.prepare(config)
     return config

@@ -227,7 +227,7 @@ class Problem:
             "stamp_history": s.history,
             "pose_variance": np.square([s.position_noise, s.position_noise, s.heading_noise]),
             "twist_variance": np.square([s.wheel_speed_noise, s.wheel_yaw_rate_noise, s.yaw_rate_noise]),
-            "sensor_delay": [known.wheels.late, known.yaw_rate.late, known.pose.delay],
+            "sensor_delay": [known.wheels.total_delay, known.yaw_rate.total_delay, known.pose.delay],
             "sensor_scale": np.array([known.wheels.sign, known.wheels.turn_sign, known.yaw_rate.sign])
             * [known.wheels.scale, known.wheels.scale, known.yaw_rate.scale],
             "sensor_heading": known.pose.heading,
@@ -251,7 +251,7 @@ class Problem:
 
     def _prediction(self) -> Constants:
         N, prediction, n, W = self.config.horizon, self.prediction, self.model.order, self.sizes["window"]
-        width = padded(2 * N)
+        width = round_up(2 * N)
         if prediction is None:
             empty = {
                 "from_state": (N + 1, 2, n),
@@ -371,7 +371,7 @@ def configured_slip(config: ControllerConfig) -> Slip:
     return replace(flat, **{name: s.start(name) for name in CURVED_SLIPS})
 
 
-def padded(count: int) -> int:
+def round_up(count: int) -> int:
     """Round up to a multiple of `PADDING`."""
     return -(-count // PADDING) * PADDING
 
@@ -379,7 +379,7 @@ def padded(count: int) -> int:
 def _longest_row(matrix: FloatArray) -> FloatArray:
     """Return the last row of a Toeplitz matrix, padded; every other row is a shifted section of it."""
     row = matrix[-1]
-    return np.concatenate([row, np.zeros(2 * padded(row.size) - row.size)])
+    return np.concatenate([row, np.zeros(2 * round_up(row.size) - row.size)])
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,7 @@ SLOW = 0.1
 _ITERATIONS = 3
 
 
-def _named(slip: ca.SX) -> SimpleNamespace:
+def _slip_components(slip: ca.SX) -> SimpleNamespace:
     """Name the components of a slip column; components beyond a shorter column are zero."""
     parts = ca.vertsplit(slip)
     return SimpleNamespace(**dict(zip(SLIPS, [*parts, *[ca.SX(0)] * (len(SLIPS) - len(parts))], strict=True)))
@@ -72,7 +72,7 @@ def _flat_twist(wheels: ca.SX, turn: ca.SX, s: SimpleNamespace) -> ca.SX:
     return ca.SX(ca.vertcat(s.longitudinal_gain * wheels + s.turn_left * omega, omega))
 
 
-def _curved(flat: ca.SX, wheels: ca.SX, turn: ca.SX, s: SimpleNamespace) -> ca.SX:
+def _curve_twist(flat: ca.SX, wheels: ca.SX, turn: ca.SX, s: SimpleNamespace) -> ca.SX:
     """Add the curved terms to the twist: veer and couplings (a31, a13 and a33 of P4), and a widening track."""
     product = wheels * s.omega_gain * turn
     v = flat[0] + s.forward_coupling * product
@@ -91,10 +91,10 @@ def body_twist(y: ca.SX, slip: ca.SX) -> ca.SX:
 
 def _twists(y: ca.SX, slip: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Compute the twist (2) of the body without and with the curved terms."""
-    s = _named(slip)
+    s = _slip_components(slip)
     wheels = y[0] + s.v_offset
     flat = _flat_twist(wheels, y[1], s)
-    return flat, _curved(flat, wheels, y[1], s)
+    return flat, _curve_twist(flat, wheels, y[1], s)
 
 
 def wheel_twist(twist: ca.SX, slip: ca.SX) -> ca.SX:
@@ -103,7 +103,7 @@ def wheel_twist(twist: ca.SX, slip: ca.SX) -> ca.SX:
     Curved slip is inverted by fixed-point iteration: each iteration multiplies the error by the product of the
     couplings.
     """
-    s = _named(slip)
+    s = _slip_components(slip)
     gain = s.omega_gain * s.yaw_gain
     v, turn = (twist[0] - s.turn_left * twist[1]) / s.longitudinal_gain, twist[1] / gain
     for _ in range(0 if slip.numel() == len(FLAT_SLIPS) else _ITERATIONS):
@@ -118,7 +118,7 @@ def _flat_of(twist: ca.SX, slip: ca.SX) -> ca.SX:
     if slip.numel() == len(FLAT_SLIPS):
         return twist
     wheels = wheel_twist(twist, slip)
-    return _flat_twist(wheels[0], wheels[1], _named(slip))
+    return _flat_twist(wheels[0], wheels[1], _slip_components(slip))
 
 
 def turning_point(slip: ca.SX, acceleration: ca.SX) -> ca.SX:
@@ -126,7 +126,7 @@ def turning_point(slip: ca.SX, acceleration: ca.SX) -> ca.SX:
 
     A forward `acceleration` [m/s^2] shifts load to the rear axle, which increases its grip.
     """
-    s = _named(slip)
+    s = _slip_components(slip)
     return ca.SX(s.turn_ahead - s.load_shift * acceleration)
 
 
@@ -136,7 +136,7 @@ def lateral_speed(flat: ca.SX, slip: ca.SX, ahead: ca.SX) -> ca.SX:
     It is computed from the twist without curved terms, so crab, turning point and side-slip correspond to a21, a22 and
     a23 of P4.
     """
-    s, (v, omega) = _named(slip), ca.vertsplit(flat)
+    s, (v, omega) = _slip_components(slip), ca.vertsplit(flat)
     return ca.SX(s.crab * v - (ahead + s.side_slip * v) * omega)
 
 
@@ -152,9 +152,9 @@ def sliding(theta: ca.SX, omega: ca.SX, slide_x: ca.SX, slide_y: ca.SX) -> tuple
     return ALONG * rate * along, rate * across
 
 
-def _moved(theta: ca.SX, twist: ca.SX, flat: ca.SX, slip: ca.SX, ahead: ca.SX, dt: ca.SX) -> ca.SX:
+def _arc_move(theta: ca.SX, twist: ca.SX, flat: ca.SX, slip: ca.SX, ahead: ca.SX, dt: ca.SX) -> ca.SX:
     """Compute the displacement (3) over `dt` along the arc of the body's `twist`, with slip at the arc's midpoint."""
-    s = _named(slip)
+    s = _slip_components(slip)
     along, across = sliding(theta + twist[1] * dt / 2, twist[1], s.slide_x, s.slide_y)
     return arc_displacement(theta, twist[0] + along, twist[1], dt, lateral_speed(flat, slip, ahead) + across)
 
@@ -165,16 +165,16 @@ def displacement(y: ca.SX, slip: ca.SX, theta: ca.SX, acceleration: ca.SX, dt: c
     Source: `models/pose.py`.
     """
     flat, twist = _twists(y, slip)
-    return _moved(theta, twist, flat, slip, turning_point(slip, acceleration), dt)
+    return _arc_move(theta, twist, flat, slip, turning_point(slip, acceleration), dt)
 
 
-def sensed(y: ca.SX, slip: ca.SX, gyro_bias: ca.SX, wheel_yaw_ratio: ca.SX) -> ca.SX:
+def sensor_readings(y: ca.SX, slip: ca.SX, gyro_bias: ca.SX, wheel_yaw_ratio: ca.SX) -> ca.SX:
     """Compute the expected readings (3): wheel speed [m/s], yaw rate of the wheels and of the gyro [rad/s].
 
     Wheel speed = y_v + v_offset. The encoders measure the wheels, and their yaw rate uses the geometric track instead
     of the model's: wheel yaw rate = wheel_yaw_ratio omega_gain y_omega. The gyro measures the body: omega + gyro_bias.
     """
-    s = _named(slip)
+    s = _slip_components(slip)
     omega = body_twist(y, slip)[1]
     return ca.vertcat(y[0] + s.v_offset, wheel_yaw_ratio * s.omega_gain * y[1], omega + gyro_bias)
 
@@ -185,7 +185,7 @@ def aim(pose: ca.SX, twist: ca.SX, slip: ca.SX, acceleration: ca.SX) -> ca.SX:
     To stay on the path in a curve, a robot with side-slip must offset its heading by the angle of its lateral speed,
     which depends on the reference's forward `acceleration` [m/s^2].
     """
-    s = _named(slip)
+    s = _slip_components(slip)
     v, omega = twist[0], _flat_of(twist, slip)[1]
     _, slide = sliding(pose[2], twist[1], s.slide_x, s.slide_y)
     outward = s.side_slip * omega + (turning_point(slip, acceleration) * omega - slide) * v / (v**2 + SLOW**2)
@@ -199,7 +199,7 @@ def feed_forward(wanted: ca.SX, slip: ca.SX, inverse_gain: ca.SX) -> ca.SX:
     the latter.
     """
     wheels = wheel_twist(wanted, slip)
-    return inverse_gain @ ca.vertcat(wheels[0] - _named(slip).v_offset, wheels[1])
+    return inverse_gain @ ca.vertcat(wheels[0] - _slip_components(slip).v_offset, wheels[1])
 
 
 def across_path(pose: ca.SX, reference: ca.SX) -> ca.SX:
@@ -215,7 +215,7 @@ def tracking_errors(pose: ca.SX, reference: ca.SX) -> ca.SX:
     return ca.vertcat(along, across_path(pose, reference), pose[2] - reference[3])
 
 
-def softly_limited(pose: ca.SX, twist: ca.SX, reference: ca.SX, parameters: ca.SX) -> ca.SX:
+def soft_limit_values(pose: ca.SX, twist: ca.SX, reference: ca.SX, parameters: ca.SX) -> ca.SX:
     """Compute the values with soft limits (5): v, omega, right and left rim speed, distance across [m/s, rad/s, m].
 
     The speed of the rims is that of the wheels, without the body's slip. `parameters` (11 or 16) are slip and half the
@@ -274,7 +274,7 @@ def spline_piece(tau: ca.SX, coefficients: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
 def arc_move(theta: ca.SX, v: ca.SX, omega: ca.SX, slip: ca.SX, ahead: ca.SX, dt: ca.SX) -> ca.SX:
     """Compute the displacement (2) dx, dy [m] over `dt` as in `displacement`, for a twist that includes slip."""
     twist = ca.vertcat(v, omega)
-    return _moved(theta, twist, _flat_of(twist, slip), slip, ahead, dt)[:2]
+    return _arc_move(theta, twist, _flat_of(twist, slip), slip, ahead, dt)[:2]
 
 
 @cache
@@ -299,14 +299,14 @@ def _with_slip(ending: str, slips: int) -> tuple[ca.Function, ...]:
     """Build the formulas that depend on slip, for a slip column of length `slips`."""
     shapes = {"slip": (slips, 1)}
     return (
-        _varied(f"ddmpc_f_twist{ending}", body_twist, "twist", ("y", "slip"), shapes),
-        _varied(f"ddmpc_f_move{ending}", displacement, "displacement", ("y", "slip", "theta"), shapes),
-        _varied(f"ddmpc_f_sensors{ending}", sensed, "sensed", ("y", "slip", "gyro_bias"), shapes),
-        _varied(f"ddmpc_f_arc{ending}", arc_move, "move", ("v", "omega", "theta"), shapes),
+        _with_gradient(f"ddmpc_f_twist{ending}", body_twist, "twist", ("y", "slip"), shapes),
+        _with_gradient(f"ddmpc_f_move{ending}", displacement, "displacement", ("y", "slip", "theta"), shapes),
+        _with_gradient(f"ddmpc_f_sensors{ending}", sensor_readings, "sensed", ("y", "slip", "gyro_bias"), shapes),
+        _with_gradient(f"ddmpc_f_arc{ending}", arc_move, "move", ("v", "omega", "theta"), shapes),
         _plain(f"ddmpc_f_turning_point{ending}", turning_point, "ahead", shapes=shapes),
         _plain(f"ddmpc_f_aim{ending}", aim, "aim", shapes=shapes),
         _plain(f"ddmpc_f_feed_forward{ending}", feed_forward, "command", shapes=shapes),
-        _term(f"ddmpc_f_soft{ending}", softly_limited, slips + 1),
+        _term(f"ddmpc_f_soft{ending}", soft_limit_values, slips + 1),
     )
 
 
@@ -322,10 +322,10 @@ def term_symbols(parameters: int) -> dict[str, ca.SX]:
 
 def term(name: str, inputs: Mapping[str, ca.SX], value: ca.SX) -> ca.Function:
     """Build the term `value` (m) of `inputs` (see `term_symbols`), with its gradient (m x 7) by `VARIED`."""
-    return differentiated(name, inputs, "value", value, VARIED)
+    return differentiate(name, inputs, "value", value, VARIED)
 
 
-def differentiated(name: str, inputs: Mapping[str, ca.SX], output: str, value: ca.SX, by: Sequence[str]) -> ca.Function:
+def differentiate(name: str, inputs: Mapping[str, ca.SX], output: str, value: ca.SX, by: Sequence[str]) -> ca.Function:
     """Build the function `name` of `inputs` with two outputs: `value`, called `output`, and its gradient by `by`."""
     gradient = ca.jacobian(value, ca.vertcat(*(inputs[varied] for varied in by)))
     return named_function(name, inputs, {output: value, "gradient": gradient})
@@ -342,9 +342,9 @@ def _symbols(formula: _Formula, shapes: _Shapes) -> dict[str, ca.SX]:
     return {name: ca.SX.sym(name, *sizes.get(name, (1, 1))) for name in signature(formula).parameters}
 
 
-def _varied(name: str, formula: _Formula, output: str, by: Sequence[str], shapes: _Shapes) -> ca.Function:
+def _with_gradient(name: str, formula: _Formula, output: str, by: Sequence[str], shapes: _Shapes) -> ca.Function:
     inputs = _symbols(formula, shapes)
-    return differentiated(name, inputs, output, formula(**inputs), by)
+    return differentiate(name, inputs, output, formula(**inputs), by)
 
 
 def _plain(name: str, formula: _Formula, *outputs: str, shapes: _Shapes | None = None) -> ca.Function:
@@ -375,7 +375,7 @@ def network_formulas() -> tuple[ca.Function, ...]:
     now = {"leave": leave, "cell": cell}
     after = next_cell(enter, keep, candidate, cell, ca.tanh)
     return (
-        differentiated("ddmpc_f_cell", before, "next_cell", after, tuple(before)),
-        differentiated("ddmpc_f_hidden", now, "hidden", hidden(leave, cell, ca.tanh), tuple(now)),
-        differentiated("ddmpc_f_dense", {"x": x}, "y", ca.tanh(x), ("x",)),
+        differentiate("ddmpc_f_cell", before, "next_cell", after, tuple(before)),
+        differentiate("ddmpc_f_hidden", now, "hidden", hidden(leave, cell, ca.tanh), tuple(now)),
+        differentiate("ddmpc_f_dense", {"x": x}, "y", ca.tanh(x), ("x",)),
     )

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import casadi as ca
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.mpc.problem.formulas import TERM_INPUTS, differentiated, named_function, term, term_symbols
+from diffdrive_mpc.mpc.problem.formulas import TERM_INPUTS, differentiate, named_function, term, term_symbols
 
 _C_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 
@@ -120,7 +120,7 @@ def user_output(function: ca.Function, name: str, states: int) -> ca.Function:
     if _column_out(function, place) != 2:
         raise ConfigError(f"{place}: it has {function.numel_out(0)} entries; give it two, v and omega")
     inputs = {"x": ca.SX.sym("x", states)}
-    return differentiated(name, inputs, "y", _value(function, list(inputs.values()), place), ("x",))
+    return differentiate(name, inputs, "y", _value(function, list(inputs.values()), place), ("x",))
 
 
 def _checked_function(function: ca.Function, name: str, kind: str, place: str | None = None) -> str:

@@ -1,4 +1,4 @@
-"""Sampled stretch of the reference around its present time, and the robot's position relative to it."""
+"""Sampled section of the reference around its current time, and the robot's position relative to it."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from diffdrive_mpc.mpc.reentry.quintic_path import Paths
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 
-# Paths meet themselves, so a place further along the path counts as further away: by this share of the path between,
-# and by this for the time between [m/s].
+# Paths cross themselves, so the distance of a sample is increased by this share of the path between, and by this speed
+# times the time between [m/s].
 _PATH_AS_DISTANCE = 0.5
 _TIME_AS_DISTANCE = 0.02
 
 
 @dataclass(frozen=True)
 class PathWindow:
-    """The reference at n even times.
+    """Samples of the reference at n evenly spaced times.
 
     Attributes
     ----------
@@ -32,11 +32,11 @@ class PathWindow:
     pose
         (n, 3) x, y [m], theta [rad].
     twist
-        (n, 2) [m/s, rad/s].
+        (n, 2) v [m/s], omega [rad/s].
     arc_length
-        (n,) [m].
+        (n,) arc length of the path [m].
     travel
-        (n,) 1 where the reference goes forwards, -1 where backwards; where it stands, as in the motion to come.
+        (n,) 1 if the reference drives forwards, -1 backwards; at standstill the direction of its next motion.
     """
 
     times: FloatArray
@@ -46,7 +46,7 @@ class PathWindow:
     travel: FloatArray
 
     @classmethod
-    def around(cls, reference: Reference, time: float, span: float, step: float) -> PathWindow:
+    def sample_around(cls, reference: Reference, time: float, span: float, step: float) -> PathWindow:
         """Sample from `span` [s] before to `span` after `time` [s], within the reference, about every `step` [s]."""
         first = min(max(0.0, time - span), reference.duration)
         last = max(min(reference.duration, time + span), first)
@@ -65,15 +65,15 @@ class PathWindow:
         away = np.hypot(offset[:, 0], offset[:, 1])
         return int(np.argmin(away + _PATH_AS_DISTANCE * path + _TIME_AS_DISTANCE * np.abs(self.times - time)))
 
-    def beside(self, pose: FloatArray, index: int) -> tuple[float, float]:
-        """Compute the position of `pose` (3,) along and across the heading of sample `index` [m]; left is positive."""
+    def position_at(self, pose: FloatArray, index: int) -> tuple[float, float]:
+        """Return the position of `pose` (3,) along and across the heading of sample `index` [m]; left is positive."""
         x, y, theta = self.pose[index].tolist()
         return in_path(pose[0] - x, pose[1] - y, theta)
 
 
 def in_path(dx: float, dy: float, theta: float) -> tuple[float, float]:
     """Split a displacement [m] into parts along and across the heading `theta` [rad], positive to its left."""
-    # NaN in the input yields NaN without a warning: the caller checks the result.
+    # NaN in the input results in NaN without a warning; the caller checks the result.
     c, s, dx, dy = math.cos(theta), math.sin(theta), float(dx), float(dy)
     return c * dx + s * dy, c * dy - s * dx
 
@@ -87,17 +87,17 @@ def _travel(v: FloatArray) -> FloatArray:
     return np.asarray(np.sign(v[moving[index]]))
 
 
-# The pieces of a connection in time: braking, turning on the spot, driving a path; put together to a trajectory.
+# Segments of a connection in time: braking, turning on the spot, driving a path; composed to a trajectory.
 
 
-# Closer than this, there is no direction from one point to another [m].
+# Minimum distance of two points for a direction from one to the other [m].
 SAME_PLACE = 0.01
 # Duration of an empty motion [s]: a trajectory needs a positive one.
 _MOMENT = 1e-3
 
 
 class MotionLine:
-    """Nodes of a motion, collected piece by piece from a start pose (3,) [m, m, rad]."""
+    """Nodes of a motion, appended segment by segment from a start pose (3,) [m, m, rad]."""
 
     def __init__(self, pose: FloatArray) -> None:
         self._times = [0.0]
@@ -108,8 +108,8 @@ class MotionLine:
         """Append braking from (v [m/s], omega [rad/s]) to rest at constant decelerations over `duration` [s]."""
         start = self._poses[-1]
         for share in np.linspace(0.0, 1.0, 5):
-            passed = duration * (share - 0.5 * share * share)
-            pose = integrate_pose(start, v, omega, passed)
+            effective_time = duration * (share - 0.5 * share * share)
+            pose = integrate_pose(start, v, omega, effective_time)
             speed, heading = v * (1.0 - share), pose[2]
             rate = np.array([speed * np.cos(heading), speed * np.sin(heading), omega * (1.0 - share)])
             if share == 0.0:
@@ -118,7 +118,7 @@ class MotionLine:
                 self._add(duration / 4.0, pose, rate)
 
     def turn(self, angle: float, limits: TrajectoryLimits) -> None:
-        """Turn on the spot by `angle` [rad], from rest to rest."""
+        """Append a turn on the spot by `angle` [rad], from rest to rest."""
         if not angle:
             return
         size, side, alpha = abs(angle), np.sign(angle), limits.omega_acceleration
@@ -130,20 +130,20 @@ class MotionLine:
             (cruise, size - 0.5 * peak * ramp, peak),
             (ramp, size, 0.0),
         ):
-            # Rounding leaves the cruise of a triangle a hair off zero.
+            # Rounding can leave a small nonzero cruise in a triangular profile.
             if duration > 1e-9:
                 self._add(duration, start + [0.0, 0.0, side * turned], np.array([0.0, 0.0, side * rate]))
 
     def drive(self, paths: Paths, chosen: int, speed: FloatArray, times: FloatArray, travel: float) -> None:
-        """Drive path `chosen` with speeds (K,) at times (K,) [s]; backwards where `travel` is -1.
+        """Append path `chosen` with speeds (K,) [m/s] at times (K,) [s]; backwards if `travel` is -1.
 
-        A path that is no longer than `SAME_PLACE` is not driven: it has no direction.
+        A path that is no longer than `SAME_PLACE` is omitted: it has no direction.
         """
         if paths.lengths[chosen].sum() <= SAME_PLACE:
             return
         direction = paths.heading[chosen]
         turned = 0.0 if travel > 0 else np.pi
-        # On the turn that the motion so far has reached.
+        # Unwrapped to continue the heading of the motion so far.
         heading = direction - turned
         heading += 2 * np.pi * np.round((self._poses[-1][2] - heading[0]) / (2 * np.pi))
         poses = np.column_stack([paths.points[chosen], heading])
@@ -153,7 +153,7 @@ class MotionLine:
             self._add(float(duration), pose, rate)
 
     def trajectory(self, name: str, end_heading: float) -> SplineTrajectory:
-        """Convert the motion to a trajectory whose heading is unwrapped so that it ends at `end_heading` [rad]."""
+        """Convert the motion to a trajectory; its heading is unwrapped to end at `end_heading` [rad]."""
         if len(self._times) == 1:
             self._add(_MOMENT, self._poses[0], np.zeros(3))
         poses = np.array(self._poses)
@@ -167,18 +167,18 @@ class MotionLine:
 
 
 def braking_time(v: float, omega: float, limits: TrajectoryLimits) -> float:
-    """Time to come to rest from a twist within the acceleration limits [s]."""
+    """Compute the time to come to rest from a twist within the acceleration limits [s]."""
     return max(abs(v) / limits.v_acceleration, abs(omega) / limits.omega_acceleration)
 
 
 def turning_times(angles: FloatArray, limits: TrajectoryLimits) -> FloatArray:
-    """Time to turn on the spot by each of `angles` (C,) [rad], from rest to rest [s]."""
+    """Compute the time of a turn on the spot by each of `angles` (C,) [rad], from rest to rest [s]."""
     size, alpha = np.abs(angles), limits.omega_acceleration
     peak = np.minimum(limits.omega, np.sqrt(alpha * size))
     return np.asarray(peak / alpha + size / np.maximum(peak, 1e-9))
 
 
-# The fastest speeds along many paths at once that keep to limits of speed and acceleration, by two passes.
+# Maximum speeds along many paths at once within limits of speed and acceleration, in two passes.
 
 
 def path_speeds(
@@ -192,42 +192,42 @@ def path_speeds(
     """Compute the speed at the nodes of each path.
 
     The bounds on each piece are those of `mpc.trajectories.path_timing.squared_speeds`, here for C paths at a time and
-    with given speeds at both ends. Where a path is too short or too tight for the wanted speeds at its ends, the
-    speeds there come out lower.
+    with given speeds at both ends. If a path is too short or too tight for the desired speeds at its ends, the speeds
+    there are lower.
 
     Parameters
     ----------
     paths
         C paths of K nodes.
     enter, leave
-        (C,) wanted speed at the first and last node [m/s], not negative.
+        (C,) desired speed at the first and last node [m/s], not negative.
     limits
         Speed and acceleration limits.
     shares
-        (S,) shares of the speed limit: each path is timed at each of them [-].
+        (S,) shares of the speed limit; each path is timed at every share [-].
     travel
         (C,) 1 forwards, -1 backwards.
 
     Returns
     -------
     FloatArray
-        (S, C, K) [m/s].
+        (S, C, K) speeds [m/s].
     """
     k, lengths = np.abs(paths.curvature), paths.lengths
     bend = np.maximum(k[:, 1:], k[:, :-1])
     bend_change = np.abs(np.diff(paths.curvature, axis=1)) / lengths
     with np.errstate(divide="ignore", over="ignore"):
         cap = np.minimum((limits.omega / bend) ** 2, limits.omega_acceleration / bend_change)
-    # Nodes first, so that a step of a pass works on neighbours in memory.
+    # The first axis is that of the nodes, so that a step of a pass works on adjacent memory.
     square = np.empty((k.shape[1], shares.size, len(k)))
     square[1:-1] = np.minimum(cap[:, 1:], cap[:, :-1]).T[:, None]
     square[0] = np.minimum(enter**2, cap[:, 0])
     square[-1] = np.minimum(leave**2, cap[:, -1])
-    # Slower than at the start and end only as far as half the acceleration permits.
-    gone = np.concatenate([np.zeros((len(k), 1)), np.cumsum(lengths, axis=1)], axis=1)
+    # The cruise speed differs from the speeds at the ends only as far as half the acceleration permits.
+    covered = np.concatenate([np.zeros((len(k), 1)), np.cumsum(lengths, axis=1)], axis=1)
     ramps = np.maximum(
-        enter[:, None] ** 2 - limits.v_acceleration * gone,
-        leave[:, None] ** 2 - limits.v_acceleration * (gone[:, -1:] - gone),
+        enter[:, None] ** 2 - limits.v_acceleration * covered,
+        leave[:, None] ** 2 - limits.v_acceleration * (covered[:, -1:] - covered),
     )
     fastest = sides_at(limits.v, travel)
     cruise = np.maximum((shares[:, None] * fastest) ** 2, ramps.T[:, None])
@@ -236,18 +236,18 @@ def path_speeds(
     rise = (2.0 * limits.v_acceleration * lengths).T
     lever = (bend / (2.0 * lengths)).T
     total = np.maximum(bend_change.T + lever, 1e-12)
-    most, slope = limits.omega_acceleration / total, lever / total
+    offset, slope = limits.omega_acceleration / total, lever / total
     for i in range(len(rise)):
-        reached = np.minimum(square[i] + rise[i], most[i] + slope[i] * square[i])
-        np.minimum(square[i + 1], reached, out=square[i + 1])
+        bound = np.minimum(square[i] + rise[i], offset[i] + slope[i] * square[i])
+        np.minimum(square[i + 1], bound, out=square[i + 1])
     for i in reversed(range(len(rise))):
-        reached = np.minimum(square[i + 1] + rise[i], most[i] + slope[i] * square[i + 1])
-        np.minimum(square[i], reached, out=square[i])
+        bound = np.minimum(square[i + 1] + rise[i], offset[i] + slope[i] * square[i + 1])
+        np.minimum(square[i], bound, out=square[i])
     return np.asarray(np.sqrt(np.moveaxis(square, 0, -1)))
 
 
 def travel_times(paths: Paths, speed: FloatArray) -> FloatArray:
-    """Time from the first node [s] at speeds (..., C, K), the acceleration being constant on each piece."""
+    """Compute the time from the first node [s] at speeds (..., C, K) with constant acceleration on each piece."""
     times = np.zeros_like(speed)
     np.cumsum(2.0 * paths.lengths / np.maximum(speed[..., 1:] + speed[..., :-1], 1e-9), axis=-1, out=times[..., 1:])
     return times

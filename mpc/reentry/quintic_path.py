@@ -1,4 +1,4 @@
-"""Smooth paths from where the robot is to points on the reference, many at a time."""
+"""Smooth paths from the robot's pose to points on the reference, many at a time."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 
-# A path shorter than this [m] is a point; it keeps the divisions finite.
-_SHORTEST = 1e-4
+# Minimum length of a path in divisions [m].
+_MIN_LENGTH = 1e-4
 
 
 class Paths(NamedTuple):
-    """C paths, each cut into K - 1 pieces."""
+    """C paths of K - 1 pieces each."""
 
     points: FloatArray
     """(C, K, 2) x, y [m]."""
     heading: FloatArray
     """(C, K) direction of the tangent [rad], unwrapped along each path from the start heading."""
     curvature: FloatArray
-    """(C, K) [1/m]."""
+    """(C, K) curvature [1/m]."""
     lengths: FloatArray
     """(C, K - 1) length of each piece [m]."""
 
@@ -30,20 +30,20 @@ def quintic_paths(
 ) -> Paths:
     """Build quintic Hermite curves between poses, with given curvature at both ends.
 
-    With the parameter q from 0 to 1 the tangent at both ends is as long as the chord g, and the second derivative
-    there is curvature g^2 along the normal, so heading and curvature are met at both ends.
+    With the parameter q from 0 to 1, the tangent at both ends is as long as the chord g, and the second derivative
+    there is curvature g^2 along the normal, so that both ends have the given heading and curvature.
 
     Parameters
     ----------
     start, end
         (C, 3) poses x, y [m] and direction of travel [rad].
     start_curvature, end_curvature
-        (C,) [1/m].
+        (C,) curvature at the ends [1/m].
     nodes
-        K, nodes on each path, even in q.
+        Number K of nodes on each path, evenly spaced in q.
     """
     q = np.linspace(0.0, 1.0, nodes)
-    chord = np.maximum(np.hypot(end[:, 0] - start[:, 0], end[:, 1] - start[:, 1]), _SHORTEST)[:, None]
+    chord = np.maximum(np.hypot(end[:, 0] - start[:, 0], end[:, 1] - start[:, 1]), _MIN_LENGTH)[:, None]
     tangents = [chord * np.column_stack([np.cos(p[:, 2]), np.sin(p[:, 2])]) for p in (start, end)]
     normals = [
         (chord * curvature[:, None]) * np.column_stack([-t[:, 1], t[:, 0]])
@@ -51,20 +51,20 @@ def quintic_paths(
     ]
     knots = np.stack([start[:, :2], tangents[0], normals[0], end[:, :2], tangents[1], normals[1]])
     points, first, second = (np.einsum("kb,bcx->ckx", basis, knots) for basis in _quintic_basis(q))
-    stretch = np.maximum(np.hypot(first[..., 0], first[..., 1]), _SHORTEST * 1e-2)
+    stretch = np.maximum(np.hypot(first[..., 0], first[..., 1]), _MIN_LENGTH * 1e-2)
     curvature = (first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]) / stretch**3
     heading = np.unwrap(np.arctan2(first[..., 1], first[..., 0]), axis=1)
     heading += start[:, 2:] - heading[:, :1]
     step = np.diff(points, axis=1)
-    # An arc is longer than its chord by this factor, to fourth order in the angle.
+    # Ratio of the length of an arc to its chord, up to an error of fourth order in the angle.
     lengths = np.hypot(step[..., 0], step[..., 1]) * (1.0 + np.diff(heading, axis=1) ** 2 / 24.0)
-    return Paths(points, heading, curvature, np.maximum(lengths, _SHORTEST * 1e-2))
+    return Paths(points, heading, curvature, np.maximum(lengths, _MIN_LENGTH * 1e-2))
 
 
 def _quintic_basis(q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Compute (K, 6) values, first and second derivatives of the Hermite basis for (p0, p0', p0'', p1, p1', p1'')."""
     powers = np.array(
-        [  # of q^0 ... q^5; from the six conditions at q = 0 and q = 1
+        [  # coefficients of q^0 ... q^5, from the six conditions at q = 0 and q = 1
             [1.0, 0.0, 0.0, -10.0, 15.0, -6.0],
             [0.0, 1.0, 0.0, -6.0, 8.0, -3.0],
             [0.0, 0.0, 0.5, -1.5, 1.5, -0.5],

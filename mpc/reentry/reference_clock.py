@@ -1,7 +1,7 @@
 """The reference's clock: it may wait for the robot, and catches up with the controller's clock afterwards.
 
-The reference's time is the controller's time since the start, less a delay. The progress rate, reference time per
-controller time, is piecewise linear: the plan sees exactly the future that the clock will realise.
+The reference's time is the controller's time since the start, minus a delay. The progress rate, reference time per
+controller time, is piecewise linear over the horizon, and the clock then advances exactly as planned.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSampl
 
 @dataclass(frozen=True)
 class RateProfile:
-    """A progress rate over the time ahead, constant after its last node.
+    """Progress rate over the time ahead, constant after its last node.
 
     Attributes
     ----------
     times, rates
-        (m,) nodes: time from now [s], increasing from 0, and progress rate there [-].
+        (m,) nodes: time from the current tick [s], increasing from 0, and progress rate [-].
     settles
-        Whether the delay is zero once the last node has passed.
+        True if the delay is zero after the last node.
     """
 
     times: tuple[float, ...]
@@ -32,11 +32,11 @@ class RateProfile:
     settles: bool
 
     def rate(self, ahead: ArrayLike) -> FloatArray:
-        """Compute the progress rate at times `ahead` (n,) from now [s]."""
+        """Compute the progress rate at times `ahead` (n,) from the current tick [s]."""
         return np.asarray(np.interp(np.asarray(ahead, dtype=float), self.times, self.rates))
 
     def progress(self, ahead: ArrayLike) -> FloatArray:
-        """Compute the reference time that passes until `ahead` (n,) from now [s]: the integral of the rate."""
+        """Compute the reference time that elapses until `ahead` (n,) [s]: the integral of the rate."""
         ahead = np.asarray(ahead, dtype=float)
         times, rates = np.array(self.times), np.array(self.rates)
         at_nodes = np.concatenate([[0.0], np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(times))])
@@ -47,24 +47,24 @@ class RateProfile:
 _ON_TIME = RateProfile((0.0,), (1.0,), settles=True)
 
 
-def _held(rate: float) -> RateProfile:
+def _constant_rate(rate: float) -> RateProfile:
     return RateProfile((0.0,), (rate,), settles=False)
 
 
 def settling_profile(rate: float, delay: float, slowest: float, fastest: float, ramp: float) -> RateProfile:
     """Plan the fastest return to zero delay at rate 1: a trapezoid in the excess of the rate over 1.
 
-    The excess e relates to the delay as a speed to a distance, so this is the time-optimal motion of a double
-    integrator over the distance `delay` with end speed zero, |de/dt| <= `ramp` and e inside the bounds.
+    The excess e is the rate at which the delay decreases, so this is the time-optimal motion of a double integrator
+    over the distance `delay` with end speed zero, |de/dt| <= `ramp` and e within its bounds.
 
     Parameters
     ----------
     rate
-        Progress rate now [-].
+        Current progress rate [-].
     delay
-        Controller's time less reference's time [s].
+        Controller's time minus reference's time [s].
     slowest, fastest
-        Rates at which an early or late reference settles [-], slowest < 1 < fastest.
+        Minimum rate of an early and maximum rate of a late reference [-], slowest < 1 < fastest.
     ramp
         Rate of change of the progress rate [1/s].
     """
@@ -81,14 +81,14 @@ def settling_profile(rate: float, delay: float, slowest: float, fastest: float, 
 
 
 class ReferenceClock:
-    """Counts the reference's time.
+    """Clock of the reference.
 
     Parameters
     ----------
     max_progress
-        Fastest progress rate while catching up, > 1; early by mistake, the reference goes at 2 less this [-].
+        Maximum progress rate while catching up, > 1; an early reference slows down to 2 - `max_progress` [-].
     ramp
-        Rate of change of the progress rate, other than slowing down at once for a robot that lags [1/s].
+        Rate of change of the progress rate [1/s]; for a lagging robot the rate drops at once.
     """
 
     def __init__(self, max_progress: float, ramp: float) -> None:
@@ -96,7 +96,7 @@ class ReferenceClock:
         self.restart()
 
     def restart(self) -> None:
-        """Run on time, from the next `advance` on."""
+        """Reset to the controller's time, from the next `advance` on."""
         self.delay = 0.0
         self.rate = 1.0
         self._last: float | None = None
@@ -104,7 +104,7 @@ class ReferenceClock:
 
     @property
     def on_time(self) -> bool:
-        """True if the reference's time equals the controller's, now and over the plan."""
+        """True if the reference's time equals the controller's, at the current tick and over the horizon."""
         return self.delay == 0.0 and self._profile is _ON_TIME
 
     def advance(self, since_start: float, *, driving: bool) -> float:
@@ -115,71 +115,73 @@ class ReferenceClock:
         float
             The reference's time [s].
         """
-        # Before its start the reference rests: nothing to wait for.
+        # The reference does not wait before its start.
         before, now = max(0.0, since_start if self._last is None else self._last), max(0.0, since_start)
         self._last = since_start
-        passed = max(0.0, now - before)
+        elapsed = max(0.0, now - before)
         if not driving:
-            self.delay += passed
+            self.delay += elapsed
         elif not self.on_time:
-            if self._profile.settles and passed >= self._profile.times[-1]:
+            if self._profile.settles and elapsed >= self._profile.times[-1]:
                 self.delay = 0.0
             else:
-                self.delay += passed - float(self._profile.progress(passed))
-            self.rate = float(self._profile.rate(passed))
+                self.delay += elapsed - float(self._profile.progress(elapsed))
+            self.rate = float(self._profile.rate(elapsed))
         return since_start - self.delay
 
-    def pass_by(self, since_start: float) -> None:
-        """Advance to the controller's time `since_start` [s], on time as before."""
+    def record_on_time(self, since_start: float) -> None:
+        """Advance to the controller's time `since_start` [s] in a tick on time."""
         self._last = since_start
 
     def set(self, delay: float, rate: float) -> None:
         """Continue with this delay [s] and progress rate [-]."""
         self.delay, self.rate = delay, rate
 
-    def run_on(self) -> None:
-        """Keep the present delay from now on."""
-        self.rate, self._profile = 1.0, _held(1.0)
+    def keep_delay(self) -> None:
+        """Keep the current delay from the next `advance` on."""
+        self.rate, self._profile = 1.0, _constant_rate(1.0)
 
-    def plan(self, most: float, *, catch_up: bool) -> None:
-        """Decide the progress rate from now on.
+    def plan(self, max_rate: float, *, catch_up: bool) -> None:
+        """Plan the progress rate from the current tick on.
 
         Parameters
         ----------
-        most
-            Largest rate that the robot's lag allows now [-].
+        max_rate
+            Maximum rate for the robot's lag [-].
         catch_up
-            Whether to work off the delay; if not, the rate returns to 1 and the delay stays.
+            True to reduce the delay to zero; otherwise the rate returns to 1 and the delay stays.
         """
         ramp = self._ramp
-        if self.delay == 0.0 and self.rate == 1.0 and most >= 1.0:
+        if self.delay == 0.0 and self.rate == 1.0 and max_rate >= 1.0:
             self._profile = _ON_TIME
-        elif catch_up and most > 1.0:
-            self._profile = settling_profile(self.rate, self.delay, 2.0 - self._fastest, min(self._fastest, most), ramp)
+        elif catch_up and max_rate > 1.0:
+            fastest = min(self._fastest, max_rate)
+            self._profile = settling_profile(self.rate, self.delay, 2.0 - self._fastest, fastest, ramp)
         else:
-            # A robot that lags is waited for at once; after that the rate comes back gently.
-            wanted = min(most, 1.0)
-            self.rate = min(self.rate, most)
-            rise = abs(wanted - self.rate) / ramp
-            self._profile = RateProfile((0.0, rise), (self.rate, wanted), settles=False) if rise else _held(wanted)
+            # For a lagging robot the rate drops at once; later it rises again with a limited slope.
+            target = min(max_rate, 1.0)
+            self.rate = min(self.rate, max_rate)
+            rise = abs(target - self.rate) / ramp
+            rates = (self.rate, target)
+            self._profile = RateProfile((0.0, rise), rates, settles=False) if rise else _constant_rate(target)
 
     def clocked(self, reference: Reference) -> Reference:
-        """Return `reference` on the controller's time, as the clock will pass through it."""
+        """Return `reference` as a function of the controller's time, with the planned progress rate."""
         return ClockedReference(reference, self._profile, (self._last or 0.0), self.delay)
 
 
 @dataclass(frozen=True)
 class ClockedReference:
-    """A reference on the controller's time; satisfies `models.interface.Reference` from `now` on.
+    """Reference as a function of the controller's time; implements `models.interface.Reference` from `now` on.
 
     Attributes
     ----------
     reference
-        The reference on its own time.
+        Reference as a function of its own time.
     profile
-        Its progress rate from now on.
+        Progress rate from `now` on.
     now, delay
-        The controller's time now, and that less the reference's [s].
+        Current time of the controller, and the delay of the reference's clock at that time [s].
     """
 
     reference: Reference
@@ -194,11 +196,11 @@ class ClockedReference:
 
     @property
     def duration(self) -> float:
-        """Controller's time at which the reference ends if it keeps its present delay [s]."""
+        """Controller's time at which the reference ends with its current delay [s]."""
         return self.reference.duration + self.delay
 
     def sample(self, times: ArrayLike) -> ReferenceSample:
-        """Evaluate at the controller's times `times` (n,) [s], not before `now`; twists scale with the rate."""
+        """Sample at the controller's `times` (n,) [s], not before `now`; twists scale with the rate."""
         ahead = np.asarray(times, dtype=float) - self.now
         sample = self.reference.sample(self.now - self.delay + self.profile.progress(ahead))
         return ReferenceSample(sample.pose, sample.twist * self.profile.rate(ahead)[:, None], sample.arc_length)

@@ -1,4 +1,4 @@
-"""Target that the planner tracks."""
+"""Target of the current tick, and detection of a blocked robot."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ class Target(NamedTuple):
     Attributes
     ----------
     reference, time
-        A reference and its present time [s].
+        A reference and its current time [s].
     message
-        Unusual events, in words; empty when the robot is on its path and on time.
+        Message about a deviation; empty while the robot is on its path and on time.
     blocked_for
-        Time for which the robot has not moved although it is commanded to [s]; 0 when it moves.
+        Time for which the robot has not moved despite commands [s]; 0 while it moves.
     sample
-        The reference from `time` on at the requested times; None where it was not sampled.
+        Samples of the reference from `time` on at the requested times; None if it was not sampled.
     """
 
     reference: Reference
@@ -37,39 +37,39 @@ class Target(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class StandingReference:
-    """Satisfies `models.interface.Reference`: standing at `pose` (3,), for a robot that has no way back to its path."""
+    """Reference (`models.interface.Reference`) at rest at `pose` (3,), for a robot without a free path back."""
 
     pose: FloatArray
     name: str = "standing"
     duration: float = 0.0
 
     def sample(self, times: ArrayLike) -> ReferenceSample:
-        """Sample the target at all `times` (n,) [s]."""
+        """Sample the reference at `times` (n,) [s]."""
         count = np.asarray(times, dtype=float).size
         return ReferenceSample(np.tile(self.pose, (count, 1)), np.zeros((count, 2)), np.zeros(count))
 
 
 @dataclass(frozen=True)
 class TooFar:
-    """The robot is further from its path than allowed: `distance` [m]."""
+    """Result for a robot that is further from its path than allowed, by its `distance` [m]."""
 
     distance: float
 
 
-# Whether the robot moves at all while the reference waits for it.
+# Detection of a robot that does not move while the reference waits for it.
 
 
-# Displacements below this are noise of the pose: m, rad.
-_STIR = (0.04, 0.1)
+# Maximum displacement by noise of the pose: m, rad.
+_POSE_NOISE = (0.04, 0.1)
 
 
 class BlockedWatch:
-    """Detector of a robot that has stayed in place for too long.
+    """Detector of a blocked robot.
 
     Parameters
     ----------
     after
-        Time without motion after which it counts as blocked [s].
+        Time without motion after which the robot counts as blocked [s].
     """
 
     def __init__(self, after: float) -> None:
@@ -77,12 +77,12 @@ class BlockedWatch:
         self.restart()
 
     def restart(self) -> None:
-        """Restart with the next pose."""
+        """Restart at the next pose."""
         self._since: float | None = None
         self._pose: FloatArray | None = None
 
-    def look(self, t: float, pose: FloatArray) -> float:
-        """Return for how long [s] the robot has been blocked at `pose` (3,), now `t` [s]; 0 if it is not."""
+    def update(self, t: float, pose: FloatArray) -> float:
+        """Return the time for which the robot is blocked at `pose` (3,), at time `t` [s]; 0 if it is not blocked."""
         if self._since is None or self._pose is None or self._moved(pose):
             self._since, self._pose = t, pose
         still = t - self._since
@@ -91,4 +91,4 @@ class BlockedWatch:
     def _moved(self, pose: FloatArray) -> bool:
         assert self._pose is not None
         away = math.hypot(pose[0] - self._pose[0], pose[1] - self._pose[1])
-        return away > _STIR[0] or abs(float(wrap_angle(pose[2] - self._pose[2]))) > _STIR[1]
+        return away > _POSE_NOISE[0] or abs(float(wrap_angle(pose[2] - self._pose[2]))) > _POSE_NOISE[1]

@@ -24,7 +24,7 @@ from diffdrive_mpc.mpc.ros.reference_input import tracking_error
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.step_result import Mode
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.planned.lay import PlannedPath, lay_poses, poses_left
+from diffdrive_mpc.mpc.trajectories.planned.lay import PlannedPath, lay_poses, remaining_poses
 
 if TYPE_CHECKING:
     from diffdrive_mpc.mpc.ros.node_part import PathCheck
@@ -164,7 +164,7 @@ def lay_for_robot(
             robot=robot,
             twist=twist,
             deviation=settings.follow_deviation,
-            beside=config.reentry.band,
+            max_offset=config.reentry.band,
             backwards=settings.follow_backwards,
         )
 
@@ -174,7 +174,7 @@ def lay_for_robot(
     try:
         return lay(limits)
     except ConfigError:
-        left = poses_left(poses, robot)
+        left = remaining_poses(poses, robot)
         length = float(np.hypot(*np.diff(left[:, :2], axis=0).T).sum())
         if length > settings.follow_goal_position or not _has_arrived(_gap(robot, poses[-1]), settings):
             raise
@@ -202,7 +202,7 @@ def path_limits(config: ControllerConfig, gain: FloatArray, settings: NodeSettin
         omega=limits.omega.map(lambda side: share * omega * side),
         v_acceleration=limits.v_slew.map(lambda rate: slew * v * rate),
         omega_acceleration=limits.omega_slew.map(lambda rate: slew * omega * rate),
-        min_turn_radius=limits.least_radius_of_ways,
+        min_turn_radius=limits.min_path_radius,
     )
 
 

@@ -31,7 +31,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError, check
 from diffdrive_mpc.models.plug_ins import plug_in, plug_in_names
 from diffdrive_mpc.models.suggestions import suggestion
 from diffdrive_mpc.models.two_sided import SIDES, TwoSided, side_fields
-from diffdrive_mpc.mpc.config.feature_groups import asks_for_nothing, is_feature
+from diffdrive_mpc.mpc.config.feature_groups import is_disabled, is_feature
 from diffdrive_mpc.mpc.config.fixed_values import fixed_values
 from diffdrive_mpc.mpc.config.former_keys import present_place, removed_message
 from diffdrive_mpc.mpc.config.rooms import EXPERT, plain_key, shown_key
@@ -200,7 +200,7 @@ def name_features(node: Node, config: ControllerConfig) -> ControllerConfig:
     groups = {
         feature: plug_in("features", feature).schema()
         for feature, values in stated.items()
-        if feature in installed or not asks_for_nothing(values)
+        if feature in installed or not is_disabled(values)
     }
     return config.model_copy(update={"features": {**config.features, **groups}})
 

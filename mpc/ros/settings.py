@@ -82,8 +82,8 @@ class NodeSettings(StrictModel, strict=True):
     use_pose_topic: bool = Field(False, description="older name of pose_source topic: true has the same effect [-]")
     use_tf: bool = Field(
         False,
-        description="subscribe to /tf, so that references may be in frames other than the control frame; always on with "
-        "pose_source tf [-]",
+        description="subscribe to /tf, so that references may be in frames other than the control frame; always true "
+        "with pose_source tf [-]",
     )
     tf_timeout: Positive = Field(
         1.0,
@@ -157,7 +157,7 @@ class NodeSettings(StrictModel, strict=True):
     )
     follow_blind_distance: NotNegative = Field(
         1.0,
-        description="distance that the robot may travel after the client of its goal has ended or was killed, including "
+        description="distance that the robot may travel after the client of its goal has ended or was killed, with "
         "braking; the goal is aborted after 5 s; the speed of a path is limited accordingly; 0: the goal is driven to "
         "its end [m]",
     )

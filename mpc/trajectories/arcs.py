@@ -1,4 +1,4 @@
-"""A trajectory of exact arcs, turns on the spot and waits, each with piecewise constant acceleration."""
+"""Trajectory of exact arcs, turns on the spot and waits, with piecewise constant acceleration."""
 
 from __future__ import annotations
 
@@ -16,36 +16,36 @@ from diffdrive_mpc.mpc.trajectories.timing import Phase
 
 
 class PathStretch(NamedTuple):
-    """A stretch of path on which forward and yaw motion stay in one proportion, with its timing."""
+    """Section of a path with a constant proportion of forward and yaw motion, and its timing."""
 
     forward: float
-    """Metres driven per unit of progress, negative backwards; 0 for a turn on the spot or a wait."""
+    """Distance driven per unit of progress [m], negative backwards; 0 for a turn on the spot or a wait."""
     turn: float
-    """Radians turned per unit of progress, positive to the left; 0 on a straight or in a wait."""
+    """Angle turned per unit of progress [rad], positive to the left; 0 on a straight line or in a wait."""
     length: float
-    """Progress at the end of the stretch."""
+    """Progress at the end of the section."""
     phases: Sequence[Phase]
-    """Timing of the progress along the stretch."""
+    """Timing of the progress along the section."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ArcTrajectory(TableTrajectory):
-    """Exact arcs, sampled in closed form: pose and twist agree to rounding at every instant.
+    """Exact arcs, sampled in closed form: pose and twist are consistent up to rounding at all times.
 
     Attributes
     ----------
     breaks
-        (m,) start time of each phase [s], the last one being the rest at the end.
+        (m,) start time of each phase [s]; the last phase is the rest at the end.
     table
-        (10, m) per phase: start time; x, y, theta and arc length at the start of its stretch; forward and turn per
+        (10, m) per phase: start time; x, y, theta and arc length at the start of its section; forward and turn per
         unit of progress; progress, its rate and half its acceleration at the start of the phase.
     """
 
     @classmethod
     def lay(cls, name: str, start: ArrayLike, stretches: Sequence[PathStretch]) -> ArcTrajectory:
-        """Lay `stretches` in sequence from the pose `start` (3,) [m, m, rad]."""
+        """Build the trajectory of `stretches` in sequence from the pose `start` (3,) [m, m, rad]."""
         forward, turn, length = np.array([stretch[:3] for stretch in stretches], dtype=float).reshape(-1, 3).T
-        poses = chained(start, forward, turn, length).tolist()
+        poses = chain_arcs(start, forward, turn, length).tolist()
         time, arc_length = 0.0, 0.0
         columns: list[list[float]] = []
         for stretch, pose in zip(stretches, poses, strict=False):
@@ -58,10 +58,10 @@ class ArcTrajectory(TableTrajectory):
         return cls(name, time, table[0].copy(), table)
 
 
-def chained(start: ArrayLike, forward: FloatArray, turn: FloatArray, length: FloatArray) -> FloatArray:
+def chain_arcs(start: ArrayLike, forward: FloatArray, turn: FloatArray, length: FloatArray) -> FloatArray:
     """Chain n arcs from the pose `start` (3,); return poses (n + 1, 3) [m, m, rad] at their ends.
 
-    Each drives `forward` (n,) metres and turns by `turn` (n,) radians for each unit of its `length` (n,).
+    An arc drives `forward` (n,) metres and turns by `turn` (n,) radians per unit of its `length` (n,).
     """
     first = np.asarray(start, dtype=float)
     heading = np.cumsum(np.append(first[2], turn * length))

@@ -1,9 +1,9 @@
 """Paths of continuous, piecewise linear curvature: clothoids in place of the jumps of curvature between arcs.
 
-Around a joint of two arcs, three clothoids replace the part within a reach on both sides; they meet both arcs with
-equal position, heading and curvature, so the path is changed nowhere else and returns to what was drawn. Such a joint
-needs three: Bertolazzi and Frego, "On the G2 Hermite interpolation problem with clothoids", J. Comput. Appl. Math. 341
-(2018). The parts keep one proportion here, which leaves two curvatures and the length to be found.
+At a joint of two arcs, three clothoids replace the section within a reach on both sides. Position, heading and
+curvature are continuous at both ends, so that the rest of the path does not change. Such a joint needs three clothoids:
+Bertolazzi and Frego, "On the G2 Hermite interpolation problem with clothoids", J. Comput. Appl. Math. 341 (2018). Their
+lengths have a fixed proportion here, so that two curvatures and the total length are the unknowns.
 """
 
 from __future__ import annotations
@@ -19,48 +19,48 @@ from scipy.optimize import brentq, root
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import integrate_pose
 
-# The middle part's share of a joint: longer it turns the curvature more gently, shorter it overshoots it by less.
+# Share of the middle part in a joint [-]: a larger share reduces the slope of the curvature, a smaller its overshoot.
 _MIDDLE = 0.4
 _PARTS = np.array([(1 - _MIDDLE) / 2, _MIDDLE, (1 - _MIDDLE) / 2])
-_MOST_TURN = math.pi / 2
+_MAX_TURN = math.pi / 2
 # Reach below which a joint is omitted [m].
 _TINY = 1e-9
-_LOOKS = np.linspace(0.0, 1.0, 41)
+_SAMPLES = np.linspace(0.0, 1.0, 41)
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 
 class Clothoid(NamedTuple):
-    """Stretch of path whose curvature is linear in arc length."""
+    """Section of a path whose curvature is linear in arc length."""
 
     length: float
-    """[m], positive."""
+    """Length [m], positive."""
     first: float
-    """Curvature at its start [1/m], radians turned for each metre of path, forwards or backwards."""
+    """Curvature at the start [1/m], in radians turned per metre of path, forwards or backwards."""
     last: float
-    """Curvature at its end [1/m]."""
+    """Curvature at the end [1/m]."""
 
 
 class Joint(NamedTuple):
     """Transition that replaces a jump of curvature."""
 
     before: float
-    """Curvature of the arc that ends there [1/m]."""
+    """Curvature of the arc before the joint [1/m]."""
     after: float
-    """Curvature of the arc that begins there [1/m]."""
+    """Curvature of the arc after the joint [1/m]."""
     reach: float
     """Length by which both arcs are shortened [m]."""
     parts: tuple[Clothoid, ...]
-    """In order; none where the curvature does not jump, or an arc is too short for them."""
+    """Clothoids in order of travel; empty if the curvature does not jump, or an arc is too short."""
 
 
-def along(parts: Sequence[Clothoid], arc_length: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Compute poses and curvatures of a path of clothoids that is driven forwards from the origin.
+def sample_clothoids(parts: Sequence[Clothoid], arc_length: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Compute poses and curvatures of a path of clothoids, driven forwards from the origin.
 
     Parameters
     ----------
     parts
-        One after the other.
-    at
+        Clothoids in order of travel.
+    arc_length
         (n,) arc lengths [m], increasing from 0.
 
     Returns
@@ -72,15 +72,15 @@ def along(parts: Sequence[Clothoid], arc_length: FloatArray) -> tuple[FloatArray
     ends = np.cumsum(lengths)
     turned = np.concatenate([[0.0], np.cumsum(lengths * (first + last) / 2)])
 
-    def bent(s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def heading_at(s: FloatArray) -> tuple[FloatArray, FloatArray]:
         piece = np.minimum(np.searchsorted(ends, s, side="left"), len(ends) - 1)
         since = s - (ends - lengths)[piece]
         slope = ((last - first) / lengths)[piece]
         return turned[piece] + since * (first[piece] + slope * since / 2), first[piece] + slope * since
 
-    heading, curvature = bent(arc_length)
+    heading, curvature = heading_at(arc_length)
     step = np.diff(arc_length)[:, None]
-    inside, _ = bent(arc_length[:-1, None] + step * (_NODES + 1) / 2)
+    inside, _ = heading_at(arc_length[:-1, None] + step * (_NODES + 1) / 2)
     points = np.stack([np.cos(inside) @ _WEIGHTS, np.sin(inside) @ _WEIGHTS], axis=1) * step / 2
     return np.column_stack([np.concatenate([np.zeros((1, 2)), np.cumsum(points, axis=0)]), heading]), curvature
 
@@ -89,29 +89,29 @@ def along(parts: Sequence[Clothoid], arc_length: FloatArray) -> tuple[FloatArray
 def joint(before: float, after: float, longest: float, distance: float) -> Joint:
     """Design clothoids between an arc of curvature `before` and one of curvature `after` [1/m].
 
-    They reach as far as they can: at most `longest` [m] to either side, and at most `distance` [m] from the arcs.
+    Their reach is the maximum: at most `longest` [m] on both sides, and at most `distance` [m] from the arcs.
     """
-    most = min(longest, _MOST_TURN / max(abs(before), abs(after), _TINY))
-    if before == after or most < _TINY:
+    max_reach = min(longest, _MAX_TURN / max(abs(before), abs(after), _TINY))
+    if before == after or max_reach < _TINY:
         return Joint(before, after, 0.0, ())
 
-    def made(reach: float) -> Joint:
+    def build(reach: float) -> Joint:
         return Joint(before, after, reach, _fit(before, after, reach))
 
     def excess(reach: float) -> float:
-        candidate = made(reach)
+        candidate = build(reach)
         length = sum(part.length for part in candidate.parts)
-        return float(distances(along(candidate.parts, _LOOKS * length)[0], candidate).max()) - distance
+        return float(distances(sample_clothoids(candidate.parts, _SAMPLES * length)[0], candidate).max()) - distance
 
-    if excess(most) <= 0:
-        return made(most)
+    if excess(max_reach) <= 0:
+        return build(max_reach)
     # The distance is proportional to the square of the reach. It is reduced slightly to stay below the limit in spite
     # of rounding.
-    return made(most * brentq(lambda share: excess(share * most) + 0.001 * distance, 1e-6, 1.0, xtol=1e-6))
+    return build(max_reach * brentq(lambda share: excess(share * max_reach) + 0.001 * distance, 1e-6, 1.0, xtol=1e-6))
 
 
 def _fit(before: float, after: float, reach: float) -> tuple[Clothoid, ...]:
-    """Build clothoids from `reach` [m] before a joint of arcs to `reach` after it."""
+    """Compute clothoids from `reach` [m] before a joint of arcs to `reach` after it."""
     target = integrate_pose(integrate_pose(np.zeros(3), 1.0, before, reach), 1.0, after, reach)
     overshoot = 0.1 * (after - before)
 
@@ -122,26 +122,26 @@ def _fit(before: float, after: float, reach: float) -> tuple[Clothoid, ...]:
 
     def gap(unknown: FloatArray) -> FloatArray:
         clothoids = parts(unknown)
-        poses, _ = along(clothoids, np.concatenate([[0.0], np.cumsum([clothoid.length for clothoid in clothoids])]))
+        poses, _ = sample_clothoids(clothoids, np.append(0.0, np.cumsum([clothoid.length for clothoid in clothoids])))
         return np.asarray((poses[-1] - target) / (reach, reach, 1.0))
 
     guess = np.array([(before - overshoot) * reach, (after + overshoot) * reach, 2.0])
     solution = root(gap, guess, tol=1e-13)
-    assert np.abs(gap(solution.x)).max() < 1e-9, "arcs that turn by no more than a quarter can be joined"
+    assert np.abs(gap(solution.x)).max() < 1e-9, "arcs that turn by at most a quarter can be joined"
     return parts(solution.x)
 
 
 def distances(poses: FloatArray, to: Joint) -> FloatArray:
     """Compute distances (n,) [m] from the arcs that a joint replaces, for poses (n, 3) in the frame of its start.
 
-    Seen from where the arcs meet, along their common tangent, a pose behind has its foot on the first arc and a pose
-    ahead has it on the second, as long as each turns by less than half a turn.
+    Relative to the meeting point of the arcs, along their common tangent, the closest point to a pose behind is on the
+    first arc and to a pose ahead on the second arc, if both arcs turn by less than half a turn.
     """
     x, y, theta = integrate_pose(np.zeros(3), 1.0, to.before, to.reach)
     cos, sin = math.cos(theta), math.sin(theta)
     ahead = cos * (poses[:, 0] - x) + sin * (poses[:, 1] - y)
     aside = cos * (poses[:, 1] - y) - sin * (poses[:, 0] - x)
     curvature = np.where(ahead < 0, to.before, to.after)
-    # To the circle of that curvature through the origin, in a form that holds for a straight line too.
-    far = 2 * aside - curvature * (ahead**2 + aside**2)
-    return np.asarray(np.abs(far) / (1 + np.hypot(curvature * ahead, 1 - curvature * aside)))
+    # Distance to the circle of this curvature through the origin, in a form that includes straight lines.
+    offset = 2 * aside - curvature * (ahead**2 + aside**2)
+    return np.asarray(np.abs(offset) / (1 + np.hypot(curvature * ahead, 1 - curvature * aside)))

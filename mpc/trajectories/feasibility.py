@@ -1,8 +1,8 @@
-"""Find where a reference asks for more than model and limits give, before the robot moves, and which timing would do.
+"""Check of a reference against model and limits before the robot moves, and search for a feasible timing.
 
-The linear model without limits follows a reference apart from smoothing by its lags. So only the difference to that
-robot is computed, in the twists that commands settle at: commands that the limits cut leave a deficit of distance and
-heading, which later commands work off as far as the limits allow.
+The linear model without limits follows a reference except for smoothing by its lags. Therefore only the difference from
+that robot is computed, in the steady-state twists of the commands: commands that the limits reduce leave a deficit of
+distance and heading, which later commands reduce as far as the limits allow.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from diffdrive_mpc.mpc.trajectories.speed_check import at_side, checked_referenc
 
 _LIMITS = ("v", "omega", "v_slew", "omega_slew", "wheel_speed", "predicted_v", "predicted_omega")
 _ROUNDING = 1e-6
-# Step [s] and maximum number of steps: shorter sample times are not resolved, and the rest of longer references is not
-# checked.
-_STEP, _MOST_TICKS = 0.05, 12_000
-# Speed per metre of lag and yaw rate per radian [1/s]; share of a tolerance from which a deficit counts as growing [-].
-_CATCH_UP, _GROWS_FROM = 5.0, 0.5
-# Share of the horizon beyond the lags over which v and omega are planned ahead: the cost weighs headings lightly [-].
+# Minimum step [s], and maximum number of steps, after which a reference is not checked.
+_STEP, _MAX_TICKS = 0.05, 12_000
+# Speed per metre of deficit and yaw rate per radian [1/s]; share of a tolerance above which a deficit is recorded [-].
+_CATCH_UP, _GROWTH_SHARE = 5.0, 0.5
+# Preview of v and omega, as shares of the horizon beyond the lags; omega has less, since headings have a low weight
+# [-].
 _PREVIEWS = 1.0, 0.5
-# Factors on the duration that are tried [-].
+# Candidate factors of the duration [-].
 _STRETCHES = [1.1**step for step in range(1, 31)]
 _Model = VelocityModel | NonlinearModel
 
 
 @dataclass(frozen=True)
 class Shortfall:
-    """First place at which a reference asks for more than the robot has.
+    """First place at which a reference exceeds the limits of the robot.
 
     Attributes
     ----------
@@ -46,13 +46,13 @@ class Shortfall:
     time, arc_length
         Start of the violation: time of the reference [s], distance along it [m].
     key
-        Limit that is reached, such as `limits.v.reverse` or `limits.omega_slew.brake`.
+        Key of the violated limit, such as `limits.v.reverse` or `limits.omega_slew.brake`.
     needed, available
-        Largest value that the reference needs there, and the limit [unit of the limit].
+        Maximum value that the reference needs there, and the limit [unit of the limit].
     behind
         Distance by which a robot at the limit falls behind there; angle for limits of omega [m, rad].
     duration, drivable
-        Duration of the reference, and the shortest of those tried at which it is feasible [s]; infinite if none is.
+        Duration of the reference, and the shortest feasible duration of the candidates [s]; infinite if there is none.
     """
 
     reference: str
@@ -81,10 +81,10 @@ class Shortfall:
 def find_shortfall(
     reference: Reference, config: ControllerConfig, model: _Model, *, is_moving: bool = False
 ) -> Shortfall | None:
-    """Return where `reference` first takes the robot of `config` and `model` beyond its limits; None if nowhere.
+    """Return the first place where `reference` exceeds the limits of `config` with `model`, or None.
 
     The robot starts on the reference, at rest or, if it `is_moving`, with the reference's twist. Steps and corners that
-    lags round off do not count. Tolerances are in `settings.yaml`. Only the first ten minutes of a reference are
+    the lags smooth do not count. The tolerances are in `settings.yaml`. Only the first ten minutes of a reference are
     checked.
     """
     timed = partial(_Ticks, checked_reference(reference), config, model, is_moving)
@@ -95,7 +95,7 @@ def find_shortfall(
     first, end = int(notes[0, 0]), int(notes[-1, 0]) + ticks.preview + 1
     parts = (np.abs(notes[:, 1:]) / np.tile(ticks.tolerance, 3)).sum(axis=0)
     exceeded = ticks.ratio > 1.0 + _ROUNDING
-    # A limit that applies only to paths back to the reference is no cause.
+    # Limits that apply only to paths back to the reference are excluded as causes.
     row = int(np.argmax(np.where(exceeded[:end].any(axis=0), [*parts[:4], parts[4:].max(), *parts[4:]], -1.0)))
     over, name = np.flatnonzero(exceeded[:, row]), _LIMITS[row]
     run = [run for run in np.split(over, np.flatnonzero(np.diff(over) > 1) + 1) if run[0] < end][-1]
@@ -118,7 +118,7 @@ def find_shortfall(
 
 
 class _Ticks:
-    """Commands that a reference asks for, `stretch` times as slow, and the drive that the limits allow."""
+    """Commands that follow a reference `stretch` times as slowly, and the simulation of a drive within the limits."""
 
     def __init__(
         self, reference: Reference, config: ControllerConfig, model: _Model, is_moving: bool, stretch: float
@@ -128,10 +128,10 @@ class _Ticks:
         self.tolerance = np.array([settings.tolerance, settings.heading_tolerance])
         self.step = step = max(config.sample_time, _STEP)
         end = reference.duration * stretch + config.finish.timeout
-        times = np.arange(0.0, np.fmin(end, _MOST_TICKS * step) + step, step)
+        times = np.arange(0.0, np.fmin(end, _MAX_TICKS * step) + step, step)
         body = [reference.sample((times + delay) / stretch).twist[:, row] for row, delay in enumerate(self.lag)]
         self.body = np.stack(body, axis=-1) / stretch
-        # Until the first command shows, the reference gets ahead of the robot at rest.
+        # Until the first command takes effect, the reference moves ahead of the robot at rest.
         lead = reference.sample([0.0, self.lag[0] / stretch]).arc_length
         self.lead = 0.0 if is_moving else float(np.copysign(lead[1] - lead[0], self.body[0, 0]))
         command = np.linalg.solve(self.gain, self.body.T).T
@@ -145,16 +145,16 @@ class _Ticks:
         ranges, slews = (limits.v, limits.omega), (limits.v_slew, limits.omega_slew)
         cut = np.clip(command, [-limit.sides[1] for limit in ranges], [limit.sides[0] for limit in ranges])
         ahead = [int(share * self.preview) for share in _PREVIEWS]
-        self.command = np.stack([_foreseen(cut[:, row], slews[row], step, ahead[row]) for row in (0, 1)], axis=-1)
+        self.command = np.stack([_preview(cut[:, row], slews[row], step, ahead[row]) for row in (0, 1)], axis=-1)
 
     def deficit(self) -> FloatArray | None:
-        """Drive along the reference until the robot is beyond the tolerance; return None if it never is.
+        """Simulate the drive along the reference until the robot is beyond the tolerance, if it ever is.
 
         Returns
         -------
-        FloatArray
-            (ticks, 7) from where the deficit grows to where it is too large: tick, and by how much v and omega are cut
-            to their range, to their slew, and to the limits of the twist.
+        FloatArray or None
+            (ticks, 7) from the start of the deficit to the violation of the tolerance: tick, and the reductions of v
+            and omega by their range, by their slew, and by the limits of the twist.
         """
         if (self.ratio <= 1.0 + _ROUNDING).all():
             return None
@@ -169,10 +169,10 @@ class _Ticks:
         y, turn, v_ref, w_ref = (0.0, 0.0, *map(float, self.before[0]))
         notes: list[tuple[float, ...]] = []
         for tick, (v, w, v_plan, w_plan) in enumerate(np.column_stack([self.body, self.command]).tolist()):
-            # Across the path the return is critically damped at 1 m/s.
+            # The lateral error is critically damped at 1 m/s.
             v_wanted, w_wanted = v_plan + gain * x, w_plan + gain * (turn + 0.25 * gain * v * y)
             v_in, w_in = min(max(v_wanted, -v_down), v_up), min(max(w_wanted, -w_down), w_up)
-            v_ref, w_ref = _reached(v_ref, v_in, v_grows, v_falls), _reached(w_ref, w_in, w_grows, w_falls)
+            v_ref, w_ref = _slew(v_ref, v_in, v_grows, v_falls), _slew(w_ref, w_in, w_grows, w_falls)
             v_body, w_body = g00 * v_ref + g01 * w_ref, g10 * v_ref + g11 * w_ref
             wheels = (abs(v_body) + half_track * abs(w_body)) / wheel_speed
             over = max(wheels, abs(v_body) / top_v, abs(w_body) / top_w, 1.0)
@@ -185,15 +185,15 @@ class _Ticks:
             size = max(math.hypot(x - free_x, y) / tolerance, abs(turn) / turn_tolerance)
             if size > 1.0:
                 return np.array(notes)
-            if size < _GROWS_FROM:
+            if size < _GROWTH_SHARE:
                 notes.clear()
         return None
 
 
-def _foreseen(cut: FloatArray, slew: SlewLimit, step: float, preview: int) -> FloatArray:
-    """Return commands (K,) that start to change early, so that a change beyond the slew is centred in its ramp.
+def _preview(cut: FloatArray, slew: SlewLimit, step: float, preview: int) -> FloatArray:
+    """Return commands (K,) that change early, so that a change beyond the slew is in the middle of its ramp.
 
-    Half of the time by which the ramp takes longer is before it: that is a slope of the harmonic mean of both.
+    Half of the additional time of the ramp is before the change; the slope is the harmonic mean of both slopes.
     """
     change, bounds = np.diff(cut, prepend=0.0) / step, []
     for sense in (1.0, -1.0):
@@ -207,8 +207,8 @@ def _foreseen(cut: FloatArray, slew: SlewLimit, step: float, preview: int) -> Fl
     return np.asarray(np.where(high < cut, high, low))
 
 
-def _reached(last: float, command: float, grows: float, falls: float) -> float:
-    """Return one channel of `models.two_sided.reached` as a plain number, which a loop takes ten times as fast."""
+def _slew(last: float, command: float, grows: float, falls: float) -> float:
+    """Compute one channel of `models.two_sided.reached` with floats, ten times as fast in a loop."""
     low, high = last - (falls if last > 0.0 else grows), last + (falls if last < 0.0 else grows)
     if last > 0.0 > low:
         low *= grows / falls

@@ -1,4 +1,4 @@
-"""The speeds and accelerations that a reference trajectory must respect."""
+"""Limits of speed and acceleration for reference trajectories, and settings of the trajectory readers."""
 
 from __future__ import annotations
 
@@ -16,31 +16,30 @@ from diffdrive_mpc.mpc.config.schema import Limits
 
 
 class BeyondLimitError(ConfigError):
-    """A trajectory is faster than its limits allow."""
+    """Error for a trajectory that exceeds its limits."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrajectoryLimits:
     """Bounds of the reference twist and of its rate of change.
 
-    The first four are numbers, or limits with two sides, see `models.two_sided`. Timing turns and drives curves within
+    The first four are numbers, or limits with two sides, see `models.two_sided`. The timing of turns and curves uses
     the smaller side of yaw limits.
 
     Attributes
     ----------
     v
-        Largest forward speed, either way [m/s].
+        Maximum speed, forwards and backwards [m/s].
     omega
-        Largest yaw rate, either way [rad/s].
+        Maximum yaw rate, to both sides [rad/s].
     v_acceleration
-        Largest forward acceleration [m/s^2].
+        Maximum forward acceleration [m/s^2].
     omega_acceleration
-        Largest yaw acceleration [rad/s^2].
+        Maximum yaw acceleration [rad/s^2].
     lateral_acceleration
-        Largest lateral acceleration |v omega|, which smooth timing keeps to [m/s^2]; by default that of the robot of
-        the papers.
+        Maximum lateral acceleration |v omega| of smooth timing [m/s^2]; by default that of the robot of the papers.
     min_turn_radius
-        Turns are no tighter [m]; 0 allows turning on the spot. Only paths back to a reference use it.
+        Minimum turn radius [m]; 0 allows turns on the spot. Used by paths back to a reference and by planned paths.
     """
 
     v: float
@@ -59,7 +58,7 @@ class TrajectoryLimits:
 
     @classmethod
     def of_robot(cls, robot: Robot | None = None) -> TrajectoryLimits:
-        """Return speed limits and reference accelerations of `robot`; by default the robot of the papers."""
+        """Return the speed limits and reference accelerations of `robot`, by default the robot of the papers."""
         robot = robot or load_robot()
         return cls(
             v=robot.limits.v,
@@ -73,7 +72,7 @@ class TrajectoryLimits:
     def of_controller(cls, limits: Limits) -> TrajectoryLimits:
         """Return the speed limits of a controller's configuration, and accelerations within its slew limits.
 
-        For slew limits with two sides a share is reserved for tracking; a single number is used in full.
+        A share of slew limits with two sides is reserved for tracking; a single number is used completely.
         """
         usual = cls.of_robot()
 
@@ -90,50 +89,50 @@ class TrajectoryLimits:
         )
 
 
-# How trajectory files are checked and refined.
+# Settings for the check and the refinement of trajectory files.
 
 
 class TrajectorySettings(StrictModel):
     """Resolutions and tolerances of the readers of trajectory files."""
 
-    pieces_per_row: int = Field(ge=2, description="pieces into which the interval between two timed poses is cut")
-    pieces_per_waypoint: int = Field(ge=2, description="pieces into which the path between two waypoints is cut")
+    pieces_per_row: int = Field(ge=2, description="number of pieces between two timed poses")
+    pieces_per_waypoint: int = Field(ge=2, description="number of pieces between two waypoints")
     speed_excess: float = Field(ge=0, description="share by which timed poses may exceed a speed limit")
-    lateral_speed: float = Field(gt=0, description="sideways speed that timed poses may show [m/s]")
-    min_turn_radius: float = Field(gt=0, description="tightest radius of a path through waypoints [m]")
-    smoothing: float = Field(gt=0, description="distance from the drawn path that smooth timing may use [m]")
-    smooth_piece: float = Field(gt=0, description="length of the pieces into which a smoothed path is cut [m]")
-    reach_share: float = Field(gt=0, lt=1, description="share of what a robot reaches that a scaled path asks for")
-    slew_share: float = Field(gt=0, lt=1, description="share of its slew, for the same")
-    longest_duration: float = Field(gt=0, description="longest trajectory [s]")
-    longest_excitation: float = Field(gt=0, description="longest drive that is searched for [s]")
-    full_pieces: int = Field(ge=1, description="pieces of a path, above which there are fewer from point to point")
-    least_pieces_per_row: int = Field(ge=1, description="between two of very many timed poses")
-    least_pieces_per_waypoint: int = Field(ge=1, description="between two of very many waypoints")
-    max_pieces: int = Field(ge=1, description="of a path; longer ones are refused")
-    most_segments: int = Field(ge=1, description="of a file")
-    most_joints: int = Field(ge=1, description="different ones that smooth timing rounds")
-    tolerance: float = Field(gt=0, description="distance from the drive without limits that is feasible [m]")
-    heading_tolerance: float = Field(gt=0, description="difference of heading that is feasible [rad]")
+    lateral_speed: float = Field(gt=0, description="maximum sideways speed of timed poses [m/s]")
+    min_turn_radius: float = Field(gt=0, description="minimum radius of a path through waypoints [m]")
+    smoothing: float = Field(gt=0, description="maximum distance of smooth timing from the drawn path [m]")
+    smooth_piece: float = Field(gt=0, description="maximum length of the pieces of a smoothed path [m]")
+    reach_share: float = Field(gt=0, lt=1, description="speed of a scaled path as a share of the reachable speed [-]")
+    slew_share: float = Field(gt=0, lt=1, description="acceleration of a scaled path as a share of the slew [-]")
+    longest_duration: float = Field(gt=0, description="maximum duration of a trajectory [s]")
+    longest_excitation: float = Field(gt=0, description="maximum duration of an excitation drive [s]")
+    full_pieces: int = Field(ge=1, description="number of pieces of a path above which the pieces per point decrease")
+    least_pieces_per_row: int = Field(ge=1, description="minimum number of pieces between two timed poses")
+    least_pieces_per_waypoint: int = Field(ge=1, description="minimum number of pieces between two waypoints")
+    max_pieces: int = Field(ge=1, description="maximum number of pieces of a path")
+    most_segments: int = Field(ge=1, description="maximum number of segments of a file")
+    most_joints: int = Field(ge=1, description="maximum number of different joints for smooth timing")
+    tolerance: float = Field(gt=0, description="feasible distance from the drive without limits [m]")
+    heading_tolerance: float = Field(gt=0, description="feasible difference of heading [rad]")
 
-    def pieces_between(self, points: int, usual: int, least: int, where: str) -> int:
-        """Choose the number of pieces between two of `points`: the usual number, or fewer for very many points.
+    def pieces_between(self, points: int, usual: int, minimum: int, where: str) -> int:
+        """Return the number of pieces between two of `points`: the usual number, or fewer for very many points.
 
         Raises
         ------
         models.checked_yaml.ConfigError
-            If even the `least` would make more than `max_pieces`; the message begins with `where`.
+            If `minimum` pieces per point result in more than `max_pieces`; the message begins with `where`.
         """
-        most = self.max_pieces // least
-        if points > most:
-            raise ConfigError(f"{where}: {points:,} points, at most {most:,}; leave some out, or split it")
-        return min(usual, max(least, self.full_pieces // max(1, points - 1)))
+        max_points = self.max_pieces // minimum
+        if points > max_points:
+            raise ConfigError(f"{where}: {points:,} points, at most {max_points:,}; leave some out, or split it")
+        return min(usual, max(minimum, self.full_pieces // max(1, points - 1)))
 
     def check_pieces(self, count: float, where: str, remedy: str) -> None:
-        """Raise ConfigError where a path would be cut into more than `max_pieces`, before it is."""
+        """Raise ConfigError if a path needs more than `max_pieces`, before the path is computed."""
         if not count <= self.max_pieces:
             raise ConfigError(
-                f"{where}: it is so long that it is cut into {count:.3g} pieces, at most {self.max_pieces:,}; {remedy}"
+                f"{where}: it needs {count:.3g} pieces because of its length, at most {self.max_pieces:,}; {remedy}"
             )
 
 

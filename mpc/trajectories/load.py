@@ -1,4 +1,4 @@
-"""Find a trajectory by name or path, and read it with the reader that fits its content."""
+"""Loading of trajectories by name or path, with the reader for the content of the file."""
 
 from __future__ import annotations
 
@@ -36,32 +36,32 @@ def load_trajectory(
     Parameters
     ----------
     name_or_path
-        A name in `BUILT_IN`; or `spline-` and a seed, a random smooth path; or a YAML file with `segments` (a list of
-        v [m/s], omega [rad/s], duration [s]) or with `waypoints` (a list of x, y [m]); or a CSV file of timed poses
+        A name in `BUILT_IN`; or `spline-` and a seed for a random smooth path; or a YAML file with `segments` (a list
+        of v [m/s], omega [rad/s], duration [s]) or with `waypoints` (a list of x, y [m]); or a CSV file of timed poses
         with the columns t [s], x, y [m], theta [rad].
     limits
-        Speeds and accelerations to respect, or the configuration whose limits they are; by default those of the robot
-        of the papers. A configuration also states the rest before the start, `start_delay`.
+        Limits of speed and acceleration, or a configuration that contains them; by default the limits of the robot of
+        the papers. A configuration also sets the rest before the start, `start_delay`.
     timing
-        "stop", "commanded" or "smooth" (see `timing.Timing`) in place of what the file says.
+        "stop", "commanded" or "smooth" (see `timing.Timing`), in place of the timing in the file.
 
     Raises
     ------
     models.checked_yaml.ConfigError
         If the name is unknown, the file is missing, malformed, empty or beyond the limits, or the timing is unknown or
-        asked for with timed poses, which have times of their own.
+        given for timed poses, which already have times.
     ArgumentError
-        If it is neither a name nor a path.
+        If the argument is neither a name nor a path.
     """
     if not isinstance(name_or_path, (str, Path)):
         raise wrong_type(
             "load_trajectory",
             "a name such as 'circle' or the path of a file",
             name_or_path,
-            "make it of arrays with Trajectory.from_arrays(t, x, y) or Trajectory.from_waypoints(points)",
+            "create one from arrays with Trajectory.from_arrays(t, x, y) or Trajectory.from_waypoints(points)",
         )
-    way = next((known for known in TIMINGS if known == timing), None)
-    if timing is not None and way is None:
+    chosen = next((known for known in TIMINGS if known == timing), None)
+    if timing is not None and chosen is None:
         raise ConfigError(f"timing '{timing}': give {', '.join(TIMINGS[:-1])} or {TIMINGS[-1]}")
     if isinstance(limits, ControllerConfig):
         loaded = load_trajectory(name_or_path, TrajectoryLimits.of_controller(limits.limits), timing)
@@ -70,10 +70,10 @@ def load_trajectory(
     if random := re.fullmatch(r"spline-(\d{1,1000})", str(name_or_path), re.ASCII):
         from diffdrive_mpc.mpc.trajectories.random_spline import lay_random_spline  # noqa: PLC0415 - see _read
 
-        return lay_random_spline(int(random[1]), limits or TrajectoryLimits.of_robot(), way)
+        return lay_random_spline(int(random[1]), limits or TrajectoryLimits.of_robot(), chosen)
     path = named_file("trajectory", _FOLDER, name_or_path, BUILT_IN, f", {_RANDOM}")
     try:
-        trajectory = _read(path, limits or TrajectoryLimits.of_robot(), way)
+        trajectory = _read(path, limits or TrajectoryLimits.of_robot(), chosen)
     except BeyondLimitError as error:
         if limits is not None:
             raise
@@ -83,25 +83,25 @@ def load_trajectory(
     longest = load_settings().longest_duration
     if trajectory.duration > longest:
         raise ConfigError(
-            f"{path}: it lasts {trajectory.duration:.3g} s, the longest is {longest:g} s: are times in s?"
+            f"{path}: the duration is {trajectory.duration:.3g} s, at most {longest:g} s: are times in s?"
         )
     return trajectory
 
 
 def load_segments(name_or_path: str | Path) -> tuple[Segment, ...]:
-    """Load the segments of a trajectory as its file states them: twists that jump, as in a script of commands.
+    """Load the segments of a trajectory file, whose twists may jump as in a script of commands.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the name is unknown, or the file is missing, malformed or made of something else than segments.
+        If the name is unknown, or the file is missing, malformed or does not consist of segments.
     """
     path = named_file("trajectory", _FOLDER, name_or_path, BUILT_IN)
     return tuple(check(SegmentFile, read_yaml(path), str(path)).segments)
 
 
 def _read(path: Path, limits: TrajectoryLimits, timing: Timing | None) -> Trajectory:
-    # Paths of arcs, which most shipped ones are, do not need SciPy.
+    # Paths of arcs do not need SciPy; most built-in paths are of this kind.
     if path.suffix.lower() == ".csv":
         from diffdrive_mpc.mpc.trajectories.timed_poses import read_timed_poses  # noqa: PLC0415
 
@@ -113,35 +113,35 @@ def _read(path: Path, limits: TrajectoryLimits, timing: Timing | None) -> Trajec
         from diffdrive_mpc.mpc.trajectories.waypoints import WaypointFile, lay_waypoints  # noqa: PLC0415
 
         route = check(WaypointFile, data, where)
-        name, way = route.name or path.stem, timing or route.timing
-        caps = _caps(route.speed_passport, way, path)
+        name, chosen = route.name or path.stem, timing or route.timing
+        caps = _caps(route.speed_passport, chosen, path)
         laid = lay_waypoints(
             route.waypoints,
             limits,
             name=name,
             speed=route.speed,
             where=where,
-            timing=way,
+            timing=chosen,
             caps=caps,
             max_deviation=route.max_deviation,
         )
-        return _remarked(laid, "the polyline of its waypoints")
+        return _with_remark(laid, "the polyline of its waypoints")
     sequence = check(SegmentFile, data, where)
-    segments, start, way = sequence.segments, sequence.start, timing or sequence.timing
-    name, caps = sequence.name or path.stem, _caps(sequence.speed_passport, way, path)
-    if way == "smooth":
+    segments, start, chosen = sequence.segments, sequence.start, timing or sequence.timing
+    name, caps = sequence.name or path.stem, _caps(sequence.speed_passport, chosen, path)
+    if chosen == "smooth":
         from diffdrive_mpc.mpc.trajectories.smooth_segments import lay_smooth  # noqa: PLC0415
 
         smooth = lay_smooth(
             segments, limits, name=name, start=start, where=where, smoothing=sequence.smoothing, caps=caps
         )
-        return _remarked(smooth, "the drawn path", way, segments)
-    lay = lay_commanded if way == "commanded" else lay_segments
-    return _remarked(lay(segments, limits, name=name, start=start, where=where), "", way, segments)
+        return _with_remark(smooth, "the drawn path", chosen, segments)
+    lay = lay_commanded if chosen == "commanded" else lay_segments
+    return _with_remark(lay(segments, limits, name=name, start=start, where=where), "", chosen, segments)
 
 
-def _remarked(trajectory: Trajectory, drawn: str, timing: str = "", segments: Sequence[Segment] = ()) -> Trajectory:
-    """Return `trajectory` with its remark: the duration of the file's `segments`, and its distance from `drawn`."""
+def _with_remark(trajectory: Trajectory, drawn: str, timing: str = "", segments: Sequence[Segment] = ()) -> Trajectory:
+    """Return `trajectory` with a remark: the duration of the file's `segments`, and the distance from `drawn`."""
     stated, driven = (f"{time:.1f} s" for time in (sum(part.duration for part in segments), trajectory.duration))
     parts = [f"{stated} in the file, driven in {driven} (timing: {timing})"] if segments and stated != driven else []
     if drawn:
@@ -151,7 +151,7 @@ def _remarked(trajectory: Trajectory, drawn: str, timing: str = "", segments: Se
 
 
 def _caps(use: PassportUse | None, timing: Timing, path: Path) -> SpeedCaps | None:
-    """Load the speed limits of the passport that the trajectory file at `path` names, if it names one."""
+    """Load the speed limits of the passport that the trajectory file at `path` refers to, if there is one."""
     if use is not None and timing != "smooth":
-        raise ConfigError(f"{path}: speed_passport: timing '{timing}' takes none; time it with 'smooth'")
+        raise ConfigError(f"{path}: speed_passport: not available with timing '{timing}'; use 'smooth'")
     return None if use is None else load_speed_caps(use, path.parent)

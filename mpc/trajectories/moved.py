@@ -1,4 +1,4 @@
-"""A trajectory laid somewhere else."""
+"""Trajectories moved to another pose or scaled to another robot."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 
 @dataclass(frozen=True, eq=False)
 class MovedReference:
-    """A reference turned about the origin and then moved; satisfies `models.interface.Reference`.
+    """Reference rotated about the origin and then translated; implements `models.interface.Reference`.
 
     Attributes
     ----------
     original
-        The reference as it was.
+        The original reference.
     motion
-        (3,) x, y [m] by which it is moved after it was turned by theta [rad].
+        (3,) translation x, y [m] after the rotation by theta [rad].
     """
 
     original: Reference
@@ -42,17 +42,17 @@ class MovedReference:
 
     @property
     def name(self) -> str:
-        """Name of the original."""
+        """Name of the original reference."""
         return self.original.name
 
     @property
     def duration(self) -> float:
-        """Duration of the original [s]."""
+        """Duration of the original reference [s]."""
         return self.original.duration
 
     @cached_property
     def native(self) -> NativeTrajectory | None:
-        """The same in the compiled core, if it can sample the original."""
+        """Moved reference in the compiled core, if the core can sample the original."""
         native = getattr(self.original, "native", None)
         if not isinstance(native, NativeTrajectory) or any(native.struct.motion):
             return None
@@ -63,7 +63,7 @@ class MovedReference:
         return {name: value for name, value in self.__dict__.items() if name != "native"}
 
     def sample(self, times: ArrayLike) -> ReferenceSample:
-        """Evaluate at `times` (n,) [s]; twist and arc length are the original's."""
+        """Sample at `times` (n,) [s]; twist and arc length are those of the original."""
         sample = self.original.sample(times)
         x, y, theta = self.motion
         cos, sin = np.cos(theta), np.sin(theta)
@@ -86,13 +86,13 @@ def starting_at(reference: Reference, pose: ArrayLike) -> MovedReference:
     )
 
 
-# A path of segments for a robot of another size and speed than the one that it was laid out for.
+# Scaling of a path of segments to the size and speed of a robot.
 
 
-_AT_ONCE = 1e-3
-"""A robot with less lag answers at once [s]."""
-_ROOM = 1.2
-"""Tightest turn of a scaled path over the least one that the robot may drive [-]: holding the path takes the rest."""
+_MIN_LAG = 1e-3
+"""Minimum lag in the limits of the acceleration [s]."""
+_RADIUS_MARGIN = 1.2
+"""Minimum radius of a scaled path over that of the robot [-], with a reserve for path corrections."""
 
 
 def scaled_to_robot(
@@ -100,16 +100,16 @@ def scaled_to_robot(
 ) -> ArcTrajectory:
     """Scale a path of segments by the robot's track over that of the robot of the papers.
 
-    A robot with a minimum turn radius gets a path whose tightest turn is wider. Its speed is a share of what the robot
-    can reach, and it stops where the curvature jumps. A robot reaches its limits of the command times the model's
-    steady-state gain, as far as its wheels get so fast, and follows a share of its limits of the slew. As it answers
-    late, an acceleration takes its lag's worth more command: the same share of what the speed leaves. The shares are in
-    `settings.yaml`.
+    For a robot with a minimum turn radius, all turns of the path are wider. The speed is a share of the robot's maximum
+    speed, and the path stops where the curvature jumps. The maximum speed is the limit of the command times the model's
+    steady-state gain, within the limit of the wheel speed. The acceleration is within a share of the slew limit, and
+    within a share of the command that the speed leaves over: due to the lag, an acceleration needs an additional
+    command of lag times acceleration. The shares are in `settings.yaml`.
 
     Parameters
     ----------
     name_or_path
-        A trajectory made of segments.
+        Name or path of a trajectory of segments.
     config
         Limits and wheels of the robot.
     model
@@ -118,15 +118,15 @@ def scaled_to_robot(
     Raises
     ------
     models.checked_yaml.ConfigError
-        If there is no such trajectory, it is not made of segments, or it turns on the spot where the robot may not.
+        If the trajectory does not exist, does not consist of segments, or has a turn on the spot that a limit forbids.
     """
     segments, settings, limits = load_segments(name_or_path), load_settings(), config.limits
     (v_gain, omega_gain), (v_lag, omega_lag) = np.abs(np.diag(model.dc_gain)).tolist(), model.lag.tolist()
     length = config.wheels.encoder_track / load_robot().track
-    if limits.least_radius_of_ways:
-        length = max(length, _ROOM * limits.least_radius_of_ways / _tightest(segments, name_or_path, limits))
-    # Shares of commands and wheels that each segment would take, were it as long as in the file.
-    taken = [
+    if limits.min_path_radius:
+        length = max(length, _RADIUS_MARGIN * limits.min_path_radius / _min_radius(segments, name_or_path, limits))
+    # Shares of the command and wheel limits that each segment needs with its duration in the file.
+    shares = [
         max(
             length * abs(segment.v) / (v_gain * side_of(limits.v, segment.v)),
             abs(segment.omega) / (omega_gain * side_of(limits.omega, segment.omega)),
@@ -135,7 +135,7 @@ def scaled_to_robot(
         )
         for segment in segments
     ]
-    slower = max(taken) / settings.reach_share
+    slower = max(shares) / settings.reach_share
     scaled = [
         Segment(v=segment.v * length / slower, omega=segment.omega / slower, duration=segment.duration * slower)
         for segment in segments
@@ -147,19 +147,19 @@ def scaled_to_robot(
         v=max(fastest[0], v_gain * max(limits.v.sides)),
         omega=max(fastest[1], omega_gain * max(limits.omega.sides)),
         v_acceleration=min(
-            usual.v * length / slower**2, slew * v_gain * limits.v_slew, left * v_gain * limits.v / max(v_lag, _AT_ONCE)
+            usual.v * length / slower**2, slew * v_gain * limits.v_slew, left * v_gain * limits.v / max(v_lag, _MIN_LAG)
         ),
         omega_acceleration=min(
             usual.omega / slower**2,
             slew * omega_gain * limits.omega_slew,
-            left * omega_gain * limits.omega / max(omega_lag, _AT_ONCE),
+            left * omega_gain * limits.omega / max(omega_lag, _MIN_LAG),
         ),
     )
     return lay_segments(scaled, bounds, name=f"{Path(name_or_path).stem} scaled to the robot", where=str(name_or_path))
 
 
-def _tightest(segments: Sequence[Segment], path: str | Path, limits: Limits) -> float:
-    """Return the minimum radius of a path [m]; raise ConfigError where it turns on the spot."""
+def _min_radius(segments: Sequence[Segment], path: str | Path, limits: Limits) -> float:
+    """Return the minimum radius of a path [m]; raise ConfigError if it turns on the spot."""
     turning = [segment for segment in segments if segment.omega]
     if any(segment.v == 0.0 for segment in turning):
         name = "min_turn_radius" if limits.min_turn_radius else "min_commanded_radius"

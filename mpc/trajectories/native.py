@@ -1,4 +1,4 @@
-"""References in closed form, as the compiled core takes and samples them."""
+"""References in closed form that the compiled core samples."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ _ARC_ROWS, _CUBIC_ROWS = 10, 16
 
 
 class NativeTrajectory:
-    """A table of pieces in the core's memory, turned and then moved by `motion` (3,).
+    """Table of pieces in the core's memory, rotated and then translated by `motion` (3,) [m, m, rad].
 
     Parameters
     ----------
     breaks
-        (pieces,) or (pieces + 1,) instants at which the pieces begin [s].
+        (pieces,) or (pieces + 1,) start times of the pieces [s].
     table
         (10, pieces) of arcs or (16, pieces) of cubics, see `mpc.problem.formulas`.
     duration
-        [s].
+        Duration [s].
     """
 
     def __init__(self, breaks: FloatArray, table: FloatArray, duration: float, motion: ArrayLike = (0, 0, 0)) -> None:
         ffi, self._lib = load_core()
         self._ffi = ffi
-        self._kept = np.ascontiguousarray(breaks, dtype=float), np.ascontiguousarray(table, dtype=float)
+        self._arrays = np.ascontiguousarray(breaks, dtype=float), np.ascontiguousarray(table, dtype=float)
         rows, pieces = table.shape
         if rows not in (_ARC_ROWS, _CUBIC_ROWS) or len(breaks) not in (pieces, pieces + 1) or pieces < 1:
             raise ValueError(f"a table of shape {table.shape} with {len(breaks)} breaks is no trajectory")
         self.struct = ffi.new(
             "ddmpc_trajectory *",
             {
-                "breaks": ffi.cast("const double *", self._kept[0].ctypes.data),
-                "table": ffi.cast("const real *", self._kept[1].ctypes.data),
+                "breaks": ffi.cast("const double *", self._arrays[0].ctypes.data),
+                "table": ffi.cast("const real *", self._arrays[1].ctypes.data),
                 "pieces": pieces,
                 "cubic": rows == _CUBIC_ROWS,
                 "duration": float(duration),
@@ -50,17 +50,17 @@ class NativeTrajectory:
 
     @property
     def breaks(self) -> FloatArray:
-        """(pieces,) or (pieces + 1,) instants at which the pieces begin [s]."""
-        return self._kept[0]
+        """(pieces,) or (pieces + 1,) start times of the pieces [s]."""
+        return self._arrays[0]
 
     @property
     def table(self) -> FloatArray:
         """(10, pieces) of arcs or (16, pieces) of cubics."""
-        return self._kept[1]
+        return self._arrays[1]
 
     @property
     def motion(self) -> FloatArray:
-        """(3,) x, y [m] by which it is moved after it was turned by theta [rad]."""
+        """(3,) translation x, y [m] after the rotation by theta [rad]."""
         return np.array(list(self.struct.motion))
 
     def moved(self, motion: ArrayLike) -> NativeTrajectory:
@@ -68,16 +68,16 @@ class NativeTrajectory:
         return NativeTrajectory(self.breaks, self.table, self.struct.duration, motion)
 
     def sample(self, times: ArrayLike) -> ReferenceSample:
-        """Evaluate at `times` (n,) [s]; see `Trajectory.sample`."""
-        wanted = np.ascontiguousarray(np.asarray(times, dtype=float).reshape(-1))
-        count = wanted.size
+        """Sample at `times` (n,) [s]; see `Trajectory.sample`."""
+        queried = np.ascontiguousarray(np.asarray(times, dtype=float).reshape(-1))
+        count = queried.size
         block = np.empty(6 * count)
         pose, twist, arc_length = block[: 3 * count], block[3 * count : 5 * count], block[5 * count :]
         cast = self._ffi.cast
         start = block.ctypes.data
         self._lib.ddmpc_sample(
             self.struct,
-            cast("const double *", wanted.ctypes.data),
+            cast("const double *", queried.ctypes.data),
             count,
             cast("real *", start),
             cast("real *", start + 24 * count),
@@ -87,14 +87,15 @@ class NativeTrajectory:
 
 
 class NativeReference:
-    """A `ddmpc_reference` of any reference.
+    """The `ddmpc_reference` of a reference.
 
     Attributes
     ----------
     struct
-        For the core.
+        Structure for the core.
     complete
-        Whether the core can sample all of it; otherwise it knows only duration and end, and Python provides the target.
+        True if the core can sample the reference; otherwise the core has only its duration and end, and Python provides
+        the target.
     """
 
     def __init__(self, reference: Reference) -> None:
@@ -119,7 +120,7 @@ def _native(reference: Reference) -> NativeTrajectory | None:
 
 
 def _rest(reference: Reference) -> NativeTrajectory:
-    """Build a trajectory that stands at the end of a reference."""
+    """Build a trajectory at rest at the end of a reference."""
     table = np.zeros((_ARC_ROWS, 1))
     table[1:4, 0] = reference.sample([reference.duration]).pose[0]
     return NativeTrajectory(np.zeros(1), table, reference.duration)
@@ -127,7 +128,7 @@ def _rest(reference: Reference) -> NativeTrajectory:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TableTrajectory(Trajectory):
-    """A trajectory that the compiled core samples; subclasses define its `breaks` and `table`."""
+    """Trajectory that the compiled core samples; subclasses define its `breaks` and `table`."""
 
     breaks: FloatArray
     table: FloatArray
@@ -138,7 +139,7 @@ class TableTrajectory(Trajectory):
         return NativeTrajectory(self.breaks, self.table, self.duration)
 
     def sample(self, times: ArrayLike) -> ReferenceSample:
-        """Evaluate at `times` (n,) [s]; see `Trajectory.sample`."""
+        """Sample at `times` (n,) [s]; see `Trajectory.sample`."""
         return self.native.sample(times)
 
     def delayed(self, seconds: float) -> Self:
@@ -154,7 +155,7 @@ class TableTrajectory(Trajectory):
 
 
 def table_of(reference: Reference) -> dict[str, Any] | None:
-    """Name, duration, breaks, table and motion of a reference in closed form, as plain values; None of another."""
+    """Return name, duration, breaks, table and motion of a reference in closed form; None for other references."""
     native = getattr(reference, "native", None)
     if not isinstance(native, NativeTrajectory):
         return None

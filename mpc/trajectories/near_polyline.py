@@ -1,4 +1,4 @@
-"""A spline that stays near the polyline of its waypoints: it interpolates them, and rounds corners only if needed."""
+"""Spline near the polyline of its waypoints: it interpolates them, and rounds corners only if needed."""
 
 from __future__ import annotations
 
@@ -10,35 +10,36 @@ from diffdrive_mpc.models.interface import FloatArray
 
 _SAMPLES = (np.arange(16) + 0.5) / 16
 _SHARE = 0.97
-"""Share of the deviation that a corner is laid for [-]: samples miss the peak of a cubic piece by less."""
+"""Share of the deviation in the design of a corner [-]; the samples miss less of the peak of a cubic piece."""
 _LEG = 0.45
-"""Largest share of a leg that one of its two corners takes [-]."""
-_KEPT, _KNOTS, _ROUNDED = range(3)
+"""Maximum share of a leg for one of its two corners [-]."""
+_INTERPOLATED, _KNOTS, _ROUNDED = range(3)
 
 
 def spline_near(waypoints: FloatArray, max_deviation: float) -> CubicSpline:
     """Return a twice continuously differentiable spline at most `max_deviation` [m] from the polyline of `waypoints`.
 
-    It is the natural cubic spline over chord length wherever that is near enough. Elsewhere a corner becomes two pieces
-    of the uniform cubic B-spline with control points at -d, 0 and d along the legs. That curve lies in the hull of its
-    control points, has no curvature at its ends, and passes the corner at d sin(turn / 2) / 3. Where a neighbouring leg
-    is too short for that, the waypoint is interpolated, and a knot at d on the long leg shortens the overshoot.
+    It is the natural cubic spline over chord length where that spline is near enough. Elsewhere a corner is replaced by
+    two pieces of the uniform cubic B-spline with control points at -d, 0 and d along the legs. This curve lies in the
+    hull of its control points, has zero curvature at its ends, and passes the corner at d sin(turn / 2) / 3. If an
+    adjacent leg is too short for it, the waypoint is interpolated, and a knot at d on the long leg shortens the
+    overshoot.
 
     Parameters
     ----------
     waypoints
-        (k, 2) x, y [m], of which no two successive ones coincide.
+        (k, 2) x, y [m]; successive waypoints must differ.
     max_deviation
-        Largest distance from the polyline, and of each waypoint from the path [m].
+        Maximum distance of the path from the polyline, and of each waypoint from the path [m].
     """
     legs = np.diff(waypoints, axis=0)
     chords = np.hypot(*legs.T)
     along = legs / chords[:, None]
-    # The chord of the two unit vectors at a corner: 2 sin(turn / 2).
+    # Difference of the two unit vectors at a corner, of length 2 sin(turn / 2).
     bend = np.diff(along, axis=0)
     reach = np.divide(6 * _SHARE * max_deviation, np.hypot(*bend.T), out=np.full(len(bend), np.inf), where=bend.any(1))
     room = _LEG * np.minimum(chords[:-1], chords[1:])
-    kind = np.full(len(waypoints), _KEPT)
+    kind = np.full(len(waypoints), _INTERPOLATED)
     while True:
         spline = _spline(waypoints, chords, along, kind[1:-1], np.minimum(reach, room), reach)
         far = _leg_deviations(spline, waypoints, chords) > max_deviation
@@ -48,11 +49,11 @@ def spline_near(waypoints: FloatArray, max_deviation: float) -> CubicSpline:
         while not (touched[1:-1] & (kind[1:-1] < _ROUNDED)).any():
             touched[1:-1] |= touched[:-2] | touched[2:]
         first = np.where(room < reach / 2, _KNOTS, _ROUNDED)
-        kind[1:-1] = np.where(touched[1:-1], np.where(kind[1:-1] == _KEPT, first, _ROUNDED), kind[1:-1])
+        kind[1:-1] = np.where(touched[1:-1], np.where(kind[1:-1] == _INTERPOLATED, first, _ROUNDED), kind[1:-1])
 
 
 def deviations(points: FloatArray, legs: NDArray[np.signedinteger], waypoints: FloatArray) -> FloatArray:
-    """Return the distances (n,) [m] of `points` (n, 2) from the legs of the polyline with the indices `legs` (n,)."""
+    """Compute the distances (n,) [m] of `points` (n, 2) from the legs of the polyline with the indices `legs` (n,)."""
     start, leg = waypoints[legs], (waypoints[1:] - waypoints[:-1])[legs]
     share = np.clip(((points - start) * leg).sum(1) / (leg * leg).sum(1), 0.0, 1.0)
     return np.asarray(np.hypot(*(points - start - share[:, None] * leg).T))
@@ -66,7 +67,7 @@ def _spline(
     inner: FloatArray,
     reach: FloatArray,
 ) -> CubicSpline:
-    """Return the spline with corners (k - 2,) of these kinds; rounded ones reach `inner` [m] along their legs."""
+    """Compute the spline for corners of `kind` (k - 2,); rounded corners reach `inner` [m] along their legs."""
     ends = np.concatenate([[0.0], np.cumsum(chords)])
     values, knots, added = waypoints.copy(), [ends], [waypoints]
     rounded = kind == _ROUNDED
@@ -74,7 +75,7 @@ def _spline(
     added[0] = values
     for side, leg in ((-1, slice(0, -1)), (1, slice(1, None))):
         size = np.where(rounded, inner, np.where(reach < _LEG * chords[leg], reach, 0.0))
-        new = (kind != _KEPT) & (size > 0.0)
+        new = (kind != _INTERPOLATED) & (size > 0.0)
         knots.append((ends[1:-1] + side * size)[new])
         added.append((waypoints[1:-1] + side * size[:, None] * along[leg])[new])
     u = np.concatenate(knots)
@@ -83,7 +84,7 @@ def _spline(
 
 
 def _leg_deviations(spline: CubicSpline, waypoints: FloatArray, chords: FloatArray) -> FloatArray:
-    """Return the largest distance (k - 1,) [m] of the spline from each leg, over samples between its knots."""
+    """Compute the maximum distance (k - 1,) [m] of the spline from each leg, over samples between its knots."""
     ends = np.concatenate([[0.0], np.cumsum(chords)])
     u = spline.x[:-1, None] + np.diff(spline.x)[:, None] * _SAMPLES
     legs = np.searchsorted(ends, spline.x[:-1], side="right") - 1

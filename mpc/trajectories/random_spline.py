@@ -1,4 +1,4 @@
-"""Random smooth paths by seed, under names of their own: `spline-0`, `spline-1`, and so on."""
+"""Random smooth paths by seed, with the names `spline-0`, `spline-1`, and so on."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from diffdrive_mpc.mpc.trajectories.waypoints import lay_waypoints
 class RandomSplines(StrictModel):
     """Distribution of random paths."""
 
-    timing: Timing = Field(description="how speed is laid over the path")
+    timing: Timing = Field(description="timing of the path")
     legs: int = Field(ge=1, description="number of legs between waypoints")
-    leg: tuple[float, float] = Field(description="shortest and longest leg [m]")
-    turn: float = Field(gt=0, description="most by which a leg turns from the one before [rad]")
-    turn_radius: float = Field(gt=0, description="tightest radius of a path [m]")
-    speed: float = Field(gt=0, description="highest speed [m/s]")
-    omega: float = Field(gt=0, description="highest yaw rate [rad/s]")
+    leg: tuple[float, float] = Field(description="minimum and maximum length of a leg [m]")
+    turn: float = Field(gt=0, description="maximum turn between successive legs [rad]")
+    turn_radius: float = Field(gt=0, description="minimum radius of a path [m]")
+    speed: float = Field(gt=0, description="maximum speed [m/s]")
+    omega: float = Field(gt=0, description="maximum yaw rate [rad/s]")
 
     def waypoints(self, seed: int) -> FloatArray:
-        """Draw (legs + 1, 2) x, y [m] of the path of a seed, from the origin with the first leg along x."""
+        """Draw waypoints (legs + 1, 2) x, y [m] for a seed, from the origin with the first leg along x."""
         random = np.random.default_rng(seed)
         while True:
             heading = np.append(0.0, np.cumsum(random.uniform(-self.turn, self.turn, self.legs - 1)))
@@ -47,14 +47,14 @@ class RandomSplines(StrictModel):
 
 @cache
 def random_splines() -> RandomSplines:
-    """Load the distribution of the package's random paths."""
+    """Load the distribution of random paths in the package."""
     return load_checked(RandomSplines, Path(__file__).parent / "random_spline.yaml")
 
 
 def lay_random_spline(seed: int, limits: TrajectoryLimits, timing: Timing | None = None) -> SplineTrajectory:
-    """Lay the path of a seed within `limits` and those of the settings; it is the same bit for bit at each call.
+    """Build the trajectory of a seed within `limits` and the limits of the settings, bit for bit reproducible.
 
-    `timing` replaces that of the settings. Raises ConfigError if it is "commanded" and the path turns too fast for it.
+    `timing` replaces the timing of the settings. Raises ConfigError if the timing "commanded" exceeds the yaw limit.
     """
     settings = random_splines()
     slower = replace(limits, v=min(side_of(limits.v, 1.0), settings.speed), omega=min(limits.omega, settings.omega))

@@ -1,15 +1,14 @@
-"""Sequences of (v, omega, duration), turned into a timed reference: what `timing: stop` and `commanded` mean.
+"""Conversion of segments (v, omega, duration) to a timed reference, with `timing: stop` or `timing: commanded`.
 
-A segment fixes geometry and cruise speed: an arc of length |v| duration and curvature omega / v, driven backwards where
-v < 0; a turn on the spot where v = 0; a wait where both are zero. With `commanded` each twist lasts for its duration.
-With `stop` a robot starts and ends at rest, the geometry is exact, and time is added as the acceleration limits
-require.
+A segment defines geometry and cruise speed: an arc of length |v| duration and curvature omega / v, driven backwards if
+v < 0; a turn on the spot if v = 0; a wait if both are zero. With `commanded` each twist lasts for its duration. With
+`stop` the robot starts and ends at rest, the geometry is exact, and time is added as the acceleration limits require.
 
-On an arc omega = curvature * v, so where the curvature jumps, omega would jump too unless v = 0 there. With exact
-geometry and bounded yaw acceleration, the robot must stop between segments of different curvature, at reversals, and
-around a turn on the spot. Consecutive segments of equal curvature and direction form one run, within which the speed
-goes from one cruise value to the next without a stop. On an arc the acceleration is bounded by the smaller of the
-forward limit and the yaw limit over the curvature.
+On an arc omega = curvature * v, so that a jump of the curvature causes a jump of omega unless v = 0. With exact
+geometry and limited yaw acceleration, the robot must stop between segments of different curvature, at reversals, and
+before and after a turn on the spot. Consecutive segments of equal curvature and direction form one run, in which the
+speed changes from one cruise value to the next without a stop. On an arc the acceleration is limited to the smaller of
+the forward limit and the yaw limit over the curvature.
 """
 
 from __future__ import annotations
@@ -27,26 +26,26 @@ from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLi
 from diffdrive_mpc.mpc.trajectories.speed_passport import PassportUse
 from diffdrive_mpc.mpc.trajectories.timing import Phase, Timing, between, rest_to_rest
 
-# A slower twist is a wait: over any duration it leads nowhere, and its square would underflow.
-_STILL = 1e-100
+# Minimum rate of a moving segment; a slower twist counts as a wait, and its square would underflow.
+_MIN_RATE = 1e-100
 
 
 class Segment(StrictModel):
-    """Constant twist over a duration: the geometry and cruise speed of one piece of path."""
+    """Constant twist over a duration, which defines geometry and cruise speed of a section of the path."""
 
     v: float = Field(description="forward speed [m/s]; negative drives backwards")
     omega: float = Field(description="yaw rate [rad/s]; positive turns left")
-    duration: float = Field(gt=0, description="duration at that twist, before time is added for acceleration [s]")
+    duration: float = Field(gt=0, description="duration at this twist, without the time added for acceleration [s]")
 
     @property
     def cruise(self) -> float:
         """Rate of progress: the larger of |v| [m/s] and |omega| [rad/s]; 0 for a wait."""
         rate = max(abs(self.v), abs(self.omega))
-        return rate if rate > _STILL else 0.0
+        return rate if rate > _MIN_RATE else 0.0
 
     @property
     def direction(self) -> tuple[float, float]:
-        """Metres driven and radians turned per unit of progress, with sign; (0, 0) for a wait."""
+        """Distance [m] and angle [rad] per unit of progress, with sign; (0, 0) for a wait."""
         return (self.v / self.cruise, self.omega / self.cruise) if self.cruise else (0.0, 0.0)
 
 
@@ -55,13 +54,13 @@ class SegmentFile(StrictModel):
 
     name: str | None = Field(default=None, description="name for tables and figures; default: name of the file")
     start: tuple[float, float, float] = Field(default=(0.0, 0.0, 0.0), description="start pose x, y [m], theta [rad]")
-    segments: list[Segment] = Field(description="segments in the order in which they are driven")
-    timing: Timing = Field(default="stop", description="how speed is laid over the path")
+    segments: list[Segment] = Field(description="segments in order of travel")
+    timing: Timing = Field(default="stop", description="timing of the path")
     smoothing: float | None = Field(
-        default=None, gt=0, description="timing: smooth keeps within this distance of the path [m]; default: settings"
+        default=None, gt=0, description="for timing: smooth, the distance from the path [m]; default: settings"
     )
     speed_passport: PassportUse | None = Field(
-        default=None, description="timing: smooth is no faster than this passport allows for a tolerance"
+        default=None, description="for timing: smooth, a passport that limits the speed for a tolerance"
     )
 
 
@@ -73,18 +72,18 @@ def lay_segments(
     start: Sequence[float] = (0.0, 0.0, 0.0),
     where: str = "trajectory",
 ) -> ArcTrajectory:
-    """Turn `segments` into a timed trajectory from the pose `start` (3,) [m, m, rad].
+    """Convert `segments` to a timed trajectory from the pose `start` (3,) [m, m, rad].
 
-    `where` names the source of the segments in error messages.
+    `where` is the source of the segments in error messages.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If there is no segment, or too many, or one is faster than `limits`.
+        If there are no segments or too many, or a segment exceeds `limits`.
     """
     check_segments(segments, limits, where)
-    segments = slowed(segments, limits)
-    return ArcTrajectory.lay(name, start, [stretch for run in runs(segments) for stretch in timed_run(run, limits)])
+    segments = slow_down(segments, limits)
+    return ArcTrajectory.lay(name, start, [stretch for run in runs(segments) for stretch in time_run(run, limits)])
 
 
 def lay_commanded(
@@ -95,10 +94,10 @@ def lay_commanded(
     start: Sequence[float] = (0.0, 0.0, 0.0),
     where: str = "trajectory",
 ) -> ArcTrajectory:
-    """Take `segments` as a script would command them: each twist for its duration, with steps from one to the next.
+    """Convert `segments` as commanded by a script: each twist for its duration, with steps between the segments.
 
-    Only at the start and at the end of all driving the twist follows a ramp within the accelerations, for which time is
-    added: a step from rest would contain no path. Arguments and errors are those of `lay_segments`.
+    Only at the start and at the end of the whole drive the twist follows a ramp within the accelerations, with added
+    time: a step from rest would contain no path. Arguments and errors are those of `lay_segments`.
     """
     check_segments(segments, limits, where, exact=True)
     moving = [i for i, segment in enumerate(segments) if segment.cruise]
@@ -114,15 +113,15 @@ def lay_commanded(
 
 
 def check_segments(segments: Sequence[Segment], limits: TrajectoryLimits, where: str, *, exact: bool = False) -> None:
-    """Raise ConfigError for no segment, too many, or one faster than `limits`; `where` names their source.
+    """Raise ConfigError for no segments, too many, or a segment beyond `limits`; `where` is their source.
 
-    Timing reduces speeds beyond the smaller side of a limit, unless speeds are `exact`.
+    If the speeds are not `exact`, only the larger side of a limit is checked, since the timing reduces the speed later.
     """
     if not segments:
         raise ConfigError(f"{where}: segments is empty; give at least one {{v, omega, duration}}")
-    most = load_settings().most_segments
-    if len(segments) > most:
-        raise ConfigError(f"{where}: {len(segments):,} segments, at most {most:,}; join some, or split the file")
+    maximum = load_settings().most_segments
+    if len(segments) > maximum:
+        raise ConfigError(f"{where}: {len(segments):,} segments, at most {maximum:,}; join some, or split the file")
     for i, segment in enumerate(segments):
         for key, unit in (("v", "m/s"), ("omega", "rad/s")):
             value = getattr(segment, key)
@@ -135,7 +134,7 @@ def check_segments(segments: Sequence[Segment], limits: TrajectoryLimits, where:
 
 
 def runs(segments: Sequence[Segment]) -> list[list[Segment]]:
-    """Group consecutive segments that may be joined without a stop."""
+    """Group consecutive segments that can be joined without a stop."""
     runs = [[segments[0]]]
     for previous, segment in pairwise(segments):
         if previous.cruise and segment.cruise and _joins(previous, segment):
@@ -146,14 +145,14 @@ def runs(segments: Sequence[Segment]) -> list[list[Segment]]:
 
 
 def _joins(first: Segment, second: Segment) -> bool:
-    """Return True if forward and yaw motion keep the same proportion from `first` to `second`."""
-    # Only rounding of omega / v is tolerated: the yaw rate may then jump by no more than that.
+    """Return True if forward and yaw motion have the same proportion in `first` and `second`."""
+    # Only rounding of omega / v is tolerated, since the yaw rate jumps by the difference.
     return all(
         math.isclose(a, b, rel_tol=1e-12, abs_tol=1e-12) for a, b in zip(first.direction, second.direction, strict=True)
     )
 
 
-def timed_run(run: Sequence[Segment], limits: TrajectoryLimits) -> list[PathStretch]:
+def time_run(run: Sequence[Segment], limits: TrajectoryLimits) -> list[PathStretch]:
     """Time one run from rest to rest."""
     if not run[0].cruise:
         return [PathStretch(0.0, 0.0, 0.0, [Phase(0.0, 0.0, 0.0, segment.duration)]) for segment in run]
@@ -165,8 +164,8 @@ def timed_run(run: Sequence[Segment], limits: TrajectoryLimits) -> list[PathStre
     ]
 
 
-def slowed(segments: Sequence[Segment], limits: TrajectoryLimits) -> list[Segment]:
-    """Return segments whose speeds beyond the smaller side of a limit are reduced, with room for tracking."""
+def slow_down(segments: Sequence[Segment], limits: TrajectoryLimits) -> list[Segment]:
+    """Reduce speeds of segments beyond the smaller side of a limit, with a reserve for tracking."""
     timed = []
     for segment in segments:
         pairs = ((segment.v, limits.v), (segment.omega, limits.omega))
@@ -181,7 +180,7 @@ def slowed(segments: Sequence[Segment], limits: TrajectoryLimits) -> list[Segmen
 
 
 def _acceleration(run: Sequence[Segment], limits: TrajectoryLimits) -> float:
-    """Compute the maximum change of the progress rate for which each moving segment of `run` has room."""
+    """Compute the maximum acceleration of the progress that is within the limits of all moving segments of `run`."""
     bounds = (limits.v_acceleration, limits.omega_acceleration)
     return min(
         bound / abs(share) for segment in run for share, bound in zip(segment.direction, bounds, strict=True) if share

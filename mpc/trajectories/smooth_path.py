@@ -1,4 +1,4 @@
-"""A path of continuous curvature through waypoints, cut into short pieces."""
+"""Path of continuous curvature through waypoints, divided into short pieces."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.trajectories.limits import load_settings
 from diffdrive_mpc.mpc.trajectories.near_polyline import deviations, spline_near
 
-_COINCIDE = 1e-9
-"""Points nearer than this are one [m]."""
+_MIN_CHORD = 1e-9
+"""Minimum distance between successive waypoints [m]."""
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
 @dataclass(frozen=True, eq=False)
 class SmoothPath:
-    """A path cut into m short pieces: values at their ends, and bounds over each piece."""
+    """Path of m short pieces: values at their ends, and bounds over each piece."""
 
     points: FloatArray
     """(m + 1, 2) x, y [m]."""
@@ -30,11 +30,11 @@ class SmoothPath:
     lengths: FloatArray
     """(m,) length of each piece [m]."""
     bend: FloatArray
-    """(m,) largest |curvature| on each piece [1/m]."""
+    """(m,) maximum |curvature| on each piece [1/m]."""
     bend_change: FloatArray
-    """(m,) largest |d curvature / d arc length| on each piece [1/m^2]."""
+    """(m,) maximum |d curvature / d arc length| on each piece [1/m^2]."""
     deviation: FloatArray | None = None
-    """(m + 1,) distance from the polyline of the waypoints [m]; None where `max_deviation` was not given."""
+    """(m + 1,) distance from the polyline of the waypoints [m]; None if `max_deviation` was not given."""
 
 
 def smooth_path(
@@ -44,23 +44,23 @@ def smooth_path(
     ends: tuple[float | None, float | None] = (None, None),
     max_deviation: float | None = None,
 ) -> SmoothPath:
-    """Lay a natural cubic spline over chord length through `waypoints` (k, 2) [m], k >= 2, and cut it into pieces.
+    """Fit a natural cubic spline over chord length through `waypoints` (k, 2) [m], k >= 2, and divide it into pieces.
 
-    `where` names the source of the waypoints in error messages; `pieces` is into how many pieces the path is cut
-    between two of them, by default as the settings say; `ends` are the headings [rad] with which it begins and ends,
-    each where it is not free. With `max_deviation` [m] the ends are free, and the spline is that of `spline_near`.
+    `where` is the source of the waypoints in error messages. `pieces` is the number of pieces between two waypoints, by
+    default that of the settings. `ends` are the headings [rad] at the start and at the end; None: free. With
+    `max_deviation` [m] both ends are free, and the spline is that of `spline_near`.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If two waypoints that follow each other coincide, there are too many, or the path turns too tightly.
+        If two successive waypoints coincide, there are too many waypoints, or the path turns too tightly.
     """
     settings = load_settings()
     if pieces is None:
-        least = settings.least_pieces_per_waypoint
-        pieces = settings.pieces_between(len(waypoints), settings.pieces_per_waypoint, least, where)
+        minimum = settings.least_pieces_per_waypoint
+        pieces = settings.pieces_between(len(waypoints), settings.pieces_per_waypoint, minimum, where)
     chords = np.hypot(*np.diff(waypoints, axis=0).T)
-    if chords.min() < _COINCIDE:
+    if chords.min() < _MIN_CHORD:
         index = int(np.argmin(chords))
         raise ConfigError(f"{where}: waypoints.{index} and waypoints.{index + 1} coincide; remove one")
     along = np.concatenate([[0.0], np.cumsum(chords)])
@@ -69,7 +69,7 @@ def smooth_path(
         spline = CubicSpline(along, waypoints, bc_type=bounds)
     else:
         spline = spline_near(waypoints, max_deviation)
-        # As many pieces as without the knots that it adds.
+        # The total number of pieces does not change with the additional knots.
         pieces = max(1, pieces * chords.size // (spline.x.size - 1))
     u = np.append((spline.x[:-1, None] + np.diff(spline.x)[:, None] * np.arange(pieces) / pieces).ravel(), spline.x[-1])
     inside = u[:-1, None] + np.diff(u)[:, None] * (_NODES + 1) / 2
@@ -80,10 +80,10 @@ def smooth_path(
     bend, bend_change, stretch = (np.abs(values) for values in bending(spline, inside))
     lengths = np.diff(u) / 2 * (stretch @ _WEIGHTS)
     bend = np.maximum(bend.max(axis=1), np.maximum(np.abs(curvature[:-1]), np.abs(curvature[1:])))
-    # A cusp shows in the heading even where the curvature is zero on both sides of it.
-    tightest = np.abs(np.diff(heading)) / lengths
-    index = int(np.argmax(tightest))
-    if tightest[index] * settings.min_turn_radius > 1:
+    # At a cusp the heading jumps, although the curvature may be zero on both sides.
+    mean_curvature = np.abs(np.diff(heading)) / lengths
+    index = int(np.argmax(mean_curvature))
+    if mean_curvature[index] * settings.min_turn_radius > 1:
         leg = int(np.searchsorted(along[1:-1], u[index], side="right"))
         near = "" if max_deviation is None else f", or raise max_deviation = {max_deviation:g}"
         raise ConfigError(
@@ -98,7 +98,7 @@ def smooth_path(
 
 
 def bending(spline: CubicSpline, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return curvature [1/m], its slope over arc length [1/m^2] and the length of the tangent, each shaped as `u`."""
+    """Compute curvature [1/m], its slope over arc length [1/m^2] and the length of the tangent, in the shape of `u`."""
     first, second, third = (spline(u, order) for order in (1, 2, 3))
     stretch = np.hypot(first[..., 0], first[..., 1])
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -108,5 +108,5 @@ def bending(spline: CubicSpline, u: FloatArray) -> tuple[FloatArray, FloatArray,
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the z component of the cross product of vectors in the plane (..., 2)."""
+    """Compute the z component of the cross product of vectors in the plane (..., 2)."""
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])

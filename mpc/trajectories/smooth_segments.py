@@ -1,8 +1,8 @@
-"""Segments driven without a stop where the curvature jumps: clothoids round the jumps, a speed within all limits.
+"""Smooth timing of segments: clothoids replace jumps of the curvature, so that no stop is needed there.
 
-Only the path changes, by at most a stated distance. The robot still stops where necessary: at cusps, and before and
-after a turn on the spot or a wait, which do not change. A segment that turns more tightly than the settings' least
-radius counts as a turn on the spot.
+The path changes by at most a given distance. The robot still stops where necessary: at cusps, and before and after a
+turn on the spot or a wait, which do not change. A segment with a smaller radius than the minimum of the settings counts
+as a turn on the spot.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ import numpy as np
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import integrate_pose
-from diffdrive_mpc.mpc.trajectories.clothoids import Clothoid, Joint, along, distances, joint
+from diffdrive_mpc.mpc.trajectories.clothoids import Clothoid, Joint, distances, joint, sample_clothoids
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits, load_settings
-from diffdrive_mpc.mpc.trajectories.path_timing import squared_speeds, timed
-from diffdrive_mpc.mpc.trajectories.segments import Segment, check_segments, runs, slowed, timed_run
+from diffdrive_mpc.mpc.trajectories.path_timing import squared_speeds, time_path
+from diffdrive_mpc.mpc.trajectories.segments import Segment, check_segments, runs, slow_down, time_run
 from diffdrive_mpc.mpc.trajectories.smooth_path import SmoothPath
 from diffdrive_mpc.mpc.trajectories.speed_passport import SpeedCaps
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 
-# Of a turn on the spot that is not quite one, between two nodes.
+# Maximum turn between two nodes of a turn on the spot [rad].
 _TURN_STEP = 0.05
-# Of an arc that its joints leave over [m].
-_NOTHING = 1e-9
+# Minimum length of an arc between its joints [m].
+_MIN_ARC = 1e-9
 
 Nodes = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 """Times (n,) [s] from the first node, poses (n, 3), rates (n, 3), distances from the drawn path (n,) [m]."""
@@ -43,25 +43,25 @@ def lay_smooth(
     smoothing: float | None = None,
     caps: SpeedCaps | None = None,
 ) -> SplineTrajectory:
-    """Convert `segments` to a trajectory of continuous curvature, from rest to rest, with as few stops as possible.
+    """Convert `segments` to a trajectory of continuous curvature, from rest to rest, with the fewest stops.
 
     Parameters
     ----------
     segments, limits, name, start, where
-        As of `segments.lay_segments`; the lateral acceleration is limited too.
+        As for `segments.lay_segments`; the lateral acceleration is limited as well.
     smoothing
-        Largest distance from the drawn path [m]; by default that of the settings.
+        Maximum distance from the drawn path [m]; by default that of the settings.
     caps
-        Greatest speeds by curvature; turns on the spot have none.
+        Maximum speeds by curvature; they exclude turns on the spot.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If there is no segment, or too many, or one is faster than `limits`, or the path is too long to be cut, or
-        `caps` know no speed for a turn.
+        If there are no segments or too many, a segment exceeds `limits`, the path is too long, or `caps` contain no
+        speed for a turn.
     """
     check_segments(segments, limits, where)
-    segments = slowed(segments, limits)
+    segments = slow_down(segments, limits)
     distance = load_settings().smoothing if smoothing is None else smoothing
     _check_work(segments, where)
     pose, time = np.asarray(start, dtype=float), 0.0
@@ -73,9 +73,9 @@ def lay_smooth(
                 f"{where}: speed_passport covers no backward driving and no turn on the spot; "
                 "drive forwards, or leave it out"
             )
-        pieces = (_driven(run, sense, pose, limits, distance, caps),) if sense else turned(run, pose, limits)
+        pieces = (_drive_nodes(run, sense, pose, limits, distance, caps),) if sense else turn_nodes(run, pose, limits)
         for times, poses, rates, drawn in pieces:
-            if time + float(times[-1]) == time:  # a phase that rounding has left over
+            if time + float(times[-1]) == time:  # a phase of zero length, from rounding
                 continue
             laid.append((time + times[1:], poses[1:], rates[1:], drawn[1:]))
             time, pose = time + float(times[-1]), poses[-1]
@@ -83,14 +83,14 @@ def lay_smooth(
 
 
 def _check_work(segments: Sequence[Segment], where: str) -> None:
-    """Raise ConfigError for too many pieces or joints, before any is built."""
+    """Raise ConfigError for too many pieces or joints, before they are computed."""
     settings = load_settings()
     driven = [(segment, bool(_sense(segment))) for segment in segments]
     pieces = sum(
         (abs(segment.v) / settings.smooth_piece if moves else abs(segment.omega) / _TURN_STEP) * segment.duration
         for segment, moves in driven
     )
-    settings.check_pieces(pieces, where, "split it, or take another timing")
+    settings.check_pieces(pieces, where, "split it, or choose another timing")
     joints = {
         (before.v, before.omega, after.v, after.omega)
         for (before, first), (after, second) in pairwise(driven)
@@ -99,7 +99,7 @@ def _check_work(segments: Sequence[Segment], where: str) -> None:
     if len(joints) > settings.most_joints:
         raise ConfigError(
             f"{where}: {len(joints):,} different joints of segments, at most {settings.most_joints:,} are rounded; "
-            "split it, or take another timing"
+            "split it, or choose another timing"
         )
 
 
@@ -109,9 +109,9 @@ def _sense(segment: Segment) -> int:
     return 0 if turning or not segment.cruise else int(math.copysign(1, segment.v))
 
 
-def turned(group: Sequence[Segment], pose: FloatArray, limits: TrajectoryLimits) -> Iterator[Nodes]:
-    """Yield nodes of turns on the spot and waits, which are not smoothed."""
-    for stretch in (stretch for run in runs(group) for stretch in timed_run(run, limits)):
+def turn_nodes(group: Sequence[Segment], pose: FloatArray, limits: TrajectoryLimits) -> Iterator[Nodes]:
+    """Yield the nodes of turns on the spot and waits, which are not smoothed."""
+    for stretch in (stretch for run in runs(group) for stretch in time_run(run, limits)):
         for phase in stretch.phases:
             turn = abs(stretch.turn) * phase.duration * (phase.rate + phase.acceleration * phase.duration / 2)
             times = np.linspace(0.0, phase.duration, 1 + max(1, math.ceil(turn / _TURN_STEP)))
@@ -124,7 +124,7 @@ def turned(group: Sequence[Segment], pose: FloatArray, limits: TrajectoryLimits)
         pose = integrate_pose(pose, stretch.forward, stretch.turn, stretch.length)
 
 
-def _driven(
+def _drive_nodes(
     run: Sequence[Segment],
     sense: int,
     pose: FloatArray,
@@ -132,10 +132,10 @@ def _driven(
     distance: float,
     caps: SpeedCaps | None,
 ) -> Nodes:
-    """Compute nodes of segments that are driven in one direction, from rest to rest."""
+    """Compute the nodes of segments that are driven in one direction, from rest to rest."""
     bends = [segment.omega / abs(segment.v) for segment in run]
     lengths = [abs(segment.v) * segment.duration for segment in run]
-    # Each joint gets half of a segment, or all of it if the segment has only one.
+    # The reach of a joint is at most half of a segment, or the whole segment if it has no other joint.
     room = [length / 2 for length in lengths]
     room[0], room[-1] = lengths[0], lengths[-1]
     joints = [joint(*pair, min(spaces), distance) for pair, spaces in zip(pairwise(bends), pairwise(room), strict=True)]
@@ -143,7 +143,7 @@ def _driven(
     blocks: list[tuple[tuple[Clothoid, ...], float, Joint | None]] = []
     for i, (segment, bend, length) in enumerate(zip(run, bends, lengths, strict=True)):
         left = length - reaches[i] - reaches[i + 1]
-        if left > _NOTHING:
+        if left > _MIN_ARC:
             blocks.append(((Clothoid(left, bend, bend),), abs(segment.v), None))
         if i < len(joints) and joints[i].parts:
             blocks.append((joints[i].parts, min(abs(segment.v), abs(run[i + 1].v)), joints[i]))
@@ -154,9 +154,9 @@ def _driven(
     drawn: list[FloatArray] = [np.zeros(1)]
     off: dict[Joint, FloatArray] = {}
     for parts, cruise, rounded in blocks:
-        # Between two stops there has to be a moving node.
-        least = 2 if len(blocks) == len(parts) == 1 else 1
-        counts = [max(least, math.ceil(part.length / spacing)) for part in parts]
+        # At least one moving node is needed between two stops.
+        min_pieces = 2 if len(blocks) == len(parts) == 1 else 1
+        counts = [max(min_pieces, math.ceil(part.length / spacing)) for part in parts]
         since = np.cumsum(np.repeat([part.length / n for part, n in zip(parts, counts, strict=True)], counts))
         distances_along.append(distances_along[-1][-1] + since)
         cruises.append(np.full(since.size, cruise))
@@ -164,16 +164,16 @@ def _driven(
             drawn.append(np.zeros(since.size))
         else:
             if rounded not in off:
-                off[rounded] = distances(along(parts, np.append(0.0, since))[0], rounded)[1:]
+                off[rounded] = distances(sample_clothoids(parts, np.append(0.0, since))[0], rounded)[1:]
             drawn.append(off[rounded])
     arc_lengths = np.concatenate(distances_along)
-    local, curvature = along([part for parts, *_ in blocks for part in parts], arc_lengths)
+    local, curvature = sample_clothoids([part for parts, *_ in blocks for part in parts], arc_lengths)
     cos, sin = sense * math.cos(pose[2]), sense * math.sin(pose[2])
     points = pose[:2] + local[:, :2] @ np.array([[cos, sin], [-sin, cos]])
-    steps, bent = np.diff(arc_lengths), np.abs(curvature)
-    most, change = np.maximum(bent[:-1], bent[1:]), np.abs(np.diff(curvature)) / steps
-    path = SmoothPath(points, pose[2] + local[:, 2], curvature, steps, most, change)
-    wanted = np.concatenate(cruises)
-    fastest = wanted if caps is None else np.minimum(wanted, caps.speeds_of(most))
-    square = squared_speeds(steps, most, change, limits, fastest, lateral=True, sense=sense)
-    return *timed(path, square, limits, sense), np.concatenate(drawn)
+    steps, size = np.diff(arc_lengths), np.abs(curvature)
+    max_bend, change = np.maximum(size[:-1], size[1:]), np.abs(np.diff(curvature)) / steps
+    path = SmoothPath(points, pose[2] + local[:, 2], curvature, steps, max_bend, change)
+    speeds = np.concatenate(cruises)
+    cruise = speeds if caps is None else np.minimum(speeds, caps.speeds_of(max_bend))
+    square = squared_speeds(steps, max_bend, change, limits, cruise, lateral=True, sense=sense)
+    return *time_path(path, square, limits, sense), np.concatenate(drawn)

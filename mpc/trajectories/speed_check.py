@@ -1,4 +1,4 @@
-"""Refuse a reference that the limits cannot follow, before the robot moves."""
+"""Checks of a reference against the limits, before the robot moves."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from diffdrive_mpc.models.two_sided import TwoSided, side_of, sides_at
 from diffdrive_mpc.mpc.config.fixed_values import STANDING, TURNING
 from diffdrive_mpc.mpc.config.schema import Limits
 
-# User references: their samples are checked before anything, such as C, reads them by count.
+# References of the user: the shapes of their samples are checked before the C code reads them.
 
 
 class CheckedReference:
-    """Reference whose samples have the shapes promised by `Reference`, as floating-point numbers.
+    """Reference whose samples are checked for the shapes of `Reference` and converted to floating-point numbers.
 
     Parameters
     ----------
@@ -36,15 +36,15 @@ class CheckedReference:
         return self._reference.duration
 
     def sample(self, times: ArrayLike) -> ReferenceSample:
-        """Evaluate at `times` (n,) [s]; raises ValueError where the reference gives other shapes."""
+        """Sample at `times` (n,) [s]; raises ValueError if the reference returns other shapes."""
         sample, count = self._reference.sample(times), np.size(times)
         return ReferenceSample(
-            self._checked("pose", sample.pose, (count, 3)),
-            self._checked("twist", sample.twist, (count, 2)),
-            self._checked("arc_length", sample.arc_length, (count,)),
+            self._check_shape("pose", sample.pose, (count, 3)),
+            self._check_shape("twist", sample.twist, (count, 2)),
+            self._check_shape("arc_length", sample.arc_length, (count,)),
         )
 
-    def _checked(self, name: str, values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
+    def _check_shape(self, name: str, values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
         array = np.asarray(values, dtype=float)
         if array.shape != shape:
             raise ValueError(
@@ -55,22 +55,22 @@ class CheckedReference:
 
 
 def checked_reference(reference: Reference) -> Reference:
-    """Return `reference` with checked samples; return it unchanged if the compiled core samples it."""
+    """Return `reference` with checked samples, or unchanged if the compiled core samples it."""
     return reference if getattr(reference, "native", None) is not None else CheckedReference(reference)
 
 
-# A spline through timed poses may ring a little over its limit.
+# Tolerated ratio of a speed to its limit [-]; a spline through timed poses may overshoot slightly.
 _SPEED_EXCESS = 1.01
-# A little beyond the limits by the model's gain the reference waits; far beyond it there is no use.
+# Tolerated ratio of the command for a twist, by the model's gain, to its limit [-]; the reference waits for the robot.
 _COMMAND_EXCESS = 1.25
-_MOST_SAMPLES = 100_000
-_LONGEST = 1e9
-# Position [m] and heading [rad]; the differences of larger ones are rounding.
-_FURTHEST = 1e9
-# Margins beyond which a turn counts as too tight, for rounding and ringing of splines [-, m/s].
-_LEAST_TURN_SHARE, _LEAST_TURN = 0.99, 1e-3
-# Tolerated turn of a standing reference if commands have a minimum radius: the end of a curve, rounding [rad].
-_LEAST_SPOT = 0.1
+_MAX_SAMPLES = 100_000
+_MAX_DURATION = 1e9
+# Maximum position [m] and heading [rad], beyond which differences are rounding errors.
+_MAX_POSE = 1e9
+# Margins for rounding and overshoot of splines in the check of the turn radius [-, m/s].
+_RADIUS_SHARE, _TURN_MARGIN = 0.99, 1e-3
+# Tolerated turn of a reference at standstill if commands have a minimum radius: the end of a curve, rounding [rad].
+_MAX_SPOT_TURN = 0.1
 
 
 def check_speeds(
@@ -78,23 +78,23 @@ def check_speeds(
 ) -> None:
     """Compare the speeds of `reference`, sampled every `dt` [s], with the hard limits of the command.
 
-    With the steady-state `gain` (2, 2) of the model the command is compared, too, that keeps the reference's twist. The
+    With the steady-state `gain` (2, 2) of the model, the command for the reference's twist is compared as well. The
     reference before its time `after` [s] is not checked.
 
     Raises
     ------
     ValueError
-        With one line that names reference, time, value and limit; also where duration or poses are not finite, or
-        where it gives poses or twists of another shape than it is asked for.
+        If a speed exceeds its limit, with one line that names reference, time, value and limit; also if the duration or
+        the poses are not finite, or poses or twists have a wrong shape.
     """
     times = _instants(reference, dt)
     times = times[min(int(np.searchsorted(times, after)), times.size - 2) :]
     sample = checked_reference(reference).sample(times)
-    odd = np.flatnonzero(~(np.abs(sample.pose) <= _FURTHEST).all(axis=1))
-    if odd.size:
+    invalid = np.flatnonzero(~(np.abs(sample.pose) <= _MAX_POSE).all(axis=1))
+    if invalid.size:
         raise ValueError(
-            f"reference '{reference.name}': its pose at {times[odd[0]]:.2f} s is not finite, or further than "
-            f"{_FURTHEST:g} m from the origin"
+            f"reference '{reference.name}': its pose at {times[invalid[0]]:.2f} s is not finite, or further than "
+            f"{_MAX_POSE:g} m from the origin"
         )
     twist = sample.twist
     needed = twist if gain is None else np.asarray(np.linalg.solve(gain, twist.T).T, dtype=float)
@@ -118,9 +118,9 @@ def check_speeds(
     _check_spots(reference.name, times, twist, limits)
     radius = limits.min_turn_radius
     if radius is not None:
-        tighter = twist[:, 1] * radius * _LEAST_TURN_SHARE - twist[:, 0]
+        tighter = twist[:, 1] * radius * _RADIUS_SHARE - twist[:, 0]
         worst = int(np.argmax(tighter))
-        if tighter[worst] > _LEAST_TURN:
+        if tighter[worst] > _TURN_MARGIN:
             v, omega = twist[worst]
             raise ValueError(
                 f"reference '{reference.name}': at {times[worst]:.2f} s it turns on a radius of {v / omega:.3g} m, "
@@ -130,13 +130,13 @@ def check_speeds(
 
 
 def at_side(value: float, limit: TwoSided) -> tuple[float, float, str]:
-    """Return the size of a value, the limit on its side, and the ending of that side's key if the sides differ."""
+    """Return the absolute value, the limit of its side, and the suffix of the side's key if the sides differ."""
     ending = "" if limit.is_symmetric else f".{limit.names[bool(value < 0.0)]}"
     return abs(float(value)), side_of(limit, value), ending
 
 
 def _check_spots(name: str, times: FloatArray, twist: FloatArray, limits: Limits) -> None:
-    """Refuse a reference of sizes of `twist` (n, 2) that turns on the spot where commands keep a least radius."""
+    """Raise ValueError for a turn on the spot in the absolute `twist` (n, 2) if commands have a minimum radius."""
     radius = limits.min_commanded_radius
     if radius is None:
         return
@@ -144,7 +144,7 @@ def _check_spots(name: str, times: FloatArray, twist: FloatArray, limits: Limits
     edges = np.flatnonzero(np.diff((v <= STANDING) & (omega > TURNING), prepend=False, append=False))
     for first, end in edges.reshape(-1, 2):
         angle = float(omega[first:end].sum() * (times[1] - times[0]))
-        if angle > _LEAST_SPOT:
+        if angle > _MAX_SPOT_TURN:
             raise ValueError(
                 f"reference '{name}': at {times[first]:.2f} s it turns on the spot by {angle:.2g} rad, which "
                 f"limits.min_commanded_radius = {radius:g} forbids; give a path of curves, or unset the limit"
@@ -152,10 +152,10 @@ def _check_spots(name: str, times: FloatArray, twist: FloatArray, limits: Limits
 
 
 def sharper_than_commands(reference: Reference, limits: Limits, dt: float, gain: FloatArray | None = None) -> str:
-    """Describe in one line where the reference turns more tightly than commands may; return an empty string otherwise.
+    """Describe in one line where the reference turns more tightly than commands may; empty if nowhere.
 
-    With the steady-state `gain` (2, 2) of the model the commands count that keep the reference's twist. Such a
-    reference is not refused: its corners are cut.
+    With the steady-state `gain` (2, 2) of the model, the commands for the reference's twist are checked. Such a
+    reference is not rejected, but the robot cuts its corners.
     """
     radius = limits.min_commanded_radius
     if radius is None:
@@ -163,8 +163,8 @@ def sharper_than_commands(reference: Reference, limits: Limits, dt: float, gain:
     times = _instants(reference, dt)
     twist = reference.sample(times).twist
     v, omega = np.abs(twist if gain is None else np.linalg.solve(gain, twist.T).T).T
-    tighter = omega * radius * _LEAST_TURN_SHARE - v
-    count = np.count_nonzero(tighter > _LEAST_TURN)
+    tighter = omega * radius * _RADIUS_SHARE - v
+    count = np.count_nonzero(tighter > _TURN_MARGIN)
     if not count:
         return ""
     worst = int(np.argmax(tighter))
@@ -176,8 +176,8 @@ def sharper_than_commands(reference: Reference, limits: Limits, dt: float, gain:
 
 
 def _instants(reference: Reference, dt: float) -> FloatArray:
-    if not 0.0 <= reference.duration <= _LONGEST:
+    if not 0.0 <= reference.duration <= _MAX_DURATION:
         raise ValueError(
-            f"reference '{reference.name}': it lasts {reference.duration:g} s; give a time from 0 to {_LONGEST:g} s"
+            f"reference '{reference.name}': it lasts {reference.duration:g} s; give at most {_MAX_DURATION:g} s"
         )
-    return np.linspace(0.0, reference.duration, int(min(reference.duration / dt + 2.0, _MOST_SAMPLES)))
+    return np.linspace(0.0, reference.duration, int(min(reference.duration / dt + 2.0, _MAX_SAMPLES)))

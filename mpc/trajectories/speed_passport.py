@@ -1,6 +1,6 @@
-"""A speed passport: how fast a robot may drive each curvature and stay within a tolerance of its path.
+"""Speed passport: maximum speed by curvature at which a robot stays within a tolerance of its path.
 
-`diffdrive-mpc prove --tolerance` measures one and writes it; `timing: smooth` keeps to one.
+`diffdrive-mpc prove --tolerance` measures and writes a passport; `timing: smooth` limits the speed by it.
 """
 
 from __future__ import annotations
@@ -18,39 +18,39 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.trust import check_trusted
 
 Share = Annotated[float, Field(gt=0, lt=1)]
-# Of a curvature: rounding makes a straight line turn by less [1/m].
+# Tolerance of a curvature for rounding [1/m].
 _STRAIGHT = 1e-9
 
 
 class PassportUse(StrictModel):
     """Speed passport of a trajectory and the tolerance to use."""
 
-    file: str = Field(min_length=1, description="passport, from the folder of the trajectory")
-    tolerance: float = Field(gt=0, description="largest lateral error [m]")
-    surface: str | None = Field(default=None, description="surface of the passport; default: the slowest of all")
+    file: str = Field(min_length=1, description="path of the passport, relative to the folder of the trajectory")
+    tolerance: float = Field(gt=0, description="maximum lateral error [m]")
+    surface: str | None = Field(default=None, description="surface in the passport; default: the slowest one")
 
 
 class PassportRow(StrictModel):
-    """The speeds of one surface and tolerance."""
+    """Speeds for one surface and tolerance."""
 
     surface: str = Field(description="name of the surface")
-    tolerance: float = Field(gt=0, description="largest lateral error [m]")
+    tolerance: float = Field(gt=0, description="maximum lateral error [m]")
     speeds: list[Annotated[float, Field(gt=0)] | None] = Field(
-        description="greatest speed of each class of curvature [m/s]; null where none was proven"
+        description="maximum speed for each class of curvature [m/s]; null for classes without a proven speed"
     )
 
 
 class SpeedPassport(StrictModel):
-    """Greatest speeds at which a share of the robots stays within a tolerance."""
+    """Maximum speeds at which a share of the robots stays within a tolerance."""
 
-    description: str = Field(description="controller and robots for which it holds")
-    share: Share = Field(description="of the robots that stay inside, at least [-]")
-    confidence: Share = Field(description="of each speed by itself [-]")
+    description: str = Field(description="controller and robots for which the passport is valid")
+    share: Share = Field(description="minimum share of the robots within the tolerance [-]")
+    confidence: Share = Field(description="confidence of each single speed [-]")
     curvatures: list[Annotated[float, Field(ge=0)]] = Field(
         min_length=1,
-        description="classes, each from the one before to its own value; the first from 0 [1/m]",
+        description="upper ends of the classes of curvature; the first class starts at 0 [1/m]",
     )
-    rows: list[PassportRow] = Field(min_length=1, description="a row for each surface and tolerance")
+    rows: list[PassportRow] = Field(min_length=1, description="one row for each surface and tolerance")
 
     @model_validator(mode="after")
     def _is_a_table(self) -> SpeedPassport:
@@ -65,16 +65,16 @@ class SpeedPassport(StrictModel):
 
 @dataclass(frozen=True)
 class SpeedCaps:
-    """The greatest speed by curvature.
+    """Maximum speed by curvature.
 
     Attributes
     ----------
     curvatures
-        (k,) upper ends of the classes [1/m], rising.
+        (k,) upper ends of the classes [1/m], increasing.
     speeds
-        (k,) [m/s]; NaN where there is none.
+        (k,) maximum speed of each class [m/s]; NaN for classes without a proven speed.
     where
-        Names the passport, surface and tolerance in messages.
+        Passport, surface and tolerance, for messages.
     """
 
     curvatures: FloatArray
@@ -82,20 +82,20 @@ class SpeedCaps:
     where: str
 
     def speeds_of(self, bend: FloatArray) -> FloatArray:
-        """Return the maximum speed [m/s] for |curvature| `bend` (m,) [1/m]: the lowest of its class and wider ones.
+        """Return the maximum speed (m,) [m/s] for |curvature| `bend` (m,) [1/m]: the minimum up to its class.
 
         Raises
         ------
         models.checked_yaml.ConfigError
-            If the path turns more tightly than any class, or no speed was proven for one that it needs.
+            If a curvature is beyond all classes, or its class has no proven speed.
         """
-        tightest = float(bend.max())
-        if tightest > self.curvatures[-1] + _STRAIGHT:
+        maximum = float(bend.max())
+        if maximum > self.curvatures[-1] + _STRAIGHT:
             raise ConfigError(
-                f"{self.where}: the path turns with a curvature of {tightest:.3g} 1/m, the passport has none above "
+                f"{self.where}: the path turns with a curvature of {maximum:.3g} 1/m, the passport has none above "
                 f"{self.curvatures[-1]:.3g} 1/m; widen the turn, or measure a passport with such curvatures"
             )
-        # Between two classes the slower one counts, also where chance made the tighter one faster.
+        # The speed must not increase with the curvature, although chance may make a tighter class faster.
         speeds = np.minimum.accumulate(self.speeds)[np.searchsorted(self.curvatures + _STRAIGHT, bend)]
         if np.isnan(speeds).any():
             curvature = float(bend[np.isnan(speeds)].min())
@@ -107,16 +107,16 @@ class SpeedCaps:
 
 
 def load_speed_caps(use: PassportUse, folder: Path) -> SpeedCaps:
-    """Read the passport that a trajectory in `folder` names, and take the speeds of its tolerance and surface.
+    """Load the passport of a trajectory in `folder`, and select the speeds for its tolerance and surface.
 
-    Between two tolerances the smaller counts.
+    A tolerance between two values of the passport is rounded down.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the file is missing or has a mistake, the surface is unknown, or the tolerance is below all of the passport.
+        If the file is missing or invalid, the surface is unknown, or the tolerance is below all tolerances in it.
     models.trust.UntrustedFileError
-        If the file may not be opened.
+        If the file is not trusted.
     """
     path = folder / use.file
     check_trusted(path)
@@ -129,8 +129,8 @@ def load_speed_caps(use: PassportUse, folder: Path) -> SpeedCaps:
     for surface in surfaces if use.surface is None else [use.surface]:
         usable = [row for row in passport.rows if row.surface == surface and row.tolerance <= use.tolerance]
         if not usable:
-            least = min(row.tolerance for row in passport.rows if row.surface == surface)
-            raise ConfigError(f"{where}: the least tolerance of the passport is {least:g} m; allow as much")
+            smallest = min(row.tolerance for row in passport.rows if row.surface == surface)
+            raise ConfigError(f"{where}: the smallest tolerance of the passport is {smallest:g} m; give at least that")
         best = max(usable, key=lambda row: row.tolerance)
         rows.append([np.nan if speed is None else speed for speed in best.speeds])
     return SpeedCaps(np.array(passport.curvatures), np.min(np.array(rows), axis=0), where)

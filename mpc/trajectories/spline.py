@@ -1,4 +1,4 @@
-"""A trajectory of cubic pieces in time, for paths that are not made of arcs."""
+"""Trajectory of cubic pieces in time, for paths that do not consist of arcs."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SplineTrajectory(TableTrajectory):
-    """Cubic pieces of x, y, theta and arc length; the twist is their derivative, seen from the body.
+    """Cubic pieces of x, y, theta and arc length; the twist is their derivative in the frame of the body.
 
     Attributes
     ----------
     breaks
-        (m + 1,) ends of the pieces [s], from 0 to the duration.
+        (m + 1,) times of the ends of the pieces [s], from 0 to the duration.
     table
         (16, m) coefficients of x, y, theta and arc length for each power of the time since the start of the piece,
         highest power first.
     drawn
-        (m + 1,) distances from the path as it was drawn [m] at the breaks; None where it is that path.
+        (m + 1,) distances from the drawn path [m] at the breaks; None if the trajectory follows it exactly.
     """
 
     drawn: FloatArray | None = None
@@ -37,18 +37,18 @@ class SplineTrajectory(TableTrajectory):
     ) -> SplineTrajectory:
         """Interpolate poses (m + 1, 3) and their time derivatives (m + 1, 3) at `times` (m + 1,), which start at 0.
 
-        `drawn` are the distances (m + 1,) from the path as it was drawn [m], where it is another.
+        `drawn` are the distances (m + 1,) from the drawn path [m], if the trajectory differs from it.
         """
         motion, step = _hermite(times, poses, rates), np.diff(times)
         inside = times[:-1, None] + step[:, None] * (_NODES + 1) / 2
-        passed = (inside - times[:-1, None])[..., None]
-        squared = passed * passed
+        elapsed = (inside - times[:-1, None])[..., None]
+        squared = elapsed * elapsed
         cubic, square, linear, constant = motion[:, :, None]
-        between = constant + linear * passed + square * squared + cubic * (squared * passed)
-        moving = linear + square * passed * 2 + cubic * squared * 3
-        advance = _speed(between, moving) @ _WEIGHTS * step / 2
-        # A cubic piece cannot turn back while its end slopes are at most three times its mean slope (Fritsch, Carlson,
-        # SIAM J. Numer. Anal. 17(2), 1980): that bites only where the speed passes through zero.
+        value = constant + linear * elapsed + square * squared + cubic * (squared * elapsed)
+        slope = linear + square * elapsed * 2 + cubic * squared * 3
+        advance = _speed(value, slope) @ _WEIGHTS * step / 2
+        # A cubic piece is monotone if its end slopes are at most three times its mean slope (Fritsch, Carlson, SIAM J.
+        # Numer. Anal. 17(2), 1980). This changes the slopes only where the speed passes through zero.
         mean = np.pad(advance / step, 1, mode="edge")
         slope = np.minimum(_speed(poses, rates), 3 * np.minimum(mean[:-1], mean[1:]))
         arc_length = _hermite(times, np.concatenate([[0.0], np.cumsum(advance)])[:, None], slope[:, None])
@@ -58,11 +58,11 @@ class SplineTrajectory(TableTrajectory):
 
     def delayed(self, seconds: float) -> Self:
         """Return the trajectory after a rest of `seconds` [s], see `TableTrajectory.delayed`."""
-        late = super().delayed(seconds)
-        return late if self.drawn is None else replace(late, drawn=np.append(self.drawn[:1], self.drawn))
+        delayed = super().delayed(seconds)
+        return delayed if self.drawn is None else replace(delayed, drawn=np.append(self.drawn[:1], self.drawn))
 
     def drawn_distance(self, times: ArrayLike) -> FloatArray:
-        """Compute the distance as in `Trajectory.drawn_distance`."""
+        """Compute the distance (n,) [m] from the drawn path, see `Trajectory.drawn_distance`."""
         if self.drawn is None:
             return super().drawn_distance(times)
         return np.asarray(np.interp(np.asarray(times, dtype=float).reshape(-1), self.breaks, self.drawn))
@@ -71,7 +71,7 @@ class SplineTrajectory(TableTrajectory):
 def _hermite(times: FloatArray, values: FloatArray, slopes: FloatArray) -> FloatArray:
     """Compute coefficients (4, m, n) of cubic pieces through values (m + 1, n) with given slopes, as in `table`.
 
-    Written out: SciPy's, which gives the same, takes longer to load than all else that a controller needs.
+    SciPy's function is not used, since its import takes longer than that of all other parts of a controller.
     """
     step = np.diff(times)[:, None]
     mean = np.diff(values, axis=0) / step

@@ -27,21 +27,21 @@ from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 from diffdrive_mpc.mpc.trajectories.timing import TIMINGS, Timing
 from diffdrive_mpc.mpc.trajectories.waypoints import lay_waypoints
 
-_MOST = {"t": 1e12, "x": 1e6, "y": 1e6, "theta": 1e6}
-"""A thousand kilometres and turns beyond counting are mistakes of units, and squares of more would overflow."""
-_COLUMNS = tuple(_MOST)
+_MAX_VALUES = {"t": 1e12, "x": 1e6, "y": 1e6, "theta": 1e6}
+"""Maximum values; larger ones are errors of units, and their powers could overflow."""
+_COLUMNS = tuple(_MAX_VALUES)
 
 
 def read_timed_poses(path: Path, limits: TrajectoryLimits) -> SplineTrajectory:
-    """Read timed poses from a CSV file and lay a trajectory through them; see `lay_timed_poses`.
+    """Read timed poses from a CSV file and fit a trajectory through them; see `lay_timed_poses`.
 
-    The file has a header with the columns t [s], x, y [m] and theta [rad]; others are ignored.
+    The file has a header with the columns t [s], x, y [m] and theta [rad]; other columns are ignored.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the file cannot be read, has fewer than two rows, a value that is no finite number, a time that does not
-        increase, a speed beyond `limits`, or a heading that does not point along the direction of travel.
+        If the file cannot be read, has fewer than two rows, a value that is not a finite number, times that do not
+        increase, a speed beyond `limits`, or headings that differ from the direction of travel.
     """
     return lay_timed_poses(_read(path), limits, name=path.stem, where=str(path))
 
@@ -49,28 +49,27 @@ def read_timed_poses(path: Path, limits: TrajectoryLimits) -> SplineTrajectory:
 def lay_timed_poses(
     rows: FloatArray, limits: TrajectoryLimits | None, *, name: str, where: str, rates: FloatArray | None = None
 ) -> SplineTrajectory:
-    """Lay twice continuously differentiable splines through timed poses, or splines with the given rates.
+    """Fit twice continuously differentiable splines through timed poses, or splines with given rates.
 
     Parameters
     ----------
     rows
-        (m, 4), m >= 2, of finite numbers: t [s], which increases and whose first becomes time 0; x, y [m];
-        theta [rad], which may be wrapped: it is taken to turn by less than pi from row to row.
+        (m, 4), m >= 2, finite: increasing t [s], whose first value becomes time 0; x, y [m]; theta [rad], which may be
+        wrapped: the turn from row to row is assumed to be less than pi.
     limits
-        Speeds to respect, between the rows as well as at them; None: only sideways travel is refused. Accelerations are
-        not checked: the rows decide them.
+        Speed limits, which are checked at the rows and between them; None: only sideways travel is rejected.
+        Accelerations follow from the rows and are not checked.
     name
         Name for tables and figures.
     where
         Source of the rows, for error messages.
     rates
-        (m, 3) time derivatives of x, y [m/s] and theta [rad/s] at the rows, where they are known.
+        (m, 3) time derivatives of x, y [m/s] and theta [rad/s] at the rows, if known.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If there are too many rows, a speed is beyond `limits`, or a heading does not point along the direction of
-        travel.
+        If there are too many rows, a speed is beyond `limits`, or headings differ from the direction of travel.
     """
     settings = load_settings()
     pieces = settings.pieces_between(len(rows), settings.pieces_per_row, settings.least_pieces_per_row, where)
@@ -80,14 +79,14 @@ def lay_timed_poses(
     times = np.append((splines.x[:-1, None] + np.diff(splines.x)[:, None] * share).ravel(), splines.x[-1])
     poses, slopes = splines(times), splines(times, 1)
     _check_speeds(where, times + rows[0, 0], poses, slopes, limits)
-    # The Hermite form through nodes of a cubic spline is that spline.
+    # Hermite interpolation of values and slopes of a cubic spline reproduces the spline.
     return SplineTrajectory.through(name, times, poses, slopes)
 
 
 def _read(path: Path) -> FloatArray:
-    """Read the columns t, x, y, theta of the file, (m, 4), and check their form."""
+    """Read the columns t, x, y, theta (m, 4) of the file, with checks of the format."""
     settings = load_settings()
-    most = settings.max_pieces // settings.least_pieces_per_row
+    max_rows = settings.max_pieces // settings.least_pieces_per_row
     try:
         with open_input(path) as file:
             reader = csv.reader(_lines(path, file))
@@ -102,26 +101,26 @@ def _read(path: Path) -> FloatArray:
                 if any(map(str.strip, cells)):
                     numbers.extend(_numbers(path, reader.line_num, cells, columns))
                     lines.append(reader.line_num)
-                if len(lines) > most:
+                if len(lines) > max_rows:
                     raise ConfigError(
-                        f"{path}: more than {most:,} timed poses; leave rows out, the path between them is smooth"
+                        f"{path}: more than {max_rows:,} timed poses; leave rows out, the path between them is smooth"
                     )
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ConfigError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
     if len(lines) < 2:
         raise ConfigError(f"{path}: {len(lines)} timed poses; give at least two rows below the header")
     rows = np.array(numbers).reshape(-1, len(_COLUMNS))
-    late = np.flatnonzero(np.diff(rows[:, 0]) <= 0)
-    if late.size:
+    unsorted = np.flatnonzero(np.diff(rows[:, 0]) <= 0)
+    if unsorted.size:
         raise ConfigError(
-            f"{path}, line {lines[late[0] + 1]}: t = {rows[late[0] + 1, 0]:g} s does not come after the row before; "
-            "sort the rows and drop double ones"
+            f"{path}, line {lines[unsorted[0] + 1]}: t = {rows[unsorted[0] + 1, 0]:g} s is not after the previous row; "
+            "sort the rows and drop duplicates"
         )
     return rows
 
 
 def _lines(path: Path, file: BinaryIO) -> Iterator[str]:
-    """Yield lines without their ends; a line that does not end is refused before it is read whole."""
+    """Yield lines without line ends; an overlong line is rejected before it is read completely."""
     coding = "utf-8-sig"
     while line := rest_of_line(path, file):
         yield from line.decode(coding).removesuffix("\n").removesuffix("\r").split("\r")
@@ -131,16 +130,16 @@ def _lines(path: Path, file: BinaryIO) -> Iterator[str]:
 def _numbers(path: Path, line: int, cells: list[str], columns: list[int]) -> list[float]:
     """Parse the four numbers of one row."""
     if len(cells) <= max(columns):
-        raise ConfigError(f"{path}, line {line}: {len(cells)} values are fewer than the header names; complete the row")
+        raise ConfigError(f"{path}, line {line}: {len(cells)} values, fewer than in the header; complete the row")
     numbers = []
     for name, column in zip(_COLUMNS, columns, strict=True):
         try:
             number = float(cells[column])
         except ValueError:
             number = np.nan
-        if not abs(number) <= _MOST[name]:  # true for NaN, too; one check of each number of a large file
+        if not abs(number) <= _MAX_VALUES[name]:  # also true for NaN; a single check per number, for large files
             if np.isfinite(number):
-                fault = f"{name} = {number:g} is beyond {_MOST[name]:g}; is it in m, s, rad?"
+                fault = f"{name} = {number:g} is beyond {_MAX_VALUES[name]:g}; is it in m, s, rad?"
             else:
                 fault = f"{name} = '{plain_line(cells[column], 40)}' is not a finite number; correct it"
             raise ConfigError(f"{path}, line {line}: {fault}")
@@ -151,7 +150,7 @@ def _numbers(path: Path, line: int, cells: list[str], columns: list[int]) -> lis
 def _check_speeds(
     where: str, times: FloatArray, poses: FloatArray, rates: FloatArray, limits: TrajectoryLimits | None
 ) -> None:
-    """Refuse speeds beyond the limits and sideways travel."""
+    """Raise ConfigError for speeds beyond the limits and for sideways travel."""
     settings = load_settings()
     cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     forward, sideways = rates[:, 0] * cos + rates[:, 1] * sin, rates[:, 1] * cos - rates[:, 0] * sin
@@ -173,27 +172,27 @@ def _check_speeds(
             )
 
 
-# Trajectories from arrays in memory: checks of the input, and headings if none are given.
+# Trajectories from arrays in memory: checks of the input, and default headings.
 
 
 _MOVING_SHARE = 0.01
-"""Share of the maximum speed below which a path has no direction: the robot keeps its heading."""
+"""Share of the maximum speed below which a path has no direction, so that the heading is constant [-]."""
 _MISFIT_SHARE, _MISFIT = 0.6, {"v": 0.05, "omega": 0.1}
-"""Twists may differ from the change of the poses by noise; a wrong unit or sign differs by more [-, m/s, rad/s]."""
-_ASIDE, _ALONG = 0.3, 0.1
-"""Root mean square of the sine between heading and path: of headings in a wrong unit, and of right ones."""
+"""Tolerated difference of twists from the change of the poses, for noise but no wrong unit or sign [-, m/s, rad/s]."""
+_MAX_SINE, _MAX_RADIAN_SINE = 0.3, 0.1
+"""Maximum RMS of the sine between heading and path [-]: for given headings, and after conversion from degrees."""
 
 
 def trajectory_from_arrays(name: str, columns: Mapping[str, ArrayLike | None]) -> SplineTrajectory:
-    """Make the trajectory of `Trajectory.from_arrays` from its columns by name."""
+    """Create the trajectory of `Trajectory.from_arrays` from its columns by name."""
     where = f"trajectory '{name}'"
-    arrays = _checked(where, columns)
+    arrays = _check_columns(where, columns)
     times, points = arrays["t"] - arrays["t"][0], np.column_stack([arrays["x"], arrays["y"]])
     rates = CubicSpline(times, points)(times, 1)
     v, omega = arrays.get("v"), arrays.get("omega")
     theta = arrays.get("theta")
     chords = np.gradient(points, times, axis=0)
-    theta = _headings(where, rates, chords, v) if theta is None else _checked_headings(where, rates, np.unwrap(theta))
+    theta = _headings(where, rates, chords, v) if theta is None else _check_headings(where, rates, np.unwrap(theta))
     along = np.column_stack([np.cos(theta), np.sin(theta)])
     turning = CubicSpline(times, theta)(times, 1)
     if v is not None:
@@ -218,11 +217,11 @@ def trajectory_from_waypoints(
     timing: Timing,
     max_deviation: float,
 ) -> SplineTrajectory:
-    """Make the trajectory of `Trajectory.from_waypoints`."""
+    """Create the trajectory of `Trajectory.from_waypoints`."""
     where = f"trajectory '{name}'"
     if not checked_number("max_deviation", max_deviation, "give m, such as 0.05") > 0:
         raise ConfigError(f"{where}: max_deviation = {max_deviation} m; give a positive number")
-    array = _from_arrays_numbers(where, "points", points)
+    array = _parse_array(where, "points", points)
     if array.ndim != 2 or array.shape[1] != 2:
         raise ConfigError(
             f"{where}: points: expected rows x, y of shape (m, 2), got shape {array.shape}; timed poses go into "
@@ -254,11 +253,11 @@ def trajectory_from_waypoints(
     )
 
 
-def _checked(where: str, columns: Mapping[str, ArrayLike | None]) -> dict[str, FloatArray]:
-    """Check that columns (n,) have one length and increasing times."""
+def _check_columns(where: str, columns: Mapping[str, ArrayLike | None]) -> dict[str, FloatArray]:
+    """Return the columns (n,) as arrays; raise ConfigError for different lengths or times that do not increase."""
     optional = ("theta", "v", "omega")
     present = {name: values for name, values in columns.items() if values is not None or name not in optional}
-    arrays = {name: _from_arrays_numbers(where, name, values) for name, values in present.items()}
+    arrays = {name: _parse_array(where, name, values) for name, values in present.items()}
     count = len(arrays["t"]) if arrays["t"].ndim else 0
     for name, column in arrays.items():
         if column.ndim != 1:
@@ -268,21 +267,21 @@ def _checked(where: str, columns: Mapping[str, ArrayLike | None]) -> dict[str, F
     if count < 2:
         raise ConfigError(f"{where}: {count} rows; give at least two")
     times = arrays["t"]
-    late = np.flatnonzero(np.diff(times) <= 0)
-    if late.size:
+    unsorted = np.flatnonzero(np.diff(times) <= 0)
+    if unsorted.size:
         raise ConfigError(
-            f"{where}: t[{late[0] + 1}] = {times[late[0] + 1]:g} s does not come after the time before; sort the rows "
-            "and drop double ones"
+            f"{where}: t[{unsorted[0] + 1}] = {times[unsorted[0] + 1]:g} s is not after the previous time; "
+            "sort the rows and drop duplicates"
         )
     longest = load_settings().longest_duration
     if times[-1] - times[0] > longest:
         raise ConfigError(
-            f"{where}: it lasts {times[-1] - times[0]:.3g} s, the longest is {longest:g} s; are times in s?"
+            f"{where}: the duration is {times[-1] - times[0]:.3g} s, at most {longest:g} s; are times in s?"
         )
     return arrays
 
 
-def _from_arrays_numbers(where: str, name: str, values: ArrayLike | None) -> FloatArray:
+def _parse_array(where: str, name: str, values: ArrayLike | None) -> FloatArray:
     try:
         is_date = np.asarray(values).dtype.kind in "mM"
         array = np.asarray(values, dtype=float)
@@ -290,16 +289,17 @@ def _from_arrays_numbers(where: str, name: str, values: ArrayLike | None) -> Flo
         raise ConfigError(f"{where}: {name}: expected numbers, got {describe_type(values)}") from error
     if is_date:
         raise ConfigError(f"{where}: {name}: got dates; give seconds, such as (t - t[0]) / np.timedelta64(1, 's')")
-    odd = np.argwhere(~np.isfinite(array))
-    if odd.size:
-        raise ConfigError(f"{where}: {name}{odd[0].tolist()} is not a finite number; leave the row out")
+    invalid = np.argwhere(~np.isfinite(array))
+    if invalid.size:
+        raise ConfigError(f"{where}: {name}{invalid[0].tolist()} is not a finite number; leave the row out")
     return array
 
 
 def _headings(where: str, rates: FloatArray, chords: FloatArray, v: FloatArray | None) -> FloatArray:
-    """Compute the direction of travel (n,) [rad, unwrapped], reversed where `v` is negative and held at rest.
+    """Compute the direction of travel (n,) [rad, unwrapped], reversed where `v` is negative and constant at rest.
 
-    It is that of `rates` (n, 2) of a spline, but that of `chords` (n, 2) where the spline swings back at a sudden stop.
+    It is the direction of `rates` (n, 2) of a spline, or of `chords` (n, 2) where the spline swings back at a sudden
+    stop.
     """
     speed = np.hypot(*chords.T)
     moving = np.flatnonzero(speed > _MOVING_SHARE * speed.max())
@@ -314,20 +314,20 @@ def _headings(where: str, rates: FloatArray, chords: FloatArray, v: FloatArray |
     return np.asarray(np.unwrap(held) - 2 * np.pi * np.round(held[0] / (2 * np.pi)))
 
 
-def _checked_headings(where: str, rates: FloatArray, theta: FloatArray) -> FloatArray:
-    """Return `theta` (n,); raise ConfigError if it fits the path in degrees only."""
+def _check_headings(where: str, rates: FloatArray, theta: FloatArray) -> FloatArray:
+    """Return `theta` (n,); raise ConfigError if the headings match the path only as degrees."""
 
-    def aside(headings: FloatArray) -> float:
+    def sine(headings: FloatArray) -> float:
         sideways = rates[:, 1] * np.cos(headings) - rates[:, 0] * np.sin(headings)
         return float(np.linalg.norm(sideways)) / max(float(np.linalg.norm(rates)), 1e-9)
 
-    if aside(theta) > _ASIDE and aside(np.radians(theta)) < _ALONG:
-        raise ConfigError(f"{where}: theta fits the path in degrees, not in rad; give np.radians(theta)")
+    if sine(theta) > _MAX_SINE and sine(np.radians(theta)) < _MAX_RADIAN_SINE:
+        raise ConfigError(f"{where}: theta matches the path in degrees, not in rad; give np.radians(theta)")
     return theta
 
 
 def _check_fit(where: str, name: str, unit: str, twist: FloatArray, change: FloatArray, times: FloatArray) -> None:
-    """Refuse a twist that the poses contradict: another unit, or another sign."""
+    """Raise ConfigError for a twist that contradicts the poses because of a wrong unit or sign."""
     gap = np.abs(twist - change)
     size = max(np.linalg.norm(twist), np.linalg.norm(change))
     if np.linalg.norm(gap) > _MISFIT_SHARE * size + _MISFIT[name] * np.sqrt(len(gap)):

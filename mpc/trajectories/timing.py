@@ -1,4 +1,4 @@
-"""Ways of timing, and rest-to-rest speed profiles under an acceleration limit, in closed form."""
+"""Kinds of timing, and rest-to-rest speed profiles under an acceleration limit, in closed form."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from itertools import pairwise
 from typing import Literal, NamedTuple, get_args
 
 Timing = Literal["stop", "commanded", "smooth"]
-"""Speed profile of a drawn path.
+"""Kind of speed profile of a drawn path.
 
-stop: the path exactly, within the limits; the robot stops where the curvature jumps. commanded: twists as they are
-drawn, which step while the robot drives; a ramp at the start and one at the end. smooth: jumps of curvature rounded by
-clothoids, within the limits; the robot stops at cusps and turns on the spot only.
+stop: the exact path, within the limits; the robot stops where the curvature jumps. commanded: the twists of the file,
+with steps between them, and a ramp at the start and at the end. smooth: clothoids in place of jumps of the curvature,
+within the limits; the robot stops at cusps and at turns on the spot only.
 """
 TIMINGS: tuple[Timing, ...] = get_args(Timing)
 
 
 class Phase(NamedTuple):
-    """A stretch of time with constant acceleration along one stretch of path."""
+    """Time interval of constant acceleration along one section of a path."""
 
     offset: float
-    """Distance from the start of the stretch of path at the start of the phase."""
+    """Distance from the start of the section at the start of the phase."""
     rate: float
     """Speed at the start of the phase."""
     acceleration: float
@@ -31,24 +31,24 @@ class Phase(NamedTuple):
 
 
 def rest_to_rest(lengths: Sequence[float], cruises: Sequence[float], acceleration: float) -> list[list[Phase]]:
-    """Time consecutive stretches of path, starting and ending at rest, as fast as the bounds allow.
+    """Compute the fastest timing of consecutive sections of a path, from rest to rest.
 
-    A forward and a backward pass reduce the speeds at the joints to those that the acceleration permits; each stretch
-    then gets a trapezoid, or a triangle if it is too short for its cruise speed.
+    A forward and a backward pass reduce the speeds at the joints to those that the acceleration permits. The speed on
+    each section is then a trapezoid, or a triangle if the section is too short for its cruise speed.
 
     Parameters
     ----------
     lengths
-        Length of each stretch, positive, in any one unit.
+        Length of each section, positive, in one common unit.
     cruises
-        Highest speed on each stretch, positive; that unit per second.
+        Maximum speed on each section, positive, in this unit per second.
     acceleration
-        Largest acceleration and deceleration, positive; that unit per second squared.
+        Maximum acceleration and deceleration, positive, in this unit per second squared.
 
     Returns
     -------
     list of list of Phase
-        The phases of each stretch, in order; none has zero duration.
+        Phases of each section in order, without phases of zero duration.
     """
     joints = [0.0, *(min(pair) for pair in pairwise(cruises)), 0.0]
     for i, length in enumerate(lengths):
@@ -62,14 +62,14 @@ def rest_to_rest(lengths: Sequence[float], cruises: Sequence[float], acceleratio
 
 
 def _reachable(rate: float, length: float, acceleration: float) -> float:
-    """Compute the speed reached from `rate` over `length`."""
+    """Compute the maximum speed after `length` from the speed `rate`."""
     return math.sqrt(rate * rate + 2 * acceleration * length)
 
 
 def between(length: float, cruise: float, entry: float, leave: float, acceleration: float) -> list[Phase]:
-    """Plan the phases from `entry` over `cruise` to `leave`; both are reduced if the length is too short.
+    """Compute the phases from speed `entry` over `cruise` to `leave`; the ends are reduced if the length is too short.
 
-    Both are at most `cruise`; units and phases are those of `rest_to_rest`.
+    `entry` and `leave` are at most `cruise`; units and phases are those of `rest_to_rest`.
     """
     leave = min(leave, _reachable(entry, length, acceleration))
     entry = min(entry, _reachable(leave, length, acceleration))
@@ -81,5 +81,5 @@ def between(length: float, cruise: float, entry: float, leave: float, accelerati
         Phase(rise, peak, 0.0, (length - rise - fall) / cruise),
         Phase(length - fall, peak, -acceleration, (peak - leave) / acceleration),
     ]
-    # Rounding leaves a triangle's cruise, or an unneeded ramp, a hair off zero.
+    # Rounding can leave a negative duration of the cruise in a triangle, or of a ramp that is not needed.
     return [phase for phase in phases if phase.duration > 0]

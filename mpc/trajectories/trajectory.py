@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory(ABC):
-    """A timed reference; satisfies `models.interface.Reference`. Made by `load_trajectory` and the two methods below.
+    """Timed reference (`models.interface.Reference`), created by `load_trajectory` and the two methods below.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class Trajectory(ABC):
     duration
         Time from start to end [s].
     remark
-        One line on what differs from the file: its duration and its path; empty where nothing does.
+        Differences of duration and path from the file, in one line; empty if there are none.
     """
 
     name: str
@@ -48,9 +48,9 @@ class Trajectory(ABC):
         *,
         name: str = "arrays",
     ) -> Trajectory:
-        """Lay a trajectory through timed poses by cubic splines in time.
+        """Create a trajectory through timed poses by cubic splines in time.
 
-        Speeds are not limited here: `Controller.start` compares them with the limits of its configuration.
+        The speeds are not checked here; `Controller.start` compares them with the limits of its configuration.
 
         Parameters
         ----------
@@ -59,9 +59,9 @@ class Trajectory(ABC):
         x, y
             (n,) positions [m].
         theta
-            (n,) headings [rad], which may be wrapped; by default the direction of travel, backwards where `v` < 0.
+            (n,) headings [rad], which may be wrapped; by default the direction of travel, reversed if `v` < 0.
         v, omega
-            (n,) twist of the body at these times [m/s, rad/s]; by default that of a spline through the poses.
+            (n,) twist of the body at these times [m/s, rad/s]; by default the twist of a spline through the poses.
         name
             Name for tables and figures.
 
@@ -70,7 +70,7 @@ class Trajectory(ABC):
         ConfigError
             If shapes differ, a value is not finite, times do not increase, or the columns contradict each other.
         """
-        # SciPy loads slowly, and this module is loaded by every trajectory.
+        # The import of SciPy is slow, and all trajectories import this module.
         from diffdrive_mpc.mpc.trajectories.timed_poses import trajectory_from_arrays  # noqa: PLC0415
 
         columns = {"t": t, "x": x, "y": y, "theta": theta, "v": v, "omega": omega}
@@ -86,30 +86,30 @@ class Trajectory(ABC):
         max_deviation: float = 0.05,
         name: str = "waypoints",
     ) -> Trajectory:
-        """Lay a smooth path through waypoints, driven from rest to rest.
+        """Create a smooth path through waypoints, driven from rest to rest.
 
         Parameters
         ----------
         points
-            (m, 2) x, y [m] in the order of passing.
+            (m, 2) x, y [m] in order of travel.
         speed
             Cruise speed [m/s]; by default the limit.
         limits
-            Speeds and accelerations to respect, or the configuration whose limits they are, or its name or path. By
-            default those of the robot of the papers (1.5 m/s), or `speed` where that is more.
+            Limits of speed and acceleration, or a configuration that contains them, or its name or path. By default the
+            limits of the robot of the papers (1.5 m/s), with a speed limit of at least `speed`.
         timing
             "stop", "commanded" or "smooth", see `timing.Timing`.
         max_deviation
-            Largest distance of the path from the polyline of the points [m]; corners are rounded to keep to it.
+            Maximum distance of the path from the polyline of the points [m]; corners are rounded accordingly.
         name
             Name for tables and figures.
 
         Raises
         ------
         ConfigError
-            If there are fewer than two points, two that follow each other coincide, or the path turns too tightly.
+            If there are fewer than two points, two successive points coincide, or the path turns too tightly.
         ArgumentError
-            If `speed` or `limits` has another type.
+            If `speed` or `limits` has a wrong type.
         """
         from diffdrive_mpc.mpc.trajectories.timed_poses import trajectory_from_waypoints  # noqa: PLC0415
 
@@ -118,16 +118,16 @@ class Trajectory(ABC):
         )
 
     def __repr__(self) -> str:
-        """Name, duration and length in one line."""
+        """Return name, duration and length in one line."""
         length = float(self.sample([self.duration]).arc_length[0])
         return f"Trajectory {self.name!r}: {self.duration:.4g} s, {length:.4g} m"
 
     @abstractmethod
     def sample(self, times: ArrayLike) -> ReferenceSample:
-        """Evaluate at `times` (n,) [s], counted from the start of the trajectory.
+        """Sample at `times` (n,) [s] since the start of the trajectory.
 
-        Before 0 the trajectory rests at its start pose, after `duration` at its end pose, with zero twist. A time
-        that is NaN gives a NaN pose.
+        Before time 0 the trajectory rests at its start pose, after `duration` at its end pose, with zero twist. The
+        pose at a NaN time is NaN.
 
         Returns
         -------
@@ -136,5 +136,5 @@ class Trajectory(ABC):
         """
 
     def drawn_distance(self, times: ArrayLike) -> FloatArray:
-        """Compute the distance (n,) [m] at `times` (n,) [s] from the drawn path, which waypoints draw as a polyline."""
+        """Compute the distance (n,) [m] at `times` (n,) [s] from the drawn path, the polyline in case of waypoints."""
         return np.zeros(np.size(times))

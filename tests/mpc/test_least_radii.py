@@ -16,9 +16,9 @@ from diffdrive_mpc import (
     make_plant,
 )
 from diffdrive_mpc.mpc.hold import Hold
-from diffdrive_mpc.mpc.reentry.options import Course
+from diffdrive_mpc.mpc.reentry.options import RobotState
 from diffdrive_mpc.mpc.reentry.path_window import PathWindow
-from diffdrive_mpc.mpc.reentry.way_back import rejoin
+from diffdrive_mpc.mpc.reentry.rejoin import rejoin
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.moved import scaled_to_robot
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
@@ -143,7 +143,7 @@ def test_cusps_keep_the_radius_forwards_and_backwards(radius):
 def test_radius_can_change_while_driving_but_not_be_set_or_unset(name):
     controller = Controller(load_config("ssm", {f"limits.{name}": 1.5}))
     assert controller.update(limits={name: 1.2}).limits.model_dump()[name] == 1.2
-    with pytest.raises(ConfigError, match=f"limits.{name}: it can be changed while driving, but neither set nor unset"):
+    with pytest.raises(ConfigError, match=f"limits.{name}: its value can be changed while driving, but it cannot be"):
         Controller(load_config("ssm")).update(limits={name: 1.2})
 
 
@@ -221,12 +221,12 @@ def test_scaled_path_keeps_the_minimum_radius():
 @pytest.mark.parametrize("side", [-0.3, 0.3])
 def test_way_back_keeps_the_minimum_radius(side):
     reference = circle(4.0)
-    window = PathWindow.around(reference, 2.0, 4.0, 0.05)
+    window = PathWindow.sample_around(reference, 2.0, 4.0, 0.05)
     index = int(np.argmin(np.abs(window.times - 2.0)))
     pose = window.pose[index] + [0.0, side, 0.0]
     for radius in (0.0, 0.8):
         limits = TrajectoryLimits(0.7, 1.5, 0.7, 2.0, min_turn_radius=radius)
-        rejoined = rejoin(reference, window, index, Course(pose, 0.5, 0.125), 2.0, (0.3, 2.0), limits)
+        rejoined = rejoin(reference, window, index, RobotState(pose, 0.5, 0.125), 2.0, (0.3, 2.0), limits)
         assert rejoined is not None
         twist = rejoined.connection.sample(np.linspace(0, rejoined.connection.duration, 300)).twist
         assert radius == 0.0 or excess(twist, radius).max() <= 0.02

@@ -20,7 +20,7 @@ X = np.linspace(0.0, 3.0, 61)
 
 def laid(poses, robot=AT_ORIGIN, limits=LIMITS, **options):
     return lay_poses(
-        np.array(poses, dtype=float), limits, robot=np.array(robot), deviation=DEVIATION, beside=0.08, **options
+        np.array(poses, dtype=float), limits, robot=np.array(robot), deviation=DEVIATION, max_offset=0.08, **options
     )
 
 
@@ -186,7 +186,7 @@ def test_path_without_turns_on_the_spot_if_they_are_forbidden():
     [
         (np.zeros((0, 3)), "0 poses"),
         ([(0.0, 0.0, 0.0), (math.nan, 1.0, 0.0)], "pose 1 is not finite"),
-        ([(0.0, 0.0, 0.0), (0.0, 0.0, 0.0)], "one place"),
+        ([(0.0, 0.0, 0.0), (0.0, 0.0, 0.0)], "one position"),
     ],
 )
 def test_unusable_poses_raise_error_in_one_line(poses, words):

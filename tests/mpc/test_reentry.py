@@ -13,10 +13,10 @@ from diffdrive_mpc import Controller, load_config, load_model, load_trajectory
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.mpc import Mode
 from diffdrive_mpc.mpc.problem.slip import Slip
-from diffdrive_mpc.mpc.reentry.options import Course
+from diffdrive_mpc.mpc.reentry.options import RobotState
 from diffdrive_mpc.mpc.reentry.path_window import MotionLine, PathWindow, path_speeds, travel_times, turning_times
 from diffdrive_mpc.mpc.reentry.quintic_path import quintic_paths
-from diffdrive_mpc.mpc.reentry.way_back import rejoin
+from diffdrive_mpc.mpc.reentry.rejoin import rejoin
 from diffdrive_mpc.mpc.trajectories import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 
@@ -116,11 +116,11 @@ def connect(name, time, across, turned, v=0.0, omega=0.0):
     pose = reference.sample([time]).pose[0]
     pose[:2] += across * np.array([-np.sin(pose[2]), np.cos(pose[2])])
     pose[2] += turned
-    window = PathWindow.around(reference, time, 6.0, 0.05)
+    window = PathWindow.sample_around(reference, time, 6.0, 0.05)
     nearest = window.nearest(pose, time)
     return (
         pose,
-        rejoin(reference, window, nearest, Course(pose, v, omega), time, (0.2, 2.0), LIMITS),
+        rejoin(reference, window, nearest, RobotState(pose, v, omega), time, (0.2, 2.0), LIMITS),
         window.times[nearest],
     )
 

@@ -368,7 +368,7 @@ def test_speed_stays_below_the_passport_everywhere(
 @pytest.mark.parametrize(
     ("use", "timing", "line"),
     [
-        ({"tolerance": 0.02}, "stop", "timing 'stop' takes none"),
+        ({"tolerance": 0.02}, "stop", "not available with timing 'stop'"),
         ({"tolerance": 0.01, "surface": "firm"}, "smooth", "no speed is proven for a curvature of 1.25 1/m"),
     ],
 )

@@ -18,8 +18,8 @@ PATHS = ("circle", "s", "square", "cane", "figure8")
 RESERVED = 9100
 """First of the seeds of drawn robots that no number was chosen on."""
 KINDS = {
-    "reversed": r"(times as far as poses: set sensors.yaw_rate.sign: -1|exchange their sides, or mend their signs)",
-    "scaled": r"(set sensors.yaw_rate.scale|it does not turn|it repeats itself|mend ticks and radius)",
+    "reversed": r"(times as far as poses: set sensors.yaw_rate.sign: -1|swap the sides, or correct the signs)",
+    "scaled": r"(set sensors.yaw_rate.scale|it measures no turn|it repeats itself|correct ticks and radius)",
     "turned": r"set sensors.pose.heading: -?\d",
     "mirrored": "",
 }

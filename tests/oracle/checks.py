@@ -52,7 +52,7 @@ def stamp_fault(stamp: object, t: float, last: float, history: float, delay: flo
     if age < -_FUTURE:
         return f"its stamp lies {-age:.3f} s in the future"
     if time[0] <= last:
-        return "its stamp is not newer than that of the one before"
+        return "its stamp is not newer than the previous one"
     age += delay
     return f"it is {age:.2f} s old; the history reaches back {history} s" if age > history else ""
 
@@ -147,7 +147,7 @@ class PoseGate:
         if value is None:
             fault = "it is not three finite numbers"
         elif matrix is None:
-            fault = "its covariance is not a possible 3 x 3 matrix"
+            fault = "its covariance is not a valid 3 x 3 matrix"
         if fault:
             rejected.append(f"pose rejected: {fault}")
             if "the history reaches back" in fault:
@@ -227,7 +227,7 @@ class TwistGate:
         elif stamped.covariance is not None:
             matrix = covariance(stamped.covariance, size)
             if matrix is None:
-                fault = "its covariance is not a possible one"
+                fault = "its covariance is not a valid covariance"
             else:
                 variances = np.diag(matrix) / self.known.scale**2
         if not fault:

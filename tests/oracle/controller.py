@@ -250,7 +250,7 @@ class OracleController:
             return self._brake(notes)
         if not self.fence.holds(estimator, self.last):
             size = f"{self.config.fence.length:g} by {self.config.fence.width:g} m"
-            return self._brake(notes, f"its way to rest leaves the fence of {size}; call start or reset to drive on")
+            return self._brake(notes, f"its stopping path leaves the fence of {size}; call start or reset to drive on")
         if self.latched:
             return self._brake(notes)
         self._carry(estimator.filter.slip(estimator.nodes[-1].posterior.mean))

@@ -1,1 +1,1 @@
-"""Paths of a planner, poses without times: read, smoothed inside a distance, and timed."""
+"""Paths of a planner, which are poses without times: interpretation, smoothing within a distance, and timing."""

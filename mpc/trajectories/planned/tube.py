@@ -1,8 +1,8 @@
-"""The least bent line inside a tube: what is left of a staircase when it may be left by so much.
+"""Smoothing of a line within a tube, such as a staircase of grid cells within an allowed deviation.
 
-Whittaker's smoother (Proc. Edinburgh Math. Soc. 41, 1923): the sum of squared third differences against the weighted
-squared distances from the points. The weights are not given: each grows where its point is left by more than the tube
-allows and falls where there is room, until the line uses the tube where it has to bend and nothing of it elsewhere.
+Whittaker's smoother (Proc. Edinburgh Math. Soc. 41, 1923) minimises the sum of squared third differences and of the
+weighted squared distances from the points. The weights are computed iteratively: the weight of a point increases if its
+distance exceeds the tube and decreases if there is space, until the line uses the tube where it has to bend.
 """
 
 from __future__ import annotations
@@ -20,56 +20,57 @@ from diffdrive_mpc.models.interface import FloatArray
 
 _DIFFERENCE = np.array([-1.0, 3.0, -3.0, 1.0])
 _PINNED = 1e8
-_LEAST, _MOST = 1e-3, 1e6
-_SLOWEST, _FASTEST = 0.3, 4.0
-# Share of the tube that is aimed at, at first and at last; iterations.
-_AIM, _SETTLED, _ITERATIONS = 0.85, 8, 80
+_MIN_WEIGHT, _MAX_WEIGHT = 1e-3, 1e6
+_MIN_FACTOR, _MAX_FACTOR = 0.3, 4.0
+# Target distance as a share of the tube; minimum and maximum number of iterations.
+_AIM, _MIN_ITERATIONS, _MAX_ITERATIONS = 0.85, 8, 80
 
 
-def least_bent(points: FloatArray, spacing: float, tube: float, length: float, pinned: FloatArray) -> FloatArray:
+def smooth_in_tube(points: FloatArray, spacing: float, tube: float, length: float, pinned: FloatArray) -> FloatArray:
     """Smooth `points` (n, 2), n >= 4, `spacing` [m] apart.
 
     Parameters
     ----------
     points
-        [m].
+        (n, 2) x, y [m].
     spacing
-        Distance between neighbours along the line [m].
+        Distance between successive points along the line [m].
     tube
-        Largest distance from the points [m]. Where that cannot be had in the iterations there are, the line is nearest
-        to it that was found.
+        Maximum distance from the points [m]. If it is not reached within the maximum number of iterations, the result
+        is the line with the smallest maximum distance.
     length
-        Shorter waves are smoothed away where the tube allows it [m].
+        Shorter waves are removed where the tube permits it [m].
     pinned
-        (n,) of bool: these points stay.
+        (n,) True for points that are kept.
 
     Returns
     -------
     FloatArray
-        (n, 2) [m].
+        (n, 2) smoothed points x, y [m].
     """
     count = len(points)
-    bent = np.zeros((4, count))
+    bending = np.zeros((4, count))
     for first in range(4):
         for second in range(first, 4):
-            bent[3 - (second - first), second : second + count - 3] += _DIFFERENCE[first] * _DIFFERENCE[second]
-    bent *= (length / spacing) ** 6
-    weights, best, least = np.ones(count), points, np.inf
-    for iteration in range(_ITERATIONS):
-        matrix, held = bent.copy(), np.where(pinned, _PINNED * max(1.0, (length / spacing) ** 6), weights)
-        matrix[3] += held
-        line = solveh_banded(matrix, held[:, None] * points)
-        off = np.hypot(*(line - points).T)
-        furthest = float(off.max())
-        if furthest < least:
-            best, least = line, furthest
-        if furthest <= tube and iteration >= _SETTLED:
+            bending[3 - (second - first), second : second + count - 3] += _DIFFERENCE[first] * _DIFFERENCE[second]
+    bending *= (length / spacing) ** 6
+    weights, best, min_distance = np.ones(count), points, np.inf
+    for iteration in range(_MAX_ITERATIONS):
+        matrix, diagonal = bending.copy(), np.where(pinned, _PINNED * max(1.0, (length / spacing) ** 6), weights)
+        matrix[3] += diagonal
+        line = solveh_banded(matrix, diagonal[:, None] * points)
+        distance = np.hypot(*(line - points).T)
+        max_distance = float(distance.max())
+        if max_distance < min_distance:
+            best, min_distance = line, max_distance
+        if max_distance <= tube and iteration >= _MIN_ITERATIONS:
             return np.asarray(line)
-        weights = np.clip(weights * np.clip(off / (_AIM * tube), _SLOWEST, _FASTEST), _LEAST, _MOST)
+        weights *= np.clip(distance / (_AIM * tube), _MIN_FACTOR, _MAX_FACTOR)
+        weights = np.clip(weights, _MIN_WEIGHT, _MAX_WEIGHT)
     return np.asarray(best)
 
 
-# How a planner's path is read and smoothed.
+# Settings for the interpretation and smoothing of a planner's path.
 
 
 Positive = Annotated[float, Field(gt=0)]
@@ -78,18 +79,18 @@ Positive = Annotated[float, Field(gt=0)]
 class PlannedSettings(StrictModel):
     """Resolutions and thresholds; distances in m, angles in rad."""
 
-    coincident: Positive = Field(description="closer poses are at one place [m]")
-    spacing: Positive = Field(description="of the points that are smoothed [m]")
-    smoothing_length: Positive = Field(description="shorter waves of a path are smoothed away [m]")
-    bendable: Positive = Field(description="a heading no further off at an end is reached by bending the path [rad]")
-    sideways: Positive = Field(description="|cos| between heading and travel from which a pose says the direction [-]")
-    least_run: Positive = Field(description="a change of direction that is shorter is noise [m]")
-    hairpin: Positive = Field(description="a path that turns so far is turned back on the spot [rad]")
-    hairpin_length: Positive = Field(description="over which that is looked at, to either side [m]")
-    join: Positive = Field(description="over which a path leads from a robot beside it onto it [m]")
-    turns_per_metre: Positive = Field(description="a path that turns back more often is no planner's [1/m]")
-    turns_allowed: Annotated[int, Field(ge=0)] = Field(description="so many turns more are allowed [-]")
-    longest: Positive = Field(description="a longer path is a mistake of units [m]")
+    coincident: Positive = Field(description="distance below which poses count as one position [m]")
+    spacing: Positive = Field(description="distance between smoothed points [m]")
+    smoothing_length: Positive = Field(description="shorter waves of a path are removed [m]")
+    bendable: Positive = Field(description="maximum difference of an end heading that bends the path [rad]")
+    sideways: Positive = Field(description="minimum |cos| between heading and travel that defines the direction [-]")
+    least_run: Positive = Field(description="minimum length of a part of one direction; less is noise [m]")
+    hairpin: Positive = Field(description="turn of a path above which the robot reverses on the spot [rad]")
+    hairpin_length: Positive = Field(description="distance to both sides over which a hairpin is detected [m]")
+    join: Positive = Field(description="length of the approach from the robot to the path [m]")
+    turns_per_metre: Positive = Field(description="maximum number of reversals per metre of a path [1/m]")
+    turns_allowed: Annotated[int, Field(ge=0)] = Field(description="additional reversals that are allowed [-]")
+    longest: Positive = Field(description="maximum length of a path [m]")
 
 
 @cache

@@ -16,7 +16,7 @@ from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.config.solver import Solver
-from diffdrive_mpc.mpc.features.registry import feature_terms, prepared
+from diffdrive_mpc.mpc.features.registry import feature_terms, prepare_config
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
 from diffdrive_mpc_extras.export.generated_c import constants_text, operations_bound, sizes_text, trajectory_texts
 from diffdrive_mpc_extras.free_space.config import free_space_of
@@ -95,7 +95,7 @@ def export_controller(
             "robot clear of things by other means"
         )
     chosen = chosen_model(config, model)
-    config = prepared(config)
+    config = prepare_config(config)
     everything = all_terms(config.terms, (*terms, *feature_terms(config)))
     # Off its path an exported controller chases the reference, or brakes.
     alone = config.model_copy(update={"reentry": config.reentry.model_copy(update={"enabled": False})})

@@ -1,8 +1,8 @@
-"""Path back to the reference: the choice of a point ahead and of a smooth motion to it.
+"""Path back to the reference: choice of a rejoining point ahead and of a smooth motion to it.
 
-The idea of a look-ahead point and a smooth reconnection is that of Guffanti et al. 2026 (PMC12845739; only the abstract
-was available). Here many points on the reference ahead are tried, each with several motions that keep to the limits,
-and the cheapest is taken: in time, in delay of the reference's clock, and in distance from the path meanwhile.
+The idea of a look-ahead point and a smooth reconnection is from Guffanti et al. 2026 (PMC12845739; only the abstract
+was available). Here many points on the reference ahead are compared, each with several motions within the limits; the
+motion with the lowest cost is chosen. The cost weighs time, delay of the reference's clock, and distance from the path.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
-from diffdrive_mpc.mpc.reentry.options import Course, Options, all_options
+from diffdrive_mpc.mpc.reentry.options import Options, RobotState, all_options
 from diffdrive_mpc.mpc.reentry.path_window import (
     SAME_PLACE,
     MotionLine,
@@ -32,12 +32,12 @@ from diffdrive_mpc.mpc.trajectories.trajectory import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class Rejoin:
-    """Satisfies `models.interface.Reference`.
+    """Implementation of `models.interface.Reference`.
 
     Attributes
     ----------
     connection
-        The motion from the robot to the reference.
+        Motion from the robot to the reference.
     reference
         Reference to rejoin.
     joins
@@ -67,7 +67,7 @@ class Rejoin:
         return self.joins - self.connection.duration
 
     def sample(self, times: ArrayLike) -> ReferenceSample:
-        """Evaluate at `times` (n,) [s] on the reference's clock: the connection before `joins`, then the reference."""
+        """Sample at `times` (n,) [s] on the reference's clock: the connection before `joins`, then the reference."""
         times = np.atleast_1d(np.asarray(times, dtype=float))
         after = self.reference.sample(times)
         before = times < self.joins
@@ -83,63 +83,63 @@ class Rejoin:
 
 
 _NODES = 33
-# Between two nodes no path turns further than this [rad], unless by a cusp.
+# Maximum turn of a path between two nodes [rad]; a larger turn is a cusp.
 _CUSP = 1.0
-# Paces that are tried, as shares of the highest speed: a robot inside a curve, or ahead, must not arrive too soon.
+# Compared paces, as shares of the speed limit [-]: a robot inside a curve, or ahead, must not arrive early.
 _SHARES = np.array([1.0, 0.8, 0.5])
-# Prices in seconds: of each second by which the reference is skipped; of a jump of the speed where a connection begins
-# [per m/s], where the robot has to be slowed down anyway, and where it ends [per (m/s)^2]; of one of the yaw rate [per
-# rad/s]; of distance from the path, and of that on its other side [per m s].
+# Weights of the cost, in seconds: skipped time of the reference [1/s]; jump of the speed at the start of a connection,
+# where the robot has to slow down anyway [per m/s], and at its end [per (m/s)^2]; jump of the yaw rate [per rad/s];
+# distance from the path, and distance on the side opposite to the robot [per m s].
 _EARLY = 2.0
 _FIRST_JUMP = 4.0
 _LAST_JUMP = 150.0
 _YAW_JUMP = 0.25
 _AWAY = 5.0
 _ACROSS = 20.0
-# For a robot with a least turn radius: of each multiple of it by which a way is too tight, and in these of a radian on
-# the spot [-].
+# Weights for a robot with a minimum turn radius: curvature above the maximum, relative to it [s], and turns on the spot
+# per radian in multiples of it [-].
 _TOO_TIGHT = 100.0
 _ON_THE_SPOT = 100.0
-# Interval of path nodes, and number of headings of a turn on the spot, for checks of room.
-_LOOKED_AT, _HEADINGS = 4, 5
+# Interval of checked path nodes, and number of checked headings of a turn on the spot, in checks for free space.
+_NODE_STEP, _HEADINGS = 4, 5
 
 Room = Callable[[FloatArray], NDArray[np.bool_]]
-"""Check for room for the robot at poses (k, 3)."""
+"""Check for free space at the robot's poses (k, 3)."""
 
 
 def rejoin(
     reference: Reference,
     window: PathWindow,
     nearest: int,
-    course: Course,
+    robot: RobotState,
     since_start: float,
     look_ahead: tuple[float, float],
     limits: TrajectoryLimits,
     room: Room | None = None,
 ) -> Rejoin | None:
-    """Connect the robot to `reference`.
+    """Plan a connection from the robot to `reference`.
 
     Parameters
     ----------
-    reference, window, here
-        The reference, its samples around now, and the index of the sample nearest to the robot.
-    course
+    reference, window, nearest
+        The reference, its samples around the current time, and the index of the sample nearest to the robot.
+    robot
         Pose and motion of the robot.
     since_start
-        The controller's time [s], against which the delay counts.
+        The controller's time [s], to which the delay is relative.
     look_ahead
-        Least and largest distance along the path to the point of rejoining [m].
+        Minimum and maximum distance along the path to the rejoining point [m].
     limits
         Speed and acceleration limits of the connection.
     room
-        Region that the robot may be in, if limited.
+        Check for free space, if there are obstacles.
 
     Returns
     -------
     Rejoin or None
-        The cheapest connection; None if there is room for none.
+        Connection of lowest cost; None if no connection is free.
     """
-    options = all_options(window, nearest, course, look_ahead, limits)
+    options = all_options(window, nearest, robot, look_ahead, limits)
     paths = quintic_paths(options.start, options.start_curvature, options.end, options.end_curvature, _NODES)
     speed = path_speeds(paths, options.enter, options.leave, limits, _SHARES, options.travel)
     times = travel_times(paths, speed)
@@ -149,26 +149,26 @@ def rejoin(
     cost = duration + np.maximum(delay, -_EARLY * delay) + _YAW_JUMP * options.yaw_jump
     cost += _FIRST_JUMP * (options.enter - speed[..., 0])
     cost += _LAST_JUMP * (options.leave - speed[..., -1] + options.speed_jump) ** 2
-    cost += _price_of_distance(window, nearest, options, paths, times, before)
-    # Only turning leads to a point that is reached already, and no robot drives round a cusp.
+    cost += _distance_cost(window, nearest, options, paths, times, before)
+    # A point that is already reached requires only turns, and a path with a cusp is not feasible.
     gap = options.end[:, :2] - options.start[:, :2]
     reached = np.hypot(gap[:, 0], gap[:, 1]) <= SAME_PLACE
     cusp = np.abs(np.diff(paths.heading, axis=1)).max(axis=1) > _CUSP
     cost[:, (reached | cusp) & ~options.stops] = np.inf
     if limits.min_turn_radius:
-        # A robot that may not turn on the spot drives the least tight way, if none is wide enough.
+        # A robot that may not turn on the spot takes the path of smallest curvature if no path keeps the radius.
         turns = np.abs(options.first_turn) + np.abs(options.last_turn)
-        tightest = np.abs(paths.curvature).max(axis=1)
-        cost += _TOO_TIGHT * (np.maximum(0.0, tightest * limits.min_turn_radius - 1.0) + _ON_THE_SPOT * turns)
+        max_curvature = np.abs(paths.curvature).max(axis=1)
+        cost += _TOO_TIGHT * (np.maximum(0.0, max_curvature * limits.min_turn_radius - 1.0) + _ON_THE_SPOT * turns)
     if room is not None:
         cost[:, ~_has_room(options, paths, room)] = np.inf
         if not np.isfinite(cost).any():
             return None
     pace, best = (int(index) for index in np.unravel_index(np.argmin(cost), cost.shape))
 
-    line = MotionLine(course.pose)
+    line = MotionLine(robot.pose)
     if options.brake[best] > 0.0:
-        line.brake(course.v, course.omega, float(options.brake[best]))
+        line.brake(robot.v, robot.omega, float(options.brake[best]))
     line.turn(float(options.first_turn[best]), limits)
     line.drive(paths, best, speed[pace, best], times[pace, best], float(options.travel[best]))
     line.turn(float(options.last_turn[best]), limits)
@@ -179,34 +179,34 @@ def rejoin(
 
 
 def _has_room(options: Options, paths: Paths, room: Room) -> NDArray[np.bool_]:
-    """Return (C,) True where there is room along a motion: its path, and the turns on the spot at its ends."""
+    """Return (C,) True for motions in free space: the path, and the turns on the spot at its ends."""
     back = np.where(options.travel > 0, 0.0, np.pi)[:, None]
-    points, heading = paths.points[:, ::_LOOKED_AT], paths.heading[:, ::_LOOKED_AT] - back
+    points, heading = paths.points[:, ::_NODE_STEP], paths.heading[:, ::_NODE_STEP] - back
     share = np.linspace(0.0, 1.0, _HEADINGS)
     begins = options.start[:, 2:] - back + (share - 1.0) * options.first_turn[:, None]
     ends = options.end[:, 2:] - back + share * options.last_turn[:, None]
     parts = [(points, heading)]
     for place, turning in ((options.start, begins), (options.end, ends)):
         parts.append((np.repeat(place[:, None, :2], _HEADINGS, axis=1), turning))
-    poses = np.concatenate([np.concatenate([where, angle[..., None]], axis=2) for where, angle in parts], axis=1)
+    poses = np.concatenate([np.concatenate([points, angle[..., None]], axis=2) for points, angle in parts], axis=1)
     return np.asarray(room(poses.reshape(-1, 3)).reshape(poses.shape[:2]).all(axis=1))
 
 
-def _price_of_distance(
+def _distance_cost(
     window: PathWindow, nearest: int, options: Options, paths: Paths, times: FloatArray, before: FloatArray
 ) -> FloatArray:
-    """Compute the (S, C) price of the distance from the path along each motion, at S paces [s].
+    """Compute the cost (S, C) of the distance from the path along each motion, at S paces [s].
 
     A node of a connection is compared with the point of the reference at the same share of the distance ahead.
     """
-    gone = np.concatenate([np.zeros((before.size, 1)), np.cumsum(paths.lengths, axis=1)], axis=1)
+    covered = np.concatenate([np.zeros((before.size, 1)), np.cumsum(paths.lengths, axis=1)], axis=1)
     first, last = window.arc_length[nearest], window.arc_length[options.sample]
-    arc = first + (last - first)[:, None] * (gone / gone[:, -1:])
-    beside = np.minimum(np.searchsorted(window.arc_length, arc), window.times.size - 1)
-    offset = paths.points - window.pose[beside, :2]
-    heading = window.pose[beside, 2]
+    arc = first + (last - first)[:, None] * (covered / covered[:, -1:])
+    index = np.minimum(np.searchsorted(window.arc_length, arc), window.times.size - 1)
+    offset = paths.points - window.pose[index, :2]
+    heading = window.pose[index, 2]
     across = np.cos(heading) * offset[..., 1] - np.sin(heading) * offset[..., 0]
     side = np.sign(across[:, :1])
-    price = _AWAY * np.abs(across) + _ACROSS * np.maximum(0.0, -side * across)
-    integral = np.sum(0.5 * (price[:, 1:] + price[:, :-1]) * np.diff(times, axis=-1), axis=-1)
-    return np.asarray(integral + before * price[:, 0])
+    cost = _AWAY * np.abs(across) + _ACROSS * np.maximum(0.0, -side * across)
+    integral = np.sum(0.5 * (cost[:, 1:] + cost[:, :-1]) * np.diff(times, axis=-1), axis=-1)
+    return np.asarray(integral + before * cost[:, 0])
