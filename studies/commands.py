@@ -173,7 +173,7 @@ def speed(
     ] = None,
 ) -> None:
     """Time whole steps of the controller and of its peers on the same problem: about a quarter of an hour."""
-    from studies.speed.settings import MOST_STEPS, chosen, load_speed_settings  # noqa: PLC0415 - --help does without it
+    from studies.speed.settings import MAX_STEPS, load_speed_settings, select_subjects  # noqa: PLC0415 - --help does without it
     from studies.speed.study import SpeedStudy  # noqa: PLC0415
 
     loaded = load_speed_settings(settings, quick=quick)
@@ -181,9 +181,9 @@ def speed(
     if models is not None:
         changes["models"] = split_names(models, "--models")
     if horizons is not None:
-        changes["horizons"] = split_numbers(horizons, "--horizons", minimum=1, maximum=MOST_STEPS)
+        changes["horizons"] = split_numbers(horizons, "--horizons", minimum=1, maximum=MAX_STEPS)
     names = None if peers is None else split_names(peers, "--peers")
-    _carry_out(SpeedStudy(chosen(loaded.model_copy(update=changes), names), environment), out)
+    _carry_out(SpeedStudy(select_subjects(loaded.model_copy(update=changes), names), environment), out)
 
 
 STUDIES: dict[str, Callable[..., None]] = {

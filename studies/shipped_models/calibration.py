@@ -219,8 +219,8 @@ _HEADER = """\
 # Firmware of the digital twin, written by studies.shipped_models.calibration.calibrate(). SI units.
 # Adjusted: lag of each command channel, forward gain, and the track that turns yaw rate into wheel speeds.
 # Remaining differences: the plant has a dead time of 40 ms and the target none, so steps fit less well than smooth
-# drives; the target couples v_ref into omega, whereas the plant is almost symmetric; yaw gain and side-slip of the plant
-# depend on speed, friction and turn radius, whereas the target is linear.
+# drives; the target couples v_ref into omega, whereas the plant is almost symmetric; yaw gain and side-slip of the
+# plant depend on speed, friction and turn radius, whereas the target is linear.
 """
 
 

@@ -58,13 +58,13 @@ def draw(picture: SitePicture, target: Path) -> None:
             # A drive that does not complete has exit code 1; pictures also show such drives.
             if done.returncode > 1:
                 done.check_returncode()
-        with Image.open(Path(folder) / picture.shown) as drawn:
-            drawn.convert("RGB").quantize(_COLOURS, dither=Image.Dither.NONE).save(target, optimize=True)
+        with Image.open(Path(folder) / picture.shown) as image:
+            image.convert("RGB").quantize(_COLOURS, dither=Image.Dither.NONE).save(target, optimize=True)
 
 
 def draw_poster(target: Path) -> None:
-    """Drive an S, and render the robot, its path so far, the reference and the plan at one instant."""
-    import mujoco  # noqa: PLC0415 - takes the renderer of the environment when it loads
+    """Drive an S, and render the robot, its driven path, the reference and the plan at one time."""
+    import mujoco  # noqa: PLC0415 - reads the environment's renderer setting on import
 
     config = load_config("ssm")
     reference = load_trajectory("s", config)
