@@ -179,8 +179,7 @@ def draw_ratios(rows: DataFrame, path: Path) -> None:
     values = np.array([[ratios(group).get(name, np.nan) for name in names] for group in conditions.values()])
     with new_figure(path, 2.6 + 0.7 * len(names), 1.2 + 0.19 * len(conditions)) as figure:
         axes = figure.add_subplot()
-        norm = LogNorm(1.0, _MAX_RATIO)
-        mesh = axes.imshow(np.clip(values, 1.0, _MAX_RATIO), norm=norm, cmap=ERROR_MAP, aspect="auto")
+        mesh = axes.imshow(values.clip(1.0, _MAX_RATIO), norm=LogNorm(1.0, _MAX_RATIO), cmap=ERROR_MAP, aspect="auto")
         axes.set_xticks(range(len(names)), names, rotation=30, ha="left")
         axes.xaxis.tick_top()
         axes.set_yticks(range(len(conditions)), list(conditions), fontsize=7)

@@ -113,8 +113,7 @@ def neighbour_errors(firmware: Firmware | None = None) -> dict[str, tuple[float,
         low, high = getattr(parameters.bounds, name)
         value, step = getattr(firmware, name), parameters.neighbour * (high - low)
         neighbours = [neighbour for neighbour in (value - step, value + step) if low <= neighbour <= high]
-        ratios = (_error(firmware.model_copy(update={name: neighbour})) / base_error for neighbour in neighbours)
-        errors[name] = tuple(ratios)
+        errors[name] = tuple(_error(firmware.model_copy(update={name: near})) / base_error for near in neighbours)
     return errors
 
 
