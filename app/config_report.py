@@ -48,9 +48,7 @@ def check_term_files(config: ControllerConfig) -> list[str]:
     files = list(dict.fromkeys(term.file for term in config.terms))
     for file in files:
         if not is_file(file):
-            raise ConfigError(
-                f"{file}: no such Python file; a term names it relative to the folder of the configuration"
-            )
+            raise ConfigError(f"{file}: no such Python file; a term names it, relative to the configuration's folder")
     return files
 
 

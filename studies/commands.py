@@ -82,9 +82,7 @@ def reproduce(
 def peers(
     *,
     out: Annotated[Path, out_option("report.html, peers.json, peers.md and gains.yaml")],
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Tune one peer with a few settings, as a test of the study.")
-    ] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="One peer and a few settings, as a test.")] = False,
     only: Annotated[str | None, _names("Peers to tune", "all of them", "--peers")] = None,
     settings: Annotated[Path | None, file_option("Settings", "--settings")] = None,
     jobs: Jobs = None,

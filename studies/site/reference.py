@@ -130,9 +130,8 @@ in brackets. Each group begins with the lines that import it.
 """
 _ROS = """# Which topics, services and states does the ROS 2 node have?
 
-This page lists them. [The guide](../robot.md) describes the setup of the node on a robot,
-[safety](../safety.md#what-can-go-wrong) its reactions to failures, and [separate tables](../parameters.md) its
-parameters.
+This page lists them. See [the guide](../robot.md) for the setup of the node on a robot,
+[safety](../safety.md#what-can-go-wrong) for its reactions to failures, and [its parameters](../parameters.md).
 """
 
 

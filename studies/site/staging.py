@@ -114,9 +114,7 @@ def stage(root: Path, out: Path) -> None:
     Raises ConfigError if `out` is a folder that was not written by this function.
     """
     if out.exists() and not (out / _LABORATORY).is_file():
-        raise ConfigError(
-            f"{out}: it has no {_LABORATORY}, so it is no folder of the site's pages; give another folder"
-        )
+        raise ConfigError(f"{out}: it has no {_LABORATORY}, so it is no folder of the site; give another folder")
     pages = [*(root / "docs").rglob("*.md"), *root.glob("packages/*/docs/*.md")]
     documents = {path.relative_to(root).as_posix(): path.read_text(encoding="utf-8") for path in sorted(pages)}
     shutil.rmtree(out, ignore_errors=True)

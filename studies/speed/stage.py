@@ -129,9 +129,7 @@ def stage_data(program: Program, estimate: Estimate, past: FloatArray) -> tuple[
         If the last command of the tick differs from the newest one of `past`, because a stage has only one of them.
     """
     if not np.array_equal(program.last_command, past[-1]):
-        raise ValueError(
-            "the last command differs from the newest past command, which the problem of peers cannot represent"
-        )
+        raise ValueError("the last command differs from the newest past command: peers cannot represent that")
     N, slip = len(program.feed_forward), estimate.slip
     parameters = np.zeros((N + 1, len(ROWS)))
     parameters[:, :4] = program.aim

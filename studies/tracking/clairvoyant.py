@@ -243,9 +243,7 @@ class ClairvoyantController:
         if self._reference is None:
             raise RuntimeError("call start(reference, t0) before step")
         if measurement.pose is None or abs(measurement.pose.time - t) > 1e-9:
-            raise ValueError(
-                "the clairvoyant controller needs a pose without delay at every tick: use --sensors perfect"
-            )
+            raise ValueError("the clairvoyant needs a pose without delay at every tick: use --sensors perfect")
         pose = np.array(measurement.pose.value, dtype=float)
         since_start = t - self._t0
         times = np.asarray(since_start + self._config.sample_time * np.arange(self._settings.horizon + 1))

@@ -34,9 +34,7 @@ from diffdrive_mpc.bench.table import Table, millis, number
 from studies.tracking.measured import BOUND, BOUND_NAME, additional_columns, load_targets, run_or_bound, worst_arc
 
 _FOLDER = Path(__file__).parent
-_MISSED = (
-    "docs/results.md explains the limit of each error; the ablation shows the effect of each part of the estimator"
-)
+_MISSED = "docs/results.md explains the limit of each error; the ablation shows the effect of each estimator part"
 
 
 def load_study(file: Path | None = None, *, quick: bool = False) -> Experiment:
