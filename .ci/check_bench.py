@@ -1,8 +1,8 @@
 """Check the results of the main job against limits and against the last result: `check_bench.py bench.json`.
 
 The error of a model may exceed the error in `bench_errors.json` by at most the share `WORSE`, over the same
-trajectories and seeds. A commit that changes the error on purpose, or reduces it, writes the file again: `python .ci/check_bench.py
-bench.json --store`. Times are not checked, because they depend on the machine.
+trajectories and seeds. A commit that changes the error on purpose, or reduces it, writes the file again with `--store`:
+`python .ci/check_bench.py bench.json --store`. Times are not checked, because they depend on the machine.
 """
 
 import itertools

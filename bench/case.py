@@ -53,9 +53,7 @@ def split_names(text: str, option: str) -> tuple[str, ...]:
 def check_count(count: int, limit: int = MAX_CASES) -> None:
     """Raise ValueError if a study has more runs than the limit, before the cases are listed."""
     if count > limit:
-        raise ValueError(
-            f"{count:,} runs are requested, at most {limit:,}; give fewer values or seeds, or split the study"
-        )
+        raise ValueError(f"{count:,} runs are requested, at most {limit:,}; give fewer values or seeds, or split it")
 
 
 def split_numbers(text: str, option: str, *, minimum: int, maximum: int | None = None) -> tuple[int, ...]:

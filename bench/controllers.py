@@ -250,9 +250,7 @@ def chosen_model(model: str | None, config: Path | None) -> str:
     if model is None:
         return Case().model if config is None else load_config(config).model
     if not model.strip():
-        raise ConfigError(
-            "--model: the name is empty; give mbm, sm, ssm, two_delays, kinematic or the path of a model file"
-        )
+        raise ConfigError("--model: empty name; give mbm, sm, ssm, two_delays, kinematic or the path of a model file")
     return model
 
 

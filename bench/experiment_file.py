@@ -19,7 +19,7 @@ class TableFile(StrictModel):
 
     title: str
     part: tuple[str, ...] = Field((), description="parts of the experiment to tabulate; empty for all runs")
-    where: dict[str, Value] = Field({}, description="required value of a column, by column; selects the runs")
+    where: dict[str, Value] = Field({}, description="required value by column; selects the runs")
     by: Annotated[dict[str, str], Field(min_length=1)] = Field(description="columns to group by, under their headings")
     columns: dict[str, str] = Field(description="definition of the cells, by the heading of their column")
     across: str = Field(
@@ -35,7 +35,5 @@ class ExperimentFile(StrictModel):
     title: str = Field(description="heading of the report")
     vary: Varied = Field({}, description="values for every part that does not define them; the last varies fastest")
     variants: dict[str, dict[str, Value]] = Field({}, description="configuration values under the name of a variant")
-    parts: dict[str, tuple[Varied, ...]] = Field(
-        description="blocks of each part; a block is every combination of its values"
-    )
+    parts: dict[str, tuple[Varied, ...]] = Field(description="blocks of each part; combinations of values are run")
     tables: Mapping[str, TableFile] = Field({}, description="tables of the report, in order")

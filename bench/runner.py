@@ -97,9 +97,7 @@ def _in_processes(tasks: Sequence[Callable[[], T]], jobs: int) -> Iterator[T]:
             yield from Parallel(return_as="generator_unordered")(delayed(_call)(task) for task in tasks)
         finished = True
     except BrokenProcessPool as error:
-        raise WorkerDiedError(
-            f"one of {jobs} processes was killed, for instance for lack of memory; try a smaller --jobs"
-        ) from error
+        raise WorkerDiedError(f"one of {jobs} processes was killed; try a smaller --jobs") from error
     finally:
         # Idle workers would disturb the subsequent timing; workers of a failed study are killed.
         if not (finished and keeps_processes()):

@@ -111,9 +111,9 @@ class SpecStudy(Study[Drives, DataFrame]):
 
     def tables(self, rows: DataFrame) -> list[Table]:
         """Build the tables of the report."""
-        return self.tables_with_cells(rows, {})
+        return self.cell_tables(rows, {})
 
-    def tables_with_cells(self, rows: DataFrame, cells: Mapping[str, Cell]) -> list[Table]:
+    def cell_tables(self, rows: DataFrame, cells: Mapping[str, Cell]) -> list[Table]:
         """Build the tables of the parts that were run; `cells` are the cells that the program computes, by name."""
         tables = []
         for spec in self.experiment.tables.values():

@@ -1,7 +1,7 @@
-"""The command line of the studies, `python -m studies NAME` in a clone.
+"""Command line of the studies, `python -m studies NAME` in a clone.
 
-A package has its studies in `packages/PACKAGE/studies/NAME`, with the function `run` and its `EXAMPLE` in `command.py`.
-`studies` is a namespace package: the folders of the packages are parts of it.
+The studies of a package are in `packages/PACKAGE/studies/NAME`; `command.py` defines the function `run` and `EXAMPLE`.
+`studies` is a namespace package that includes the folders of the packages.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from studies.commands import shipped_models_app
 
 
 class Studies(OneLineErrors):
-    """The studies."""
+    """Group of the commands of all studies."""
 
     program = "python -m studies"
 
@@ -31,14 +31,14 @@ app = typer.Typer(
     rich_markup_mode=None,
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    help="Repeat a study: the evidence for this project's own claims.",
+    help="Repeat a study, which provides the evidence for claims of this project.",
 )
 for _name, _study in commands.STUDIES.items():
     app.command(_name, epilog=commands.EXAMPLES[_name])(_study)
 
 
 def _package_studies() -> Iterator[tuple[str, ModuleType]]:
-    """Yield the studies of packages: name and module of each command; makes their folders importable."""
+    """Make the studies of packages importable; yield name and module of each command."""
     for file in sorted(Path(__file__).resolve().parents[1].glob("packages/*/studies/*/command.py")):
         package, name = str(file.parents[2]), file.parent.name
         if package not in sys.path:

@@ -1,4 +1,4 @@
-"""The commands of the studies that compare controllers, robots and paths."""
+"""Commands of the studies."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ EXAMPLES = {
 
 def _parts_option(parts: str) -> Any:  # noqa: ANN401 - typer's own type
     """Create the option that selects parts of a study."""
-    return typer.Option("--only", metavar="PARTS", help=f"{parts}.", show_default="all of them")
+    return typer.Option("--only", metavar="PARTS", help=f"{parts}.", show_default="all parts")
 
 
 def _names(content: str, default: str | bool = True, name: str | None = None) -> Any:  # noqa: ANN401 - typer's own type
@@ -37,7 +37,7 @@ def _names(content: str, default: str | bool = True, name: str | None = None) ->
 
 
 def _carry_out(study: Study[Any, Results], out: Path, jobs: int | None = None) -> Results:
-    """Carry out a study; `bench.study.carry_out` is imported late, since --help does not need it."""
+    """Run a study with `bench.study.carry_out`, which is imported here because --help does not need it."""
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
 
     return carry_out(study, out, jobs)
@@ -55,7 +55,7 @@ def tracking(
     from studies.tracking.study import TrackingStudy, load_study  # noqa: PLC0415 - --help does without it
 
     if quick and study is not None:
-        raise ValueError(f"--study {study}: --quick has its own study; give one of them")
+        raise ValueError(f"--study {study}: --quick selects another study file; pass only one of the two options")
     parts = () if only is None else split_names(only, "--only")
     _carry_out(TrackingStudy(load_study(study, quick=quick), parts), out, jobs)
 
@@ -71,7 +71,7 @@ def reproduce(
     ] = None,
     jobs: Jobs = None,
 ) -> None:
-    """Repeat the papers' experiments on the simulated robot and report the confirmed findings: minutes on two cores."""
+    """Repeat the papers' experiments on the simulated robot, and report confirmed findings: minutes on two cores."""
     from studies.reproduce.published import PARTS, load_study  # noqa: PLC0415 - --help does without it
     from studies.reproduce.study import ReproduceStudy  # noqa: PLC0415
 
@@ -82,12 +82,12 @@ def reproduce(
 def peers(
     *,
     out: Annotated[Path, out_option("report.html, peers.json, peers.md and gains.yaml")],
-    quick: Annotated[bool, typer.Option("--quick", help="One peer and a few settings, to see that it works.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="One peer and a few settings, as a test.")] = False,
     only: Annotated[str | None, _names("Peers to tune", "all of them", "--peers")] = None,
     settings: Annotated[Path | None, file_option("Settings", "--settings")] = None,
     jobs: Jobs = None,
 ) -> None:
-    """Tune the peers, each by the same search with the same budget on the same runs: about 20 minutes on two cores."""
+    """Tune all peers by the same search with one budget on the same runs: about 20 minutes on two cores."""
     from diffdrive_mpc.models.whole_file import whole_file  # noqa: PLC0415
     from studies.peers.study import GAINS_FILE, PeersStudy, gains_text, load_settings  # noqa: PLC0415 - --help does without it
 
@@ -115,24 +115,24 @@ def robustness(
     controllers: Annotated[str, _names("mpc, or peers")] = "mpc,kanayama",
     models: Annotated[str, _names("Models of mpc")] = "ssm",
     trajectories: Annotated[str | None, _names("Paths", "circle,s; circle with --quick")] = None,
-    seeds: Annotated[str, typer.Option(metavar="LIST", help="How many seeds, or a list of them.")] = "1",
+    seeds: Annotated[str, typer.Option(metavar="LIST", help="Number of seeds, or a list of seeds.")] = "1",
     robots: Annotated[
         int | None,
-        typer.Option(min=1, help="Drive so many drawn robots, as wide as the market, and no condition."),
+        typer.Option(min=1, help="Number of random robots from the market's range to drive, without conditions."),
     ] = None,
     tuning_robots: Annotated[
         bool,
-        typer.Option("--tuning-robots", help="Drawn robots to tune on in place of the reserved ones."),
+        typer.Option("--tuning-robots", help="Drive the random robots for tuning instead of the reserved ones."),
     ] = False,
     rates: Annotated[
         str | None,
         typer.Option(
-            metavar="LIST", help="Rates of false alarms [1/h] to drive these robots at, too.", show_default="none"
+            metavar="LIST", help="Additional rates of false alarms [1/h] for these robots.", show_default="none"
         ),
     ] = None,
     jobs: Jobs = None,
 ) -> None:
-    """Drive every controller on robots, floors and sensors that it was not tuned to: some minutes on two cores."""
+    """Run every controller on robots, surfaces and sensors that it was not tuned for: some minutes on two cores."""
     from diffdrive_mpc_extras.campaign.campaign_file import load_conditions  # noqa: PLC0415 - --help does without it
     from studies.robustness.study import RobustnessStudy  # noqa: PLC0415
 
@@ -165,13 +165,13 @@ def speed(
     environment: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of the peers' own environment; made there if it is not.",
+            help="Folder of the peers' virtual environment; created if missing.",
             show_default="in the user's cache folder",
         ),
     ] = None,
 ) -> None:
     """Time whole steps of the controller and of its peers on the same problem: about a quarter of an hour."""
-    from studies.speed.settings import MOST_STEPS, chosen, load_speed_settings  # noqa: PLC0415 - --help does without it
+    from studies.speed.settings import MAX_STEPS, load_speed_settings, select_subjects  # noqa: PLC0415 - --help does without it
     from studies.speed.study import SpeedStudy  # noqa: PLC0415
 
     loaded = load_speed_settings(settings, quick=quick)
@@ -179,9 +179,9 @@ def speed(
     if models is not None:
         changes["models"] = split_names(models, "--models")
     if horizons is not None:
-        changes["horizons"] = split_numbers(horizons, "--horizons", minimum=1, maximum=MOST_STEPS)
+        changes["horizons"] = split_numbers(horizons, "--horizons", minimum=1, maximum=MAX_STEPS)
     names = None if peers is None else split_names(peers, "--peers")
-    _carry_out(SpeedStudy(chosen(loaded.model_copy(update=changes), names), environment), out)
+    _carry_out(SpeedStudy(select_subjects(loaded.model_copy(update=changes), names), environment), out)
 
 
 STUDIES: dict[str, Callable[..., None]] = {
@@ -191,13 +191,13 @@ STUDIES: dict[str, Callable[..., None]] = {
     "reproduce": reproduce,
     "speed": speed,
 }
-"""The studies by the names of their commands, `python -m studies NAME`."""
+"""Functions of the studies by the name of their command, `python -m studies NAME`."""
 
 
 shipped_models_app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="Find the shipped models and the simulated robot's firmware again.",
+    help="Identify the shipped models and calibrate the simulated robot's firmware again.",
 )
 
 
@@ -270,12 +270,12 @@ def calibrate(
         bool,
         typer.Option(
             "--check",
-            help="Only report how well the shipped calibration predicts drives held out from it, and prove that no "
-            "neighbour of its values fits better.",
+            help="Only report how well the shipped calibration predicts validation drives, and check that no "
+            "neighbouring value fits better.",
         ),
     ] = False,
 ) -> None:
-    """Fit the simulated robot's firmware so that the published SSM predicts what it measures."""
+    """Fit the simulated robot's firmware so that the published SSM predicts its measurements."""
     from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
     from diffdrive_mpc.sim.plants.twin_parameters import FIRMWARE_FILE, load_firmware  # noqa: PLC0415
     from studies.shipped_models.calibration import calibrate as fit_firmware  # noqa: PLC0415
@@ -286,25 +286,25 @@ def calibrate(
     )
 
     if check and out is not None:
-        raise ValueError(f"--out {out}: --check writes nothing; give one of them")
-    around: dict[str, tuple[float, ...]] = {}
+        raise ValueError(f"--out {out}: --check writes nothing; pass only one of the two options")
+    neighbours: dict[str, tuple[float, ...]] = {}
     if check:
-        firmware, around = load_firmware(), neighbour_errors()
-        output_console().print(neighbours_table(around).rich())
+        firmware, neighbours = load_firmware(), neighbour_errors()
+        output_console().print(neighbours_table(neighbours).rich())
     else:
         with ProgressBar("calibration (a few minutes), parameters tried:") as bar:
             firmware = fit_firmware(out or FIRMWARE_FILE, on_evaluation=bar.advance)
     output_console().print(calibration_table(firmware).rich())
-    better = [name for name, errors in around.items() if min(errors) <= 1.0]
+    better = [name for name, errors in neighbours.items() if min(errors) <= 1.0]
     if better:
         raise ValueError(f"firmware.yaml: another value of {', '.join(better)} fits better: run make calibrate")
 
 
 @shipped_models_app.command(epilog="Example: python -m studies models truths --quick")
 def truths(
-    quick: Annotated[bool, typer.Option("--quick", help="Five models instead of all of the study.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Use five models instead of all.")] = False,
 ) -> None:
-    """Identify random models whose truth is known, and count how often it lies in the stated intervals."""
+    """Identify random models with known parameters, and count how often these lie in the stated intervals."""
     from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
     from studies.shipped_models.known_truths import coverage_table, recover_all  # noqa: PLC0415
 

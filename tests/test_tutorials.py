@@ -8,7 +8,7 @@ from recorded_drive import read_drive
 from two_processes import own_domain
 
 from diffdrive_mpc import load_config, load_trajectory
-from studies.site.notebooks import executed, notebook_text, pictures, with_notebooks
+from studies.site.notebooks import execute, notebook_text, pictures, with_notebooks
 
 FOLDER = Path(__file__).parents[1] / "docs" / "tutorials"
 JACKAL = "from-bag-to-robot"
@@ -26,7 +26,7 @@ def test_notebook_draws_the_pictures_of_its_page(page, tmp_path, monkeypatch):
     assert all((FOLDER / name).is_file() for name in shown)
     for name, value in own_domain(tmp_path).items():
         monkeypatch.setenv(name, value)
-    assert len(executed(notebook, tmp_path)) == len(shown)
+    assert len(execute(notebook, tmp_path)) == len(shown)
     if page.stem == JACKAL:
         check_jackal(tmp_path)
 

@@ -68,9 +68,7 @@ def check(
     )
     unset = robot_defaults(config)
     if unset:
-        echo(
-            f"note: not in the file, so taken from the papers' robot: {', '.join(unset)}; set the values of your robot"
-        )
+        echo(f"note: defaults of the papers' robot: {', '.join(unset)}; set the values of your robot")
     if not_run:
         echo(f"note: not run: {', '.join(not_run)}; a controller runs these Python files, so read them before use")
     for line in feasibility(controller, trajectory) if trajectory else ():
@@ -89,12 +87,10 @@ def schema(
     ] = None,
     *,
     as_json: Annotated[
-        bool,
-        typer.Option("--json", help="Print the JSON Schema of a kind of file, for editors; by default controller."),
+        bool, typer.Option("--json", help="Print the JSON Schema of a kind of file; by default controller.")
     ] = False,
     out: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="File to write the JSON Schema to.", show_default="standard output"),
+        Path | None, typer.Option(metavar="FILE", help="File for the JSON Schema.", show_default="standard output")
     ] = None,
 ) -> None:
     """List every key, or the keys of a group, with default, unit, range and meaning.

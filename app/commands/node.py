@@ -28,8 +28,7 @@ def node(
     settings: Settings = None,
     autostart: Annotated[bool, typer.Option("--autostart", help="Configure and activate at start-up.")] = False,
     drive: Annotated[
-        bool,
-        typer.Option("--drive", help="Configure, activate, and drive as soon as measurements arrive: stand clear."),
+        bool, typer.Option("--drive", help="Activate, and drive as soon as measurements arrive: stand clear.")
     ] = False,
 ) -> None:
     """Drive a robot through ROS 2, until interrupted.

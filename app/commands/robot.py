@@ -35,9 +35,7 @@ def identify(
     ] = None,
     validate: Annotated[
         list[Path] | None,
-        typer.Option(
-            metavar="LOG", help="Log to validate the model with; repeatable.", show_default="a share of each log"
-        ),
+        typer.Option(metavar="LOG", help="Log for validation; repeatable.", show_default="a share of each log"),
     ] = None,
     fit_share: Annotated[
         float | None,
@@ -45,8 +43,7 @@ def identify(
     ] = None,
     order: Annotated[str, typer.Option(metavar="auto|N", help="Order of an ssm, 1 to 5.")] = "auto",
     effects: Annotated[
-        bool,
-        typer.Option("--effects", help="Also identify effects of the base that an sm lacks: slew, steps, tyres, veer."),
+        bool, typer.Option("--effects", help="Also identify effects that an sm lacks: slew, steps, tyres, veer.")
     ] = False,
     packages: Annotated[
         str | None,
@@ -60,14 +57,10 @@ def identify(
     name: Annotated[str | None, typer.Option(help="Name of the model.", show_default="from the logs")] = None,
     robot: RobotName = None,
     draft_mapping: Annotated[
-        bool,
-        typer.Option("--draft-mapping", help="Only write a draft of the mapping of LOG to correct (mapping.yaml)."),
+        bool, typer.Option("--draft-mapping", help="Only write a draft mapping of LOG to correct (mapping.yaml).")
     ] = False,
     force: Annotated[
-        bool,
-        typer.Option(
-            "--force", help="Write model and configuration even if errors in the logs or a low FIT advise against it."
-        ),
+        bool, typer.Option("--force", help="Write model and configuration despite errors in logs or a low FIT.")
     ] = False,
 ) -> None:
     """Identify a velocity model from logs; write it with a configuration, a report and figures."""

@@ -23,8 +23,7 @@ def robot(
         bool, typer.Option("--lock-step/--real-time", help="Publish /clock and wait for the command of each tick.")
     ] = False,
     duration: Annotated[
-        float | None,
-        typer.Option(help="Time after which the robot ends, on its clock, in seconds.", show_default="no end"),
+        float | None, typer.Option(help="Duration on the robot's clock in seconds.", show_default="no end")
     ] = None,
     config: Annotated[
         Path | None,
@@ -36,8 +35,7 @@ def robot(
         typer.Option("--stamped/--unstamped", help="Commands are TwistStamped or Twist.", show_default="as --base"),
     ] = None,
     command_timeout: Annotated[
-        float | None,
-        typer.Option(help="Time without a command after which the robot stops, in seconds.", show_default="as --base"),
+        float | None, typer.Option(help="Seconds without a command before a stop.", show_default="as --base")
     ] = None,
     answer_timeout: Annotated[
         float | None,

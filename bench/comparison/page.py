@@ -57,21 +57,20 @@ def shown(results: ComparisonResults) -> Shown:
 
 def charts(results: ComparisonResults) -> dict[str, list[Chart]]:
     """Return charts of step times and sweeps, by the name of the figure file."""
-    chart_files = {"step-time.png": [step_time_chart(results.main)]}
+    files = {"step-time.png": [step_time_chart(results.main)]}
     names, sample = list(by(results.main, COMPARED)), results.main["run"].iloc[0].sample_time
     if len(results.speed):
         speeds = [round(case.top_speed or 0.0, 6) for case in results.speed["case"]]
         axis = f"top speed [m/s] of {' and '.join(by(results.speed, 'trajectory'))}"
-        chart_files["speed.png"] = _swept(results.speed, speeds, axis, _errors("Error against speed"), names)
+        files["speed.png"] = _swept(results.speed, speeds, axis, _errors("Error against speed"), names)
     if len(results.dead_time):
         delays = [round(1e3 * sample * case.excess_delay, 6) for case in results.dead_time["case"]]
         axis, title = "dead time beyond the configured one [ms]", "Error against an unknown dead time"
-        chart_files["dead-time.png"] = _swept(results.dead_time, delays, axis, _errors(title), names)
+        files["dead-time.png"] = _swept(results.dead_time, delays, axis, _errors(title), names)
     if len(results.horizon):
         axis = f"horizon [steps of {1e3 * sample:.1f} ms]"
-        horizons = list(results.horizon["horizon"])
-        chart_files["horizon.png"] = _swept(results.horizon, horizons, axis, _HORIZON_FIGURES, names)
-    return chart_files
+        files["horizon.png"] = _swept(results.horizon, list(results.horizon["horizon"]), axis, _HORIZON_FIGURES, names)
+    return files
 
 
 def _sentences(main: DataFrame, drivers: Mapping[str, DataFrame]) -> list[str]:

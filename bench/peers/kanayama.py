@@ -19,9 +19,7 @@ class KanayamaGains(Gains):
     along: AboveZero = Field(description="gain of the error along the path [1/s]")
     across: AboveZero = Field(description="gain of the error across the path [1/m^2]")
     heading: AboveZero = Field(description="gain of the sine of the heading error per distance [1/m]")
-    turn: NotNegative = Field(
-        0.0, description="gain of the sine of the heading error per time, for turns on the spot; not in the paper [1/s]"
-    )
+    turn: NotNegative = Field(0.0, description="gain per time, for turns on the spot; not in the paper [1/s]")
 
 
 def kanayama_twist(gains: KanayamaGains, feed_forward: FloatArray, error: FloatArray) -> FloatArray:

@@ -28,9 +28,7 @@ class PursuitGains(Gains):
     min_look_ahead: AboveZero = Field(description="lower bound of the look-ahead distance [m]")
     along: NotNegative = Field(description="gain of the lag along the path [1/s]")
     turn: NotNegative = Field(description="gain of the heading error while turning on the spot [1/s]")
-    least_radius: NotNegative = Field(
-        description="radius below which the speed decreases with the radius of the arc [m]"
-    )
+    least_radius: NotNegative = Field(description="radius below which the speed decreases with the radius [m]")
 
 
 class PursuitLaw:

@@ -1,1 +1,1 @@
-"""Tables and figures of reports, as the documents show them."""
+"""Update of tables, figures and reports in the documents."""

@@ -1,4 +1,4 @@
-"""Tables of documents that come from declarations: the node's parameters, the numbers of a step.
+"""Tables of documents that are generated from declarations: parameters of the node, and scalars of a step.
 
 Run as ``python -m studies.documents.declared_tables``, from the top of the repository.
 """
@@ -55,7 +55,7 @@ def parameter_tables() -> str:
     Raises
     ------
     models.checked_yaml.ConfigError
-        If a parameter has no advice, or an advice no parameter.
+        If a parameter has no entry in the advice file, or an entry has no parameter.
     """
     advice: dict[str, str] = read_yaml(_ADVICE)
     keys = [plain_key(row.key) for row in [*node_rows(), *chain(*part_rows().values()), *_controller_rows()]]
@@ -74,7 +74,7 @@ def parameter_tables() -> str:
 
 
 def node_rows() -> list[FieldRow]:
-    """Return the parameters of the node without those of its parts."""
+    """Return the parameters of the node without the parameters of its parts."""
     return [row for row in schema_rows(NodeSettings) if row.key != "parts"]
 
 
@@ -86,18 +86,18 @@ def part_rows() -> dict[str, list[FieldRow]]:
 
 
 def _title(group: str) -> str:
-    """Return the title of the table of a group, with a remark for the second room."""
+    """Return the title of the table of a group; groups for experts are marked."""
     inner = group.removeprefix(EXPERT).removeprefix(".")
     return f"For experts: {_TITLES[inner]}" if group != inner else _TITLES[group]
 
 
 def _controller_rows() -> list[FieldRow]:
-    """Return keys of the configuration and of installed features that are parameters."""
+    """Return keys of the configuration and of installed features that are parameters of the node."""
     return [row for row in _keys() if not row.default.startswith("[")]
 
 
 def _list_rows() -> list[FieldRow]:
-    """Return keys whose value is a list; they come by file only."""
+    """Return keys whose value is a list; they can be set in the file only."""
     return [row for row in _keys() if row.default.startswith("[")]
 
 
@@ -107,7 +107,7 @@ def _keys() -> list[FieldRow]:
 
 
 def with_tables(name: str, page: str) -> str:
-    """Update the table in `page`, the document of that name."""
+    """Return the text `page` of the document `name` with an updated table."""
     marker, table = PAGES[name]
     return insert(page, table(), marker)
 
@@ -121,7 +121,7 @@ def _line(row: FieldRow, advice: dict[str, str]) -> str:
     *_, name = plain.split(".")
     when = (
         advice.get(plain)
-        or (name in SIDES and "where the two sides of your robot differ")
+        or (name in SIDES and "if the two sides of your robot differ")
         or advice.get(plain.partition(".")[0])
     )
     if not when:
@@ -142,7 +142,7 @@ PAGES: Mapping[str, tuple[str, Callable[[], str]]] = {
     "parameters.md": ("parameters", parameter_tables),
     "logs.md": ("scalars", scalars_table),
 }
-"""By name of the document: its marker, and its table."""
+"""Marker and function of the table by name of the document."""
 
 if __name__ == "__main__":
     for name in PAGES:

@@ -1,11 +1,9 @@
-"""Copy reports into the documents, and tables of some into pages, so that they show the produced results.
+"""Copy reports into the documents, and insert their tables into pages.
 
 Run as ``python -m studies.documents.documents OUT ...``, from the top of the repository.
 
-Whether the reports that the documents show were made by a controller that sends today's commands.
-
-`docs/twelve-drives.json` holds the commands of twelve drives as sums, and names the reports that were made with them.
-Older reports are marked as such in their own text.
+Reports are also checked for being up to date: `docs/twelve-drives.json` contains sums of the commands of twelve drives,
+and the names of the reports that were made with these commands. Older reports are marked in their text.
 """
 
 from __future__ import annotations
@@ -30,25 +28,25 @@ _OWN_TARGETS = {
     "bench": "bench-full",
     **{name: name for name in ("edge", "robustness", "market", "prove", "tune")},
 }
-"""Targets of make by the report that they write; `study` writes the others."""
+"""Targets of make by the name of the report; the target `study` writes other reports."""
 
 
 @dataclass(frozen=True)
 class ShownReport:
-    """Parts of the report `NAME.md` by `make NAME` that documents show.
+    """Parts of the report `NAME.md` that the documents show.
 
     Attributes
     ----------
     name
         Name of the study.
     figures, records
-        Names of figures, and of files that are committed beside them.
+        Names of figures, and of data files that are committed with them.
     page
-        The document with tables between markers, below the folder `docs`; empty where pages only link to the report.
+        Path of the document with tables between markers, relative to `docs`; empty if pages only link to the report.
     brief
-        Whether it has the first table and the facts between markers of the study's own name, beside what others name.
+        True if the document also has the first table and the facts between markers with the name of the study.
     study
-        The study whose report it is, where one study writes several: then `name` is that of its folder.
+        Name of the study if it writes several reports; `name` is then the name of the folder.
     """
 
     name: str
@@ -60,7 +58,7 @@ class ShownReport:
 
     @property
     def made_by(self) -> str:
-        """The target of make that writes all of it."""
+        """Target of make that writes the report."""
         return _OWN_TARGETS.get(self.name, f"study NAME={self.name}")
 
     @property
@@ -112,9 +110,9 @@ SHOWN = (
 
 
 def copy_report(shown: ShownReport, out: Path, documents: Path) -> None:
-    """Copy the report in `out` to `documents`, links to figures that are not shown left out; old figures go.
+    """Copy the report in `out` to `documents` without links to figures that are not shown; remove old figures.
 
-    Raises ConfigError if `out` holds no report.
+    Raises ConfigError if `out` contains no report.
     """
     if not (out / shown.file).is_file():
         raise ConfigError(f"{out}: no {shown.file}; run `make {shown.made_by}` first")
@@ -154,21 +152,21 @@ def sections(shown: ShownReport, report: str) -> dict[str, str]:
 
 
 def insert(document: str, text: str, name: str) -> str:
-    """Insert `text` between the markers of that name in `document`."""
+    """Return `document` with `text` between the markers `name`."""
     start, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
     before, rest = document.split(start, 1)
     return f"{before}{start}\n{text}\n{end}{rest.split(end, 1)[1]}"
 
 
 def measured_on() -> str:
-    """Format revision, date and machine of this run, as the end of a sentence below a table."""
+    """Format revision, date and machine of this run for the end of a note below a table."""
     run = describe_run(0.0)
     machine = run["machine"]
     return f"revision {run['revision']}, {run['date']}, {machine['cores']} cores of {machine['cpu']}."
 
 
 def with_report(shown: ShownReport, document: str, report: str) -> str:
-    """Insert every part of the report between its markers in `document`; missing parts are marked as such."""
+    """Return `document` with every part of the report between its markers; missing parts get a note."""
     parts = sections(shown, report)
     for name in re.findall(rf"<!-- ({shown.name}(?:-[a-z-]+)?):begin -->", document):
         document = insert(document, parts.get(name, _NOT_RUN), name)
@@ -176,14 +174,14 @@ def with_report(shown: ShownReport, document: str, report: str) -> str:
 
 
 def update(out: Path) -> str:
-    """Update docs/NAME and the page with tables of the report in `out`; returns NAME.
+    """Update docs/NAME and the page with tables of the report in `out`; return NAME.
 
     Raises ConfigError if there is no report.
     """
     present = [candidate for candidate in SHOWN if (out / candidate.file).is_file()]
     if not present:
         raise ConfigError(f"{out}: no report of {', '.join(candidate.name for candidate in SHOWN)}")
-    # The folder's name says which, where one study writes several.
+    # If one study writes several reports, the folder has the name of the report.
     shown = next((candidate for candidate in present if candidate.name == out.name), present[0])
     folder = Path("docs") / shown.name
     copy_report(shown, out, folder)
@@ -204,11 +202,15 @@ MODELS = ("mbm", "sm", "ssm")
 TRAJECTORIES = ("circle", "square", "s", "cane")
 OLDER = "* Older than the last change of the controller's commands: `make results` makes it anew."
 TOLERANCE = 1e-6
-"""Relative: processors round differently."""
+"""Relative tolerance of the sums [-]: processors round differently."""
 
 
 def drives() -> dict[str, list[float]]:
-    """Drive the simulated robot; ticks and sums of |v| [m/s], |omega| [rad/s] and both times the tick, by drive."""
+    """Drive the simulated robot; return a checksum of the commands by drive.
+
+    A checksum has the number of ticks, the sums of |v| [m/s] and |omega| [rad/s], and the sums of v and omega times the
+    number of the tick.
+    """
     sums = {}
     for model in MODELS:
         for trajectory in TRAJECTORIES:
@@ -219,30 +221,29 @@ def drives() -> dict[str, list[float]]:
 
 
 def alike(first: dict[str, list[float]], second: dict[str, list[float]]) -> bool:
-    """Return True if two sets of drives have the same commands apart from rounding."""
+    """Return True if two sets of drives have the same commands within `TOLERANCE`."""
     return first.keys() == second.keys() and all(
         np.allclose(first[name], second[name], rtol=TOLERANCE, atol=0.0) for name in first
     )
 
 
-def record(documents: Path, made: Collection[str], names: Iterable[str]) -> None:
-    """Record that the reports `made` are up to date with the commands.
+def record(documents: Path, updated: Collection[str], names: Iterable[str]) -> None:
+    """Record that the reports `updated` match the present commands.
 
-    Where those differ from the commands of the record, all other reports of `names` are older, and get a line with that
-    note.
+    If the commands differ from the recorded ones, all other reports of `names` are older and are marked.
     """
     path = documents / RECORD.name
     now = drives()
     known = json.loads(path.read_text(encoding="utf-8"))
     current_reports = set(known["reports"]) if alike(known["drives"], now) else set()
-    current = sorted(current_reports | set(made))
+    current = sorted(current_reports | set(updated))
     for name in set(names) - set(current):
         mark_as_older(documents / name / f"{name}.md")
     path.write_text(json.dumps({"reports": current, "drives": now}, indent=1) + "\n", encoding="utf-8")
 
 
 def mark_as_older(report: Path) -> None:
-    """Add the line to the facts of a report, unless it is there."""
+    """Add the line `OLDER` to the facts of a report unless it is present."""
     text = report.read_text(encoding="utf-8")
     if OLDER not in text:
         title, _, rest = text.partition("\n\n")
@@ -250,7 +251,7 @@ def mark_as_older(report: Path) -> None:
 
 
 if __name__ == "__main__":
-    made = [update(Path(argument)) for argument in sys.argv[1:]]
-    record(Path("docs"), made, [shown.name for shown in SHOWN])
+    updated = [update(Path(argument)) for argument in sys.argv[1:]]
+    record(Path("docs"), updated, [shown.name for shown in SHOWN])
     for shown in SHOWN:
         show(shown)

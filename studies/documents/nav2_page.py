@@ -1,6 +1,7 @@
-"""Table and figure of docs/nav2.md: one simulated robot, the same paths, Nav2's law and this project's controller.
+"""Table and figure of docs/nav2.md: Nav2's control law and this project's controller on the same robot and paths.
 
-`python -m studies.documents.nav2_page` writes both. Judged as paths, without times: the contents of a FollowPath goal.
+`python -m studies.documents.nav2_page` writes both. Errors are distances from the path, without times, as a FollowPath
+goal has none.
 """
 
 from __future__ import annotations
@@ -24,23 +25,23 @@ MARKER = "side-by-side"
 PATHS = ("circle", "s", "square", "cane")
 SEEDS = range(5)
 _EXTRA_TIME = 15.0
-"""A path without times may take longer [s]."""
+"""Additional time for a controller that is slower than the reference [s]."""
 _AT_REST = 0.01
 _SPACING = 0.002
 
 
 @dataclass(frozen=True)
 class Followed:
-    """Result of following a path: distances of the true position from it at each tick [m].
+    """Result of following a path.
 
     Attributes
     ----------
     away
-        (n,) distances from the path.
+        (n,) distances of the true position from the path at each tick [m].
     end, turned
-        Distance [m] and heading error [rad] at the end, once it stands.
+        Distance [m] and heading error [rad] from the end of the path, at rest.
     time, speed
-        Time until it stands [s], and mean speed over that time [m/s].
+        Time until the robot rests [s], and mean speed over that time [m/s].
     position
         (n, 2) position of the robot [m].
     """
@@ -54,7 +55,7 @@ class Followed:
 
 
 def short_carrot() -> TrackingController:
-    """Create Nav2's law with its carrot at half the distance."""
+    """Create Nav2's control law with half its look-ahead distance."""
     return RegulatedPurePursuit(parameters=load_parameters().model_copy(update={"lookahead_dist": 0.3}))
 
 
@@ -66,7 +67,7 @@ CONTROLLERS: dict[str, Callable[[], TrackingController]] = {
 
 
 def follow(make: Callable[[], TrackingController], reference: Reference, seed: int) -> Followed:
-    """Drive one path once, on the simulated skid-steer with its default floor and sensors."""
+    """Drive one path once, on the simulated skid-steer robot with the default surface and sensors."""
     plant = make_plant("mujoco", surface="default", sensors="default", seed=seed)
     run = simulate(make(), plant, reference, extra_time=_EXTRA_TIME)
     path = path_of(reference, _SPACING)
@@ -125,9 +126,9 @@ def draw(results: dict[tuple[str, str], list[Followed]], path: Path = FIGURE) ->
             line = path_of(load_trajectory(name), 0.02)
             axis.plot(line[:, 0], line[:, 1], color="0.8", linewidth=4.0, label="path")
             for index, controller in enumerate(CONTROLLERS):
-                way = results[name, controller][0].position
-                words = controller.replace("`", "")
-                axis.plot(way[:, 0], way[:, 1], line_style(index), color=colour(index), linewidth=1.0, label=words)
+                xy = results[name, controller][0].position
+                label = controller.replace("`", "")
+                axis.plot(xy[:, 0], xy[:, 1], line_style(index), color=colour(index), linewidth=1.0, label=label)
             axis.set_title(name)
             axis.set_aspect("equal")
             axis.set_xlabel("x [m]")

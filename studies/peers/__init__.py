@@ -1,1 +1,1 @@
-"""The study `peers`: every peer tuned by the same search with the same budget on the same runs, and the proof."""
+"""Study `peers`: tune every peer by the same search with one budget on the same runs, and check the optimum."""

@@ -1,4 +1,4 @@
-"""Tunes the peers, and shows that their neighbours are no better."""
+"""Tune the peers, and check that neighbouring gains are no better."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ _DIGITS = 4
 
 @dataclass
 class GainSearch:
-    """Minimises a function of positive values within ranges, on a logarithmic scale.
+    """Minimisation of a function of positive values within ranges, on a logarithmic scale.
 
     Attributes
     ----------
     objective
         Function to minimise.
     ranges
-        Lowest and highest value of each.
+        Minimum and maximum of each value.
     evaluations
-        Largest number of calls of `objective`.
+        Maximum number of calls of `objective`.
     tried
-        Every setting with its objective, in order.
+        Every evaluated setting with its objective, in order.
     """
 
     objective: Objective
@@ -56,7 +56,7 @@ class GainSearch:
 
     @property
     def best(self) -> tuple[Values, float]:
-        """The setting with the least objective; of equals the first."""
+        """The first setting with the minimum objective, and the objective."""
         return min(self.tried, key=lambda row: row[1])
 
     def scan(self, count: int, seed: int) -> None:
@@ -67,7 +67,7 @@ class GainSearch:
             self._try(dict(zip(self.ranges, np.exp(low + point * (high - low)).tolist(), strict=True)))
 
     def refine(self, factor: float) -> None:
-        """Multiply and divide one value after another by `factor`, which shrinks to its root when nothing helps."""
+        """Multiply and divide one value after another by `factor`; take its square root if nothing improves."""
         while len(self.tried) < self.evaluations:
             before = self.best[1]
             for name in self.ranges:
@@ -80,15 +80,15 @@ class GainSearch:
 
     def _step(self, name: str, factor: float) -> bool:
         """Move in one direction as long as the objective decreases; return True if it did."""
-        helped = False
+        has_improved = False
         while len(self.tried) < self.evaluations:
-            values, least = self.best
+            values, minimum = self.best
             low, high = self.ranges[name]
-            moved = values | {name: float(np.clip(values[name] * factor, low, high))}
-            if moved == values or not self._try(moved) < least:
-                return helped
-            helped = True
-        return helped
+            candidate = values | {name: float(np.clip(values[name] * factor, low, high))}
+            if candidate == values or not self._try(candidate) < minimum:
+                return has_improved
+            has_improved = True
+        return has_improved
 
     def _try(self, values: Values) -> float:
         rounded = {name: float(f"{value:.{_DIGITS}g}") for name, value in values.items()}
@@ -104,8 +104,8 @@ GAINS_FILE = "gains.yaml"
 TUNED = (*LAWS, "mppi", "mppi+slip")
 """Peers with gains, in the order of the file."""
 _FOLDER = Path(__file__).parent
-_LOST = 1.0
-"""Error that counts for a run that does not complete [m]."""
+_FAILED_ERROR = 1.0
+"""Error assigned to a run that does not complete [m]."""
 Count = Annotated[int, Field(ge=1, le=MAX_CASES)]
 
 
@@ -123,13 +123,13 @@ class PeersSettings(StrictModel):
 
 
 def load_settings(path: Path | None = None, *, quick: bool = False) -> PeersSettings:
-    """Read the settings; raises ConfigError when their file has a mistake."""
+    """Read the settings; raise ConfigError if their file is invalid."""
     return load_checked(PeersSettings, path or _FOLDER / ("quick.yaml" if quick else "settings.yaml"))
 
 
 @dataclass(frozen=True)
 class Neighbour:
-    """A gain times a factor, and position RMSE less that of the best setting on each run (runs,) [m]."""
+    """Result of a gain multiplied by a factor; `worse` (runs,) is the increase of the position RMSE on each run [m]."""
 
     gain: str
     factor: float
@@ -143,7 +143,7 @@ class Neighbour:
 
 @dataclass(frozen=True)
 class TunedPeer:
-    """A peer's best gains, the tried ones, and the results of their neighbours."""
+    """Best gains of a peer, all evaluated settings, and the results of neighbouring gains."""
 
     peer: str
     gains: Values
@@ -153,19 +153,19 @@ class TunedPeer:
 
 
 def position_errors(settings: PeersSettings, peer: str, values: Values) -> FloatArray:
-    """Compute position RMSE [m] of a peer with these gains on every run (runs,)."""
+    """Compute the position RMSE (runs,) of a peer with gains `values` on every run [m]."""
     gains, errors = law_kind(peer).gains(**values), []
     for trajectory, seeds in settings.runs.items():
         reference = load_trajectory(trajectory)
         for seed in seeds:
             run = simulate(make_tracking_peer(peer, gains), make_plant(settings.plant, seed=seed), reference)
             gap = (run.true_pose - run.reference_pose)[run.counted, :2]
-            errors.append(_LOST if run.ended else float(np.sqrt(np.mean(np.sum(gap * gap, axis=1)))))
+            errors.append(_FAILED_ERROR if run.ended else float(np.sqrt(np.mean(np.sum(gap * gap, axis=1)))))
     return np.array(errors)
 
 
 def tune(settings: PeersSettings, peer: str) -> TunedPeer:
-    """Search a peer's gains within the budget, then look at their neighbours."""
+    """Search a peer's gains within the budget, then evaluate neighbouring gains."""
     errors = partial(position_errors, settings, peer)
     search = GainSearch(
         lambda values: float(errors(values).mean()), settings.ranges[peer.partition("+")[0]], settings.evaluations
@@ -183,14 +183,14 @@ def tune(settings: PeersSettings, peer: str) -> TunedPeer:
 
 
 class PeersStudy(Study[list[str], list[TunedPeer]]):
-    """Tunes peers.
+    """Study that tunes peers.
 
     Parameters
     ----------
     settings
         Settings of the study.
     only
-        Names of peers; by default all whose law has ranges.
+        Names of peers; by default all peers with ranges in the settings.
     """
 
     name, title = "peers", "How the peers were tuned, and the effect of each gain"
@@ -208,12 +208,12 @@ class PeersStudy(Study[list[str], list[TunedPeer]]):
         return sorted(selected, key=lambda name: not name.startswith("mppi"))
 
     def run(self, plan: list[str], jobs: int, bar: ProgressBar) -> list[TunedPeer]:
-        """Tune each peer; a peer is one task."""
+        """Tune each peer in one task."""
         bar.start_stage("tuning", len(plan))
         return run_tasks([partial(tune, self._settings, name) for name in plan], jobs, bar.advance)
 
     def report(self, results: list[TunedPeer], seconds: float) -> Report:
-        """Report gains, and the proof."""
+        """Build the report with the gains, and the results of neighbouring gains."""
         settings = self._settings
         runs = ", ".join(f"{Path(name).stem} ({', '.join(map(str, seeds))})" for name, seeds in settings.runs.items())
         facts = [
@@ -227,13 +227,13 @@ class PeersStudy(Study[list[str], list[TunedPeer]]):
         proof = [
             {
                 "peer": result.peer,
-                "gain": it.gain,
-                "factor": it.factor,
-                "worse_m": float(it.worse.mean()),
-                "se_m": it.spread,
+                "gain": neighbour.gain,
+                "factor": neighbour.factor,
+                "worse_m": float(neighbour.worse.mean()),
+                "se_m": neighbour.spread,
             }
             for result in results
-            for it in result.neighbours
+            for neighbour in result.neighbours
         ]
         meta: dict[str, object] = {"settings": settings.model_dump(mode="json")}
         tables = [_summary(results, settings.scan), *(_proof(result) for result in results)]
@@ -244,8 +244,8 @@ def _summary(results: Sequence[TunedPeer], scan: int) -> Table:
     columns = ("peer", "after the scan [mm]", "tuned [mm]", "settings", "better neighbours", "beyond spread")
     rows = []
     for result in results:
-        better = [it for it in result.neighbours if it.worse.mean() < 0]
-        beyond = [it for it in better if -it.worse.mean() > 2 * it.spread]
+        better = [neighbour for neighbour in result.neighbours if neighbour.worse.mean() < 0]
+        beyond = [neighbour for neighbour in better if -neighbour.worse.mean() > 2 * neighbour.spread]
         counts = (str(len(result.tried)), str(len(better)), str(len(beyond)))
         rows.append(
             (
@@ -263,12 +263,12 @@ def _summary(results: Sequence[TunedPeer], scan: int) -> Table:
 
 
 def _proof(peer: TunedPeer) -> Table:
-    factors = sorted({it.factor for it in peer.neighbours})
+    factors = sorted({neighbour.factor for neighbour in peer.neighbours})
     fields = law_kind(peer.peer).gains.model_fields
     columns = ("gain", "what it acts on", "value", *(f"x {factor:g} [mm]" for factor in factors))
     rows = []
     for name, value in peer.gains.items():
-        by_factor = {it.factor: it for it in peer.neighbours if it.gain == name}
+        by_factor = {neighbour.factor: neighbour for neighbour in peer.neighbours if neighbour.gain == name}
         cells = [f"{1e3 * by_factor[f].worse.mean():+.2f} ± {1e3 * by_factor[f].spread:.2f}" for f in factors]
         rows.append((name, str(fields[name].description), f"{value:g}", *cells))
     note = f"Change of the mean position RMSE of {1e3 * peer.rmse:.2f} mm, ± its standard error over the runs."
@@ -276,14 +276,14 @@ def _proof(peer: TunedPeer) -> Table:
 
 
 def gains_text(results: Sequence[TunedPeer], settings: PeersSettings) -> str:
-    """Return the file of gains for `bench/peers`, and for the peers of `packages/extras`."""
+    """Format the file of gains for `bench/peers` and for the peers of `packages/extras`."""
     head = (
-        "# Gains of the peers; units stand at the fields of each law. Written by `python -m studies peers`: a\n"
-        f"# search of {settings.evaluations} settings for each, see studies/peers/settings.yaml. Beside each:\n"
-        "# its mean position RMSE on the tuning runs.\n"
+        "# Gains of the peers; the fields of each law state the units. Written by `python -m studies peers`: a\n"
+        f"# search of {settings.evaluations} settings for each, see studies/peers/settings.yaml. The comment of a\n"
+        "# peer is its mean position RMSE on the tuning runs.\n"
     )
     lines: list[str] = []
-    for result in sorted(results, key=lambda it: TUNED.index(it.peer)):
+    for result in sorted(results, key=lambda result: TUNED.index(result.peer)):
         flow: Mapping[str, float] = result.gains
         text = yaml.safe_dump({result.peer: dict(flow)}, sort_keys=False, default_flow_style=False)
         lines.append(text.replace(":\n", f":  # {1e3 * result.rmse:.2f} mm\n", 1))

@@ -1,4 +1,4 @@
-"""Cost of simulating a model: time per step and memory (P0, Table 3; P1, Table 5), with its rules and table."""
+"""Cost of simulating a model: time per step and memory (P0, Table 3; P1, Table 5), with findings and table."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ Sampled = DiscreteModel | NonlinearModel
 
 @dataclass(frozen=True)
 class Cost:
-    """Mean and standard deviation over runs.
+    """Cost of a model as (mean, standard deviation) over runs.
 
     Attributes
     ----------
     order
         Number of states.
     simulation_time
-        Processor time of a whole simulation: sampling the model, and as many steps as the paper's had [s].
+        Processor time of a whole simulation: sampling the model, and the number of steps in the paper [s].
     time_per_step
         Processor time of a step [s].
     memory
-        Largest additional memory of a run [MB].
+        Maximum additional memory of a run [MB].
     """
 
     order: int
@@ -55,16 +55,15 @@ class Cost:
 def measure_cost(study: CostStudy, on_done: Callable[[], None] = lambda: None) -> dict[str, Cost]:
     """Simulate the shipped models from commands to poses, one after the other, on one core with one BLAS thread.
 
-    The numbers in a model do not change its computing time. Time is processor time: on an idle machine it equals the
-    elapsed time, and other programs do not count. Memory is measured in separate runs, since its measurement takes
-    time.
+    The parameters of a model do not change its computing time. Time is processor time: it equals the elapsed time on an
+    idle machine, and excludes other programs. Memory is measured in separate runs, because measuring it takes time.
 
     Parameters
     ----------
     study
-        Number of runs and of their steps.
+        Number of runs, and number of steps in a run.
     on_done
-        Called after each run.
+        Function that is called after each run.
     """
     dt = load_robot().sample_time
     commands = random_commands(_SEED, duration=study.steps * dt)
@@ -81,8 +80,8 @@ def measure_cost(study: CostStudy, on_done: Callable[[], None] = lambda: None) -
         predict_path(model, commands, np.zeros(3))
 
     simulated: dict[str, list[float]] = {name: [] for name in models}
-    took: dict[str, list[float]] = {name: [] for name in models}
-    held: dict[str, list[float]] = {name: [] for name in models}
+    step_times: dict[str, list[float]] = {name: [] for name in models}
+    memory: dict[str, list[float]] = {name: [] for name in models}
     with quiet_core():
         for model in models.values():
             run(model)
@@ -90,7 +89,7 @@ def measure_cost(study: CostStudy, on_done: Callable[[], None] = lambda: None) -
             for name, model in models.items():
                 began = time.thread_time()
                 run(model)
-                took[name].append((time.thread_time() - began) / study.steps)
+                step_times[name].append((time.thread_time() - began) / study.steps)
                 began = time.thread_time()
                 predict_path(ready[name](), whole[name], np.zeros(3))
                 simulated[name].append(time.thread_time() - began)
@@ -99,11 +98,11 @@ def measure_cost(study: CostStudy, on_done: Callable[[], None] = lambda: None) -
             for name, model in models.items():
                 tracemalloc.start()
                 run(model)
-                held[name].append(tracemalloc.get_traced_memory()[1] / _BYTES_PER_MB)
+                memory[name].append(tracemalloc.get_traced_memory()[1] / _BYTES_PER_MB)
                 tracemalloc.stop()
             on_done()
     return {
-        name: Cost(model.order, *(_mean_and_std(values[name]) for values in (simulated, took, held)))
+        name: Cost(model.order, *(_mean_and_std(values[name]) for values in (simulated, step_times, memory)))
         for name, model in models.items()
     }
 
@@ -113,9 +112,9 @@ def _mean_and_std(values: list[float]) -> tuple[float, float]:
 
 
 def cost_findings(cost: Mapping[str, Cost], published: Published) -> list[PaperFinding]:
-    """Compare mean costs; single times differ from machine to machine."""
-    took = {name: entry.time_per_step[0] for name, entry in cost.items()}
-    held = {name: entry.memory[0] for name, entry in cost.items()}
+    """Compare ratios of mean costs with the papers; absolute times depend on the machine."""
+    step_times = {name: entry.time_per_step[0] for name, entry in cost.items()}
+    memory = {name: entry.memory[0] for name, entry in cost.items()}
     simulated = {name: entry.simulation_time[0] for name, entry in cost.items()}
     printed, rules = published.cost, published.rules
     return [
@@ -130,34 +129,34 @@ def cost_findings(cost: Mapping[str, Cost], published: Published) -> list[PaperF
             f"a step of SM takes less than {rules.quicker:g} of the time of one of MBM",
             "P0, Table 3",
             f"{printed['sm'].time_per_step[0] / printed['mbm'].time_per_step[0]:.2f}",
-            f"{took['sm'] / took['mbm']:.2f}",
-            (took["sm"] < rules.quicker * took["mbm"],),
+            f"{step_times['sm'] / step_times['mbm']:.2f}",
+            (step_times["sm"] < rules.quicker * step_times["mbm"],),
         ),
         PaperFinding(
             "simulating SM takes less memory than simulating MBM",
             "P0, Table 3",
             f"{printed['sm'].memory[0] / printed['mbm'].memory[0]:.2f} of it",
-            f"{held['sm'] / held['mbm']:.2f} of it",
-            (held["sm"] < held["mbm"],),
+            f"{memory['sm'] / memory['mbm']:.2f} of it",
+            (memory["sm"] < memory["mbm"],),
         ),
         PaperFinding(
             f"a step of SSM is more than {rules.much_quicker:g} times as quick as one of SM",
             "P0, Table 3 and P1, Table 5",
             f"{printed['sm'].time_per_step[0] / printed['ssm'].time_per_step[0]:.0f} times",
-            f"{took['sm'] / took['ssm']:.1f} times",
-            (took["sm"] > rules.much_quicker * took["ssm"],),
+            f"{step_times['sm'] / step_times['ssm']:.1f} times",
+            (step_times["sm"] > rules.much_quicker * step_times["ssm"],),
         ),
-        *([_network(took, printed, rules.much_quicker)] if NETWORK in took else []),
+        *([_network(step_times, printed, rules.much_quicker)] if NETWORK in step_times else []),
     ]
 
 
-def _network(took: Mapping[str, float], printed: Mapping[str, PublishedCost], much: float) -> PaperFinding:
+def _network(times: Mapping[str, float], printed: Mapping[str, PublishedCost], ratio: float) -> PaperFinding:
     return PaperFinding(
-        f"a step of SSM is more than {much:g} times as quick as one of LSTM",
+        f"a step of SSM is more than {ratio:g} times as quick as one of LSTM",
         "P1, Table 5",
         f"{printed[NETWORK].time_per_step[0] / printed['ssm'].time_per_step[0]:.0f} times",
-        f"{took[NETWORK] / took['ssm']:.1f} times",
-        (took[NETWORK] > much * took["ssm"],),
+        f"{times[NETWORK] / times['ssm']:.1f} times",
+        (times[NETWORK] > ratio * times["ssm"],),
     )
 
 
@@ -175,14 +174,14 @@ def cost_table(cost: Mapping[str, Cost], published: Published) -> Table:
     note = (
         "Mean ± standard deviation over runs. Published: P0, Table 3 (MBM and SM in Simulink; its Table 4 prints 32 MB "
         "and 5.3 MB for what Table 3 gives as 0.032 and 0.0053 MB); P1, Table 5 (SSM and "
-        "LSTM, whose windows are worked out all at once here). Ours: from commands "
-        "to poses, one process, one BLAS thread, processor time; a simulation has as many steps as the paper's, and "
-        "samples the model first; memory is the most held at a time."
+        "LSTM, whose windows are evaluated in one batch here). Ours: from commands "
+        "to poses, one process, one BLAS thread, processor time; a simulation has the number of steps in the paper, "
+        "and samples the model first; memory is the peak."
     )
     return Table("Cost of a simulation", ("model", "states", *values), tuple(rows), note=note)
 
 
 def _pair(values: tuple[float, float], factor: float) -> str:
     mean, deviation = (factor * value for value in values)
-    # Runs that hold the same amount differ by rounding of the mean only.
+    # For runs with equal values, the deviation is only rounding of the mean.
     return f"{mean:.3g} ± {deviation:.2g}" if deviation > _ROUNDING * mean else f"{mean:.3g} ± 0"

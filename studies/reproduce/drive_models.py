@@ -1,6 +1,6 @@
-"""P2's comparison: velocities by no model, by its two drive models and by SM, compared with the measured ones.
+"""P2's comparison of measured velocities with predictions without a model, by its two drive models, and by SM.
 
-P2: Ivanjko et al., Modelling of Mobile Robot Dynamics. Mean and largest error of a free run, on drives of the simulated
+P2: Ivanjko et al., Modelling of Mobile Robot Dynamics. Mean and maximum error of a free run, on drives of the simulated
 robot with changes of direction, and on logs of real robots by the protocol of `real_logs.yaml`.
 """
 
@@ -28,15 +28,15 @@ from studies.reproduce.real_logs import divide, load_protocol
 NO_MODEL, PHYSICAL, EXPERIMENTAL, SM = "no model", "physical", "experimental", "SM"
 KINDS: Mapping[str, Kind] = {PHYSICAL: "drive_physical", EXPERIMENTAL: "drive_experimental"}
 SHARP = ", sharp"
-"""Suffix for the same numbers without the smoothing that derivatives need."""
+"""Suffix for predictions with the same parameters, but without the smoothing that derivatives need."""
 TWIN = "simulated robot"
 _SEEDS_EACH, _FIRST_SEED = 1000, 500
-"""Seeds of a repetition, and where this part's begin in it: beyond those of every other drive."""
+"""Number of seeds of a repetition, and the first one of this part, which no other drive uses."""
 
 
 @dataclass(frozen=True)
 class VelocityErrors:
-    """(mean, largest) error of v [mm/s] and of omega [degrees per second]."""
+    """(mean, maximum) error of v [mm/s] and of omega [degrees per second]."""
 
     v: tuple[float, float]
     omega: tuple[float, float]
@@ -51,15 +51,15 @@ class DriveModelsResult:
     source
         The simulated robot or a log.
     repetition
-        Number of the simulated robot's drive; 0 for a log.
+        Number of the repetition on the simulated robot; 0 for a log.
     errors
-        By model.
+        Errors by model.
     values
-        Numbers of v and omega by drive model, units as in `extras/drives/settings.yaml`.
+        Parameters of v and omega by drive model, units as in `extras/drives/settings.yaml`.
     dead_time
-        (2,) of v and omega [s], by drive model.
+        (2,) dead times of v and omega [s] by drive model.
     at_bound
-        By drive model, the numbers on a bound of the search.
+        Names of parameters on a bound of the search, by drive model.
     """
 
     source: str
@@ -90,12 +90,12 @@ def twin_records(study: DriveStudy, repetition: int) -> tuple[list[Record], list
 
 
 def compare_on_twin(study: DriveStudy, repetition: int) -> DriveModelsResult:
-    """Fit and score on drives of the simulated robot."""
+    """Fit and validate the models on drives of the simulated robot."""
     return compare(TWIN, repetition, *twin_records(study, repetition))
 
 
 def compare_on_log(name: str, data: Path) -> DriveModelsResult:
-    """Fit on the first rows of a log in the folder `data` and score on the others; raises ConfigError without it."""
+    """Fit on the first rows of a log in the folder `data`, validate on the rest; raise ConfigError if it is missing."""
     protocol = load_protocol()
     read = read_log(data / protocol.log(name).file, protocol.log(name).mapping)
     read.require_sound()
@@ -103,7 +103,7 @@ def compare_on_log(name: str, data: Path) -> DriveModelsResult:
 
 
 def compare(source: str, repetition: int, train: Sequence[Record], held_out: Sequence[Record]) -> DriveModelsResult:
-    """Fit on some records, score on others."""
+    """Fit the models on records `train`, and validate them on records `held_out`."""
     fits = {name: fit_drive(kind, train) for name, kind in KINDS.items()}
     predictions = {NO_MODEL: [record.command for record in held_out]}
     for name, fit in fits.items():
@@ -141,7 +141,7 @@ def velocity_errors(simulated: Sequence[FloatArray], records: Sequence[Record]) 
 
 
 def drive_model_tables(results: Sequence[DriveModelsResult], published: Published) -> list[Table]:
-    """Tabulate errors next to the paper's, and the identified numbers."""
+    """Tabulate the errors with those of the paper, and the identified parameters."""
     paper = published.drive_models
     rows = [
         (f"P2, {data}", name, *(f"{value:.2f}" for value in (*errors.v, *errors.omega)))
@@ -161,16 +161,16 @@ def drive_model_tables(results: Sequence[DriveModelsResult], published: Publishe
         tuple(rows),
         text_columns=2,
         note="Published: P2, Tables 3 to 7; it has no gain, and its omega is that of the wheels; ours is the gyro's. "
-        "On parts that nothing was fitted to: of logs the last 40 % of the rows. No model: the command itself. "
-        "'sharp': the same numbers without rounding. Of the simulated robot, means over repetitions.",
+        "On validation data: of logs the last 40 % of the rows. No model: the command. "
+        "'sharp': the same parameters without smoothing. On the simulated robot, means over repetitions.",
     )
     parameters = Table(
         "Numbers of the drive models",
         ("data", "model", "v", "omega"),
         tuple(numbers),
         text_columns=4,
-        note="SI units, of the first repetition; the actuator lag is the paper's 1.1 ms. * lies on a bound of the "
-        "search: the data do not determine it.",
+        note="SI units, first repetition; the actuator lag is 1.1 ms as in the paper. *: on a bound of the search, so "
+        "the data do not determine the parameter.",
     )
     return [errors, parameters]
 

@@ -1,4 +1,4 @@
-"""Drives of the simulated robot as records, and the pose that a model predicts from their commands alone."""
+"""Records of drives of the simulated robot, and poses that a model predicts from their commands alone."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from studies.reproduce.published import PaperRange
 StepKind = Literal["wheels", "v", "omega"]
 STEP_KINDS: tuple[StepKind, ...] = ("wheels", "v", "omega")
 STATISTICS = {"RMSE": "rmse", "mean": "mean", "standard deviation": "std", "max": "max"}
-"""Names of the papers' statistics, in the order of their tables."""
+"""Field of `Spread` by the papers' name of the statistic, in the order of their tables."""
 QUANTITIES = {"position": "m", "heading": "rad"}
-"""Parts of a pose error, and their units."""
+"""Unit of each part of a pose error."""
 _SEEDS_EACH = 1000
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Statistics of the size of an error over a run, as the papers print them."""
+    """Statistics of an absolute error over a run, as in the papers."""
 
     rmse: float
     mean: float
@@ -52,13 +52,13 @@ class Spread:
 
     @property
     def statistics(self) -> list[float]:
-        """In the order of `STATISTICS`."""
+        """Values in the order of `STATISTICS`."""
         return [getattr(self, field) for field in STATISTICS.values()]
 
 
 @dataclass(frozen=True)
 class PathError:
-    """Errors of a predicted path against the driven one, at the same times.
+    """Errors of a predicted path against the driven path at the same times.
 
     Attributes
     ----------
@@ -75,7 +75,8 @@ class PathError:
 def dead_reckon(twist: FloatArray, start: ArrayLike, dt: float) -> FloatArray:
     """Integrate a twist (K, 2) v [m/s], omega [rad/s] to poses (K, 3) from `start` (3,).
 
-    Exact arcs of the mean twist between two samples, without side-slip (Guffanti et al., Sensors 2025, 25(11), 3553).
+    Between two samples the path is an exact arc of the mean twist, without side-slip (Guffanti et al., Sensors 2025,
+    25(11), 3553).
     """
     start = np.asarray(start, dtype=float)
     v, omega = (0.5 * (twist[1:] + twist[:-1])).T
@@ -88,8 +89,8 @@ def dead_reckon(twist: FloatArray, start: ArrayLike, dt: float) -> FloatArray:
 def sampled(system: LinearSystem, dt: float) -> DiscreteModel:
     """Sample an identified system without its sensor offsets, with `dt` [s].
 
-    It need not be a robot's: an identification may place a pole that the data do not determine further out than
-    `VelocityModel` accepts.
+    Unlike `VelocityModel`, this accepts any poles: an identification may place a pole far out if the data do not
+    determine it.
     """
     return zero_order_hold(system.A, system.B, system.C, system.dead_time, dt)
 
@@ -100,32 +101,32 @@ def predict_path(model: DiscreteModel | NonlinearModel, commands: FloatArray, st
 
 
 def pose_error(predicted: FloatArray, driven: FloatArray) -> PathError:
-    """Compute statistics of predicted poses (K, 3) against driven ones (K, 3), headings unwrapped."""
+    """Compute error statistics of predicted poses (K, 3) against driven poses (K, 3), with unwrapped headings."""
     error = predicted - driven
     return PathError(Spread.of_errors(np.hypot(error[:, 0], error[:, 1])), Spread.of_errors(error[:, 2]))
 
 
 class RobotLogs:
-    """The drives of one repetition; each has its own seed, in the order of the requests.
+    """Source of the drives of one repetition; each requested drive takes the next seed.
 
-    Poses of the records are true ones: the papers hold predictions against a localisation, whose own error is small
-    beside theirs.
+    The records contain true poses: the papers compare predictions with a localisation, whose error is small compared
+    with the prediction error.
 
     Parameters
     ----------
     repetition
-        Number of the first seed.
+        Number of the repetition, which determines the seeds.
     """
 
     def __init__(self, repetition: int) -> None:
         self._seeds: Iterator[int] = iter(range(_SEEDS_EACH * repetition, _SEEDS_EACH * (repetition + 1)))
 
     def steps(self, kind: StepKind) -> list[Record]:
-        """Drive the steps of "wheels", "v" or "omega"; see `sim.plants.open_loop.step_commands`."""
-        return self._driven(f"step of {kind}", step_commands(kind))
+        """Record the steps of "wheels", "v" or "omega"; see `sim.plants.open_loop.step_commands`."""
+        return self._record_drives(f"step of {kind}", step_commands(kind))
 
     def free(self, drives: int, duration: float, largest: PaperRange | None = None) -> list[Record]:
-        """Free drives of `duration` [s] each: smoothed random set-points, stretched to end at `largest` if given."""
+        """Record drives of `duration` [s] each with smoothed random set-points, scaled to the maximum `largest`."""
         ranges = load_command_parameters().random
         ends = np.array([ranges.v_range[1], ranges.omega_range[1]])
         stretch = np.array([largest.v, largest.omega]) / ends if largest else np.ones(2)
@@ -135,15 +136,15 @@ class RobotLogs:
         ]
 
     def trajectory(self, name: str) -> Record:
-        """Drive a trajectory's commands in open loop, from rest at the origin."""
-        return self._driven(name, [trajectory_commands(name)])[0]
+        """Record a trajectory's commands in open loop, from rest at the origin."""
+        return self._record_drives(name, [trajectory_commands(name)])[0]
 
-    def _driven(self, name: str, commands: Iterable[FloatArray]) -> list[Record]:
+    def _record_drives(self, name: str, commands: Iterable[FloatArray]) -> list[Record]:
         return [record_of(name, next(self._seeds), rows) for rows in commands]
 
 
 def trajectory_commands(name: str) -> FloatArray:
-    """Return v [m/s], omega [rad/s] (K, 2) of a trajectory's segments, one row per sample, without ramps in between."""
+    """Return v [m/s], omega [rad/s] (K, 2) of a trajectory's segments, one row per sample, without ramps."""
     segments, dt = load_segments(name), load_robot().sample_time
     ends = np.cumsum([segment.duration for segment in segments])
     rows = np.searchsorted(ends, dt * np.arange(round(ends[-1] / dt)), side="right")

@@ -1,4 +1,4 @@
-"""The figures of `reproduce`: responses and odometry of MBM and SM, FIT of SSM by order, the virtual track."""
+"""Figures of `reproduce`: responses and odometry of MBM and SM, FIT of SSM by order, and the virtual track."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _PARTS = {"position": slice(2), "heading": slice(2, 3)}
 
 
 def draw_odometry(results: Sequence[MbmSmResult], path: Path) -> None:
-    """Draw the paths of the first repetition, and the mean RMSE over all of them."""
+    """Draw the paths of the first repetition, and the mean RMSE over all repetitions."""
     first = results[0]
     with new_figure(path, 10.0, 6.2) as figure:
         halves = figure.add_gridspec(2, 1)
@@ -126,7 +126,7 @@ def _times(count: int) -> FloatArray:
 
 
 def draw_orders(results: Sequence[SsmResult], path: Path) -> None:
-    """Draw the improvement of each order over order 2, in v and in omega; bars reach over the repetitions."""
+    """Draw the improvement of each order over order 2, in v and in omega; bars span the repetitions."""
     printed = load_published().orders
     tested = [row.order for row in results[0].orders if row.order >= PAPERS_ORDER]
     with new_figure(path, 9.0, 3.4) as figure:
@@ -153,7 +153,7 @@ def draw_orders(results: Sequence[SsmResult], path: Path) -> None:
 
 
 def draw_virtual_track(result: VirtualTrackResult, path: Path) -> None:
-    """Draw the tests as printed and with tracks exchanged, each with the printed line and the one fitted to it."""
+    """Draw the tests as printed and with exchanged tracks, each with the printed and the fitted line."""
     with new_figure(path, 9.0, 3.6) as figure:
         left, right = figure.subplots(1, 2, sharey=True)
         _draw(left, result.tests, result.printed, result.fitted)

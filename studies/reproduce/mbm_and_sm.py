@@ -1,4 +1,4 @@
-"""MBM and SM from steps, held against each other on trajectories (Guffanti et al., Sensors 2025, 25(11), 3553)."""
+"""MBM and SM identified from steps, compared on trajectories (Guffanti et al., Sensors 2025, 25(11), 3553)."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from studies.reproduce.drives import (
     predict_path,
     sampled,
 )
-from studies.reproduce.published import MbmSmStudy, PaperFinding, Published, each
+from studies.reproduce.published import MbmSmStudy, PaperFinding, Published, as_flags
 
 MBM, MBM_TRACKS, SM = "MBM", "MBM, own tracks", "SM"
 COMPARED = (MBM, MBM_TRACKS, SM)
-"""MBM as the paper has it, MBM with identified tracks, SM."""
+"""MBM as in the paper, MBM with identified tracks, and SM."""
 DATA = ("steps used", "steps held out", "free drives")
 _HELD_OUT = DATA[1]
 _CIRCLE = "circle"
@@ -42,26 +42,26 @@ _MOTORS = ("front left", "front right", "rear left", "rear right")
 
 @dataclass(frozen=True)
 class MbmSmResult:
-    """One repetition.
+    """Result of one repetition.
 
     Attributes
     ----------
     repetition
         Number of the repetition.
     motor_fit
-        By data, FIT of the motors front left, front right, rear left, rear right [%].
+        FIT of the motors front left, front right, rear left, rear right [%], by data set.
     sm_fit
-        By data, FIT of v and omega [%].
+        FIT of v and omega [%], by data set.
     errors
-        By model and trajectory.
+        Errors by model and trajectory.
     paths
-        By trajectory, the driven poses (K, 3) under the name "driven" and those that the models predict.
+        Poses (K, 3) by trajectory and by model; the driven poses have the name "driven".
     responses
-        By motor and by channel of SM, measured and simulated speeds (K, 2) [rad/s, m/s] over the held-out steps.
+        Measured and simulated speeds (K, 2) [rad/s, m/s] of the held-out steps, by motor and by channel of SM.
     parameters
-        By model, the result of the identification.
+        Identified parameters by model.
     warnings
-        By model, the doubts about the result.
+        Warnings of the identification by model.
     """
 
     repetition: int
@@ -77,8 +77,8 @@ class MbmSmResult:
 def compare_mbm_and_sm(study: MbmSmStudy, repetition: int) -> MbmSmResult:
     """Identify MBM and SM from the paper's steps and predict the paper's trajectories.
 
-    The paper turns commands into wheel speeds, and these into twists, with the robot's geometric track: that is "MBM".
-    "MBM, own tracks" has the track of the firmware and the one that the gyro asks for, both identified.
+    In the paper, MBM converts commands to wheel speeds, and these to twists, with the robot's geometric track. In "MBM,
+    own tracks", the firmware's track and the effective track of the gyro are identified.
     """
     logs, robot = RobotLogs(repetition), load_robot()
     used, held_out = ({kind: logs.steps(kind) for kind in STEP_KINDS} for _ in range(2))
@@ -90,7 +90,7 @@ def compare_mbm_and_sm(study: MbmSmStudy, repetition: int) -> MbmSmResult:
     models = {MBM: mbm, MBM_TRACKS: own_tracks, SM: sm}
     paths = {name: _paths(models, logs.trajectory(name)) for name in study.trajectories}
     of_motors = dict(zip(DATA, (used["wheels"], held_out["wheels"], free), strict=True))
-    # Each channel has its own steps, as in the paper.
+    # Each channel has separate steps, as in the paper.
     of_v = dict(zip(DATA, (used["v"], held_out["v"], free), strict=True))
     of_omega = dict(zip(DATA, (used["omega"], held_out["omega"], free), strict=True))
     return MbmSmResult(
@@ -142,24 +142,24 @@ def _paths(models: Mapping[str, IdentifiedModel], driven: Record) -> dict[str, F
 
 def mbm_sm_findings(results: Sequence[MbmSmResult], published: Published) -> list[PaperFinding]:
     """Compare FIT of motors and channels, and the prediction of paths."""
-    least, fit = published.motor_fit_percent, published.sm_fit_percent
+    minimum, fit = published.motor_fit_percent, published.sm_fit_percent
     motors = np.array([result.motor_fit[_HELD_OUT] for result in results])
     channels = np.array([result.sm_fit[_HELD_OUT] for result in results])
     v, omega = channels.mean(axis=0)
     return [
         PaperFinding(
-            f"two poles without zeros explain every motor with a FIT above {least:g} % (steps held out)",
+            f"two poles without zeros explain every motor with a FIT above {minimum:g} % (steps held out)",
             "P0, section on MBM",
-            f"all four > {least:g} %",
+            f"all four > {minimum:g} %",
             f"{motors.mean(axis=0).min():.1f} to {motors.mean(axis=0).max():.1f} %",
-            each((motors > least).all(axis=1)),
+            as_flags((motors > minimum).all(axis=1)),
         ),
         PaperFinding(
             "SM explains v better than omega (steps held out)",
             "P0, section on SM",
             f"{fit.v:.2f} against {fit.omega:.2f} %",
             f"{v:.2f} against {omega:.2f} %",
-            each(channels[:, 0] > channels[:, 1]),
+            as_flags(channels[:, 0] > channels[:, 1]),
         ),
         *(_beats_sm(results, published, MBM, "MBM", quantity) for quantity in QUANTITIES),
         *(_beats_sm(results, published, MBM_TRACKS, "MBM with identified tracks", quantity) for quantity in QUANTITIES),
@@ -177,7 +177,7 @@ def _beats_sm(
         "P0, Table 2" if model == MBM else "P0, Table 2; the tracks are ours",
         _compared(printed[0], printed[1], QUANTITIES[quantity]),
         _compared(ours.mean(axis=0), theirs.mean(axis=0), QUANTITIES[quantity]),
-        each((ours < theirs).all(axis=1)),
+        as_flags((ours < theirs).all(axis=1)),
     )
 
 
@@ -192,7 +192,7 @@ def _circle_is_worst(results: Sequence[MbmSmResult], published: Published) -> Pa
         "P0, Table 2",
         ", ".join(f"{model_name}: {names[int(values.argmax())]}" for model_name, values in printed.items()),
         ", ".join(f"{model_name}: {names[int(table.mean(axis=0).argmax())]}" for model_name, table in ours.items()),
-        each((worst == circle).all(axis=0)),
+        as_flags((worst == circle).all(axis=0)),
     )
 
 
@@ -230,8 +230,8 @@ def _fit_table(results: Sequence[MbmSmResult], published: Published) -> Table:
         for i, channel in enumerate(CHANNELS)
     ]
     note = (
-        "FIT [%] of a free simulation from commands, mean over repetitions. The paper does not say which part of its "
-        "data its figures belong to. Steps of its own for each: wheels for the motors, v and omega for SM."
+        "FIT [%] of a free simulation from commands, mean over repetitions. The paper does not state the data of its "
+        "figures. Separate steps: wheels for the motors, v and omega for SM."
     )
     columns = ("model", "output", "published", *DATA)
     return Table("FIT of motors and of SM", columns, tuple(rows), text_columns=2, note=note)
@@ -253,15 +253,15 @@ def _odometry(results: Sequence[MbmSmResult], published: Published, quantity: st
     columns = (f"error [{QUANTITIES[quantity]}]", "trajectory", "published MBM", "published SM", *COMPARED)
     note = (
         "Predicted from commands alone, against the true pose; mean over repetitions. Published: P0, Table 2, "
-        "averages from its rows. The paper's twists and durations are not in its text: the paths are of one shape, "
-        "not of one size."
+        "averages from its rows. The paper does not state twists and durations, so the paths have the same shape, but "
+        "another size."
     )
     title = f"{quantity.capitalize()} errors of open-loop odometry"
     return Table(title, columns, tuple(rows), text_columns=2, note=note)
 
 
 def _errors(results: Sequence[MbmSmResult], model: str, quantity: str) -> FloatArray:
-    """Compute (trajectories, statistics), mean over repetitions."""
+    """Compute mean error statistics over repetitions (trajectories, statistics)."""
     every = [[getattr(error, quantity).statistics for error in result.errors[model].values()] for result in results]
     return np.asarray(np.mean(every, axis=0))
 

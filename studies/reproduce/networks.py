@@ -1,4 +1,4 @@
-"""LSTM and SSM from one long free drive, and the nine networks of Table 2 (P1).
+"""LSTM and SSM identified from one long free drive, and the nine networks of Table 2 (P1).
 
 P1: Guffanti, Pavon, Sensors 2025, 25(18), 5821.
 """
@@ -20,19 +20,19 @@ from diffdrive_mpc_extras.networks.finding import simulate_records
 from diffdrive_mpc_extras.networks.network import Architecture, Network, divided, fit_percent, rmse, windows_of
 from diffdrive_mpc_extras.networks.training import train, training_settings
 from studies.reproduce.drives import QUANTITIES, STATISTICS, RobotLogs, dead_reckon, pose_error
-from studies.reproduce.published import NetworkStudy, PaperFinding, Published, PublishedNetwork, each
+from studies.reproduce.published import NetworkStudy, PaperFinding, Published, PublishedNetwork, as_flags
 from studies.reproduce.state_space import FIT_COLUMNS, PAPERS_ORDER, FreeDrive, VelocityFit, free_drive
 
 SSM, LSTM, LONGER = "SSM", "LSTM", "LSTM, trained longer"
 PAPERS_ROW = 2
-"""The row of Table 2 that the paper settles on."""
+"""Row of Table 2 that the paper selects."""
 _OTHER_SEEDS = 100
 _TABLE_2, _TABLE_3, _TABLE_4 = "P1, Table 2", "P1, Table 3", "P1, Table 4"
 
 
 @dataclass(frozen=True)
 class NetworkRow:
-    """One row of Table 2: FIT and RMSE on the validation and test parts of the drive, and the effort."""
+    """One row of Table 2: errors on the validation and test parts of the drive, and numbers of parameters and steps."""
 
     row: int
     parameters: int
@@ -43,14 +43,14 @@ class NetworkRow:
 
 @dataclass(frozen=True)
 class NetworkRows:
-    """Some rows of Table 2, all from one drive."""
+    """Rows of Table 2, trained with the same drive."""
 
     rows: tuple[NetworkRow, ...]
 
 
 @dataclass(frozen=True)
 class NetworkResult:
-    """One repetition: free drives by model; all were identified from the same drive, as fast as the paper's."""
+    """Result of one repetition: free drives by model; all models were identified from the same drive."""
 
     repetition: int
     free_drives: Mapping[str, tuple[FreeDrive, ...]]
@@ -79,7 +79,7 @@ def _network_drive(network: Network, drive: Record) -> FreeDrive:
 
 
 def train_rows(study: NetworkStudy, published: Mapping[int, PublishedNetwork], repetition: int) -> NetworkRows:
-    """Train the networks of these rows of Table 2 with the drive of `compare_with_ssm`."""
+    """Train the networks in `published`, rows of Table 2, with the drive of `compare_with_ssm`."""
     drive = RobotLogs(_OTHER_SEEDS + repetition).free(1, study.train_duration, study.paper_range)
     experiments, trained = twist_experiments(drive), []
     for row, stated in published.items():
@@ -129,7 +129,7 @@ def _better_fit(results: Sequence[NetworkResult], published: Published) -> Paper
         _TABLE_3,
         pair.format(*paper),
         pair.format(*ssm.mean(axis=0), *lstm.mean(axis=0)),
-        each((ssm > lstm).all(axis=1)),
+        as_flags((ssm > lstm).all(axis=1)),
     )
 
 
@@ -157,7 +157,7 @@ def _better_odometry(results: Sequence[NetworkResult], published: Published) -> 
         _TABLE_4,
         pair.format(*paper),
         pair.format(*ssm.mean(axis=0), *lstm.mean(axis=0)),
-        each((ssm < lstm).all(axis=1)),
+        as_flags((ssm < lstm).all(axis=1)),
     )
 
 
@@ -170,7 +170,7 @@ def _best_row(rows: Sequence[NetworkRow], published: Published) -> PaperFinding:
         words.append(f"row {best} with {means[best]:.2f} %, row {PAPERS_ROW} with {means[PAPERS_ROW]:.2f} %")
     return PaperFinding(
         f"the network of row {PAPERS_ROW} has the best test FIT of the nine (mean of v and omega)",
-        f"{_TABLE_2}; its text, its numbers say otherwise",
+        f"text of {_TABLE_2}, which contradicts its numbers",
         words[0],
         words[1],
         (max(ours, key=ours.__getitem__) == PAPERS_ROW,),
@@ -178,7 +178,7 @@ def _best_row(rows: Sequence[NetworkRow], published: Published) -> PaperFinding:
 
 
 def row_table(rows: Sequence[NetworkRow], published: Published) -> Table:
-    """Tabulate the nine networks, with the paper's figures next to ours."""
+    """Tabulate the nine networks with the figures of the paper and ours."""
     lines = []
     for row in sorted(rows, key=lambda row: row.row):
         scores = published.networks[row.row]
@@ -202,14 +202,14 @@ def row_table(rows: Sequence[NetworkRow], published: Published) -> Table:
         "steps",
     )
     note = (
-        "Published: P1, Table 2, test. Ours: the last 10 % of one drive in time; one training each, one seed. Rate of "
-        "the optimiser 0.001, weights of the best look at the validation part: the paper says neither."
+        "Published: P1, Table 2, test. Ours: the last 10 % of one drive in time; one training each, one seed. The "
+        "learning rate of 0.001, and the weights of the best validation, are not stated in the paper."
     )
     return Table("The nine networks", columns, tuple(lines), 3, note)
 
 
 def beside_tables(results: Sequence[NetworkResult], published: Published) -> list[Table]:
-    """Tabulate velocity and odometry of SSM and LSTM on free drives, with the paper's experiments next to ours."""
+    """Tabulate velocity and odometry errors of SSM and LSTM on free drives, of the paper and ours."""
     lines: list[tuple[str, str, FloatArray, bool]] = []
     paper = {SSM: (published.free_drives, published.free_drives_average)}
     paper[LSTM] = (published.lstm_drives, published.lstm_drives_average)
@@ -228,7 +228,7 @@ def beside_tables(results: Sequence[NetworkResult], published: Published) -> lis
     ]
     paths = [(name, label, *(number(float(v), 2) for v in values[4:])) for name, label, values, _ in lines]
     note = (
-        "Ours: identified from one drive of five minutes, held against others of 30 s, all with set-points up to "
+        "Ours: identified from one drive of five minutes, validated on others of 30 s, all with set-points up to "
         f"1.5 m/s and 2.0 rad/s; mean over repetitions. '{LONGER}': without dropout, with less decay and more patience."
     )
     return [

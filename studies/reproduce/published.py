@@ -1,4 +1,4 @@
-"""The papers' figures, read from `published.yaml`, each with its paper and table there; and findings put as rules."""
+"""Figures of the papers from `published.yaml`, findings of the papers as rules, and settings of the study."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class PublishedErrors(StrictModel):
 
 
 class PublishedFit(StrictModel):
-    """FIT [%] and RMSE [m/s, rad/s] of a velocity prediction."""
+    """FIT [%] and RMSE [m/s, rad/s] of predicted velocities."""
 
     fit_percent: ChannelFit
     rmse: ChannelFit
@@ -39,7 +39,7 @@ class PublishedFit(StrictModel):
 
 
 class PublishedDrive(PublishedFit):
-    """A free drive: velocity and odometry."""
+    """Errors of a free drive in velocity and odometry."""
 
     odometry: PublishedErrors
 
@@ -59,7 +59,7 @@ class PublishedNetwork(StrictModel):
 
 
 class PublishedCost(StrictModel):
-    """Mean and standard deviation over runs."""
+    """Cost of a simulation as (mean, standard deviation) over runs."""
 
     simulation_time: tuple[float, float]
     time_per_step: tuple[float, float]
@@ -67,7 +67,7 @@ class PublishedCost(StrictModel):
 
 
 class PublishedTrack(StrictModel):
-    """Virtual track over yaw rate."""
+    """Virtual track as a function of the yaw rate."""
 
     p1: float
     p0: float
@@ -77,7 +77,7 @@ class PublishedTrack(StrictModel):
 
 
 class PublishedDriveErrors(StrictModel):
-    """Mean and largest error of v [mm/s] and of omega [degrees per second]."""
+    """(mean, maximum) error of v [mm/s] and of omega [degrees per second]."""
 
     v: tuple[float, float]
     omega: tuple[float, float]
@@ -91,12 +91,12 @@ class FindingThresholds(StrictModel):
     quicker: float
     much_quicker: float
     certain: float
-    told_apart_fit_percent: float
+    significant_fit_percent: float
     chance: float
 
 
 class Published(StrictModel):
-    """Everything that the reproduction is held against; keys and units as in `published.yaml`."""
+    """Figures of the papers that the reproduction is compared with; keys and units as in `published.yaml`."""
 
     motor_fit_percent: float
     sm_fit_percent: ChannelFit
@@ -115,24 +115,24 @@ class Published(StrictModel):
 
 @cache
 def load_published() -> Published:
-    """Read the file; raises ConfigError on a mistake in it."""
+    """Read `published.yaml`; raise ConfigError if it is invalid."""
     return load_checked(Published, Path(__file__).parent / "published.yaml")
 
 
 @dataclass(frozen=True)
 class PaperFinding:
-    """A finding of a paper, put as a rule.
+    """A finding of a paper as a rule.
 
     Attributes
     ----------
     claim
-        The rule, as a sentence that is true or not.
+        The rule as a sentence that is true or false.
     source
-        Paper of the value and place in it.
+        Paper of the finding, and table or section.
     published, plant
-        The numbers behind it, in the paper and on the simulated robot (means over repetitions).
+        Values of the paper and of the simulated robot (means over repetitions).
     holds
-        For each repetition, whether the rule holds there; empty where the numbers do not decide it.
+        True for each repetition in which the rule holds; empty if the values do not decide it.
     """
 
     claim: str
@@ -143,7 +143,7 @@ class PaperFinding:
 
     @property
     def verdict(self) -> str:
-        """Yes, no, in how many repetitions, or inconclusive."""
+        """Result as text: "yes", "no", "inconclusive", or the number of repetitions in which the rule holds."""
         if not self.holds:
             return "inconclusive"
         if all(self.holds):
@@ -151,12 +151,12 @@ class PaperFinding:
         return f"{sum(self.holds)} of {len(self.holds)}" if any(self.holds) else "no"
 
 
-def each(flags: ArrayLike) -> tuple[bool, ...]:
+def as_flags(flags: ArrayLike) -> tuple[bool, ...]:
     """Convert flags (repetitions,) to plain truth values."""
     return tuple(bool(flag) for flag in np.atleast_1d(flags))
 
 
-# Experiments of `reproduce`, read from `study.yaml` or, for a quick one, from `quick.yaml`.
+# Settings of `reproduce`, read from `study.yaml` or, for a quick study, from `quick.yaml`.
 
 
 PARTS = ("mbm_sm", "ssm", "lstm", "cost", "virtual_track", "drive_models")
@@ -166,7 +166,7 @@ Count = Annotated[int, Field(ge=1)]
 
 
 class MbmSmStudy(StrictModel):
-    """MBM and SM from steps, held against each other on trajectories."""
+    """Comparison of MBM and SM, identified from steps, on trajectories."""
 
     trajectories: Annotated[tuple[str, ...], Field(min_length=1)]
     free_drives: Count
@@ -181,7 +181,7 @@ class PaperRange(StrictModel):
 
 
 class SsmStudy(StrictModel):
-    """SSM of several orders from one free drive."""
+    """SSM of several orders, identified from one free drive."""
 
     train_duration: Positive = Field(description="[s]")
     largest_order: int = Field(ge=2, le=5)
@@ -192,7 +192,7 @@ class SsmStudy(StrictModel):
 
 
 class LongerTraining(StrictModel):
-    """Differences of a training from the paper's."""
+    """Settings of a training that differ from the paper."""
 
     dropout: float = Field(ge=0, lt=1)
     decay: float = Field(ge=0)
@@ -201,52 +201,52 @@ class LongerTraining(StrictModel):
 
 
 class NetworkStudy(StrictModel):
-    """LSTM and SSM from one free drive, and networks of Table 2."""
+    """LSTM and SSM, identified from one free drive, and networks of Table 2."""
 
     train_duration: Positive = Field(description="[s]")
     free_drives: Count
     free_duration: Positive = Field(description="[s]")
     paper_range: PaperRange
-    rows: tuple[tuple[int, ...], ...] = Field(description="of Table 2, in groups that are trained one after the other")
+    rows: tuple[tuple[int, ...], ...] = Field(description="rows of Table 2, in groups that are trained sequentially")
     longer: LongerTraining
 
 
 class CostStudy(StrictModel):
-    """Simulations that are timed."""
+    """Number and length of the timed simulations."""
 
-    runs: int = Field(ge=2, description="a spread takes two")
+    runs: int = Field(ge=2, description="number of runs; a standard deviation needs two")
     steps: Count
-    simulation_steps: dict[str, Count] = Field(description="of the whole simulations, by model")
+    simulation_steps: dict[str, Count] = Field(description="number of steps of a whole simulation by model")
 
 
 class DriveStudy(StrictModel):
     """Drive models on drives with changes of direction, and on logs."""
 
-    drives: Count = Field(description="to fit, and as many held out")
-    duration: Positive = Field(description="of each [s]")
-    v: Positive = Field(description="largest set-point [m/s]")
-    omega: Positive = Field(description="largest set-point [rad/s]")
-    repetitions: Count = Field(description="how many of the repetitions")
-    logs: tuple[str, ...] = Field(description="of real_logs.yaml")
+    drives: Count = Field(description="number of training drives, and of validation drives")
+    duration: Positive = Field(description="duration of a drive [s]")
+    v: Positive = Field(description="maximum set-point [m/s]")
+    omega: Positive = Field(description="maximum set-point [rad/s]")
+    repetitions: Count = Field(description="number of repetitions")
+    logs: tuple[str, ...] = Field(description="names of logs in real_logs.yaml")
 
 
 class TrackStudy(StrictModel):
-    """P3's tests driven, and drives in which one thing stays."""
+    """Drives of P3's tests, and drives with constant speed or constant yaw rate."""
 
     surfaces: Annotated[tuple[str, ...], Field(min_length=1)]
     tests: Annotated[tuple[tuple[Positive, Positive], ...], Field(min_length=3)] = Field(
         description="v [m/s], yaw rate [rad/s]"
     )
-    duration: Positive = Field(description="of a drive [s]")
-    settling: Positive = Field(description="of it that does not count [s]")
-    v: Positive = Field(description="that stays [m/s]")
-    yaw_rate: Positive = Field(description="that stays [rad/s]")
+    duration: Positive = Field(description="duration of a drive [s]")
+    settling: Positive = Field(description="initial part of a drive that is not evaluated [s]")
+    v: Positive = Field(description="constant speed [m/s]")
+    yaw_rate: Positive = Field(description="constant yaw rate [rad/s]")
     yaw_rates: Annotated[tuple[Positive, ...], Field(min_length=3)] = Field(description="[rad/s]")
     speeds: Annotated[tuple[Positive, ...], Field(min_length=3)] = Field(description="[m/s]")
 
 
 class ReproduceSettings(StrictModel):
-    """All parts; a repetition has its own drives and noise."""
+    """Settings of all parts; each repetition has different drives and noise."""
 
     repetitions: Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)]
     mbm_sm: MbmSmStudy
@@ -258,5 +258,5 @@ class ReproduceSettings(StrictModel):
 
 
 def load_study(*, quick: bool = False) -> ReproduceSettings:
-    """Read the study; raises ConfigError when its file has a mistake."""
+    """Read the settings of the study; raise ConfigError if the file is invalid."""
     return load_checked(ReproduceSettings, Path(__file__).parent / ("quick.yaml" if quick else "study.yaml"))

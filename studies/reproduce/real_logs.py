@@ -1,4 +1,4 @@
-"""Real logs of the papers' protocol: files, mappings, and the division into rows that fit and rows that score."""
+"""Real logs: files, mappings, and the division into rows for fitting and for validation."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class RealLog(StrictModel):
 
 
 class Protocol(StrictModel):
-    """Division of all logs."""
+    """Logs, and their division."""
 
-    share: Annotated[float, Field(gt=0, lt=1)] = Field(description="share of the rows that fit [-]")
+    share: Annotated[float, Field(gt=0, lt=1)] = Field(description="share of the rows for fitting [-]")
     logs: dict[str, RealLog]
 
     def log(self, name: str) -> RealLog:
@@ -39,14 +39,14 @@ class Protocol(StrictModel):
 
 @cache
 def load_protocol() -> Protocol:
-    """Read `real_logs.yaml`; raise ConfigError on a mistake in it."""
+    """Read `real_logs.yaml`; raise ConfigError if it is invalid."""
     return load_checked(Protocol, Path(__file__).with_name("real_logs.yaml"))
 
 
 def divide(records: Sequence[Record], share: float) -> tuple[list[Record], list[Record]]:
     """Divide a log into the first `share` [-] of its rows and the rest; a row is a sample with a new gyro reading.
 
-    Parts with fewer than 20 readings of a sensor are left out.
+    Parts with fewer than 20 readings of a sensor are omitted.
     """
     rows = [np.asarray(record.fresh_yaw_rate) for record in records]
     left = round(share * sum(int(row.sum()) for row in rows))
@@ -65,5 +65,5 @@ def divide(records: Sequence[Record], share: float) -> tuple[list[Record], list[
 
 
 def _readings(record: Record) -> int:
-    """Count the readings of the sensor with the fewest."""
+    """Return the minimum number of readings over the sensors."""
     return min(int(np.sum(mask)) for mask in (record.fresh_twist, record.fresh_yaw_rate) if mask is not None)

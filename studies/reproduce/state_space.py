@@ -1,4 +1,4 @@
-"""SSM of several orders from one long free drive (Guffanti, Pavon, Sensors 2025, 25(18), 5821)."""
+"""SSM of several orders, identified from one long free drive (Guffanti, Pavon, Sensors 2025, 25(18), 5821)."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from diffdrive_mpc.models.structures.orders import OrderRow
 from diffdrive_mpc.models.structures.ssm import choose_order, identify_ssm
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from studies.reproduce.drives import QUANTITIES, STATISTICS, PathError, RobotLogs, pose_error, predict_path, sampled
-from studies.reproduce.published import PaperFinding, Published, SsmStudy, each
+from studies.reproduce.published import PaperFinding, Published, SsmStudy, as_flags
 
 PAPERS_ORDER = 2
-"""The order that the paper settles on."""
+"""Order that the paper selects."""
 IDENTIFIED, PRINTED = "identified", "as printed"
-"""SSM of that order from our drive, and the paper's own matrices."""
+"""SSM of this order identified from our drive, and the matrices printed in the paper."""
 
 _TABLE = "P1, Table 1"
 _SLIGHTLY_HIGHER = (3, 4)
@@ -34,7 +34,7 @@ FIT_COLUMNS = ("FIT v [%]", "FIT omega [%]", "RMSE v [m/s]", "RMSE omega [rad/s]
 _PUBLISHED = "published"
 _FAST = "fast free drives"
 _DIGITS = {True: (2, 2, 2, 2), False: (2, 2, 4, 4)}
-"""Digits of FIT and RMSE: the paper's, ours."""
+"""Decimal places of FIT and RMSE by whether the values are from the paper."""
 
 Pair = tuple[float, float]
 """Values of v and omega."""
@@ -55,7 +55,7 @@ class VelocityFit:
 
 @dataclass(frozen=True)
 class OrderResult:
-    """One order; the information criterion is Schwarz's, over the lowest of all orders."""
+    """Result of one order; `bic` is Schwarz's information criterion minus its minimum over all orders."""
 
     order: int
     train: VelocityFit
@@ -66,7 +66,7 @@ class OrderResult:
 
 @dataclass(frozen=True)
 class FreeDrive:
-    """One held-out drive."""
+    """Errors of a model on one validation drive."""
 
     velocity: VelocityFit
     odometry: PathError
@@ -79,9 +79,9 @@ class FreeDrive:
 
 @dataclass(frozen=True)
 class SsmResult:
-    """One repetition: all orders, the one our own rule chooses and why, and the free drives by model.
+    """Result of one repetition: all orders, the chosen order with the reason, and the free drives by model.
 
-    `full_range` are free drives as fast as the paper's, and an SSM identified from such a drive.
+    `full_range` are free drives with the speed range of the paper, for an SSM identified from such a drive.
     """
 
     repetition: int
@@ -93,7 +93,7 @@ class SsmResult:
 
 
 def compare_orders(study: SsmStudy, repetition: int) -> SsmResult:
-    """Identify every order from one free drive, and predict others."""
+    """Identify every order from one free drive, and predict other drives."""
     logs = RobotLogs(repetition)
     train = logs.free(1, study.train_duration)
     test = logs.free(study.test_drives, study.free_duration)
@@ -129,7 +129,7 @@ def _order(number: int, row: OrderRow, train: Sequence[Record], test: Sequence[R
 
 
 def free_drive(system: LinearSystem, drive: Record) -> FreeDrive:
-    """Compare a linear model with a drive."""
+    """Compute the errors of a linear model on a drive."""
     pose = np.asarray(drive.pose)
     path = predict_path(sampled(system, drive.dt), drive.command, pose[0])
     return FreeDrive(_velocity(system, [drive]), pose_error(path, pose))
@@ -159,12 +159,12 @@ def ssm_findings(results: Sequence[SsmResult], published: Published) -> list[Pap
     printed = {order: np.array(row.values[:2]) for order, row in published.orders.items()}
     every, rules = set(printed) <= set(fits), published.rules
     findings = (
-        [_worthwhile(fits, printed, rules.worthwhile_fit_percent), _best(fits, printed, rules.told_apart_fit_percent)]
+        [_worthwhile(fits, printed, rules.worthwhile_fit_percent), _best(fits, printed, rules.significant_fit_percent)]
         if every
         else []
     )
     if _HIGHEST in fits:
-        findings.append(_overfits(fits, printed, rules.told_apart_fit_percent))
+        findings.append(_overfits(fits, printed, rules.significant_fit_percent))
     return [
         *findings,
         _chosen(results),
@@ -173,16 +173,16 @@ def ssm_findings(results: Sequence[SsmResult], published: Published) -> list[Pap
     ]
 
 
-def _worthwhile(fits: dict[int, FloatArray], printed: dict[int, FloatArray], least: float) -> PaperFinding:
+def _worthwhile(fits: dict[int, FloatArray], printed: dict[int, FloatArray], threshold: float) -> PaperFinding:
     gains = np.array([fits[order] - fits[PAPERS_ORDER] for order in _SLIGHTLY_HIGHER])
     published = np.array([printed[order] - printed[PAPERS_ORDER] for order in _SLIGHTLY_HIGHER])
-    most = gains.mean(axis=1).max(axis=0)
+    maximum = gains.mean(axis=1).max(axis=0)
     return PaperFinding(
-        f"orders 3 and 4 bring less than {least:g} points of test FIT over order 2, in v and in omega",
+        f"orders 3 and 4 bring less than {threshold:g} points of test FIT over order 2, in v and in omega",
         _TABLE,
         "at most {:+.2f} and {:+.2f}".format(*published.max(axis=0)),
-        "at most {:+.3f} and {:+.3f}".format(*most),
-        each((gains < least).all(axis=(0, 2))),
+        "at most {:+.3f} and {:+.3f}".format(*maximum),
+        as_flags((gains < threshold).all(axis=(0, 2))),
     )
 
 
@@ -198,7 +198,7 @@ def _best(fits: dict[int, FloatArray], printed: dict[int, FloatArray], margin: f
         f"order {winner}; orders differ by {np.ptp(paper):.3f} points",
         f"order {', '.join(str(orders[i]) for i in ours.argmax(axis=0))} by repetition; "
         f"orders differ by {spread:.3f} points",
-        each(ours[orders.index(winner)] >= np.delete(ours, orders.index(winner), axis=0).max(axis=0) + margin),
+        as_flags(ours[orders.index(winner)] >= np.delete(ours, orders.index(winner), axis=0).max(axis=0) + margin),
     )
 
 
@@ -209,7 +209,7 @@ def _overfits(fits: dict[int, FloatArray], printed: dict[int, FloatArray], margi
         _TABLE,
         f"{printed[_HIGHEST][1] - printed[PAPERS_ORDER][1]:+.2f} points",
         f"{fall.mean():+.3f} points",
-        each(fall <= -margin),
+        as_flags(fall <= -margin),
     )
 
 
@@ -226,19 +226,19 @@ def _chosen(results: Sequence[SsmResult]) -> PaperFinding:
 def _free_drives(where: str, results: Sequence[Sequence[FreeDrive]], published: Published) -> PaperFinding:
     # (repetitions, drives, 2)
     fit = np.array([[drive.velocity.fit_percent for drive in drives] for drives in results])
-    least = published.rules.good_fit_percent
-    good = (fit > least).all(axis=(1, 2)) & (fit[:, :, 0] > fit[:, :, 1]).all(axis=1)
+    threshold = published.rules.good_fit_percent
+    good = (fit > threshold).all(axis=(1, 2)) & (fit[:, :, 0] > fit[:, :, 1]).all(axis=1)
     return PaperFinding(
-        f"{where} order 2 explains v and omega above {least:g} % each, and v better than omega",
+        f"{where} order 2 explains v and omega above {threshold:g} % each, and v better than omega",
         "P1, Table 3",
         "{:.2f} and {:.2f} %".format(*published.free_drives_average.values[:2]),
         "{:.2f} and {:.2f} %".format(*fit.mean(axis=(0, 1))),
-        each(good),
+        as_flags(good),
     )
 
 
 def _order_table(results: Sequence[SsmResult], published: Published) -> Table:
-    """Tabulate FIT and RMSE by order, on held-out drives."""
+    """Tabulate FIT and RMSE by order on validation drives."""
     rows = []
     for k, first in enumerate(results[0].orders):
         printed = published.orders.get(first.order)
@@ -250,14 +250,14 @@ def _order_table(results: Sequence[SsmResult], published: Published) -> Table:
     on_test = (*(f"published {name}" for name in FIT_COLUMNS), *FIT_COLUMNS)
     on_train = ("FIT v, train [%]", "FIT omega, train [%]", "Schwarz criterion [-]")
     note = (
-        "Published: P1, Table 1, test. Ours: drives held out, pooled; mean over repetitions. Order 1 is a floor: one "
-        "state cannot follow both channels. Schwarz's criterion (train) over the lowest of all orders."
+        "Published: P1, Table 1, test. Ours: drives held out, pooled; mean over repetitions. Order 1 is a lower bound: "
+        "one state cannot follow both channels. Schwarz's criterion (train) minus its minimum over all orders."
     )
     return Table("SSM by order", ("order", *on_test, *on_train), tuple(rows), note=note)
 
 
 def ssm_tables(results: Sequence[SsmResult], published: Published) -> list[Table]:
-    """Tabulate orders, and velocity and odometry on free drives, ours and those as fast as the paper's."""
+    """Tabulate orders, and velocity and odometry errors on free drives, ours and with the paper's speed range, and of the paper."""
     return [
         _order_table(results, published),
         *_drive_tables("free drives", [result.free_drives for result in results], published),
@@ -282,7 +282,7 @@ def _drive_tables(
             lines.append((name, "least to largest", np.array([drives.min(axis=0), drives.max(axis=0)])))
     note = f"SSM of order 2. '{PRINTED}': the paper's matrices; our plant's firmware was calibrated to them."
     if where == _FAST:
-        note += " Set-points up to 1.5 m/s and 2.0 rad/s, as in P1; identified from such a drive, too."
+        note += " Set-points up to 1.5 m/s and 2.0 rad/s, as in P1; also identified from such a drive."
     names, errors = (
         ("model", "drive"),
         [f"{name} [{unit}], {statistic}" for name, unit in QUANTITIES.items() for statistic in STATISTICS],
@@ -302,6 +302,6 @@ def _cells(values: FloatArray, rmse_digits: int = 2) -> list[str]:
 
 
 def _ranges(values: FloatArray, digits: tuple[int, ...]) -> list[str]:
-    """Format cells of one row (k,), or of two (2, k) with "to" between them."""
+    """Format cells of one row (k,), or of two rows (2, k) joined by "to"."""
     rows = np.atleast_2d(values)
     return [" to ".join(number(float(row[k]), d) for row in rows) for k, d in enumerate(digits)]

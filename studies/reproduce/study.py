@@ -35,17 +35,17 @@ class ReproduceResults:
     Attributes
     ----------
     mbm_sm, ssm, lstm
-        One for each repetition.
+        Results by repetition.
     rows
         Networks of P1's Table 2, in groups.
     cost
-        By name of the model.
+        Costs by name of the model.
     virtual_track
-        The printed tests and their lines.
+        Printed tests and their lines.
     drive_models
-        One for each repetition and each log.
+        Results by repetition, and by log.
     driven_track
-        One for each floor.
+        Results by surface.
     """
 
     mbm_sm: tuple[mbm_and_sm.MbmSmResult, ...] = ()
@@ -59,7 +59,7 @@ class ReproduceResults:
 
 
 class ReproduceStudy(Study[list[Task], ReproduceResults]):
-    """The parts of `settings` that are named in `only`; with `data`, the folder of the real logs, those too."""
+    """Study of the parts of `settings` named in `only`; `data` is the folder of real logs, or None to skip them."""
 
     name = "reproduce"
     title = "The papers repeated"
@@ -70,7 +70,7 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         self._data = data
 
     def plan(self) -> list[Task]:
-        """Plan the repetitions, the longest first: a long one at the end would keep one core waiting."""
+        """Plan the tasks, the longest first: a long task at the end would leave cores idle."""
         check_parts(self._only, PARTS)
         s, only = self.settings, self._only
         tasks: list[Task] = []
@@ -94,7 +94,7 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         return tasks + [partial(mbm_and_sm.compare_mbm_and_sm, s.mbm_sm, k) for k in s.repetitions if "mbm_sm" in only]
 
     def run(self, plan: list[Task], jobs: int, bar: ProgressBar) -> ReproduceResults:
-        """Run repetitions in several processes, and then timed parts on a quiet machine."""
+        """Run repetitions in several processes, and then timed parts on an idle machine."""
         timed = "cost" in self._only
         bar.start_stage("running", len(plan) + 2 * self.settings.cost.runs * timed)
         done = run_tasks(plan, jobs, bar.advance)
@@ -117,12 +117,12 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         )
 
     def report(self, results: ReproduceResults, seconds: float) -> Report:
-        """Report findings with their verdicts first, and results without paths and responses, which fill the file."""
+        """Build the report: findings with their verdicts first, and all results except paths and responses, which are too large."""
         parts = [part for part in PARTS if getattr(results, part)]
         written = plain(results)
         for result in written["mbm_sm"]:
             del result["paths"], result["responses"]
-        findings = find(results)
+        findings = evaluate_findings(results)
         repetitions = ", ".join(map(str, self.settings.repetitions))
         where = f"plant mujoco, surface default, sensors default, repetitions {repetitions}"
         return Report(
@@ -140,7 +140,7 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
 
 
 def report_tables(results: ReproduceResults, findings: Table) -> list[Table]:
-    """Build the tables of the parts that were run, the findings first."""
+    """Build the tables of the parts that were run, with the findings first."""
     published = load_published()
     rows = [row for rows in results.rows for row in rows.rows]
     shown: list[tuple[Any, Callable[[Any, Published], list[Table]]]] = [
@@ -171,8 +171,8 @@ def _drawings(results: ReproduceResults) -> dict[str, Draw]:
     return {name: partial(draw, part) for name, (part, draw) in shown.items() if part}
 
 
-def find(results: ReproduceResults) -> list[PaperFinding]:
-    """Evaluate every rule that the parts of `results` can decide."""
+def evaluate_findings(results: ReproduceResults) -> list[PaperFinding]:
+    """Evaluate every rule for which `results` has the necessary parts."""
     published = load_published()
     rows = [row for rows in results.rows for row in rows.rows]
     decided: list[tuple[Any, Callable[[Any, Published], list[PaperFinding]]]] = [
@@ -192,10 +192,10 @@ def findings_table(findings: Sequence[PaperFinding], repetitions: int) -> Table:
     rows = tuple(
         (finding.claim, finding.source, finding.published, finding.plant, finding.verdict) for finding in findings
     )
-    count = "one repetition" if repetitions == 1 else f"{repetitions} repetitions, with drives and noise of their own"
+    count = "one repetition" if repetitions == 1 else f"{repetitions} repetitions with different drives and noise"
     note = (
-        f"From {count}. Holds: in all (yes), in none (no), or in how many; inconclusive: the numbers do not decide it. "
-        "Numbers are means over repetitions."
+        f"From {count}. Holds: in all (yes), in none (no), or the number of repetitions; inconclusive: the values do "
+        "not decide it. Values are means over repetitions."
     )
     columns = ("finding", "source", "published", "on our plant", "holds")
     return Table("Findings", columns, rows, text_columns=len(columns), note=note)

@@ -1,9 +1,8 @@
-"""The printed tests of a virtual track against the printed line (Botta et al., Appl. Sci. 2021, 11(4), 1594).
+"""Virtual track of a robot (P3: Botta et al., Appl. Sci. 2021, 11(4), 1594).
 
-P3's eight tests driven on the simulated robot: its virtual track, and the factors that affect it.
-
-P3: Botta et al., Appl. Sci. 2021, 11(4), 1594. The virtual track is the difference of the wheels'
-speeds over the true yaw rate, in the steady part of a drive.
+The printed tests are compared with the printed line. The eight tests are also driven on the simulated robot, to find
+its virtual track and the factors that affect it. The virtual track is the difference of the wheels' speeds over the
+true yaw rate, in the steady part of a drive.
 """
 
 from __future__ import annotations
@@ -31,11 +30,11 @@ class TrackLine:
     Attributes
     ----------
     p1
-        [m s].
+        Slope [m s].
     p0
-        [m].
+        Intercept [m].
     p1_deviation, p0_deviation
-        Standard deviation of each; NaN where none is known.
+        Standard deviations of slope and intercept; NaN if unknown.
     correlation
         Correlation of track and yaw rate [-].
     """
@@ -53,15 +52,15 @@ class TrackLine:
 
 @dataclass(frozen=True)
 class VirtualTrackResult:
-    """The tests as printed and with tracks exchanged, (n, 2) each, and the lines: printed, and fitted to both.
+    """Tests as printed and with exchanged tracks, (n, 2) each, and the lines: printed, and fitted to both.
 
     Attributes
     ----------
     by_radius, by_radius_exchanged
-        Correlation of the tracks, printed and exchanged, with those that the printed radii imply: without side-slip the
-        driven circle is larger than the kinematic one as the virtual track is larger than the true one.
+        Correlation of the tracks, printed and exchanged, with the tracks that follow from the printed radii: without
+        side-slip, driven over kinematic radius equals virtual over true track.
     exchanges, fitting
-        Number of double exchanges of tracks, and of those that give the printed p1 as well.
+        Number of double exchanges of tracks, and of double exchanges that also give the printed p1.
     """
 
     tests: FloatArray
@@ -76,7 +75,7 @@ class VirtualTrackResult:
 
 
 def check_virtual_track(published: PublishedTrack, certain: float) -> VirtualTrackResult:
-    """Fit lines to the printed tests; two numbers agree within `certain` standard deviations."""
+    """Fit lines to the printed tests; two values agree within `certain` standard deviations."""
     tests, radii = np.array(published.tests), np.array(published.radii)
     exchanged = exchange(tests, [(first - 1, second - 1) for first, second in published.exchanged])
     printed = TrackLine(published.p1, published.p0)
@@ -97,7 +96,7 @@ def check_virtual_track(published: PublishedTrack, certain: float) -> VirtualTra
 
 
 def exchange(tests: FloatArray, pairs: Iterable[tuple[int, int]]) -> FloatArray:
-    """Exchange the tracks of pairs of tests (n, 2)."""
+    """Return tests (n, 2) with the tracks of pairs of tests exchanged."""
     changed = tests.copy()
     for first, second in pairs:
         changed[[first, second], 1] = tests[[second, first], 1]
@@ -122,12 +121,12 @@ def fit_line(tests: FloatArray) -> TrackLine:
 
 
 def virtual_track_findings(result: VirtualTrackResult, published: Published) -> list[PaperFinding]:
-    """Check that the printed tests can be those behind the printed line."""
+    """Check whether the printed line can result from the printed tests."""
     certain, printed = published.rules.certain, result.printed
     within = f"within {certain:g} standard deviations"
     source, paper = "P3, section 3 and Table 1", f"{printed.p1:.3f} m s"
     gives = agree(printed, result.fitted_exchanged, certain)
-    # It is one explanation among many unless few others are possible, and the other columns support it.
+    # The exchange is an explanation only if few others give the same fit, and if the printed radii support it.
     explains = (
         result.by_radius_exchanged > result.by_radius and result.fitting <= published.rules.chance * result.exchanges
     )
@@ -165,7 +164,7 @@ def virtual_track_table(result: VirtualTrackResult) -> Table:
     columns = ("line", "p1 [m s]", "p0 [m]", "correlation [-]", "misfit, as printed [mm]", "misfit, exchanged [mm]")
     note = (
         "track = p1 |yaw rate| + p0 (P3, section 3 and Table 1), with standard deviations; RMS distance of the tests' "
-        "tracks from each line. No drive of ours: this is about the paper's own rows."
+        "tracks from each line. Data of the paper only, without drives of ours."
     )
     return Table("Virtual track", columns, rows, note=note)
 
@@ -190,17 +189,17 @@ _ALONE = ("turning on the spot, over yaw rate", "at constant v, over yaw rate", 
 
 @dataclass(frozen=True)
 class DrivenTrack:
-    """Result on one floor.
+    """Result on one surface.
 
     Attributes
     ----------
     surface
-        The floor.
+        Name of the surface.
     tests, alone
         (n, 4) v [m/s], yaw rate [rad/s], virtual track [m] and wheel speed over true speed [-] of the paper's tests,
-        and of drives in which one of the first two stays.
+        and of drives with constant v or constant yaw rate.
     line
-        Through the tests.
+        Line through the tests.
     """
 
     surface: str
@@ -210,18 +209,18 @@ class DrivenTrack:
 
     @property
     def slopes(self) -> dict[str, TrackLine]:
-        """Lines through the drives with one constant factor, over the changing one."""
+        """Lines through the drives with one constant quantity, as functions of the varying quantity."""
         return {name: fit_line(rows[:, [0 if name == _ALONE[2] else 1, 2]]) for name, rows in self.alone.items()}
 
     @property
     def by_acceleration(self) -> TrackLine:
-        """Virtual track over (v times yaw rate)^2 [m^2/s^4], all drives."""
+        """Line of the virtual track over (v times yaw rate)^2 [m^2/s^4] through all drives."""
         rows = np.vstack([self.tests, *self.alone.values()])
         return fit_line(np.column_stack([(rows[:, 0] * rows[:, 1]) ** 2, rows[:, 2]]))
 
 
 def drive_tests(study: TrackStudy, surface: str) -> DrivenTrack:
-    """Run the paper's tests, and drives with one quantity held constant, on one floor."""
+    """Run the paper's tests, and drives with one quantity held constant, on one surface."""
     v, yaw = study.v, study.yaw_rate
     alone = dict(
         zip(
@@ -234,17 +233,17 @@ def drive_tests(study: TrackStudy, surface: str) -> DrivenTrack:
             strict=True,
         )
     )
-    tests = _driven(study, surface, study.tests)
+    tests = _drive_twists(study, surface, study.tests)
     return DrivenTrack(
         surface,
         tests,
-        {name: _driven(study, surface, twists) for name, twists in alone.items()},
+        {name: _drive_twists(study, surface, twists) for name, twists in alone.items()},
         fit_line(tests[:, 1:3]),
     )
 
 
-def _driven(study: TrackStudy, surface: str, twists: Sequence[tuple[float, float]]) -> FloatArray:
-    """Compute (n, 4) as in `DrivenTrack`, for commands v [m/s], omega [rad/s]."""
+def _drive_twists(study: TrackStudy, surface: str, twists: Sequence[tuple[float, float]]) -> FloatArray:
+    """Drive commands v [m/s], omega [rad/s]; return results (n, 4) as in `DrivenTrack.tests`."""
     robot, rows = load_robot(), []
     steps, settled = (round(time / robot.sample_time) for time in (study.duration, study.settling))
     ramp = np.minimum(1.0, np.arange(steps) / (0.25 * settled))[:, None]
@@ -257,7 +256,7 @@ def _driven(study: TrackStudy, surface: str, twists: Sequence[tuple[float, float
 
 
 def driven_track_tables(results: Sequence[DrivenTrack], published: Published) -> list[Table]:
-    """Tabulate the tests next to the paper's, and the dependencies of the track."""
+    """Tabulate the tests with those of the paper, and the dependencies of the track."""
     paper, commands = published.virtual_track, results[0].tests
     rows = [
         (
@@ -306,8 +305,8 @@ def driven_track_tables(results: Sequence[DrivenTrack], published: Published) ->
                 "over (v yaw rate)^2 [mm s^4/m^2] (correlation)",
             ),
             tuple(lines),
-            note="Line through the eight tests, then slopes of drives in which one thing stays, with deviations; "
-            "the last over all drives.",
+            note="Line through the eight tests, then slopes of drives with one constant quantity, with standard "
+            "deviations; the last column over all drives.",
         ),
     ]
 
@@ -317,7 +316,7 @@ def _pm(value: float, deviation: float, digits: int) -> str:
 
 
 def driven_track_findings(results: Sequence[DrivenTrack], published: Published) -> list[PaperFinding]:
-    """Check that P3's line has the same sign here, and find its causes; one verdict for each floor."""
+    """Check that P3's line has the same sign on the simulated robot, and its causes; one verdict per surface."""
     certain, paper = published.rules.certain, published.virtual_track
     floors = ", ".join(result.surface for result in results)
     spot, _, speed = _ALONE

@@ -1,1 +1,1 @@
-"""The study of controllers on robots, floors and sensors that they were not tuned for."""
+"""Study of controllers on robots, surfaces and sensors that they were not tuned for."""

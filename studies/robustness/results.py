@@ -24,7 +24,7 @@ from diffdrive_mpc_extras.campaign.campaign_file import Condition
 from diffdrive_mpc_extras.campaign.drivable_robots import driving_seeds
 
 MARKET = "market"
-"""Name of the condition of drawn robots: one condition, another robot in each run."""
+"""Name of the condition of random robots, which has a different robot in each run."""
 
 
 def market_cases(
@@ -37,10 +37,10 @@ def market_cases(
     tuning: bool = False,
     settings: Mapping[str, bool | int | float | str] | None = None,
 ) -> list[Case]:
-    """List runs of the first `robots` reserved robots of the market that can drive a path; see `driving_seeds`.
+    """List cases of the first `robots` reserved robots of the market that can drive a path; see `driving_seeds`.
 
-    With `tuning` those whose seeds are not reserved. Controllers get the values that the robot's user states, and
-    `settings`, configuration values by dotted key.
+    With `tuning`, the robots are those whose seeds are not reserved. Controllers are configured with the values that
+    the robot's user states, and with `settings`, configuration values by dotted key.
     """
     return [
         Condition(plant=f"{DRAWN}:{seed}", settings=dict(settings or {})).case(controller, model, trajectory, seed)
@@ -49,35 +49,35 @@ def market_cases(
 
 
 FALSE_ALARM_RATE = "monitor.false_alarm_rate"
-"""Key of the rate of false alarms that the controller is configured for [1/h]."""
+"""Configuration key of the rate of false alarms [1/h]."""
 ROOM = 0.05
-"""Lateral error [m] up to which a run is on its path: the band of Guffanti et al. 2026."""
+"""Maximum lateral error of a run that stays on its path [m]: the band of Guffanti et al. 2026."""
 _GIVEN_UP = re.compile(r"([a-z ]+?) not used: ")
-"""A sensor that is not used, in a message of the controller."""
+"""Pattern of an unused sensor in a message of the controller."""
 _CONFIDENCE = 0.95
 _HOUR = 3600.0
 
 
-def measured(settled: float, case: Case, run: Run) -> dict[str, object]:
+def condition_columns(settled: float, case: Case, run: Run) -> dict[str, object]:
     """Compute the columns of a run under a condition.
 
-    `late_lateral_m` is the largest |lateral| from `settled` [s] on, NaN without such ticks. `heading_nees` is the mean
-    of the squared error of the estimated heading over its variance, about 1 where the estimate knows how good it is,
-    NaN for a controller without an estimate. `given_up` counts how often a sensor began not to be used, a false alarm
-    where every sensor is honest. `rate` is the configured rate of false alarms [1/h].
+    `late_lateral_m` is the maximum |lateral| error from time `settled` [s], NaN without such ticks. `heading_nees` is
+    the mean squared error of the estimated heading over its variance, about 1 for a consistent estimate, NaN for a
+    controller without an estimate. `given_up` counts events in which the controller stops using a sensor; without
+    faulty sensors these are false alarms. `rate` is the configured rate of false alarms [1/h].
     """
     late = np.abs(run.errors.lateral[run.counted & (run.time >= settled)])
     rate = dict(case.overrides).get(FALSE_ALARM_RATE, ControllerConfig().monitor.false_alarm_rate)
     return {
         "late_lateral_m": float(np.max(late)) if late.size else float("nan"),
         "heading_nees": _heading_nees(run),
-        "given_up": _given_up(run),
+        "given_up": _count_unused_sensors(run),
         "within_room": run.metrics.lateral_max_m <= ROOM,
         "rate": number(float(str(rate)), 2),
     }
 
 
-def _given_up(run: Run) -> int:
+def _count_unused_sensors(run: Run) -> int:
     count, before = 0, frozenset[str]()
     for message in run.messages:
         now = frozenset(_GIVEN_UP.findall(message))
@@ -93,30 +93,33 @@ def _heading_nees(run: Run) -> float:
 
 
 def study_tables(rows: DataFrame) -> list[Table]:
-    """Build tables of errors under each condition, gaps between controllers, messages, and robots of the market."""
+    """Build tables of errors under each condition, error ratios, messages, and robots of the market."""
     specs = load_tables(Path(__file__).with_name("tables.yaml"))
-    made = [specs["conditions"].table(rows)]
-    made += [_ratio_table(rows)] if len(by(rows, "driver")) > 1 else []
-    made.append(_message_table(rows))
+    tables = [specs["conditions"].table(rows)]
+    tables += [_ratio_table(rows)] if len(by(rows, "driver")) > 1 else []
+    tables.append(_message_table(rows))
     market = rows[rows["condition"].str.startswith(MARKET)]
     if len(market):
-        made.append(specs["market"].table(market[market["condition"] == MARKET], CELLS))
-        made.append(specs["alarms"].table(market[market["controller"] == "mpc"], CELLS))
-    return made
+        tables.append(specs["market"].table(market[market["condition"] == MARKET], CELLS))
+        tables.append(specs["alarms"].table(market[market["controller"] == "mpc"], CELLS))
+    return tables
 
 
 def ratios(rows: DataFrame) -> dict[str, float]:
-    """Compute mean position RMSE of each controller over that of the best that completed every run; NaN without one."""
+    """Compute the mean position RMSE of each controller over that of the best one that completed every run.
+
+    The ratios are NaN if no controller completed every run.
+    """
     drivers = by(rows, "driver")
-    errors = {name: mean(theirs, "position_rmse_m") for name, theirs in drivers.items()}
-    best = min((errors[name] for name, theirs in drivers.items() if theirs["completed"].all()), default=float("nan"))
+    errors = {name: mean(runs, "position_rmse_m") for name, runs in drivers.items()}
+    best = min((errors[name] for name, runs in drivers.items() if runs["completed"].all()), default=float("nan"))
     return {name: error / best for name, error in errors.items()}
 
 
 def _ratio_table(rows: DataFrame) -> Table:
     entries = [((name,), ratios(group)) for name, group in by(rows, "condition").items()]
     columns = {name: _ratio(name) for name in by(rows, "driver")}
-    note = "Mean position RMSE over that of the best controller that completed every run there."
+    note = "Mean position RMSE over that of the best controller that completed every run of the condition."
     return Table.build("Error over the best one's", ("condition",), columns, entries, note)
 
 
@@ -125,11 +128,11 @@ def _ratio(name: str) -> Callable[[Mapping[str, float]], str]:
 
 
 def _message_table(rows: DataFrame) -> Table:
-    """Tabulate the most frequent message of the run with most messages for each controller."""
-    loudest = rows.loc[rows.groupby(["condition", "driver"], sort=False)["message_percent"].idxmax()]
-    messages = loudest[(loudest["ended"] != "") | (loudest["message"] != "")]
+    """Tabulate the most frequent message of the run with the most messages for each controller."""
+    selected = rows.loc[rows.groupby(["condition", "driver"], sort=False)["message_percent"].idxmax()]
+    messages = selected[(selected["ended"] != "") | (selected["message"] != "")]
     entries = [((row.condition, row.driver, row.ended or row.message), row) for row in messages.itertuples()]
-    note = "The most frequent message of the run with most of them, and the share of ticks at which anything was said."
+    note = "The most frequent message of the run with the most messages, and the share of ticks with any message."
     columns = {"ticks [%]": lambda row: number(row.message_percent, 0)}
     return Table.build("What the controllers said", ("condition", "controller", "message"), columns, entries, note)
 
@@ -141,7 +144,7 @@ def share_interval(count: int, total: int) -> tuple[float, float]:
 
 
 def alarms_interval(expected: float) -> tuple[int, int]:
-    """Compute the counts between which 95 % of draws from Poisson's distribution with mean `expected` lie."""
+    """Compute the 95 % interval of counts of a Poisson distribution with mean `expected`."""
     low, high = poisson.interval(_CONFIDENCE, expected)
     return int(low), int(high)
 
@@ -163,12 +166,12 @@ CELLS: Mapping[str, Cell] = {
 }
 
 
-_MOST = 10.0
-"""Ratio above which the colour is the same."""
+_MAX_RATIO = 10.0
+"""Ratio at which the colour scale ends."""
 
 
 def draw_ratios(rows: DataFrame, path: Path) -> None:
-    """Draw a heat map: a row for each condition, a column for each controller, the ratio written in each cell.
+    """Draw a heat map of the ratios with a row per condition and a column per controller.
 
     A cross marks a controller that did not complete every run.
     """
@@ -176,16 +179,16 @@ def draw_ratios(rows: DataFrame, path: Path) -> None:
     values = np.array([[ratios(group).get(name, np.nan) for name in names] for group in conditions.values()])
     with new_figure(path, 2.6 + 0.7 * len(names), 1.2 + 0.19 * len(conditions)) as figure:
         axes = figure.add_subplot()
-        shown = axes.imshow(np.clip(values, 1.0, _MOST), norm=LogNorm(1.0, _MOST), cmap=ERROR_MAP, aspect="auto")
+        mesh = axes.imshow(values.clip(1.0, _MAX_RATIO), norm=LogNorm(1.0, _MAX_RATIO), cmap=ERROR_MAP, aspect="auto")
         axes.set_xticks(range(len(names)), names, rotation=30, ha="left")
         axes.xaxis.tick_top()
         axes.set_yticks(range(len(conditions)), list(conditions), fontsize=7)
         axes.grid(visible=False)
         for i, group in enumerate(conditions.values()):
             for k, name in enumerate(names):
-                lost = not group[group["driver"] == name]["completed"].all()
+                is_incomplete = not group[group["driver"] == name]["completed"].all()
                 ratio = f"{values[i, k]:.2f}" if np.isfinite(values[i, k]) else "-"
-                dark = not values[i, k] > _MOST**0.5
-                text = f"{ratio} ×" if lost else ratio
-                axes.text(k, i, text, ha="center", va="center", fontsize=6.5, color="white" if dark else "black")
-        figure.colorbar(shown, ax=axes, label="position RMSE over the best one's", shrink=0.4)
+                is_dark = not values[i, k] > _MAX_RATIO**0.5
+                text = f"{ratio} ×" if is_incomplete else ratio
+                axes.text(k, i, text, ha="center", va="center", fontsize=6.5, color="white" if is_dark else "black")
+        figure.colorbar(mesh, ax=axes, label="position RMSE over the best one's", shrink=0.4)

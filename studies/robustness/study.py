@@ -1,4 +1,4 @@
-"""The robustness study: every controller under every condition."""
+"""Robustness study: every controller under every condition."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.mpc.config.fixed_values import STANDING, TURNING
 from diffdrive_mpc_extras.campaign.campaign_file import Condition
-from studies.robustness.results import FALSE_ALARM_RATE, MARKET, market_cases, measured, study_tables
+from studies.robustness.results import FALSE_ALARM_RATE, MARKET, condition_columns, market_cases, study_tables
 
 OURS = "mpc"
-"""The predictive controller, as `bench.case.Case` names it."""
-_LOOKS = 1000
+"""Name of the predictive controller in `bench.case.Case`."""
+_SAMPLES = 1000
 """Number of samples of a path."""
 Plan = list[tuple[str, Case]]
-"""Name of the condition and its drives."""
+"""Names of the conditions, each with a case."""
 
 
 def turns_on_the_spot(trajectory: str) -> bool:
     """Return True if a path contains turns on the spot."""
     reference = load_trajectory(trajectory)
-    twist = reference.sample(np.linspace(0.0, reference.duration, _LOOKS)).twist
+    twist = reference.sample(np.linspace(0.0, reference.duration, _SAMPLES)).twist
     return bool(((np.abs(twist[:, 0]) < STANDING) & (np.abs(twist[:, 1]) > TURNING)).any())
 
 
@@ -43,17 +43,17 @@ class RobustnessStudy(Study[Plan, DataFrame]):
     Parameters
     ----------
     conditions
-        By name.
+        Conditions by name.
     settled
-        Time after which the largest lateral error counts [s].
+        Time after which the maximum lateral error is evaluated [s].
     controllers, models, trajectories, seeds
         Names as in `bench.case.Case`.
     robots
-        Number of robots of the population to drive beside the conditions, along each trajectory.
+        Number of random robots to drive along each trajectory, in addition to the conditions.
     tuning
-        Whether the robots are those to tune on, and not the reserved ones.
+        True for the robots for tuning, False for the reserved ones.
     rates
-        False alarms per hour at which the predictive controller drives these robots again [1/h].
+        Additional rates of false alarms of the predictive controller on these robots [1/h].
     """
 
     name = "robustness"
@@ -102,7 +102,7 @@ class RobustnessStudy(Study[Plan, DataFrame]):
         return plan + market
 
     def _market(self) -> Plan:
-        """Plan robots of the population: at the configured false-alarm rate by every controller, at others by ours."""
+        """Plan random robots: every controller at the configured rate of false alarms, and ours at the other rates."""
         if not self._robots:
             return []
         drivers = [
@@ -128,13 +128,13 @@ class RobustnessStudy(Study[Plan, DataFrame]):
         ]
 
     def run(self, plan: Plan, jobs: int, bar: ProgressBar) -> DataFrame:
-        """Run every case; each process keeps only the data that the study needs."""
+        """Run every case; only the columns that the study needs are stored."""
         bar.start_stage(f"running, {jobs} at a time", len(plan))
         drives = [ExperimentRun(case, {"condition": name}) for name, case in plan]
-        return drive_all(drives, jobs, bar.advance, partial(measured, self._settled))
+        return drive_all(drives, jobs, bar.advance, partial(condition_columns, self._settled))
 
     def report(self, results: DataFrame, seconds: float) -> Report:
-        """Report tables, and the figure if there are several controllers to compare."""
+        """Build the report with tables, and with a figure if there are several controllers."""
         from studies.robustness.results import draw_ratios  # noqa: PLC0415
 
         several = len(by(results, "driver")) > 1
@@ -147,7 +147,7 @@ class RobustnessStudy(Study[Plan, DataFrame]):
                 f"{', '.join(self._trajectories)} with the seeds {', '.join(map(str, self._seeds))}"
                 + (f", and {self._robots} robots of the market along each path." if self._robots else ".")
             ],
-            notes=[f"Errors: {STATISTICS}. Late: from {self._settled:g} s on."],
+            notes=[f"Errors: {STATISTICS}. Late: after {self._settled:g} s."],
             tables=study_tables(results),
             figures={"ratios.png": partial(draw_ratios, results)} if several else {},
         )

@@ -1,1 +1,1 @@
-"""The shipped models found again: from the papers' experiments, from drives, and from models whose truth is known."""
+"""Identification of the shipped models, calibration of the simulated robot, and tests on known parameters."""

@@ -1,7 +1,7 @@
-"""Fits the firmware of the digital twin so that a published velocity model predicts what the twin measures.
+"""Fit the firmware of the digital twin so that a published velocity model predicts the measurements of the twin.
 
 One motor loop cannot give forward speed and yaw rate the different lags of the published model, so the firmware filters
-each command channel with its own lag; its track sets the yaw gain. Nothing else of the twin is adjusted.
+each command channel with a separate lag; its track sets the yaw gain. No other parameter of the twin is adjusted.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Bounds(StrictModel):
 
 
 class RequiredFit(StrictModel):
-    """Least FIT of held-out drives [%]."""
+    """Minimum FIT of validation drives [%]."""
 
     v: float
     omega: float
@@ -60,7 +60,7 @@ class CalibrationParameters(StrictModel):
 
 
 class PredictionFit(NamedTuple):
-    """Quality of the target model's prediction of one drive."""
+    """FIT of the target model's prediction of one drive."""
 
     seed: int
     smooth: bool
@@ -72,7 +72,7 @@ class PredictionFit(NamedTuple):
 
 @cache
 def load_calibration_parameters() -> CalibrationParameters:
-    """Read the calibration's parameter file; raises ConfigError on a mistake in it."""
+    """Read `calibration.yaml`; raise ConfigError if it is invalid."""
     return load_checked(CalibrationParameters, Path(__file__).with_name("calibration.yaml"))
 
 
@@ -82,9 +82,9 @@ def validate_calibration(firmware: Firmware | None = None, seeds: list[int] | No
     Parameters
     ----------
     firmware
-        By default the shipped one.
+        Firmware parameters; by default the shipped ones.
     seeds
-        Drives; by default those held out from calibration.
+        Seeds of the drives; by default those of the validation drives.
     """
     parameters = load_calibration_parameters()
     firmware = firmware or load_firmware()
@@ -101,19 +101,19 @@ def validate_calibration(firmware: Firmware | None = None, seeds: list[int] | No
 
 
 def neighbour_errors(firmware: Firmware | None = None) -> dict[str, tuple[float, ...]]:
-    """Compute the error of the target for neighbours of each calibrated parameter, over that of `firmware` [-].
+    """Compute the ratio of the target's error with a neighbouring value of each parameter to that of `firmware` [-].
 
-    Where a parameter is at its bound it has one neighbour. All above one: on the drives of the calibration these are
-    the best values. `firmware` is the shipped one by default.
+    A parameter at its bound has one neighbour. If all ratios exceed one, the values are the best ones on the drives of
+    the calibration. `firmware` is the shipped one by default.
     """
     parameters = load_calibration_parameters()
     firmware = firmware or load_firmware()
-    least, errors = _error(firmware), {}
+    base_error, errors = _error(firmware), {}
     for name in Bounds.model_fields:
         low, high = getattr(parameters.bounds, name)
-        value, away = getattr(firmware, name), parameters.neighbour * (high - low)
-        moved = [neighbour for neighbour in (value - away, value + away) if low <= neighbour <= high]
-        errors[name] = tuple(_error(firmware.model_copy(update={name: neighbour})) / least for neighbour in moved)
+        value, step = getattr(firmware, name), parameters.neighbour * (high - low)
+        neighbours = [neighbour for neighbour in (value - step, value + step) if low <= neighbour <= high]
+        errors[name] = tuple(_error(firmware.model_copy(update={name: near})) / base_error for near in neighbours)
     return errors
 
 
@@ -131,12 +131,12 @@ def calibrate(
     date
         Date for the provenance; today by default.
     on_evaluation
-        Called after each set of parameters that was tried, for a progress display; how many there will be is unknown.
+        Function that is called after each evaluated set of parameters; the number of evaluations is unknown in advance.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        At once, if `path` cannot be written. After any error `path` is unchanged.
+        If `path` cannot be written; checked on entry. After any error `path` is unchanged.
     """
     with whole_file(path, rewrites=True) as unfinished:
         firmware = _calibrated(date or datetime.date.today(), on_evaluation)
@@ -157,7 +157,7 @@ def _calibrated(date: datetime.date, on_evaluation: Callable[[], None] | None) -
             on_evaluation()
         return error
 
-    # Counting and rounding make the cost rough on a small scale: a wide simplex sees past it where gradients do not.
+    # Quantisation makes the cost rough on a small scale, which a wide simplex averages out, but gradients do not.
     simplex = np.full((len(names) + 1, len(names)), 0.3) + 0.3 * np.eye(len(names) + 1, len(names), k=-1)
     options = {"initial_simplex": simplex, "xatol": 0.01, "fatol": 1e-5}
     solution = minimize(cost, simplex[0], method="Nelder-Mead", bounds=[(0, 1)] * len(names), options=options)
@@ -203,7 +203,7 @@ def _error(firmware: Firmware) -> float:
 
 
 def _squared_error(drive: OpenLoopDrive, target: DiscreteModel) -> float:
-    """Compute the error energy of the target on one drive, by channel over the fixed energy of its prediction."""
+    """Compute the error energy of the target on one drive; each channel is divided by the energy of its prediction."""
     predicted = target.simulate(drive.command)
     energy = np.sum((predicted - predicted.mean(axis=0)) ** 2, axis=0)
     return float(np.sum(np.sum((drive.output - predicted) ** 2, axis=0) / energy))
@@ -217,23 +217,23 @@ def _firmware(names: list[str], values: FloatArray, provenance: dict[str, object
 _HEADER = """\
 # Firmware of the digital twin, written by studies.shipped_models.calibration.calibrate(). SI units.
 # Adjusted: lag of each command channel, forward gain, and the track that turns yaw rate into wheel speeds.
-# Remains: the target has no dead time where the plant has 40 ms, so steps fit less well than smooth drives; the target
-# couples v_ref into omega where the plant is almost symmetric; yaw gain and side-slip of the plant depend on speed,
-# friction and turn radius where the target is linear.
+# Remaining differences: the plant has a dead time of 40 ms and the target none, so steps fit less well than smooth
+# drives; the target couples v_ref into omega, whereas the plant is almost symmetric; yaw gain and side-slip of the
+# plant depend on speed, friction and turn radius, whereas the target is linear.
 """
 
 
 def write_firmware(firmware: Firmware, path: str | Path) -> None:
-    """Write firmware parameters, with the adjusted ones and the remaining error as a comment on top."""
+    """Write firmware parameters, with a comment on the adjusted parameters and the remaining differences."""
     text = yaml.safe_dump(firmware.model_dump(), sort_keys=False, default_flow_style=None, width=120)
     Path(path).write_text(_HEADER + text, encoding="utf-8")
 
 
-# How well the published model predicts the simulated robot, as tables.
+# Tables of the prediction of the simulated robot by the published model.
 
 
 def calibration_table(firmware: Firmware) -> Table:
-    """Tabulate FIT of the target model, run free from commands alone, on the held-out drives."""
+    """Tabulate the FIT of the target model, simulated from commands alone, on validation drives."""
     fits = validate_calibration(firmware)
     rows = [
         (str(fit.seed), "smoothed" if fit.smooth else "in steps", f"{fit.v:.2f}", f"{fit.omega:.2f}")
@@ -245,8 +245,8 @@ def calibration_table(firmware: Firmware) -> Table:
 
 def neighbours_table(errors: Mapping[str, Sequence[float]]) -> Table:
     """Tabulate the results of `neighbour_errors`."""
-    rows = [(name, *(f"{error:.3f}" for error in around)) for name, around in errors.items()]
-    title = "Error on the drives of the calibration with one parameter moved either way, over that without [-]"
+    rows = [(name, *(f"{ratio:.3f}" for ratio in ratios)) for name, ratios in errors.items()]
+    title = "Error on the drives of the calibration with one changed parameter, over that of the calibration [-]"
     return Table(
         title, ("parameter", "less", "more"), tuple((*row, "at its bound")[:3] for row in rows), text_columns=1
     )

@@ -1,7 +1,7 @@
 """Test of the identification on known parameters, and of its stated uncertainties.
 
 Random two-pole channels with dead time are driven, logged with noise, quantisation, a gyro bias and a gap, and
-identified as SM. A standard deviation is honest if 95 % of the truths lie within 1.96 of it.
+identified as SM. Standard deviations are correct if 95 % of the errors are below 1.96 standard deviations.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from diffdrive_mpc.sim.plants.open_loop import random_commands
 
 Range = tuple[Positive, Positive]
 _COVERED = 1.959964
-# A pole pair with a damping above this counts as real: the same rule for truth and estimate.
+# Damping above which a pole pair counts as real, for truth and estimate.
 _REAL = 1.0
 
 
 class TruthSettings(StrictModel):
-    """Ranges of the truths and sizes of the errors, units as in `known_truths.yaml`."""
+    """Ranges of the true parameters and magnitudes of the errors, units as in `known_truths.yaml`."""
 
     models: int
     duration: Positive
@@ -54,16 +54,16 @@ class TruthSettings(StrictModel):
 
 @dataclass(frozen=True)
 class RecoveredTruth:
-    """One truth and its identification.
+    """True parameters of one model, and their identification.
 
     Attributes
     ----------
     seed
         Seed of the truth and its noise.
     names
-        (q,) parameters, such as "v.gain" or "omega.pole_1.real".
+        (q,) names of parameters, such as "v.gain" or "omega.pole_1.real".
     truth, estimate, deviation
-        (q,) each: true value, estimate, stated standard deviation.
+        (q,) true values, estimates and stated standard deviations.
     seconds
         Duration of the identification [s].
     """
@@ -83,21 +83,21 @@ class RecoveredTruth:
 
 @cache
 def truth_settings() -> TruthSettings:
-    """Read `known_truths.yaml`; raises ConfigError on a mistake in it."""
+    """Read `known_truths.yaml`; raise ConfigError if it is invalid."""
     return load_checked(TruthSettings, Path(__file__).parent / "known_truths.yaml")
 
 
 def recover_all(
     models: int | None = None, on_progress: Callable[[int, int], None] | None = None
 ) -> list[RecoveredTruth]:
-    """Recover `models` random truths, by default all of the parameter file; seeds count from 0.
+    """Identify random models with known parameters; seeds start at 0.
 
     Parameters
     ----------
     models
-        Number of models.
+        Number of models; by default that of the parameter file.
     on_progress
-        Called with the number of truths done and their total.
+        Function that is called with the number of completed models and the total number.
     """
     count = models or truth_settings().models
     recoveries = []
@@ -109,7 +109,7 @@ def recover_all(
 
 
 def recover(seed: int) -> RecoveredTruth:
-    """Draw a truth, drive it, log it and identify it."""
+    """Draw a random model, simulate and log a drive, and identify the model."""
     settings = truth_settings()
     stream = np.random.default_rng(seed)
     truth = _draw(stream, settings)
@@ -208,8 +208,8 @@ def _with_poles(estimate: ParameterEstimate, channel: str, damping: float) -> Pa
 
 def _numbers(row: FloatArray, damping: float) -> FloatArray:
     """Append the poles to gain, natural frequency, damping and dead time, real or complex by `damping`."""
-    _, w, damping_found, _ = row
+    _, w, zeta, _ = row
     if damping > _REAL:
-        root = np.sqrt(max(damping_found**2 - 1.0, 0.0))
-        return np.append(row, [-w * (damping_found - root), -w * (damping_found + root)])
-    return np.append(row, [-w * damping_found, w * np.sqrt(max(1.0 - damping_found**2, 0.0))])
+        root = np.sqrt(max(zeta**2 - 1.0, 0.0))
+        return np.append(row, [-w * (zeta - root), -w * (zeta + root)])
+    return np.append(row, [-w * zeta, w * np.sqrt(max(1.0 - zeta**2, 0.0))])

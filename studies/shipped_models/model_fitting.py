@@ -56,21 +56,21 @@ def side_difference(wheel_speeds: FloatArray, radius: float) -> FloatArray:
 
 
 def identify_track(difference: FloatArray, yaw_rate: FloatArray) -> float:
-    """Track [m] by which right minus left rim speed (K,) [m/s] becomes a yaw rate (K,) [rad/s], by least squares.
+    """Identify the track [m], right minus left rim speed (K,) [m/s] over yaw rate (K,) [rad/s], by least squares.
 
-    With the measured yaw rate it is the effective track, on a skid-steer wider than the geometric one; with the
-    commanded yaw rate and settled wheels, that of the firmware times the motors' gain.
+    With the measured yaw rate, the result is the effective track, which is wider than the geometric one on a skid-steer
+    robot. With the commanded yaw rate and settled wheels, it is the firmware's track times the motors' gain.
 
     Raises
     ------
     ValueError
-        If the data do not turn, or turn against the wheels.
+        If the yaw rate is zero, or has the opposite sign of the wheels' difference.
     """
     turning = float(yaw_rate @ yaw_rate)
     slope = float(difference @ yaw_rate) / turning if turning > 0 else 0.0
     if slope <= 0:
         raise ValueError("no track can be found: the yaw rate is zero or runs against the wheels; check its sign")
-    # Errors are in the gyro, so it is regressed on the wheels: yaw rate = difference / track.
+    # The gyro has the errors, so its yaw rate is regressed on the wheels: yaw rate = difference / track.
     return float(difference @ difference) / float(difference @ yaw_rate)
 
 
@@ -86,14 +86,14 @@ _DEAD_TIMES = "; dead times by the steps of SM, since the firmware shapes v and 
 
 
 IDENTIFICATIONS = len(CHANNELS) + 2 * len(Motors.model_fields)
-"""Transfer functions that are fitted in all: both channels of SM, and each motor of MBM twice."""
+"""Total number of fitted transfer functions: both channels of SM, and each motor of MBM twice."""
 
 Identify = Callable[[str, list[SampledExperiment], float | None], IdentifiedChannel]
-"""Function that identifies a channel by its name, its experiments, and its dead time [s] where that is known."""
+"""Function that identifies a channel from its name, its experiments, and its dead time [s] if known."""
 
 
 class FittingSettings(StrictModel):
-    """Settings of the identification from experiments; `model_fitting.yaml` has the reasons."""
+    """Settings of the identification from experiments; `model_fitting.yaml` describes them."""
 
     first_seed: int
     reading_seeds: tuple[int, ...]
@@ -105,7 +105,7 @@ class FittingSettings(StrictModel):
 
 @cache
 def fitting_settings() -> FittingSettings:
-    """Read `model_fitting.yaml`; raises ConfigError on a mistake in it."""
+    """Read `model_fitting.yaml`; raise ConfigError if it is invalid."""
     return load_checked(FittingSettings, Path(__file__).with_name("model_fitting.yaml"))
 
 
@@ -113,7 +113,8 @@ def fitting_settings() -> FittingSettings:
 class PaperExperiments:
     """Logs of the experiments of Guffanti et al., Sensors 2025, 25(11), 3553, on the simulated robot.
 
-    `random` is this project's: set-points of both inputs, since a robot that drives turns otherwise than on the spot.
+    `random` drives are not in the paper: they have set-points of both inputs, because a robot turns differently while
+    driving than on the spot.
     """
 
     wheels: list[OpenLoopDrive]
@@ -124,7 +125,7 @@ class PaperExperiments:
 
 @cache
 def wheel_reading() -> ParameterEstimate:
-    """Find the delay of the wheel speeds after the body [s], and their gain [-], on smoothed random drives."""
+    """Identify the delay of the wheel speeds behind the body [s], and their gain [-], on smoothed random drives."""
     drives = [
         drive_open_loop(make_plant("mujoco", seed=s), random_commands(s)) for s in fitting_settings().reading_seeds
     ]
@@ -135,28 +136,28 @@ def wheel_reading() -> ParameterEstimate:
 
 
 def _lag_and_scale() -> tuple[float, float]:
-    """Round the same as a configuration states it."""
+    """Return delay [s] and gain [-] of the wheel speeds, rounded as in a configuration."""
     lag, scale = wheel_reading().values
     return round(float(lag), 4), round(float(scale), 4)
 
 
-def _late() -> tuple[float, float]:
-    """Return the delay of the outputs of a drive after the body [s], v of the encoders and omega of the gyro."""
+def _output_delays() -> tuple[float, float]:
+    """Return the delay of the outputs of a drive behind the body [s], v of the encoders and omega of the gyro."""
     return _lag_and_scale()[0], 0.0
 
 
-def _over_ground(log: OpenLoopDrive) -> OpenLoopDrive:
-    """Return the drive with wheel speeds over ground, as late as they were read."""
+def _scale_wheel_speeds(log: OpenLoopDrive) -> OpenLoopDrive:
+    """Return the drive with wheel speeds scaled to the speed over ground; their delay is kept."""
     _, scale = _lag_and_scale()
     return replace(log, wheel_speeds=log.wheel_speeds / scale, wheel_twist=log.wheel_twist / scale)
 
 
 def run_experiments() -> PaperExperiments:
-    """Drive the simulated robot through steps and random set-points; wheel speeds are those over ground."""
+    """Drive the simulated robot through steps and random set-points; scale wheel speeds to the speed over ground."""
     seed = itertools.count(fitting_settings().first_seed)
 
     def logs(commands: Iterable[FloatArray]) -> list[OpenLoopDrive]:
-        return [_over_ground(drive_open_loop(make_plant("mujoco", seed=next(seed)), rows)) for rows in commands]
+        return [_scale_wheel_speeds(drive_open_loop(make_plant("mujoco", seed=next(seed)), rows)) for rows in commands]
 
     wheels, v, omega = (logs(step_commands(name)) for name in ("wheels", "v", "omega"))
     random = logs(random_commands(s, smooth=False) for s in fitting_settings().random_seeds)
@@ -177,12 +178,12 @@ def fit_models(
     date
         Date for the provenance; today by default.
     on_progress
-        Called with the number of transfer functions fitted so far and their total, at 0 and after each.
+        Function that is called with the number of fitted transfer functions and their total, at 0 and after each fit.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        At once, if `folder` cannot be written to. After any error its files are unchanged.
+        If `folder` cannot be written to; checked on entry. After any error its files are unchanged.
     """
     day = (date or datetime.date.today()).isoformat()
     announce = on_progress or (lambda _done, _total: None)
@@ -216,9 +217,9 @@ def _write(
     origin: tuple[str, str],
     replaced: Path,
 ) -> None:
-    """Write a parameter file, load it as a user would, and add the FIT of the loaded model; `origin` is day and method.
+    """Write a parameter file, load it, and add the FIT of the loaded model; `origin` is day and method.
 
-    A file of the same name in the folder `replaced` keeps its line for editors.
+    The line for editors of a file of the same name in the folder `replaced` is kept.
     """
     name, line = path.stem, read_editor_line(replaced / path.name)
     data["provenance"] = {
@@ -238,20 +239,20 @@ def _write(
 
 
 def validation_table(folder: Path = PARAMETERS) -> Table:
-    """Tabulate FIT of the three models on drives not used for identification, and their lag behind the body."""
+    """Tabulate the FIT of the models on drives not used for identification, and their delay behind the body."""
     rows = []
     seeds = fitting_settings().validation_seeds
     for smooth in (True, False):
         drives = [
-            _over_ground(drive_open_loop(make_plant("mujoco", seed=seed), random_commands(seed, smooth)))
+            _scale_wheel_speeds(drive_open_loop(make_plant("mujoco", seed=seed), random_commands(seed, smooth)))
             for seed in seeds
         ]
         for name in ("mbm", "sm", "ssm", "two_delays"):
             model = load_linear_model("ssm" if name == "ssm" else folder / f"{name}.yaml")
             fits = [_model_fit(model, drives, row) for row in (0, 1)]
-            late = [lateness(model, drives, [log.true_twist[:, 2 * row] for log in drives], row) for row in (0, 1)]
+            delays = [model_delay(model, drives, [log.true_twist[:, 2 * row] for log in drives], row) for row in (0, 1)]
             kind = "smoothed" if smooth else "in steps"
-            rows.append((model.name, kind, *(f"{x:.2f}" for x in fits), *(f"{x:.4f}" for x in late)))
+            rows.append((model.name, kind, *(f"{x:.2f}" for x in fits), *(f"{x:.4f}" for x in delays)))
     (_, lag, lag_sd), (_, scale, scale_sd) = wheel_reading().rows
     return Table(
         title="Simulation FIT on random drives that no model was identified from",
@@ -263,14 +264,14 @@ def validation_table(folder: Path = PARAMETERS) -> Table:
     )
 
 
-def lateness(model: VelocityModel, logs: list[OpenLoopDrive], motion: list[FloatArray], row: int) -> float:
-    """Find the delay of a channel of the model after the `motion` (K,) of each drive [s], independent of its gain."""
+def model_delay(model: VelocityModel, logs: list[OpenLoopDrive], motion: list[FloatArray], row: int) -> float:
+    """Find the delay of a model's channel behind the `motion` (K,) of each drive [s], independent of the gain."""
     simulated = [model.discretise(load_robot().sample_time).simulate(log.command)[:, row] for log in logs]
     true = np.concatenate(motion)
 
-    def misfit(late: float) -> float:
+    def misfit(delay: float) -> float:
         pairs = zip(logs, simulated, strict=True)
-        prompt = np.concatenate([np.interp(log.time + late, log.time, predicted) for log, predicted in pairs])
+        prompt = np.concatenate([np.interp(log.time + delay, log.time, predicted) for log, predicted in pairs])
         return float(np.sum((true - prompt * (true @ prompt) / (prompt @ prompt)) ** 2))
 
     return float(minimize_scalar(misfit, bounds=(-0.1, 0.1), method="bounded", options={"xatol": 1e-5}).x)
@@ -284,8 +285,8 @@ def _fit_sm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
     return {
         "warnings": [str(warning) for fit in fits.values() for warning in fit.warnings],
         "dead_time": {
-            channel: round(max(fit.parameters.value("dead_time") - late, 0.0), 5)
-            for late, (channel, fit) in zip(_late(), fits.items(), strict=True)
+            channel: round(max(fit.parameters.value("dead_time") - delay, 0.0), 5)
+            for delay, (channel, fit) in zip(_output_delays(), fits.items(), strict=True)
         },
         "channels": {channel: _rounded(fit) for channel, fit in fits.items()},
     }
@@ -293,12 +294,12 @@ def _fit_sm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
 
 def _two_delays(sm: Mapping[str, Any]) -> dict[str, Any]:
     poles = {name: TwoPoles.model_validate(channel) for name, channel in sm["channels"].items()}
-    late = {
+    delays = {
         name: sm["dead_time"][name] + TwoPoles.lag([*numbers.model_dump().values()]) for name, numbers in poles.items()
     }
     return {
         "warnings": [],
-        "dead_time": {name: round(time, 5) for name, time in late.items()},
+        "dead_time": {name: round(time, 5) for name, time in delays.items()},
         "channels": {name: {"gain": numbers.gain} for name, numbers in poles.items()},
     }
 
@@ -312,7 +313,7 @@ def _fit_mbm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
         ]
 
     names = tuple(Motors.model_fields)
-    # The command reaches all four motors over one link: one dead time for all.
+    # The command reaches all four motors over one link, so they share one dead time.
     alone = [identify(name, experiments(wheel), None).parameters for wheel, name in enumerate(names)]
     shared = float(np.mean([parameters.value("dead_time") for parameters in alone]))
     channels = [identify(name, experiments(wheel), shared) for wheel, name in enumerate(names)]
@@ -332,8 +333,8 @@ def _fit_mbm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
     named = {"name": "MBM", "structure": "mbm", "provenance": {"origin": "identified", "source": _SOURCE}}
     prompt = build_model(MbmFile.model_validate(content | named))
     early = [
-        -lateness(prompt, used, [log.output[:, row] for log in used], row) - late
-        for row, (used, late) in enumerate(zip((logs.v, logs.omega), _late(), strict=True))
+        -model_delay(prompt, used, [log.output[:, row] for log in used], row) - delay
+        for row, (used, delay) in enumerate(zip((logs.v, logs.omega), _output_delays(), strict=True))
     ]
     return content | {"dead_time": {name: round(max(time, 0.0), 5) for name, time in zip(CHANNELS, early, strict=True)}}
 
@@ -355,8 +356,8 @@ def _settled(log: OpenLoopDrive) -> FloatArray:
 
 def _model_fit(model: VelocityModel, logs: list[OpenLoopDrive], row: int) -> float:
     discrete = model.discretise(load_robot().sample_time)
-    late = _late()[row]
-    simulated = [np.interp(log.time - late, log.time, discrete.simulate(log.command)[:, row]) for log in logs]
+    delay = _output_delays()[row]
+    simulated = [np.interp(log.time - delay, log.time, discrete.simulate(log.command)[:, row]) for log in logs]
     return pooled_fit_percent([log.output[:, row] for log in logs], simulated)
 
 
@@ -439,7 +440,7 @@ def _channels(fit: np.ndarray) -> dict[str, float]:
     return {"v": round(float(fit[0]), 2), "omega": round(float(fit[1]), 2)}
 
 
-# The shipped network: trained on a drive of the simulated robot as P1 trained its own on one of the real robot.
+# The shipped network is trained on a drive of the simulated robot; P1 trained its network on a drive of the real robot.
 
 
 _NETWORK_FITTING_REPETITION = 41
@@ -454,13 +455,13 @@ def fit_network(folder: Path, on_progress: Callable[[int, int], None] | None = N
     models.errors.MissingPackageError
         If the package for training is not installed.
     """
-    tell = on_progress or (lambda *_: None)
+    announce = on_progress or (lambda *_: None)
     study, settings, kind = load_study().ssm, training_settings(), Architecture()
     logs = RobotLogs(_NETWORK_FITTING_REPETITION)
-    tell(0, 2)
+    announce(0, 2)
     drive = logs.free(1, study.train_duration, study.paper_range)
     held_out = logs.free(study.free_drives, study.free_duration, study.paper_range)
-    tell(1, 2)
+    announce(1, 2)
     training, validation, test = divided(windows_of(twist_experiments(drive), kind.window), settings.shares)
     trained = train(kind, training, validation, settings)
     network = trained.network

@@ -1,1 +1,1 @@
-"""The documents as a site: the input of MkDocs in addition to the Markdown in `docs`."""
+"""Site of the documents: input of MkDocs in addition to the Markdown in `docs`."""

@@ -1,4 +1,4 @@
-"""The command line as a page, from the commands themselves."""
+"""Page on the command line, generated from the commands."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from diffdrive_mpc.app.cli import app
 
 _HEAD = """# Which commands and options are there?
 
-`diffdrive-mpc COMMAND --help` says the same as this page, which is made from the commands. Bad input ends in one line
-on stderr and exit code 2; see [what can go wrong](../safety.md#on-the-command-line).
+This page is generated from the commands, like the output of `diffdrive-mpc COMMAND --help`. Bad input is reported in
+one line on stderr with exit code 2; see [what can go wrong](../safety.md#on-the-command-line).
 """
 _EXAMPLE = re.compile(r"^Examples?:\s*", re.MULTILINE)
 
@@ -27,7 +27,7 @@ def command_line_page() -> str:
 
 
 def _commands(prefix: str, command: Any) -> Iterator[tuple[str, Any]]:  # noqa: ANN401 - typer has no common type
-    """Yield executable commands by their full name, those of groups included."""
+    """Yield executable commands with their full name, including commands of groups."""
     for name, child in sorted(command.commands.items()):
         if hasattr(child, "commands"):
             yield from _commands(f"{prefix} {name}", child)
@@ -73,7 +73,7 @@ def _cell(text: str | None) -> str:
 
 
 def _text(text: str | None) -> str:
-    """Escape help for Markdown, where asterisks and underscores would become emphasis."""
+    """Escape a help text for Markdown, so that asterisks and underscores do not become emphasis."""
     return re.sub(r"([*_<>\[\]])", r"\\\1", text or "")
 
 

@@ -1,4 +1,4 @@
-"""Table of the packages that come with this one, and their licences: `python -m studies.site.licences`."""
+"""Table of the dependencies of this package and their licences: `python -m studies.site.licences`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _LONGEST = 60
 
 
 def licence_table() -> str:
-    """Tabulate every package installed with ours, without extras: its stated licence, and the packages that need it."""
+    """Tabulate every dependency of our package without extras: its stated licence, and the packages that need it."""
     needed = _needed()
     rows = [(name, licence(distribution), ", ".join(sorted(by))) for name, (distribution, by) in sorted(needed.items())]
     lines = ["| package | licence | needed by |", "| --- | --- | --- |"]
@@ -26,9 +26,9 @@ def licence_table() -> str:
 
 
 def licence(package: Distribution) -> str:
-    """Return the licence that a package states: an SPDX expression, its classifiers, or the words of its field."""
+    """Return the licence that a package states: an SPDX expression, its classifiers, or the field "License"."""
     metadata = package.metadata
-    # A missing entry is None in some Pythons, and an error in others.
+    # A missing entry is None in some versions of Python, and an error in others.
     if "License-Expression" in metadata:
         return str(metadata["License-Expression"])
     classes = [
@@ -43,7 +43,7 @@ def licence(package: Distribution) -> str:
 
 
 def _needed() -> dict[str, tuple[Distribution, set[str]]]:
-    """Collect packages by their normalised name, with those that need them, starting from ours."""
+    """Collect the dependencies of our package by normalised name, each with the packages that need it."""
     distributions: dict[str, tuple[Distribution, set[str]]] = {}
     todo = [(_OURS, distribution(_OURS), frozenset[str]())]
     done: set[tuple[str, frozenset[str]]] = set()

@@ -1,4 +1,4 @@
-"""Tutorials as notebooks: the Markdown is the source, and its pictures are those of the notebook.
+"""Conversion of tutorials from Markdown to notebooks, which also draw the pictures of the tutorials.
 
 Run as ``python -m studies.site.notebooks``, from the top of the repository: it writes the notebooks without
 outputs next to the tutorials, executes them, and writes the pictures of their pages. git ignores the notebooks.
@@ -18,7 +18,7 @@ from nbclient import NotebookClient
 
 TUTORIALS = Path("docs/tutorials")
 
-# A notebook needs neither its pictures as files nor the reference to itself.
+# A notebook contains neither its pictures as files nor the reference to the notebook.
 _PICTURE = re.compile(r"^!\[[^\]]*\]\((?P<file>[\w-]+\.png)\)\n\n?", re.MULTILINE)
 _REFERENCE = re.compile(r" The notebook of this page, `(?P<file>[\w-]+\.ipynb)`, has the same steps\.")
 _FILE = re.compile(r"^```yaml\n# file: (\S+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -26,7 +26,7 @@ _FILE = re.compile(r"^```yaml\n# file: (\S+)\n(.*?)^```", re.MULTILINE | re.DOTA
 
 # The first cell of a notebook with commands.
 _SETUP = """```python
-# The commands below are those of this notebook's Python; their tables come as plain text.
+# The commands below run in the environment of this notebook; their tables are plain text.
 import os
 import sys
 
@@ -37,7 +37,7 @@ os.environ.update(PATH=path, FORCE_COLOR="", COLUMNS="110")
 
 
 def notebook_text(markdown: str) -> str:
-    """Convert a tutorial to a notebook in JSON: Python and shell run, and files shown on the page are written."""
+    """Convert a tutorial to a notebook in JSON; cells run Python and shell commands, and write files of the page."""
     source = _FILE.sub(r"```python\n%%writefile \1\n\2```", _REFERENCE.sub("", _PICTURE.sub("", markdown)))
     if "```sh\n" in source:
         title, _, rest = source.partition("\n")
@@ -65,13 +65,13 @@ def with_notebooks(documents: Mapping[str, str], out: Path) -> dict[str, str]:
     return linked
 
 
-def executed(notebook: str, folder: Path) -> list[bytes]:
-    """Execute a notebook in `folder`; return the pictures (PNG) that it draws.
+def execute(notebook: str, folder: Path) -> list[bytes]:
+    """Execute a notebook in `folder`; return the pictures (PNG) of its outputs.
 
     Raises
     ------
     nbclient.exceptions.CellExecutionError
-        If a cell fails; the message names it and the error.
+        If a cell fails; the message names the cell and the error.
     """
     read = jupytext.reads(notebook, fmt="ipynb")
     client = NotebookClient(read, timeout=600, resources={"metadata": {"path": folder}})
@@ -81,7 +81,7 @@ def executed(notebook: str, folder: Path) -> list[bytes]:
 
 
 def pictures(markdown: str) -> list[str]:
-    """List the picture files of a tutorial, in the order in which its notebook draws them."""
+    """List the picture files of a tutorial in the order of the outputs of its notebook."""
     return [match["file"] for match in _PICTURE.finditer(markdown)]
 
 
@@ -94,7 +94,7 @@ def write_all(folder: Path) -> None:
         notebook = notebook_text(markdown)
         page.with_suffix(".ipynb").write_text(notebook, encoding="utf-8")
         with TemporaryDirectory() as scratch:
-            drawn = executed(notebook, Path(scratch))
+            drawn = execute(notebook, Path(scratch))
         for name, picture in zip(pictures(markdown), drawn, strict=True):
             (folder / name).write_bytes(picture)
 

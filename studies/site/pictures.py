@@ -1,4 +1,4 @@
-"""Pictures of the documents that no study draws: results of commands, and the poster.
+"""Pictures of the documents that are drawn by no study: results of commands, and the poster.
 
 Run as ``python -m studies.site.pictures [NAME ...]``, from the top of the repository.
 """
@@ -19,10 +19,10 @@ from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from studies.site.robot_scene import BLUE, GREY, ORANGE, RobotScene, draw_line
 
 FOLDER = Path("docs/pictures")
-# Figures have few colours; a palette takes a third of the room.
+# Figures have few colours; a palette reduces the file to a third.
 _COLOURS = 64
 POSTER, _POSTER_TIME = "poster", 5.2
-"""Name of the picture of the robot, and its instant in the drive [s]."""
+"""Name of the picture of the robot, and its time in the drive [s]."""
 
 
 class SitePicture(StrictModel):
@@ -38,8 +38,8 @@ class Pictures(StrictModel):
     pictures: dict[str, SitePicture]
 
 
-def listed() -> dict[str, SitePicture]:
-    """Load the pictures by name; raise ConfigError for a mistake in the file."""
+def load_pictures() -> dict[str, SitePicture]:
+    """Load the pictures by name; raise ConfigError if the file is invalid."""
     return load_checked(Pictures, Path(__file__).with_name("pictures.yaml")).pictures
 
 
@@ -55,16 +55,16 @@ def draw(picture: SitePicture, target: Path) -> None:
     with TemporaryDirectory() as folder:
         for line in picture.commands:
             done = subprocess.run([*command, *shlex.split(line)], cwd=folder, check=False, stdout=subprocess.DEVNULL)
-            # A drive that does not complete gives 1; pictures show such drives, too.
+            # A drive that does not complete has exit code 1; pictures also show such drives.
             if done.returncode > 1:
                 done.check_returncode()
-        with Image.open(Path(folder) / picture.shown) as drawn:
-            drawn.convert("RGB").quantize(_COLOURS, dither=Image.Dither.NONE).save(target, optimize=True)
+        with Image.open(Path(folder) / picture.shown) as image:
+            image.convert("RGB").quantize(_COLOURS, dither=Image.Dither.NONE).save(target, optimize=True)
 
 
 def draw_poster(target: Path) -> None:
-    """Drive an S, and render the robot, its path so far, the reference and the plan at one instant."""
-    import mujoco  # noqa: PLC0415 - takes the renderer of the environment when it loads
+    """Drive an S, and render the robot, its driven path, the reference and the plan at one time."""
+    import mujoco  # noqa: PLC0415 - reads the environment's renderer setting on import
 
     config = load_config("ssm")
     reference = load_trajectory("s", config)
@@ -88,7 +88,7 @@ def main(names: list[str]) -> None:
     FOLDER.mkdir(exist_ok=True)
     if not names or POSTER in names:
         draw_poster(FOLDER / f"{POSTER}.png")
-    for name, picture in listed().items():
+    for name, picture in load_pictures().items():
         if not names or name in names:
             draw(picture, FOLDER / f"{name}.png")
 

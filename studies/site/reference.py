@@ -1,4 +1,4 @@
-"""Pages of the reference, which are made from the code when the site is built."""
+"""Pages of the reference, which are generated from the code when the site is built."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from studies.site.command_line import command_line_page
 
 Schema = dict[str, Any]
 
-_HEAD = """# What may stand in a file for a model, a path, a log, a floor?
+_HEAD = """# Which keys does a file for a model, a path, a log or a surface have?
 
 This page lists the keys of each kind of file, from the schemas of its readers. Models and trajectories have a JSON
 Schema, `diffdrive-mpc config schema KIND --json`, with which an editor completes and checks such a file
-([how](../install.md#editors)). A key with a point lies in a group. The controller's configuration has
-[a page of its own](../parameters.md). A scenario may draw a value: `[LOW, HIGH]` or `{one_of: [...]}`. A robot or a
-sensor set may leave out every key: the shipped `default` then counts.
+([setup](../install.md#editors)). A key with a point is in a group. The controller's configuration has
+[a separate page](../parameters.md). A scenario may draw a value: `[LOW, HIGH]` or `{one_of: [...]}`. A robot or a
+sensor set may omit every key: the value of the shipped `default` then applies.
 """
 _COLUMNS = "| key | default | allowed | meaning |\n| --- | --- | --- | --- |"
 _BOUNDS = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusiveMaximum": "<"}
@@ -45,11 +45,11 @@ _FORMATS: dict[str, tuple[str, str, Callable[[], Schema]]] = {
     "scenario": ("events and faults of a drive", "--scenario", Scenario.model_json_schema),
     "experiment": ("varied values, parts and tables of a bench", "bench --spec", ExperimentFile.model_json_schema),
 }
-"""Title, option that takes such a file, and schema, by kind."""
+"""Title, option for the file, and schema, by kind of file."""
 
 
 def file_formats_page() -> str:
-    """Return the kinds of files with their keys as Markdown."""
+    """Format the kinds of files with their keys as Markdown."""
     return "\n\n".join([_HEAD, *map(_section, _FORMATS)]) + "\n"
 
 
@@ -71,7 +71,7 @@ def _rows(part: Schema, schema: Schema, prefix: str, needed: str = "required") -
     for name, field in part["properties"].items():
         group = _group(field, schema) if prefix.count(".") < _DEPTH else None
         if group is not None:
-            # Of a group that may be left out nothing is required but with it.
+            # The keys of an optional group are required only if the group is present.
             inside = needed if name in required else "required in the group"
             yield from _rows(group, schema, f"{prefix}{name}.", inside)
             continue
@@ -80,13 +80,13 @@ def _rows(part: Schema, schema: Schema, prefix: str, needed: str = "required") -
 
 
 def _group(field: Schema, schema: Schema) -> Schema | None:
-    """Return the one group that a field may be, if it may be nothing else."""
+    """Return the schema of a group if a field must be this group; otherwise None."""
     alternatives = _alternatives(field, schema)
     return alternatives[0] if len(alternatives) == 1 and "properties" in alternatives[0] else None
 
 
 def _alternatives(field: Schema, schema: Schema) -> list[Schema]:
-    """Return the alternatives of a field, references followed, without null."""
+    """Return the alternatives of a field without null; references are resolved."""
     if "$ref" in field:
         return _alternatives(schema["$defs"][field["$ref"].rpartition("/")[2]], schema)
     choices = field.get("anyOf", field.get("oneOf", []))
@@ -124,19 +124,19 @@ _PACKAGE = package.__name__
 
 _API = """# Which classes and functions are public?
 
-Those of this page: they keep their names and meanings from one release to the next, or the [changelog](../changelog.md)
-says so. Units are SI: metres, radians, seconds; angles count counter-clockwise; arrays are NumPy's, with their shapes
+The classes and functions on this page are public: the [changelog](../changelog.md) lists every change of their names or
+meanings. Units are SI: metres, radians, seconds; angles count counter-clockwise; arrays are NumPy's, with their shapes
 in brackets. Each group begins with the lines that import it.
 """
 _ROS = """# Which topics, services and states does the ROS 2 node have?
 
-The ones of this page. How to bring the node onto a robot is in [the guide](../robot.md), what it does when something
-fails in [safety](../safety.md#what-can-go-wrong); its parameters are in [tables of their own](../parameters.md).
+This page lists them. See [the guide](../robot.md) for the setup of the node on a robot,
+[safety](../safety.md#what-can-go-wrong) for its reactions to failures, and [its parameters](../parameters.md).
 """
 
 
 def reference_pages(documents: Mapping[str, str]) -> dict[str, str]:
-    """Build the pages as Markdown by place on the site; `documents` are those of the repository, text by path."""
+    """Build the pages as Markdown by path on the site; `documents` are the repository's texts by path."""
     pages: dict[str, Callable[[], str]] = {
         "api": api_page,
         "command-line": command_line_page,
@@ -147,7 +147,7 @@ def reference_pages(documents: Mapping[str, str]) -> dict[str, str]:
 
 
 def api_page() -> str:
-    """List the public names by purpose, as directives of mkdocstrings."""
+    """Format the public names by purpose as directives of mkdocstrings."""
     parts = [_API]
     for title, names in public_names().items():
         imports = "\n".join(_imports(names))
@@ -156,7 +156,7 @@ def api_page() -> str:
 
 
 def _imports(names: list[str]) -> list[str]:
-    """Format lines that import the names, those of the package itself first."""
+    """Format lines that import the names, starting with names of the package."""
     homes: dict[str, list[str]] = {}
     for module, name in (name.rsplit(".", 1) for name in names):
         homes.setdefault("" if name in package.__all__ else f".{module}", []).append(name)
@@ -164,7 +164,7 @@ def _imports(names: list[str]) -> list[str]:
 
 
 def public_names() -> dict[str, list[str]]:
-    """Load dotted names below the package by title of their group."""
+    """Load dotted names relative to the package by title of their group."""
     groups: dict[str, list[str]] = read_yaml(_NAMES)
     return groups
 
@@ -172,13 +172,13 @@ def public_names() -> dict[str, list[str]]:
 def ros_page(guide: str) -> str:
     """Build the page of topics, services, frames and states from the guide of the node."""
     shown = [section(guide, title) for title in ("Topics, services, frames", "States")]
-    # They have links of the guide, which is one folder further up.
+    # Links of the guide are relative to its folder, which is one level up.
     return "\n".join([_ROS, *(part.replace("](#", "](robot.md#").replace("](", "](../") for part in shown), ""])
 
 
 def section(page: str, title: str) -> str:
-    """Extract the section of that title; raise ConfigError if the page has none."""
+    """Extract the section with a title; raise ConfigError if the page has no such section."""
     match = re.search(rf"^## {re.escape(title)}\n.*?(?=^## |\Z)", page, re.MULTILINE | re.DOTALL)
     if not match:
-        raise ConfigError(f"no section '{title}' in the page that the site takes it from; name it so again")
+        raise ConfigError(f"no section '{title}' in the source page; restore its title")
     return match[0]

@@ -1,4 +1,4 @@
-"""A MuJoCo model of the robot for pictures, which the plant does not use."""
+"""MuJoCo model of the robot for pictures; the plant uses another model."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from diffdrive_mpc.sim.plants.make import plant_body
 
 GREY, BLUE, ORANGE = (0.25, 0.25, 0.25, 1.0), (0.0, 0.45, 0.70, 1.0), (0.90, 0.38, 0.0, 1.0)
 _PIECES = 300
-"""Number of straight pieces of a drawn line."""
+"""Number of straight segments of a drawn line."""
 _TYRE = 0.6
-"""Width of a tyre over the radius of the wheel [-]; no file states it."""
+"""Width of a tyre over the radius of the wheel [-], for pictures only."""
 _WORLD = """
 <mujoco><option gravity="0 0 0"/><visual><global offwidth="1280" offheight="720"/><quality offsamples="4"/>
 <headlight ambient="0.4 0.4 0.4" diffuse="0.4 0.4 0.4"/></visual><statistic extent="2"/>
@@ -39,12 +39,12 @@ _WHEEL = """
 
 
 class RobotScene:
-    """MuJoCo model of the robot of a plant on a floor, for pictures.
+    """MuJoCo model of the robot of a plant on a plane, for pictures.
 
     Parameters
     ----------
     plant
-        Name of the plant; "model:NAME" has the robot of the papers.
+        Name of the plant; "model:NAME" shows the robot of the papers.
     """
 
     def __init__(self, plant: str) -> None:
@@ -65,7 +65,7 @@ class RobotScene:
         self.data: Any = mujoco.MjData(self.model)
 
     def place(self, pose: ArrayLike, wheel_angles: ArrayLike = (0.0, 0.0, 0.0, 0.0)) -> None:
-        """Put the robot at `pose` (3,) with its wheels at `wheel_angles` (4,) [rad]."""
+        """Place the robot at `pose` (3,) with wheel angles (4,) [rad]."""
         import mujoco  # noqa: PLC0415 - an optional dependency
 
         x, y, theta = np.asarray(pose, dtype=float)

@@ -1,4 +1,4 @@
-"""Write all pages of the site into one folder, as plain Markdown that any generator of sites takes.
+"""Write all pages of the site into one folder, as plain Markdown for any site generator.
 
 Run as ``python -m studies.site.staging OUT``, from the top of the repository.
 """
@@ -32,7 +32,7 @@ _FENCED = re.compile(r"^(```.*?^```)$", re.MULTILINE | re.DOTALL)
 
 
 def place_on_site(path: str) -> str:
-    """Return the place on the site of a file of the repository, both as paths with slashes from the top."""
+    """Return the path on the site of a file of the repository; both paths are relative to the top, with slashes."""
     if path in MOVED:
         return MOVED[path]
     if path.startswith("docs/"):
@@ -43,33 +43,33 @@ def place_on_site(path: str) -> str:
 
 
 def linked_files(markdown: str, document: str) -> set[str]:
-    """List the files of the repository that a `document` links to, both as paths with slashes from the top."""
+    """List the files of the repository that a `document` links to; paths are relative to the top, with slashes."""
     return {_resolved(target, document) for _, target, *_ in _LINK.findall(_FENCED.sub("", markdown))}
 
 
 def with_site_links(markdown: str, document: str) -> str:
-    """Convert the links in a `document` of the repository to those of the site, and remove comments."""
+    """Convert the links in a `document` of the repository to links on the site, and remove comments."""
     folder = posixpath.dirname(place_on_site(document)) or "."
 
-    def moved(match: re.Match[str]) -> str:
+    def site_link(match: re.Match[str]) -> str:
         before, target, anchor, after = match.groups()
         place = place_on_site(_resolved(target, document))
         return f"{before}{posixpath.relpath(place, folder)}{anchor or ''}{after}"
 
     parts = _FENCED.split(_COMMENT.sub("", markdown))
-    return "".join(part if part.startswith("```") else _LINK.sub(moved, part) for part in parts)
+    return "".join(part if part.startswith("```") else _LINK.sub(site_link, part) for part in parts)
 
 
 def page_of_file(path: str, text: str) -> str:
-    """Format a page that shows a file which is no Markdown."""
+    """Format a page with the text of a file that is no Markdown."""
     kind = {".py": "python", ".yaml": "yaml", ".cff": "yaml", ".json": "json"}.get(Path(path).suffix, "text")
     return f"# {path}\n\n```{kind}\n{text.rstrip()}\n```\n"
 
 
 def pages_outside(root: Path, documents: Mapping[str, str]) -> dict[str, str]:
-    """Build pages by place on the site, for files that the `documents` (text by path) link to and for those in `MOVED`.
+    """Build pages by path on the site for files in `MOVED`, and for files that the `documents` (text by path) link to.
 
-    A file that a link names and that does not exist is left out: the strict build then names the page that links to it.
+    A missing file is omitted: the strict build then reports the page that links to it.
     """
     moved = {name: (root / name).read_text(encoding="utf-8") for name in MOVED}
     linked = {path for name, text in {**documents, **moved}.items() for path in linked_files(text, name)}
@@ -98,23 +98,23 @@ def _mathml(match: re.Match[str]) -> str:
     if match["code"]:
         return match[0]
     block = match["block"] is not None
-    made = str(convert((match["block"] or match["inline"]).strip(), display="block" if block else "inline"))
-    # Markdown reads on inside of tags: a star or an underscore would begin an emphasis.
-    return made.replace("*", "&#42;").replace("_", "&#95;")
+    mathml = str(convert((match["block"] or match["inline"]).strip(), display="block" if block else "inline"))
+    # Markdown also parses the text of tags: a star or an underscore would start an emphasis.
+    return mathml.replace("*", "&#42;").replace("_", "&#95;")
 
 
 _LABORATORY = "laboratory/index.html"
 
 
 def stage(root: Path, out: Path) -> None:
-    """Write the documents of the repository at `root`, the laboratory, and the pages made from its code to `out`.
+    """Write the documents of the repository at `root`, the laboratory, and pages generated from the code to `out`.
 
     Earlier content of `out` is removed. Links lead to pages of the site, and formulas are MathML.
 
-    Raises ConfigError if `out` is a folder that was not written by this.
+    Raises ConfigError if `out` is a folder that was not written by this function.
     """
     if out.exists() and not (out / _LABORATORY).is_file():
-        raise ConfigError(f"{out}: has no {_LABORATORY}, so it is no folder of the site's pages; name another")
+        raise ConfigError(f"{out}: it has no {_LABORATORY}, so it is no folder of the site; give another folder")
     pages = [*(root / "docs").rglob("*.md"), *root.glob("packages/*/docs/*.md")]
     documents = {path.relative_to(root).as_posix(): path.read_text(encoding="utf-8") for path in sorted(pages)}
     shutil.rmtree(out, ignore_errors=True)

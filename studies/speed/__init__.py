@@ -1,1 +1,1 @@
-"""Speed of a step, compared with peers on the same problem."""
+"""Step time of the controller, compared with peers on the same problem."""

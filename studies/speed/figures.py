@@ -14,7 +14,7 @@ from studies.speed.results import ACADOS, SpeedResults
 
 
 def draw_horizons(results: SpeedResults, path: Path) -> None:
-    """Draw the median of the whole step against the horizon, all solvers, a panel per model, both axes logarithmic."""
+    """Draw the median of the whole step of all solvers against the horizon, with a panel per model and log axes."""
     models, horizons = results.models, results.horizons
     with new_figure(path, 3.2 * len(models) + 1.6, 3.8) as figure:
         panels = figure.subplots(1, len(models), sharey=True, squeeze=False)[0]
@@ -42,12 +42,12 @@ def draw_horizons(results: SpeedResults, path: Path) -> None:
 
 
 def draw_tails(results: SpeedResults, horizon: int, path: Path) -> None:
-    """Draw the share of steps longer than a given time for the last model at one horizon, both axes logarithmic."""
+    """Draw the share of steps longer than a given time for the last model at one horizon, with logarithmic axes."""
     model = results.models[-1]
     with new_figure(path, 6.4, 4.0) as figure:
         axes = figure.add_subplot()
-        shown = [record for record in results.records if (record.model, record.horizon) == (model, horizon)]
-        for entry in shown:
+        records = [record for record in results.records if (record.model, record.horizon) == (model, horizon)]
+        for entry in records:
             i = results.solvers.index(entry.solver)
             _draw_tail(axes, entry.whole[np.isfinite(entry.whole)], entry.solver, colour(i), line_style(i // 7))
         axes.axhline(0.01, color="black", linewidth=0.5, alpha=0.5)
@@ -57,7 +57,7 @@ def draw_tails(results: SpeedResults, horizon: int, path: Path) -> None:
 
 
 def _draw_tail(axes: Axes, times: ArrayLike, name: str, shade: str, line: str) -> None:
-    """Draw the share of steps that took longer than a given time [s], both axes logarithmic so that the tail shows."""
+    """Draw the share of steps that took longer than a given time [s]; logarithmic axes show the tail."""
     times = 1e3 * np.sort(np.asarray(times, dtype=float))
     longer = 1.0 - np.arange(times.size) / times.size
     label = f"{name}, p99 {np.percentile(times, 99):.2f} ms"

@@ -1,4 +1,4 @@
-"""Measure every subject at one horizon: closed loops in turn, tick by tick; then replays in turn, block by block."""
+"""Measure all subjects at one horizon: closed loops take turns tick by tick, then replays take turns block by block."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from studies.speed.stage import StageProblem, stage_data, stage_problem
 
 
 class PeerInput:
-    """Input of peers: estimate, reference and feed-forward of our own controller, none of it on their clock."""
+    """Input of peers: estimate, reference and feed-forward from our controller; its computing time is not counted."""
 
     def __init__(self, config: ControllerConfig, model: VelocityModel, reference: Reference) -> None:
         self._config, self._reference = config, reference
@@ -45,21 +45,21 @@ class PeerInput:
         self._started = False
 
     def data(self, t: float, measurement: Measurement) -> tuple[FloatArray, FloatArray]:
-        """Compute state of the first stage and parameters of all, see `studies.speed.stage`, at `t` [s]."""
+        """Compute the state of the first stage and parameters of all stages at `t` [s]; see `studies.speed.stage`."""
         if not self._started:
             self._controller.start(self._reference, t)
-        # The subject's command, not that of this controller.
+        # The command of the subject, not of this controller.
         sent = (float(self._past[-1, 0]), float(self._past[-1, 1]))
         stamped = replace(measurement, sent=sent) if self._started else measurement
         self._started = True
         self._controller.program.count_from(self._past[-1])
         estimate = self._controller.step(t, stamped).estimate
         if estimate is None:
-            raise RuntimeError("the drive begins without a pose: peers need the position of the robot")
+            raise RuntimeError("the drive starts without a pose: peers need the position of the robot")
         return stage_data(self._controller.program, estimate, self._past)
 
     def sent(self, command: FloatArray) -> FloatArray:
-        """Return the command sent for a peer's `command` (2,): the nearest inside range and slew, as for ours."""
+        """Limit a peer's `command` (2,) to range and slew, as for our controller; store and return it."""
         sent = nearest_command(command, self._config.limits, self._config.sample_time, self._past[-1])
         self._past = np.concatenate([self._past[1:], sent[None]])
         return sent
@@ -72,9 +72,9 @@ class ClosedLoop:
     Attributes
     ----------
     ticks, peer_data
-        Measurements of the subject at each tick, for a replay; and the data of a peer there.
+        Input of the subject at each tick, for a replay; and the input of a peer at the same tick.
     steps, efforts
-        Results of the steps, and their processor and clock times.
+        Results of the steps, and their efforts.
     pose, twist, command
         True pose (3,) and twist (2,) before each tick, and the command sent (2,).
     """
@@ -93,7 +93,7 @@ class ClosedLoop:
     command: list[FloatArray] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        """Put the robot at the start of the reference."""
+        """Place the robot at the start of the reference."""
         s = self.settings
         self.reference = load_trajectory(s.trajectory)
         self._plant = make_plant(f"model:{self.config.model}", sensors=s.plant_sensors, seed=s.seed)
@@ -135,8 +135,8 @@ def closed_loop_cost(
 
     Half the weighted sum of squares of the pose error along and across the reference and in heading, of the command's
     deviation from its feed-forward and of its increments less those of the feed-forward, plus the penalties on soft
-    limits that were exceeded. The terminal weight has no part in it, nor has slip: the feed-forward is that of the
-    model, and no lead is requested.
+    limits that were exceeded. Terminal weight and slip are not included: the feed-forward is that of the model, without
+    a lead.
 
     Parameters
     ----------
@@ -145,13 +145,13 @@ def closed_loop_cost(
     twist
         (n, 2) true v [m/s], omega [rad/s] at each tick.
     command
-        (n, 2) v_ref [m/s], omega_ref [rad/s] sent at each tick; before the first the robot stood.
+        (n, 2) v_ref [m/s], omega_ref [rad/s] sent at each tick; before the first tick the robot is at rest.
     reference
         Reference to track.
     config
         Weights, limits, track and sample time.
     model
-        The velocity model whose steady gain the feed-forward inverts.
+        Velocity model whose steady-state gain the feed-forward inverts.
 
     Returns
     -------
@@ -161,7 +161,7 @@ def closed_loop_cost(
     Raises
     ------
     ValueError
-        If the shapes do not agree, or a value is not finite.
+        If the shapes do not match, or a value is not finite.
     """
     n = len(command)
     if pose.shape != (n, 3) or twist.shape != (n, 2) or command.shape != (n, 2):
@@ -169,7 +169,7 @@ def closed_loop_cost(
             f"pose {pose.shape}, twist {twist.shape}, command {command.shape}: give (n, 3), (n, 2), (n, 2)"
         )
     if not all(np.isfinite(values).all() for values in (pose, twist, command)):
-        raise ValueError("pose, twist and command must be finite: a drive that failed has no cost")
+        raise ValueError("pose, twist and command must be finite: a failed drive has no cost")
     ahead = FeedForward.from_model(model, config.sample_time)
     sample = reference.sample(config.sample_time * np.arange(n + int(ahead.whole.max()) + 1))
     w = with_increments(config, model.discretise(config.sample_time)).weights
@@ -185,21 +185,21 @@ def closed_loop_cost(
 
 
 def _fed_forward(ahead: FeedForward, twist: FloatArray, n: int) -> FloatArray:
-    """Compute commands (n, 2) that would keep the reference's twist, without slip."""
+    """Compute commands (n, 2) that hold the reference's twist without slip."""
     rows = np.arange(n)[:, None] + ahead.whole
     now, after = twist[rows, [0, 1]], twist[rows + 1, [0, 1]]
-    wanted = (now + ahead.rest * (after - now)).T
-    return np.asarray(formula("feed_forward").map(n)(wanted, Slip().flat, ahead.inverse_gain)).T
+    desired = (now + ahead.rest * (after - now)).T
+    return np.asarray(formula("feed_forward").map(n)(desired, Slip().flat, ahead.inverse_gain)).T
 
 
 def _in_path(pose: FloatArray, reference: FloatArray) -> FloatArray:
-    """Compute errors (n, 3) along, across and in heading."""
+    """Compute the errors (n, 3) along the reference, across it and in heading."""
     error = pose - reference
     return np.column_stack([*ahead_and_left(error, reference[:, 2]), wrap_angle(error[:, 2])])
 
 
 def _soft_values(twist: FloatArray, across: FloatArray, config: ControllerConfig) -> FloatArray:
-    """Compute magnitudes (n, 5) of v, omega, the rim speed of both sides, and the distance across the path."""
+    """Compute magnitudes (n, 5) of v, omega, the rim speeds of both sides, and the error across the path."""
     v, omega = twist.T
     rim = 0.5 * config.wheels.track * omega
     return np.asarray(np.abs(np.column_stack([v, omega, v + rim, v - rim, across])))
@@ -212,12 +212,12 @@ def _soft_limits(config: ControllerConfig) -> FloatArray:
 
 T = TypeVar("T")
 _AT_LIMIT = 1e-5
-"""A command this close to a limit counts as limited [m/s, rad/s]."""
+"""Distance from a limit below which a command counts as at the limit [m/s, rad/s]."""
 
 
 @dataclass(frozen=True)
 class SpeedProblem:
-    """One model and horizon."""
+    """Problem of one model and horizon."""
 
     name: str
     horizon: int
@@ -228,7 +228,7 @@ class SpeedProblem:
 
 @dataclass(eq=False)
 class _Running:
-    """A subject in the middle of it; satisfies `bench.turns.Replay`."""
+    """A running subject with its closed loop; satisfies `bench.turns.Replay`. `lost` is the reason of a failure."""
 
     name: str
     problem: SpeedProblem
@@ -244,17 +244,17 @@ class _Running:
 
     def restart(self) -> None:
         """Restart the drive."""
-        self.guarded(lambda: self.drive.subject.reset(self.drive.ticks[0]))
+        self.call(lambda: self.drive.subject.reset(self.drive.ticks[0]))
 
     def run(self, first: int, last: int) -> tuple[FloatArray, Effort] | None:
         """Run ticks; return times (ticks, 2) of whole steps and solver [s], or None after a failure."""
-        result = self.guarded(lambda: self.drive.subject.run(self.drive.ticks[first:last]))
+        result = self.call(lambda: self.drive.subject.run(self.drive.ticks[first:last]))
         return None if result is None else (_times(result[0]), result[1])
 
-    def guarded(self, act: Callable[[], T]) -> T | None:
-        """Let the subject act; one that fails is removed with its reason, the others continue."""
+    def call(self, function: Callable[[], T]) -> T | None:
+        """Call a function of the subject; after a failure, store the reason and return None from then on."""
         try:
-            return None if self.lost else act()
+            return None if self.lost else function()
         except SubjectError as error:
             self.lost = str(error)
             return None
@@ -287,19 +287,19 @@ def measure(
     settings, problems
         Settings and problems of the study.
     environment
-        Environment of the peers that need their own; or the reason for its absence.
+        Environment of the peers, None if no peer needs it, or the reason for its absence.
     folder
         Folder of the files that the subjects generate.
     core
-        The core that everybody runs on; None where a process cannot be bound to one.
+        Core that all subjects run on; None if the system cannot bind a process to a core.
     on_tick
-        Called after each tick of the closed loops.
+        Function that is called after each tick of the closed loops.
     """
     missing: list[Missing] = []
     running: list[_Running] = []
     with ExitStack() as stack:
         for problem, (name, chosen) in itertools.product(problems, settings.subjects.items()):
-            place = folder / problem.name / _plain(name)
+            place = folder / problem.name / _folder_name(name)
             try:
                 subject, built = _build(stack, settings, problem, chosen, environment, place, core)
             except SubjectError as error:
@@ -309,7 +309,7 @@ def measure(
             running.append(_Running(name, problem, drive, built))
         for _ in range(settings.ticks):
             for candidate in running:
-                candidate.guarded(candidate.drive.step)
+                candidate.call(candidate.drive.step)
             on_tick()
         _replay([candidate for candidate in running if not candidate.lost], settings)
         converged = {
@@ -322,7 +322,7 @@ def measure(
         for candidate in running:
             if not candidate.lost:
                 measured.append(
-                    _measured(candidate, _gaps(candidate, converged[candidate.problem.name], settings.gap_every))
+                    _record(candidate, _gaps(candidate, converged[candidate.problem.name], settings.gap_every))
                 )
             else:
                 missing.append(
@@ -332,8 +332,8 @@ def measure(
 
 
 def _replay(running: Sequence[_Running], settings: SpeedSettings) -> None:
-    """Time all of them; those too slow to be replayed have the times of their closed loop."""
-    quick = [subject for subject in running if _typical(subject) < settings.replayed_below]
+    """Time all subjects by replays; subjects that are too slow for replays keep the times of their closed loop."""
+    quick = [subject for subject in running if _median_step_time(subject) < settings.replayed_below]
     (costs,), best = take_turns([quick], repetitions=settings.repetitions, block=settings.block)
     for subject, times in zip(quick, costs, strict=True):
         subject.times = times
@@ -353,10 +353,10 @@ def _build(
     core: int | None,
 ) -> tuple[Subject, dict[str, float]]:
     if chosen.kind == "acados" and not shutil.which("gcc"):
-        raise SubjectError("no C compiler: it needs gcc")
+        raise SubjectError("no C compiler: install gcc")
     if chosen.foreign:
         if not isinstance(environment, PeerEnvironment):
-            raise environment or SubjectError("it needs the peers' environment")
+            raise environment or SubjectError("the peers' environment is needed")
         subject = stack.enter_context(Subject(chosen.kind, folder, environment.python, environment.variables))
     else:
         subject = stack.enter_context(Subject(chosen.kind, folder))
@@ -366,12 +366,12 @@ def _build(
     return subject, subject.build(asdict(problem.stages), chosen.settings, core)
 
 
-def _typical(subject: _Running) -> float:
+def _median_step_time(subject: _Running) -> float:
     return float(np.median([step.whole for step in subject.drive.steps]))
 
 
 def _gaps(subject: _Running, converged: Subject, every: int) -> FloatArray:
-    """Compute |command - converged command| (n, 2) at every `every`-th tick."""
+    """Compute |command - converged command| (n, 2) at every tick whose number is a multiple of `every`."""
     gaps: list[FloatArray] = []
     for k in range(0, len(subject.drive.ticks), every):
         data = subject.drive.peer_data[k]
@@ -382,7 +382,7 @@ def _gaps(subject: _Running, converged: Subject, every: int) -> FloatArray:
     return np.array(gaps or [np.full(2, np.nan)])
 
 
-def _measured(subject: _Running, gaps: FloatArray) -> SpeedRecord:
+def _record(subject: _Running, gaps: FloatArray) -> SpeedRecord:
     drive, problem = subject.drive, subject.problem
     assert subject.times is not None
     whole, inside = np.moveaxis(subject.times.selected, -1, 0)
@@ -424,5 +424,5 @@ def _active_share(command: FloatArray, config: ControllerConfig) -> float:
     return float(at_limit.any(axis=1).mean())
 
 
-def _plain(name: str) -> str:
+def _folder_name(name: str) -> str:
     return name.replace("/", "-")

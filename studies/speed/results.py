@@ -12,14 +12,14 @@ from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.interface import FloatArray
 
 ACADOS = "acados"
-"""The peer that ratios refer to."""
+"""Peer that ratios refer to."""
 GROWTH_FROM = 20
-"""Shortest horizon that counts for the growth: below it the effort that does not depend on the horizon dominates."""
+"""Minimum horizon for the growth exponent: below it, costs that do not depend on the horizon dominate."""
 
 
 @dataclass(frozen=True, eq=False)
 class SpeedRecord:
-    """One line of `speed.json`.
+    """Result of one subject on one problem; a record of `speed.json`.
 
     Attributes
     ----------
@@ -28,27 +28,27 @@ class SpeedRecord:
     step_p50_s, step_p95_s, step_p99_s, step_max_s
         Time of the whole step from Python [s], over all ticks of all repetitions.
     tick_p99_s, tick_max_s
-        The same over the ticks, each with the median of its repetitions: the effect of the data, without that of other
+        Statistics over ticks of the median over repetitions [s]: they show the effect of the data without that of other
         programs.
     solver_p50_s, solver_p95_s, solver_p99_s, solver_max_s
-        Time inside the solver by its own clock [s].
+        Time inside the solver, as reported by the solver [s].
     iterations_p50, iterations_max
         Iterations of the solver.
     closed_loop_cost
-        See `studies.speed.measure`.
+        Cost of the closed loop per tick, see `studies.speed.measure.closed_loop_cost`.
     gap_v_p50, gap_v_max, gap_omega_p50, gap_omega_max
-        Distance of the command from that of the converged solution at the same state [m/s, rad/s].
+        Distance of the command from the command of the converged solution at the same state [m/s, rad/s].
     active_share
-        Share of ticks at which the command stood at a hard limit of range or slew.
+        Share of ticks at which the command was at a hard limit of range or slew.
     unsolved
-        Ticks at which the solver gave up.
+        Number of ticks at which the solver failed.
     samples, clean_share, ticks
-        Steps that were timed, the share of them that were undisturbed, and ticks of the drive.
+        Number of timed steps, share of undisturbed steps, and number of ticks of the drive.
     build_s, memory_bytes, memory_growth_bytes
-        Time to set it up [s]; the largest memory of its process, and its growth since its modules were loaded.
+        Build time [s]; maximum memory of the process, and its growth since its modules were loaded [bytes].
     whole
-        (repetitions, ticks) times of the whole step [s], NaN where it was disturbed or cold, for the figure of the
-        tail; not written.
+        (repetitions, ticks) times of the whole step [s], NaN if disturbed or cold, for the figure of the tail; not
+        written to the file.
     """
 
     solver: str
@@ -82,14 +82,14 @@ class SpeedRecord:
     whole: FloatArray = field(repr=False)
 
     def as_json(self) -> dict[str, object]:
-        """Convert to plain values; times to the nanosecond."""
+        """Convert to plain values; times are rounded to nanoseconds."""
         written = {member.name: getattr(self, member.name) for member in fields(self) if member.name != "whole"}
         return {name: round(value, 9) if isinstance(value, float) else value for name, value in written.items()}
 
 
 @dataclass(frozen=True)
 class Missing:
-    """A subject that could not be run, and why."""
+    """A subject that could not be run, and the reason."""
 
     solver: str
     model: str
@@ -98,7 +98,7 @@ class Missing:
 
 
 def time_statistics(whole: FloatArray, inside: FloatArray) -> dict[str, float]:
-    """Compute percentiles of times (repetitions, ticks) [s] by the fields of a record, without NaN."""
+    """Compute percentiles of times (repetitions, ticks) [s] by the fields of a record; NaN values are ignored."""
     ticks = np.nanmedian(whole[:, np.isfinite(whole).any(axis=0)], axis=0)
     statistics = {"tick_p99_s": float(np.percentile(ticks, 99)), "tick_max_s": float(ticks.max())}
     for name, times in (("step", whole), ("solver", inside)):
@@ -117,16 +117,16 @@ def growth_exponent(horizons: FloatArray, times: FloatArray) -> float:
 
 @dataclass(frozen=True)
 class SpeedResults:
-    """Records, their times, and the missing subjects.
+    """Records of the benchmark, and missing subjects.
 
     Attributes
     ----------
     records, missing
-        In the order of the run.
+        Records and missing subjects in the order of the run.
     core
-        The core that everybody ran on; None where a process cannot be bound to one.
+        Core that all subjects ran on; None if the system cannot bind a process to a core.
     load
-        Processes that ran on the machine before and after.
+        Number of running processes on the machine before and after.
     """
 
     records: tuple[SpeedRecord, ...]
@@ -146,21 +146,21 @@ class SpeedResults:
 
     @property
     def solvers(self) -> tuple[str, ...]:
-        """Solvers, in order of appearance, those that are missing everywhere left out."""
+        """Solvers with at least one record, in order of appearance."""
         return tuple(dict.fromkeys(record.solver for record in self.records))
 
     def find(self, solver: str, model: str, horizon: int) -> SpeedRecord | None:
-        """Find one record, if it exists."""
-        wanted = (solver, model, horizon)
-        return next((r for r in self.records if (r.solver, r.model, r.horizon) == wanted), None)
+        """Find the record of a solver, model and horizon; None if it does not exist."""
+        key = (solver, model, horizon)
+        return next((r for r in self.records if (r.solver, r.model, r.horizon) == key), None)
 
     def value(self, solver: str, model: str, horizon: int, field: Callable[[SpeedRecord], float]) -> float:
-        """Return a value of one record; NaN without it."""
+        """Return a value of one record; NaN if the record does not exist."""
         record = self.find(solver, model, horizon)
         return float("nan") if record is None else field(record)
 
     def growth(self, solver: str, model: str) -> float:
-        """Fit the exponent of the step's median over horizons from `GROWTH_FROM` on; NaN with fewer than two."""
+        """Fit the exponent of the step's median over horizons of at least `GROWTH_FROM`; NaN with fewer than two."""
         records = [r for r in self.records if (r.solver, r.model) == (solver, model) and r.horizon >= GROWTH_FROM]
         return growth_exponent(
             np.array([r.horizon for r in records], dtype=float), np.array([r.step_p50_s for r in records])
@@ -181,16 +181,16 @@ class SpeedResults:
         }
 
 
-# The tables of the speed benchmark.
+# Tables of the speed benchmark.
 
 
 _DETAILED = 30
-"""The shipped horizon; a run without it shows its longest."""
+"""Horizon of the detailed tables, which is the shipped one; if it was not run, the longest horizon is used."""
 _SMALLEST = "ssm"
-"""The model with the fewest states, which others are compared with."""
+"""Model with the minimum number of states, which other models are compared with."""
 Value = Callable[[SpeedRecord], float]
 Cell = Callable[[str, str, int], str]
-"""Cell of solver, model and horizon."""
+"""Function from solver, model and horizon to a cell."""
 
 
 def _whole(record: SpeedRecord) -> float:
@@ -206,7 +206,7 @@ def speed_tables(results: SpeedResults) -> list[Table]:
     models = results.models
     tables = [_medians(results, model) for model in models]
     if ACADOS in results.solvers:
-        own_clock, python = "inside its solver by its own clock", "from Python"
+        own_clock, python = "inside its solver as it reports it", "from Python"
         tables += [_against_acados(results, model, "inside", own_clock, _inside) for model in models]
         tables += [_against_acados(results, model, "whole", python, _whole) for model in models]
     tables += [_tails(results, model) for model in models]
@@ -226,7 +226,7 @@ def detailed_horizon(results: SpeedResults) -> int:
 def _by_horizon(
     results: SpeedResults, title: str, models: str | Sequence[str], cell: Cell, note: str, *, unit: str = ""
 ) -> Table:
-    """Tabulate a row for each solver, or for each model and solver, with a column for each horizon."""
+    """Build a table with a row per solver, or per model and solver, and a column per horizon."""
 
     def cell_at(n: int) -> Callable[[tuple[str, str]], str]:
         return lambda key: cell(*key, n)
@@ -244,9 +244,7 @@ def _medians(results: SpeedResults, model: str) -> Table:
         whole, inside = (number(1e3 * results.value(solver, model, n, clock), 3) for clock in (_whole, _inside))
         return f"{whole}{'*' if results.value(solver, model, n, lambda r: r.clean_share) < 1 else ''} ({inside})"
 
-    note = (
-        "Whole step from Python, in brackets the time inside the solver. *: some steps could not be kept undisturbed."
-    )
+    note = "Whole step from Python, in brackets the time inside the solver. *: some steps were disturbed."
     return _by_horizon(results, f"Median step {model.upper()}", model, cell, note, unit=" [ms]")
 
 
@@ -271,14 +269,14 @@ def _tails(results: SpeedResults, model: str) -> Table:
         "tick max [ms]": millis(lambda r: r.tick_max_s),
         "p99 / p50": lambda r: number(r.step_p99_s / r.step_p50_s, 1),
     }
-    note = "Whole steps of all repetitions; by tick: the median of its repetitions, what the data cause."
+    note = "Whole steps of all repetitions; by tick: the median over repetitions, which shows the effect of the data."
     return _detailed(results, "Tail", model, columns, note)
 
 
 def _detailed(
     results: SpeedResults, title: str, model: str, columns: dict[str, Callable[[SpeedRecord], str]], note: str
 ) -> Table:
-    """Tabulate a row for each solver at the detailed horizon."""
+    """Build a table with a row per solver at the detailed horizon."""
     n = detailed_horizon(results)
     entries = [((solver,), record) for solver in results.solvers if (record := results.find(solver, model, n))]
     return Table.build(f"{title} {model.upper()}", ("solver",), columns, entries, f"N = {n}. {note}")
@@ -290,7 +288,7 @@ def _tails_by_horizon(results: SpeedResults, model: str) -> Table:
         by_tick = results.value(solver, model, n, lambda r: r.tick_p99_s / r.step_p50_s)
         return f"{number(all_steps, 1)} ({number(by_tick, 1)})"
 
-    note = "p99 of the whole step over its median; in brackets with the median of a tick's repetitions in p99."
+    note = "p99 of the whole step over its median; in brackets, p99 over ticks of the median over repetitions."
     return _by_horizon(results, f"Tail by horizon {model.upper()}", model, cell, note)
 
 
@@ -315,8 +313,8 @@ def _exactness(results: SpeedResults, model: str) -> Table:
         "at limits [%]": lambda r: number(100 * r.active_share, 0),
     }
     note = (
-        "Distance of the command from the converged one at the same state, p50 and maximum. Cost: of the closed loop, "
-        "per tick. Its: median of the solver's iterations. Fails: ticks at which the solver gave up."
+        "Distance of the command from the converged command at the same state, p50 and maximum. Cost: of the closed "
+        "loop, per tick. Its: median of the solver's iterations. Fails: ticks at which the solver failed."
     )
     return _detailed(results, "Exactness", model, columns, note)
 
@@ -335,8 +333,8 @@ def _growth(results: SpeedResults) -> Table:
     columns[f"memory, N = {longest} [MB]"] = memory
     entries = [((solver,), solver) for solver in results.solvers]
     note = (
-        f"Exponent of the median step over the horizon, from N = {GROWTH_FROM} on. Memory: what its process took "
-        "beyond its loaded modules, at most."
+        f"Exponent of the median step over the horizon, for N of at least {GROWTH_FROM}. Memory: maximum memory of "
+        "the process in addition to its loaded modules."
     )
     return Table.build("Growth and memory", ("solver",), columns, entries, note)
 

@@ -12,24 +12,24 @@ from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_che
 
 Names = Annotated[tuple[str, ...], Field(min_length=1)]
 Count = Annotated[int, Field(ge=1, le=100_000)]
-MOST_STEPS = 200
+MAX_STEPS = 200
 """Maximum horizon, as in the configuration."""
 
 
 class SubjectSettings(StrictModel):
-    """One way of solving the problem."""
+    """One solver of the problem with its settings."""
 
     kind: Literal["ours", "acados", "do-mpc", "nlpsol"]
-    settings: dict[str, Any] = Field(description="values of the configuration for ours, of its solver for a peer")
+    settings: dict[str, Any] = Field(description="configuration values for our controller, solver settings for a peer")
 
     @property
     def foreign(self) -> bool:
-        """True if a subject needs the peers' environment."""
+        """True if the subject needs the peers' environment."""
         return self.kind in ("acados", "do-mpc")
 
 
 class SpeedSettings(StrictModel):
-    """The problem, its solvers, and the settings of the measurement; units in the file."""
+    """Problem, solvers and settings of the measurement; units are stated in the file."""
 
     config: dict[str, bool | int | float | str] = Field(description="values of every configuration by dotted key")
     trajectory: str
@@ -37,7 +37,7 @@ class SpeedSettings(StrictModel):
     plant_sensors: str
     seed: Annotated[int, Field(ge=0)]
     models: Names
-    horizons: Annotated[tuple[Annotated[int, Field(ge=1, le=MOST_STEPS)], ...], Field(min_length=1)]
+    horizons: Annotated[tuple[Annotated[int, Field(ge=1, le=MAX_STEPS)], ...], Field(min_length=1)]
     repetitions: Count
     block: Count
     replayed_below: Annotated[float, Field(gt=0)]
@@ -51,13 +51,13 @@ QUICK: dict[str, object] = {"models": ("ssm",), "horizons": (10, 20), "ticks": 6
 
 
 def load_speed_settings(file: Path | None = None, *, quick: bool = False) -> SpeedSettings:
-    """Read a file of settings, by default the shipped one; raises ConfigError when it has a mistake."""
+    """Read a file of settings, by default the shipped one; raise ConfigError if it is invalid."""
     settings = load_checked(SpeedSettings, file or Path(__file__).with_name("settings.yaml"))
     return settings.model_copy(update=QUICK) if quick else settings
 
 
-def chosen(settings: SpeedSettings, names: Sequence[str] | None) -> SpeedSettings:
-    """Select the named subjects, and those below a name (`ours` is all three of ours).
+def select_subjects(settings: SpeedSettings, names: Sequence[str] | None) -> SpeedSettings:
+    """Select the named subjects; the name of a group selects its members (`ours` selects `ours/auto` etc.).
 
     Raises ConfigError if a name is unknown.
     """

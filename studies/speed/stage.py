@@ -1,7 +1,7 @@
-"""The tracking problem of `mpc.problem` stage by stage, for peers that take an optimal control problem apart in time.
+"""Tracking problem of `mpc.problem` by stages, for peers that solve multistage optimal control problems.
 
 The state of a stage is z = (x, pose, past): the velocity model's n states, the pose, and the `memory` commands sent
-before it, oldest first. Stage k has the parameters p_k of `ROWS`; the first stage's state is data.
+before it, oldest first. Stage k has the parameters p_k of `ROWS`; the state of the first stage is given.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ ROWS = (
     *("v_ramp", "omega_ramp"),
     *("v_limit", "omega_limit", "right_limit", "left_limit", "corridor"),
 )
-"""Values that change from tick to tick, in the order of a stage's parameters."""
+"""Names of the parameters of a stage, in order; their values change from tick to tick."""
 
 
 @dataclass(frozen=True)
 class StageProblem:
-    """One problem for a peer, in plain values: a peer's process needs CasADi and NumPy only.
+    """Problem for a peer as plain values; the process of a peer needs CasADi and NumPy only.
 
     The peer minimises, over k = 0 to N - 1, effort(z_k, u_k, p_k)^2 weighted by `effort_weights`, and over k = 1 to N,
     tracking(z_k, p_k)^2 weighted by `tracking_weights`, the last one `terminal` times, each halved; plus
@@ -72,7 +72,7 @@ class StageProblem:
 
 
 def stage_problem(config: ControllerConfig, model: DiscreteModel) -> StageProblem:
-    """Build the problem of a controller with `config` and the sampled `model`."""
+    """Build the problem of a controller with configuration `config` and sampled `model`."""
     n, memory = model.order, model.memory
     size = n + 3 + 2 * memory
     z, u, p = ca.SX.sym("z", size), ca.SX.sym("u", 2), ca.SX.sym("p", len(ROWS))
@@ -119,17 +119,17 @@ def stage_data(program: Program, estimate: Estimate, past: FloatArray) -> tuple[
     Parameters
     ----------
     program, estimate
-        The tick's problem in the core's memory, and the estimate that it was made from.
+        Problem of the tick in the memory of the core, and the estimate that it was built from.
     past
-        (memory, 2) commands on their way at the tick, oldest first.
+        (memory, 2) commands sent before the tick, oldest first.
 
     Raises
     ------
     ValueError
-        If the last command of the tick is not the newest of `past`: a stage knows only one of them.
+        If the last command of the tick differs from the newest one of `past`, because a stage has only one of them.
     """
     if not np.array_equal(program.last_command, past[-1]):
-        raise ValueError("the last command and the newest one on its way differ: peers cannot state that")
+        raise ValueError("the last command differs from the newest past command: peers cannot represent that")
     N, slip = len(program.feed_forward), estimate.slip
     parameters = np.zeros((N + 1, len(ROWS)))
     parameters[:, :4] = program.aim

@@ -1,4 +1,4 @@
-"""Study of the speed of a step, compared with peers on the same problem."""
+"""Study of the step time, compared with peers on the same problem."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
     settings
         Settings of the study.
     peer_folder
-        Folder of the peers' environment; by default below the user's cache folder.
+        Folder of the peers' environment; by default in the user's cache folder.
     """
 
     name = "speed"
@@ -42,7 +42,7 @@ class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
         return [[load_problem(s, model, n) for model in s.models] for n in s.horizons]
 
     def run(self, plan: list[list[SpeedProblem]], jobs: int, bar: ProgressBar) -> SpeedResults:
-        """Run one after the other on one core, independent of `jobs`; raise ValueError if no subject could be run."""
+        """Run all problems sequentially on one core, ignoring `jobs`; raise ValueError if no subject could be run."""
         del jobs
         load = os.getloadavg()[0]
         core = max(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None
@@ -71,15 +71,15 @@ class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
             return error
 
     def report(self, results: SpeedResults, seconds: float) -> Report:
-        """Report the drive, the timing and the participants."""
+        """Build the report with the drive, the timing and the peers."""
         from studies.speed.figures import draw_horizons, draw_tails  # noqa: PLC0415
 
         s, (before, after) = self.settings, results.load
-        core = "one core for all" if results.core is not None else "no core of their own"
+        core = "one core for all" if results.core is not None else "not bound to a core"
         missing = "; ".join(dict.fromkeys(f"{entry.solver} ({entry.reason})" for entry in results.missing)) or "none"
         lines = REQUIREMENTS.read_text(encoding="utf-8").splitlines()
-        shown = ("comma-deps-acados", "casadi", "do-mpc")
-        peers = [line.replace("==", " ") for line in lines if line.partition("==")[0] in shown]
+        packages = ("comma-deps-acados", "casadi", "do-mpc")
+        peers = [line.replace("==", " ") for line in lines if line.partition("==")[0] in packages]
         clean = float(np.mean([record.clean_share for record in results.records]))
         load = {"before": before, "after": after}
         return Report(
@@ -91,8 +91,8 @@ class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
                 f"BLAS thread, in {seconds} s; {before:.1f} processes ran on the machine before, {after:.1f} after."
             ],
             notes=[
-                f"{100 * clean:.1f} % of the steps were undisturbed: no other process, no slower machine. The others "
-                "are left out, and medians of rows that have some are marked *.",
+                f"{100 * clean:.1f} % of the steps were undisturbed by other processes and a slower machine. Disturbed "
+                "steps are omitted, and medians of rows with disturbed steps are marked *.",
                 f"Peers: {', '.join(peers)}. Missing: {missing}.",
             ],
             tables=speed_tables(results),

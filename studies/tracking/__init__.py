@@ -1,1 +1,1 @@
-"""The tracking study: targets, the effect of each part of the estimator, and the remaining margin."""
+"""Tracking study: targets, the effect of each part of the estimator, and the remaining margin."""

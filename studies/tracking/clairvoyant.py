@@ -1,9 +1,9 @@
-"""A bound, not a controller to drive with: it knows the plant, its pose and its slip, and has no time limit.
+"""Bound of the tracking error: a controller with exact knowledge of plant, pose and slip, and without a time limit.
 
-It solves the predictive controller's problem (`mpc.problem`) with IPOPT to convergence at every tick: the same weights
-and hard limits, a longer horizon. The model is fitted to the plant itself, poses are true, slip is part of the
-prediction, and heading errors count from the heading that holds the path under side-slip. Soft limits are left out:
-they are not reached on references within the limits.
+It solves the predictive controller's problem (`mpc.problem`) with IPOPT to convergence at every tick, with the same
+weights and hard limits, but a longer horizon. The model is fitted to the plant, poses are true, slip is part of the
+prediction, and heading errors are relative to the heading that holds the path under side-slip. Soft limits are omitted:
+they are not active on references within the limits.
 """
 
 from __future__ import annotations
@@ -39,22 +39,22 @@ class ClairvoyantSettings(StrictModel):
 
 @cache
 def load_clairvoyant_settings(path: Path | None = None) -> ClairvoyantSettings:
-    """Read a file of settings, by default the shipped one; raises ConfigError when it has a mistake."""
+    """Read a file of settings, by default the shipped one; raise ConfigError if it is invalid."""
     return load_checked(ClairvoyantSettings, path or Path(__file__).parent / "clairvoyant.yaml")
 
 
 @dataclass(frozen=True)
 class Present:
-    """All that is known now.
+    """Present state of the plant.
 
     Attributes
     ----------
     pose
-        (3,) x [m], y [m], theta [rad] on the turn of the reference.
+        (3,) x [m], y [m], theta [rad], unwrapped to within pi of the reference.
     state, past
-        (n,) velocity states, and (memory, 2) the commands on their way, oldest first.
+        (n,) velocity states, and (memory, 2) past commands, oldest first.
     disturbance
-        (2,) part of v [m/s] and omega [rad/s] that the model does not explain; taken to stay.
+        (2,) part of v [m/s] and omega [rad/s] that the model does not explain; assumed constant.
     """
 
     pose: FloatArray
@@ -64,7 +64,7 @@ class Present:
 
 
 class ClairvoyantProgram:
-    """Cost, weights and hard limits of `mpc.problem`; side-slip in the prediction; no soft limits.
+    """Nonlinear program with cost, weights and hard limits of `mpc.problem`, side-slip, and no soft limits.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class ClairvoyantProgram:
     config
         Weights, limits and sample time.
     settings
-        Horizon and IPOPT's tolerance.
+        Horizon, and tolerance of IPOPT.
     """
 
     def __init__(self, known: KnownPlant, config: ControllerConfig, settings: ClairvoyantSettings) -> None:
@@ -87,7 +87,7 @@ class ClairvoyantProgram:
             "ipopt.tol": settings.tolerance,
             "ipopt.max_iter": settings.max_iterations,
             "ipopt.warm_start_init_point": "yes",
-            "ipopt.mu_init": 1e-4,  # the guess is the last solution: close to the optimum, not in the middle
+            "ipopt.mu_init": 1e-4,  # the initial guess is the last solution, which is close to the optimum
         }
         self._solver = ca.nlpsol("clairvoyant", "ipopt", self._program(), options)
         N, n, limits = self._steps, self._model.order, config.limits
@@ -98,7 +98,7 @@ class ClairvoyantProgram:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the last solution."""
+        """Discard the last solution, which is the next initial guess."""
         self._last: dict[str, FloatArray] | None = None
 
     def solve(self, present: Present, reference: ReferenceSample, feed_forward: FloatArray) -> FloatArray:
@@ -109,17 +109,17 @@ class ClairvoyantProgram:
         present
             Present state of the plant.
         reference
-            The reference at the samples 0 to N.
+            Reference at the samples 0 to N.
         feed_forward
             (N, 2) commands from which deviations are penalised.
 
         Raises
         ------
         RuntimeError
-            If IPOPT does not converge: then there is no bound to speak of.
+            If IPOPT does not converge: then the bound is unknown.
         """
         moving = np.abs(reference.twist[:, 0]) > metric_settings().moving_speed
-        # The heading that travels along the tangent while the robot slips outward.
+        # Heading at which the robot travels along the tangent while it slips outward.
         crab = np.where(moving, self._known.side_slip * reference.twist[:, 1], 0.0)
         data = [
             present.pose,
@@ -132,7 +132,7 @@ class ClairvoyantProgram:
         guess = self._last or {"x0": self._cold_start(present, reference, feed_forward)}
         solution = self._solver(p=np.concatenate(data), **guess, **self._bounds)
         if not self._solver.stats()["success"]:
-            raise RuntimeError(f"the bound's solver did not converge: {self._solver.stats()['return_status']}")
+            raise RuntimeError(f"the solver of the bound did not converge: {self._solver.stats()['return_status']}")
         x = np.array(solution["x"]).ravel()
         self._last = {"x0": self._shifted(x)} | {
             name: np.array(solution[key]).ravel() for name, key in (("lam_x0", "lam_x"), ("lam_g0", "lam_g"))
@@ -172,7 +172,7 @@ class ClairvoyantProgram:
         v, omega, dt = twist[0], twist[1], self._model.dt
         lateral = omega * (self._known.load_shift * acceleration - self._known.side_slip * v)
         half = omega * dt / 2
-        # sin(x) / x as a series: a robot turns by little in a sample.
+        # sin(x) / x as a series, because the robot turns little in a sample.
         length = dt * (1 - half**2 / 6 * (1 - half**2 / 20))
         c, s = length * ca.cos(pose[2] + half), length * ca.sin(pose[2] + half)
         return pose + ca.vertcat(c * v - s * lateral, s * v + c * lateral, omega * dt)
@@ -182,26 +182,28 @@ class ClairvoyantProgram:
         return np.concatenate([feed_forward.ravel(), states, reference.pose[1:].ravel()])
 
     def _shifted(self, x: FloatArray) -> FloatArray:
-        """Shift a solution by one step, with its end repeated."""
+        """Shift a solution by one step, and repeat its end."""
         N, n = self._steps, self._model.order
         parts = [part.reshape(N, -1) for part in np.split(x, [2 * N, (2 + n) * N])]
         return np.concatenate([np.vstack([part[1:], part[-1:]]).ravel() for part in parts])
 
 
 def _in_path(pose: ca.SX, reference: ca.SX) -> ca.SX:
-    """Compute errors along and across the path, and in heading from the one that holds it."""
+    """Compute errors along and across the path, and of the heading from the heading that holds the path."""
     error = pose - reference[:3]
     c, s = ca.cos(reference[2]), ca.sin(reference[2])
     return ca.vertcat(c * error[0] + s * error[1], c * error[1] - s * error[0], error[2] - reference[3])
 
 
 class ClairvoyantController:
-    """IPOPT to convergence at every tick, on the plant's own model; needs a pose without error or delay at each.
+    """Controller that runs IPOPT to convergence at every tick, on the model of the plant.
+
+    It needs a pose without error or delay at each tick.
 
     Parameters
     ----------
     known
-        Known properties of the plant.
+        Model and slip of the plant.
     config
         Weights, limits and sample time.
     settings
@@ -228,20 +230,20 @@ class ClairvoyantController:
         self._program.reset()
 
     def step(self, t: float, measurement: Measurement) -> PeerStep:
-        """Decide the command for the tick at time `t` [s].
+        """Compute the command for the tick at time `t` [s].
 
         Raises
         ------
         RuntimeError
             If `start` was not called.
         ValueError
-            If there is no pose of this very instant.
+            If there is no pose with the time `t`.
         """
         began = time.perf_counter()
         if self._reference is None:
             raise RuntimeError("call start(reference, t0) before step")
         if measurement.pose is None or abs(measurement.pose.time - t) > 1e-9:
-            raise ValueError("the clairvoyant needs a pose of the present at every tick: use --sensors perfect")
+            raise ValueError("the clairvoyant needs a pose without delay at every tick: use --sensors perfect")
         pose = np.array(measurement.pose.value, dtype=float)
         since_start = t - self._t0
         times = np.asarray(since_start + self._config.sample_time * np.arange(self._settings.horizon + 1))
@@ -259,10 +261,10 @@ class ClairvoyantController:
     def _feed_forward(self, times: FloatArray) -> FloatArray:
         """Compute steady-state commands (N, 2) for the reference's twist, one lag ahead, less the disturbance."""
         assert self._reference is not None
-        wanted = np.column_stack(
+        desired = np.column_stack(
             [self._reference.sample(times[:-1] + lag).twist[:, i] for i, lag in enumerate(self._lag)]
         )
-        return np.asarray((wanted - self._disturbance) @ self._inverse_gain.T)
+        return np.asarray((desired - self._disturbance) @ self._inverse_gain.T)
 
     def _observe(self, pose: FloatArray) -> None:
         """Update the smoothed difference between mean twist and model over the last sample."""
@@ -277,7 +279,7 @@ class ClairvoyantController:
         self._disturbance = memory * self._disturbance + (1 - memory) * unexplained
 
     def _send(self, command: FloatArray) -> None:
-        """Advance the model under the commands sent."""
+        """Advance the model by the commands sent."""
         model, before = self._model, self._model.C @ self._state
         (recent,), (older,) = model.effective_inputs(command[None], self._past)
         self._state = model.A @ self._state + model.B0 @ recent + model.B1 @ older

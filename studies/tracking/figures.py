@@ -17,8 +17,8 @@ from diffdrive_mpc.mpc import load_trajectory
 from studies.tracking.measured import BOUND_NAME, ErrorParts, decompose
 
 _BAR = 0.2
-_SOURCES_OF = ("none of them", "no side-slip", "everything on")
-"""Variants that the figure of the sources of error shows."""
+_SOURCE_VARIANTS = ("none of them", "no side-slip", "everything on")
+"""Variants in the figure of the sources of error."""
 _PARTS = {
     "bias": "across, steady arcs (repeated)",
     "transient": "across, otherwise (repeated)",
@@ -28,7 +28,7 @@ _PARTS = {
 
 
 def draw_ablation(rows: DataFrame, path: Path) -> None:
-    """Draw grouped bars by surface: mean over models, trajectories and seeds, with the range over trajectories."""
+    """Draw bars grouped by surface: means over models, trajectories and seeds, with the range over trajectories."""
     variants = {**by(rows[rows["part"] == "ablation"], "variant"), BOUND_NAME: rows[rows["part"] == "bound"]}
     series = []
     for i, (name, variant) in enumerate(variants.items()):
@@ -45,7 +45,7 @@ def draw_ablation(rows: DataFrame, path: Path) -> None:
 
 
 def draw_margin(rows: DataFrame, path: Path) -> None:
-    """Draw the position error against the margin of omega, which peers lack, and against the change of omega_ref."""
+    """Draw the position error against the margin of omega, which peers do not have, and the change of omega_ref."""
     driven = rows[rows["part"] == "margin"]
     has_margin = driven["margin"] != "-"
     ends = [float(driven["margin"][has_margin].min()), float(driven["margin"][has_margin].max())]
@@ -68,27 +68,27 @@ def draw_margin(rows: DataFrame, path: Path) -> None:
 
 
 def draw_error_sources(rows: DataFrame, path: Path) -> None:
-    """Draw the first model and surface of the ablation: some variants, and the bound."""
+    """Draw the error of selected variants and of the bound, for the first model and surface of the ablation."""
     ablated = rows[rows["part"] == "ablation"]
     model, surface = ablated[["driver", "surface"]].iloc[0]
     variants = by(ablated[(ablated["driver"] == model) & (ablated["surface"] == surface)], "variant")
-    compared = {name: variants[name] for name in _SOURCES_OF if name in variants} or variants
+    compared = {name: variants[name] for name in _SOURCE_VARIANTS if name in variants} or variants
     bound = rows[(rows["part"] == "bound") & (rows["surface"] == surface)]
     if len(bound):
         compared[BOUND_NAME] = bound
     trajectories = list(by(ablated, "trajectory"))
-    shown = "s" if "s" in trajectories else trajectories[0]
+    trajectory = "s" if "s" in trajectories else trajectories[0]
     with new_figure(path, 10.0, 6.6) as figure:
         grid = figure.add_gridspec(3, 1, height_ratios=(0.7, 1.3, 1.7))
         twist, across, bars = (figure.add_subplot(grid[i]) for i in range(3))
         twist.sharex(across)
         twist.tick_params(labelbottom=False)
-        twist.set_title(f"Along the trajectory '{shown}': {model}, surface {surface}; mean and spread over seeds")
-        _twist(twist, shown)
+        twist.set_title(f"Along the trajectory '{trajectory}': {model}, surface {surface}; mean and spread over seeds")
+        _twist(twist, trajectory)
         _over_time(
             across,
             {
-                name: rows_of_variant[rows_of_variant["trajectory"] == shown]
+                name: rows_of_variant[rows_of_variant["trajectory"] == trajectory]
                 for name, rows_of_variant in compared.items()
             },
         )
@@ -117,7 +117,7 @@ def _over_time(axes: Axes, compared: Mapping[str, DataFrame]) -> None:
 
 
 def _shares(axes: Axes, compared: Mapping[str, DataFrame], trajectories: Sequence[str]) -> None:
-    """Draw stacked bars of mean squares, which add up, unlike root mean squares."""
+    """Draw stacked bars of mean squares, which are additive, unlike root mean squares."""
     places: list[float] = []
     labels: list[str] = []
     for i, trajectory in enumerate(trajectories):
@@ -148,7 +148,7 @@ def _shares(axes: Axes, compared: Mapping[str, DataFrame], trajectories: Sequenc
 def _stack(axes: Axes, x: float, parts: ErrorParts, *, legend: bool) -> None:
     below = 0.0
     for k, (name, label) in enumerate(_PARTS.items()):
-        # Taking the noise off a repeated error near zero can leave less than nothing.
+        # The unbiased estimate of a repeated error near zero can be negative.
         value = max(0.0, 1e6 * getattr(parts, name))
         axes.bar(
             x,

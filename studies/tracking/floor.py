@@ -1,9 +1,9 @@
 """Lower bound of the tracking error of a linear robot with Gaussian noise: LQG control about the twists of a path.
 
-States: velocity model with the commands on their way, pose error in the frame of the reference, that of the poses that
-are not yet delivered, last command. Measurements: those of the sensor set. Estimator and controller: the stationary
-Kalman filter and the infinite-horizon LQR with the weights of the configuration. No limit is active, and slip and gyro
-bias are known. Source: Anderson, Moore, Optimal Control: Linear Quadratic Methods, 1990, chapter 8.
+States: velocity model with its delayed commands, pose error in the frame of the reference, pose errors of delayed
+measurements, last command. Measurements: those of the sensor set. Estimator and controller: the stationary Kalman
+filter and the infinite-horizon LQR with the weights of the configuration. No limit is active, and slip and gyro bias
+are known. Source: Anderson, Moore, Optimal Control: Linear Quadratic Methods, 1990, chapter 8.
 """
 
 from __future__ import annotations
@@ -23,18 +23,19 @@ from diffdrive_mpc.mpc.problem.margin import with_increments
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
 from studies.tracking.known_plant import reference_drive
 
-_LEAST_SHARE = 0.03
-"""Least part of the duration for which a twist of a path counts [-]: ramps do not."""
+_MIN_SHARE = 0.03
+"""Minimum share of the duration of a twist to be included [-], which excludes ramps."""
 _EXACT = 1e-6
-"""Standard deviation used instead of zero, in the unit of each sensor: the Riccati equation needs one."""
+"""Standard deviation used instead of zero, in the unit of each sensor: the Riccati equation needs a positive one."""
 _SCALE = 1e6
-"""Factor on covariances inside the Riccati equation: in mm^2 it is well conditioned."""
+"""Factor on covariances in the Riccati equation, which is well conditioned in mm^2."""
 
 
 class LinearLoop(NamedTuple):
-    """x[k+1] = A x[k] + B u[k] + w[k], z[k] = C x[k] + n[k], cost x'Q x + 2 x'N u + u'R u.
+    """Linear system x[k+1] = A x[k] + B u[k] + w[k], z[k] = C x[k] + n[k] with cost x'Q x + 2 x'N u + u'R u.
 
-    Position errors along and across the path [m] are the states `place`.
+    `disturbance` and `noise` are the covariances of w and n. The states `place` are the position errors along and
+    across the path [m].
     """
 
     A: FloatArray
@@ -49,7 +50,7 @@ class LinearLoop(NamedTuple):
 
 
 class PositionFloor(NamedTuple):
-    """Root mean square errors of the position [m]."""
+    """Root mean square errors of the position [m]: of the estimate, and in total."""
 
     estimate: float
     total: float
@@ -66,9 +67,9 @@ def linear_loop(
     weights = with_increments(config, model.discretise(dt)).weights
     plant = model.to_control(dt)
     a, b, c = (np.asarray(matrix) for matrix in (plant.A, plant.B, plant.C))
-    (v, omega), n, late = np.asarray(twist, dtype=float), len(a), round(sensors.pose.latency / dt)
+    (v, omega), n, delay = np.asarray(twist, dtype=float), len(a), round(sensors.pose.latency / dt)
     motion = expm(dt * np.array([[0, omega, 0, 1, 0], [-omega, 0, v, 0, 0], [0, 0, 0, 0, 1], [0] * 5, [0] * 5]))
-    drive, poses = 0.5 * motion[:3, 3:] @ c, 3 * (1 + late)
+    drive, poses = 0.5 * motion[:3, 3:] @ c, 3 * (1 + delay)
     A, B, C = np.zeros((n + poses + 2,) * 2), np.zeros((n + poses + 2, 2)), np.zeros((6, n + poses + 2))
     A[:n, :n], A[n : n + 3, :n], A[n : n + 3, n : n + 3] = a, drive @ (np.eye(n) + a), motion[:3, :3]
     A[n + 3 : n + poses, n : n + poses - 3] = np.eye(poses - 3)
@@ -76,7 +77,7 @@ def linear_loop(
     disturbed = B * np.asarray(command_noise, dtype=float)
     B[-2:] = np.eye(2)
     C[:3, :n], C[3:, n + poses - 3 : n + poses] = c[[0, 1, 1]], np.eye(3)
-    # Mean of four wheels, and difference of two means of two.
+    # v is the mean of four wheels, and omega the difference of the means of two wheels on each side.
     rim, pose = sensors.encoders.speed_sd * load_robot().wheel_radius, sensors.pose
     deviations = [rim / 2, rim / load_robot().track, sensors.gyro.noise_sd, *[pose.position_sd] * 2, pose.heading_sd]
     Q, N = np.zeros_like(A), np.zeros_like(B)
@@ -95,14 +96,14 @@ def stationary_covariances(loop: LinearLoop) -> tuple[FloatArray, FloatArray]:
     gain = np.linalg.solve(loop.R + B.T @ value @ B, B.T @ value @ A + loop.N.T)
     predicted = solve_discrete_are(A.T, C.T, _SCALE * loop.disturbance, _SCALE * loop.noise) / _SCALE
     corrected = predicted @ C.T @ np.linalg.solve(C @ predicted @ C.T + loop.noise, C @ predicted)
-    # The estimate is moved by innovations, which are white, and is not correlated with its error.
+    # The estimate is driven by innovations, which are white, and is uncorrelated with its error.
     return predicted - corrected, predicted - corrected + solve_discrete_lyapunov(A - B @ gain, corrected)
 
 
 def command_noise(model: VelocityModel, trajectory: str, dt: float) -> FloatArray:
-    """Find white noise on the commands (2,) that moves v and omega as far as the model errs open loop on a path (RMS).
+    """Return the standard deviation (2,) of white command noise that causes the open-loop error of the model on a path.
 
-    The robot is the mujoco plant, and its error that of the true twist.
+    v and omega have the RMS error of the model's twist from the true twist of the mujoco plant.
     """
     log, plant = reference_drive("mujoco", "default", trajectory), model.to_control(dt)
     errors = log.true_twist[:, [0, 2]] - model.discretise(dt).simulate(log.command)
@@ -114,7 +115,7 @@ def command_noise(model: VelocityModel, trajectory: str, dt: float) -> FloatArra
 
 @cache
 def position_floor(name: str, trajectory: str, sensors: str, *, assumed: bool = False) -> PositionFloor:
-    """Return the root mean square over the constant twists of a path, each with its share of the duration.
+    """Compute RMS errors over the constant twists of a path, weighted by their share of the duration.
 
     The disturbance is `command_noise`, or with `assumed` the filter's `v_input_noise` and `omega_input_noise`.
     """
@@ -124,7 +125,7 @@ def position_floor(name: str, trajectory: str, sensors: str, *, assumed: bool = 
     noise = [filtered.v_input_noise, filtered.omega_input_noise] if assumed else command_noise(model, trajectory, dt)
     twists = path.sample(np.arange(0.0, path.duration, dt)).twist.round(3)
     values, counts = np.unique(twists, axis=0, return_counts=True)
-    chosen = (counts >= _LEAST_SHARE * len(twists)) & values.any(axis=1)
+    chosen = (counts >= _MIN_SHARE * len(twists)) & values.any(axis=1)
     squares = []
     for twist in values[chosen]:
         loop = linear_loop(config, model, twist, load_sensor_set(sensors), noise)

@@ -1,4 +1,4 @@
-"""Knowledge of a clairvoyant about a plant: a velocity model fitted to the true motion, and the robot's slip."""
+"""Plant data of the clairvoyant controller: a velocity model fitted to the true motion, and the robot's slip."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ _REST = 1.0
 
 @dataclass(frozen=True)
 class KnownPlant:
-    """The truth about a plant, as far as a linear model and one coefficient can describe it.
+    """Linear model and slip coefficients of a plant.
 
     Attributes
     ----------
     model
-        From commands to the true (v, omega), dead time included.
+        Model from commands to the true (v, omega), dead time included.
     side_slip, load_shift
-        Lateral speed is omega (load_shift dv/dt - side_slip v): outward in steady turns [s]; and inward while the robot
-        accelerates, since load on the rear wheels moves the centre of rotation back [s^2].
+        Coefficients [s, s^2] of the lateral speed omega (load_shift dv/dt - side_slip v): outward in steady turns, and
+        inward while the robot accelerates, because load on the rear wheels moves the centre of rotation back.
     """
 
     model: VelocityModel
@@ -42,18 +42,19 @@ class KnownPlant:
 
 
 @cache
-def know_plant(plant: str, surface: str, trajectories: tuple[str, ...]) -> KnownPlant:
-    """Get to know a plant.
+def identify_plant(plant: str, surface: str, trajectories: tuple[str, ...]) -> KnownPlant:
+    """Determine model and slip of a plant.
 
-    A plant that is a velocity model is known exactly. The physics is driven along `trajectories` with the references'
-    twists as commands, and two-pole models are fitted to its true motion: the very manoeuvres that are scored later.
+    A plant that is a velocity model is known exactly. A physics plant is driven along `trajectories` with the
+    references' twists as commands, and two-pole models are fitted to its true motion. The same manoeuvres are
+    evaluated later.
 
     Parameters
     ----------
     plant, surface
-        As `sim.plants.make` takes them; of "model:" plants those without dead time in their name.
+        Names, see `sim.plants.make`; "model:" plants must have no dead time in their name.
     trajectories
-        Names or paths.
+        Names or paths of trajectories.
 
     Raises
     ------
@@ -63,7 +64,7 @@ def know_plant(plant: str, surface: str, trajectories: tuple[str, ...]) -> Known
     if plant.startswith(_MODEL_PREFIX):
         return _exact(load_linear_model(plant.removeprefix(_MODEL_PREFIX)), surface)
     logs = [reference_drive(plant, surface, trajectory) for trajectory in trajectories]
-    # The truth has no outliers, and no reference is beyond a limit of the robot.
+    # The true motion has no outliers, and no reference exceeds a limit of the robot.
     fits = [
         identify_channel(_experiments(logs, channel, output), name, limit=False, robust=False)
         for name, channel, output in (("v", 0, 0), ("omega", 1, 2))
@@ -83,13 +84,13 @@ def _exact(model: VelocityModel, surface: str) -> KnownPlant:
 
 
 def reference_drive(plant: str, surface: str, trajectory: str) -> OpenLoopDrive:
-    """Drive a plant with perfect sensors open loop, the twists of the reference as commands."""
+    """Drive a plant with perfect sensors open loop, with the twists of the reference as commands."""
     robot, reference = make_plant(plant, surface, _PERFECT), load_trajectory(trajectory)
     return drive_open_loop(robot, reference.sample(np.arange(0.0, reference.duration, robot.sample_time)).twist)
 
 
 def _experiments(logs: list[OpenLoopDrive], channel: int, output: int) -> list[SampledExperiment]:
-    """Build experiments that start with a time at rest, which determines the free initial state."""
+    """Build experiments that start with a period at rest, which determines the free initial state."""
     experiments = []
     for log in logs:
         if np.ptp(log.command[:, channel]) > 0:

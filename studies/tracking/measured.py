@@ -1,4 +1,4 @@
-"""Additional columns of a run, and the parts of errors over seeds."""
+"""Additional columns of a run, and the decomposition of errors over seeds."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from diffdrive_mpc.sim import Run, make_plant, simulate
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE, ScoredRun
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 
-# Two twists closer than this [m/s, rad/s] are the same: a ramp changes by a hundred times as much in a sample.
+# Difference below which two twists are equal [m/s, rad/s]; a ramp changes by a hundred times as much in a sample.
 _SAME_TWIST = 1e-6
 
 
 def steady_arc_lateral(run: ScoredRun) -> FloatArray:
-    """Compute the signed mean lateral error of every steady arc of the reference: positive to the left of the path.
+    """Compute the signed mean lateral error of every steady arc of the reference, positive to the left of the path.
 
-    An arc is a stretch of constant twist with v and omega both other than zero. It is steady from `settled_arc` of
-    `metrics.yaml` after its beginning until its end; shorter ones do not count.
+    An arc is an interval of constant twist with nonzero v and omega. Its steady part starts `settled_arc` of
+    `metrics.yaml` after its start; shorter arcs are omitted.
 
     Returns
     -------
@@ -57,17 +57,17 @@ def steady_arcs(run: ScoredRun) -> list[NDArray[np.intp]]:
 
 
 BOUND = "clairvoyant"
-"""Name of the controller that is the bound; it is no peer to choose on the command line."""
+"""Name of the controller of the bound; it is no peer on the command line."""
 BOUND_NAME = "clairvoyant bound"
 """Name of the bound in tables and figures."""
 MARGIN = "margin.omega"
-"""Key that the part "margin" varies."""
+"""Configuration key that the part "margin" varies."""
 _POINTS = 400
-"""Ticks of a run that the page holds at most."""
+"""Maximum number of ticks of a run on the page."""
 
 
 class FigureTarget(StrictModel):
-    """A figure of some runs, and its largest value that is allowed."""
+    """A figure of selected runs, and its limit."""
 
     quantity: str
     place: str
@@ -77,7 +77,7 @@ class FigureTarget(StrictModel):
 
 
 class Targets(StrictModel):
-    """All results of the study."""
+    """Content of `targets.yaml`."""
 
     lateral_from: float
     targets: tuple[FigureTarget, ...]
@@ -89,14 +89,14 @@ def load_targets() -> Targets:
     return load_checked(Targets, Path(__file__).with_name("targets.yaml"))
 
 
-def measured(case: Case, run: Run) -> dict[str, object]:
+def additional_columns(case: Case, run: Run) -> dict[str, object]:
     """Compute the columns of a run.
 
-    `arcs` (arcs,) are the mean lateral errors of every steady arc [m], `late_lateral_m` is the largest |lateral| after
-    the first seconds of `targets.yaml`, `omega_change` the RMS change of omega_ref from tick to tick [rad/s], and
-    `margin` that of omega where the case states it [s]. Over the counted ticks: `time` [s], `along` and `across` [m],
-    the position error ahead of the reference and to its left, and `steady`, whether the tick belongs to a steady arc.
-    `series` is what the page shows of a run as shipped with the usual floor and sensors.
+    `arcs` (arcs,) are the mean lateral errors of every steady arc [m]. `late_lateral_m` is the maximum |lateral| error
+    after `lateral_from` of `targets.yaml` [m]. `omega_change` is the RMS change of omega_ref per tick [rad/s]. `margin`
+    is the margin of omega if the case overrides it [s]. Over the counted ticks: `time` [s], the position error `along`
+    (ahead of) and `across` (left of) the reference [m], and `steady`, True in steady arcs. `series` is the view of a
+    run with the shipped configuration on the default surface, else None.
     """
     counted = np.flatnonzero(run.counted)
     along, across = ahead_and_left((run.true_pose - run.reference_pose)[counted], run.reference_pose[counted, 2])
@@ -120,7 +120,7 @@ def measured(case: Case, run: Run) -> dict[str, object]:
 
 
 def is_plain(case: Case) -> bool:
-    """Return True for our controller as shipped, on the physics, with default sensors and without disturbance."""
+    """Return True for our controller as shipped, on the physics plant, with default sensors and no disturbance."""
     usual = ("mujoco", "default", NO_SCENARIO, ())
     return case.controller == Case().controller and (case.plant, case.sensors, case.scenario, case.overrides) == usual
 
@@ -133,13 +133,13 @@ def _series(case: Case, run: Run) -> RunSeries:
 
 
 def run_or_bound(trajectories: tuple[str, ...], case: Case) -> Run:
-    """Drive a case; the bound's knowledge of its plant is fitted on `trajectories`."""
+    """Run a case; the plant data of the bound are fitted on `trajectories`."""
     if case.controller != BOUND:
         return run_case(case)
     from studies.tracking.clairvoyant import ClairvoyantController  # noqa: PLC0415 - loads slowly
-    from studies.tracking.known_plant import know_plant  # noqa: PLC0415
+    from studies.tracking.known_plant import identify_plant  # noqa: PLC0415
 
-    known = know_plant(case.plant, case.surface, trajectories)
+    known = identify_plant(case.plant, case.surface, trajectories)
     controller = ClairvoyantController(known, controller_config(Case().model))
     plant = make_plant(case.plant, surface=case.surface, sensors=case.sensors, seed=case.seed)
     return simulate(controller, plant, load_reference(case))
@@ -159,13 +159,13 @@ class ErrorParts:
     Attributes
     ----------
     bias
-        Across the path, in steady arcs, the same for every seed: the remaining effect of slip and gains.
+        Error across the path in steady arcs, equal for all seeds: the remaining effect of slip and gains.
     transient
-        Across the path, at all other times, the same for every seed: entries, exits, straights.
+        Error across the path at other times, equal for all seeds: entries, exits, straights.
     along
-        Along the path, the same for every seed.
+        Error along the path, equal for all seeds.
     noise
-        Part that differs between the seeds, which the sensors cause.
+        Error that differs between the seeds, which is caused by the sensors.
     """
 
     bias: float
@@ -180,13 +180,13 @@ class ErrorParts:
 
 
 def decompose(rows: DataFrame) -> ErrorParts:
-    """Split the mean squared error of runs of one case that differ in their seeds.
+    """Split the mean squared error of runs that differ only in their seeds.
 
-    With S seeds the square of the mean over seeds still holds 1/S of the noise's variance; it is taken off there and
-    counted as noise, so that both parts are unbiased and the sum stays exact. A single run has no noise to see: all of
-    its error counts as repeated.
+    With S seeds, the square of the mean over seeds contains 1/S of the variance of the noise. This part is subtracted
+    there and counted as noise, so that both parts are unbiased and their sum is exact. With a single run, the noise is
+    unknown, and the whole error counts as repeated.
 
-    Raises ValueError if the runs are of different length.
+    Raises ValueError if the runs have different lengths.
     """
     lengths = {len(times) for times in rows["time"]}
     if len(lengths) != 1:

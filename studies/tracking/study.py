@@ -1,4 +1,4 @@
-"""The tracking study: targets, the effect of each part of the estimator, and the remaining margin."""
+"""Tracking study: targets, the effect of each part of the estimator, and the remaining margin."""
 
 from __future__ import annotations
 
@@ -31,30 +31,30 @@ from diffdrive_mpc.bench.html_report.run_series import HOW_TO_READ, PEAKS
 from diffdrive_mpc.bench.spec import Experiment, SpecStudy, load_experiment
 from diffdrive_mpc.bench.study import Report
 from diffdrive_mpc.bench.table import Table, millis, number
-from studies.tracking.measured import BOUND, BOUND_NAME, load_targets, measured, run_or_bound, worst_arc
+from studies.tracking.measured import BOUND, BOUND_NAME, additional_columns, load_targets, run_or_bound, worst_arc
 
 _FOLDER = Path(__file__).parent
-_MISSED = "docs/results.md says what limits each error; the ablation shows which part of the estimator matters"
+_MISSED = "docs/results.md explains the limit of each error; the ablation shows the effect of each estimator part"
 
 
 def load_study(file: Path | None = None, *, quick: bool = False) -> Experiment:
-    """Read a study, by default the shipped one; raises ConfigError when the file has a mistake."""
+    """Read a study, by default the shipped one; raise ConfigError if the file is invalid."""
     read = load_experiment(file or _FOLDER / ("quick.yaml" if quick else "study.yaml"))
     return read if read.tables else read.model_copy(update={"tables": load_tables(_FOLDER / "tables.yaml")})
 
 
 @dataclass(frozen=True)
 class TargetResult:
-    """One target, and how near each model comes.
+    """One target, and the value of each model.
 
     Attributes
     ----------
     quantity, where
-        Limited quantity with its unit, and its runs.
+        Limited quantity with its unit, and description of its runs.
     limit
-        Largest value that is allowed.
+        Maximum allowed value.
     reached
-        Value of each model; NaN where it could not be computed, which is not within any limit.
+        Value of each model; NaN if it could not be computed, which counts as not within the limit.
     """
 
     quantity: str
@@ -72,8 +72,8 @@ class TargetResult:
         return all(self.met_by(model) for model in self.reached)
 
 
-def judge(rows: DataFrame) -> list[TargetResult]:
-    """Judge all targets that were driven, from the rows of the part "targets"."""
+def evaluate_targets(rows: DataFrame) -> list[TargetResult]:
+    """Evaluate all targets with runs among the rows of the part "targets"."""
     verdicts = []
     for target in load_targets().targets:
         selected = rows[np.logical_and.reduce([rows[name] == value for name, value in target.where.items()])]
@@ -85,7 +85,7 @@ def judge(rows: DataFrame) -> list[TargetResult]:
 
 
 def target_table(verdicts: Sequence[TargetResult]) -> Table:
-    """Tabulate every target with the value of each model, and mark those beyond the limit."""
+    """Tabulate every target with the value of each model, and mark values beyond the limit."""
     models = list(dict.fromkeys(model for verdict in verdicts for model in verdict.reached))
 
     def exact(value: float) -> str:
@@ -107,29 +107,29 @@ def target_table(verdicts: Sequence[TargetResult]) -> Table:
         for target in verdicts
     )
     note = (
-        "Means over trajectories and seeds, except what is called worst, largest or longest, which is over all runs, "
-        "and counts. The worst arc: mean over seeds of the absolute value, largest over the arcs."
+        "Means over trajectories and seeds, except counts and quantities named worst, largest or longest, which are "
+        "over all runs. Worst arc: maximum over the arcs of the mean absolute value over seeds."
     )
     return Table("Targets", ("what", "where", "limit", *models, "reached by all"), rows, 2, note)
 
 
 class TrackingStudy(SpecStudy):
-    """An experiment whose parts have the names of those of `study.yaml`, those of `only` or all."""
+    """Study of an experiment with the parts of `study.yaml`, or of the parts `only`."""
 
     name: ClassVar[str] = "tracking"
 
     def __init__(self, experiment: Experiment, only: Sequence[str] = ()) -> None:
         trajectories = tuple(map(str, experiment.vary.get("trajectory", ("circle",))))
-        super().__init__(experiment, only, measured, partial(run_or_bound, trajectories))
+        super().__init__(experiment, only, additional_columns, partial(run_or_bound, trajectories))
 
     def tables(self, rows: DataFrame) -> list[Table]:
-        """Build the targets first, then every table of a driven part."""
-        shown = rows.assign(variant=rows["variant"].mask(rows["controller"] == BOUND, BOUND_NAME))
-        targets = rows[rows["part"] == "targets"]
-        return [*([target_table(judge(targets))] if len(targets) else []), *self.tables_with_cells(shown, _cells(rows))]
+        """Build the table of targets, then every table of a part that was run."""
+        named = rows.assign(variant=rows["variant"].mask(rows["controller"] == BOUND, BOUND_NAME))
+        part = rows[rows["part"] == "targets"]
+        return [*([target_table(evaluate_targets(part))] if len(part) else []), *self.cell_tables(named, _cells(rows))]
 
     def report(self, results: DataFrame, seconds: float) -> Report:
-        """Report tables of every part that was run, and its figures."""
+        """Build the report with tables and figures of every part that was run."""
         from studies.tracking.figures import draw_ablation, draw_error_sources, draw_margin  # noqa: PLC0415
 
         plain = super().report(results, seconds)
@@ -152,7 +152,7 @@ def _cells(rows: DataFrame) -> Mapping[str, Cell]:
     ours = rows[rows["plain"].astype(bool)].drop_duplicates("case")
 
     def ours_there(bound: DataFrame) -> float:
-        """Compute the error of our controller on the surface and trajectories of the bound."""
+        """Compute the error of our controller on the surfaces and trajectories of the bound."""
         matching = ours[ours["surface"].isin(bound["surface"]) & ours["trajectory"].isin(bound["trajectory"])]
         return mean(matching, "position_rmse_m")
 
@@ -181,13 +181,13 @@ def _cells(rows: DataFrame) -> Mapping[str, Cell]:
 def shown(rows: DataFrame) -> Shown:
     """Collect the contents of the page except tables and figures."""
     targets = rows[rows["part"] == "targets"]
-    verdicts = judge(targets) if len(targets) else []
+    verdicts = evaluate_targets(targets) if len(targets) else []
     every = rows.drop_duplicates("case")
     listed = every[every["series"].notna()]
     driven = listed[listed["seed"] == listed["seed"].min()]
     models, paths = tuple(by(driven, "driver")), tuple(by(driven, "trajectory"))
     series = [run.in_style(models.index(name)) for name, run in zip(driven["driver"], driven["series"], strict=True)]
-    runs = [RunViews(series, f"{HOW_TO_READ}. Default floor and sensors, first seed. {PEAKS}.")] if series else []
+    runs = [RunViews(series, f"{HOW_TO_READ}. Default surface and sensors, first seed. {PEAKS}.")] if series else []
     views: list[View] = [*runs, *([_target_chart(verdicts, models)] if verdicts else [])]
     met = sum(verdict.met for verdict in verdicts)
     return Shown(
@@ -204,19 +204,19 @@ def shown(rows: DataFrame) -> Shown:
 
 def _key_figures(rows: DataFrame, verdicts: Sequence[TargetResult], driven: DataFrame) -> list[KeyFigure]:
     done = total(rows, "completed")
-    made = [KeyFigure("completed", f"{done} of {len(rows)}", "runs", "good" if done == len(rows) else "bad")]
+    figures = [KeyFigure("completed", f"{done} of {len(rows)}", "runs", "good" if done == len(rows) else "bad")]
     if verdicts:
         met = sum(verdict.met for verdict in verdicts)
         sound = "good" if met == len(verdicts) else "bad"
-        made.append(KeyFigure("targets reached", f"{met} of {len(verdicts)}", "by all models", sound))  # type: ignore[arg-type]
+        figures.append(KeyFigure("targets reached", f"{met} of {len(verdicts)}", "by all models", sound))  # type: ignore[arg-type]
     for name, group in by(driven, "driver").items():
         rmse = f"{number(1e3 * mean(group, 'position_rmse_m'), 1)} mm"
-        made.append(KeyFigure(f"position error of {name}, RMSE", rmse, "default floor and sensors"))
-    return made
+        figures.append(KeyFigure(f"position error of {name}, RMSE", rmse, "default surface and sensors"))
+    return figures
 
 
 def _target_chart(verdicts: Sequence[TargetResult], models: Sequence[str]) -> Chart:
-    """Chart each target as a share of its limit, if that is not zero."""
+    """Chart the value of each target as a share of its limit, except limits of zero."""
     charted = [verdict for verdict in verdicts if verdict.limit > 0]
     names = [f"{entry.quantity.split(' [')[0]}, {entry.where}" for entry in charted]
     series = []
@@ -225,7 +225,7 @@ def _target_chart(verdicts: Sequence[TargetResult], models: Sequence[str]) -> Ch
         style = models.index(model) if model in models else len(models)
         series.append(Series(model, shares, names, style, "rows", labels={"model": model} if model in models else {}))
     axes = Axis("share of the limit"), Axis("", "category")
-    note = "Below 1 is reached. Counts that must be zero are in the table."
+    note = "A target is reached below 1. Counts with a limit of zero are in the table."
     return Chart("Targets", *axes, series, note, [Mark(1.0, "limit", upright=True)], broad=True, height=560)
 
 
@@ -234,12 +234,12 @@ def _warnings(rows: DataFrame, verdicts: Sequence[TargetResult]) -> list[Warned]
     for verdict in verdicts:
         missed = [f"{model} {value:.3g}" for model, value in verdict.reached.items() if not verdict.met_by(model)]
         if missed:
-            demand = f"at most {verdict.limit:g} was asked for, {', '.join(missed)} reached"
-            warnings.append(Warned(f"Target missed: {verdict.quantity}, {verdict.where}: {demand}.", _MISSED))
+            values = f"the limit is {verdict.limit:g}, {', '.join(missed)} reached"
+            warnings.append(Warned(f"Target missed: {verdict.quantity}, {verdict.where}: {values}.", _MISSED))
     lost = rows[~rows["completed"].astype(bool)]
     if len(lost):
         names = ("controller", "model", "trajectory", "surface", "scenario")
         where = ", ".join(str(lost[name].iloc[0]) for name in names)
         words = f"{len(lost)} runs did not complete, the first: {where}, seed {lost['seed'].iloc[0]}."
-        warnings.append(Warned(words, "drive it alone with `simulate` and these options, and read its report"))
+        warnings.append(Warned(words, "run it alone with `simulate` and these options, and read its report"))
     return warnings

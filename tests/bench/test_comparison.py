@@ -179,7 +179,7 @@ def test_the_order_says_who_is_told_apart(outcome: RunOutcome) -> None:
     assert places[2].behind == pytest.approx(interval(ahead))
     assert [place.name for place in places] == ["MBM", "SM", "SSM"]
     assert places[1].behind == pytest.approx([1e-3, 1e-3])
-    assert places[1].told_apart and not places[2].told_apart
+    assert places[1].is_significant and not places[2].is_significant
     assert places[0].rmse == pytest.approx(base.mean())
     unknown = rows.assign(position_rmse_m=[np.nan, *rows["position_rmse_m"][1:]])
     assert [place.name for place in order(unknown)] == ["SM", "SSM"]

@@ -75,11 +75,7 @@ def test_error_is_split_into_what_repeats_and_noise():
         for row in noise
     ]
     rows = DataFrame({"trajectory": "line", "run": runs})
-    parts = [
-        float(error_part(rows, component=component, repeats=repeats))
-        for component in (0, 1)
-        for repeats in (True, False)
-    ]
+    parts = [float(error_part(rows, component=i, repeats=repeats)) for i in (0, 1) for repeats in (True, False)]
     assert parts == pytest.approx([0.003, 0.0, 0.0, 0.002], abs=2e-4)
 
 

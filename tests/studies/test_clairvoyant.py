@@ -10,7 +10,7 @@ from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 from studies.tracking.clairvoyant import ClairvoyantController, load_clairvoyant_settings
 from studies.tracking.floor import linear_loop, position_floor, stationary_covariances
-from studies.tracking.known_plant import know_plant
+from studies.tracking.known_plant import identify_plant
 from studies.tracking.measured import steady_arc_lateral
 
 
@@ -26,7 +26,7 @@ def short(tmp_path_factory):
 
 def drive(plant, surface, trajectory, sensors="perfect", horizon=30, weights=None):
     settings = load_clairvoyant_settings().model_copy(update={"horizon": horizon})
-    known = know_plant(plant, surface, (trajectory,))
+    known = identify_plant(plant, surface, (trajectory,))
     controller = ClairvoyantController(known, load_config("ssm", weights), settings)
     return simulate(controller, make_plant(plant, surface, sensors), load_trajectory(trajectory))
 
@@ -60,7 +60,7 @@ def test_on_the_physics_it_is_better_than_ours():
 
 
 def test_a_plant_that_is_a_model_is_known_exactly():
-    known = know_plant("model:ssm", "slippery", ("cane",))
+    known = identify_plant("model:ssm", "slippery", ("cane",))
     plant = make_plant("model:ssm", "slippery", "perfect")
     for _ in range(200):
         plant.advance([0.5, 0.4])

@@ -12,7 +12,7 @@ from PIL import Image
 
 from diffdrive_mpc.mpc.config.described import feature_rows, schema_rows
 from studies.documents import declared_tables
-from studies.site.pictures import FOLDER, POSTER, listed
+from studies.site.pictures import FOLDER, POSTER, load_pictures
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -40,7 +40,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def test_every_listed_picture_is_committed():
-    names = {POSTER, *listed()}
+    names = {POSTER, *load_pictures()}
     assert names <= {path.stem for path in (ROOT / FOLDER).glob("*.png")}
 
 

@@ -12,11 +12,11 @@ from commands import invoke
 from diffdrive_mpc.bench.report_folder import CONTENTS
 from studies.cli import app
 from studies.documents.documents import REPRODUCE, sections
-from studies.reproduce.study import find
+from studies.reproduce.study import evaluate_findings
 
 
 def verdicts(results):
-    return {finding.claim: finding.verdict for finding in find(results)}
+    return {finding.claim: finding.verdict for finding in evaluate_findings(results)}
 
 
 def verdict(results, *words):

@@ -15,7 +15,7 @@ from diffdrive_mpc.sim.plants.drawn_robot import draw_robot
 from diffdrive_mpc_extras.campaign.campaign_file import load_conditions
 from diffdrive_mpc_extras.campaign.drivable_robots import can_drive
 from studies.cli import app
-from studies.robustness.results import market_cases, measured
+from studies.robustness.results import condition_columns, market_cases
 from studies.robustness.study import turns_on_the_spot
 
 CONDITIONS = load_conditions()
@@ -95,7 +95,7 @@ def test_the_estimate_knows_how_good_its_heading_is(name: str) -> None:
     condition = CONDITIONS.conditions[name]
     paths = ("circle", "square", "s", "cane")
     cases = [condition.case("mpc", "ssm", path, 50) for path in paths]
-    result = [measured(CONDITIONS.settled, case, run_case(case))["heading_nees"] for case in cases]
+    result = [condition_columns(CONDITIONS.settled, case, run_case(case))["heading_nees"] for case in cases]
     assert 0.3 < sum(result) / len(result) <= 2.0  # type: ignore[arg-type]
 
 
@@ -105,7 +105,7 @@ def test_poses_ten_times_noisier_than_stated_do_not_lead_astray() -> None:
         case = CONDITIONS.conditions["noise_5cm"].case("mpc", "sm", "circle", seed)
         run = run_case(case)
         assert run.metrics.completed
-        late = measured(2.0, case, run)["late_lateral_m"]
+        late = condition_columns(2.0, case, run)["late_lateral_m"]
         assert isinstance(late, float)
         assert late < 0.05
         errors.append(run.metrics.position_rmse_m)

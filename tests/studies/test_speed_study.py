@@ -14,7 +14,7 @@ from diffdrive_mpc.models.interface import ReferenceSample
 from diffdrive_mpc.mpc.problem.margin import with_increments
 from studies.speed.measure import closed_loop_cost
 from studies.speed.results import growth_exponent, time_statistics
-from studies.speed.settings import SubjectSettings, chosen, load_speed_settings
+from studies.speed.settings import SubjectSettings, load_speed_settings, select_subjects
 from studies.speed.study import SpeedStudy
 
 
@@ -37,7 +37,7 @@ def test_what_happens_once_counts_among_all_steps_but_not_among_ticks():
 
 @pytest.fixture(scope="module")
 def small():
-    settings = chosen(load_speed_settings(quick=True), ["ours/daqp", "casadi/sqpmethod"])
+    settings = select_subjects(load_speed_settings(quick=True), ["ours/daqp", "casadi/sqpmethod"])
     return settings.model_copy(update={"horizons": (10,), "ticks": 30, "gap_every": 5})
 
 

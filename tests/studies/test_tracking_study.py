@@ -19,8 +19,8 @@ from diffdrive_mpc.bench.report_folder import CONTENTS
 from diffdrive_mpc.sim import simulate
 from refusals import one_line_error
 from studies.cli import app
-from studies.tracking.measured import decompose, measured
-from studies.tracking.study import TrackingStudy, judge, load_study, target_table
+from studies.tracking.measured import additional_columns, decompose
+from studies.tracking.study import TrackingStudy, evaluate_targets, load_study, target_table
 
 
 @pytest.mark.parametrize(
@@ -48,7 +48,7 @@ def run():
 
 
 def test_along_and_across_are_the_position_error_in_the_frame_of_the_reference(run):
-    series = measured(case(surface="slippery"), run)
+    series = additional_columns(case(surface="slippery"), run)
     assert np.hypot(series["along"], series["across"]) == pytest.approx(run.errors.position[run.counted])
     assert (series["along"][0], series["across"][0]) == pytest.approx((0.0, 0.2))
     assert len(series["time"]) == run.metrics.steps
@@ -80,7 +80,7 @@ CASES = [drive.case for drive in STUDY.drives(["targets"])["targets"]]
 
 
 def verdicts(change=lambda case: {}):
-    return {(v.quantity, v.where): v for v in judge(frame(row(case, **change(case)) for case in CASES))}
+    return {(v.quantity, v.where): v for v in evaluate_targets(frame(row(case, **change(case)) for case in CASES))}
 
 
 def only(**conditions):

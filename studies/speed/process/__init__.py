@@ -1,1 +1,1 @@
-"""Persistent processes that solve the problem on request, and the environment of those that need their own."""
+"""Persistent processes that solve the problem on request, and the virtual environment of peers."""

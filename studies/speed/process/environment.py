@@ -1,4 +1,4 @@
-"""The environment of the peers that cannot share ours: made once, and kept in the user's cache folder."""
+"""Virtual environment of the peers that cannot share ours: created once in the user's cache folder."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from studies.speed.process.subject import SubjectError
 REQUIREMENTS = Path(__file__).parents[1] / "subjects" / "requirements.txt"
 _READY = ".ready"
 _FIRST = "comma-deps-acados"
-"""It brings parts of an older CasADi, over which ours is installed."""
+"""Package to install first: it contains parts of an older CasADi, which a later package overwrites."""
 
 
 @dataclass(frozen=True)
 class PeerEnvironment:
-    """An interpreter and the variables that a process in it needs."""
+    """Interpreter, and the environment variables that its processes need."""
 
     python: str
     variables: dict[str, str]
 
 
 def peer_environment(folder: Path | None = None) -> PeerEnvironment:
-    """Return the environment in `folder`, by default below the cache folder; create it if it is missing.
+    """Return the environment in `folder`, by default in the user's cache folder; create it if missing.
 
-    Raises SubjectError if it cannot be made: no package index within reach, or no wheel for this system.
+    Raises SubjectError if it cannot be created, for instance without a package index or a wheel for this system.
     """
     digest = hashlib.sha256(REQUIREMENTS.read_bytes() + sys.version.encode()).hexdigest()[:16]
     folder = (folder or user_folder() / "peers" / digest).resolve()
     if not (folder / _READY).is_file():
         _make(folder)
     package = next(folder.glob("lib/python*/site-packages/acados"))
-    _reachable(package)
+    _link_templates(package)
     return PeerEnvironment(
         python=str(folder / "bin" / "python"),
         variables={
@@ -64,20 +64,20 @@ def _make(folder: Path) -> None:
         "--require-hashes",
     )
     first = folder / "first.txt"
-    first.write_text(pinned(_FIRST, REQUIREMENTS.read_text(encoding="utf-8")), encoding="utf-8")
+    first.write_text(requirement_entry(_FIRST, REQUIREMENTS.read_text(encoding="utf-8")), encoding="utf-8")
     _run(*pip, "--requirement", str(first))
     _run(*pip, "--requirement", str(REQUIREMENTS))
     (folder / _READY).touch()
 
 
-def pinned(name: str, requirements: str) -> str:
-    """Return the part of a list of requirements for one package: its version and the hashes of its files.
+def requirement_entry(name: str, requirements: str) -> str:
+    """Return the entry of one package in a list of requirements: its version and hashes.
 
-    Raises SubjectError where the list does not have it.
+    Raises SubjectError if the list does not contain the package.
     """
     match = re.search(rf"^{re.escape(name)}==(?:.*\\\n)*.*\n", requirements, re.MULTILINE)
     if match is None:
-        raise SubjectError(f"its environment cannot be made: {name} is not in {REQUIREMENTS.name}")
+        raise SubjectError(f"the peers' environment cannot be created: {name} is not in {REQUIREMENTS.name}")
     return match[0]
 
 
@@ -86,11 +86,11 @@ def _run(*command: str) -> None:
     done = subprocess.run(command, capture_output=True, text=True, env=variables, check=False)
     if done.returncode:
         lines = [line.strip().removeprefix("ERROR: ") for line in done.stderr.splitlines() if line.strip()]
-        raise SubjectError(f"its environment cannot be made: {lines[-1] if lines else 'no reason given'}")
+        raise SubjectError(f"the peers' environment cannot be created: {lines[-1] if lines else 'no reason given'}")
 
 
-def _reachable(package: Path) -> None:
-    """Link the templates to the place in which the generator expects them, as in a checkout of acados."""
+def _link_templates(package: Path) -> None:
+    """Link the templates to the path at which the generator expects them, as in a checkout of acados."""
     place = package / "install" / "interfaces" / "acados_template"
     place.mkdir(parents=True, exist_ok=True)
     if not (place / "acados_template").exists():

@@ -1,4 +1,4 @@
-"""The process behind one subject, as seen from here."""
+"""Client of the process of one subject."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
 
 _WORKER = Path(__file__).with_name("worker.py")
 _PACKAGES = Path(diffdrive_mpc.__file__).parents[1]
-"""The folder that our package is in: a peer's own environment does not know it."""
+"""Folder that contains our package, which is not installed in the peers' environment."""
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 class SubjectError(DiffdriveMpcError, RuntimeError):
-    """A subject cannot be run; the message is why, in one line."""
+    """A subject cannot be run; the message is the reason in one line."""
 
 
 class TimedStep(NamedTuple):
-    """One step: command [m/s, rad/s], time of the whole step and inside the solver [s], iterations, whether solved."""
+    """One step: command [m/s, rad/s], time of the whole step and inside the solver [s], iterations, True if solved."""
 
     command: tuple[float, float]
     whole: float
@@ -38,7 +38,7 @@ class TimedStep(NamedTuple):
 
 
 class Subject:
-    """A persistent process; every request is answered before the next one.
+    """A persistent process that handles one request at a time.
 
     Parameters
     ----------
@@ -47,7 +47,9 @@ class Subject:
     folder
         Folder of the subject, for its generated code and its output.
     python
-        Interpreter and environment variables, by default our own.
+        Interpreter; by default that of this process.
+    variables
+        Additional environment variables.
     """
 
     def __init__(
@@ -68,7 +70,7 @@ class Subject:
         child_end.close()
 
     def __enter__(self) -> Self:
-        """Return the object, whose process is already running."""
+        """Return the object; its process is already running."""
         return self
 
     def __exit__(
@@ -83,42 +85,42 @@ class Subject:
             self._process.wait()
 
     def build(self, problem: object, settings: dict[str, Any], core: int | None) -> dict[str, float]:
-        """Make the subject for `problem` and bind it to `core`; time that took and memory before.
+        """Build the subject for `problem` and bind it to `core`; return build time and initial memory.
 
-        Raises SubjectError if it cannot be made.
+        Raises SubjectError if the subject cannot be built.
         """
-        self._answer()
-        return dict(self._ask("build", problem, settings, str(self._folder), core))
+        self._receive()
+        return dict(self._request("build", problem, settings, str(self._folder), core))
 
     def reset(self, data: tuple[Any, ...]) -> None:
         """Restart a drive with the data of its first tick."""
-        self._ask("reset", *data)
+        self._request("reset", *data)
 
     def run(self, ticks: list[tuple[Any, ...]]) -> tuple[list[TimedStep], Effort]:
         """Step through ticks, and measure the effort of the process."""
-        answers, effort = self._ask("run", *ticks)
-        return [TimedStep(*step) for step in answers], Effort(*effort)
+        steps, effort = self._request("run", *ticks)
+        return [TimedStep(*step) for step in steps], Effort(*effort)
 
     def memory(self) -> float:
         """Return the maximum memory so far [bytes]."""
-        return float(self._ask("memory"))
+        return float(self._request("memory"))
 
-    def _ask(self, request: str, *arguments: object) -> Any:  # noqa: ANN401 - depends on what is asked
+    def _request(self, request: str, *arguments: object) -> Any:  # noqa: ANN401 - depends on the request
         try:
             self._connection.send((request, arguments))
         except OSError as error:
-            raise SubjectError(self._last_words()) from error
-        return self._answer()
+            raise SubjectError(self._last_output_line()) from error
+        return self._receive()
 
-    def _answer(self) -> Any:  # noqa: ANN401 - see above
+    def _receive(self) -> Any:  # noqa: ANN401 - see above
         try:
             reply = self._connection.recv()
         except (EOFError, OSError) as error:
-            raise SubjectError(self._last_words()) from error
+            raise SubjectError(self._last_output_line()) from error
         if isinstance(reply, Exception):
             raise SubjectError(" ".join(str(reply).split()))
         return reply
 
-    def _last_words(self) -> str:
+    def _last_output_line(self) -> str:
         lines = (self._folder / "output.txt").read_text(encoding="utf-8", errors="replace").split("\n")
-        return next((line.strip() for line in reversed(lines) if line.strip()), "the process ended without a word")
+        return next((line.strip() for line in reversed(lines) if line.strip()), "the process ended without output")

@@ -1,8 +1,8 @@
-"""A process that solves the problem in one way, on request: `python worker.py FD KIND FOLDER`.
+"""Process that runs one subject on request: `python worker.py FD KIND FOLDER`.
 
-It serves a connection at the file descriptor FD; FOLDER holds our package. A request is a pair (what, argument) and its
-answer what came of it, or the exception. So that it also runs in a peer's environment, it imports only the necessary
-modules of this project.
+It serves a connection at the file descriptor FD; FOLDER contains our package. A request is a pair (method, arguments),
+and the reply is the result or the exception. The module imports only the necessary modules of this project, so that it
+also runs in the peers' environment.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ KINDS = {
     "do-mpc": ("studies.speed.subjects.do_mpc_peer", "DoMpcPeer"),
     "nlpsol": ("studies.speed.subjects.nlp_peer", "NlpPeer"),
 }
-"""Module and class behind each kind of subject."""
+"""Module and class of each kind of subject."""
 
-Answer = tuple[list[float], float, float, int, bool]
+StepTuple = tuple[list[float], float, float, int, bool]
 """Result of a step: command, time of the whole step and inside the solver [s], iterations, solved."""
 
 
 class Worker:
-    """Holds one subject; its public methods can be requested."""
+    """Server of one subject; its public methods can be requested."""
 
     def __init__(self, kind: str) -> None:
         module, name = KINDS[kind]
         self._make = getattr(importlib.import_module(module), name)
         self._subject: Any = None
-        # Not at the top: its folder is on the path only by now.
+        # Imported here, because the path contains its folder only now.
         self._measure_effort = importlib.import_module("diffdrive_mpc.bench.counters").measure_effort
 
     def build(self, problem: object, settings: dict[str, Any], folder: str, core: int | None) -> dict[str, float]:
-        """Make the subject; returns the time that took [s] and the memory before [bytes]."""
+        """Build the subject; return the build time [s] and the memory before it [bytes]."""
         before, began = _resident("VmRSS"), time.perf_counter()
         os.chdir(folder)
         self._subject = self._make(problem, settings, Path(folder))
@@ -51,15 +51,15 @@ class Worker:
         return {"build_s": time.perf_counter() - began, "before_bytes": before}
 
     def reset(self, *data: object) -> None:
-        """Restart a drive; `data` are those of its first tick."""
+        """Restart a drive with the data of its first tick."""
         self._subject.reset(*data)
 
-    def run(self, *ticks: tuple[object, ...]) -> tuple[list[Answer], tuple[float, float, int, float]]:
-        """Step through ticks: an answer for each, and the `bench.counters.Effort` of all."""
-        answers, effort = self._measure_effort(lambda: [self._timed(data) for data in ticks])
-        return answers, tuple(effort)
+    def run(self, *ticks: tuple[object, ...]) -> tuple[list[StepTuple], tuple[float, float, int, float]]:
+        """Step through ticks; return the result of each, and the `bench.counters.Effort` of all."""
+        results, effort = self._measure_effort(lambda: [self._time_step(data) for data in ticks])
+        return results, tuple(effort)
 
-    def _timed(self, data: tuple[object, ...]) -> Answer:
+    def _time_step(self, data: tuple[object, ...]) -> StepTuple:
         began = time.perf_counter()
         command = self._subject.solve(*data)
         whole = time.perf_counter() - began
@@ -78,7 +78,7 @@ def _resident(field: str) -> float:
 
 
 def main() -> None:
-    """Serve until the other end closes."""
+    """Serve requests until the client closes the connection."""
     connection = Connection(int(sys.argv[1]))
     try:
         worker = Worker(sys.argv[2])
@@ -96,7 +96,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    # Last, so that this environment's own packages come first.
+    # Appended at the end, so that packages of this environment take precedence.
     sys.path[0:1] = []
     sys.path.append(sys.argv[3])
     main()

@@ -1,4 +1,4 @@
-"""Solvers of the problem: our controller, and peers that get it stage by stage."""
+"""Solvers of the problem: our controller, and peers that solve it by stages."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class SolveReport(NamedTuple):
-    """Report of the last solve: time by the solver's clock [s], iterations, and True with a solution."""
+    """Report of the last solve: time reported by the solver [s], iterations, and True if it was solved."""
 
     inside: float
     iterations: int

@@ -1,7 +1,7 @@
 """acados: one real-time iteration (SQP_RTI) with HPIPM on generated and compiled C; see docs/results.md.
 
-Runs in its own environment (`studies.speed.process.environment`): of this project it uses only `StageProblem`'s plain
-values.
+The module runs in the peers' environment (`studies.speed.process.environment`) and uses only plain values of
+`StageProblem` from this project.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ _UNBOUNDED = 1e8
 
 
 class AcadosPeer:
-    """The whole problem, or without soft limits.
+    """acados on the whole problem, or on the problem without soft limits.
 
     Parameters
     ----------
     problem
-        The fields of a `studies.speed.stage.StageProblem`.
+        Fields of a `studies.speed.stage.StageProblem`.
     settings
         `qp_solver`, `stages_per_block` (of partial condensing), `mode` (HPIPM's), `tolerance`,
         `max_iterations`, `warm_start`, `shift`, `soft_limits`, `flags` (compiler).
@@ -116,7 +116,7 @@ def _ocp(problem: dict[str, Any], settings: dict[str, Any]) -> AcadosOcp:
         cost.zl = cost.zu = cost.zl_e = cost.zu_e = linear
         cost.Zl = cost.Zu = cost.Zl_e = cost.Zu_e = quadratic
     options = ocp.solver_options
-    # acados weighs a stage's cost with its duration: N seconds in N steps make the weights those of the problem.
+    # acados multiplies a stage's cost by its duration: with N seconds in N steps, the weights are those of the problem.
     options.tf = float(N)
     options.integrator_type, options.nlp_solver_type, options.hessian_approx = "DISCRETE", "SQP_RTI", "GAUSS_NEWTON"
     options.qp_solver = settings["qp_solver"]

@@ -1,4 +1,4 @@
-/* Everything that changes from tick to tick, in one call instead of some hundred from Python: acados' own hook for it.
+/* Update of all data of a tick in one call of acados' custom update hook, instead of about a hundred calls from Python.
  * data: shift (0 or 1), the first state (NX), the parameters of the stages 0 to N (NP each). The last five parameters
  * of a stage are the limits of its soft constraints, upwards and downwards. */
 #include "acados_solver_tracking.h"

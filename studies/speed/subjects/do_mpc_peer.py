@@ -1,7 +1,7 @@
 """do-mpc with IPOPT; see docs/results.md.
 
-Runs in its own environment (`studies.speed.process.environment`): of this project it uses only `StageProblem`'s plain
-values.
+The module runs in the peers' environment (`studies.speed.process.environment`) and uses only plain values of
+`StageProblem` from this project.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from studies.speed.subjects.shooting import SOFT
 
 
 class DoMpcPeer:
-    """The whole problem; soft limits by slacks that are further inputs of the model.
+    """do-mpc on the whole problem; slacks of soft limits are additional inputs of the model.
 
     Parameters
     ----------
     problem
-        The fields of a `studies.speed.stage.StageProblem`.
+        Fields of a `studies.speed.stage.StageProblem`.
     settings
-        IPOPT's options.
+        Options of IPOPT.
     folder
         Not used: nothing is compiled.
     """

@@ -1,4 +1,4 @@
-"""CasADi's `nlpsol` with the solvers that come with it: IPOPT, fatrop, sqpmethod; see docs/results.md."""
+"""CasADi's `nlpsol` with its bundled solvers IPOPT, fatrop and sqpmethod; see docs/results.md."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from studies.speed.subjects.shooting import shooting_program
 
 
 class NlpPeer:
-    """The whole problem by multiple shooting, started from the last solution one stage later, multipliers included.
+    """Multiple shooting on the whole problem, started from the last solution and multipliers, shifted by one stage.
 
     Parameters
     ----------
     problem
-        The fields of a `studies.speed.stage.StageProblem`.
+        Fields of a `studies.speed.stage.StageProblem`.
     settings
-        `plugin`, and `options` of it.
+        `plugin`, the name of the solver, and its `options`.
     folder
         Not used: nothing is compiled.
     """

@@ -1,4 +1,4 @@
-"""Our controller as a subject: the whole step from measurement to command, and the solve as a part of it."""
+"""Our controller as a subject: the whole step from measurement to command, and its solve."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from studies.speed.subjects import SolveReport
 
 
 class OurSubject:
-    """The controller. The time inside the solver is that of linearising, condensing and solving, the backend included.
+    """Our controller. The time inside the solver includes linearising, condensing, solving and the backend.
 
     Parameters
     ----------
     config
-        The configuration.
+        Configuration of the controller.
     settings
-        `trajectory` by name.
+        `trajectory`, the name of the trajectory.
     folder
-        Not used: the core keeps its own.
+        Not used: the core has its own cache folder.
     """
 
     def __init__(self, config: ControllerConfig, settings: dict[str, Any], folder: Path) -> None:
@@ -32,7 +32,7 @@ class OurSubject:
         self._step: StepResult | None = None
 
     def reset(self, t: float, measurement: Measurement) -> None:
-        """Reset to a new controller at the first tick, which is at `t`."""
+        """Reset the controller for a drive that starts at `t` [s]."""
         del measurement
         self._controller.reset()
         self._controller.start(self._reference, t)

@@ -9,15 +9,15 @@ import casadi as ca
 import numpy as np
 
 SOFT = 5
-"""Values with soft limits at each stage."""
+"""Number of values with soft limits at each stage."""
 
 
 @dataclass(frozen=True)
 class ShootingProgram:
-    """A program in x = (z_0, u_0, s_1, z_1, u_1, ..., s_N, z_N) with p = (z_0, p_0, ..., p_N).
+    """Nonlinear program in x = (z_0, u_0, s_1, z_1, u_1, ..., s_N, z_N) with p = (z_0, p_0, ..., p_N).
 
-    s_k >= 0 are the amounts by which the soft limits of stage k are exceeded. The program is written out in scalars:
-    mapping one stage over the horizon gives less code, but evaluates its derivatives several times more slowly.
+    s_k >= 0 are the violations of the soft limits of stage k. The program is expanded into scalars: a map of one stage
+    over the horizon needs less code, but its derivatives are several times slower to evaluate.
 
     Attributes
     ----------
@@ -38,12 +38,12 @@ class ShootingProgram:
     states: int
 
     def guess(self, states: np.ndarray, commands: np.ndarray) -> np.ndarray:
-        """Stack states (N + 1, z) and commands (N, 2) to x, with no soft limit exceeded."""
+        """Stack states (N + 1, z) and commands (N, 2) to x, with zero slacks."""
         slack = np.zeros((len(commands), SOFT))
         return np.concatenate([np.column_stack([states[:-1], commands, slack]).ravel(), states[-1]])
 
     def shifted(self, x: np.ndarray) -> np.ndarray:
-        """Shift x by one stage, with its last stage repeated."""
+        """Shift x by one stage, and repeat its last stage."""
         return np.concatenate([x[self.stride :], x[-self.stride :]])
 
     def command(self, x: np.ndarray) -> np.ndarray:
@@ -52,7 +52,7 @@ class ShootingProgram:
 
 
 def shooting_program(problem: dict[str, Any]) -> ShootingProgram:
-    """Write down the program for the fields of a `studies.speed.stage.StageProblem`."""
+    """Build the program for the fields of a `studies.speed.stage.StageProblem`."""
     N, size = problem["horizon"], problem["states"]
     stride = size + 2 + SOFT
     stage, last = _stage(problem), ca.Function.deserialize(problem["tracking"])
@@ -66,7 +66,7 @@ def shooting_program(problem: dict[str, Any]) -> ShootingProgram:
         if k == 0:
             g.append(x[:size] - first)
         cost += stage_cost
-    # The end weighs `terminal` times as much as the stage function has counted.
+    # The stage function has counted the end once; add the rest of its weight `terminal`.
     weights = (problem["terminal"] - 1.0) * problem["tracking_weights"]
     cost += ca.dot(weights, last(after, parameters[:, N]) ** 2) / 2
 
@@ -91,7 +91,7 @@ def shooting_program(problem: dict[str, Any]) -> ShootingProgram:
 
 
 def _stage(problem: dict[str, Any]) -> ca.Function:
-    """Build the function from ((z, u, s) of a stage, z of the next, parameters) to the rows of g and the cost."""
+    """Build the function from (z, u, s) of a stage, z of the next stage and parameters to rows of g and the cost."""
     size, soft_limit = problem["states"], slice(problem["parameters"] - SOFT, problem["parameters"])
     step, tracking, effort, soft = (
         ca.Function.deserialize(problem[name]) for name in ("step", "tracking", "effort", "soft_values")
@@ -100,7 +100,7 @@ def _stage(problem: dict[str, Any]) -> ca.Function:
     p, p_after = (ca.SX.sym(name, problem["parameters"]) for name in ("p", "p_after"))
     z, u, s = stage[:size], stage[size : size + 2], stage[size + 2 :]
     end = step(z, u, p)
-    # Of `end`, not of `after`: a stage's inequalities may know that stage only.
+    # The values are those of `end`, not of `after`: inequalities of a stage may depend on this stage only.
     values, limits = soft(end, p_after), p_after[soft_limit]
     rows = ca.vertcat(after - end, u - z[-2:], values - limits - s, values + limits + s)
     cost = ca.dot(problem["effort_weights"], effort(z, u, p) ** 2) / 2
