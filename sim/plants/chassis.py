@@ -88,7 +88,7 @@ class Chassis:
                 "velocity": address(self._velocity),
                 "torque": address(self._data.qfrc_applied[6:10]),
                 "largest": mujoco.mjMAXVAL,
-                "least_upright": math.cos(_TIPPED),
+                "min_upright": math.cos(_TIPPED),
             },
         )
         self._step = _step_in_c(self._model, self._data, scene)

@@ -16,7 +16,7 @@ from diffdrive_mpc.models.errors import wrong_type
 from diffdrive_mpc.models.named_file import is_file
 from diffdrive_mpc.models.robot import Robot, TwistBounds, load_robot
 from diffdrive_mpc.models.two_sided import sides_of
-from diffdrive_mpc.sim.disturbances.scenario import Scenario, beside, load_scenario
+from diffdrive_mpc.sim.disturbances.scenario import Scenario, combine, load_scenario
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
 from diffdrive_mpc.sim.plants.names import DRAWN, MODEL, PHYSICS, split_plant
 from diffdrive_mpc.sim.plants.plant import Plant
@@ -114,7 +114,7 @@ def make_plant(
     drawn = drawn_robot(name)
     disturbances = load_scenario(scenario).draw(int(seed))
     if drawn is not None:
-        disturbances = beside(disturbances, drawn.scenario)
+        disturbances = combine(disturbances, drawn.scenario)
     setting = _Setting(
         name, surface, load_surface(surface), sensors, load_sensor_set(sensors), scenario, disturbances, int(seed)
     )
