@@ -1,4 +1,4 @@
-"""A velocity model moved on step by step, with the effects of its base around it."""
+"""Stepwise simulation of a velocity model with the effects of its base."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ class StepMotion(NamedTuple):
     """Motion during a step."""
 
     wheels: FloatArray
-    """(2,) v [m/s], omega [rad/s] by the wheels, at its end"""
+    """(2,) v [m/s], omega [rad/s] of the wheels at the end of the step."""
     body: FloatArray
-    """(2,) of the body, at its end"""
+    """(2,) v [m/s], omega [rad/s] of the body at the end of the step."""
     mean: FloatArray
-    """(2,) of the body, mean over the step"""
+    """(2,) mean v [m/s], omega [rad/s] of the body over the step."""
 
 
 class _Dynamics(Protocol):
-    """A sampled velocity model on its way."""
+    """Simulation state of a sampled velocity model."""
 
     @property
     def output(self) -> FloatArray:
-        """(2,) v [m/s], omega [rad/s] now."""
+        """(2,) current v [m/s], omega [rad/s]."""
         ...
 
     def reset(self) -> None:
@@ -50,7 +50,7 @@ class _Dynamics(Protocol):
 class _Linear:
     def __init__(self, model: DiscreteModel) -> None:
         self._model = model
-        # Places of the newest commands that act, in the last `memory` + 1 commands.
+        # Indices of the newest commands that act, among the last `memory` + 1 commands.
         self._v, self._omega = (model.memory - model.delay).tolist()
         self.reset()
 
@@ -87,21 +87,21 @@ class _Function:
 
 
 class BaseMotion:
-    """The chain of `models.base_effects.respond` in steps: slew, wheel commands, dynamics, twist of the tyres, veer.
+    """Stepwise version of `models.base_effects.respond`: slew, wheel commands, dynamics, twist of the tyres, veer.
 
     Parameters
     ----------
     model
-        The dynamics; a function is for `sample_time` alone, and no effects stand around it.
+        The dynamics; a nonlinear model must have the sample time `sample_time` and no effects.
     effects
-        Effects of the base around them; without any, a step is a whole sample, if that is short.
+        Effects of the base; without effects, a short sample is a single step.
     sample_time
-        For which a command is held [s].
+        Time for which a command is held [s].
 
     Raises
     ------
     ModelError
-        If a function is for another sample time, or effects stand around it.
+        If a nonlinear model has another sample time, or effects are given for it.
     """
 
     def __init__(self, model: VelocityModel | NonlinearModel, effects: BaseEffects, sample_time: float) -> None:
@@ -111,13 +111,13 @@ class BaseMotion:
         if isinstance(model, NonlinearModel):
             if not (plain and math.isclose(sample_time, model.dt, rel_tol=1e-9)):
                 raise ModelError(
-                    f"model '{model.name}': it is for samples of {model.dt} s without effects of a base; as a plant of "
-                    f"{sample_time} s take another model, or a sample_time of {model.dt} s"
+                    f"model '{model.name}': it is for samples of {model.dt} s without effects of a base; for a plant "
+                    f"of {sample_time} s use another model, or a sample_time of {model.dt} s"
                 )
             self.steps, self.step_time = 1, sample_time
             self._dynamics = _Function(model)
         else:
-            # Over a step the twist counts as the mean of its ends: so it is no longer than that of the papers' robot.
+            # The mean twist of a step is that of its ends, so the step is at most the sample time of the papers' robot.
             self.steps = max(1 if plain else PARTS, math.ceil(sample_time / load_robot().sample_time - 1e-9))
             self.step_time = sample_time / self.steps
             self._dynamics = _Linear(model.discretise(self.step_time))
@@ -125,11 +125,11 @@ class BaseMotion:
 
     @property
     def body(self) -> FloatArray:
-        """(2,) v [m/s], omega [rad/s] of the body now."""
+        """(2,) current v [m/s], omega [rad/s] of the body."""
         return self._body(self._dynamics.output)
 
     def reset(self) -> None:
-        """Reset to rest with tyres without twist."""
+        """Reset to rest with untwisted tyres."""
         self._dynamics.reset()
         self._reached = np.zeros(2)
         self._strain = 0.0
@@ -154,22 +154,22 @@ class BaseMotion:
         return StepMotion(wheels, self._body(wheels), mean)
 
     def _body(self, wheels: FloatArray) -> FloatArray:
-        """Compute the twist of the body (2,) for that of the wheels."""
+        """Compute the twist (2,) of the body from that of the wheels."""
         body = wheels.copy()
         if self._effects.yaw_relaxation is not None:
             body[1] = abs(wheels[1]) * self._strain
         return body if self._effects.veer is None else self._effects.veer.body(body)
 
 
-# Effects of a base on commands before they become set-points: slope limits, steps and coasting of the wheels.
+# Effects of a base on commands before they become set-points: rate limits, steps and coasting of the wheels.
 
 
 _HOLD = 0.005
-"""A ramp is made of levels that are held no longer than this [s]."""
+"""Maximum hold time of the levels that approximate a ramp [s]."""
 
 
 class BaseCommands(StrictModel):
-    """Effects of a base on the way in, as `models.base_effects` has them; one left out is not there."""
+    """Effects of a base on its commands, as in `models.base_effects`; None for absent effects."""
 
     twist_range: TwistRange | None = Field(default=None, description="speed limits inside the base")
     twist_slew: TwistSlew | None = Field(default=None, description="acceleration limits inside the base")
@@ -177,14 +177,14 @@ class BaseCommands(StrictModel):
 
 
 class CommandShaping:
-    """Follows commands as the base does. A dead time may come before or after it: neither depends on the clock.
+    """Shaping of commands by a base. It is time-invariant, so a dead time may be applied before or after it.
 
     Parameters
     ----------
     base
         The effects.
     sample_time
-        For which a command holds [s].
+        Time for which a command is held [s].
     """
 
     def __init__(self, base: BaseCommands, sample_time: float) -> None:
@@ -195,11 +195,11 @@ class CommandShaping:
         self.reset()
 
     def reset(self) -> None:
-        """Zero command since ever."""
+        """Reset to the steady state for a zero command."""
         self._reached = np.zeros(2)
 
     def levels(self, time: float, command: FloatArray) -> Iterator[tuple[float, FloatArray]]:
-        """Yield start times [s] and twists (2,) of the motor set-points, for a command (2,) from `time` on."""
+        """Yield start times [s] and twists (2,) of the motor set-points for a command (2,) that starts at `time`."""
         slew, wheels = self._base.twist_slew, self._base.wheel_command
         if self._base.twist_range is not None:
             command = self._base.twist_range.apply(command)

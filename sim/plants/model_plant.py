@@ -1,4 +1,4 @@
-"""A velocity model as plant: fast, and the truth is known in closed form."""
+"""Plant that moves as a velocity model: fast, with a closed-form solution."""
 
 from __future__ import annotations
 
@@ -23,31 +23,30 @@ from diffdrive_mpc.sim.sensing.sensors import Sensors
 
 
 class ModelPlant:
-    """A velocity model, extra dead time and slip behind the same sensors as the physics; see `sim.plants.plant.Plant`.
+    """Plant with velocity model, extra dead time, slip, and the sensors of the physics; see `sim.plants.plant.Plant`.
 
-    The model's v is that of the encoders, its omega that of the gyro on the surface it was identified on. Over a sample
-    the twist is the mean of the outputs at both ends, and the pose moves along the exact arc of that mean. With effects
-    of a base that holds for each of a few steps of a sample. Poses are those of the centre of rotation, as a pose mount
-    gives them.
+    The model's v is that of the encoders, its omega that of the gyro on the surface of the identification. The twist of
+    a sample is the mean of the outputs at both ends, and the pose moves along the exact arc of this mean; with base
+    effects, this applies to each of several steps of a sample. Poses are those of the centre of rotation.
 
     Parameters
     ----------
     model
         The velocity model.
     slip
-        Slip between the model's twist and the true one.
+        Slip from the model's twist to the true twist.
     sensors
         Sensor parameters.
     seed
-        Seed of all noise, not negative.
+        Seed of the noise, not negative.
     extra_dead_time
-        Dead time on top of the model's own, both channels [s].
+        Dead time in addition to that of the model, for both channels [s].
     effects
-        Effects of the base around the model; none by default.
+        Base effects; none by default.
     robot
         Geometry, sample time and limits; by default the robot of the papers.
     disturbance
-        Motion of the body beyond that, which the encoders do not measure. None by default.
+        Additional motion of the body, which the encoders do not measure; None by default.
     """
 
     def __init__(
@@ -64,8 +63,8 @@ class ModelPlant:
     ) -> None:
         self._disturbance = disturbance
         self._robot, self._name = robot or load_robot(), model.name
-        late = model.with_extra_dead_time([extra_dead_time, extra_dead_time])
-        self._motion = BaseMotion(late, effects or BaseEffects(), self._robot.sample_time)
+        delayed = model.with_extra_dead_time([extra_dead_time, extra_dead_time])
+        self._motion = BaseMotion(delayed, effects or BaseEffects(), self._robot.sample_time)
         self._slip = slip
         self._kinematics = WheelKinematics(self._robot.wheel_radius, self._robot.track)
         self._sensors = Sensors(sensors, self._kinematics, self._robot.sample_time, seed=seed, noisy_encoders=True)
@@ -96,7 +95,7 @@ class ModelPlant:
         return self._body(self._motion.body)
 
     def reset(self, pose: ArrayLike) -> None:
-        """Put the robot at rest at `pose` (3,) at time 0 and restart the noise from the seed."""
+        """Reset the robot to rest at `pose` (3,) at time 0, and restart the noise."""
         self._tick = 0
         self._sent: tuple[float, float] | None = None
         self._pose = np.array(pose, dtype=float)
@@ -109,7 +108,7 @@ class ModelPlant:
         return self._sensors.collect(self.time, self._sent)
 
     def advance(self, command: ArrayLike) -> None:
-        """Send `command` (2,) and let one sample pass; raises ValueError unless it is two finite numbers."""
+        """Send `command` (2,) and advance by one sample; raise ValueError unless it is two finite numbers."""
         sent = clip_command(command, self._robot.limits)
         self._sent = (float(sent[0]), float(sent[1]))
         arcs, before = [], self._motion.body
@@ -117,27 +116,27 @@ class ModelPlant:
             motion = self._motion.advance(sent)
             twist = self._body(motion.mean)
             arcs.append((self.time + step * self._motion.step_time, self._pose, twist))
-            self._pose = self._moved(self._pose, twist, self._motion.step_time)
+            self._pose = self._integrate(self._pose, twist, self._motion.step_time)
         yaw_rate = float(self._body(motion.body)[2])
         self._rate = (self._motion.body - before) / self.sample_time
         self._tick += 1
-        for look in self._sensors.poses_due(self.time):
-            start, pose, twist = [arc for arc in arcs if arc[0] <= look][-1]
-            self._sensors.see_pose(look, self._pose if look == self.time else self._moved(pose, twist, look - start))
+        for due in self._sensors.poses_due(self.time):
+            start, pose, twist = [arc for arc in arcs if arc[0] <= due][-1]
+            self._sensors.see_pose(due, self._pose if due == self.time else self._integrate(pose, twist, due - start))
         wheel_speeds = self._kinematics.wheel_speeds(self._slip.wheels(motion.wheels))
         self._sensors.see_motion(self.time, wheel_speeds, yaw_rate)
 
     def _body(self, output: FloatArray) -> FloatArray:
-        """Return the twist (3,) of the body in this sample for the output (2,) of the model."""
+        """Compute the twist (3,) of the body in this sample from the output (2,) of the model."""
         body = self._slip.body(output)
         return body if self._disturbance is None else body + self._disturbance.twist(self._tick, output, self._rate)
 
-    def _moved(self, pose: FloatArray, twist: FloatArray, duration: float) -> FloatArray:
+    def _integrate(self, pose: FloatArray, twist: FloatArray, duration: float) -> FloatArray:
         """Move `pose` (3,) for `duration` [s] with constant body `twist` (3,)."""
         v, lateral, omega = twist.tolist()
-        # A body that crabs moves along the same arc as one that points in the direction of travel.
+        # A body with side-slip moves along the same arc as a body that points in the direction of travel.
         forward = math.copysign(1.0, v)
-        crab = math.atan2(forward * lateral, abs(v))
-        moved = integrate_pose(pose + np.array([0.0, 0.0, crab]), forward * math.hypot(v, lateral), omega, duration)
-        moved[2] -= crab
-        return moved
+        slip = math.atan2(forward * lateral, abs(v))
+        result = integrate_pose(pose + np.array([0.0, 0.0, slip]), forward * math.hypot(v, lateral), omega, duration)
+        result[2] -= slip
+        return result
