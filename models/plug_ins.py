@@ -1,13 +1,13 @@
-"""Entry points by which other packages extend this one.
+"""Entry points with which other packages extend this one.
 
-A distribution registers a part in its `pyproject.toml`:
+A distribution registers a plug-in in its `pyproject.toml`:
 
     [project.entry-points."diffdrive_mpc.peers"]
     mine = "my_package.my_peer:PEER"
 
-`GROUPS` names the groups. The name of an entry is the word by which users ask for the part: a command, a controller
-feature and its configuration group, a peer, a plant. Listing the names imports nothing; a part is imported on first
-use.
+`GROUPS` lists the groups. The name of an entry is the name under which users select the plug-in: a command, a
+controller feature and its configuration group, a peer, a plant. Listing names imports nothing; a plug-in is imported on
+first use.
 """
 
 from __future__ import annotations
@@ -39,20 +39,20 @@ def _entries(group: str) -> Mapping[str, EntryPoint]:
 
 
 def plug_in_names(group: str) -> tuple[str, ...]:
-    """Return the names registered in a group, sorted; import nothing."""
+    """Return the names registered in a group, sorted, without imports."""
     return tuple(_entries(group))
 
 
 @cache
 def plug_in(group: str, name: str) -> Any:  # noqa: ANN401 - each group has its own type
-    """Import and return the part `name` of a group.
+    """Import and return the plug-in `name` of a group.
 
     Raises
     ------
     MissingPackageError
-        If no installed package registers it; the message names the package that has it, if one is known.
+        If no installed package registers the plug-in; the message names its package, if known.
     ImportError
-        If the part lacks a module that it needs.
+        If a module that the plug-in needs is missing.
     """
     entry = _entries(group).get(name)
     if entry is None:
@@ -61,14 +61,14 @@ def plug_in(group: str, name: str) -> Any:  # noqa: ANN401 - each group has its 
 
 
 def plug_ins(group: str) -> tuple[Any, ...]:
-    """Import and return all parts of a group, in the order of their names; raises ImportError as `plug_in`."""
+    """Import and return all plug-ins of a group, sorted by name; raise ImportError as `plug_in`."""
     return tuple(plug_in(group, name) for name in plug_in_names(group))
 
 
 @cache
 def known_packages() -> Mapping[str, Mapping[str, str]]:
-    """Return the package of every part that this project's own packages register, by group and name."""
-    import yaml  # noqa: PLC0415 - names that are registered need no file
+    """Return the package of every plug-in of this project's packages, by group and name."""
+    import yaml  # noqa: PLC0415 - only needed if a plug-in is missing
 
     data = yaml.safe_load(Path(__file__).with_name("known_packages.yaml").read_text(encoding="utf-8"))
     return {
@@ -78,7 +78,7 @@ def known_packages() -> Mapping[str, Mapping[str, str]]:
 
 
 def missing_part(group: str, name: str) -> str:
-    """Return one line with the package of a part and its installation command."""
+    """Format one line with the package of a missing plug-in and the installation command."""
     kind = group.removesuffix("s").replace("_", " ")
     package = known_packages().get(group, {}).get(name)
     name = name.replace(".", " ") if group == "commands" else name
@@ -89,6 +89,6 @@ def missing_part(group: str, name: str) -> str:
 
 
 def check_package(group: str, name: object) -> None:
-    """Raise MissingPackageError if a known package has the part `name` of a group; call it if the part is not found."""
+    """Raise MissingPackageError if a known package has the plug-in `name`; call this if the plug-in is not found."""
     if str(name) in known_packages().get(group, {}):
         raise MissingPackageError(missing_part(group, str(name)))

@@ -1,8 +1,8 @@
 """Pose kinematics: the exact arc of a body that moves with constant twist.
 
-Source: Guffanti et al., Sensors 2025, 25(11), 3553 (odometry equations), with the sign of dy restored, written
-with the sinc of the half angle so that value and gradient are smooth through omega = 0. A body that slips has a
-lateral speed, too.
+Source: Guffanti et al., Sensors 2025, 25(11), 3553 (odometry equations), with the sign of dy corrected. The formula
+uses the sinc of the half angle, so that value and gradient are smooth at omega = 0, and adds the lateral speed of a
+body with side-slip.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray
 
-# sin(x)/x is replaced by its series below this |x|: the first term left out is below 1e-18 there, and the derivative of
-# sin(x)/x beyond it has lost at most one digit, in single precision too.
+# Below this |x| the series of sin(x)/x is used: its first omitted term is below 1e-18. Above it the derivative of
+# sin(x)/x loses at most one digit, also in single precision.
 _SERIES_LIMIT, _SERIES_TERMS = 0.2, 6
 
 
@@ -33,19 +33,19 @@ class _Functions(NamedTuple):
 def _numeric_sinc(x: Any) -> Any:  # noqa: ANN401 - numbers or arrays
     if not isinstance(x, float):
         return np.sinc(x / np.pi)
-    # The same for a single number, ten times as fast.
+    # For a single number this is ten times faster, with the same result.
     product = np.pi * (x / np.pi) or np.finfo(float).eps
     return np.sin(product) / product
 
 
 def _symbolic_sinc(x: ca.SX) -> ca.SX:
-    """Compute sin(x) / x for CasADi, which lacks it; its derivatives are smooth through zero."""
+    """Return the CasADi expression of sin(x) / x, with smooth derivatives at zero."""
     square = x * x
     small = ca.fabs(x) < _SERIES_LIMIT
     series = ca.SX(0)
     for k in reversed(range(_SERIES_TERMS)):
         series = 1 / math.factorial(2 * k + 1) - square * series
-    # The unused branch is evaluated too: keep it finite, or its derivative poisons the result with NaN.
+    # CasADi evaluates both branches: keep the unused one finite, so that its derivative is not NaN.
     safe = ca.if_else(small, 1.0, x)
     return ca.SX(ca.if_else(small, series, ca.sin(safe) / safe))
 
@@ -62,21 +62,21 @@ def _displacement(  # numbers, arrays or symbols
     dt: Any,  # noqa: ANN401
     lateral: Any,  # noqa: ANN401
 ) -> tuple[Any, Any, Any]:
-    """Compute the displacement (dx, dy, dtheta) of the exact arc: one formula for numbers and for symbols.
+    """Compute the displacement (dx, dy, dtheta) of the exact arc, for numbers or symbols.
 
     The body moves by the chord v dt sinc(omega dt / 2) along its mean heading theta + omega dt / 2, and by
-    lateral dt sinc(omega dt / 2) to the left of that.
+    lateral dt sinc(omega dt / 2) to the left of the mean heading.
     """
     half = 0.5 * omega * dt
-    reach = dt * functions.sinc(half)
+    chord = dt * functions.sinc(half)
     c, s = functions.cos(theta + half), functions.sin(theta + half)
-    return reach * (v * c - lateral * s), reach * (v * s + lateral * c), omega * dt
+    return chord * (v * c - lateral * s), chord * (v * s + lateral * c), omega * dt
 
 
 def arc_displacement(theta: ca.SX, v: ca.SX, omega: ca.SX, dt: ca.SX, lateral: ca.SX) -> ca.SX:
     """Return the CasADi expression (3) of the displacement dx, dy [m], dtheta [rad] over one arc from `theta`.
 
-    Differentiable through omega = 0; the symbols are scalars in the units of `integrate_pose`.
+    It is differentiable at omega = 0; the symbols are scalars in the units of `integrate_pose`.
     """
     return ca.SX(ca.vertcat(*_displacement(_SYMBOLIC, theta, v, omega, dt, lateral)))
 
@@ -93,9 +93,9 @@ def integrate_pose(
     v, omega
         (...) forward speed [m/s] and yaw rate [rad/s], constant over `dt`. They broadcast with `pose[..., 0]`.
     dt
-        (...) duration [s]; may be negative, which goes back along the same arc.
+        (...) duration [s]; a negative duration moves back along the arc.
     side_slip
-        (...) lateral speed over -v omega [s]: the body drifts outward in a turn with side_slip v omega.
+        (...) lateral speed over -v omega [s]: in a turn the body slips outward with speed side_slip v omega.
 
     Returns
     -------
@@ -105,7 +105,7 @@ def integrate_pose(
     Raises
     ------
     ValueError
-        If the last axis of `pose` has another length.
+        If the last axis of `pose` does not have length 3.
     """
     pose = np.asarray(pose, dtype=float)
     if pose.shape[-1:] != (3,):
@@ -124,6 +124,6 @@ def wrap_angle(angle: ArrayLike) -> FloatArray:
 
 
 def ahead_and_left(gap: FloatArray, heading: ArrayLike) -> tuple[Any, Any]:
-    """Rotate the first two of `gap` (..., 2 or more) [m] into a frame at `heading` (...) [rad]."""
+    """Rotate the first two components of `gap` (..., 2 or more) [m] into a frame at `heading` (...) [rad]."""
     c, s = np.cos(heading), np.sin(heading)
     return c * gap[..., 0] + s * gap[..., 1], c * gap[..., 1] - s * gap[..., 0]

@@ -1,4 +1,4 @@
-"""The robot's own numbers: geometry, mass, encoder and limits, read from a parameter file."""
+"""Parameters of a robot, read from a file: geometry, mass, encoder and limits."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(gt=0, le=1)]
-"""A part of a whole that is not nothing."""
+"""Share of a whole, above 0 and at most 1."""
 SampleTime = Annotated[float, Field(ge=0.001, le=0.5)]
 """Time between two ticks of a controller [s]."""
 
@@ -34,7 +34,7 @@ class RobotLimits(TwistBounds):
 class ReferenceAcceleration(TwistBounds):
     """Acceleration limits of a reference."""
 
-    lateral: Positive = Field(description="bound of v omega where a path is timed smoothly [m/s^2]")
+    lateral: Positive = Field(description="bound of v omega for smoothly timed paths [m/s^2]")
 
 
 class Robot(StrictModel):
@@ -53,11 +53,11 @@ class Robot(StrictModel):
 
 @cache
 def load_robot(path: str | Path | None = None) -> Robot:
-    """Read a robot parameter file; without a path, the robot of the papers.
+    """Read a robot parameter file; by default that of the robot of the papers.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the file cannot be read or a value is missing, unknown or out of range.
+        If the file cannot be read, or a value is missing, unknown or out of range.
     """
     return load_checked(Robot, path or Path(__file__).parent / "parameters" / "robot.yaml")

@@ -1,4 +1,4 @@
-"""Slip laws of the papers: twist of the body on a surface for the twist of its wheels."""
+"""Slip laws of the papers: twist of the body on a surface as a function of the twist of its wheels."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from diffdrive_mpc.models.interface import FloatArray
 POLYNOMIAL = tuple(f"a{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3))
 """Names of the nine coefficients of `polynomial_twist`, row by row."""
 
-# The least value under the root of a track that shrinks: below zero the law has no solution, and at zero no slope.
-_LEAST_ROOT = 0.04
+# Minimum argument of the square root for a shrinking track: the law has no solution below 0, and no slope at 0.
+_MIN_RADICAND = 0.04
 
 
 class _Functions(NamedTuple):
-    """Functions of NumPy or CasADi in the formula of the growing track."""
+    """Functions of NumPy or CasADi in the formula of the virtual track."""
 
     sqrt: Callable[[Any], Any]
     absolute: Callable[[Any], Any]
@@ -31,7 +31,7 @@ _SYMBOLIC = _Functions(ca.sqrt, ca.fabs, ca.fmax)
 
 
 def polynomial_twist(coefficients: ArrayLike, wheels: ArrayLike) -> FloatArray:
-    """Compute the twist of the body with terms in v_c, w_c and v_c w_c, added to the wheels' (v_c, w_c).
+    """Compute the twist of the body: that of the wheels (v_c, w_c) plus terms in v_c, w_c and v_c w_c.
 
     Source: Ordonez et al., 2017 (P4): v = v_c + a11 v_c + a12 w_c + a13 v_c w_c, lateral = a21 v_c + a22 w_c +
     a23 v_c w_c, omega = w_c + a31 v_c + a32 w_c + a33 v_c w_c. Here lateral is to the left and w_c counter-clockwise.
@@ -39,7 +39,7 @@ def polynomial_twist(coefficients: ArrayLike, wheels: ArrayLike) -> FloatArray:
     Parameters
     ----------
     coefficients
-        (3, 3) or (9,), row by row.
+        (3, 3), or (9,) row by row.
     wheels
         (..., 2) v_c [m/s], w_c [rad/s].
 
@@ -57,46 +57,46 @@ def polynomial_terms(
     v: Any,  # noqa: ANN401 - arrays or CasADi's symbols
     omega: Any,  # noqa: ANN401
 ) -> tuple[Any, Any, Any]:
-    """Compute the three parts of `polynomial_twist` for numbers or symbols; coefficients are (3, 3)."""
+    """Compute the three components of `polynomial_twist` for numbers or symbols; coefficients are (3, 3)."""
     ahead, left, turn = (a * v + b * omega + c * v * omega for a, b, c in coefficients.tolist())
     return v + ahead, left, omega + turn
 
 
 def _widening(functions: _Functions, settled: Any, growth: Any) -> Any:  # noqa: ANN401 - numbers, arrays or symbols
-    """Compute the track over that at rest: P3's law for numbers or symbols.
+    """Compute the ratio k of the track to the track at rest by the law of P3, for numbers or symbols.
 
-    i = p1 |omega| + p0 is k = 1 + growth |omega| with growth = p1 / p0 and omega = settled / k, quadratic in k; this is
-    the solution that is 1 for a track that does not grow. A track that shrinks ends where the faster turn would have
+    i = p1 |omega| + p0 is k = 1 + growth |omega| with growth = p1 / p0 and omega = settled / k. This is quadratic in k;
+    the solution is used that is 1 for growth = 0. For a shrinking track, k is bounded below, because faster turns have
     no solution.
     """
-    return 0.5 * (1 + functions.sqrt(functions.larger(1 + 4 * growth * functions.absolute(settled), _LEAST_ROOT)))
+    return 0.5 * (1 + functions.sqrt(functions.larger(1 + 4 * growth * functions.absolute(settled), _MIN_RADICAND)))
 
 
 def track_widening(settled: ca.SX, growth: ca.SX) -> ca.SX:
-    """Return the CasADi expression of the track over that at rest [-], for a track that grows with the yaw rate.
+    """Return the CasADi expression of the ratio of the track to the track at rest [-]; the track depends on yaw rate.
 
     Source: Botta et al., Appl. Sci. 2021, 11(4), 1594 (P3), see `virtual_track_yaw_rate`.
 
     Parameters
     ----------
     settled
-        Yaw rate that the robot would have with the track at rest [rad/s]; it has this over the widening.
+        Yaw rate with the track at rest [rad/s]; the robot's yaw rate is this value over the ratio.
     growth
-        Relative growth of the track for each rad/s of the robot's own yaw rate [s/rad], p1 / p0.
+        Relative growth of the track per yaw rate of the robot, p1 / p0 [s/rad].
     """
     return ca.SX(_widening(_SYMBOLIC, settled, growth))
 
 
 def virtual_track_yaw_rate(difference: ArrayLike, p0: float, p1: float) -> FloatArray:
-    """Compute the yaw rate of a robot whose track grows with it, i = p1 |yaw rate| + p0.
+    """Compute the yaw rate of a robot whose track grows with the yaw rate, i = p1 |yaw rate| + p0.
 
-    Source: Botta et al., Appl. Sci. 2021, 11(4), 1594 (P3). yaw rate = difference / i is quadratic in the yaw rate; its
-    solution that stays finite for p1 = 0 is used.
+    Source: Botta et al., Appl. Sci. 2021, 11(4), 1594 (P3). yaw rate = difference / i is quadratic in the yaw rate; the
+    solution that is finite for p1 = 0 is used.
 
     Parameters
     ----------
     difference
-        (...) rim speed of the right wheels less that of the left [m/s].
+        (...) rim speed of the right wheels minus that of the left wheels [m/s].
     p0, p1
         Track at rest [m] and its growth [m s].
 

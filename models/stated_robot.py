@@ -1,4 +1,4 @@
-"""Robots by the data of their makers: numbers with their source, none of them identified."""
+"""Robot data stated by the makers: parameters with their source, not identified."""
 
 from __future__ import annotations
 
@@ -15,11 +15,8 @@ from diffdrive_mpc.models.plug_ins import plug_in_names
 from diffdrive_mpc.models.robot import load_robot
 
 STATED_ROBOTS = EntryFile("robot", Path(__file__).with_name("stated_robots.yaml"))
-TO_IDENTIFY = (
-    "gain, lag and dead time of both channels, the yaw rate that the ground leaves of the commanded one, slip, noise of"
-    " the sensors"
-)
-"""Values that no maker states, in words."""
+TO_IDENTIFY = "gain, lag and dead time of both channels, true over commanded yaw rate, slip, noise of the sensors"
+"""Description of the parameters that no maker states."""
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 _UNITS = {
@@ -47,14 +44,14 @@ class StatedNumber(StrictModel):
 
 
 class StatedOutline(StrictModel):
-    """Corners of the robot seen from its base point."""
+    """Corners of the robot in the frame of its base."""
 
     stated: tuple[tuple[float, float], ...] = Field(min_length=3, description="x, y of each corner [m]")
     source: str = Field(min_length=1, description="one of the file's `sources`")
 
 
 class StatedTopic(StrictModel):
-    """A topic, in whichever namespace the robot has."""
+    """A topic, relative to the namespace of the robot."""
 
     stated: str = Field(min_length=1, pattern="^[^/]", description="relative name")
     type: str = Field(description="type of its messages")
@@ -70,33 +67,33 @@ class StatedTopics(StrictModel):
 
 
 class StatedKey(NamedTuple):
-    """Value of a controller's configuration that follows from stated data."""
+    """Value of a controller's configuration, derived from stated data."""
 
     value: float | str
     reason: str
-    """Unit, and how it follows."""
+    """Unit and derivation."""
 
 
 class MakersRobot(StrictModel):
-    """One robot as its maker states it. SI units; omitted values are not stated."""
+    """Data of one robot, stated by its maker. SI units; the maker does not state omitted values."""
 
     name: str
-    provenance: Literal["stated"] = Field(description="never identified: no log stands behind these values")
-    sources: dict[str, str] = Field(description="repository, file and revision by the word that values name")
+    provenance: Literal["stated"] = Field(description="not identified: the values do not come from a log")
+    sources: dict[str, str] = Field(description="repository, file and revision, by the key that values refer to")
     wheels: StatedNumber = Field(description="driven wheels [-]")
-    wheel_radius: StatedNumber = Field(description="[m]")
-    wheel_separation: StatedNumber = Field(description="between the wheels of both sides [m]")
-    wheel_separation_multiplier: StatedNumber = Field(description="track that the base divides by over that one [-]")
-    v: StatedNumber = Field(description="largest forward command [m/s]")
-    omega: StatedNumber = Field(description="largest yaw command [rad/s]")
-    v_rate: StatedNumber | None = Field(None, description="slope of the forward command, away from zero [m/s^2]")
-    v_braking: StatedNumber | None = Field(None, description="the same towards zero [m/s^2]")
-    omega_rate: StatedNumber | None = Field(None, description="slope of the yaw command, away from zero [rad/s^2]")
-    omega_braking: StatedNumber | None = Field(None, description="the same towards zero [rad/s^2]")
-    command_rate: StatedNumber | None = Field(None, description="how often the base takes a command [Hz]")
-    command_timeout: StatedNumber | None = Field(None, description="after which it stops without a command [s]")
+    wheel_radius: StatedNumber = Field(description="radius of the wheels [m]")
+    wheel_separation: StatedNumber = Field(description="distance between left and right wheels [m]")
+    wheel_separation_multiplier: StatedNumber = Field(description="track used by the base over wheel separation [-]")
+    v: StatedNumber = Field(description="maximum forward command [m/s]")
+    omega: StatedNumber = Field(description="maximum yaw command [rad/s]")
+    v_rate: StatedNumber | None = Field(None, description="maximum acceleration of the forward command [m/s^2]")
+    v_braking: StatedNumber | None = Field(None, description="maximum deceleration of the forward command [m/s^2]")
+    omega_rate: StatedNumber | None = Field(None, description="maximum acceleration of the yaw command [rad/s^2]")
+    omega_braking: StatedNumber | None = Field(None, description="maximum deceleration of the yaw command [rad/s^2]")
+    command_rate: StatedNumber | None = Field(None, description="rate at which the base accepts commands [Hz]")
+    command_timeout: StatedNumber | None = Field(None, description="time without a command after which it stops [s]")
     footprint: StatedOutline | None = None
-    footprint_radius: StatedNumber | None = Field(None, description="of a round robot, in place of corners [m]")
+    footprint_radius: StatedNumber | None = Field(None, description="radius of a round robot, in place of corners [m]")
     topics: StatedTopics
 
     @model_validator(mode="after")
@@ -109,18 +106,18 @@ class MakersRobot(StrictModel):
 
     @property
     def track(self) -> float:
-        """Track [m] by which the base turns omega into wheel speeds, and wheel speeds into its odometry."""
+        """Track [m] with which the base converts omega to wheel speeds, and wheel speeds to odometry."""
         return self.wheel_separation.stated * self.wheel_separation_multiplier.stated
 
     def bounds(self, margin: float) -> dict[str, float]:
-        """Return soft limits: none is stated, so they start `margin` [-] beyond the maximum command."""
+        """Return soft limits, which no maker states: `margin` [-] times the maximum command."""
         v, omega = self.v.stated, self.omega.stated
         rim = v + 0.5 * self.track * omega
         sizes = {"predicted_v": v, "predicted_omega": omega, "wheel_speed": rim}
         return {f"limits.{name}": float(f"{margin * size:.4g}") for name, size in sizes.items()}
 
     def configuration(self) -> dict[str, StatedKey]:
-        """Return values of a controller's configuration by dotted key; slopes if they are below the default."""
+        """Return values of a controller's configuration by dotted key; slew limits only if below the default."""
         separation = (
             f"m, wheel separation {self.wheel_separation.stated:g} m times multiplier "
             f"{self.wheel_separation_multiplier.stated:g}"
@@ -131,11 +128,11 @@ class MakersRobot(StrictModel):
             "wheels.track": StatedKey(float(f"{self.track:.6g}"), separation),
             "wheels.encoder_track": StatedKey(float(f"{self.track:.6g}"), separation),
         }
-        usual = load_robot().command_slew
+        default = load_robot().command_slew
         for channel, unit in (("v", "m/s^2"), ("omega", "rad/s^2")):
             for key, rate in (("slew", "rate"), ("braking", "braking")):
                 number: StatedNumber | None = getattr(self, f"{channel}_{rate}")
-                if number is not None and number.stated < getattr(usual, channel):
+                if number is not None and number.stated < getattr(default, channel):
                     keys[f"limits.{channel}_{key}"] = StatedKey(number.stated, unit)
         if "free_space" not in plug_in_names("features"):
             return keys
@@ -148,12 +145,12 @@ class MakersRobot(StrictModel):
         return keys
 
     def mapping(self) -> LogMapping:
-        """Return the mapping of topics in a bag of this robot, in any namespace."""
+        """Return the mapping of the topics in a bag of this robot, for any namespace."""
         names = {role: Topic(topic=topic.stated) for role, topic in dict(self.topics).items() if topic is not None}
-        return LogMapping(source=f"{self.name}, as its maker states it", topics=Topics(**names))
+        return LogMapping(source=f"{self.name}, as stated by its maker", topics=Topics(**names))
 
     def lines(self) -> list[str]:
-        """Return the stated values with their sources, and the values to be identified, in one line each."""
+        """Return the stated values with their sources, and the parameters to be identified, in one line each."""
         numbers = [(name, unit, getattr(self, name)) for name, unit in _UNITS.items()]
         lines = [
             f"{name} {number.stated:g}{'' if unit == '-' else f' {unit}'} (stated: {number.source})"
@@ -169,7 +166,7 @@ class MakersRobot(StrictModel):
             if topic is not None
         ]
         lines += [f"source {word}: {source}" for word, source in self.sources.items()]
-        return [*lines, f"stated by nobody, to be identified from a log: {TO_IDENTIFY}"]
+        return [*lines, f"not stated, to be identified from a log: {TO_IDENTIFY}"]
 
 
 def stated_robots() -> tuple[str, ...]:
@@ -183,12 +180,12 @@ def load_stated_robot(name: str | Path) -> MakersRobot:
     Parameters
     ----------
     name
-        Name of a robot ("husky", "jackal", ...) or the path of such a file.
+        Name of a robot ("husky", "jackal", ...) or path of a file with stated data.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If there is no such robot, or its file has a mistake; the message lists the names.
+        If there is no such robot, with a list of the names, or its file is invalid.
     """
     robot = STATED_ROBOTS.load(MakersRobot, name)
     if robot.footprint is not None and robot.footprint_radius is not None:

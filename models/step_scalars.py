@@ -14,7 +14,7 @@ from diffdrive_mpc.models.checked_yaml import StrictModel, check, read_yaml
 
 
 class StepScalar(StrictModel):
-    """One number; `step_scalars.yaml` explains its fields."""
+    """Declaration of one scalar; `step_scalars.yaml` explains the fields."""
 
     attribute: str = Field(min_length=1)
     label: str = Field(min_length=1)
@@ -24,36 +24,36 @@ class StepScalar(StrictModel):
 
     @property
     def titled(self) -> str:
-        """Label and unit."""
+        """Label with unit."""
         return self.label if self.unit == "-" else f"{self.label} [{self.unit}]"
 
 
 @cache
 def step_scalars() -> Mapping[str, StepScalar]:
-    """Return all scalars by the name of their column, in the order of the file."""
+    """Return all scalars by column name, in the order of the file."""
     path = Path(__file__).with_suffix(".yaml")
     return {name: check(StepScalar, entry, f"{path}: {name}") for name, entry in read_yaml(path).items()}
 
 
 def scalar_row(step: object) -> list[float]:
     """Return the scalars of `step` in the order of `step_scalars`; NaN if missing."""
-    return [_taken(step, path) for path in _paths()]
+    return [_read(step, path) for path in _paths()]
 
 
 def scalars_of(step: object) -> dict[str, float]:
-    """Return the scalars of `step` by the names of their columns."""
+    """Return the scalars of `step` that are not missing, by column name."""
     values = zip(step_scalars(), scalar_row(step), strict=True)
     return {name: value for name, value in values if not math.isnan(value)}
 
 
 @cache
 def _paths() -> tuple[tuple[str | int, ...], ...]:
-    """Return the path from a step to each number: names of attributes, and indices."""
-    ways = (scalar.attribute.split(".") for scalar in step_scalars().values())
-    return tuple(tuple(int(part) if part.isdecimal() else part for part in way) for way in ways)
+    """Return the path from a step to each scalar: names of attributes, and indices."""
+    paths = (scalar.attribute.split(".") for scalar in step_scalars().values())
+    return tuple(tuple(int(part) if part.isdecimal() else part for part in path) for path in paths)
 
 
-def _taken(step: object, path: tuple[str | int, ...]) -> float:
+def _read(step: object, path: tuple[str | int, ...]) -> float:
     value: Any = step
     for part in path:
         value = value[part] if isinstance(part, int) else getattr(value, part, None)

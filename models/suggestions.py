@@ -1,4 +1,4 @@
-"""Suggestions for a key that a schema does not know."""
+"""Suggestions for a key that is not in a schema."""
 
 from __future__ import annotations
 
@@ -45,17 +45,16 @@ SYNONYMS: dict[str, tuple[str, ...]] = {
     "stamp": ("time",),
     "timestamp": ("time",),
 }
-"""Keys, or endings of their paths, by other names in the field."""
+"""Keys, or ends of their paths, by synonyms used in the field."""
 
-_MOST = 4
-"""Suggestions at once."""
+_MAX_SUGGESTIONS = 4
 
 
 def suggestion(schema: type[BaseModel], location: list[Any], shown: Callable[[str], str] = str) -> str:
-    """Format the end of a message about an unknown key at `location`: similar keys, or the known ones.
+    """Format the end of a message about an unknown key at `location`: similar keys, or a list of the known keys.
 
-    A key of the same name elsewhere and synonyms come before names with a similar spelling, unless a sibling is spelt
-    almost the same; siblings of the unknown key come before others.
+    Keys of the same name in other groups and synonyms precede names of similar spelling, unless a sibling has almost
+    the same spelling. Siblings of the unknown key precede other keys.
     """
     *parents, key = [str(part) for part in location]
     level: type[BaseModel] | None = schema
@@ -63,21 +62,21 @@ def suggestion(schema: type[BaseModel], location: list[Any], shown: Callable[[st
         level = _child(level, parent) if level else None
     known = _names(level) if level else []
     paths = _paths(schema)
-    alike = difflib.get_close_matches(key, known, n=1, cutoff=0.85)
-    candidates = _named(paths, parents, [key] if alike else [key, *_synonyms(key)])
-    near = alike or ([] if candidates else difflib.get_close_matches(key, known, n=1, cutoff=0.5))
+    similar = difflib.get_close_matches(key, known, n=1, cutoff=0.85)
+    candidates = _select_paths(paths, parents, [key] if similar else [key, *_synonyms(key)])
+    near = similar or ([] if candidates else difflib.get_close_matches(key, known, n=1, cutoff=0.5))
     candidates += [path for name in near if (path := ".".join([*parents, name])) not in candidates]
     if not candidates:
-        elsewhere = {path.rsplit(".", 1)[-1]: path for path in paths}
-        candidates = [elsewhere[name] for name in difflib.get_close_matches(key, elsewhere, n=1, cutoff=0.7)]
+        by_name = {path.rsplit(".", 1)[-1]: path for path in paths}
+        candidates = [by_name[name] for name in difflib.get_close_matches(key, by_name, n=1, cutoff=0.7)]
     if candidates:
-        *first, last = [f"'{shown(path)}'" for path in candidates[:_MOST]]
+        *first, last = [f"'{shown(path)}'" for path in candidates[:_MAX_SUGGESTIONS]]
         return f"; did you mean {', '.join(first)}{' or ' if first else ''}{last}?"
     return f"; known keys: {', '.join(known)}" if known else ""
 
 
 def _synonyms(key: str) -> list[str]:
-    """Return other words for the key, or for one word of it, as of `yaw` in `yaw_slew`."""
+    """Return synonyms of the key, or of one word in it, such as `yaw` in `yaw_slew`."""
     if key.lower() in SYNONYMS:
         return list(SYNONYMS[key.lower()])
     words = key.lower().split("_")
@@ -89,22 +88,22 @@ def _synonyms(key: str) -> list[str]:
     ]
 
 
-def _named(paths: list[str], parents: list[str], names: list[str]) -> list[str]:
-    """Select the paths that end in one of the names: those next to the unknown key, or else of the highest level."""
-    ending = [path for path in paths if any(f".{path}".endswith(f".{name}") for name in names)]
-    place = ".".join(parent for parent in parents if not parent.isdigit())
-    beside = [path for path in ending if path.rpartition(".")[0] == place]
-    return beside or [path for path in ending if path.count(".") == min(candidate.count(".") for candidate in ending)]
+def _select_paths(paths: list[str], parents: list[str], names: list[str]) -> list[str]:
+    """Select the paths that end in one of the names: siblings of the unknown key, or else paths of the top level."""
+    matches = [path for path in paths if any(f".{path}".endswith(f".{name}") for name in names)]
+    group = ".".join(parent for parent in parents if not parent.isdigit())
+    siblings = [path for path in matches if path.rpartition(".")[0] == group]
+    return siblings or [path for path in matches if path.count(".") == min(match.count(".") for match in matches)]
 
 
 def _further_groups(level: type[BaseModel]) -> Mapping[str, type[BaseModel]]:
-    """Return groups that are no fields of a schema, such as those of installed features."""
+    """Return groups that are not fields of a schema, such as the groups of installed features."""
     groups: Mapping[str, type[BaseModel]] = getattr(level, "further_groups", dict)()
     return groups
 
 
 def _names(level: type[BaseModel]) -> list[str]:
-    """Return the names of fields and further groups; a mapping is the field that holds the further groups."""
+    """Return the names of fields and further groups, without the mapping field that holds the further groups."""
     fields = [name for name, field in level.model_fields.items() if get_origin(field.annotation) is not Mapping]
     return [*fields, *_further_groups(level)]
 

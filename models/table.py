@@ -1,4 +1,4 @@
-"""A table as plain text cells, printed as aligned lines or written as Markdown."""
+"""Tables of text cells, formatted as aligned lines or as Markdown."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class TextTable:
-    """Cells with their headings. `str` of it is text with aligned columns.
+    """Cells with headings; `str` gives text with aligned columns.
 
     Attributes
     ----------
@@ -22,9 +22,9 @@ class TextTable:
     columns
         Heading of each column, with the unit in brackets.
     rows
-        Cells, as many in each row as there are columns.
+        Cells, one for each column in every row.
     text_columns
-        Number of columns from the left that hold names; the others contain right-aligned numbers.
+        Number of left-aligned columns, from the left; the other columns are right-aligned, for numbers.
     note
         One sentence below the table.
     """
@@ -36,7 +36,7 @@ class TextTable:
     note: str = ""
 
     def __post_init__(self) -> None:
-        """Check that every row has a cell for each column; raises ValueError."""
+        """Raise ValueError if a row does not have a cell for each column."""
         for row in self.rows:
             if len(row) != len(self.columns):
                 raise ValueError(f"table '{self.title}': {len(row)} cells for {len(self.columns)} columns")
@@ -50,7 +50,7 @@ class TextTable:
         entries: Iterable[tuple[tuple[str, ...], T]],
         note: str = "",
     ) -> Self:
-        """Build a table of `entries`, each with the names on its left and the source of its cells.
+        """Build a table with one row for each entry.
 
         Parameters
         ----------
@@ -59,9 +59,9 @@ class TextTable:
         names
             Headings of the columns that hold names.
         columns
-            By the heading of a column, the function for its cells.
+            Function that formats the cells of a column, by heading.
         entries
-            One for each row.
+            For each row its names, and the argument of the functions.
         """
         rows = tuple((*left, *(cell(right) for cell in columns.values())) for left, right in entries)
         return cls(title, (*names, *columns), rows, len(names), note)
@@ -93,20 +93,20 @@ def _markdown_row(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
-# Escapes for untrusted text, such as names in files and of files.
+# Escapes for untrusted text, such as names of files and names in files.
 
 
-LONGEST = 1000
-"""Characters of a line at most."""
+MAX_LENGTH = 1000
+"""Maximum number of characters of a line."""
 
 
-def plain_line(text: str, longest: int = LONGEST) -> str:
-    r"""Escape `text` to one line that steers neither a terminal nor a parser of lines.
+def plain_line(text: str, longest: int = MAX_LENGTH) -> str:
+    r"""Convert `text` to one line without control characters of terminals or line breaks.
 
-    White space becomes single blanks, other characters that cannot be printed become escapes such as ``\x1b``, and text
-    beyond `longest` characters is cut with "...".
+    White space becomes single spaces, characters that cannot be printed become escapes such as ``\x1b``, and text
+    beyond `longest` characters is replaced by "...".
     """
-    cut = text[: 4 * longest]  # the rest is not shown, and need not be examined
+    cut = text[: 4 * longest]  # limits the work for long texts
     line = " ".join(
         "".join(
             character if character.isprintable() or character.isspace() else _escape(character) for character in cut
@@ -116,7 +116,7 @@ def plain_line(text: str, longest: int = LONGEST) -> str:
 
 
 def escaped(text: str, allowed: str = "") -> str:
-    r"""Return `text` with escapes such as ``\x1b`` for characters that cannot be printed and are not in `allowed`."""
+    r"""Escape characters of `text` that cannot be printed and are not in `allowed`, as in ``\x1b``."""
     if text.isprintable():
         return text
     return "".join(

@@ -1,4 +1,4 @@
-"""Files that a log, a bag or a run file names: they are opened, or run, only in folders that the user trusts."""
+"""Protection against files named by logs, bags or run files: only files in trusted folders are opened or run."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 
 
 class UntrustedFileError(ConfigError):
-    """Data from elsewhere names a file in a folder that is not trusted. The message is one line: place and remedy."""
+    """Error for untrusted data that names a file outside trusted folders: one line with place and remedy."""
 
 
 class _Trust(NamedTuple):
@@ -25,14 +25,14 @@ _TRUST: ContextVar[_Trust | None] = ContextVar("trust", default=None)
 
 @contextmanager
 def only_trusted(source: str | Path, folders: Sequence[Path] = ()) -> Iterator[None]:
-    """Refuse inside this context every named file that neither ships nor is in one of `folders`.
+    """Refuse, inside this context, named files that are neither shipped nor in one of `folders`.
 
     Parameters
     ----------
     source
         Source of the names, for the message.
     folders
-        Folders whose files may be opened and run, those below them included.
+        Folders whose files may be opened and run, including subfolders.
     """
     token = _TRUST.set(_Trust(str(source), tuple(folder.resolve() for folder in folders)))
     try:
@@ -43,7 +43,7 @@ def only_trusted(source: str | Path, folders: Sequence[Path] = ()) -> Iterator[N
 
 @contextmanager
 def also_trusted(folder: Path) -> Iterator[None]:
-    """Trust `folder` inside the context, too: for files that this program writes itself."""
+    """Add `folder` to the trusted folders inside the context, for files that this program writes."""
     trust = _TRUST.get()
     if trust is None:
         yield
@@ -53,12 +53,12 @@ def also_trusted(folder: Path) -> Iterator[None]:
 
 
 def check_trusted(path: str | Path) -> None:
-    """Raise UntrustedFileError if the file at `path` may not be opened; links count as the file they lead to."""
+    """Raise UntrustedFileError if the file at `path` must not be opened; links are resolved."""
     trust = _TRUST.get()
     if trust is not None and not is_trusted(path):
         raise UntrustedFileError(
-            f"{trust.source} names '{path}', which does not ship: files that it names are neither opened nor run; if "
-            f"you trust all files in its folder, give --trust-terms {Path(path).resolve().parent}"
+            f"{trust.source} names '{path}', which is not shipped: such files are neither opened nor run; if you "
+            f"trust all files in its folder, give --trust-terms {Path(path).resolve().parent}"
         )
 
 

@@ -1,4 +1,4 @@
-"""Limits with two sides: one number for both, or one for each, such as `{forward: 1.0, reverse: 0.3}`."""
+"""Two-sided limits: one number for both sides, or one for each, such as `{forward: 1.0, reverse: 0.3}`."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from diffdrive_mpc.models.interface import FloatArray
 
 
 class TwoSided(float):
-    """A limit with two sides; its value as a number is the smaller one, which respects both."""
+    """A two-sided limit; its value as a float is the smaller side."""
 
     names: ClassVar[tuple[str, str]]
     """Names of the two sides."""
     is_of_base: ClassVar[bool] = False
-    """True if a side may be left out of a file: then it is infinite, as a base need not limit both."""
+    """True if a file may omit a side, which is then infinite: a base need not limit both sides."""
     sides: tuple[float, float]
-    """The limit on each side, both positive, in the unit of the number."""
+    """Limits of the two sides, both positive."""
 
     def __new__(cls, first: float, second: float | None = None) -> Self:
-        """Limit both sides to `first`, or each side to its own number."""
+        """Create a limit of `first` and `second`; by default both sides are `first`."""
         sides = (float(first), float(first if second is None else second))
         limit = super().__new__(cls, min(sides))
         limit.sides = sides
@@ -42,17 +42,17 @@ class TwoSided(float):
         return self.sides == sides_of(limit) if isinstance(limit, (int, float)) else NotImplemented
 
     def __ne__(self, limit: object) -> bool:
-        """Compare both sides: float would compare the smaller ones."""
+        """Compare both sides; `float` would compare the smaller sides."""
         return not self == limit
 
     __hash__ = float.__hash__
 
     def __repr__(self) -> str:
-        """Return both sides if they differ."""
+        """Format one number, or both sides if they differ."""
         return repr(self.plain)
 
     def map(self, change: Callable[[float], float]) -> Self:
-        """Return the limit with each side changed."""
+        """Apply `change` to each side."""
         return type(self)(*map(change, self.sides))
 
     @property
@@ -62,7 +62,7 @@ class TwoSided(float):
 
     @property
     def plain(self) -> float | dict[str, float]:
-        """The limit as files state it: one number, or both sides by name if they differ."""
+        """Form of the limit in files: one number, or both sides by name if they differ."""
         sides = {name: side for name, side in zip(self.names, self.sides, strict=True) if math.isfinite(side)}
         return self.sides[0] if self.is_symmetric else sides
 
@@ -80,7 +80,7 @@ class TwoSided(float):
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Read one number or a mapping with both sides; write the same forms."""
+        """Return a schema that accepts, and serialises to, one number or a mapping with both sides."""
         return core_schema.no_info_wrap_validator_function(
             lambda value, check: cls(*map(check, cls._read(value))),
             core_schema.float_schema(gt=0, strict=True, allow_inf_nan=cls.is_of_base),
@@ -104,47 +104,47 @@ yaml.SafeDumper.add_multi_representer(TwoSided, lambda dumper, limit: dumper.rep
 
 
 class VelocityLimit(TwoSided):
-    """Largest speed forward and in reverse [m/s]."""
+    """Maximum speed forward and in reverse [m/s]."""
 
     names = ("forward", "reverse")
 
 
 class YawRateLimit(TwoSided):
-    """Largest yaw rate to the left and to the right [rad/s]."""
+    """Maximum yaw rate to the left and to the right [rad/s]."""
 
     names = ("left", "right")
 
 
 class SlewLimit(TwoSided):
-    """Largest rate at which the size of a command grows and falls [m/s^2 or rad/s^2]."""
+    """Maximum rates at which the magnitude of a command increases and decreases [m/s^2 or rad/s^2]."""
 
     names = ("accelerate", "brake")
 
 
 class BaseVelocityLimit(VelocityLimit):
-    """Largest speed that a base carries out [m/s]."""
+    """Maximum speed that a base executes [m/s]."""
 
     is_of_base = True
 
 
 class BaseYawRateLimit(YawRateLimit):
-    """Largest yaw rate that a base carries out [rad/s]."""
+    """Maximum yaw rate that a base executes [rad/s]."""
 
     is_of_base = True
 
 
 class BaseSlewLimit(SlewLimit):
-    """Largest rates that a base follows [m/s^2 or rad/s^2]."""
+    """Maximum rates that a base executes [m/s^2 or rad/s^2]."""
 
     is_of_base = True
 
 
 SIDES = {name: kind.names for kind in (VelocityLimit, YawRateLimit, SlewLimit) for name in kind.names}
-"""Names of both sides by the name of either."""
+"""Names of both sides by the name of each side."""
 
 
 def side_fields(name: str, field: FieldInfo) -> dict[str, FieldInfo]:
-    """Return the key of each side of a limit `name` with a field that is unset by default; nothing for other fields."""
+    """Return an optional field for each side of the limit `name`, by dotted key; empty for other fields."""
     kind = field.annotation
     if not (isinstance(kind, type) and issubclass(kind, TwoSided)):
         return {}
@@ -159,19 +159,19 @@ def side_fields(name: str, field: FieldInfo) -> dict[str, FieldInfo]:
 
 
 def sides_of(limit: float) -> tuple[float, float]:
-    """Return a limit on both sides; a plain number counts for both."""
+    """Return both sides of a limit; a plain number applies to both."""
     return limit.sides if isinstance(limit, TwoSided) else (limit, limit)
 
 
 def side_of(limit: float, value: float) -> float:
-    """Return a limit on the side of `value`: the first for zero and above."""
+    """Return the side of a limit that applies to `value`: the first if `value` is not negative."""
     return sides_of(limit)[bool(value < 0.0)]
 
 
 def reached(last: FloatArray, command: FloatArray, grows: ArrayLike, falls: ArrayLike) -> FloatArray:
-    """Limit the step from `last` to `command` in one sample by the permitted growth and fall of its size.
+    """Limit the step from `last` to `command` in one sample by the permitted increase and decrease of the magnitude.
 
-    Past zero it grows again, in the rest of the sample: as ddmpc_reach in mpc/core/limits.c.
+    If the value crosses zero, the magnitude increases in the rest of the sample; as ddmpc_reach in mpc/core/limits.c.
     """
     grows, falls = np.asarray(grows, dtype=float), np.asarray(falls, dtype=float)
     low, high = last - np.where(last > 0.0, falls, grows), last + np.where(last < 0.0, falls, grows)
@@ -181,6 +181,6 @@ def reached(last: FloatArray, command: FloatArray, grows: ArrayLike, falls: Arra
 
 
 def sides_at(limit: float, values: FloatArray) -> FloatArray:
-    """Return a limit on the side of each of `values`."""
+    """Return the side of a limit that applies to each of `values`."""
     first, second = sides_of(limit)
     return np.where(values < 0.0, second, first)

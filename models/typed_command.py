@@ -1,4 +1,4 @@
-"""The command that is being carried out, as it was typed."""
+"""The current command line, as typed by the user."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ OUTPUTS: dict[str, frozenset[str]] = {
     "--log": frozenset({"simulate", "excite"}),
     "--record": frozenset(),
 }
-"""Options that name outputs, with the commands that use them; for all commands if none is named."""
+"""Options that name outputs, with the commands that have them; empty for all commands."""
 _TYPED: ContextVar[tuple[str, ...] | None] = ContextVar("typed", default=None)
 _PROGRAM: ContextVar[str] = ContextVar("program", default="diffdrive-mpc")
 
 
 @contextmanager
 def typed(arguments: Sequence[str], program: str = "diffdrive-mpc") -> Iterator[None]:
-    """Set the arguments of `program` for `command_line` inside the context, and protect files that they name."""
+    """Set the arguments of `program` for `command_line` inside the context, and protect the files that they name."""
     before, program_before = _TYPED.set(tuple(arguments)), _PROGRAM.set(program)
     try:
         with reading(named_inputs(arguments)):
@@ -33,7 +33,7 @@ def typed(arguments: Sequence[str], program: str = "diffdrive-mpc") -> Iterator[
 
 
 def named_inputs(arguments: Sequence[str]) -> list[str]:
-    """List the words, and parts of words, that may name a file to be read, without those after an output option."""
+    """List the words, and parts of words, that may name an input file; words after output options are excluded."""
     outputs = {option for option, commands in OUTPUTS.items() if not commands or commands & set(arguments[:1])}
     parts: list[str] = []
     for before, word in zip(("", *arguments), arguments, strict=False):
@@ -46,6 +46,6 @@ def named_inputs(arguments: Sequence[str]) -> list[str]:
 
 
 def command_line() -> str:
-    """Return the command for a shell; the calling program without one."""
+    """Format the command for a shell; "called from Python" if there is none."""
     arguments = _TYPED.get()
     return "called from Python" if arguments is None else f"{_PROGRAM.get()} {shlex.join(arguments)}"

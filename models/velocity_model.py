@@ -1,4 +1,4 @@
-"""The one interface behind MBM, SM and SSM: a continuous linear system with a dead time per input."""
+"""Common interface of MBM, SM and SSM: a continuous linear system with a dead time for each input."""
 
 from __future__ import annotations
 
@@ -15,26 +15,25 @@ from diffdrive_mpc.models.interface import FloatArray
 
 CHANNELS = ("v", "omega")
 
-# Gains of a twist-to-twist model are of order one; outside this range a unit was mixed up (degrees, rpm, mm).
+# Gains of a twist-to-twist model are of order one; gains outside this range indicate a wrong unit (degrees, rpm, mm).
 _GAIN_RANGE = (0.05, 20.0)
-# Likewise for its time constants [s]: milliseconds or minutes are not a robot's velocity dynamics.
+# Plausible time constants of a robot's velocity dynamics [s].
 _TIME_CONSTANT_RANGE = (1e-3, 20.0)
-_LONGEST_DEAD_TIME = 2.0
+_MAX_DEAD_TIME = 2.0
 
 
 class ModelError(DiffdriveMpcError, ValueError):
-    """A velocity model cannot be used. The message is one line: model, mistake, remedy."""
+    """Error for a velocity model that cannot be used: one line with model, mistake and remedy."""
 
 
 def mean_delay(A: FloatArray, B: FloatArray, C: FloatArray, dead_time: FloatArray, inputs: Sequence[int]) -> FloatArray:
-    """Compute the mean delay (p,) of each output's response to one of the inputs [s]: dead time plus lag.
+    """Compute the mean delay (p,) of the response of each output to one of the inputs [s]: dead time plus lag.
 
-    For x' = A x + B u(t - dead_time), y = C x with n states, m inputs and p outputs; `inputs` (p,) are their numbers.
+    The system is x' = A x + B u(t - dead_time), y = C x with n states, m inputs and p outputs; `inputs` (p,) are the
+    indices of the inputs.
     """
-    settled, driven = np.linalg.solve(A, B), (np.arange(len(C)), list(inputs))
-    return np.asarray(
-        np.asarray(dead_time)[driven[1]] - (C @ np.linalg.solve(A, settled))[driven] / (C @ settled)[driven]
-    )
+    settled, pairs = np.linalg.solve(A, B), (np.arange(len(C)), list(inputs))
+    return np.asarray(np.asarray(dead_time)[pairs[1]] - (C @ np.linalg.solve(A, settled))[pairs] / (C @ settled)[pairs])
 
 
 @dataclass(frozen=True, repr=False)
@@ -54,13 +53,13 @@ class VelocityModel:
     dead_time
         (2,) dead time of each input [s].
     provenance
-        Source of the numbers, as the parameter file states it.
+        Source of the parameters, as stated by the parameter file.
 
     Raises
     ------
     ModelError
-        If a matrix has the wrong shape or is not finite, the model is unstable, or its gains, time constants or
-        dead times cannot be those of a robot in SI units.
+        If a matrix has the wrong shape or is not finite, if the model is unstable, or if gains, time constants or dead
+        times are implausible for a robot in SI units.
     """
 
     name: str
@@ -72,52 +71,52 @@ class VelocityModel:
     provenance: Mapping[str, object] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Convert to arrays and check."""
+        """Convert the fields to arrays and check them."""
         for name in ("A", "B", "C", "dead_time"):
             object.__setattr__(self, name, np.array(getattr(self, name), dtype=float))
         self._check()
 
     @staticmethod
     def from_control(system: Any, dead_time: ArrayLike = (0.0, 0.0), name: str | None = None) -> VelocityModel:  # noqa: ANN401
-        """Make a model of systems of python-control.
+        """Create a model from systems of python-control.
 
         Parameters
         ----------
         system
             A `control.TransferFunction` or `control.StateSpace` from (v_ref, omega_ref) to (v, omega), or a pair of
-            single-input ones, for v and for omega. A discrete one is made continuous by the exact inverse of a
-            zero-order hold, and its delays of whole samples become dead time.
+            single-input systems for v and omega. A discrete system is converted to a continuous one by the exact
+            inverse of a zero-order hold; its delays of whole samples become dead time.
         dead_time
-            (2,) dead time of each input on top of that [s]: systems of python-control have none.
+            (2,) additional dead time of each input [s]; systems of python-control have no dead time.
         name
-            Name for tables and messages; by default that of the system.
+            Name for tables and messages; by default the name of the system.
 
         Raises
         ------
         ArgumentError, ModelError
-            If it is something else, has another number of inputs or outputs, passes its input straight through, or
-            cannot be a robot's; or if no continuous system gives the discrete one.
+            If `system` has another type or another number of inputs or outputs, has a direct feedthrough, or cannot
+            describe a robot; or if no continuous system corresponds to a discrete one.
         """
         from diffdrive_mpc.models.control_systems import from_control  # noqa: PLC0415 - needs this module, and SciPy
 
         return from_control(system, dead_time, name)
 
     def to_control(self, dt: float | None = None) -> Any:  # noqa: ANN401 - python-control has no types
-        """Make a `control.StateSpace` from (v_ref, omega_ref) to (v, omega).
+        """Create a `control.StateSpace` from (v_ref, omega_ref) to (v, omega).
 
         Parameters
         ----------
         dt
-            None for the continuous system x' = A x + B u, y = C x, which leaves `dead_time` out: python-control has no
-            dead time. With a sample time [s] the discrete system under a zero-order hold; its further states are the
-            pending commands in the dead time, so that it is exact.
+            None for the continuous system x' = A x + B u, y = C x, without `dead_time`, which python-control does not
+            support. With a sample time [s], the exact discrete system for a zero-order hold, with the pending commands
+            of the dead time as additional states.
         """
         from diffdrive_mpc.models.control_systems import to_control  # noqa: PLC0415 - needs this module, and SciPy
 
         return to_control(self, dt)
 
     def __repr__(self) -> str:
-        """Name, structure, order, and gain, lag and dead time of each channel in one line."""
+        """Format name, structure, order, and gain, lag and dead time of each channel in one line."""
         channels = [
             f"{channel}: gain {gain:.3g}, lag {1e3 * lag:.0f} ms of which {1e3 * dead_time:.0f} ms dead time"
             for channel, gain, lag, dead_time in zip(
@@ -147,11 +146,11 @@ class VelocityModel:
         return mean_delay(self.A, self.B, self.C, self.dead_time, (0, 1))
 
     def with_extra_dead_time(self, extra: ArrayLike) -> VelocityModel:
-        """Return the same dynamics with `extra` (2,) seconds more dead time."""
+        """Return the model with its dead time increased by `extra` (2,) [s]."""
         return replace(self, dead_time=self.dead_time + np.asarray(extra, dtype=float))
 
     def discretise(self, dt: float) -> DiscreteModel:
-        """Sample exactly under a zero-order hold, dead time included.
+        """Discretise exactly with a zero-order hold, dead time included.
 
         Parameters
         ----------
@@ -163,7 +162,7 @@ class VelocityModel:
         ModelError
             If `dt` is not positive and finite.
         ArgumentError
-            If `dt` is no number.
+            If `dt` is not a number.
         """
         dt = checked_number("sample time dt", dt, "give seconds, such as 0.02")
         if not (np.isfinite(dt) and dt > 0):
@@ -180,10 +179,10 @@ class VelocityModel:
                 raise ModelError(f"{where}: {name} has shape {value.shape}, expected {shape}")
             if not np.isfinite(value).all():
                 raise ModelError(f"{where}: {name} holds a value that is not finite; identify the model again")
-        worst = self.poles[np.argmax(self.poles.real)]
-        if worst.real >= 0:
+        rightmost = self.poles[np.argmax(self.poles.real)]
+        if rightmost.real >= 0:
             raise ModelError(
-                f"{where}: unstable, pole at {worst:.4g} rad/s; every pole must lie left of the imaginary axis"
+                f"{where}: unstable, pole at {rightmost:.4g} rad/s; every pole must lie left of the imaginary axis"
             )
         constants = 1 / np.abs(self.poles)
         if constants.min() < _TIME_CONSTANT_RANGE[0] or constants.max() > _TIME_CONSTANT_RANGE[1]:
@@ -197,5 +196,5 @@ class VelocityModel:
                     f"{where}: steady-state gain {gain:.4g} from {channel}_ref to {channel}; expected "
                     f"{_GAIN_RANGE[0]} to {_GAIN_RANGE[1]}: check the sign and the units (m/s, rad/s)"
                 )
-        if (self.dead_time < 0).any() or (self.dead_time > _LONGEST_DEAD_TIME).any():
-            raise ModelError(f"{where}: dead time {self.dead_time.tolist()} s; expected 0 to {_LONGEST_DEAD_TIME} s")
+        if (self.dead_time < 0).any() or (self.dead_time > _MAX_DEAD_TIME).any():
+            raise ModelError(f"{where}: dead time {self.dead_time.tolist()} s; expected 0 to {_MAX_DEAD_TIME} s")

@@ -1,8 +1,8 @@
-"""Wheel and body kinematics of a four-wheel differential drive, both ways.
+"""Forward and inverse kinematics of a four-wheel differential drive.
 
 Source: Guffanti et al., Sensors 2025, 25(11), 3553 (wheel to body and body to wheel equations). Wheels are ordered
-front left, front right, rear left, rear right. On a skid-steer the track that turns wheel speeds into the true yaw rate
-is wider than the geometric one: the caller selects the track.
+front left, front right, rear left, rear right. On a skid-steered robot the track that gives the true yaw rate is wider
+than the geometric track: the caller selects the track.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from diffdrive_mpc.models.interface import FloatArray
 
 _RIGHT = np.array([-1.0, 1.0, -1.0, 1.0])
-"""Sign of each wheel's side: right wheels turn faster in a left turn."""
+"""Sign of each wheel's side: right wheels are faster in a left turn."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class WheelKinematics:
     _to_body: FloatArray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        """Check that both lengths are positive and finite, or raise ValueError; work out the matrices once."""
+        """Raise ValueError if a length is not positive and finite; compute the matrices."""
         for name in ("radius", "track"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
@@ -55,7 +55,7 @@ class WheelKinematics:
 
     @property
     def wheels_to_body(self) -> FloatArray:
-        """(2, 4) matrix from wheel speeds [rad/s] to (v [m/s], omega [rad/s]); each side is the mean of its wheels."""
+        """(2, 4) matrix from wheel speeds [rad/s] to (v [m/s], omega [rad/s]); the wheels of a side are averaged."""
         return self._to_body
 
     def wheel_speeds(self, twist: ArrayLike) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and folders that stay only when something was put into them."""
+"""Atomic writing of files, and temporary folders."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ from pathlib import Path
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.input_file import is_read
 
-# A folder that one process has for itself; the system frees it however that process ends.
+# Exclusive lock of a folder; the system releases it when the process ends for any reason.
 
 
-_TAKEN = (errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES)
+_LOCKED = (errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES)
 
 
 def lock_folder(folder: Path, *, wait: bool = False) -> int | None:
-    """Lock a folder that exists.
+    """Lock an existing folder.
 
     Parameters
     ----------
     folder
-        The folder. Nothing is written into it.
+        The folder; its content is not changed.
     wait
-        Whether to wait until another process frees it.
+        Whether to wait until another process releases the lock.
 
     Returns
     -------
     int or None
-        A handle that holds the lock until it is closed; None where system or file system have no such locks.
+        Handle that holds the lock until it is closed; None if the system or file system does not support locks.
 
     Raises
     ------
     BlockingIOError
-        If another process has it.
+        If another process holds the lock.
     OSError
         If the folder cannot be opened.
     """
@@ -51,8 +51,8 @@ def lock_folder(folder: Path, *, wait: bool = False) -> int | None:
         fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
     except OSError as error:
         os.close(handle)
-        if error.errno in _TAKEN:
-            raise BlockingIOError(errno.EWOULDBLOCK, "another process has it") from error
+        if error.errno in _LOCKED:
+            raise BlockingIOError(errno.EWOULDBLOCK, "another process holds the lock") from error
         return None
     except BaseException:
         os.close(handle)
@@ -61,29 +61,29 @@ def lock_folder(folder: Path, *, wait: bool = False) -> int | None:
 
 
 UNFINISHED = ".unfinished-"
-"""Beginning of the names of scratch folders; one stays behind where its process was killed."""
-_JUST_MADE = 60.0
-"""A folder that is younger [s] may be about to be locked."""
+"""Prefix of the names of scratch folders; a scratch folder remains if its process is killed."""
+_MIN_AGE = 60.0
+"""Age [s] from which a scratch folder without a lock is removed; the process of a newer one may not have locked it."""
 
 
 @contextmanager
 def whole_file(path: str | Path, *, rewrites: bool = False) -> Iterator[Path]:
-    """Give a place to write a file to; on success it becomes `path`, on failure everything stays as it was.
+    """Yield a temporary path to write to; on success the file replaces `path`, on failure nothing changes.
 
-    A link is followed, and the file that it leads to is replaced; the permissions of a replaced file stay.
+    Links are resolved, and their target is replaced. A new file keeps the permissions of the file that it replaces.
 
     Parameters
     ----------
     path
         Path of the file.
     rewrites
-        Whether it may be one that the same command reads.
+        Whether `path` may be an input of the same command.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        At once, with a message that begins with `path`, if that is something else than a file, cannot be written, or
-        is read by the same command; in the end, if it has been read meanwhile.
+        With a message that starts with `path`: on entry if `path` is no regular file, is not writable, or was read by
+        the same command; on exit if it was read meanwhile.
     """
     with ExitStack() as stack:
         try:
@@ -106,42 +106,42 @@ def whole_file(path: str | Path, *, rewrites: bool = False) -> Iterator[Path]:
 
 @contextmanager
 def named_errors(path: str | Path, scratch: Path | None = None) -> Iterator[None]:
-    """Add `path` to OSErrors of writing without a file name, as for a full disk, or with one in `scratch`."""
+    """Add `path` to an OSError without a file name, such as for a full disk, or with a file name in `scratch`."""
     try:
         yield
     except OSError as error:
-        names_none = error.filename is None or (scratch and Path(str(error.filename)).is_relative_to(scratch))
-        if error.errno is None or not names_none:
+        is_unnamed = error.filename is None or (scratch and Path(str(error.filename)).is_relative_to(scratch))
+        if error.errno is None or not is_unnamed:
             raise
         raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 @contextmanager
 def new_folder(folder: Path) -> Iterator[None]:
-    """Make a folder and its parents where missing; in the end those that were made and hold nothing are removed.
+    """Create a folder and its missing parents; on exit, remove those created folders that are empty.
 
     Raises
     ------
     OSError
-        If it cannot be made; then nothing of it stays.
+        If the folder cannot be created; created parents are removed.
     """
-    made = [place for place in (folder, *folder.parents) if not place.exists()]
+    created = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         yield
     finally:
-        for place in made:
+        for path in created:
             with suppress(OSError):
-                place.rmdir()
+                path.rmdir()
 
 
 @contextmanager
 def scratch_folder(parent: Path) -> Iterator[Path]:
-    """Give a hidden folder in `parent`, on the same file system; raises OSError if `parent` cannot be written to.
+    """Yield a hidden temporary folder in `parent`; raise OSError if `parent` is not writable.
 
-    Remains of killed processes in `parent` are removed.
+    Scratch folders of killed processes in `parent` are removed.
     """
-    _clear_left_over(parent)
+    _remove_stale(parent)
     with tempfile.TemporaryDirectory(prefix=UNFINISHED, dir=parent, ignore_cleanup_errors=True) as name:
         handle = lock_folder(Path(name))
         try:
@@ -151,11 +151,11 @@ def scratch_folder(parent: Path) -> Iterator[Path]:
                 os.close(handle)
 
 
-def _clear_left_over(parent: Path) -> None:
-    """Remove the folders that no process holds; one that has just been made may not be held yet."""
+def _remove_stale(parent: Path) -> None:
+    """Remove the scratch folders that no process has locked, except new ones, which may not be locked yet."""
     for folder in parent.glob(f"{UNFINISHED}*"):
         with suppress(OSError):
-            if folder.is_symlink() or time.time() - folder.stat().st_mtime < _JUST_MADE:
+            if folder.is_symlink() or time.time() - folder.stat().st_mtime < _MIN_AGE:
                 continue
             handle = lock_folder(folder)
             if handle is not None:
@@ -164,12 +164,12 @@ def _clear_left_over(parent: Path) -> None:
 
 
 def reason(error: Exception) -> str:
-    """Return the system's reason for a refusal in words."""
+    """Return the message of an error; for an OSError, that of the system."""
     return getattr(error, "strerror", None) or str(error)
 
 
 def check_not_read(target: Path, path: str | Path) -> None:
-    """Raise ConfigError, which begins with `path`, where the file at `target` is one that the same command reads."""
+    """Raise ConfigError, with a message that starts with `path`, if the same command has read the file at `target`."""
     if is_read(target):
         raise ConfigError(f"{path}: this command reads that file, and would replace it; give another name")
 

@@ -1,6 +1,6 @@
 """Simulation of the robot: plants, sensors, the closed loop and its metrics.
 
-Everything is imported on first use, so that it works where MuJoCo is not installed.
+Names are imported on first use, so that the package can be imported without MuJoCo.
 """
 
 from __future__ import annotations

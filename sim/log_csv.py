@@ -1,6 +1,6 @@
-"""Runs as CSV logs: one row per tick, the columns those of `Run.columns`.
+"""CSV logs of runs: one row per tick, with the columns of `Run.columns`.
 
-`models.logs` reads them, with the shipped mapping `simulate`.
+`models.logs` reads these logs with the shipped mapping `simulate`.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from diffdrive_mpc.sim.run import Run
 
 
 def write_log(run: Run, path: str | Path) -> None:
-    """Write `run` to a CSV file; a cell is empty where a sensor had no news.
+    """Write `run` to a CSV file; cells are empty at ticks without a new reading.
 
-    Numbers are written so that reading gives back the same bits. The file appears complete or not at all.
+    Numbers are written with full precision. The file is written atomically.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If `path` is something else than a file or cannot be written to.
+        If `path` is not a regular file or not writable.
     """
     with whole_file(path) as draft:
         write_rows(run, draft)
 
 
 def write_rows(run: Run, path: Path) -> None:
-    """Write the header and the rows of `run` straight into `path`."""
+    """Write the header and the rows of `run` directly to `path`."""
     columns = run.columns
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")

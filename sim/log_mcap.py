@@ -1,4 +1,4 @@
-"""Runs as MCAP logs, as `models.logs.drive_log` has them: topics of node and robot, and `Run.columns` row by row."""
+"""MCAP logs of runs in the format of `models.logs.drive_log`: topics of node and robot, and rows of `Run.columns`."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from diffdrive_mpc.sim.run import Run
 from diffdrive_mpc.sim.sensing.odometry import Odometry
 
 START = 10**9
-"""Time of the file [ns] at which the run's is 0: in ROS, a stamp of zero means unset."""
+"""Stamp in the file [ns] for time 0 of the run; in ROS, a stamp of zero means unset."""
 _NANO = 10**9
 
 
 def write_log(run: Run, path: str | Path, metadata: Mapping[str, Mapping[str, str]] | None = None) -> None:
-    """Write `run` to an MCAP file, with its plans if they were stored. It appears whole or not at all.
+    """Write `run` to an MCAP file, atomically, with its plans if they were stored.
 
     Parameters
     ----------
@@ -30,29 +30,29 @@ def write_log(run: Run, path: str | Path, metadata: Mapping[str, Mapping[str, st
     path
         The file.
     metadata
-        Information about the run for the file, by name of a record: words by key.
+        Additional metadata records by name, each with strings by key.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If `path` is something else than a file or cannot be written to.
+        If `path` is not a regular file or not writable.
     """
     with whole_file(path) as draft:
         write_ticks(run, draft, metadata or {})
 
 
 def write_ticks(run: Run, path: Path, metadata: Mapping[str, Mapping[str, str]]) -> None:
-    """Write a run straight into `path`."""
+    """Write a run directly to `path`."""
     period = round(_NANO * run.sample_time)
     labels = {"sample_time_s": repr(run.sample_time), "trajectory": run.reference.name, "ended": run.ended}
     plans = run.plans if run.plans.size else np.full((len(run.time), 0, 3), np.nan)
     with drive_writer(path, {"run": labels, **metadata}) as writer:
         times = path_times(run.reference.duration)
         writer.reference(START, [_stamp(time) for time in times.tolist()], run.reference.sample(times).pose)
-        summed = Odometry(run.true_pose[0], 0, use_pose_sensor=False)
+        odometry = Odometry(run.true_pose[0], 0, use_pose_sensor=False)
         for row, plan, measurement in zip(_rows(run), plans, run.measurements, strict=True):
             planned = plan if len(plan) and math.isfinite(plan[0, 0]) else None
-            pose = summed.update(float(row["t_s"]), measurement).tolist()
+            pose = odometry.update(float(row["t_s"]), measurement).tolist()
             now = _stamp(row["t_s"])
             writer.tick(now, row, measurement=measurement, plan=planned, period=period, odometry_pose=pose)
 

@@ -19,7 +19,7 @@ from diffdrive_mpc.sim.recorder import Recorder
 from diffdrive_mpc.sim.run import Run
 
 _SAME_PERIOD = 1e-3
-"""Two sample times that differ by less are the same [-]."""
+"""Relative difference below which two sample times are equal [-]."""
 
 
 def simulate(
@@ -31,35 +31,35 @@ def simulate(
     keep_plans: bool = False,
     on_tick: Callable[[int, int], None] | None = None,
 ) -> Run:
-    """Drive `plant` along `reference`, starting at rest and on it, unless the plant's scenario differs.
+    """Drive `plant` along `reference`, from rest at its start unless the plant's scenario has a start offset.
 
     Parameters
     ----------
     controller
-        Anything with `start` and `step`. It sees the measurements only, never the true state.
+        The controller; it receives only measurements, not the true state.
     plant
-        The robot stand-in; it is reset first.
+        The simulated robot; it is reset first.
     reference
         The timed trajectory; its time 0 is the plant's time 0.
     extra_time
         Time to continue after the end of the reference [s].
     keep_plans
-        Whether the run keeps the plan of the controller at each tick.
+        Whether to store the plan of the controller at each tick.
     on_tick
-        Called after each tick with the number of ticks done and their total, for a progress display.
+        Called after each tick with the number of finished ticks and their total, for a progress display.
 
     Returns
     -------
     Run
-        The ticks from 0 to the first one at or after the end, or to the tick after which the robot was lost; `ended`
-        then has the reason. A plant with surroundings shows them to the controller; its run continues up to its time
-        limit, or until the plant ends it.
+        The ticks from 0 to the first tick at or after the end, or until the robot is lost; `ended` then holds the
+        reason. A plant with surroundings provides them to the controller; its run continues until its time limit, or
+        until the plant ends it.
 
     Raises
     ------
     ValueError
-        If `extra_time` is negative or not finite, the controller has another `sample_time` than the plant, or its
-        command is not two finite numbers.
+        If `extra_time` is negative or not finite, if the sample times of controller and plant differ, or if a command
+        is not two finite numbers.
     """
     _check_arguments(controller, plant, extra_time)
     plant.reset(reference.sample([0.0]).pose[0])
@@ -72,19 +72,19 @@ def simulate(
     ended = ""
     for k in range(ticks):
         measurement = plant.measure()
-        record.before(plant, measurement)
+        record.record_state(plant, measurement)
         is_over = False
         if surrounded is not None:
             surrounded.show(controller)
             is_over = plant.time > end and surrounded.is_over(goal)
         step = controller.step(plant.time, measurement)
         command = _checked(step.command, plant.time)
-        record.decided(step, command)
+        record.record_step(step, command)
         try:
             plant.advance(command)
         except RobotLostError as error:
             ended = str(error)
-        record.after(plant, lost=bool(ended))
+        record.record_work(plant, lost=bool(ended))
         if on_tick is not None:
             on_tick(k + 1, ticks)
         if ended or is_over:
@@ -93,7 +93,7 @@ def simulate(
 
 
 def _check_arguments(controller: TrackingController, plant: Plant, extra_time: float) -> None:
-    """Refuse a controller with another sample time than the plant; one without a `sample_time` takes any."""
+    """Raise ValueError if the sample times differ; a controller without `sample_time` supports any."""
     if not (np.isfinite(extra_time) and extra_time >= 0):
         raise ValueError(f"extra_time = {extra_time}: give a time in seconds, zero or more")
     period = getattr(controller, "sample_time", None)
@@ -105,7 +105,7 @@ def _check_arguments(controller: TrackingController, plant: Plant, extra_time: f
 
 
 def _checked(command: FloatArray, t: float) -> FloatArray:
-    """Pass on a sound command; a controller that gives anything else has a fault worth stopping for."""
+    """Return the command as an array; raise ValueError if it is not two finite numbers."""
     command = np.asarray(command, dtype=float)
     if command.shape != (2,) or not all(map(math.isfinite, command.tolist())):
         raise ValueError(

@@ -1,4 +1,4 @@
-"""Record of each tick of the closed loop, and the resulting run."""
+"""Recorder of the ticks of the closed loop."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from diffdrive_mpc.sim.run import NO_SOLVER, Run
 
 
 class Recorder:
-    """Takes down a run tick by tick.
+    """Recorder of a run, tick by tick.
 
     Parameters
     ----------
     ticks
-        Largest number of ticks.
+        Maximum number of ticks.
     keep_plans
-        Whether the run keeps the plan of the controller at each tick.
+        Whether to store the plan of the controller at each tick.
     """
 
     def __init__(self, ticks: int, *, keep_plans: bool) -> None:
@@ -39,43 +39,43 @@ class Recorder:
         self._command, self._step_time = np.empty((ticks, 2)), np.empty(ticks)
         self._solve_time, self._iterations = np.full(ticks, np.nan), np.full(ticks, np.nan)
         self._estimates, self._deviations = np.full((ticks, 5), np.nan), np.full((ticks, 5), np.nan)
-        self._said: list[_Said] = []
+        self._reports: list[_StepReport] = []
         self._measurements: list[Measurement] = []
         self._plans: list[FloatArray | None] = []
         self._work: list[MotorWork] = []
         self._readings: dict[str, list[FloatArray]] = {}
 
-    def before(self, plant: Plant, measurement: Measurement) -> None:
+    def record_state(self, plant: Plant, measurement: Measurement) -> None:
         """Record the true state and the measurement at the start of a tick."""
-        k = len(self._said)
+        k = len(self._reports)
         self._time[k], self._true_pose[k], self._true_twist[k] = plant.time, plant.true_pose, plant.true_twist
         for name, part in getattr(plant, "parts", {}).items():
             self._readings.setdefault(name, []).append(part.value)
         self._measurements.append(measurement)
 
-    def decided(self, step: ControlStep, command: FloatArray) -> None:
+    def record_step(self, step: ControlStep, command: FloatArray) -> None:
         """Record the controller's step and its `command` (2,)."""
-        k = len(self._said)
+        k = len(self._reports)
         self._command[k] = command
         self._step_time[k], self._solve_time[k] = step.step_time, step.solve_time
         if step.solver is not None:
             self._iterations[k] = step.solver.iterations
-        # Of an `EstimatingStep`; to ask each step whether it is one takes longer than the step.
+        # `getattr`, as a check for the protocol `EstimatingStep` takes longer than the step.
         estimate: MotionEstimate | None = getattr(step, "estimate", None)
         if estimate is not None:
             self._estimates[k, :3], self._estimates[k, 3:] = estimate.pose, estimate.twist
             self._deviations[k, :3], self._deviations[k, 3:] = estimate.pose_deviation, estimate.twist_deviation
-        self._said.append(_Said.by(step))
+        self._reports.append(_StepReport.of_step(step))
         if self._keep_plans:
             self._plans.append(step.plan)
 
-    def after(self, plant: Plant, *, lost: bool) -> None:
-        """Record the end of the sample; a robot that was `lost` in it has done no work."""
+    def record_work(self, plant: Plant, *, lost: bool) -> None:
+        """Record the motor work of the sample; none if the robot was `lost` in it."""
         self._work.append(NOTHING if lost else motor_work(plant))
 
     def run(self, plant: Plant, reference: Reference, *, ended: str) -> Run:
-        """Return the recorded run along `reference`; `ended` is its premature end in words."""
-        driven = slice(len(self._said))
+        """Return the recorded run along `reference`; `ended` is the reason for an early end, or empty."""
+        driven = slice(len(self._reports))
         time = self._time[driven]
         expected = reference.sample(time)
         torque, wheel_speed, mechanical, square = stacked(self._work)
@@ -92,29 +92,29 @@ class Recorder:
             step_time=self._step_time[driven],
             solve_time=self._solve_time[driven],
             solver_iterations=self._iterations[driven],
-            modes=tuple(words.mode for words in self._said),
-            messages=tuple(words.message for words in self._said),
-            states=tuple(words.state for words in self._said),
+            modes=tuple(report.mode for report in self._reports),
+            messages=tuple(report.message for report in self._reports),
+            states=tuple(report.state for report in self._reports),
             measurements=tuple(self._measurements),
-            solver_statuses=tuple(words.solver_status for words in self._said),
-            solver_methods=tuple(words.solver_path for words in self._said),
+            solver_statuses=tuple(report.solver_status for report in self._reports),
+            solver_methods=tuple(report.solver_path for report in self._reports),
             estimates=self._estimates[driven],
             estimate_deviations=self._deviations[driven],
-            plans=_stacked(self._plans),
+            plans=_stack_plans(self._plans),
             motor_torque=torque,
             motor_speed=wheel_speed,
             motor_power=mechanical,
             motor_square=square,
             parts=getattr(plant, "records", {})
             | {name: part.record(np.array(self._readings[name])) for name, part in getattr(plant, "parts", {}).items()},
-            scalars=np.array([words.scalars for words in self._said]),
+            scalars=np.array([report.scalars for report in self._reports]),
             disturbance=getattr(plant, "disturbance", None) if isinstance(plant, PlantAround) else None,
             ended=ended,
         )
 
 
-class _Said(NamedTuple):
-    """Texts and numbers of a step."""
+class _StepReport(NamedTuple):
+    """Texts and scalars of a step."""
 
     mode: str
     message: str
@@ -124,15 +124,15 @@ class _Said(NamedTuple):
     state: str
 
     @classmethod
-    def by(cls, step: ControlStep) -> _Said:
-        """Extract texts and numbers of `step`."""
+    def of_step(cls, step: ControlStep) -> _StepReport:
+        """Extract texts and scalars of `step`."""
         solver, state = step.solver, str(getattr(step, "state", step.mode))
         status, method = ("", NO_SOLVER) if solver is None else (str(solver.status), solver_method(solver))
         return cls(str(step.mode), step.message, status, method, scalar_row(step), state)
 
 
-def _stacked(plans: Sequence[FloatArray | None]) -> FloatArray:
-    """Stack the plans of n ticks as (n, N + 1, 3), NaN for missing ones; (n, 0, 3) if all are missing."""
+def _stack_plans(plans: Sequence[FloatArray | None]) -> FloatArray:
+    """Stack the plans of n ticks as (n, N + 1, 3), NaN for missing plans; (n, 0, 3) if all are missing."""
     poses = next((len(plan) for plan in plans if plan is not None), 0)
-    nothing = np.full((poses, 3), np.nan)
-    return np.array([nothing if plan is None else plan for plan in plans], dtype=float).reshape(len(plans), poses, 3)
+    missing = np.full((poses, 3), np.nan)
+    return np.array([missing if plan is None else plan for plan in plans], dtype=float).reshape(len(plans), poses, 3)

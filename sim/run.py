@@ -26,14 +26,14 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 NO_SOLVER = "none"
-"""Path of a tick at which no solver ran, or of a controller without one."""
+"""Solver method of a tick without a solve, or of a controller without a solver."""
 
 
 @dataclass(frozen=True, repr=False)
 class Run(ReadOnlyArrays):
-    """Everything that happened in one closed-loop run of n ticks.
+    """Record of one closed-loop run of n ticks.
 
-    Row k belongs to the instant of tick k, before the command of that tick acts. `print(run)` shows its statistics.
+    Row k belongs to the time of tick k, before the command of that tick acts. `print(run)` shows the statistics.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Run(ReadOnlyArrays):
     sample_time
         Time between two ticks [s].
     time
-        (n,) instants of the ticks [s].
+        (n,) times of the ticks [s].
     true_pose
         (n, 3) x [m], y [m], theta [rad].
     true_twist
@@ -54,40 +54,40 @@ class Run(ReadOnlyArrays):
     step_time
         (n,) duration of the controller's step [s].
     modes, messages
-        Mode of the controller at each tick and its reason in words.
+        Mode of the controller at each tick, and the reason.
     states
         The modes, with `LATE` in place of `TRACKING` while the robot cannot keep up with its reference.
     measurements
-        Measurements of the controller at each tick; enough to replay the run without the plant.
+        Measurements of the controller at each tick; sufficient to replay the run without the plant.
     disturbance
-        Start of the first disturbance of the plant, and end of the last one that ends [s], infinity where all of them
-        last to the end of the run; None without one.
+        Start of the first disturbance of the plant, and end of the last one that ends [s], infinity if none of them
+        ends; None if there is no disturbance.
     ended
-        Why the run ended before its time, in one line; empty where it did not.
+        Reason for an early end of the run, in one line; empty if it did not end early.
     solver_statuses
-        Status of the controller's solver at each tick, in words; empty texts for a controller without a solver.
+        Status of the controller's solver at each tick; empty strings for a controller without a solver.
     solver_methods
         Method of the solver at each tick: "none", "unlimited", "active_set", "osqp" or "daqp".
     solve_time, solver_iterations
-        (n,) how much of the step went into stating and solving the problem [s], and iterations of the solver; NaN where
-        nothing was solved.
+        (n,) part of the step for formulating and solving the problem [s], and iterations of the solver; NaN if no
+        problem was solved.
     estimates
-        (n, 5) x [m], y [m], theta [rad], v [m/s], omega [rad/s] that the command is based on; NaN where the controller
-        had no estimate, and for one that does not tell.
+        (n, 5) estimate x [m], y [m], theta [rad], v [m/s], omega [rad/s] that the command is based on; NaN if the
+        controller has no estimate or does not report it.
     estimate_deviations
-        (n, 5) their standard deviations.
+        (n, 5) standard deviations of the estimates.
     plans
-        (n, N + 1, 3) predicted poses x [m], y [m], theta [rad] at each tick, a sample between two, the first at the
-        tick itself; in REUSED_PLAN they are those of the last good plan, which began earlier. NaN at ticks without a
-        plan; N + 1 = 0 for a controller that does not predict. No rows without `simulate(..., keep_plans=True)`.
+        (n, N + 1, 3) predicted poses x [m], y [m], theta [rad] at each tick, one per sample, the first at the tick
+        itself; in REUSED_PLAN those of the last valid plan, which started earlier. NaN at ticks without a plan;
+        N + 1 = 0 for a controller without prediction. No rows unless `simulate(..., keep_plans=True)`.
     motor_torque, motor_speed, motor_power, motor_square
-        (n, 4) what each motor really did from this tick to the next, means: torque at the wheel [N m], wheel speed
-        [rad/s], mechanical power [W], square of the torque [N^2 m^2]; front left, front right, rear left, rear right.
-        NaN for a plant without motors.
+        (n, 4) true means of each motor from this tick to the next: torque at the wheel [N m], wheel speed [rad/s],
+        mechanical power [W], square of the torque [N^2 m^2]; front left, front right, rear left, rear right. NaN for a
+        plant without motors.
     scalars
-        (n, S) what the controller said of itself, in the order of `models.step_scalars`; NaN without a report.
+        (n, S) scalars reported by the controller, in the order of `models.step_scalars`; NaN if not reported.
     parts
-        Records of simulator parts and plants of other packages, by the name that they register.
+        Records of simulator parts and plants of other packages, by registered name.
     """
 
     reference: Reference
@@ -121,9 +121,9 @@ class Run(ReadOnlyArrays):
     parts: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Fill in missing reports of solver and estimate."""
+        """Fill missing fields of solver, estimate, motors and scalars with NaN or empty values."""
         count = len(self.time)
-        nothing = {
+        defaults = {
             "states": self.modes,
             "solver_statuses": ("",) * count,
             "solver_methods": (NO_SOLVER,) * count,
@@ -134,12 +134,12 @@ class Run(ReadOnlyArrays):
             "scalars": np.full((count, len(step_scalars())), np.nan),
             **{f"motor_{quantity}": np.full((count, 4), np.nan) for quantity in ("torque", "speed", "power", "square")},
         }
-        vars(self).update({name: rows for name, rows in nothing.items() if not len(vars(self)[name])})
+        vars(self).update({name: rows for name, rows in defaults.items() if not len(vars(self)[name])})
         super().__post_init__()
 
     @property
     def counted(self) -> NDArray[np.bool_]:
-        """(n,) True for the ticks that the statistics cover: from 0 to the end of the reference."""
+        """(n,) mask of the ticks that the statistics cover: from 0 to the end of the reference."""
         return np.asarray(self.time <= self.reference.duration + TIME_TOLERANCE)
 
     @cached_property
@@ -164,36 +164,36 @@ class Run(ReadOnlyArrays):
 
     @property
     def wheel_twist(self) -> FloatArray:
-        """(n, 2) measured v [m/s] and omega [rad/s] of the wheels; NaN at ticks without news."""
+        """(n, 2) measured v [m/s] and omega [rad/s] of the wheels; NaN at ticks without a new reading."""
         return self._measured([m.wheel_twist for m in self.measurements], 2)
 
     @property
     def wheel_speeds(self) -> FloatArray:
-        """(n, 4) measured wheel speeds [rad/s], front left, front right, rear left, rear right; NaN without news."""
+        """(n, 4) measured wheel speeds [rad/s], front left, front right, rear left, rear right; NaN if none is new."""
         return self._measured([m.wheel_speeds for m in self.measurements], 4)
 
     @property
     def gyro(self) -> FloatArray:
-        """(n,) measured yaw rate [rad/s]; NaN at ticks without news."""
+        """(n,) measured yaw rate [rad/s]; NaN at ticks without a new reading."""
         return self._measured([m.yaw_rate for m in self.measurements], 1)[:, 0]
 
     @property
     def measured_pose(self) -> FloatArray:
-        """(n, 3) pose that arrived at the tick, x [m], y [m], theta [rad]; NaN at ticks without news."""
+        """(n, 3) pose that arrived at the tick, x [m], y [m], theta [rad]; NaN at ticks without a new pose."""
         return self._measured([m.pose for m in self.measurements], 3)
 
     @property
     def measured_pose_time(self) -> FloatArray:
-        """(n,) instant that the arrived pose describes [s]; NaN at ticks without news."""
+        """(n,) time of validity of the pose that arrived [s]; NaN at ticks without a new pose."""
         times = [None if m.pose is None else replace(m.pose, value=m.pose.time) for m in self.measurements]
         return self._measured(times, 1)[:, 0]
 
     @property
     def columns(self) -> Mapping[str, NDArray[Any]]:
-        """Everything over time by name, (n,) each: numbers with their unit in the name, NaN without news, and texts.
+        """All time series by name, (n,) each: numbers with unit suffix, NaN if missing, and strings.
 
-        `v_ref`, `omega_ref`: the command sent; `pose_t`: the instant that the arrived pose describes; `sd`: standard
-        deviation of an estimate; the rest as `sim.run` has it.
+        `v_ref`, `omega_ref`: the sent command; `pose_t`: time of validity of the pose that arrived; `sd`: standard
+        deviation of an estimate; other names as the attributes of `Run`.
         """
         body, motion = ("x_m", "y_m", "theta_rad"), ("v_m_s", "omega_rad_s")
         uncertain = ("x_sd_m", "y_sd_m", "theta_sd_rad", "v_sd_m_s", "omega_sd_rad_s")
@@ -236,7 +236,7 @@ class Run(ReadOnlyArrays):
             "solver_path": self.solver_methods,
             "message": self.messages,
         }
-        columns |= told_columns(self.measurements, len(self.time))
+        columns |= reported_columns(self.measurements, len(self.time))
         for part in columns_of(self):
             columns |= part.series(self)
         return {**columns, **{name: np.array(values, dtype=object) for name, values in texts.items()}}
@@ -253,9 +253,9 @@ class Run(ReadOnlyArrays):
         return frame
 
     def plot(self) -> Figure:
-        """Draw path, errors and commands as a matplotlib figure.
+        """Plot path, errors and commands in a matplotlib figure.
 
-        It is one of pyplot: `matplotlib.pyplot.show()` shows it, `run.plot().savefig("run.png")` writes it.
+        The figure belongs to pyplot: `matplotlib.pyplot.show()` shows it, `run.plot().savefig("run.png")` saves it.
 
         Raises
         ------
@@ -277,9 +277,9 @@ class Run(ReadOnlyArrays):
         )
 
     def with_step_time(self, step_time: ArrayLike, solve_time: ArrayLike | None = None) -> Self:
-        """Exchange the times (n,) [s] for those of a separate timing pass; NaN for a tick leaves it out of statistics.
+        """Return the run with times (n,) [s] of a separate timing pass; ticks with NaN are excluded from statistics.
 
-        Raises ValueError on another length.
+        Raises ValueError for another length.
         """
         times = [
             np.asarray(series, dtype=float)
@@ -289,7 +289,7 @@ class Run(ReadOnlyArrays):
             if time.shape != self.time.shape:
                 raise ValueError(f"{time.shape} step times for a run of {len(self.time)} ticks")
         timed = replace(self, step_time=times[0], solve_time=times[1])
-        vars(timed)["errors"] = self.errors  # the motion is the same, so its results stay valid
+        vars(timed)["errors"] = self.errors  # the motion is unchanged
         return timed
 
     def _measured(self, values: list[Stamped | None], width: int) -> FloatArray:
@@ -302,7 +302,7 @@ def _named(quantity: str, parts: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(f"{quantity}_{part}" for part in parts)
 
 
-def told_columns(measurements: Sequence[Measurement], count: int) -> dict[str, FloatArray]:
-    """Compute columns (count,) by the names of `TOLD`, NaN for missing values; `measurements` may be empty."""
+def reported_columns(measurements: Sequence[Measurement], count: int) -> dict[str, FloatArray]:
+    """Return the columns (count,) named in `TOLD`, NaN for missing values; `measurements` may be empty."""
     rows = [measured_cells(measurement) for measurement in measurements] or [{}] * count
     return {name: np.array([row.get(name, np.nan) for row in rows], dtype=float) for name in TOLD}

@@ -1,4 +1,4 @@
-"""The figure of one run: its path, its errors and its commands."""
+"""Figure of one run: path, errors and commands."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 _REFERENCE: dict[str, Any] = {"color": "0.6", "linewidth": 3.0, "label": "reference"}
 
 
-def plot_run(run: Any) -> Figure:  # noqa: ANN401 - a Run, whose module imports this one
-    """Draw path with reference, position and heading error, and commands with the reference twist, over time."""
+def plot_run(run: Any) -> Figure:  # noqa: ANN401 - a Run; importing its module would be circular
+    """Plot path and reference, position and heading error, and commands with the reference twist, over time."""
     try:
         import matplotlib.pyplot as plt  # noqa: PLC0415 - loads slowly
     except ImportError as error:

@@ -1,1 +1,1 @@
-"""The structures of velocity models: of each its parameter file, and how it is found from records."""
+"""Structures of velocity models: their parameter files, and their identification from records."""

@@ -1,4 +1,4 @@
-"""A channel, one command against one output: its form, and its identification from experiments."""
+"""Forms of a channel, from one command to one output, and its identification from experiments."""
 
 from __future__ import annotations
 
@@ -24,42 +24,42 @@ from diffdrive_mpc.models.output_error.statistics import output_spread
 from diffdrive_mpc.models.structures.model_file import TransferFunction
 from diffdrive_mpc.models.structures.two_poles import TWO_POLES
 
-# Number of grid points from which the search starts.
-_TRIED = 3
+# Number of grid points used as initial values of searches.
+_STARTS = 3
 
 
 class ChannelForm(Parametrisation, Protocol):
-    """A kind of transfer function: the parameters that the estimator moves, and the numbers that a file states.
+    """A kind of transfer function, with parameters for the estimator and coefficients for the file.
 
-    Names, bounds and matrices are those of a `Parametrisation` with one input and one output.
+    It is a `Parametrisation` with one input and one output.
     """
 
     @property
     def file(self) -> type[TransferFunction]:
-        """Schema of the numbers in a file; it has their names, the realisation and the lag."""
+        """Schema of the coefficients in a file, which also defines realisation and lag."""
         ...
 
     @property
     def words(self) -> str:
-        """Describe the form for the file of a model."""
+        """Description of the form for model files."""
         ...
 
     @property
     def kinds(self) -> Mapping[str, str]:
-        """Kind of doubt, a key of `models.doubt.VERDICTS`, for each parameter that may end at a bound."""
+        """Kind of doubt, a key of `models.doubt.VERDICTS`, by parameter whose estimate may be at a bound."""
         ...
 
     @property
     def may_be_zero(self) -> tuple[str, ...]:
-        """Fields of the file that may be zero: a relative standard deviation is meaningless for them."""
+        """Fields of the file that may be zero, so that a relative standard deviation is meaningless."""
         ...
 
     def values(self, parameters: AnyArray) -> AnyArray:
-        """Compute the fields (f,) of the file, in its order, from parameters (s,)."""
+        """Compute the fields (f,) of the file, in its order, from the parameters (s,)."""
         ...
 
     def first_guesses(self, gain: float, frequency: float) -> Sequence[FloatArray]:
-        """Return parameters (s,) to try for a steady-state gain and a cut-off frequency [rad/s]."""
+        """Return initial parameters (s,) for a steady-state gain and a cut-off frequency [rad/s]."""
         ...
 
 
@@ -72,9 +72,9 @@ class IdentifiedChannel:
     form
         Form of the transfer function.
     parameters
-        The fields of the form's file, then dead_time [s], offset and limits, by side, where they were free.
+        The fields of the form's file; then dead_time [s], offset and limits by side, if they were free.
     fit
-        The fit behind them.
+        Fit that the parameters are derived from.
     warnings
         Doubts about the result.
     """
@@ -86,7 +86,7 @@ class IdentifiedChannel:
 
     @property
     def content(self) -> dict[str, float]:
-        """The transfer function as a file states it."""
+        """Coefficients of the transfer function by field of the file."""
         return {name: self.parameters.value(name) for name in self.form.file.model_fields}
 
 
@@ -109,15 +109,15 @@ def identify_channel(
     label
         Name of the channel in warnings.
     form
-        The kind of transfer function.
+        Kind of transfer function.
     offset
-        Whether the sensor has a constant bias to be found.
+        Whether to estimate a constant bias of the sensor.
     limit
-        Whether to look for limits of the command inside the robot.
+        Whether to search for limits of the command inside the robot.
     robust
-        Whether single outliers are held back.
+        Whether to reduce the weight of single outliers.
     dead_time
-        [s] where it is known; then the estimate has none.
+        Known dead time [s]; the estimate then has no dead time. None to estimate it.
 
     Raises
     ------
@@ -130,9 +130,9 @@ def identify_channel(
     starts = _first_guesses(layout, form, experiments, label)
     fit = fit_output_error([(layout, start) for start in starts], experiments, robust)
     if limit:
-        fit = find_limits(fit, experiments, _quick(layout, form, fit.parameters), robust)
+        fit = find_limits(fit, experiments, _fast_parameters(layout, form, fit.parameters), robust)
     form_count = fit.layout.counts[0]
-    names = (*form.file.model_fields, *(_readable(name, label) for name in fit.layout.names[form_count:]))
+    names = (*form.file.model_fields, *(_result_name(name, label) for name in fit.layout.names[form_count:]))
     parameters = fit.estimate.derived(
         names, lambda row: np.concatenate([form.values(row[:form_count]), row[form_count:]])
     )
@@ -140,7 +140,7 @@ def identify_channel(
 
 
 def pole_estimate(parameters: ParameterEstimate, file: type[TransferFunction]) -> ParameterEstimate:
-    """Derive poles [rad/s] of a transfer function from its `parameters`: `pole_1`, or real and imaginary part."""
+    """Derive the poles [rad/s] of a transfer function from its `parameters`, named as by `pole_names`."""
     poles = distinct_poles(file.realisation(parameters.values)[0])
     return parameters.derived(pole_names(poles), lambda row: pole_numbers(file.realisation(row)[0], poles))
 
@@ -149,7 +149,7 @@ def _warnings(form: ChannelForm, parameters: ParameterEstimate, fit: OutputError
     bounds = doubts.at_bounds(fit, label, form.kinds)
     kinds = {doubt.kind for doubt in bounds}
     delays = doubts.answer_delays(fit, [""], [0])
-    unsized = ("dead_time", "offset", *form.may_be_zero)
+    excluded = ("dead_time", "offset", *form.may_be_zero)
     poles = pole_estimate(parameters.part(list(form.file.model_fields)), form.file)
     return (
         *bounds,
@@ -157,7 +157,7 @@ def _warnings(form: ChannelForm, parameters: ParameterEstimate, fit: OutputError
         *(
             doubt.about(label)
             for doubt in doubts.badly_known(
-                parameters.part([name for name in parameters.names if name not in unsized]), delays=delays
+                parameters.part([name for name in parameters.names if name not in excluded]), delays=delays
             )
             if doubt.kind not in kinds and not ("second lag" in kinds and doubt.kind == "divided lag")
         ),
@@ -170,7 +170,7 @@ def _warnings(form: ChannelForm, parameters: ParameterEstimate, fit: OutputError
 def _first_guesses(
     layout: Layout, form: ChannelForm, experiments: Sequence[SampledExperiment], label: str
 ) -> list[FloatArray]:
-    """Select the best points (q,) of a grid over dead time and frequency, with the gain from the ratio of spreads."""
+    """Select the best points (q,) of a grid over dead time and frequency; the gain is the ratio of the spreads."""
     settings = estimator_settings()
     commanded = float(np.std(np.concatenate([experiment.inputs for experiment in experiments])))
     if commanded == 0.0:
@@ -194,18 +194,18 @@ def _first_guesses(
             np.sum(OutputErrorProblem(layout, experiments, weights, [prior] * len(experiments)).residuals(start) ** 2)
         )
 
-    return sorted(grid, key=cost)[:_TRIED]
+    return sorted(grid, key=cost)[:_STARTS]
 
 
-def _quick(layout: Layout, form: ChannelForm, parameters: FloatArray) -> FloatArray:
-    """Return the parameters (q,) of a quick robot of the same gain."""
+def _fast_parameters(layout: Layout, form: ChannelForm, parameters: FloatArray) -> FloatArray:
+    """Return the parameters (q,) of a robot with fast response and the same gain."""
     settings, count = estimator_settings(), layout.counts[0]
     gain = float(np.clip(form.values(parameters[:count])[0], *settings.gain))
     guess = form.first_guesses(gain, max(settings.start_frequencies))[0]
     return np.concatenate([guess, parameters[count:]])
 
 
-def _readable(name: str, label: str) -> str:
-    """Return the name without the number of the input or output; of a limit that of its side."""
+def _result_name(name: str, label: str) -> str:
+    """Return the name of a parameter without the index of input or output; for a limit, the name of its side."""
     plain = name.rpartition("_")[0] if name[-1].isdigit() else name
     return side_name(label, KINDS.index(plain)) if plain in KINDS else plain

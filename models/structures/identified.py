@@ -29,7 +29,7 @@ from diffdrive_mpc.models.structures.model_file import (
 from diffdrive_mpc.models.two_sided import TwoSided
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel, mean_delay
 
-# The file carries this many digits: far finer than any standard deviation.
+# Significant digits in the file: far finer than any standard deviation.
 _DIGITS = 8
 _HEAD = (
     "Identified from a log. Gains and damping [-], frequencies and poles [rad/s], times [s], lengths [m], "
@@ -37,7 +37,7 @@ _HEAD = (
 )
 _PERCENT_DIGITS = 2
 _CORRELATION_DIGITS = 4
-# For a file that is read at once and not stored.
+# Provenance for a file content that is not stored.
 _PROVENANCE = {"origin": "identified", "source": ""}
 
 
@@ -58,17 +58,17 @@ class IdentifiedModel:
     schema
         Schema of the structure's parameter file.
     content
-        Keys of the parameter file that hold the dynamics, with their numbers rounded as in the file.
+        Keys and values of the parameter file for the dynamics, rounded as in the file.
     parameters
         Estimated parameters, with covariance; SI units.
     offset
-        (2,) sensor bias of v [m/s] and omega [rad/s], to be added to the model's outputs when compared with the log.
+        (2,) sensor bias of v [m/s] and omega [rad/s]; readings are the model's outputs plus this bias.
     yaw
-        Sensor of omega, the gyro or the encoders.
+        Sensor of omega.
     method
-        Method of the identification, in words.
+        Description of the identification method.
     fits
-        The estimates behind it: of each channel, or one.
+        Fits that the model is derived from: one for each channel, or one in all.
     warnings
         Doubts about the result.
     """
@@ -84,35 +84,35 @@ class IdentifiedModel:
 
     @property
     def delays(self) -> ParameterEstimate | None:
-        """Dead time and lag together, the dead time, and the lag [s] of each channel or motor.
+        """Total delay, dead time and lag [s] of each channel or motor, with covariance.
 
-        Named `v.sum`, `v.dead_time`, `v.lag` and so on, with the covariance of the estimate. None for a structure that
-        has neither transfer functions nor one fit of both channels.
+        They are named `v.sum`, `v.dead_time`, `v.lag` and so on. None for a structure with neither transfer functions
+        nor a common fit of both channels.
         """
         groups = self._transfer_functions
 
-        def of_groups(row: FloatArray) -> FloatArray:
+        def group_delays(row: FloatArray) -> FloatArray:
             value = dict(zip(self.parameters.names, row, strict=True))
-            late = [value.get(f"{group}.dead_time", value.get("dead_time", 0.0)) for group in groups]
+            dead_time = [value.get(f"{group}.dead_time", value.get("dead_time", 0.0)) for group in groups]
             lag = [file.lag([value[name] for name in _fields(group, file)]) for group, file in groups.items()]
-            return np.column_stack([np.add(late, lag), late, lag]).ravel()
+            return np.column_stack([np.add(dead_time, lag), dead_time, lag]).ravel()
 
         if groups:
-            return self.parameters.derived(_delay_names(list(groups)), of_groups)
+            return self.parameters.derived(_delay_names(list(groups)), group_delays)
         if len(self.fits) != 1:
             return None
         fit = self.fits[0]
 
-        def of_state_space(row: FloatArray) -> FloatArray:
+        def system_delays(row: FloatArray) -> FloatArray:
             system = fit.layout.system(row)
             whole = mean_delay(system.A, system.B, system.C, system.dead_time, range(len(CHANNELS)))
             return np.column_stack([whole, system.dead_time, whole - system.dead_time]).ravel()
 
-        return fit.estimate.derived(_delay_names(CHANNELS), of_state_space)
+        return fit.estimate.derived(_delay_names(CHANNELS), system_delays)
 
     @property
     def poles(self) -> list[ParameterEstimate]:
-        """Poles [rad/s] of each channel or motor, or of the whole, named as by `pole_names`; where they are known."""
+        """Poles [rad/s] of each channel or motor, or of the whole model, named as by `pole_names`."""
         groups = self._transfer_functions
         if groups:
             return [pole_estimate(self.parameters.part(_fields(*group)), group[1]) for group in groups.items()]
@@ -120,18 +120,19 @@ class IdentifiedModel:
 
     @property
     def _transfer_functions(self) -> dict[str, type[TransferFunction]]:
-        """Groups with every number estimated, by the name before the dot."""
-        every = {group: type(part) for group, part in self.file("identified", _PROVENANCE).transfer_functions().items()}
-        return {group: file for group, file in every.items() if set(_fields(group, file)) <= {*self.parameters.names}}
+        """Schemas of the transfer functions whose coefficients are all estimated, by prefix of the parameters."""
+        groups = self.file("identified", _PROVENANCE).transfer_functions()
+        files = {group: type(part) for group, part in groups.items()}
+        return {group: file for group, file in files.items() if set(_fields(group, file)) <= {*self.parameters.names}}
 
     @property
     def base_effects(self) -> BaseEffects:
-        """Effects of the base around the linear model."""
+        """Effects of the base in addition to the linear model."""
         return BaseEffects.model_validate(self.content.get("base_effects", {}))
 
     @property
     def limits(self) -> dict[str, TwoSided]:
-        """Largest command of each channel that the base carries out, where the data show one; else infinite."""
+        """Limits of the command of each channel inside the base; only channels for which the data show a limit."""
         group = self.base_effects.twist_range or TwistRange()
         return {channel: limit for channel in CHANNELS if (limit := getattr(group, channel)) is not None}
 
@@ -142,25 +143,25 @@ class IdentifiedModel:
 
     @property
     def model(self) -> VelocityModel:
-        """The velocity model; raises ModelError if its numbers cannot be a robot's."""
+        """The velocity model; raises ModelError if its parameters cannot describe a robot."""
         return build_model(self.file("identified", _PROVENANCE | {"source": self.method}))
 
     @property
     def system(self) -> LinearSystem:
-        """Model with its sensor offsets and the limits of its base, for comparison with a log."""
+        """Linear system with sensor offsets and limits of the base, for comparison with a log."""
         data = self.file("identified", _PROVENANCE)
         dead_time = np.array([data.dead_time.v, data.dead_time.omega])
         return LinearSystem(*data.matrices(), dead_time, self.offset, limits_in(data.base_effects))
 
     def file(self, name: str, provenance: Mapping[str, Any], **more: object) -> ModelFile:
-        """Build the content of a parameter file; `more` are further keys of it."""
+        """Build the content of a parameter file; `more` are additional keys."""
         return self.schema.model_validate(
             {"name": name, "structure": self.structure, "provenance": provenance, **self.content, **more}
         )
 
 
-def rounded(value: object) -> Any:  # noqa: ANN401 - numbers in any nesting, as YAML takes them
-    """Convert numbers, or arrays or mappings of them, to plain Python numbers with the digits of a file."""
+def rounded(value: object) -> Any:  # noqa: ANN401 - nested numbers for YAML
+    """Convert numbers, and nested arrays or mappings of numbers, to Python floats, rounded as in a file."""
     if isinstance(value, Mapping):
         return {key: rounded(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):
@@ -188,20 +189,20 @@ def model_file(
     name
         Name of the model for tables and messages.
     source
-        The log, and the robot where that is known.
+        The log and, if known, the robot.
     records
-        Stretches of the log that the model was identified from.
+        Names of the training records.
     date
-        Day of the identification.
+        Date of the identification.
     train_fit_percent, validation_fit_percent
-        (2,) simulation FIT of v and omega [%] on those records, and on others.
+        (2,) simulation FIT of v and omega [%] on training and validation records.
     notes
-        Anything a reader should know.
+        Additional information.
 
     Raises
     ------
     pydantic.ValidationError
-        If a number is not finite.
+        If a value is not finite.
     """
     method = f"{identified.method}; omega of the {identified.yaw}"
     origin = provenance(method, source=source, records=records, date=date, notes=notes)
@@ -218,7 +219,7 @@ def model_file(
 def provenance(
     method: str, *, source: str, records: Sequence[str], date: datetime.date, notes: str = ""
 ) -> dict[str, Any]:
-    """Describe the provenance of an identified model; arguments as of `model_file`."""
+    """Return the provenance of an identified model; arguments as for `model_file`."""
     return {
         "origin": "identified",
         "source": source,
@@ -230,7 +231,7 @@ def provenance(
 
 
 def write_model_file(path: Path, content: ModelFile) -> None:
-    """Write a parameter file; raises OSError if it cannot be written."""
+    """Write a parameter file; raise OSError on failure."""
     write_parameters(path, _HEAD, content)
 
 
@@ -248,5 +249,5 @@ def uncertainty(estimate: ParameterEstimate) -> Mapping[str, Any]:
 
 
 def percent(fit: FloatArray) -> dict[str, float]:
-    """Return FIT (2,) by channel for a file [%]."""
+    """Return FIT (2,) [%] by channel, rounded as in a file."""
     return {channel: round(float(value), _PERCENT_DIGITS) for channel, value in zip(CHANNELS, fit, strict=True)}

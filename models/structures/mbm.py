@@ -1,4 +1,4 @@
-"""MBM, four motors between wheel kinematics: its identification from records."""
+"""Identification of MBM, four motors between inverse and forward wheel kinematics, from records."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ _SIDES = (-1, 1, -1, 1)
 
 @dataclass(frozen=True)
 class MotorsParametrisation:
-    """One transfer function with two poles for each motor, driven by (v_ref, omega_ref) through the firmware's track.
+    """Transfer functions with two poles for each motor, with inputs v_ref and omega_ref and the firmware's track.
 
     Attributes
     ----------
     sides
-        For each motor -1 (left) or 1 (right).
+        -1 (left) or 1 (right) for each motor.
     radius
-        Wheel radius by which the firmware turns speeds into wheel rates [m].
+        Wheel radius with which the firmware converts rim speeds to wheel rates [m].
     """
 
     sides: tuple[int, ...]
@@ -49,7 +49,7 @@ class MotorsParametrisation:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Three for each motor, then the firmware's track."""
+        """Three names for each motor, then that of the firmware's track."""
         return (
             *(f"{name}_{i}" for i in range(len(self.sides)) for name in TWO_POLES.names),
             "log_track",
@@ -57,7 +57,7 @@ class MotorsParametrisation:
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """(3 motors + 1,) bounds from the settings."""
+        """Lower and upper bounds (3 motors + 1,) from the settings."""
         low, high = TWO_POLES.bounds
         track = np.log(estimator_settings().track)
         count = len(self.sides)
@@ -71,12 +71,12 @@ class MotorsParametrisation:
         track = np.exp(parameters[-1])
         for i, (side, motor) in enumerate(zip(self.sides, parameters[:-1].reshape(count, -1), strict=True)):
             rows = slice(2 * i, 2 * i + 2)
-            A[rows, rows], into, C[i : i + 1, rows] = TWO_POLES.matrices(motor)
-            B[rows] = into * np.array([1.0, 0.5 * side * track]) / self.radius
+            A[rows, rows], b, C[i : i + 1, rows] = TWO_POLES.matrices(motor)
+            B[rows] = b * np.array([1.0, 0.5 * side * track]) / self.radius
         return A, B, C
 
     def recentred(self, parameters: FloatArray) -> tuple[MotorsParametrisation, FloatArray]:
-        """Return the form unchanged, since logarithms suit all values."""
+        """Return the parametrisation unchanged, as logarithms suit all values."""
         return self, parameters
 
 
@@ -86,23 +86,23 @@ _MOTORS = tuple(Motors.model_fields)
 def identify_mbm(records: Sequence[Record], wheel_radius: float, *, limits: bool = True) -> IdentifiedModel:
     """Identify MBM (Guffanti et al., Sensors 2025, 25(11), 3553) by output error.
 
-    The effective track converts the motors' steady turning rate to that of the gyro, independently of the delays of the
-    two sensors.
+    The effective track is the ratio of the motors' steady speed difference to the yaw rate of the gyro, which does not
+    depend on the delays of the two sensors.
 
     Parameters
     ----------
     records
-        Records with wheel speeds and a gyro. Where only two sides were logged, front and rear motor of
-        a side are equal.
+        Records with wheel speeds and a gyro. If the log has only the speeds of two sides, front and rear motor of a
+        side are equal.
     wheel_radius
-        [m], as the robot's firmware has it.
+        Wheel radius in the robot's firmware [m].
     limits
-        Whether to look for limits of the base.
+        Whether to search for limits of the base.
 
     Raises
     ------
     ValueError
-        If a record lacks a signal, or the robot or its commands never move.
+        If a record lacks a signal, or the readings or commands never change.
     """
     experiments = wheel_experiments(records)
     yaw = identify_channel(
@@ -141,9 +141,9 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, limits: bool
 
 def _warnings(fit: OutputErrorFit, parameters: ParameterEstimate, motors: int) -> tuple[Doubt, ...]:
     delays = doubts.answer_delays(fit, _MOTORS[:motors], [0] * motors)
-    # An offset or a dead time near zero is no doubt about the model.
-    sized = [name for name in parameters.names if name not in ("omega.offset", "dead_time")]
-    unknown = [*doubts.badly_known(parameters.part(sized), delays=delays), *doubts.late_answers(delays)]
+    # Offset and dead time may be near zero, so that a large relative deviation is no doubt about the model.
+    nonzero = [name for name in parameters.names if name not in ("omega.offset", "dead_time")]
+    unknown = [*doubts.badly_known(parameters.part(nonzero), delays=delays), *doubts.late_answers(delays)]
     return (
         *doubts.at_bounds(fit, "motors"),
         *(doubt.about("motors") for doubt in unknown),
@@ -158,7 +158,11 @@ def _start(
     yaw: IdentifiedChannel,
     limits: bool,
 ) -> tuple[Layout, FloatArray]:
-    """Forward motion gives a motor for all and the limits of v, turning the track; `yaw` has the limits of omega."""
+    """Return layout and initial parameters.
+
+    Forward motion determines the parameters of all motors and the limits of v, turning motion the track, and `yaw` the
+    limits of omega.
+    """
     forward = [_combined(experiment, np.full(len(sides), radius / len(sides)), 0) for experiment in experiments]
     turning = [_combined(experiment, np.array(sides) * 2 * radius / len(sides), 1) for experiment in experiments]
     v = identify_channel(forward, "wheels", limit=limits)
@@ -172,7 +176,7 @@ def _start(
 
 
 def _combined(experiment: SampledExperiment, weights: FloatArray, column: int) -> SampledExperiment:
-    """Combine one command against a weighted sum of the wheels."""
+    """Build an experiment from one command to a weighted sum of the wheel speeds."""
     return SampledExperiment(
         experiment.name,
         experiment.dt,
@@ -199,17 +203,17 @@ def _with_effective_track(estimate: ParameterEstimate, motors: int) -> Parameter
     gains = [estimate.names.index(f"{motor}.gain") for motor in _MOTORS[:motors]]
     track, yaw = estimate.names.index("firmware_track"), estimate.names.index("omega.gain")
 
-    def exchanged(row: FloatArray) -> FloatArray:
-        changed = row.copy()
-        changed[yaw] = row[track] * row[gains].mean() / row[yaw]
-        return changed
+    def replace_gain(row: FloatArray) -> FloatArray:
+        replaced = row.copy()
+        replaced[yaw] = row[track] * row[gains].mean() / row[yaw]
+        return replaced
 
     names = tuple("effective_track" if name == "omega.gain" else name for name in estimate.names)
-    return estimate.derived(names, exchanged)
+    return estimate.derived(names, replace_gain)
 
 
 def identify(records: Sequence[Record], conditions: IdentificationConditions) -> StructureFit:
-    """Identify as `Structure.identify` describes."""
+    """Identify MBM; implements `Structure.identify`."""
     if conditions.wheel_radius is None or conditions.yaw != "gyro":
         raise ConfigError("mbm: it needs wheel speeds and a gyro in the log; map them, or identify sm or ssm")
     return StructureFit(identify_mbm(records, conditions.wheel_radius))

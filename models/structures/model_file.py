@@ -1,4 +1,4 @@
-"""Schemas of model parameter files, common and per structure."""
+"""Schemas of the parameter files of models: common fields, and those of each structure."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class CommandLimits(StrictModel):
-    """Levels at which the robot clips a command by itself; a channel left out showed none."""
+    """Levels at which the robot clips a command; None for a channel without a known limit."""
 
     v: BaseVelocityLimit | None = Field(default=None, description="[m/s]")
     omega: BaseYawRateLimit | None = Field(default=None, description="[rad/s]")
 
 
 class Uncertainty(StrictModel):
-    """Identified parameters with their standard deviations and correlations, SI units.
+    """Identified parameters with standard deviations and correlations, SI units.
 
-    Covariance of parameters i and j: standard_deviation[i] standard_deviation[j] correlation[i][j].
+    The covariance of parameters i and j is standard_deviation[i] standard_deviation[j] correlation[i][j].
     """
 
     parameters: list[str]
@@ -53,12 +53,12 @@ class Uncertainty(StrictModel):
 
 
 class Provenance(StrictModel):
-    """Provenance of the numbers in a parameter file."""
+    """Provenance of the parameters in a file."""
 
     origin: Literal["published", "identified", "assumed"] = Field(
-        description="'published' only if the numbers stand in a paper's text; 'assumed' if nobody measured them"
+        description="'published' only if the parameters are printed in a paper; 'assumed' if they were not measured"
     )
-    source: str = Field(description="paper and place, or robot or plant the experiments were run on")
+    source: str = Field(description="paper and section, or robot or plant of the experiments")
     method: str = ""
     experiments: list[str] = Field(default_factory=list)
     date: str = ""
@@ -80,46 +80,46 @@ class DeadTime(StrictModel):
 
 
 class ParameterFile(StrictModel):
-    """Common fields of the parameter files of linear models and of functions."""
+    """Common fields of the parameter files of linear and nonlinear models."""
 
     name: str
     structure: str
     provenance: Provenance
     fit_percent: ChannelFit | None = Field(default=None, description="simulation FIT of the stated experiments")
-    validation_fit_percent: ChannelFit | None = Field(default=None, description="simulation FIT of records held out")
+    validation_fit_percent: ChannelFit | None = Field(default=None, description="simulation FIT of held-out records")
     limits: CommandLimits | None = Field(default=None, description="levels at which the robot clips a command")
-    warnings: list[str] = Field(default_factory=list, description="what the identification did not trust")
+    warnings: list[str] = Field(default_factory=list, description="doubts of the identification")
 
     @property
     def origins(self) -> dict[str, object]:
-        """Provenance and warnings, as a model carries them."""
+        """Provenance and warnings, for the attribute `provenance` of a model."""
         return self.provenance.model_dump() | {"warnings": self.warnings}
 
 
 class FunctionFile(ParameterFile):
-    """Fields of every file of a model that is a function of samples."""
+    """Common fields of the parameter files of nonlinear models."""
 
-    sample_time: SampleTime = Field(description="of commands and outputs [s]")
+    sample_time: SampleTime = Field(description="sample time of commands and outputs [s]")
 
 
 class ModelFile(ParameterFile):
-    """Fields of every file of a linear model. A structure narrows `structure` to its name, as a Literal."""
+    """Common fields of the parameter files of linear models; a subclass declares `structure` as a Literal."""
 
-    uncertainty: Uncertainty | None = Field(default=None, description="how well the identified parameters are known")
+    uncertainty: Uncertainty | None = Field(default=None, description="uncertainty of the identified parameters")
     dead_time: DeadTime = DeadTime()
-    base_effects: BaseEffects = Field(default=BaseEffects(), description="what the base does around the linear model")
+    base_effects: BaseEffects = Field(default=BaseEffects(), description="effects of the base")
 
     def matrices(self) -> Matrices:
         """Return continuous A (n, n), B (n, 2), C (2, n); by default from `transfer_functions`."""
         return side_by_side(self.transfer_functions().values())
 
     def transfer_functions(self) -> Mapping[str, TransferFunction]:
-        """Return the file's transfer functions by the prefix of their parameters; none by default."""
+        """Return the transfer functions by the prefix of their parameters; empty by default."""
         return {}
 
 
 def build_model(data: ModelFile) -> VelocityModel:
-    """Build the model in the content of a parameter file; raise ModelError if it cannot be a robot's."""
+    """Build the model from the content of a parameter file; raise ModelError if it cannot describe a robot."""
     A, B, C = data.matrices()
     return VelocityModel(
         name=data.name,
@@ -133,9 +133,9 @@ def build_model(data: ModelFile) -> VelocityModel:
 
 
 def write_parameters(path: Path, head: str, content: ParameterFile, **more: object) -> None:
-    """Write a parameter file: a comment line, its name and source, its numbers, `more`.
+    """Write a parameter file: the comment line `head`, common fields, parameters, and the keys `more`.
 
-    Defaults are left out; the editor line of an existing file stays. Raises OSError if the file cannot be written.
+    Defaults are omitted; the editor line of an existing file is kept. Raises OSError if the file cannot be written.
     """
     data = content.model_dump(exclude_none=True, exclude_defaults=True) | more
     first = list(ParameterFile.model_fields)
@@ -147,20 +147,20 @@ def write_parameters(path: Path, head: str, content: ParameterFile, **more: obje
 
 
 def structure_name(schema: type[ModelFile]) -> str:
-    """Return the name to which a schema narrows `structure`."""
+    """Return the value of the Literal `structure` of a schema."""
     (name,) = get_args(schema.model_fields["structure"].annotation)
     return str(name)
 
 
-# Schemas of the structures' parameter files, and their matrices, without identification.
+# Schemas of the parameter files of the structures, with the matrices of the models.
 
 
 class TransferFunction(StrictModel):
-    """From one command to one output. A subclass defines its numbers as fields, and their meaning as functions."""
+    """Transfer function from one command to one output; a subclass defines coefficients, realisation and lag."""
 
     @staticmethod
     def realisation(values: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
-        """Compute A (n, n), B (n, 1), C (1, n) from the fields (f,) in order; analytic, for a complex step."""
+        """Compute A (n, n), B (n, 1), C (1, n) from the fields (f,) in order; must be analytic for complex steps."""
         raise NotImplementedError
 
     @staticmethod
@@ -189,13 +189,13 @@ class TwoPoles(TransferFunction):
 
     @staticmethod
     def lag(values: Sequence[float] | FloatArray) -> float:
-        """Sum both time constants [s]."""
+        """Compute the lag [s], the sum of both time constants."""
         _, w, damping = values
         return float(2.0 * damping / w)
 
 
 class Gain(TransferFunction):
-    """A gain that is reached at once: its pole is negligible after a sample of 20 ms."""
+    """A gain with a pole so fast that its transient is negligible after a sample of 20 ms."""
 
     gain: Positive = Field(description="steady-state gain [-]")
 
@@ -203,22 +203,22 @@ class Gain(TransferFunction):
     def realisation(values: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
         """Return A, B, C (1, 1) of one state, the output."""
         unit = np.ones((1, 1), dtype=values.dtype)
-        return -_AT_ONCE * unit, _AT_ONCE * values[:, None], unit
+        return -_FAST_POLE * unit, _FAST_POLE * values[:, None], unit
 
     @staticmethod
     def lag(values: Sequence[float] | FloatArray) -> float:
         """Return the lag of the pole [s]."""
         del values
-        return 1.0 / _AT_ONCE
+        return 1.0 / _FAST_POLE
 
 
-_AT_ONCE = 900.0
-"""Pole of `Gain` [rad/s]; faster ones cannot be seen at 50 Hz."""
+_FAST_POLE = 900.0
+"""Pole of `Gain` [rad/s]; faster poles are indistinguishable at 50 Hz."""
 
 
 def side_by_side(parts: Iterable[TransferFunction]) -> Matrices:
-    """Combine transfer functions block-diagonally: each keeps its own input and output."""
-    from scipy.linalg import block_diag  # noqa: PLC0415 - loads slowly, and SSM does without it
+    """Combine transfer functions to a block-diagonal system with one input and one output for each."""
+    from scipy.linalg import block_diag  # noqa: PLC0415 - loads slowly, and SSM does not need it
 
     A, B, C = (block_diag(*matrices) for matrices in zip(*(part.matrices() for part in parts), strict=True))
     return A, B, C
@@ -234,28 +234,28 @@ class Motors(StrictModel):
 
 
 class MbmFile(ModelFile):
-    """MBM: four motors between wheel kinematics (Guffanti et al., Sensors 2025, 25(11), 3553).
+    """MBM: four motors between inverse and forward wheel kinematics (Guffanti et al., Sensors 2025, 25(11), 3553).
 
-    Two tracks: on a skid-steer the one by which the firmware turns omega_ref into wheel speeds is not the one by which
-    wheel speeds turn into the true yaw rate.
+    On a skid-steered robot, the track with which the firmware converts omega_ref to wheel speeds differs from the track
+    that relates wheel speeds to the true yaw rate.
     """
 
     structure: Literal["mbm"]
     motors: Motors
-    wheel_radius: Positive = Field(description="[m]")
-    firmware_track: Positive = Field(description="track on the way in [m]")
-    effective_track: Positive = Field(description="track on the way out [m]")
+    wheel_radius: Positive = Field(description="wheel radius [m]")
+    firmware_track: Positive = Field(description="track of the inverse kinematics, from twist to wheel speeds [m]")
+    effective_track: Positive = Field(description="track of the forward kinematics, from wheel speeds to twist [m]")
 
     def transfer_functions(self) -> Mapping[str, TransferFunction]:
-        """Return the transfer functions of each motor."""
+        """Return the transfer function of each motor."""
         return dict(self.motors)
 
     def matrices(self) -> Matrices:
         """Return continuous A (8, 8), B (8, 2), C (2, 8)."""
         A, B, C = super().matrices()
-        into = WheelKinematics(self.wheel_radius, self.firmware_track).body_to_wheels
-        out = WheelKinematics(self.wheel_radius, self.effective_track).wheels_to_body
-        return A, B @ into, out @ C
+        body_to_wheels = WheelKinematics(self.wheel_radius, self.firmware_track).body_to_wheels
+        wheels_to_body = WheelKinematics(self.wheel_radius, self.effective_track).wheels_to_body
+        return A, B @ body_to_wheels, wheels_to_body @ C
 
 
 class SmChannels(StrictModel):
@@ -266,12 +266,12 @@ class SmChannels(StrictModel):
 
 
 class ChannelsFile(ModelFile):
-    """Common part of files with one transfer function for each channel."""
+    """Common fields of files with one transfer function for each channel."""
 
     channels: StrictModel
 
     def transfer_functions(self) -> Mapping[str, TransferFunction]:
-        """Return that of each channel."""
+        """Return the transfer function of each channel."""
         return dict(self.channels)
 
 
@@ -290,7 +290,7 @@ class DelayChannels(StrictModel):
 
 
 class TwoDelaysFile(ChannelsFile):
-    """A gain and a dead time for each channel: shows the value of the response time without its shape."""
+    """A gain and a dead time for each channel: a baseline with the response time but not its shape."""
 
     structure: Literal["two_delays"]
     channels: DelayChannels
@@ -313,5 +313,5 @@ class SsmFile(ModelFile):
         return self
 
     def matrices(self) -> Matrices:
-        """Return continuous A (n, n), B (n, 2), C (2, n) as the file states them."""
+        """Return the continuous A (n, n), B (n, 2), C (2, n) of the file."""
         return np.array(self.A), np.array(self.B), np.array(self.C)

@@ -1,6 +1,6 @@
-"""Choice of the order of a structure by comparison on held-out blocks of the data.
+"""Selection of the order of a structure by comparison on held-out blocks of the data.
 
-Records held out for the score have no part in the choice: a score that chose would flatter.
+Validation records are not used for the selection, which would bias their score.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from diffdrive_mpc.models.output_error.validation import validate
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.velocity_model import ModelError
 
-# An order is worth its states if it explains this much more [percentage points of FIT, mean of both channels].
+# Minimum gain that justifies a higher order [percentage points of FIT, mean of both channels].
 _WORTH = 0.25
 _FLOOR = 1
 _ROUNDING = 1e-3
@@ -27,7 +27,7 @@ _ROUNDING = 1e-3
 
 @dataclass(frozen=True)
 class OrderRow:
-    """One order.
+    """Model and scores of one order.
 
     Attributes
     ----------
@@ -36,10 +36,10 @@ class OrderRow:
     parameters
         Number of free parameters.
     train_fit_percent, block_fit_percent, validation_fit_percent
-        (2,) of v and omega [%]: of the records identified from; of blocks of them, each by a model made without it,
-        None where that was not requested or they are too short; of records held out, None without any.
+        (2,) FIT of v and omega [%]: on the training records; on held-out blocks of these, by models fitted without the
+        block (None if not requested or if the records are too short); on validation records (None if there are none).
     aic, bic
-        Akaike's and Schwarz's information criteria over the lowest of all orders, counted in effective samples.
+        Akaike's and Schwarz's information criteria relative to their minimum over all orders, by effective samples.
     """
 
     identified: IdentifiedModel
@@ -53,7 +53,7 @@ class OrderRow:
 
 @dataclass(frozen=True)
 class OrderChoice:
-    """All orders, the chosen one, and why."""
+    """Comparison of orders, with the selected order and the reason."""
 
     rows: tuple[OrderRow, ...]
     order: int
@@ -61,7 +61,7 @@ class OrderChoice:
 
     @property
     def identified(self) -> IdentifiedModel:
-        """The model of the chosen order."""
+        """The model of the selected order."""
         return self.rows[self.order - 1].identified
 
 
@@ -74,24 +74,24 @@ def compare_orders(
     requested: int | None = None,
     floor: FloatArray | None = None,
 ) -> OrderChoice:
-    """Choose among models of order 1, 2 and so on.
+    """Select the order among models of order 1, 2 and so on.
 
-    The lowest order whose mean FIT on held-out blocks is within a quarter of a percentage point of the best; of records
-    too short for that, the lowest Schwarz criterion. Order 1 is a floor for the comparison and never chosen; nor is an
-    order with a model that cannot be a robot's.
+    The lowest order is selected whose mean FIT on held-out blocks is within a quarter of a percentage point of the
+    maximum; if the records are too short for blocks, the order with the lowest Schwarz criterion. Order 1 is a baseline
+    and is never selected, nor is an order whose model cannot describe a robot.
 
     Parameters
     ----------
     models
-        One of each order, identified from `train`.
+        One model for each order, identified from `train`.
     train, validation
-        Records identified from, and records held out, which are scored and do not choose.
+        Training records, and validation records, which are scored but not used for the selection.
     yaw
         Sensor whose omega the models predict.
-    asked
-        The order, if it is given.
+    requested
+        Order to use; None to select it.
     floor
-        (2,) FIT of a simpler model on `train` [%]: an order that is behind it is not chosen if another is not.
+        (2,) FIT of a simpler model on `train` [%]; orders behind it (see `is_behind`) are avoided.
 
     Raises
     ------
@@ -112,11 +112,13 @@ def compare_orders(
         for identified, blocks, criterion in zip(models, held_out, criteria, strict=True)
     )
     if requested:
-        return OrderChoice(rows, requested, "as asked for")
+        return OrderChoice(rows, requested, "as requested")
     usable = [order for order, row in enumerate(rows, start=1) if order > _FLOOR and _is_robot(row.identified)]
     if not usable:
         name = models[0].structure.upper()
-        raise ValueError(f"no order of {name} gives a model that could be a robot's: identify SM, or use a longer log")
+        raise ValueError(
+            f"no order of {name} gives a model that can describe a robot: identify SM, or use a longer log"
+        )
     if floor is not None:
         usable = [order for order in usable if not is_behind(rows[order - 1].train_fit_percent, floor)] or usable
     score = {order: float(np.mean(fit)) for order in usable if (fit := rows[order - 1].block_fit_percent) is not None}
@@ -130,13 +132,13 @@ def compare_orders(
 
 
 def is_behind(fit_percent: FloatArray, floor: FloatArray) -> bool:
-    """Return True if FIT (2,) [%] is below the floor's in the mean, or in a channel by more than an order is worth."""
+    """Return True if FIT (2,) [%] is below the floor on average, or in a channel by more than the minimum gain."""
     gain = fit_percent - floor
     return bool(gain.mean() < -_ROUNDING or gain.min() < -_WORTH)
 
 
 def _block_fits(models: Sequence[IdentifiedModel], experiments: Sequence[SampledExperiment]) -> list[FloatArray | None]:
-    """Compute FIT (2,) [%] of each model on blocks held out in turn; None for short records."""
+    """Compute FIT (2,) [%] of each model on held-out blocks; None if the records are too short."""
     spread = output_spread(experiments)
     fits: list[FloatArray | None] = []
     for model in models:
@@ -150,7 +152,7 @@ def _block_fits(models: Sequence[IdentifiedModel], experiments: Sequence[Sampled
 
 
 def _criteria(models: Sequence[IdentifiedModel]) -> list[tuple[float, float]]:
-    """Compute AIC and BIC of each model over the lowest, with residual scale and correlation of the largest."""
+    """Compute AIC and BIC relative to their minima, with residual scale and correlation of the highest order."""
     reference = models[-1].fits[0]
     samples = reference.effective_samples
     criteria = []

@@ -1,4 +1,4 @@
-"""All structures of velocity models: a new one is its schema, its identification and a line here."""
+"""Registry of the structures of velocity models; a new structure needs a schema, an identification and a line here."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LARGEST_ORDER = 5
 
 
 def _identify_by(module: str, records: Sequence[Record], conditions: IdentificationConditions) -> StructureFit:
-    """Identify by a module of this package. It is imported now: loading a model needs no estimator."""
+    """Identify with a module of this package, imported here because loading a model does not need the estimator."""
     identified: StructureFit = import_module(f"{__package__}.{module}").identify(records, conditions)
     return identified
 
@@ -30,4 +30,4 @@ _ALL = (
     Structure("two_delays", TwoDelaysFile, partial(_identify_by, "two_delays")),
 )
 STRUCTURES: Mapping[str, Structure] = {structure.name: structure for structure in _ALL}
-"""By name, in the order of tables."""
+"""Structures by name, in the order of tables."""

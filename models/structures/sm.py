@@ -1,4 +1,4 @@
-"""SM, one transfer function for v, one for omega: its identification from records."""
+"""Identification of SM, one transfer function for v and one for omega, from records."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ METHOD = (
     "output error (simulation from commands alone), {} and a dead time for each channel, all records at once, free "
     "initial states, outliers held back, several starts"
 )
-"""With the form of the channels."""
+"""Description of the method; `{}` is replaced by the form of the channels."""
 
 
 def identify_sm(
@@ -38,20 +38,20 @@ def identify_sm(
     Parameters
     ----------
     records
-        Records with encoders, and a gyro if `yaw` is "gyro"; its bias is identified too.
+        Records with encoders and, if `yaw` is "gyro", a gyro, whose bias is also identified.
     yaw
         Sensor whose omega the model predicts.
     limits
-        Whether to look for limits of the base.
+        Whether to search for limits of the base.
     robust
-        Whether single outliers are held back.
+        Whether to reduce the weight of single outliers.
     form, schema
-        The kind of transfer function, and of the file whose `channels` state it.
+        Kind of transfer function, and schema of the file with this kind in `channels`.
 
     Raises
     ------
     ValueError
-        If a record lacks a signal, or the robot or its commands never move.
+        If a record lacks a signal, or the readings or commands never change.
     """
     channels = identify_channels(records, yaw=yaw, limits=limits, robust=robust, form=form)
     fits = dict(zip(CHANNELS, channels, strict=True))
@@ -79,7 +79,7 @@ def identify_channels(
     robust: bool = True,
     form: ChannelForm = TWO_POLES,
 ) -> tuple[IdentifiedChannel, IdentifiedChannel]:
-    """Identify the two channels of SM, v and omega; parameters and errors as `identify_sm`."""
+    """Identify the channels v and omega of SM; parameters and errors as for `identify_sm`."""
     experiments = twist_experiments(records, yaw)
     v, omega = (
         identify_channel(
@@ -96,5 +96,5 @@ def identify_channels(
 
 
 def identify(records: Sequence[Record], conditions: IdentificationConditions) -> StructureFit:
-    """Identify as `Structure.identify` describes."""
+    """Identify SM; implements `Structure.identify`."""
     return StructureFit(identify_sm(records, yaw=conditions.yaw))

@@ -1,4 +1,4 @@
-"""SSM, one state-space model with a dead time for each input: its identification from records."""
+"""Identification of SSM, one state-space model with a dead time for each input, from records."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _Channels = tuple[IdentifiedChannel, IdentifiedChannel]
 _DECOUPLED = 4
 """Order of SM as a state space."""
 _EVALUATIONS = 8
-"""In a round: the candidates are near, or as good as their start."""
+"""Evaluations in a round of the search; candidates start near a minimum."""
 
 
 def identify_ssm(
@@ -57,7 +57,7 @@ def identify_ssm(
     *,
     limits: bool = True,
 ) -> IdentifiedModel:
-    """Identify SSM of one order by output error; as `identify_ssm_orders`."""
+    """Identify SSM of one order by output error; details as for `identify_ssm_orders`."""
     return identify_ssm_orders(records, order, limits=limits)[-1]
 
 
@@ -70,25 +70,25 @@ def choose_order(
     limits: bool = True,
     requested: int | None = None,
 ) -> OrderChoice:
-    """Identify every order up to `largest` and choose one, as `compare_orders` does.
+    """Identify every order up to `largest` and select one by `compare_orders`.
 
     Parameters
     ----------
     train
-        Records to identify from.
+        Training records.
     validation
-        Records held out, which have no part in the choice.
+        Validation records, which are not used for the selection.
     largest
-        2 to 5.
+        Maximum order, 2 to 5.
     yaw, limits
         As for `identify_ssm`.
-    asked
-        The order, if it is given.
+    requested
+        Order to use; None to select it.
 
     Raises
     ------
     ValueError
-        As `identify_ssm_orders`; or if no order gives a usable model.
+        As for `identify_ssm_orders`, or if no order gives a usable model.
     """
     channels = identify_channels(train, yaw=yaw, limits=limits)
     models = _identify_orders(train, channels, largest, yaw)
@@ -103,25 +103,26 @@ def identify_ssm_orders(
     yaw: YawSource = "gyro",
     limits: bool = True,
 ) -> list[IdentifiedModel]:
-    """Identify SSM of every order from 1 to `largest`; each starts from the one below too.
+    """Identify SSM of every order from 1 to `largest`; the next lower order is one of the initial values.
 
-    Order 4 starts from SM, too, with the weights of SM, and is SM where the search ends behind it; see `is_behind`.
+    For order 4, SM is another initial value, with the weights of SM, and is the result if the search ends behind SM
+    (see `is_behind`).
 
     Parameters
     ----------
     records
-        Records with encoders, and a gyro if `yaw` is "gyro"; its bias is identified too.
+        Records with encoders and, if `yaw` is "gyro", a gyro, whose bias is also identified.
     largest
-        1 to 5.
+        Maximum order, 1 to 5.
     yaw
         Sensor whose omega the model predicts.
     limits
-        Whether to look for limits of the base.
+        Whether to search for limits of the base.
 
     Raises
     ------
     ValueError
-        If the order is out of range, a record lacks a signal, or the robot or its commands never move.
+        If the order is out of range, a record lacks a signal, or the readings or commands never change.
     """
     if not 1 <= largest <= LARGEST_ORDER:
         raise ValueError(f"order {largest}: give 1 to {LARGEST_ORDER}")
@@ -135,12 +136,12 @@ def _identify_orders(
     fits: list[OutputErrorFit] = []
     for order in range(1, largest + 1):
         fits.append(_fit(experiments, channels, order, fits[-1] if fits else None, yaw == "gyro"))
-    models = [_identified(fit, yaw) for fit in fits]
+    models = [_build_model(fit, yaw) for fit in fits]
     if largest >= _DECOUPLED:
         floor, row = validate(_decoupled(channels), records, yaw).fit_percent, _DECOUPLED - 1
         if is_behind(validate(models[row].system, records, yaw).fit_percent, floor):
             fit = _fit(experiments, channels, _DECOUPLED, None, yaw == "gyro", evaluations=1)
-            models[row] = _identified(fit, yaw)
+            models[row] = _build_model(fit, yaw)
     return models
 
 
@@ -176,27 +177,27 @@ def _fit(
         candidates.append(candidate(direct, dead_time))
     if below:
         system = below.system
-        left = [
+        unexplained = [
             replace(experiment, outputs=residuals, counts=np.isfinite(residuals))
             for experiment, residuals in zip(experiments, below.residuals, strict=True)
         ]
-        more = from_impulse_response(impulse_response(left, system.dead_time, length), 1, dt)
-        known = (system.A, system.B, system.C)
-        candidates.append(candidate(beside(known, more or spare_state(*known)), system.dead_time))
+        added = from_impulse_response(impulse_response(unexplained, system.dead_time, length), 1, dt)
+        lower = (system.A, system.B, system.C)
+        candidates.append(candidate(beside(lower, added or spare_state(*lower)), system.dead_time))
     if not candidates:
         candidates.append(candidate(_common_pole(channels), dead_time))
     return fit_output_error(candidates, experiments, scale=scale, trust=trust, evaluations=_EVALUATIONS)
 
 
 def _decoupled(channels: _Channels) -> LinearSystem:
-    """Return SM as one system, sensor offsets and limits included."""
+    """Return SM as one linear system with sensor offsets and limits."""
     parts = [channel.fit.system for channel in channels]
     dead_time, offset, limit = (np.concatenate(rows) for rows in zip(*(part[3:] for part in parts), strict=True))
     return LinearSystem(*_side_by_side(channels, 2), dead_time, offset, limit)
 
 
 def _side_by_side(channels: _Channels, poles: int) -> Realisation:
-    """Combine the channels' transfer functions with two poles each, or with one pole of the same lag and gain."""
+    """Combine the transfer functions of both channels, with two poles each, or one pole of the same lag and gain."""
     parts = []
     for row, channel in enumerate(channels):
         system = channel.fit.system
@@ -204,36 +205,36 @@ def _side_by_side(channels: _Channels, poles: int) -> Realisation:
         if poles == 1:
             gain, w, damping = (channel.parameters.value(name) for name in ("gain", "natural_frequency", "damping"))
             A, B, C = np.array([[-w / (2 * damping)]]), np.array([[gain * w / (2 * damping)]]), np.eye(1)
-        into, out = np.zeros((len(A), 2)), np.zeros((2, len(A)))
-        into[:, row], out[row] = B[:, 0], C[0]
-        parts.append((A, into, out))
+        B_part, C_part = np.zeros((len(A), 2)), np.zeros((2, len(A)))
+        B_part[:, row], C_part[row] = B[:, 0], C[0]
+        parts.append((A, B_part, C_part))
     return balanced(*beside(*parts))
 
 
 def _common_pole(channels: _Channels) -> Realisation:
-    """Realise one common pole for both channels, for an impulse response too noisy to realise."""
+    """Return a realisation with one common pole of both channels, for impulse responses too noisy to realise."""
     A, B, C = _side_by_side(channels, 1)
     return A[:1, :1], B[:1], C[:, :1]
 
 
-def _identified(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
+def _build_model(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
     system = fit.system
     A, B, C = balanced(system.A, system.B, system.C)
     order = len(A)
     label = f"SSM order {order}"
     gain_count, _, offsets, _ = fit.layout.counts
     poles = distinct_poles(A)
-    gains = [f"gain.{into}_ref_to_{out}" for out in CHANNELS for into in CHANNELS]
+    gains = [f"gain.{source}_ref_to_{target}" for target in CHANNELS for source in CHANNELS]
     named_poles = pole_names(poles)
     rest = [f"dead_time.{name}" for name in CHANNELS] + ["omega.offset"] * offsets
     rest += limit_names(fit.layout.limited)
 
-    def meaningful(parameters: FloatArray) -> FloatArray:
+    def physical(parameters: FloatArray) -> FloatArray:
         system = fit.layout.system(parameters)
         gain = -system.C @ np.linalg.solve(system.A, system.B)
         return np.concatenate([gain.ravel(), pole_numbers(system.A, poles), parameters[gain_count:]])
 
-    parameters = fit.estimate.derived((*gains, *named_poles, *rest), meaningful)
+    parameters = fit.estimate.derived((*gains, *named_poles, *rest), physical)
     main = parameters.part([gains[0], gains[3], *(name for name in named_poles if not name.endswith("imag"))])
     delays = doubts.answer_delays(fit, CHANNELS, [0, 1])
     return IdentifiedModel(
@@ -259,9 +260,9 @@ def _identified(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
 
 
 def identify(records: Sequence[Record], conditions: IdentificationConditions) -> StructureFit:
-    """Identify as `Structure.identify` describes."""
+    """Identify SSM; implements `Structure.identify`."""
     order = conditions.order
-    # Order 1 is only a baseline, so at least order 2 is tried, too.
+    # Order 1 is only a baseline, so the maximum is at least order 2.
     largest = max(order or LARGEST_ORDER, 2)
     choice = choose_order(records, conditions.validation, largest=largest, yaw=conditions.yaw, requested=order)
     return StructureFit(choice.identified, choice)

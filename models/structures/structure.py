@@ -1,4 +1,4 @@
-"""Interface of a structure of velocity models; one line in the registry adds a structure everywhere."""
+"""Interface of a structure of velocity models; structures are listed in the registry."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class IdentificationConditions:
-    """Conditions of an identification, besides the training records.
+    """Conditions of an identification, in addition to the training records.
 
     Attributes
     ----------
     validation
-        Records held out, for tables; nothing is chosen by them.
+        Validation records, for tables; they are not used for decisions.
     yaw
         Sensor whose omega the model predicts.
     order
-        Order of the model, for structures that have a choice; None to choose it.
+        Order of the model, for structures without a fixed order; None to select it.
     wheel_radius
-        [m]; None where the log has no wheel speeds.
+        Wheel radius [m]; None if the log has no wheel speeds.
     """
 
     validation: Sequence[Record] = ()
@@ -43,7 +43,7 @@ class StructureFit(NamedTuple):
     identified: IdentifiedModel
     """The model."""
     orders: OrderChoice | None = None
-    """The orders that were compared, for structures that have a choice."""
+    """Comparison of orders; None for structures with a fixed order."""
 
 
 @dataclass(frozen=True)
@@ -53,17 +53,17 @@ class Structure:
     Attributes
     ----------
     name
-        By which files, options and messages call it.
+        Name in files, options and messages.
     file
-        Schema of its parameter file, from which the model is built.
+        Schema of the parameter file, which also builds the model.
     identify
-        From records to a model; it raises ValueError if they do not permit it.
+        Function that identifies the model from records; raises ValueError if they are unsuitable.
     needs_wheels
-        Whether it is identified from wheel speeds and a gyro.
+        Whether identification needs wheel speeds and a gyro.
     largest_order
-        The choice of order is 1 to this; None for structures without a choice.
+        Maximum order; None for structures with a fixed order.
     takes_effects
-        Whether `models.identification.effects` can identify the effects of a base around it.
+        Whether `models.identification.effects` supports base effects for the structure.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""A gain and a dead time for each input: those of SM, with the lag as further dead time."""
+"""Model with a gain and a dead time for each input, derived from SM: the lag of SM becomes dead time."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ FROM_SM = "; its lag is taken as dead time, and its gain is kept"
 
 
 def identify(records: Sequence[Record], conditions: IdentificationConditions) -> StructureFit:
-    """Identify, see `Structure.identify`."""
+    """Identify the structure two_delays; implements `Structure.identify`."""
     sm = identify_sm(records, yaw=conditions.yaw)
 
-    def collapsed(row: FloatArray) -> FloatArray:
+    def gains_and_delays(row: FloatArray) -> FloatArray:
         value = dict(zip(sm.parameters.names, row, strict=True))
-        numbers = []
+        results = []
         for channel in CHANNELS:
             poles = [value[f"{channel}.{name}"] for name in TwoPoles.model_fields]
-            numbers += [poles[0], value[f"{channel}.dead_time"] + TwoPoles.lag(poles)]
-        return np.array(numbers)
+            results += [poles[0], value[f"{channel}.dead_time"] + TwoPoles.lag(poles)]
+        return np.array(results)
 
     names = [f"{channel}.{name}" for channel in CHANNELS for name in ("gain", "dead_time")]
-    parameters = sm.parameters.derived(names, collapsed)
+    parameters = sm.parameters.derived(names, gains_and_delays)
     content = {
         "dead_time": {channel: rounded(parameters.value(f"{channel}.dead_time")) for channel in CHANNELS},
         "channels": {channel: {"gain": rounded(parameters.value(f"{channel}.gain"))} for channel in CHANNELS},

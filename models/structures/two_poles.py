@@ -1,4 +1,4 @@
-"""A transfer function with two poles and no zeros, as the estimator moves it."""
+"""Parametrisation of a transfer function with two poles and no zeros for the estimator."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from diffdrive_mpc.models.structures.model_file import TransferFunction, TwoPole
 
 @dataclass(frozen=True)
 class TwoPolesForm:
-    """gain / (1 + lag s + lag short s^2), a `ChannelForm`; the parameters are logarithms of these three.
+    """`ChannelForm` gain / (1 + lag s + lag short s^2) with the logarithms of gain, lag and short as parameters.
 
-    Poles may be complex, and one may be far faster than the other, without any parameter going to extremes.
+    Parameters stay moderate for complex poles, and if one pole is far faster than the other.
 
     Attributes
     ----------
     shortest
-        Least value of `short` [s], the product of both time constants over their sum, about the shorter one; that of
-        the settings by default.
+        Minimum of `short` [s], the product of both time constants over their sum, which approximates the shorter one;
+        by default from the settings.
     """
 
     shortest: float | None = None
@@ -35,19 +35,19 @@ class TwoPolesForm:
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """(3,) bounds from the settings."""
+        """Lower and upper bounds (3,) from the settings."""
         settings = estimator_settings()
         short = (self.shortest or settings.short[0], settings.short[1])
         ranges = np.log([settings.gain, settings.lag, short])
         return ranges[:, 0], ranges[:, 1]
 
     def values(self, parameters: AnyArray) -> AnyArray:
-        """Compute gain [-], natural frequency [rad/s] and damping [-] (3,) of `parameters` (3,)."""
+        """Compute gain [-], natural frequency [rad/s] and damping [-] (3,) from `parameters` (3,)."""
         gain, lag, short = np.exp(parameters)
         return np.array([gain, 1 / np.sqrt(lag * short), 0.5 * np.sqrt(lag / short)])
 
     def parameters(self, values: FloatArray) -> FloatArray:
-        """Invert `values`: (3,)."""
+        """Compute the parameters (3,) from gain, natural frequency and damping (3,); the inverse of `values`."""
         gain, natural_frequency, damping = values
         return np.log([gain, 2 * damping / natural_frequency, 0.5 / (damping * natural_frequency)])
 
@@ -56,13 +56,13 @@ class TwoPolesForm:
         return [self.parameters(np.array([gain, frequency, 1.0]))]
 
     def matrices(self, parameters: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
-        """Compute the realisation of `TwoPoles`."""
+        """Compute the matrices of the realisation of `TwoPoles`."""
         return self.file.realisation(self.values(parameters))
 
     def recentred(self, parameters: FloatArray) -> tuple[TwoPolesForm, FloatArray]:
-        """Return the form unchanged, since logarithms suit all values."""
+        """Return the form unchanged, as logarithms suit all values."""
         return self, parameters
 
 
 TWO_POLES = TwoPolesForm()
-"""With the bounds of the settings."""
+"""Form with the bounds of the settings."""

@@ -1,1 +1,1 @@
-"""The drivetrain of the simulated robot in C, and what builds and loads it."""
+"""Drivetrain of the simulated robot in C, with build and loading."""

@@ -17,7 +17,7 @@ from diffdrive_mpc.models.interface import FloatArray
 CORE = Path(__file__).parent
 """Folder of the C file and its header."""
 
-# No contraction and no tuning to the processor: the same seed must give the same bits everywhere.
+# No contraction and no tuning to the processor: results for a seed must be bitwise equal on all machines.
 _FLAGS = ("-ffp-contract=off",)
 _NAMES = ("twin", "velocity_plant")
 _STEP = "void mj_step(const void *model, void *data);"
@@ -30,7 +30,7 @@ def load_twin() -> tuple[cffi.FFI, Any]:
     Raises
     ------
     NotCompiledError
-        If the package brought no library, and none can be compiled.
+        If no packaged library can be loaded, and none can be compiled.
     """
     headers = "".join(_texts()[f"{name}.h"] for name in _NAMES)
     declarations = re.sub(r"^\s*#.*$", "", headers, flags=re.MULTILINE)
@@ -39,31 +39,31 @@ def load_twin() -> tuple[cffi.FFI, Any]:
 
 
 def write_packaged(folder: Path) -> list[Path]:
-    """Compile the drivetrain for the package in `folder`: library and manifest.
+    """Compile the drivetrain to a library in `folder`, and write the manifest.
 
     Raises
     ------
     NotCompiledError
-        If it cannot be compiled.
+        If the compilation fails.
     """
     return _packaged().write(_texts(), folder)
 
 
 def address(array: FloatArray) -> Any:  # noqa: ANN401 - cffi has no types
-    """Return the C address of an array's numbers; the array must live as long as C reads them."""
+    """Return the C address of an array's data; the array must outlive its use in C."""
     return load_twin()[0].cast("double *", array.ctypes.data)
 
 
 def view(numbers: Any) -> FloatArray:  # noqa: ANN401 - cffi has no types
-    """View an array field of a struct as an array, without a copy; the struct must live as long."""
+    """View an array field of a struct as an array, without a copy; the struct must outlive the view."""
     return np.frombuffer(load_twin()[0].buffer(numbers), dtype=float)
 
 
 @cache
 def physics_step() -> Any:  # noqa: ANN401 - cffi has no types
-    """Find `mj_step` for C in the library that MuJoCo's Python package has loaded; return None without success.
+    """Find the C function `mj_step` in the library of MuJoCo's Python package; return None on failure.
 
-    C then calls the physics without Python, ten times per control sample.
+    The drivetrain then calls the physics from C, ten times per control sample.
     """
     import mujoco  # noqa: PLC0415 - an optional dependency
 
@@ -73,7 +73,7 @@ def physics_step() -> Any:  # noqa: ANN401 - cffi has no types
     for path in sorted(Path(mujoco.__file__).parent.iterdir()):
         if re.fullmatch(rf"libmujoco\.(so\.)?{version}(\.dylib)?", path.name):
             try:
-                # The loader gives the library that is loaded already, not another copy.
+                # The loader returns the library that is already loaded, not a second copy.
                 library = ffi.dlopen(str(path))
                 return load_twin()[0].cast("void *", ffi.cast("uintptr_t", ffi.addressof(library, "mj_step")))
             except (OSError, AttributeError):

@@ -39,13 +39,13 @@ void twin_shape(twin_shaper *shaper, const double *command, double *set_points)
   int i;
   for (i = 0; i < 2; i++)
     shaper->state[i] = command[i] + shaper->decay[i] * (shaper->state[i] - command[i]);
-  /* The drivers take integers: a decaying command ends at exactly zero. */
+  /* Set-points are integers, so that a decaying command reaches exactly zero. */
   for (i = 0; i < 4; i++)
     set_points[i] =
         rint(shaper->to_pulses[2 * i] * shaper->state[0] + shaper->to_pulses[2 * i + 1] * shaper->state[1]) * shaper->pulse;
 }
 
-static double counted(const twin_observer *observer, int wheel, double angle)
+static double quantised_angle(const twin_observer *observer, int wheel, double angle)
 {
   return floor(angle / observer->pulse + observer->phase[wheel]) * observer->pulse;
 }
@@ -54,7 +54,7 @@ void twin_observe_rest(twin_observer *observer)
 {
   int i;
   for (i = 0; i < 4; i++) {
-    observer->angle[i] = counted(observer, i, 0.0);
+    observer->angle[i] = quantised_angle(observer, i, 0.0);
     observer->speed[i] = 0.0;
   }
 }
@@ -64,7 +64,7 @@ void twin_observe(twin_observer *observer, const double *angles)
   int i;
   for (i = 0; i < 4; i++) {
     const double predicted = observer->angle[i] + observer->step * observer->speed[i];
-    const double error = counted(observer, i, angles[i]) - predicted;
+    const double error = quantised_angle(observer, i, angles[i]) - predicted;
     observer->angle[i] = predicted + observer->angle_gain * error;
     observer->speed[i] = observer->speed[i] + observer->speed_gain * error;
   }
@@ -75,28 +75,28 @@ void twin_torque(twin_loops *loops, const double *set_points, const double *esti
   int i;
   for (i = 0; i < 4; i++) {
     const double error = set_points[i] - estimates[i];
-    /* At a zero set-point the driver brakes and clears its integrator: otherwise it would hunt for a fraction of a count. */
+    /* At a zero set-point the driver brakes and resets its integrator, to avoid a limit cycle within one count. */
     const int resting = set_points[i] == 0.0 && fabs(estimates[i]) < loops->rest_speed;
-    double wanted, duty, wanted_torque;
+    double requested, duty, requested_torque;
     if (resting)
       loops->sum[i] = 0.0;
-    wanted = set_points[i] / loops->no_load_speed + loops->proportional * error + loops->sum[i];
-    duty = resting ? 0.0 : wanted < -1.0 ? -1.0 : wanted > 1.0 ? 1.0 : wanted;
-    wanted_torque = loops->stall_torque[i] * (loops->supply * duty - speeds[i] / loops->no_load_speed);
-    torques[i] = wanted_torque < -loops->torque_limit  ? -loops->torque_limit
-                 : wanted_torque > loops->torque_limit ? loops->torque_limit
-                                                       : wanted_torque;
-    /* The integrators stand still while duty or current are at their limit. */
-    if (duty == wanted && torques[i] == wanted_torque)
+    requested = set_points[i] / loops->no_load_speed + loops->proportional * error + loops->sum[i];
+    duty = resting ? 0.0 : requested < -1.0 ? -1.0 : requested > 1.0 ? 1.0 : requested;
+    requested_torque = loops->stall_torque[i] * (loops->supply * duty - speeds[i] / loops->no_load_speed);
+    torques[i] = requested_torque < -loops->torque_limit  ? -loops->torque_limit
+                 : requested_torque > loops->torque_limit ? loops->torque_limit
+                                                          : requested_torque;
+    /* Anti-windup: integrators are frozen while duty or current is saturated. */
+    if (duty == requested && torques[i] == requested_torque)
       loops->sum[i] += loops->integral * error;
   }
 }
 
-static int within(const double *values, int count, double largest)
+static int within(const double *values, int count, double limit)
 {
   int i;
   for (i = 0; i < count; i++)
-    if (!(fabs(values[i]) < largest)) /* NaN is not */
+    if (!(fabs(values[i]) < limit)) /* also true for NaN */
       return 0;
   return 1;
 }
@@ -112,7 +112,7 @@ int twin_move(twin_chassis *chassis, const double *torques)
   if (!within(q, 11, chassis->largest) || !within(chassis->velocity, 10, chassis->largest))
     return TWIN_DIVERGED;
   w = q[3], x = q[4], y = q[5], z = q[6];
-  if (1.0 - 2.0 * (x * x + y * y) < chassis->least_upright)
+  if (1.0 - 2.0 * (x * x + y * y) < chassis->min_upright)
     return TWIN_TIPPED;
   yaw = atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z));
   chassis->yaw += remainder(yaw - chassis->yaw, TURN);
@@ -129,13 +129,13 @@ void twin_drive(twin *t, double start, double end, double *torques)
 
 int twin_step(twin *t, const double *torques)
 {
-  const int fate = twin_move(t->chassis, torques);
-  if (fate == TWIN_SOUND)
+  const int state = twin_move(t->chassis, torques);
+  if (state == TWIN_SOUND)
     twin_observe(t->observer, t->chassis->position + 7);
-  return fate;
+  return state;
 }
 
-static void note_motors(const twin_chassis *chassis, const double *torques, double *motors)
+static void store_motors(const twin_chassis *chassis, const double *torques, double *motors)
 {
   int i;
   for (i = 0; i < 4; i++) {
@@ -144,7 +144,7 @@ static void note_motors(const twin_chassis *chassis, const double *torques, doub
   }
 }
 
-static void note_pose(const twin_chassis *chassis, double *pose)
+static void store_pose(const twin_chassis *chassis, double *pose)
 {
   pose[0] = chassis->position[0];
   pose[1] = chassis->position[1];
@@ -154,15 +154,15 @@ static void note_pose(const twin_chassis *chassis, double *pose)
 int twin_advance(twin *t, int steps, const double *edges, double *poses)
 {
   double torques[4];
-  int k, fate;
-  note_pose(t->chassis, poses);
+  int k, state;
+  store_pose(t->chassis, poses);
   for (k = 0; k < steps; k++) {
     twin_drive(t, edges[k], edges[k + 1], torques);
-    fate = twin_step(t, torques);
-    if (fate != TWIN_SOUND)
-      return fate;
-    note_pose(t->chassis, poses + 3 * (k + 1));
-    note_motors(t->chassis, torques, t->motors + 8 * k);
+    state = twin_step(t, torques);
+    if (state != TWIN_SOUND)
+      return state;
+    store_pose(t->chassis, poses + 3 * (k + 1));
+    store_motors(t->chassis, torques, t->motors + 8 * k);
   }
   return TWIN_SOUND;
 }

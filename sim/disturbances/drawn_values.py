@@ -1,7 +1,4 @@
-"""Values in a YAML file that a seed draws: `[low, high]` for a range, `{one_of: [...]}` for a choice.
-
-A choice may be one of several ranges.
-"""
+"""Random values in YAML files: `[low, high]` for a range, `{one_of: [...]}` for a choice, also among ranges."""
 
 from __future__ import annotations
 
@@ -15,24 +12,22 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 _ONE_OF = "one_of"
 
 
-def drawn(data: object, stream: np.random.Generator) -> Any:  # noqa: ANN401 - plain YAML data, which a schema checks
-    """Replace every range (uniform) and choice in `data` by a value from `stream`, in the order of the file."""
-    return _replaced(
-        data, lambda ends: float(stream.uniform(ends[0], ends[1])), lambda size: int(stream.integers(size))
-    )
+def drawn(data: object, stream: np.random.Generator) -> Any:  # noqa: ANN401 - plain YAML data, checked by a schema
+    """Replace every range (uniform) and choice in `data` by a value drawn from `stream`, in the order of the file."""
+    return _replace(data, lambda ends: float(stream.uniform(ends[0], ends[1])), lambda size: int(stream.integers(size)))
 
 
 def extremes(data: object) -> list[Any]:
     """Return copies of `data` that together contain both ends of every range and every value of every choice.
 
-    A schema whose limits are intervals accepts every draw from `data` if it accepts these.
+    A schema whose limits are intervals accepts all draws from `data` if it accepts these copies.
     """
-    longest = max((len(node[_ONE_OF]) for _, node in _random(data) if isinstance(node, Mapping)), default=1)
+    max_choices = max((len(node[_ONE_OF]) for _, node in _random(data) if isinstance(node, Mapping)), default=1)
 
     def copy(i: int) -> Any:  # noqa: ANN401 - as above
-        return _replaced(data, lambda ends: ends[i % 2], lambda size: i // 2 % size)
+        return _replace(data, lambda ends: ends[i % 2], lambda size: i // 2 % size)
 
-    return [copy(i) for i in range(2 * longest)]
+    return [copy(i) for i in range(2 * max_choices)]
 
 
 def check_drawn(data: object, where: str) -> None:
@@ -50,26 +45,26 @@ def check_drawn(data: object, where: str) -> None:
             raise ConfigError(f"{where}: {place}: one_of takes a list of at least one value (found {node[_ONE_OF]!r})")
 
 
-def _replaced(data: object, from_range: Callable[[list[float]], float], from_choice: Callable[[int], int]) -> Any:  # noqa: ANN401
+def _replace(data: object, from_range: Callable[[list[float]], float], from_choice: Callable[[int], int]) -> Any:  # noqa: ANN401
     if _is_range(data):
         return from_range(data)  # type: ignore[arg-type]
     if _is_choice(data):
         values = data[_ONE_OF]  # type: ignore[index]
-        return _replaced(values[from_choice(len(values))], from_range, from_choice)
+        return _replace(values[from_choice(len(values))], from_range, from_choice)
     if isinstance(data, Mapping):
-        return {key: _replaced(value, from_range, from_choice) for key, value in data.items()}
+        return {key: _replace(value, from_range, from_choice) for key, value in data.items()}
     if isinstance(data, list):
-        return [_replaced(value, from_range, from_choice) for value in data]
+        return [_replace(value, from_range, from_choice) for value in data]
     return data
 
 
 def _random(data: object, place: str = "") -> Iterator[tuple[str, Any]]:
-    """Place and node of every range and choice."""
+    """Yield place and node of every range and choice."""
     if _is_range(data) or _is_choice(data):
         yield place, data
     inner = data.items() if isinstance(data, Mapping) else enumerate(data) if isinstance(data, list) else ()
     for key, value in inner:
-        # The list of a choice is no range, but may contain ranges.
+        # The list of a choice is not a range itself, but may contain ranges.
         if key == _ONE_OF and isinstance(value, list):
             for i, item in enumerate(value):
                 yield from _random(item, f"{place}.{key}.{i}")

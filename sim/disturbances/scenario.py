@@ -1,4 +1,4 @@
-"""Scenarios: named disturbances with values drawn from the seed of the run."""
+"""Scenarios: named sets of disturbances, with values drawn from the seed of the run."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ SCENARIOS = EntryFile("scenario", Path(__file__).with_name("scenarios.yaml"))
 _SENSOR_FAULTS = ("drop_outs", "stuck_sensors", "dead_encoders", "gyro_biases", "pose_errors")
 _ANY_PLANT = ("start_offset", "false_commands", *_SENSOR_FAULTS)
 
-# Spawn keys of sensors and encoders are 0, 1, 2 and 1000: a scenario changes no noise. Of the keys beyond, this one
-# gives the seeds 0 to 3 all four signs of the shipped start offset, and both of false command and push.
+# Sensors and encoders use the spawn keys 0, 1, 2 and 1000, so that a scenario does not change the noise. With this key,
+# seeds 0 to 3 draw all four sign combinations of the start offset, and both signs of false command and push.
 _SPAWN_KEY = 2_080
 
 
 class Scenario(StrictModel):
-    """All disturbances of one run, as numbers."""
+    """All disturbances of one run, with drawn values."""
 
-    description: str = Field(min_length=1, description="what happens, in one line")
+    description: str = Field(min_length=1, description="description in one line")
     start_offset: StartOffset | None = None
     patches: tuple[Patch, ...] = ()
     payload: Payload | None = None
@@ -65,17 +65,17 @@ class Scenario(StrictModel):
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """Names of the fields that hold a disturbance."""
+        """Names of the fields with a disturbance."""
         return tuple(name for name in type(self).model_fields if name != "description" and getattr(self, name))
 
     @property
     def physical(self) -> tuple[str, ...]:
-        """Those of `kinds` that need mass, wheels and motors; the others suit any plant."""
+        """Names in `kinds` of disturbances that need mass, wheels and motors; the others suit any plant."""
         return tuple(name for name in self.kinds if name not in _ANY_PLANT)
 
     @property
     def spans(self) -> tuple[Span, ...]:
-        """Begin and end of every disturbance whose times are known beforehand: all but the patches."""
+        """Start and end [s] of every disturbance except patches, whose times depend on the motion."""
         timed: Iterable[Window | BatterySag] = (
             *self.weak_motors,
             *self.slipping_wheels,
@@ -95,27 +95,27 @@ class Scenario(StrictModel):
 
 @dataclass(frozen=True)
 class ScenarioFile:
-    """Checked scenario before the draw, with its ranges and choices.
+    """Checked scenario with ranges and choices, before the draw.
 
     Attributes
     ----------
     data
         Values by key.
     where
-        File, and entry of a shipped scenario, for messages.
+        File, or entry of a shipped scenario, for messages.
     """
 
     data: Any
     where: str
 
     def draw(self, seed: int) -> Scenario:
-        """Draw the scenario of the run with `seed` (not negative); it is always the same for the same seed."""
+        """Draw the scenario of the run with `seed` (not negative); the result depends on the seed only."""
         stream = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_SPAWN_KEY,)))
         return check(Scenario, drawn(self.data, stream), self.where)
 
 
-def beside(scenario: Scenario, second: Scenario) -> Scenario:
-    """Combine both scenarios; of a kind that can occur only once, that of `scenario` takes precedence."""
+def combine(scenario: Scenario, second: Scenario) -> Scenario:
+    """Combine both scenarios; for kinds that can occur only once, `scenario` takes precedence."""
     joined = {
         name: value + getattr(scenario, name) if isinstance(value, tuple) else getattr(scenario, name) or value
         for name in second.kinds
@@ -125,12 +125,12 @@ def beside(scenario: Scenario, second: Scenario) -> Scenario:
 
 
 def load_scenario(name: str | Path) -> ScenarioFile:
-    """Read a scenario by shipped name or path.
+    """Read a scenario given by shipped name or path.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If there is no such scenario, its file has a mistake, or a value out of range could be drawn from it.
+        If there is no such scenario, its file is invalid, or a draw could be out of range.
     """
     data, where = SCENARIOS.read(name)
     check_drawn(data, where)

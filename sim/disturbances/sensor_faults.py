@@ -1,4 +1,4 @@
-"""Faulty sensors: faults of measurements, without effect on the robot itself."""
+"""Faults of sensors, which change measurements but not the motion of the robot."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from diffdrive_mpc.sim.disturbances.disturbance_types import Wheel
 from diffdrive_mpc.sim.disturbances.scenario import Scenario
 
 _FIELDS = {"pose": ("pose",), "wheels": ("wheel_twist", "wheel_speeds"), "gyro": ("yaw_rate",)}
-"""Fields of a measurement by the sensor that fills them."""
+"""Fields of a measurement by sensor."""
 
 
 class SensorFaults:
-    """The sensor faults of a scenario: first what is wrong with a value, then whether it is an old or no value.
+    """Sensor faults of a scenario: value errors are applied first, then stuck and missing readings.
 
-    Times are those at which a measurement is delivered.
+    Faults act by the time of delivery of a measurement.
 
     Parameters
     ----------
     scenario
         Faults of the sensors with their times.
     kinematics
-        By which wheel speeds became the twist of a measurement.
+        Kinematics that convert wheel speeds to the twist of a measurement.
     """
 
     def __init__(self, scenario: Scenario, kinematics: WheelKinematics) -> None:
@@ -45,8 +45,8 @@ class SensorFaults:
         for error in scenario.pose_errors:
             if error.holds(time) and measurement.pose is not None:
                 rates = np.array([error.x_rate, error.y_rate, error.heading_rate])
-                off = np.array([error.x, error.y, error.heading]) + (time - error.start) * rates
-                measurement = replace(measurement, pose=_moved(measurement.pose, off))
+                offset = np.array([error.x, error.y, error.heading]) + (time - error.start) * rates
+                measurement = replace(measurement, pose=_shift(measurement.pose, offset))
         for biased in scenario.gyro_biases:
             if biased.holds(time) and measurement.yaw_rate is not None:
                 rate = np.float64(measurement.yaw_rate.value) + biased.bias  # type: ignore[arg-type]
@@ -70,11 +70,13 @@ class SensorFaults:
             if stuck_sensor.holds(time)
             for field in _FIELDS[stuck_sensor.sensor]
         }
-        lost = {field for drop_out in scenario.drop_outs if drop_out.holds(time) for field in _FIELDS[drop_out.sensor]}
+        missing = {
+            field for drop_out in scenario.drop_outs if drop_out.holds(time) for field in _FIELDS[drop_out.sensor]
+        }
         changes: dict[str, Any] = {}
         for field in itertools.chain.from_iterable(_FIELDS.values()):
             stamped: Stamped | None = getattr(measurement, field)
-            if field in lost or stamped is None:
+            if field in missing or stamped is None:
                 changes[field] = None
             elif field in stuck and field in self._last:
                 changes[field] = replace(stamped, value=self._last[field])
@@ -83,8 +85,8 @@ class SensorFaults:
         return replace(measurement, **changes)
 
 
-def _moved(pose: Stamped, off: FloatArray) -> Stamped:
-    """Shift a pose by x [m], y [m], theta [rad], with its heading in (-pi, pi]."""
-    value = np.asarray(pose.value, dtype=float) + off
+def _shift(pose: Stamped, offset: FloatArray) -> Stamped:
+    """Shift a pose by `offset` (3,) x [m], y [m], theta [rad]; wrap its heading into (-pi, pi]."""
+    value = np.asarray(pose.value, dtype=float) + offset
     value[2] = -wrap_angle(-value[2])
     return replace(pose, value=value)

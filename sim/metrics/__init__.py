@@ -1,1 +1,1 @@
-"""Metrics of a run: errors of the true pose along and across the path, and recovery."""
+"""Metrics of a run: tracking errors of the true pose, and recovery."""

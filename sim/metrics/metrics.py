@@ -1,7 +1,7 @@
 """Statistics of a closed-loop run.
 
 The position and heading statistics are those of Guffanti et al., Sensors 2025, 25(11), 3553, Table 2. The band follows
-Guffanti et al. 2026 (PMC12845739). They cover t = 0 to the end of the reference, with no settling time added.
+Guffanti et al. 2026 (PMC12845739). They cover t = 0 to the end of the reference, without additional settling time.
 """
 
 from __future__ import annotations
@@ -19,34 +19,34 @@ from diffdrive_mpc.models.table import TextTable, number
 from diffdrive_mpc.sim.metrics.tracking_errors import TrackingErrors, metric_settings
 
 TIME_TOLERANCE = 1e-9
-"""Two instants closer than this [s] are the same tick: sums of sample times do not meet the duration exactly."""
+"""Tolerance of tick times [s]: sums of sample times do not equal the duration exactly."""
 FALLBACK_MODES = frozenset({"REUSED_PLAN", "BRAKING", "STOPPED"})
-"""Modes in which a controller did without a fresh plan."""
+"""Modes in which a controller has no new plan."""
 GIVEN_UP_MODES = frozenset({"BRAKING", "STOPPED"})
 """Modes in which a controller no longer tracks."""
 
-# Behind a slower reference [m/s] an error of millimetres would be seconds.
+# Minimum reference speed for the delay [m/s]; at lower speeds millimetres of error would be seconds.
 _MOVING = 0.1
-# Field of `Metrics`, factor and decimals of a cell, and name of its row.
-_SHOWN = (
+# Field of `Metrics`, unit, factor and decimals of a cell, and name of its row.
+_ROWS = (
     ("position", "m", 1.0, 4, "position [m]"),
     ("heading", "rad", 1.0, 4, "heading [rad]"),
     ("course", "rad", 1.0, 4, "course [rad]"),
     ("lateral", "m", 1.0, 4, "|lateral| [m]"),
     ("step_time", "s", 1e3, 2, "step time [ms]"),
-    ("solve_time", "s", 1e3, 2, "of it the solve [ms]"),
+    ("solve_time", "s", 1e3, 2, "solve time [ms]"),
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Metrics:
-    """Statistics of one run; the field names are those of `bench.json`, units in their endings. They print as a table.
+    """Statistics of one run, under the names in `bench.json`, with unit suffixes; `str` formats them as a table.
 
-    `heading_*` other than the RMSE are of the absolute error. A value that cannot be computed (the robot never moved,
-    a pose was not finite, nothing was solved) is NaN. Times and iterations are those of the
-    ticks that have one. `stopped` says whether the controller braked or stood after it had begun to drive: a false stop
-    where every sensor was honest. `behind_max_s` is the largest time by which the robot was behind its moving
-    reference: the distance along the reference's heading over its speed.
+    `heading_*` other than the RMSE are statistics of the absolute error. A value that cannot be computed (the robot
+    never moved, a pose was not finite, no problem was solved) is NaN. Times and iterations cover the ticks that have
+    them. `stopped` is True if the controller braked or stopped after it had started to drive, which is a false stop if
+    no sensor was faulty. `behind_max_s` is the maximum delay of the robot relative to its moving reference: the
+    distance along the reference's heading over the reference's speed.
     """
 
     steps: int
@@ -81,13 +81,13 @@ class Metrics:
     behind_max_s: float = math.nan
 
     def __str__(self) -> str:
-        """Format a table: a row per error, a column per statistic, "-" for missing values."""
+        """Format a table with a row for each quantity and a column for each statistic; "-" for missing values."""
         names, values = ("rmse", "mean", "std", "p50", "p95", "p99", "max"), asdict(self)
         values["lateral_mean_m"] = self.lateral_mae_m
         rows = []
-        for quantity, unit, scale, digits, shown in _SHOWN:
+        for quantity, unit, scale, digits, title in _ROWS:
             cells = [values.get(f"{quantity}_{name}_{unit}", math.nan) for name in names]
-            rows.append((shown, *(number(scale * cell, digits) for cell in cells)))
+            rows.append((title, *(number(scale * cell, digits) for cell in cells)))
         note = (
             f"{self.steps} steps, {'completed' if self.completed else 'not completed'}; in the band "
             f"{self.in_band_percent:.1f} %; deadlines missed {self.deadline_misses}, fall-backs {self.fallbacks}"
@@ -110,7 +110,7 @@ class ScoredRun(Protocol):
 
     @property
     def time(self) -> FloatArray:
-        """(n,) [s]."""
+        """(n,) times of the ticks [s]."""
         ...
 
     @property
@@ -140,17 +140,17 @@ class ScoredRun(Protocol):
 
     @property
     def step_time(self) -> FloatArray:
-        """(n,) [s]."""
+        """(n,) durations of the controller's step [s]."""
         ...
 
     @property
     def solve_time(self) -> FloatArray:
-        """(n,) of that stating and solving the problem [s]; NaN where nothing was solved."""
+        """(n,) part of `step_time` for formulating and solving the problem [s]; NaN if no problem was solved."""
         ...
 
     @property
     def solver_iterations(self) -> FloatArray:
-        """(n,) iterations of the solver; NaN where there was none."""
+        """(n,) iterations of the solver; NaN if no problem was solved."""
         ...
 
     @property
@@ -160,12 +160,12 @@ class ScoredRun(Protocol):
 
     @property
     def ended(self) -> str:
-        """Reason for an early end of the run; empty without one."""
+        """Reason for an early end of the run; empty if it did not end early."""
         ...
 
     @property
     def counted(self) -> NDArray[np.bool_]:
-        """(n,) True for the ticks that the statistics cover."""
+        """(n,) mask of the ticks that the statistics cover."""
         ...
 
     @property
@@ -175,7 +175,7 @@ class ScoredRun(Protocol):
 
 
 def compute_metrics(run: ScoredRun) -> Metrics:
-    """Compute statistics of `run` from t = 0 to the end of its reference, or to the end of an aborted drive."""
+    """Compute the statistics of `run` from t = 0 to the end of its reference, or to its early end."""
     counted = run.counted
     position = run.errors.position[counted]
     heading = np.abs(run.errors.heading[counted])
@@ -207,7 +207,7 @@ def compute_metrics(run: ScoredRun) -> Metrics:
         deadline_misses=int(np.count_nonzero(step_time > run.sample_time)),
         fallbacks=sum(mode in FALLBACK_MODES for mode, used in zip(run.modes, counted, strict=True) if used),
         stopped=_stopped(run),
-        behind_max_s=_behind(run, counted),
+        behind_max_s=_max_delay(run, counted),
     )
 
 
@@ -223,24 +223,24 @@ def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(values)))) if values.size else float("nan")
 
 
-def _behind(run: ScoredRun, counted: NDArray[np.bool_]) -> float:
+def _max_delay(run: ScoredRun, counted: NDArray[np.bool_]) -> float:
     speed = run.reference_twist[:, 0]
     moving = counted & (speed > _MOVING)
     if not moving.any():
         return math.nan
-    away = run.reference_pose[moving] - run.true_pose[moving]
+    offset = run.reference_pose[moving] - run.true_pose[moving]
     heading = run.reference_pose[moving, 2]
-    along = np.cos(heading) * away[:, 0] + np.sin(heading) * away[:, 1]
+    along = np.cos(heading) * offset[:, 0] + np.sin(heading) * offset[:, 1]
     return max(0.0, float(np.max(along / speed[moving])))
 
 
 def _stopped(run: ScoredRun) -> bool:
-    began = run.modes.index("TRACKING") if "TRACKING" in run.modes else len(run.modes)
-    return not GIVEN_UP_MODES.isdisjoint(run.modes[began:])
+    start = run.modes.index("TRACKING") if "TRACKING" in run.modes else len(run.modes)
+    return not GIVEN_UP_MODES.isdisjoint(run.modes[start:])
 
 
 def _completed(run: ScoredRun) -> bool:
-    """Return True if the run reached the end of its reference while tracking and near it, with finite numbers only."""
+    """Return True if the run tracked its reference to the end, ended near it, and has only finite values."""
     last = int(np.flatnonzero(run.counted)[-1])
     return bool(
         not run.ended

@@ -1,7 +1,7 @@
 """Recovery of a run after a disturbance: return to the path, and control effort.
 
-Every error is that of the true pose, so it carries no measurement noise; the lateral band separates ordinary tracking
-errors of a few millimetres (Guffanti et al. 2026, PMC12845739): only errors beyond the band are an excursion.
+Errors are those of the true pose, without measurement noise. Only errors outside the lateral band are an excursion; the
+band contains normal tracking errors of a few millimetres (Guffanti et al. 2026, PMC12845739).
 """
 
 from __future__ import annotations
@@ -18,28 +18,28 @@ from diffdrive_mpc.models.table import TextTable
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """Figures of one run; the field names are those of `bench.json`, units in their endings.
+    """Recovery metrics of one run, under the names in `bench.json`, with unit suffixes.
 
     Attributes
     ----------
     recovery_time_s
-        From the end of the disturbance to the first tick from which |lateral| stays inside the band to the end of the
-        reference. 0 where it never leaves the band after that end; infinity where the reference ends with the robot
-        outside, or the run before the reference. NaN without a disturbance that ends, or where the lateral error is
-        not finite.
+        Time from the end of the disturbance to the first tick after which |lateral| stays inside the band until the end
+        of the reference. 0 if the robot does not leave the band after the disturbance; infinity if the robot is outside
+        at the end of the reference, or the run ends early. NaN if no disturbance ends, or if the lateral error is not
+        finite.
     overshoot_m
-        Largest distance from the path on the other side than the excursion, from when both the excursion and the
-        disturbance have been. The excursion is the last tick outside the band between begin and end of the
-        disturbance, or else the first one after that; of a disturbance that lasts, the first one since its begin.
-        0 without excursion, or where the robot never gets to the other side; NaN without a disturbance, or where the
-        lateral error is not finite. Ordinary tracking errors on the other side are part of it.
+        Maximum distance from the path on the side opposite to the excursion, after both excursion and disturbance. The
+        excursion is the last tick outside the band during the disturbance, or else the first such tick after it; for a
+        disturbance without end, the first such tick after its start. 0 if there is no excursion or the robot does not
+        cross the path; NaN if there is no disturbance, or if the lateral error is not finite. Normal tracking errors on
+        the opposite side are included.
     lateral_max_m
-        Largest |lateral| of the run.
+        Maximum |lateral| of the run.
     command_energy_v, command_energy_omega
         Integral of the squared command over the counted ticks, each held for one sample [m^2/s], [rad^2/s].
     command_rate_v, command_rate_omega
-        Root mean square of the command's change from tick to tick over the sample time [m/s^2], [rad/s^2]; NaN for a
-        run of one tick.
+        Root mean square of the command's change between ticks over the sample time [m/s^2], [rad/s^2]; NaN for a run of
+        one tick.
     """
 
     recovery_time_s: float
@@ -51,7 +51,7 @@ class Recovery:
     command_rate_omega: float
 
     def __str__(self) -> str:
-        """Format a table: "-" for missing values, "inf" if the robot did not return."""
+        """Format a table; "-" for missing values, "inf" if the robot did not return."""
         rows = (
             ("recovery time [s]", self.recovery_time_s),
             ("overshoot [m]", self.overshoot_m),
@@ -80,7 +80,7 @@ def compute_recovery(
     Parameters
     ----------
     time
-        (n,) instants [s].
+        (n,) times of the ticks [s].
     lateral
         (n,) signed distance from the path [m].
     command
@@ -88,12 +88,12 @@ def compute_recovery(
     sample_time
         Time for which each command is held [s].
     disturbance
-        Start of the first disturbance, and end of the last one that ends [s], infinity where all of them last to the
-        end of the run; None without one.
+        Start of the first disturbance, and end of the last one that ends [s], infinity if none of them ends; None if
+        there is no disturbance.
     band
         Half width of the lateral band [m].
     lost
-        Whether the run ended before its time.
+        Whether the run ended early.
     """
     recovery_time = overshoot = math.nan
     if disturbance is not None and np.isfinite(lateral).all():
@@ -108,11 +108,11 @@ def compute_recovery(
 
 
 def _recovery_time(time: FloatArray, outside: NDArray[np.bool_], end: float) -> float:
-    late = np.flatnonzero(outside & (time >= end))
-    if not late.size:
+    rows = np.flatnonzero(outside & (time >= end))
+    if not rows.size:
         return 0.0
-    back = int(late[-1]) + 1
-    return float(time[back] - end) if back < len(time) else math.inf
+    recovered = int(rows[-1]) + 1
+    return float(time[recovered] - end) if recovered < len(time) else math.inf
 
 
 def _overshoot(time: FloatArray, lateral: FloatArray, outside: NDArray[np.bool_], start: float, end: float) -> float:
@@ -121,7 +121,7 @@ def _overshoot(time: FloatArray, lateral: FloatArray, outside: NDArray[np.bool_]
     if not during.size and not after.size:
         return 0.0
     excursion = int(during[-1]) if during.size else int(after[0])
-    beyond = -np.sign(lateral[excursion]) * lateral
-    # There is no overshoot before the path is crossed, so the crossing need not be searched.
-    counted = beyond[(np.arange(len(time)) > excursion) & (time >= end)]
+    opposite = -np.sign(lateral[excursion]) * lateral
+    # Values are negative until the robot crosses the path, so the crossing need not be found.
+    counted = opposite[(np.arange(len(time)) > excursion) & (time >= end)]
     return float(max(0.0, np.max(counted, initial=0.0)))

@@ -1,4 +1,4 @@
-"""Tracking errors over time, all of the true pose against the reference, and the thresholds of the metrics."""
+"""Tracking errors of the true pose relative to the reference over time, and thresholds of the metrics."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from diffdrive_mpc.sim.metrics.path_projection import path_polyline
 
 
 class MetricSettings(StrictModel):
-    """Thresholds that turn error series into statistics."""
+    """Thresholds of the statistics of error series."""
 
     band: Positive = Field(description="lateral band [m]")
-    moving_speed: Positive = Field(description="least speed at which a course error is taken [m/s]")
-    end_error: Positive = Field(description="largest distance from the end of a completed run [m]")
-    path_window: Positive = Field(description="arc length searched on both sides of the reference [m]")
+    moving_speed: Positive = Field(description="minimum speed at which the course error is computed [m/s]")
+    end_error: Positive = Field(description="maximum distance of a completed run from the end of the reference [m]")
+    path_window: Positive = Field(description="arc length searched before and after the reference [m]")
     path_spacing: Positive = Field(description="spacing of the path's polyline [m]")
     settled_arc: Positive = Field(description="time of constant twist after which an arc counts as steady [s]")
 
 
 @cache
 def metric_settings() -> MetricSettings:
-    """Read the shipped thresholds; raises ConfigError when the file has a mistake."""
+    """Read the shipped thresholds; raise ConfigError if the file is invalid."""
     return load_checked(MetricSettings, Path(__file__).parent / "metrics.yaml")
 
 
@@ -44,8 +44,8 @@ class TrackingErrors(ReadOnlyArrays):
     heading
         (n,) true minus reference heading at the same time, wrapped [rad].
     course
-        (n,) direction of travel, side-slip included, minus the path's tangent where the reference is at the same time
-        (not where the robot is nearest to the path), wrapped [rad]; NaN where the robot or the reference stands.
+        (n,) direction of travel, side-slip included, minus the tangent of the path at the reference of the same time
+        (not at the nearest path point), wrapped [rad]; NaN if the robot or the reference is at rest.
     lateral
         (n,) signed distance from the path, positive to its left [m].
     """
@@ -64,9 +64,9 @@ def tracking_errors(
     Parameters
     ----------
     reference
-        The trajectory, of which the path is taken.
+        The trajectory that defines the path.
     expected
-        The reference at the n ticks.
+        Samples of the reference at the n ticks.
     true_pose
         (n, 3) x [m], y [m], theta [rad] at the ticks.
     true_twist

@@ -13,11 +13,11 @@ from diffdrive_mpc.models.checked_yaml import StrictModel
 from diffdrive_mpc.models.interface import FloatArray
 
 _HOLD = 0.005
-"""A ramp is made of levels that are held no longer than this [s]."""
+"""Maximum hold time of the levels that approximate a ramp [s]."""
 
 
 class BaseCommands(StrictModel):
-    """Effects of a base on the way in, as `models.base_effects` has them; one left out is not there."""
+    """Effects of a base on its commands, as in `models.base_effects`; None for absent effects."""
 
     twist_range: TwistRange | None = Field(default=None, description="speed limits inside the base")
     twist_slew: TwistSlew | None = Field(default=None, description="acceleration limits inside the base")
@@ -25,14 +25,14 @@ class BaseCommands(StrictModel):
 
 
 class CommandShaping:
-    """Follows commands as the base does. A dead time may come before or after it: neither depends on the clock.
+    """Shaping of commands by a base. It is time-invariant, so a dead time may be applied before or after it.
 
     Parameters
     ----------
     base
         The effects.
     sample_time
-        For which a command holds [s].
+        Time for which a command is held [s].
     """
 
     def __init__(self, base: BaseCommands, sample_time: float) -> None:
@@ -43,11 +43,11 @@ class CommandShaping:
         self.reset()
 
     def reset(self) -> None:
-        """Zero command since ever."""
+        """Reset to the steady state for a zero command."""
         self._reached = np.zeros(2)
 
     def levels(self, time: float, command: FloatArray) -> Iterator[tuple[float, FloatArray]]:
-        """Yield start times [s] and twists (2,) of the motor set-points, for a command (2,) from `time` on."""
+        """Yield start times [s] and twists (2,) of the motor set-points for a command (2,) that starts at `time`."""
         slew, wheels = self._base.twist_slew, self._base.wheel_command
         if self._base.twist_range is not None:
             command = self._base.twist_range.apply(command)

@@ -1,4 +1,4 @@
-"""The chassis in MuJoCo: a rigid body on four wheels that roll and skid on a flat floor."""
+"""Chassis in MuJoCo: a rigid body on four wheels that roll and skid on a flat surface."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from diffdrive_mpc.sim.plants.plug_ins import Scene
 from diffdrive_mpc.sim.plants.twin_parameters import TwinParameters, Tyre
 
 _TIPPED = math.pi / 4
-"""Tilt from which a robot with its wheels below its body cannot recover [rad]."""
+"""Tilt above which a robot has tipped over [rad]."""
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 _SETTLING_TIME = 1.0
 _CASTOR = 0.01
-"""Friction of a castor over that of a wheel [-]: what its swivel and bearing leave of it; assumed."""
+"""Friction of a castor, with swivel and bearing, over that of a wheel [-]; assumed."""
 _CAPSULE = 1e-4
-"""Half the length of a wheel that is a capsule [m]: its two contact points are as good as one."""
+"""Half length of a capsule wheel [m], so short that its two contact points act as one."""
 
 
 class Chassis:
-    """Free body, four hinged wheels, one contact point per wheel.
+    """Free body with four hinged wheels and one contact point per wheel.
 
-    The wheels are spheres to the contact solver: one smooth contact point each, midway across the tyre. Where friction
-    across the rolling direction is another one than along it, they are very short capsules along the axle: MuJoCo
-    turns the contact frame of a sphere with the floor, that of a capsule with the capsule.
+    The contact geometry of a wheel is a sphere, with one smooth contact point in the middle of the tyre. If friction
+    across the rolling direction differs from that along it, wheels are very short capsules along the axle: the contact
+    frame of a sphere is aligned with the surface, that of a capsule with the capsule.
 
     Parameters
     ----------
@@ -45,11 +45,11 @@ class Chassis:
     payload
         A load on the body.
     slope
-        Tilt of the floor; positions and headings stay those in its plane.
+        Tilt of the surface; positions and headings are in its plane.
     sideways
-        Sliding friction across the rolling direction over that along it.
+        Ratio of sliding friction across the rolling direction to friction along it.
     scene
-        Geometry around the robot; by default the robot touches only the surface.
+        Geometry around the robot; by default there is only the surface.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class Chassis:
     ) -> None:
         import mujoco  # noqa: PLC0415 - an optional dependency, needed by this plant only
 
-        # MuJoCo would write a log file into the working directory; divergence is detected and reported in `step`.
+        # Prevent MuJoCo's log file in the working directory; `step` detects and reports divergence.
         mujoco.set_mju_user_warning(_ignore)
         self._forward = mujoco.mj_forward
         self._restart = mujoco.mj_resetData
@@ -73,8 +73,8 @@ class Chassis:
         xml = _mjcf(robot, twin, step, payload, sideways != 1.0, scene)
         self._model: Any = mujoco.MjModel.from_xml_string(xml)
         self._data: Any = mujoco.MjData(self._model)
-        # MuJoCo needs some friction; so little holds nothing.
-        self._hold = np.array([1.0, 1.0, _CASTOR, _CASTOR]) if twin.chassis.castors else np.ones(4)
+        # MuJoCo requires positive friction; that of castors is negligible.
+        self._friction_scale = np.array([1.0, 1.0, _CASTOR, _CASTOR]) if twin.chassis.castors else np.ones(4)
         self._sideways = sideways
         self.set_friction(np.full(4, friction))
         self._position, self._velocity = self._data.qpos, self._data.qvel
@@ -88,7 +88,7 @@ class Chassis:
                 "velocity": address(self._velocity),
                 "torque": address(self._data.qfrc_applied[6:10]),
                 "largest": mujoco.mjMAXVAL,
-                "least_upright": math.cos(_TIPPED),
+                "min_upright": math.cos(_TIPPED),
             },
         )
         self._step = _step_in_c(self._model, self._data, scene)
@@ -98,12 +98,12 @@ class Chassis:
         mujoco.mj_step(self._model, self._data, nstep=round(_SETTLING_TIME / step))
         self._resting_height = float(self._position[2])
         if slope is not None:
-            # Only now: while it settles, the robot has no motors to hold it.
+            # Tilt after settling, as no motors hold the robot while it settles.
             self._model.opt.gravity[:] = _tilted(self._model.opt.gravity, slope)
         self.reset(np.zeros(3))
 
     def reset(self, pose: ArrayLike) -> None:
-        """Put the body at rest at `pose` (3,), settled on its wheels."""
+        """Reset the body to rest at `pose` (3,), settled on its wheels."""
         x, y, theta = np.asarray(pose, dtype=float)
         self._restart(self._model, self._data)
         self._position[:7] = [x, y, self._resting_height, math.cos(theta / 2), 0.0, 0.0, math.sin(theta / 2)]
@@ -119,33 +119,33 @@ class Chassis:
         Raises
         ------
         sim.plants.plant.RobotLostError
-            If the robot has tipped over, or a position or speed is not finite or beyond what MuJoCo computes with.
+            If the robot has tipped over, or a position or speed is not finite or exceeds MuJoCo's range.
         """
         applied = np.array(torques, dtype=float)
         self.check(self._lib.twin_move(self.c, address(applied)))
 
-    def check(self, fate: int) -> None:
-        """Raise RobotLostError if a step in C reports a lost robot."""
-        if fate == self._lib.TWIN_DIVERGED:
+    def check(self, state: int) -> None:
+        """Raise RobotLostError if `state`, the result of a step in C, is that of a lost robot."""
+        if state == self._lib.TWIN_DIVERGED:
             raise RobotLostError(f"{self._now}: the simulation diverged; lower the forces of the scenario")
-        if fate == self._lib.TWIN_TIPPED:
-            # On its side it has no heading, and the floor meets wheels only.
+        if state == self._lib.TWIN_TIPPED:
+            # The heading of a tipped robot is undefined, and only wheels collide with the surface.
             remedy = "lower the force, height or payload of the scenario"
             raise RobotLostError(f"{self._now}: the robot has tipped over; {remedy}")
 
     def set_friction(self, friction: FloatArray) -> None:
-        """Change the sliding friction coefficient under each wheel (4,), along its rolling; it outlasts a reset."""
-        self._model.pair_friction[:, 0] = self._sideways * friction * self._hold
-        self._model.pair_friction[:, 1] = friction * self._hold
+        """Set the sliding friction coefficients of the wheels (4,) in rolling direction; a reset keeps them."""
+        self._model.pair_friction[:, 0] = self._sideways * friction * self._friction_scale
+        self._model.pair_friction[:, 1] = friction * self._friction_scale
 
     def release(self) -> None:
         """End all pushes."""
         self._data.xfrc_applied[1] = 0.0
 
     def push(self, forward: float, left: float, yaw_torque: float, height: float) -> None:
-        """Push the body from now on, in addition to other pushes: forces [N] in its own directions and a torque [N m].
+        """Add a push to the body until `release`: forces [N] in the body frame, and a torque [N m].
 
-        The forces meet the vertical through its centre of mass at `height` above the floor [m].
+        The forces act on the vertical through the centre of mass at `height` above the surface [m].
         """
         c, s = math.cos(self.c.yaw), math.sin(self.c.yaw)
         x, y = c * forward - s * left, s * forward + c * left
@@ -185,12 +185,12 @@ class Chassis:
 
     @property
     def wheels_on_floor(self) -> int:
-        """Number of wheels that touch the floor."""
+        """Number of wheels in contact with the surface."""
         return len({self._data.contact[i].geom2 for i in self._floor_contacts})
 
     @property
     def wheel_loads(self) -> FloatArray:
-        """(4,) force of the floor on each wheel, normal to it [N]."""
+        """(4,) normal force of the surface on each wheel [N]."""
         import mujoco  # noqa: PLC0415 - see above
 
         loads, force = np.zeros(len(WHEELS)), np.zeros(6)
@@ -202,7 +202,7 @@ class Chassis:
 
     @property
     def _floor_contacts(self) -> list[int]:
-        """Contacts of the floor, which is the first geom."""
+        """Indices of the contacts of the surface, which is the first geom."""
         return [i for i in range(self._data.ncon) if self._data.contact[i].geom1 == 0]
 
     @property
@@ -216,7 +216,7 @@ class Chassis:
 
 
 def _step_in_c(model: Any, data: Any, scene: Scene | None) -> Any:  # noqa: ANN401 - neither MuJoCo nor cffi has types
-    """Return `mj_step` for C: MuJoCo's own, or a call through Python without its library or with a watching scene."""
+    """Return `mj_step` for C: MuJoCo's function, or a Python callback if there is a scene or no library was found."""
     import mujoco  # noqa: PLC0415 - see above
 
     ffi, _ = load_twin()
@@ -233,17 +233,18 @@ def _ignore(_warning: str) -> None:
 
 
 def _tilted(gravity: FloatArray, slope: Slope) -> FloatArray:
-    """Compute gravity (3,) [m/s^2] in the frame of a floor tilted by `slope`."""
+    """Compute gravity (3,) [m/s^2] in the frame of a surface tilted by `slope`."""
     down, along = math.cos(slope.angle), math.sin(slope.angle)
     direction = np.array([along * math.cos(slope.downhill), along * math.sin(slope.downhill), -down])
     return np.asarray(np.linalg.norm(gravity) * direction)
 
 
-def _of_two(tyre: Tyre) -> Tyre:
-    """Compute the tyre of each of two contact points that together are as stiff and as damped as `tyre`.
+def _split_tyre(tyre: Tyre) -> Tyre:
+    """Compute the tyre parameters of two contact points that together have stiffness and damping of `tyre`.
 
-    MuJoCo gives a contact of impedance d, time constant t and damping ratio z the regularisation (1 - d) / d of its
-    inverse mass, the damping 2 / (d t) and the stiffness 1 / (d t^2 z^2): twice the first, and the same of the others.
+    In MuJoCo, a contact with impedance d, time constant t and damping ratio z has the regularisation (1 - d) / d of its
+    inverse mass, the damping 2 / (d t) and the stiffness 1 / (d t^2 z^2). Two contacts need twice the regularisation at
+    equal damping and stiffness.
     """
     share = 1.0 / (1.0 + 2.0 * (1.0 / tyre.impedance - 1.0))
     ratio = tyre.impedance / share
@@ -260,7 +261,7 @@ def _of_two(tyre: Tyre) -> Tyre:
 def _mjcf(
     robot: Robot, twin: TwinParameters, step: float, payload: Payload | None, aligned: bool, scene: Scene | None
 ) -> str:
-    """Format the model in MuJoCo's XML format; `aligned` gives contacts whose first tangent is along the axle."""
+    """Format the model as MJCF; if `aligned`, the first tangent of the wheel contacts is along the axle."""
     chassis, tyre, radius = twin.chassis, twin.tyre, robot.wheel_radius
     front, half_track = 0.0 if chassis.castors else chassis.wheel_base / 2, robot.track / 2
     rear = front - chassis.wheel_base
@@ -268,16 +269,16 @@ def _mjcf(
     shapes = [f'type="sphere" size="{wheel}"' for wheel in rolling]
     if aligned:
         shapes = [f'type="capsule" size="{wheel} {_CAPSULE}" euler="90 0 0"' for wheel in rolling]
-        tyre = _of_two(tyre)
+        tyre = _split_tyre(tyre)
     places = [(front, half_track), (front, -half_track), (rear, half_track), (rear, -half_track)]
-    # Without friction loss the joints have no constraint: robots without it move as before, bit for bit.
+    # Omit a friction loss of zero, so that the joints have no constraint.
     drag = f' frictionloss="{chassis.wheel_drag}"' if chassis.wheel_drag else ""
     wheels = "".join(
         f'<body pos="{x} {y} 0"><joint type="hinge" axis="0 1 0" armature="{twin.motor.rotor_inertia}"{drag}/>'
         f'<geom name="{name}" {shape} mass="{chassis.wheel_mass}"/></body>'
         for name, shape, (x, y) in zip(WHEELS, shapes, places, strict=True)
     )
-    # Friction has a separate time constant: with that of the normal direction, fast skidding lifts the wheels.
+    # Separate time constant of friction: with that of the normal direction, fast skidding lifts the wheels.
     contacts = "".join(
         f'<pair geom1="floor" geom2="{name}" condim="3" friction="1 1 0 0 0"'
         f' solref="{tyre.contact_time} {tyre.contact_damping}" solreffriction="{tyre.creep_time} 1"'
@@ -286,7 +287,7 @@ def _mjcf(
     )
     length, width, height = (size / 2 for size in chassis.body_size)
     body_mass = robot.mass - 4 * chassis.wheel_mass
-    # The wheels stay in place, so the body alone moves the centre of mass of the whole.
+    # Only the body is offset, by as much as moves the total centre of mass.
     ahead, left = (robot.mass / body_mass * offset for offset in chassis.centre_of_mass)
     load = ""
     if payload is not None:
@@ -294,8 +295,7 @@ def _mjcf(
             f'<geom type="sphere" size="{payload.radius}" pos="{payload.x} {payload.y} {payload.z}"'
             f' mass="{payload.mass}"/>'
         )
-    # Reset by MuJoCo, a diverged robot would stand at its start as if nothing had happened. There is one body with its
-    # wheels: to look for islands of contacts that do not meet takes time and finds none.
+    # `autoreset` is disabled because it would hide divergence; `island` because it only takes time for a single robot.
     assets, obstacles, hull = (scene.assets, scene.obstacles, scene.hull(max(rolling))) if scene else ("", "", "")
     return (
         f'<mujoco><option timestep="{step!r}" cone="elliptic" impratio="{tyre.creep_stiffness}"'

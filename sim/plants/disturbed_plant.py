@@ -1,4 +1,4 @@
-"""A plant to which a scenario happens: disturbances of any plant, with their times."""
+"""Plant with the disturbances of a scenario."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from diffdrive_mpc.sim.plants.twin import Twin
 
 
 class DisturbedPlant(PlantAround):
-    """Start offset, sensor faults and false commands around any plant; see `sim.plants.plant.Plant`.
+    """Wrapper of any plant with start offset, sensor faults and false commands; see `sim.plants.plant.Plant`.
 
     Parameters
     ----------
     plant
-        The plant, which brings about all other disturbances of the scenario itself.
+        The plant, which applies all other disturbances of the scenario.
     scenario
         Disturbances with their times.
     robot
-        Commands are clipped to its limits, and `sent` says so; a dead encoder spoils the twist by its wheels.
+        Robot with the limits to which commands are clipped, and the kinematics for faults of encoders.
     crossed
-        Gives the spans of the patches that the plant has met so far.
+        Function that returns the spans of the patches that the plant has reached.
     """
 
     def __init__(
@@ -56,18 +56,18 @@ class DisturbedPlant(PlantAround):
 
     @property
     def disturbance(self) -> Span | None:
-        """When the first disturbance so far began, and when the last so far was over [s]; None where none has begun.
+        """Start of the first and end of the last disturbance until now [s]; None if no disturbance has started.
 
-        One that lasts to the end of the run is never over: where all of them do, the second number is infinite.
+        Disturbances until the end of the run do not end: if there are no others, the second value is infinite.
         """
-        begun = [span for span in (*self._scenario.spans, *self._crossed()) if span[0] <= self.time]
-        if not begun:
+        started = [span for span in (*self._scenario.spans, *self._crossed()) if span[0] <= self.time]
+        if not started:
             return None
-        ends = [end for _, end in begun if math.isfinite(end)]
-        return min(start for start, _ in begun), min(self.time, max(ends)) if ends else math.inf
+        ends = [end for _, end in started if math.isfinite(end)]
+        return min(start for start, _ in started), min(self.time, max(ends)) if ends else math.inf
 
     def reset(self, pose: ArrayLike) -> None:
-        """Reset the robot to rest, offset from `pose` (3,) by the start offset, at time 0, and restart the noise."""
+        """Reset to time 0 and to rest at `pose` (3,) plus the start offset; restart the noise."""
         start = np.array(pose, dtype=float)
         offset = self._scenario.start_offset
         if offset is not None:
@@ -78,37 +78,37 @@ class DisturbedPlant(PlantAround):
         self._plant.reset(start)
 
     def measure(self) -> Measurement:
-        """Collect the sensor data since the last call, with their faults."""
+        """Collect the sensor data since the last call, with faults."""
         return replace(self._faults.apply(self._plant.measure(), self.time), sent=self._sent)
 
     def advance(self, command: ArrayLike) -> None:
-        """Send `command` (2,), or a false one instead, and advance by one sample; raises ValueError as any plant."""
+        """Send `command` (2,), or a false command in its place, and advance by one sample; errors as for any plant."""
         sent = clip_command(command, self._limits)
         false = [item for item in self._scenario.false_commands if item.holds(self.time)]
         self._plant.advance([false[-1].v, false[-1].omega] if false else sent)
         self._sent = (float(sent[0]), float(sent[1]))
 
 
-# Disturbances of the physics, by physics step.
+# Disturbances of the physics, applied at each physics step.
 
 
 class DisturbedPhysics:
-    """Applies patches, slipping wheels, pushes and blockades to the chassis, and weak motors and sag to the drives.
+    """Disturbances of the physics: patches, slipping wheels, pushes, blockades, weak motors and battery sag.
 
-    Payload and slope are part of the chassis from the beginning.
+    Payload and slope are part of the chassis.
 
     Parameters
     ----------
     scenario
         Disturbances with their times.
     chassis, loops
-        Chassis and speed loops that the disturbances change.
+        Chassis and velocity loops to which the disturbances are applied.
     friction
-        Sliding friction coefficient of the floor beside the patches.
+        Sliding friction coefficient of the surface around the patches.
     wheel_base
         Distance between the axles [m].
     stall_torque
-        Torque of a nominal motor at standstill [N m].
+        Stall torque of a nominal motor [N m].
     """
 
     def __init__(
@@ -139,18 +139,18 @@ class DisturbedPhysics:
 
     @property
     def crossed(self) -> list[Span]:
-        """For each patch met so far: when a wheel was first on it, and when last [s]; infinity for an endless one."""
+        """For each patch reached: first and last time of a wheel on it [s]; infinity for a patch without end."""
         return [span for span in self._crossed if span is not None]
 
     def advance(self, twin: Twin) -> None:
-        """Advance `twin` by one control sample, with disturbances; raise RobotLostError."""
+        """Advance `twin` by one control sample with disturbances; raise RobotLostError if the robot is lost."""
         edges = twin.edges.tolist()
         for k, (start, end) in enumerate(itertools.pairwise(edges)):
             self.before_step(start, end)
             twin.step(k, self.motors(twin.torques(k), start))
 
     def before_step(self, start: float, end: float) -> None:
-        """Set the disturbances of the physics step from `start` to `end` [s]."""
+        """Apply the disturbances for the physics step from `start` to `end` [s]."""
         scenario = self._scenario
         if self._patches or scenario.slipping_wheels:
             position = self._chassis.pose[:2]
@@ -163,13 +163,13 @@ class DisturbedPhysics:
                 self._push(push, push.share(start, end))
             for i, blockade in enumerate(scenario.blockades):
                 if blockade.holds(start):
-                    self._hold(i, blockade)
+                    self._apply_blockade(i, blockade)
         if scenario.battery:
             drop = scenario.battery.load_drop * self._load
             self._loops.supply = max(0.0, scenario.battery.voltage(start) - drop)
 
     def motors(self, torques: FloatArray, time: float) -> FloatArray:
-        """Compute the true wheel torques (4,) [N m] at `time` [s] for the nominal `torques`."""
+        """Compute the true wheel torques (4,) [N m] at `time` [s] from the nominal `torques`."""
         for motor in self._scenario.weak_motors:
             if motor.holds(time):
                 torques[WHEELS.index(motor.wheel)] *= motor.factor
@@ -177,12 +177,12 @@ class DisturbedPhysics:
         return torques
 
     def _push(self, push: Push, share: float) -> None:
-        """Push for `share` of the step: the mean makes the momentum exact if a push is no multiple of the step."""
+        """Apply the mean force over the step, `share` of the push, which keeps the momentum exact."""
         forward, left = push.force * math.cos(push.direction), push.force * math.sin(push.direction)
         self._chassis.push(share * forward, share * left, share * push.yaw_torque, push.height)
 
-    def _hold(self, i: int, blockade: Blockade) -> None:
-        """Attach spring and damper to the place of the body when obstacle `i` caught it."""
+    def _apply_blockade(self, i: int, blockade: Blockade) -> None:
+        """Apply the spring and damper of blockade `i`, anchored at the pose of the body at its start."""
         pose, (v, lateral, omega) = self._chassis.pose, self._chassis.twist
         anchor = self._anchors[i]
         anchor = self._anchors[i] = pose if anchor is None else anchor
@@ -198,24 +198,24 @@ class DisturbedPhysics:
         for i, (patch, wheels, enters, leaves) in enumerate(self._patches):
             inside = wheels & (enters <= self._travelled) & (self._travelled < leaves)
             friction[inside] = patch.coefficient(self._friction)
-            self._note(i, time, bool(inside.any()), patch)
+            self._record_crossing(i, time, bool(inside.any()), patch)
         for slipping in self._scenario.slipping_wheels:
             if slipping.holds(time):
                 friction[WHEELS.index(slipping.wheel)] = slipping.friction
         self._chassis.set_friction(friction)
 
-    def _note(self, i: int, time: float, on_it: bool, patch: Patch) -> None:
-        if on_it:
+    def _record_crossing(self, i: int, time: float, is_inside: bool, patch: Patch) -> None:
+        if is_inside:
             span = self._crossed[i]
             self._crossed[i] = (time if span is None else span[0], math.inf if patch.length is None else time)
 
 
 def _wheels_under(patch: Patch) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Return True (4,) for wheels on the side of the patch."""
+    """Return a mask (4,) of the wheels on the side of the patch."""
     return np.array([patch.side == "both" or name.endswith(patch.side) for name in WHEELS])
 
 
 def _edges(patch: Patch, ahead: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Compute distances (4,) [m] at which each wheel, `ahead` (4,) of the middle [m], enters and leaves the patch."""
+    """Compute distances (4,) [m] at which the wheels, `ahead` (4,) of the centre [m], enter and leave the patch."""
     length = math.inf if patch.length is None else patch.length
     return patch.start - ahead, patch.start + length - ahead

@@ -1,4 +1,4 @@
-"""A robot of the market, drawn from a seed: build, floor, disturbances, pose source, and its user's data."""
+"""Robots of the market, drawn from a seed: build, surface, disturbances, pose source and stated data."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from diffdrive_mpc.sim.disturbances.scenario import Scenario
 from diffdrive_mpc.sim.plants.chassis import WHEELS
 from diffdrive_mpc.sim.plants.simulated_robot import SimulatedRobot, digital_twin
 
-# Ranges of robots on the market, from which the population is drawn, and requirements of paths.
+# Ranges of the population of robots on the market, and requirements of paths.
 
 
 _FILE = Path(__file__).with_name("market.yaml")
@@ -26,13 +26,13 @@ _FILE = Path(__file__).with_name("market.yaml")
 
 def _sorted(ends: tuple[float, float]) -> tuple[float, float]:
     if ends[0] > ends[1]:
-        raise ValueError(f"the range [{ends[0]:g}, {ends[1]:g}] ends before it begins")
+        raise ValueError(f"the range [{ends[0]:g}, {ends[1]:g}] must not decrease")
     return ends
 
 
 Range = Annotated[tuple[float, float], AfterValidator(_sorted)]
 Span = tuple[Positive, Positive]
-"""From the best to the worst, by its logarithm."""
+"""Range from the best to the worst value, interpolated logarithmically."""
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
@@ -44,110 +44,110 @@ class WheelShares(StrictModel):
 
 
 class Patches(StrictModel):
-    """Stretches of another floor."""
+    """Patches with different friction."""
 
-    often: Share = Field(description="share of the robots that meet one [-]")
-    factor: Range = Field(description="friction over that of the floor beside it [-]")
-    start: Range = Field(description="along the way [m]")
-    length: Range = Field(description="along the way [m]")
+    often: Share = Field(description="probability of a patch [-]")
+    factor: Range = Field(description="friction over that of the surrounding surface [-]")
+    start: Range = Field(description="start along the path [m]")
+    length: Range = Field(description="length along the path [m]")
 
 
 class Slopes(StrictModel):
     """Slopes in any direction."""
 
-    often: Share = Field(description="share of the floors that slope [-]")
-    angle: Range = Field(description="[rad]")
+    often: Share = Field(description="probability of a slope [-]")
+    angle: Range = Field(description="angle of the slope [rad]")
 
 
 class DrawnWeakMotor(StrictModel):
     """One motor that is weak from the start."""
 
-    often: Share = Field(description="share of the robots that have one [-]")
+    often: Share = Field(description="probability of a weak motor [-]")
     factor: Range = Field(description="torque over nominal [-]")
 
 
 class DeadMotor(StrictModel):
-    """Motor that fails during the drive."""
+    """One motor that fails during the drive."""
 
-    often: Share = Field(description="share of the robots with four driven wheels [-]")
-    start: Range = Field(description="when [s]")
+    often: Share = Field(description="probability for robots with four driven wheels [-]")
+    start: Range = Field(description="time of the failure [s]")
 
 
 class PoseSources(StrictModel):
-    """Pose sources, each from the best to the worst: one quality draws all."""
+    """Pose sources: ranges from the best to the worst value, interpolated by a common quality."""
 
-    rate: Span = Field(description="[Hz]")
-    latency: Span = Field(description="[s]")
-    position_sd: Span = Field(description="[m]")
-    heading_sd: Span = Field(description="[rad]")
-    jitter: Share = Field(description="how far each lies beside the common quality [-]")
-    loss: Range = Field(description="share of poses lost, by every second source [-]")
+    rate: Span = Field(description="rate of poses [Hz]")
+    latency: Span = Field(description="latency of poses [s]")
+    position_sd: Span = Field(description="standard deviation of x and of y [m]")
+    heading_sd: Span = Field(description="standard deviation of theta [rad]")
+    jitter: Share = Field(description="maximum deviation of each value from the common quality [-]")
+    loss: Range = Field(description="share of lost poses, for half of the sources [-]")
 
 
 class StatedTrack(StrictModel):
     """Distribution of the error of the stated track."""
 
-    wrong: Share = Field(description="share that states a wrong one [-]")
-    factor: Range = Field(description="stated over true [-]")
+    wrong: Share = Field(description="probability of a wrong track [-]")
+    factor: Range = Field(description="stated track over true track [-]")
 
 
 class StatedRobot(StrictModel):
-    """Robot as its user states it."""
+    """Data of the robot stated by its user."""
 
-    track: StatedTrack = Field(description="the only thing that is stated wrong")
+    track: StatedTrack = Field(description="the only value that may be wrong")
     yaw_acceleration: Share = Field(
-        description="omega_slew that is stated, over what grip turns the body by on the usual floor [-]"
+        description="stated omega_slew over the yaw acceleration that grip permits on the usual surface [-]"
     )
 
 
 class Needs(StrictModel):
-    """Requirements of a path; robots that cannot meet them are not drawn for it."""
+    """Requirements of the paths; robots that do not meet them are not drawn."""
 
-    speed: Positive = Field(description="[m/s]")
+    speed: Positive = Field(description="speed [m/s]")
     turning: Positive = Field(description="yaw rate at that speed [rad/s]")
-    acceleration: Positive = Field(description="of the reference [m/s^2]")
-    yaw_acceleration: Positive = Field(description="of the reference [rad/s^2]")
+    acceleration: Positive = Field(description="acceleration of the reference [m/s^2]")
+    yaw_acceleration: Positive = Field(description="yaw acceleration of the reference [rad/s^2]")
     sliding: Share = Field(description="speed down a slope in a curve, over the speed [-]")
     skid_time: Positive = Field(description="time constant of the speed while wheels skid in a turn [s]")
-    turning_point: Positive = Field(description="how far from its middle it may turn on the spot [m]")
+    turning_point: Positive = Field(description="maximum distance of the centre of rotation from the centre [m]")
 
 
 class Market(StrictModel):
-    """The ranges; `market.yaml` states the reference and the source of each."""
+    """Ranges of the market; `market.yaml` states reference values and sources."""
 
-    mass: Range = Field(description="by its logarithm [kg]")
-    track: Range = Field(description="over that of the scaled robot [-]")
-    wheel_base: Range = Field(description="over the track [-]")
-    wheel_radius: Range = Field(description="over the track [-]")
+    mass: Range = Field(description="mass, log-uniform [kg]")
+    track: Range = Field(description="track over that of the scaled robot [-]")
+    wheel_base: Range = Field(description="wheel base over track [-]")
+    wheel_radius: Range = Field(description="wheel radius over track [-]")
     torque: Range = Field(description="stall torque over that of the scaled robot [-]")
-    top_speed: Range = Field(description="over the speed of the faster wheels on the paths [-]")
-    driven: WheelShares = Field(description="how often")
-    centre_of_mass: Range = Field(description="of wheel base and track, from the middle [-]")
-    rolling_radii: Range = Field(description="difference of left and right over the radius [-]")
+    top_speed: Range = Field(description="top speed over the speed of the faster wheels on the paths [-]")
+    driven: WheelShares = Field(description="relative frequencies of wheel types")
+    centre_of_mass: Range = Field(description="offset from the centre over wheel base and over track [-]")
+    rolling_radii: Range = Field(description="difference between left and right over the radius [-]")
     motor_spread: Range = Field(description="torque of each motor over nominal [-]")
     weak_motor: DrawnWeakMotor = Field(description="one weak motor")
-    dead_motor: DeadMotor = Field(description="one motor that dies")
-    dead_time: Range = Field(description="of the link [s]")
-    lag: Range = Field(description="of each channel of the firmware [s]")
-    skid_correction: Range = Field(description="share of the track's widening by skid that firmware makes up for [-]")
-    friction: Range = Field(description="by its logarithm [-]")
-    patches: Patches = Field(description="stretches of another floor")
+    dead_motor: DeadMotor = Field(description="one failing motor")
+    dead_time: Range = Field(description="dead time of the link [s]")
+    lag: Range = Field(description="lag of each channel of the firmware [s]")
+    skid_correction: Range = Field(description="share of the effective track's increase that firmware compensates [-]")
+    friction: Range = Field(description="friction of the surface, log-uniform [-]")
+    patches: Patches = Field(description="patches with different friction")
     slope: Slopes = Field(description="slopes")
     pose: PoseSources = Field(description="pose sources")
-    stated: StatedRobot = Field(description="what the user states")
-    needs: Needs = Field(description="of the paths")
-    turning_point: Positive = Field(description="how far ahead four driven wheels turn, over the centre of mass [-]")
-    margin: Positive = Field(description="over grip, torque and commands that the paths need [-]")
+    stated: StatedRobot = Field(description="data stated by the user")
+    needs: Needs = Field(description="requirements of the paths")
+    turning_point: Positive = Field(description="offset of the centre of rotation over that of the centre of mass [-]")
+    margin: Positive = Field(description="factor on required grip, torque and commands [-]")
 
 
 @cache
 def load_market() -> Market:
-    """Read the shipped market; raises ConfigError when it has a mistake."""
+    """Read the shipped market; raise ConfigError if it is invalid."""
     return load_checked(Market, _FILE)
 
 
 GRAVITY = 9.81
-"""Gravity that the market is drawn with [m/s^2]."""
+"""Gravity in the computation of market robots [m/s^2]."""
 
 
 @dataclass(frozen=True)
@@ -159,13 +159,13 @@ class DrawnRobot:
     seed
         Seed of the draw.
     build
-        Body, drives, firmware, floor and sensors.
+        Body, drives, firmware, surface and sensors.
     scenario
         Slope, patches and motors of this robot.
     stated
-        Configuration values by dotted key that its user knows; the tracks may be wrong.
+        Configuration values stated by the user, by dotted key; the tracks may be wrong.
     truth
-        The same with the tracks right.
+        Configuration values with true tracks.
     """
 
     seed: int
@@ -182,7 +182,7 @@ def on_driven(build: SimulatedRobot) -> float:
 
 
 def yaw_acceleration(build: SimulatedRobot, grip: float) -> float:
-    """Compute the yaw acceleration that driven wheels give a box of its size on a floor of this friction [rad/s^2]."""
+    """Compute the yaw acceleration of a box of the robot's size by its driven wheels at friction `grip` [rad/s^2]."""
     chassis, track = build.twin.chassis, build.robot.track
     behind = chassis.centre_of_mass[0] if chassis.castors else 0.0
     inertia = (chassis.wheel_base**2 + track**2) / 12.0 + behind**2
@@ -190,7 +190,7 @@ def yaw_acceleration(build: SimulatedRobot, grip: float) -> float:
 
 
 def skid_track(track: float, wheel_base: float) -> float:
-    """Compute the effective track of a skidding robot [m] for Coulomb friction about the wheels' centre."""
+    """Compute the effective track [m] of a robot that skids with Coulomb friction about the centre of its wheels."""
     return track * (1.0 + (wheel_base / track) ** 2)
 
 
@@ -201,20 +201,20 @@ def rim_speed(track: float, wheel_base: float) -> float:
 
 
 def draw_robot(seed: int) -> DrawnRobot:
-    """Draw the robot of `seed` (not negative); the same seed gives the same one."""
+    """Draw the robot of `seed` (not negative); the result depends on the seed only."""
     market, stream = load_market(), np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(4711,)))
     build = _draw_build(market, stream, f"robot {seed} of the market")
-    befalls: dict[str, Any] = {"description": "what befalls it", "patches": [], "slope": None}
+    scenario: dict[str, Any] = {"description": "disturbances of the drawn robot", "patches": [], "slope": None}
     castors = build["twin"]["chassis"]["castors"]
-    build["twin"]["motor"]["spread"], befalls["weak_motors"] = _draw_motors(market, stream, castors=castors)
+    build["twin"]["motor"]["spread"], scenario["weak_motors"] = _draw_motors(market, stream, castors=castors)
     build["friction"] = _logarithmic(stream, market.friction)
     patch = {name: _uniform(stream, getattr(market.patches, name)) for name in ("start", "length", "factor")}
     if stream.random() < market.patches.often:
-        befalls["patches"] = [patch]
-    sloped = stream.random() < market.slope.often
+        scenario["patches"] = [patch]
+    has_slope = stream.random() < market.slope.often
     slope = {"angle": _uniform(stream, market.slope.angle), "downhill": _uniform(stream, (-math.pi, math.pi))}
-    if sloped:
-        befalls["slope"] = slope
+    if has_slope:
+        scenario["slope"] = slope
     twin = digital_twin()
     usual: Any = twin["robot"]
     build["sensors"] = {"pose": _draw_pose_source(market.pose, stream, usual["sample_time"])}
@@ -225,11 +225,11 @@ def draw_robot(seed: int) -> DrawnRobot:
     robot = check(SimulatedRobot, merge_mappings(twin, build), where)
     truth = _true_settings(robot)
     stated = truth | {name: factor * truth[name] for name in ("wheels.track", "wheels.encoder_track")}
-    return DrawnRobot(seed, robot, check(Scenario, befalls, where), stated, truth)
+    return DrawnRobot(seed, robot, check(Scenario, scenario, where), stated, truth)
 
 
 def _draw_build(market: Market, stream: np.random.Generator, description: str) -> dict[str, Any]:
-    """Draw body, drives, link and firmware as changes to the digital twin, with torques of its scaled motors."""
+    """Draw body, drives, link and firmware as changes to the digital twin, with the torques of scaled motors."""
     twin = digital_twin()
     usual_robot: Any = twin["robot"]
     usual: Any = twin["twin"]
@@ -244,8 +244,8 @@ def _draw_build(market: Market, stream: np.random.Generator, description: str) -
     left = _uniform(stream, market.centre_of_mass) * track
     difference = _uniform(stream, market.rolling_radii) / 2
     correction = _uniform(stream, market.skid_correction)
-    larger, heavier = radius / usual_robot["wheel_radius"], mass / usual_robot["mass"]
-    quicker = usual["motor"]["no_load_speed"] / no_load
+    radius_ratio, mass_ratio = radius / usual_robot["wheel_radius"], mass / usual_robot["mass"]
+    speed_ratio = usual["motor"]["no_load_speed"] / no_load
     return {
         "description": description,
         "robot": {"mass": mass, "track": track, "wheel_radius": radius},
@@ -254,17 +254,17 @@ def _draw_build(market: Market, stream: np.random.Generator, description: str) -
                 "wheel_base": wheel_base,
                 "body_size": [wheel_base + radius, 0.8 * track, 0.3 * track],
                 "body_height": 0.1 * track,
-                "wheel_mass": usual["chassis"]["wheel_mass"] * heavier,
+                "wheel_mass": usual["chassis"]["wheel_mass"] * mass_ratio,
                 "centre_of_mass": [ahead, left],
                 "rolling_radii": [1.0 - difference, 1.0 + difference],
                 "castors": castors,
             },
             "motor": {
-                "stall_torque": usual["motor"]["stall_torque"] * heavier * larger,
+                "stall_torque": usual["motor"]["stall_torque"] * mass_ratio * radius_ratio,
                 "no_load_speed": no_load,
-                "rotor_inertia": usual["motor"]["rotor_inertia"] * heavier * larger**2,
+                "rotor_inertia": usual["motor"]["rotor_inertia"] * mass_ratio * radius_ratio**2,
             },
-            "driver": {gain: usual["driver"][gain] * quicker for gain in ("proportional_gain", "integral_gain")},
+            "driver": {gain: usual["driver"][gain] * speed_ratio for gain in ("proportional_gain", "integral_gain")},
             "link": {"dead_time": _uniform(stream, market.dead_time)},
         },
         "firmware": {
@@ -276,22 +276,22 @@ def _draw_build(market: Market, stream: np.random.Generator, description: str) -
 
 
 def _true_settings(build: SimulatedRobot) -> dict[str, float]:
-    """Compute the true configuration values by dotted key, except for patches and slopes."""
+    """Compute the true configuration values by dotted key, without regard to patches and slopes."""
     pose, link, usual = build.sensors.pose, build.twin.link, digital_twin()
     usual_twin: Any = usual["twin"]
     usual_robot: Any = usual["robot"]
-    later = max(0.0, link.dead_time - usual_twin["link"]["dead_time"])
-    every = pose.period / (1.0 - pose.loss) if pose.period else 0.0
-    turned = load_market().stated.yaw_acceleration * yaw_acceleration(build, float(build.friction or 0.0))
+    extra = max(0.0, link.dead_time - usual_twin["link"]["dead_time"])
+    interval = pose.period / (1.0 - pose.loss) if pose.period else 0.0
+    slew = load_market().stated.yaw_acceleration * yaw_acceleration(build, float(build.friction or 0.0))
     return {
         "wheels.track": build.firmware.track,
         "wheels.encoder_track": build.robot.track,
         "limits.wheel_speed": 0.97 * build.twin.motor.no_load_speed * build.robot.wheel_radius,
-        "limits.omega_slew": min(usual_robot["command_slew"]["omega"], turned),
-        "extra_dead_time.v": later,
-        "extra_dead_time.omega": later,
+        "limits.omega_slew": min(usual_robot["command_slew"]["omega"], slew),
+        "extra_dead_time.v": extra,
+        "extra_dead_time.omega": extra,
         "estimator.history": max(0.4, 1.3 * pose.latency + 0.1),
-        "failure.max_pose_age": max(0.5, pose.latency + 5 * every),
+        "failure.max_pose_age": max(0.5, pose.latency + 5 * interval),
     }
 
 
@@ -306,19 +306,19 @@ def _logarithmic(stream: np.random.Generator, ends: tuple[float, float]) -> floa
 def _draw_motors(
     market: Market, stream: np.random.Generator, *, castors: bool
 ) -> tuple[list[float], list[dict[str, Any]]]:
-    """Draw the torque of each motor over nominal, and failing motors; castors have no reserve."""
+    """Draw the torque of each motor over nominal, and failing motors; robots with castors have no failing motors."""
     spread = [_uniform(stream, market.motor_spread) for _ in WHEELS]
     weak, dead = market.weak_motor, market.dead_motor
     weak_wheel, weak_factor = int(stream.integers(2 if castors else 4)), _uniform(stream, weak.factor)
     if stream.random() < weak.often:
         spread[weak_wheel] *= weak_factor
     dead_wheel, dead_from = int(stream.integers(4)), _uniform(stream, dead.start)
-    dies = stream.random() < dead.often and not castors
-    return spread, [{"wheel": WHEELS[dead_wheel], "factor": 0.0, "start": dead_from}] if dies else []
+    fails = stream.random() < dead.often and not castors
+    return spread, [{"wheel": WHEELS[dead_wheel], "factor": 0.0, "start": dead_from}] if fails else []
 
 
 def _draw_pose_source(ranges: PoseSources, stream: np.random.Generator, sample_time: float) -> dict[str, Any]:
-    """Draw the pose sensor: a common quality, and individual deviations from it."""
+    """Draw the pose sensor: a common quality, and a deviation from it for each value."""
     quality = stream.random()
 
     def draw(ends: tuple[float, float]) -> float:

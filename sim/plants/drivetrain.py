@@ -1,6 +1,6 @@
-"""From a command that has arrived to torques: firmware, motor drivers with their velocity loops, DC motors.
+"""Drivetrain from commands to torques: link, firmware, motor drivers with velocity loops, and DC motors.
 
-Their behaviour is implemented in `sim/core/twin.c`. This module computes their parameters.
+`sim/core/twin.c` implements the behaviour; this module computes the parameters.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from diffdrive_mpc.sim.plants.twin_parameters import Driver, Firmware, Motor
 
 
 class CommandShaper:
-    """The microcontroller: a first-order lag per channel, then set-points in whole pulses per second.
+    """Firmware: a first-order lag per channel, then set-points in whole pulses per second.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class CommandShaper:
         self.reset()
 
     def reset(self) -> None:
-        """Zero command since ever."""
+        """Reset to the steady state for a zero command."""
         self.c.state = [0.0, 0.0]
 
     def set_points(self, command: FloatArray) -> FloatArray:
@@ -55,9 +55,9 @@ class CommandShaper:
 
 
 class SpeedObserver:
-    """Speed of the four wheels from encoder counts, by a tracking loop with a double pole.
+    """Observer of the speeds of the four wheels from encoder counts, with a double pole.
 
-    One raw count per control sample is 0.039 m/s: a driver never reports differences of counts.
+    Differences of counts would be too coarse: one count per control sample is 0.039 m/s.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class SpeedObserver:
     step
         Time between two calls [s].
     phase
-        (4,) position of each wheel between two counts at angle zero, in counts, 0 to 1.
+        (4,) position of each wheel within a count at angle zero, in counts, 0 to 1.
     """
 
     def __init__(self, bandwidth: float, pulse: float, step: float, phase: FloatArray) -> None:
@@ -85,18 +85,18 @@ class SpeedObserver:
         return self._speed.copy()
 
     def reset(self) -> None:
-        """Reset to wheels that have always been at rest at angle zero."""
+        """Reset to wheels at rest at angle zero."""
         self._lib.twin_observe_rest(self.c)
 
     def update(self, angles: FloatArray) -> FloatArray:
-        """Compute speeds (4,) [rad/s] after reading the counters at wheel `angles` (4,) [rad]."""
+        """Update with the encoder counts at wheel `angles` (4,) [rad]; return the speeds (4,) [rad/s]."""
         readings = np.array(angles, dtype=float)
         self._lib.twin_observe(self.c, address(readings))
         return self.speed
 
 
 class VelocityLoops:
-    """Feed-forward and PI loop per motor with limited duty, and the motor's torque-speed line.
+    """Velocity loop of each motor, feed-forward and PI with limited duty, and torque-speed line of the motor.
 
     Parameters
     ----------
@@ -110,22 +110,22 @@ class VelocityLoops:
 
     def __init__(self, driver: Driver, motor: Motor, pulse: float, step: float) -> None:
         ffi, self._lib = load_twin()
-        numbers = {
+        fields = {
             "proportional": driver.proportional_gain,
             "integral": step * driver.integral_gain,
             "no_load_speed": motor.no_load_speed,
-            # Below about one count per control sample, the counter cannot distinguish motion from rest.
+            # Below about one count per control sample, counts do not distinguish motion from rest.
             "rest_speed": pulse / step / 10,
             "stall_torque": [motor.stall_torque * share for share in motor.spread],
             "torque_limit": math.inf if driver.torque_limit is None else driver.torque_limit,
             "supply": 1.0,
         }
-        self.c = ffi.new("twin_loops *", numbers)
+        self.c = ffi.new("twin_loops *", fields)
         self.reset()
 
     @property
     def supply(self) -> float:
-        """Supply voltage over nominal [-]; the driver does not know it."""
+        """Supply voltage over nominal [-]; unknown to the driver."""
         return float(self.c.supply)
 
     @supply.setter
@@ -133,7 +133,7 @@ class VelocityLoops:
         self.c.supply = value
 
     def reset(self) -> None:
-        """Clear the integrators."""
+        """Reset the integrators to zero."""
         self.c.sum = [0.0] * 4
 
     def torque(self, set_points: FloatArray, measured: FloatArray, speeds: FloatArray) -> FloatArray:
@@ -142,11 +142,11 @@ class VelocityLoops:
         Parameters
         ----------
         set_points
-            (4,) wanted wheel speeds [rad/s].
+            (4,) set-points of the wheel speeds [rad/s].
         measured
-            (4,) the drivers' own speed estimates [rad/s].
+            (4,) speed estimates of the drivers [rad/s].
         speeds
-            (4,) true wheel speeds [rad/s], which make the back-EMF.
+            (4,) true wheel speeds [rad/s], which determine the back-EMF.
 
         Returns
         -------
@@ -159,11 +159,11 @@ class VelocityLoops:
         return torques
 
 
-# Path of a command from the onboard computer to the firmware: range check, then dead time.
+# Link from the onboard computer to the firmware: range check, then dead time.
 
 
-_ROOM = 16
-"""Commands under way that there is room for at first."""
+_INITIAL_ROOM = 16
+"""Initial capacity for pending commands."""
 
 
 def clip_command(command: ArrayLike, limits: TwistBounds) -> FloatArray:
@@ -174,7 +174,7 @@ def clip_command(command: ArrayLike, limits: TwistBounds) -> FloatArray:
     command
         (2,) v [m/s], omega [rad/s].
     limits
-        Largest magnitudes.
+        Maximum magnitudes.
 
     Returns
     -------
@@ -190,21 +190,21 @@ def clip_command(command: ArrayLike, limits: TwistBounds) -> FloatArray:
     if value.shape == (2,):
         v, omega = value.tolist()
         if math.isfinite(v) and math.isfinite(omega):
-            return np.array([_clipped(v, limits.v), _clipped(omega, limits.omega)])
+            return np.array([_clip(v, limits.v), _clip(omega, limits.omega)])
     raise ValueError(f"command {command!r}: give two finite numbers, v [m/s] and omega [rad/s]")
 
 
-def _clipped(value: float, bound: float) -> float:
+def _clip(value: float, bound: float) -> float:
     return min(max(value, -bound), bound)
 
 
 class DelayLine:
-    """Commands that arrive a fixed time after they were sent, and hold until the next one arrives.
+    """Delay of commands by a dead time; a command acts until the next one arrives.
 
     Parameters
     ----------
     dead_time
-        From sending to arrival [s].
+        Time from sending to arrival [s].
     """
 
     def __init__(self, dead_time: float) -> None:
@@ -213,7 +213,7 @@ class DelayLine:
         self._sent = np.zeros(2)
         self._sent_address = address(self._sent)
         self._arrivals, self._commands = np.empty(0), np.empty((0, 2))
-        self._make_room(_ROOM)
+        self._make_room(_INITIAL_ROOM)
 
     def reset(self) -> None:
         """Reset to zero commands, sent and arrived."""
@@ -221,7 +221,7 @@ class DelayLine:
         self.c.acting = [0.0, 0.0]
 
     def send(self, time: float, command: FloatArray) -> None:
-        """Send `command` (2,) at `time` [s], not before any earlier one."""
+        """Send `command` (2,) at `time` [s]; times must not decrease."""
         self._sent[:] = command
         if not self._lib.twin_send(self.c, time, self._sent_address):
             self._make_room(2 * self.c.room)
@@ -230,14 +230,14 @@ class DelayLine:
     def mean(self, start: float, end: float) -> FloatArray:
         """Compute the mean (2,) of the arrived command over [start, end] [s]; intervals must be in order.
 
-        The mean keeps the dead time exact although it is no multiple of the physics step.
+        With the mean, the dead time is exact even if it is not a multiple of the physics step.
         """
         mean = np.empty(2)
         self._lib.twin_arrived(self.c, start, end, address(mean))
         return mean
 
     def _make_room(self, room: int) -> None:
-        """Reserve space for `room` pending commands, without a change of those already pending."""
+        """Reserve memory for `room` pending commands; keep the commands that are already pending."""
         arrivals, commands, count = np.empty(room), np.empty((room, 2)), self.c.count
         if count:
             places = (self.c.first + np.arange(count)) % self.c.room
@@ -247,21 +247,21 @@ class DelayLine:
         self.c.room, self.c.first = room, 0
 
 
-# Work of the motors of a plant in a sample: true torques, work, and squared torques, which heat the windings.
+# Motor work of a plant in a sample: true torques, power, and squared torques, which heat the windings.
 
 
 WHEELS = 4
 
 
 class MotorWork(NamedTuple):
-    """Means over a sample of the physics' steps in it, (4,) each: front left, front right, rear left, rear right."""
+    """Means over the physics steps of a sample, (4,) each: front left, front right, rear left, rear right."""
 
     torque: FloatArray
-    """at the wheels [N m]; positive drives forward"""
+    """Torque at the wheels [N m]; positive drives forward."""
     speed: FloatArray
     """Speed of the wheels [rad/s]."""
     power: FloatArray
-    """mechanical [W]: torque times speed, of each step"""
+    """Mechanical power [W], torque times speed in each step."""
     square: FloatArray
     """Square of the torque [N^2 m^2], which heats the windings."""
 
@@ -271,7 +271,7 @@ NOTHING = MotorWork(*(np.full(WHEELS, np.nan) for _ in MotorWork._fields))
 
 
 def motor_work(plant: Plant) -> MotorWork:
-    """Return the work of the motors of `plant` in the last sample; return `NOTHING` for a velocity model."""
+    """Return the motor work of `plant` in the last sample; `NOTHING` for a plant without motors."""
     motors: FloatArray | None = getattr(plant, "motors", None)
     if motors is None:
         return NOTHING

@@ -1,4 +1,4 @@
-"""Robot of a log for simulation: its identified model, its sensors, and its motion beyond the model."""
+"""Robot identified from a log, for simulation: model, sensors, and motion that the model does not explain."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 
 ROBOT_FILE = "robot.yaml"
 SERIES = 60.0
-"""Duration of the motion that is drawn for a run, after which it repeats [s]."""
+"""Duration of the motion drawn for a run, after which it repeats [s]."""
 Model = VelocityModel | NonlinearModel
 _Deviations = tuple[NotNegative, NotNegative]
 _Variances = tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, NotNegative]
@@ -30,14 +30,14 @@ _Interval = tuple[Annotated[int, Field(ge=1)], float, float, float]
 
 
 def intensity_features(output: FloatArray, rate: FloatArray) -> FloatArray:
-    """Return (..., 6) squares on which the variance of unexplained motion depends: 1, v, omega, v omega and both rates.
+    """Return the squares (..., 6) of 1, v, omega, v omega and both rates, the features of the variance.
 
     Parameters
     ----------
     output
         (..., 2) v [m/s], omega [rad/s] of the model.
     rate
-        (..., 2) their time derivatives.
+        (..., 2) time derivatives of v and omega.
     """
     v, omega = output[..., 0], output[..., 1]
     return np.asarray(np.stack([np.ones_like(v), v, omega, v * omega, rate[..., 0], rate[..., 1]], axis=-1) ** 2)
@@ -45,16 +45,16 @@ def intensity_features(output: FloatArray, rate: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class UnexplainedMotion:
-    """Motion of the body beyond its model, which the encoders do not measure.
+    """Motion of the body that neither the model explains nor the encoders measure.
 
     Attributes
     ----------
     rows
-        (K, 3) multiples of the standard deviation, sample by sample, then from the first again.
+        (K, 3) multiples of the standard deviation for each sample, repeated periodically.
     variance
         (3, 6) variance of forward and lateral speed [m/s] and yaw rate [rad/s] for each unit of `intensity_features`.
     largest
-        (6,) features of the log, beyond which the variance does not grow.
+        (6,) maximum features of the log; the variance does not increase beyond them.
     """
 
     rows: FloatArray
@@ -63,20 +63,20 @@ class UnexplainedMotion:
 
 
 class IdentifiedRobot(StrictModel):
-    """Content of `robot.yaml`, which `identify` writes; `make_plant` reads it as "model:FILE"."""
+    """Content of `robot.yaml`, written by `identify` and read by `make_plant` as "model:FILE"."""
 
     model: str = Field(description="parameter file of the model, in the folder of this file")
-    slip: BodySlip = Field(description="of the surface of the log, at the point of its poses")
-    sensors: SensorSet = Field(description="poses as in the log")
-    sample_time: SampleTime = Field(description="of the log, whose samples `motion` counts [s]")
-    block_time: Positive = Field(description="duration of the blocks of motion that a run draws [s]")
+    slip: BodySlip = Field(description="slip on the surface of the log, at the pose point")
+    sensors: SensorSet = Field(description="sensors, with poses as in the log")
+    sample_time: SampleTime = Field(description="sample time of the log and of `motion` [s]")
+    block_time: Positive = Field(description="duration of the blocks of motion drawn for a run [s]")
     gain_deviation: _Deviations = Field(description="standard deviation of the gains of v and omega, relative [-]")
     delay_deviation: _Deviations = Field(description="standard deviation of dead time plus lag of v and omega [s]")
     variance: tuple[_Variances, _Variances, _Variances] = Field(
-        description="of forward and lateral speed and yaw rate beyond the model, for each unit of 1, v^2, omega^2, "
-        "(v omega)^2 and the squared rates of v and omega, SI units"
+        description="coefficients of the variance of unexplained forward speed, lateral speed and yaw rate, for 1, "
+        "v^2, omega^2, (v omega)^2 and the squared rates of v and omega, SI units"
     )
-    largest: _Variances = Field(description="these six of the log; the variance grows no further")
+    largest: _Variances = Field(description="maxima of these six features in the log, which bound the variance")
     motion: list[list[_Interval]] = Field(
         min_length=1,
         description="for each held-out record intervals of constant motion: samples, and forward speed, lateral speed "
@@ -90,23 +90,23 @@ class IdentifiedRobot(StrictModel):
         return [np.repeat(table[:, 1:], table[:, 0].astype(int), axis=0) for table in tables]
 
     def drawn_model(self, model: Model, rng: np.random.Generator) -> Model:
-        """Draw gains and delays about those of a linear model; a function is returned as it is."""
+        """Draw gains and delays about those of a linear model; return a nonlinear model unchanged."""
         gains, delays = 1.0 + rng.normal(0.0, self.gain_deviation), rng.normal(0.0, self.delay_deviation)
         if isinstance(model, NonlinearModel):
             return model
-        late = np.maximum(model.dead_time + delays, 0.0)
-        return replace(model, C=gains[:, None] * model.C, dead_time=late)
+        dead_time = np.maximum(model.dead_time + delays, 0.0)
+        return replace(model, C=gains[:, None] * model.C, dead_time=dead_time)
 
     def disturbance(self, sample_time: float, rng: np.random.Generator) -> UnexplainedMotion:
-        """Draw motion for `ModelPlant`, whose samples are `sample_time` [s] apart."""
+        """Draw unexplained motion for a `ModelPlant` with sample time `sample_time` [s]."""
         rows = drawn_motion(self.records, SERIES, (self.sample_time, sample_time), self.block_time, rng)
         return UnexplainedMotion(rows, np.array(self.variance), np.array(self.largest))
 
 
 def load_identified_robot(path: str | Path) -> IdentifiedRobot | None:
-    """Read a robot file; None if there is no file of this kind.
+    """Read a robot file; return None if there is no such file or it is of another kind.
 
-    Raises ConfigError if it has a mistake, and `models.trust.UntrustedFileError` as `check_trusted`.
+    Raises ConfigError if the file is invalid, and `models.trust.UntrustedFileError` as `check_trusted`.
     """
     if not is_file(path):
         return None
@@ -116,7 +116,7 @@ def load_identified_robot(path: str | Path) -> IdentifiedRobot | None:
 
 
 def intervals(rows: FloatArray) -> list[_Interval]:
-    """Return the intervals of constant motion in `rows` (K, 3), rounded as `robot.yaml` holds them."""
+    """Return the intervals of constant motion in `rows` (K, 3), rounded as in `robot.yaml`."""
     rows = np.round(rows, 3)
     starts = np.flatnonzero(np.r_[True, (np.diff(rows, axis=0) != 0.0).any(axis=1)])
     lengths = np.diff(np.r_[starts, len(rows)])
@@ -130,7 +130,7 @@ def drawn_motion(
     block_time: float,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Return rows (K, 3) of blocks of the motion, drawn with equal probability.
+    """Draw blocks of the motion with equal probability; return their rows (K, 3).
 
     Parameters
     ----------
@@ -147,9 +147,9 @@ def drawn_motion(
     """
     measured, dt = rate
     block = max(1, round(block_time / measured))
-    begins = [(i, first) for i, rows in enumerate(motion) for first in range(max(1, len(rows) - block + 1))]
+    starts = [(i, first) for i, rows in enumerate(motion) for first in range(max(1, len(rows) - block + 1))]
     parts: list[FloatArray] = []
     while sum(map(len, parts)) * measured < duration:
-        i, first = begins[rng.integers(len(begins))]
+        i, first = starts[rng.integers(len(starts))]
         parts.append(motion[i][first : first + block])
     return np.asarray(np.concatenate(parts)[(np.arange(round(duration / dt)) * dt / measured).astype(int)])

@@ -1,4 +1,4 @@
-"""Plants by name."""
+"""Construction of plants by name."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from diffdrive_mpc.models.errors import wrong_type
 from diffdrive_mpc.models.named_file import is_file
 from diffdrive_mpc.models.robot import Robot, TwistBounds, load_robot
 from diffdrive_mpc.models.two_sided import sides_of
-from diffdrive_mpc.sim.disturbances.scenario import Scenario, beside, load_scenario
+from diffdrive_mpc.sim.disturbances.scenario import Scenario, combine, load_scenario
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
 from diffdrive_mpc.sim.plants.names import DRAWN, MODEL, PHYSICS, split_plant
 from diffdrive_mpc.sim.plants.plant import Plant
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 _MODEL_PREFIX = f"{MODEL}:"
 _IDENTIFIED = 57
-"""Stream of the generator of identified robots, apart from the noise of the same seed."""
+"""Key of the random stream of identified robots, separate from the noise of the same seed."""
 
 
 def make_plant(
@@ -53,45 +53,47 @@ def make_plant(
     Parameters
     ----------
     name
-        "mujoco" for the physics, "mujoco:NAME" for another robot in it, NAME shipped or the path of a robot file, or
-        "model:NAME" for a velocity model with the base effects of its file, NAME as `models.load_model` takes it.
-        "drawn:SEED" is a robot of the market on a floor of its own, which brings its slope, patches and motors along.
-        "model:NAME+SECONDS" puts that dead time on top of the model's own, as `extra_dead_time` does: "model:sm+0.04".
-        Where a file has the whole of NAME+SECONDS for a path, it is that file. Or a velocity model itself.
-        "model:FOLDER/robot.yaml" is the robot that `identify` wrote: model and unexplained motion are drawn by `seed`,
-        surface and sensors are those of the log.
-        "KIND:NAME" and "KIND:NAME@PLANT" are plants of other packages around one of these, see `sim.plants.plug_ins`:
-        "world:slalom" has obstacles, "world:slalom@mujoco:heavy" has them around another robot.
+        Name of the plant, or a velocity model.
+
+        * "mujoco": the physics; "mujoco:NAME": another robot, NAME shipped or the path of a robot file.
+        * "drawn:SEED": a robot of the market with its surface, slope, patches and motors.
+        * "model:NAME": a velocity model with the base effects of its file, NAME as for `models.load_model`.
+        * "model:NAME+SECONDS": with additional dead time, like `extra_dead_time`, for instance "model:sm+0.04". If
+          NAME+SECONDS is the path of a file, that file is used.
+        * "model:FOLDER/robot.yaml": the robot written by `identify`, with surface and sensors of the log; model and
+          unexplained motion are drawn from `seed`.
+        * "KIND:NAME", "KIND:NAME@PLANT": plants of other packages around one of these, see `sim.plants.plug_ins`:
+          "world:slalom" adds obstacles, "world:slalom@mujoco:heavy" adds them around another robot.
     surface
-        Name of a shipped surface or path of a surface file. For "mujoco:NAME" the default one has the friction that the
-        robot file says, where it says one.
+        Name of a shipped surface or path of a surface file. The default surface of "mujoco:NAME" has the friction of
+        the robot file, if the file states it.
     sensors
-        Name of a shipped sensor set or path of a sensor file; the default ones of "mujoco:NAME" are those of its file.
+        Name of a shipped sensor set or path of a sensor file; the default of "mujoco:NAME" is that of the robot file.
     seed
-        Seed of all noise, not negative: the same seed gives the same run, bit for bit.
+        Seed of the noise, not negative; runs with the same seed are bitwise equal.
     extra_dead_time
-        For "model:" plants: dead time on top of the model's own and of that in `name` [s]. The physics has its own in
-        its parameter file.
+        For "model:" plants: dead time in addition to that of the model and of `name` [s]. The dead time of the physics
+        is in the robot file.
     scenario
-        Name of a shipped scenario or path of a scenario file: what happens to the robot during a run. Its random values
-        are drawn from `seed`, in a separate stream. "model:" plants take those without mass, wheels and motors.
+        Name of a shipped scenario or path of a scenario file, the disturbances of a run. Random values are drawn from
+        `seed`, in a separate stream. "model:" plants support disturbances that do not need mass, wheels or motors.
     sample_time
-        Time for which a command holds [s]; by default that of the robot. The physics has its own steps.
+        Time for which a command is held [s]; by default that of the robot. The physics has shorter steps.
     limits
-        For "model:" plants: commands beyond this are cut off; by default as the link of the robot of the papers does.
+        For "model:" plants: limits to which commands are clipped; by default those of the robot of the papers.
     scene
         Geometry around the robot, for the physics only.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If a name is unknown, a file has a mistake, or the arguments do not go together.
+        If a name is unknown, a file is invalid, or the arguments do not match.
     models.velocity_model.ModelError
-        If a model cannot be a robot's, its dead time included.
+        If a model, with its dead time, cannot describe a robot.
     models.errors.ArgumentError
-        If an argument has another type.
+        If an argument has a wrong type.
     models.errors.MissingPackageError
-        If the package of a kind of plants or of a simulator part is not installed.
+        If the package of a kind of plant or of a simulator part is not installed.
     """
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise ConfigError(f"seed {seed!r}: give an integer that is not negative")
@@ -114,7 +116,7 @@ def make_plant(
     drawn = drawn_robot(name)
     disturbances = load_scenario(scenario).draw(int(seed))
     if drawn is not None:
-        disturbances = beside(disturbances, drawn.scenario)
+        disturbances = combine(disturbances, drawn.scenario)
     setting = _Setting(
         name, surface, load_surface(surface), sensors, load_sensor_set(sensors), scenario, disturbances, int(seed)
     )
@@ -138,7 +140,7 @@ def make_plant(
 
 
 class _Setting(NamedTuple):
-    """Setting of a plant: names as given, for messages and defaults, with their objects."""
+    """Arguments of a plant: names, for messages and defaults, and the loaded objects."""
 
     name: str
     surface_name: str | Path
@@ -151,20 +153,20 @@ class _Setting(NamedTuple):
 
 
 def _physics_plant(setting: _Setting, scene: Scene | None, sample_time: float | None) -> Plant:
-    """Make a robot in MuJoCo, with the disturbances of the setting and the scene around it."""
+    """Build a robot in MuJoCo with the disturbances of the setting and the scene."""
     surface, disturbances = setting.surface, setting.disturbances
     if surface.friction is None:
         raise ConfigError(
-            f"surface '{setting.surface_name}' has no friction: it is for 'model:' plants; wheels need it to push"
+            f"surface '{setting.surface_name}' has no friction: it is for 'model:' plants; the physics needs friction"
         )
     from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant  # noqa: PLC0415 - needs MuJoCo
 
     build = simulated_robot(setting.name)
     sensors = build.sensors if build and setting.sensors_name == DEFAULT else setting.sensors
     values = build.parts if build else {}
-    own_friction = build.friction if build and setting.surface_name == DEFAULT else None
+    robot_friction = build.friction if build and setting.surface_name == DEFAULT else None
     robot = MujocoPlant(
-        own_friction or surface.friction,
+        robot_friction or surface.friction,
         sensors,
         setting.seed,
         robot=build.robot if build else None,
@@ -185,14 +187,14 @@ def _physics_plant(setting: _Setting, scene: Scene | None, sample_time: float | 
 def _model_plant(
     setting: _Setting, model: VelocityModel | NonlinearModel | None, extra_dead_time: float, robot: Robot
 ) -> Plant:
-    """Build a robot that moves as a velocity model: `model`, or the one in the setting's name."""
+    """Build a plant with a velocity model: `model`, or the model in the name of the setting."""
     from diffdrive_mpc.models.load import load_base_effects, load_model  # noqa: PLC0415 - only this plant needs it
     from diffdrive_mpc.sim.plants.identified_robot import load_identified_robot  # noqa: PLC0415
     from diffdrive_mpc.sim.plants.model_plant import ModelPlant  # noqa: PLC0415
 
     effects, slip, sensors, disturbance = BaseEffects(), setting.surface.slip, setting.sensors, None
     if model is None:
-        file, named_dead_time = _split(setting.name.removeprefix(_MODEL_PREFIX))
+        file, named_dead_time = _split_dead_time(setting.name.removeprefix(_MODEL_PREFIX))
         extra_dead_time += named_dead_time
         identified = load_identified_robot(file)
         if identified is not None:
@@ -222,37 +224,37 @@ def _model_plant(
 
 
 def _near_plant(name: str) -> str:
-    """Format the end of the message about an unknown plant: the nearest name, if one is near."""
+    """Format the end of the message about an unknown plant: the most similar name, if there is one."""
     from diffdrive_mpc.models.load import model_names  # noqa: PLC0415 - see make_plant
 
-    by_words = {PHYSICS: PHYSICS, DRAWN: f"{DRAWN}:SEED"} | {model: _MODEL_PREFIX + model for model in model_names()}
-    near = difflib.get_close_matches(name.lower(), by_words, n=1)
-    return f"; did you mean '{by_words[near[0]]}'?" if near else ""
+    names = {PHYSICS: PHYSICS, DRAWN: f"{DRAWN}:SEED"} | {model: _MODEL_PREFIX + model for model in model_names()}
+    near = difflib.get_close_matches(name.lower(), names, n=1)
+    return f"; did you mean '{names[near[0]]}'?" if near else ""
 
 
 def plant_body(name: str) -> tuple[Robot, TwinParameters]:
-    """Return the robot of a plant's name and its physical parameters; those of the papers for "model:NAME".
+    """Return robot and physical parameters of the plant `name`; those of the papers' robot for "model:NAME".
 
-    Raises ConfigError if it names a robot file that cannot be used.
+    Raises ConfigError if the robot file is invalid.
     """
     build = simulated_robot(plant_inside(name))
     return (build.robot, build.twin) if build else (load_robot(), load_twin_parameters())
 
 
 def _checked_model(model: object) -> VelocityModel | NonlinearModel:
-    """Return `model`; raise ArgumentError if it is none."""
+    """Return `model`; raise ArgumentError if it is not a velocity model."""
     from diffdrive_mpc.models.nonlinear_model import NonlinearModel  # noqa: PLC0415 - needs CasADi
     from diffdrive_mpc.models.velocity_model import VelocityModel  # noqa: PLC0415
 
     if not isinstance(model, (VelocityModel, NonlinearModel)):
-        raise wrong_type("plant", "a name or a velocity model", model, "make it with make_plant('mujoco')")
+        raise wrong_type("plant", "a name or a velocity model", model, "build it with make_plant('mujoco')")
     return model
 
 
 def physics_robot(name: str) -> Robot | None:
-    """Return geometry and limits of the robot of a plant in the physics; None for "model:NAME".
+    """Return the robot of a plant in the physics; None for "model:NAME".
 
-    Raises ConfigError where a robot file is named that cannot be used.
+    Raises ConfigError if the robot file is invalid.
     """
     name = plant_inside(name)
     if name.partition(":")[0] not in (PHYSICS, DRAWN):
@@ -262,14 +264,14 @@ def physics_robot(name: str) -> Robot | None:
 
 
 def plant_inside(name: str) -> str:
-    """Return PLANT of "KIND:NAME@PLANT"; other names unchanged. Raises MissingPackageError as `split_plant`."""
+    """Return PLANT of "KIND:NAME@PLANT", or other names unchanged. Raises MissingPackageError as `split_plant`."""
     around = split_plant(name)
     return name if around is None else around[2]
 
 
 @lru_cache(maxsize=16)
 def drawn_robot(name: str) -> DrawnRobot | None:
-    """Return the robot of the market in a plant; None for other plants. Raises ConfigError without a seed."""
+    """Return the robot of a plant "drawn:SEED"; None for other plants. Raises ConfigError for an invalid seed."""
     kind, colon, seed = plant_inside(name).partition(":")
     if not colon or kind != DRAWN:
         return None
@@ -283,7 +285,7 @@ def drawn_robot(name: str) -> DrawnRobot | None:
 def simulated_robot(name: str) -> SimulatedRobot | None:
     """Return the robot of the plant "mujoco:NAME" or "drawn:SEED"; None for other plants.
 
-    Raises ConfigError if its file has a mistake.
+    Raises ConfigError if its file is invalid.
     """
     drawn = drawn_robot(name)
     if drawn is not None:
@@ -294,14 +296,14 @@ def simulated_robot(name: str) -> SimulatedRobot | None:
 
 def _model_robot(sample_time: float | None, limits: TwistBounds | None) -> Robot:
     robot = load_robot()
-    # The link cuts off at one number for both sides.
-    cut = {} if limits is None else {"v": max(sides_of(limits.v)), "omega": max(sides_of(limits.omega))}
-    bounds = robot.limits.model_copy(update=cut)
+    # The link clips symmetrically.
+    symmetric = {} if limits is None else {"v": max(sides_of(limits.v)), "omega": max(sides_of(limits.omega))}
+    bounds = robot.limits.model_copy(update=symmetric)
     return robot.model_copy(update={"sample_time": sample_time or robot.sample_time, "limits": bounds})
 
 
-def _split(text: str) -> tuple[str, float]:
-    """Model and extra dead time [s] of NAME or NAME+SECONDS; an existing file may have a plus in its path."""
+def _split_dead_time(text: str) -> tuple[str, float]:
+    """Split NAME or NAME+SECONDS into model and extra dead time [s]; the path of an existing file may have a plus."""
     model, plus, seconds = text.rpartition("+")
     if not plus or is_file(text):
         return text, 0.0

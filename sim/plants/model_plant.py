@@ -1,4 +1,4 @@
-"""A velocity model as plant: fast, and the truth is known in closed form."""
+"""Plant that moves as a velocity model: fast, with a closed-form solution."""
 
 from __future__ import annotations
 
@@ -27,31 +27,30 @@ _NO_LIMIT = 1e6
 
 
 class ModelPlant:
-    """A velocity model, extra dead time and slip behind the same sensors as the physics; see `sim.plants.plant.Plant`.
+    """Plant with velocity model, extra dead time, slip, and the sensors of the physics; see `sim.plants.plant.Plant`.
 
-    The model's v is that of the encoders, its omega that of the gyro on the surface it was identified on. Over a sample
-    the twist is the mean of the outputs at both ends, and the pose moves along the exact arc of that mean. With effects
-    of a base that holds for each of a few steps of a sample. Poses are those of the centre of rotation, as a pose mount
-    gives them.
+    The model's v is that of the encoders, its omega that of the gyro on the surface of the identification. The twist of
+    a sample is the mean of the outputs at both ends, and the pose moves along the exact arc of this mean; with base
+    effects, this applies to each of several steps of a sample. Poses are those of the centre of rotation.
 
     Parameters
     ----------
     model
         The velocity model.
     slip
-        Slip between the model's twist and the true one.
+        Slip from the model's twist to the true twist.
     sensors
         Sensor parameters.
     seed
-        Seed of all noise, not negative.
+        Seed of the noise, not negative.
     extra_dead_time
-        Dead time on top of the model's own, both channels [s].
+        Dead time in addition to that of the model, for both channels [s].
     effects
-        Effects of the base around the model; none by default.
+        Base effects; none by default.
     robot
         Geometry, sample time and limits; by default the robot of the papers.
     disturbance
-        Motion of the body beyond that, which the encoders do not measure. None by default.
+        Additional motion of the body, which the encoders do not measure; None by default.
     """
 
     def __init__(
@@ -103,7 +102,7 @@ class ModelPlant:
         return self._twist.copy()
 
     def reset(self, pose: ArrayLike) -> None:
-        """Put the robot at rest at `pose` (3,) at time 0 and restart the noise from the seed."""
+        """Reset the robot to rest at `pose` (3,) at time 0 and restart the noise."""
         self._sent: tuple[float, float] | None = None
         self._pose[:] = pose
         if self._function is not None:
@@ -116,7 +115,7 @@ class ModelPlant:
         return self._sensors.collect(self.time, self._sent)
 
     def advance(self, command: ArrayLike) -> None:
-        """Send `command` (2,) and let one sample pass; raises ValueError unless it is two finite numbers."""
+        """Send `command` (2,) and advance by one sample; raise ValueError unless it is two finite numbers."""
         sent, before = clip_command(command, self._robot.limits).tolist(), self.time
         self._sent = (sent[0], sent[1])
         if self._function is not None:
@@ -132,7 +131,7 @@ class ModelPlant:
 
 
 class _Function:
-    """A model that is a function, sample by sample."""
+    """Simulation state of a nonlinear model."""
 
     def __init__(self, model: NonlinearModel) -> None:
         self._model = model
@@ -162,11 +161,11 @@ def _plant_in_c(
 ) -> tuple[Any, list[Any]]:
     """Return the plant of `sim/core/velocity_plant.h`, and the memory that it uses.
 
-    Raises ModelError if a function is for another sample time, or effects stand around it.
+    Raises ModelError if a nonlinear model has another sample time, or effects are given for it.
     """
     plain = effects.model_copy(update={"pose_mount": None}) == BaseEffects()
     c = load_twin()[0].new("velocity_plant *")
-    # Over a step the twist counts as the mean of its ends: so it is no longer than that of the papers' robot.
+    # The mean twist of a step is that of its ends, so the step is at most the sample time of the papers' robot.
     c.steps = max(1 if plain else PARTS, math.ceil(sample_time / load_robot().sample_time - 1e-9))
     if isinstance(model, NonlinearModel):
         if not (plain and math.isclose(sample_time, model.dt, rel_tol=1e-9)):

@@ -1,4 +1,4 @@
-"""The physics plant: chassis in MuJoCo, and around it link, firmware, motor drivers and sensors."""
+"""Physics plant: chassis in MuJoCo, with link, firmware, motor drivers and sensors."""
 
 from __future__ import annotations
 
@@ -22,33 +22,33 @@ from diffdrive_mpc.sim.plants.twin_parameters import Firmware, TwinParameters, l
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 from diffdrive_mpc.sim.sensing.sensors import TIME_TOLERANCE, Sensors
 
-# Spawn keys of the sensors' streams are 0, 1, 2, ...: this one can never meet them.
+# Sensors use the spawn keys 0, 1, 2, ..., which never reach this key.
 _ENCODER_PHASE_KEY = 1_000
 
 
 class MujocoPlant:
-    """The robot of the papers as a digital twin; see `sim.plants.plant.Plant`.
+    """Digital twin of the papers' robot, or of other robots; see `sim.plants.plant.Plant`.
 
     Parameters
     ----------
     friction
-        Sliding friction coefficient of the floor.
+        Sliding friction coefficient of the surface.
     sensors
         Sensor parameters.
     seed
-        Seed of all noise, not negative.
+        Seed of the noise, not negative.
     robot, twin, firmware
-        Other robots than the shipped one.
+        Parameters of the robot; by default those of the papers' robot.
     base
         Effects of the base on the commands; none by default.
     scenario
-        Disturbances of chassis and motors; the others are for `sim.plants.disturbed_plant.DisturbedPlant`.
+        Disturbances of chassis and motors; `sim.plants.disturbed_plant.DisturbedPlant` applies the others.
     sideways
-        Friction across the rolling direction of the wheels over that along it.
+        Ratio of friction across the rolling direction of the wheels to friction along it.
     sample_time
-        Time for which a command holds [s]; by default that of `robot`. Steps of the physics are about as long as there.
+        Time for which a command is held [s]; by default that of `robot`. The physics step stays about the same.
     scene
-        Geometry around it.
+        Geometry around the robot.
     parts
         Devices that observe the motors, by name.
     """
@@ -121,24 +121,24 @@ class MujocoPlant:
 
     @property
     def chassis(self) -> Chassis:
-        """The body in MuJoCo, for a look at energy, contacts and true wheel speeds."""
+        """Chassis in MuJoCo, for access to energy, contacts and true wheel speeds."""
         return self._chassis
 
     @property
     def motors(self) -> FloatArray:
-        """(steps, 2, 4) torques [N m] and wheel speeds [rad/s] in the sample before; see `sim.plants.drivetrain`.
+        """(steps, 2, 4) torques [N m] and wheel speeds [rad/s] of the last sample; see `sim.plants.drivetrain`.
 
-        Front left, front right, rear left, rear right. They are written over by the next sample.
+        Front left, front right, rear left, rear right. The next sample overwrites them.
         """
         return self._twin.motors
 
     @property
     def crossed(self) -> list[Span]:
-        """When the robot got onto and off each patch of the floor that it has met since the last reset [s]."""
+        """First and last time on each patch that the robot has reached since the last reset [s]."""
         return self._disturbances.crossed if self._disturbances else []
 
     def reset(self, pose: ArrayLike) -> None:
-        """Put the robot at rest at `pose` (3,) at time 0 and restart the noise from the seed."""
+        """Reset the robot to rest at `pose` (3,) at time 0, and restart the noise."""
         self._tick = 0
         self._sent: tuple[float, float] | None = None
         self._chassis.reset(pose)
@@ -159,14 +159,14 @@ class MujocoPlant:
         return self._sensors.collect(self.time, self._sent)
 
     def advance(self, command: ArrayLike) -> None:
-        """Send `command` (2,) and let one sample pass; raise as `sim.plants.plant.Plant` describes."""
+        """Send `command` (2,) and advance by one sample; errors as for `sim.plants.plant.Plant`."""
         sent = clip_command(command, self._robot.limits)
         self._sent = (float(sent[0]), float(sent[1]))
         if self._shaping is None:
             self._line.send(self.time, sent)
         else:
-            for since, twist in self._shaping.levels(self.time, sent):
-                self._line.send(since, twist)
+            for start, twist in self._shaping.levels(self.time, sent):
+                self._line.send(start, twist)
         edges, poses = self._twin.edges, self._twin.poses
         np.add(self.time, self._offsets, out=edges)
         edges[-1] = (self._tick + 1) * self.sample_time
@@ -175,11 +175,11 @@ class MujocoPlant:
         else:
             self._disturbances.advance(self._twin)
         self._tick += 1
-        for look in self._sensors.poses_due(edges[-1]):
-            # A pose is due at the first step of the physics that ends after its time.
-            k = int(np.searchsorted(edges[1:] + TIME_TOLERANCE, look))
+        for due in self._sensors.poses_due(edges[-1]):
+            # The pose is interpolated in the first physics step that ends after its time.
+            k = int(np.searchsorted(edges[1:] + TIME_TOLERANCE, due))
             start, end, before, after = edges[k], edges[k + 1], poses[k], poses[k + 1]
-            self._sensors.see_pose(look, before + (look - start) / (end - start) * (after - before))
+            self._sensors.see_pose(due, before + (due - start) / (end - start) * (after - before))
         for part in self.parts.values():
             part.take(self._twin.motors)
         speeds = self._chassis.wheel_speeds if self._exact_speeds else self._observer.speed

@@ -1,4 +1,4 @@
-"""Names of plants; the command line reads them without loading the simulator."""
+"""Names of plants, for the command line, without import of the simulator."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ if TYPE_CHECKING:
     from diffdrive_mpc.sim.plants.plug_ins import PlantKind
 
 PHYSICS = "mujoco"
-"""Name of the physics plant, and before a colon the kind of another robot in it."""
+"""Name of the physics plant, and prefix of other robots in it ("mujoco:NAME")."""
 DRAWN = "drawn"
-"""Before a colon and a seed: a robot of the market, see `sim/plants/market.yaml`."""
+"""Prefix of robots of the market ("drawn:SEED"), see `sim/plants/market.yaml`."""
 MODEL = "model"
-"""Before a colon: a velocity model."""
+"""Prefix of velocity models ("model:NAME")."""
 BUILT_IN = (PHYSICS, DRAWN, MODEL)
 
 
 def split_plant(name: str) -> tuple[PlantKind, str, str] | None:
-    """Split "KIND:NAME" or "KIND:NAME@PLANT" into the kind, NAME and PLANT, by default the physics.
+    """Split "KIND:NAME" or "KIND:NAME@PLANT" into kind, NAME and PLANT, by default the physics.
 
-    Returns None for names of built-in and of unknown plants.
+    Returns None for built-in and unknown plants.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Driving a plant open loop: rows of commands (the papers' steps, random set-points), and the drive."""
+"""Open-loop drives of a plant, with the papers' steps or random set-points as commands."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from diffdrive_mpc.sim.plants.twin_parameters import PARAMETERS
 
 
 class StepCommands(StrictModel):
-    """Steps from rest to a level and back."""
+    """Parameters of steps from rest to a level and back to rest."""
 
     wheel_levels: list[float]
     v_levels: list[float]
@@ -29,7 +29,7 @@ class StepCommands(StrictModel):
 
 
 class RandomCommands(StrictModel):
-    """Random set-points, each held for a random time."""
+    """Parameters of random set-points, each held for a random time."""
 
     v_range: tuple[float, float]
     omega_range: tuple[float, float]
@@ -39,7 +39,7 @@ class RandomCommands(StrictModel):
 
 
 class CommandParameters(StrictModel):
-    """All experiments."""
+    """Parameters of the commands of all experiments."""
 
     steps: StepCommands
     random: RandomCommands
@@ -47,19 +47,19 @@ class CommandParameters(StrictModel):
 
 @cache
 def load_command_parameters() -> CommandParameters:
-    """Read the experiments' parameter file; raises ConfigError on a mistake in it."""
+    """Read the parameter file of the commands; raise ConfigError if it is invalid."""
     return load_checked(CommandParameters, PARAMETERS / "commands.yaml")
 
 
 def step_commands(kind: Literal["wheels", "v", "omega"], robot: Robot | None = None) -> list[FloatArray]:
-    """Build one command row (K, 2) per step level: rest, step, rest.
+    """Build the commands (K, 2) for each step level: rest, step, rest.
 
     Parameters
     ----------
     kind
-        "wheels": straight on at the pulse rates from which the papers identify MBM; "v" and "omega": the steps of SM.
+        "wheels": straight motion at the pulse rates of the papers' experiments for MBM; "v", "omega": steps for SM.
     robot
-        Wheel radius, encoder and sample time; by default the robot of the papers.
+        Robot with wheel radius, encoder and sample time; by default that of the papers.
     """
     robot, steps = robot or load_robot(), load_command_parameters().steps
     metres_per_pulse = 2 * np.pi * robot.wheel_radius / robot.encoder_pulses
@@ -75,16 +75,16 @@ def step_commands(kind: Literal["wheels", "v", "omega"], robot: Robot | None = N
 def random_commands(
     seed: int, smooth: bool = True, duration: float | None = None, sample_time: float | None = None
 ) -> FloatArray:
-    """Draw (K, 2) random set-points, each held for a random time; the robot starts from rest.
+    """Draw random set-points (K, 2), each held for a random time; the robot starts from rest.
 
     Parameters
     ----------
     seed
-        Seed of set-points and holding times.
+        Seed of set-points and hold times.
     smooth
-        Average over the last half second; otherwise set-points change in steps.
+        Whether to average over the last half second; otherwise set-points change in steps.
     duration, sample_time
-        [s]; by default those of the parameter file and of the robot.
+        Duration and sample time [s]; by default from the parameter file and the robot.
     """
     parameters = load_command_parameters().random
     dt = sample_time or load_robot().sample_time
@@ -105,26 +105,26 @@ def random_commands(
 
 @dataclass(frozen=True, repr=False)
 class OpenLoopDrive(ReadOnlyArrays):
-    """An open-loop drive, K samples. Row k was measured at `time[k]`, just before `command[k]` was sent.
+    """Open-loop drive of K samples; row k was measured at `time[k]`, just before `command[k]` was sent.
 
     Attributes
     ----------
     time
-        (K,) [s].
+        (K,) times of the samples [s].
     command
         (K, 2) v_ref [m/s], omega_ref [rad/s].
     wheel_speeds
-        (K, 4) front left, front right, rear left, rear right [rad/s], as the drivers report them.
+        (K, 4) measured wheel speeds, front left, front right, rear left, rear right [rad/s].
     wheel_twist
-        (K, 2) v [m/s], omega [rad/s] from these speeds and the geometric track.
+        (K, 2) v [m/s], omega [rad/s] from the wheel speeds and the geometric track.
     yaw_rate
-        (K,) of the gyro [rad/s].
+        (K,) yaw rate of the gyro [rad/s].
     true_pose
         (K, 3) x [m], y [m], theta [rad, unwrapped].
     true_twist
         (K, 3) forward and lateral speed [m/s], yaw rate [rad/s].
     motor_torque, motor_speed, motor_power, motor_square
-        (K, 4) what `sim.plants.drivetrain` says of the sample that begins here; NaN for a plant without motors.
+        (K, 4) motor work of the sample that starts at `time`, see `sim.plants.drivetrain`; NaN without motors.
     """
 
     time: FloatArray
@@ -141,7 +141,7 @@ class OpenLoopDrive(ReadOnlyArrays):
 
     @property
     def output(self) -> FloatArray:
-        """(K, 2) what a velocity model predicts: v [m/s] of the encoders, omega [rad/s] of the gyro."""
+        """(K, 2) outputs of a velocity model: v [m/s] of the encoders, omega [rad/s] of the gyro."""
         return np.column_stack([self.wheel_twist[:, 0], self.yaw_rate])
 
 
@@ -151,7 +151,7 @@ def drive_open_loop(plant: Plant, commands: ArrayLike, pose: ArrayLike = (0.0, 0
     Raises
     ------
     ValueError
-        If the commands are not rows of two finite numbers, or the plant does not report encoders and gyro every sample.
+        If the commands are not rows of two finite numbers, or encoders or gyro have no reading at a sample.
     """
     rows = np.asarray(commands, dtype=float)
     if rows.ndim != 2 or rows.shape[1] != 2 or not np.isfinite(rows).all():

@@ -1,4 +1,4 @@
-"""Interface of a plant to the closed loop."""
+"""Interface of plants in the closed loop."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from diffdrive_mpc.models.interface import FloatArray, Measurement
 
 
 class RobotLostError(DiffdriveMpcError, ValueError):
-    """The robot tipped over or its motion diverged: it cannot be simulated further. One line: when, why, remedy."""
+    """Error if the robot tips over or its motion diverges: one line with time, reason and remedy."""
 
 
 class Plant(Protocol):
-    """Stand-in for the robot that advances by one control sample at a time.
+    """Simulated robot that advances by one control sample at a time.
 
-    Two plants made with the same arguments and driven with the same commands agree bit for bit.
+    Plants with the same arguments and the same commands give bitwise equal results.
     """
 
     @property
@@ -33,7 +33,7 @@ class Plant(Protocol):
 
     @property
     def true_pose(self) -> FloatArray:
-        """(3,) x [m], y [m], theta [rad, unwrapped] of the point midway between the wheels, without error or delay."""
+        """(3,) true x [m], y [m], theta [rad, unwrapped] of the centre between the wheels, without delay."""
         ...
 
     @property
@@ -42,31 +42,31 @@ class Plant(Protocol):
         ...
 
     def reset(self, pose: ArrayLike) -> None:
-        """Put the robot at rest at `pose` (3,) at time 0, and restart the noise from the seed.
+        """Reset the robot to rest at `pose` (3,) at time 0, and restart the noise.
 
-        The robot counts as having rested there before time 0: the first measurement already carries a (late) pose.
+        The robot is assumed to have been at rest before time 0: the first measurement already has a (delayed) pose.
         """
         ...
 
     def measure(self) -> Measurement:
-        """Collect the sensor data since the last call, at the current time."""
+        """Collect the sensor data since the last call."""
         ...
 
     def advance(self, command: ArrayLike) -> None:
-        """Send `command` (2,) v [m/s], omega [rad/s] and let one sample pass.
+        """Send `command` (2,) v [m/s], omega [rad/s] and advance by one sample.
 
         Raises
         ------
         ValueError
             If the command is not two finite numbers.
         RobotLostError
-            If the robot does not come through the sample.
+            If the robot tips over or its motion diverges.
         """
         ...
 
 
 class PlantAround:
-    """Plant around another plant, with the clock and the true motion of the inner one."""
+    """Wrapper of a plant with the clock and the true motion of the inner plant."""
 
     def __init__(self, plant: Plant) -> None:
         self._plant = plant
@@ -97,18 +97,18 @@ class PlantAround:
 
     @property
     def motors(self) -> FloatArray | None:
-        """(steps, 2, 4) torques [N m] and wheel speeds [rad/s] in the sample before; None without motors."""
+        """(steps, 2, 4) torques [N m] and wheel speeds [rad/s] of the last sample; None if the plant has no motors."""
         motors: FloatArray | None = getattr(self._plant, "motors", None)
         return motors
 
     @property
     def parts(self) -> Mapping[str, Any]:
-        """Simulator parts of the plant inside, by name."""
+        """Simulator parts of the inner plant, by name."""
         parts: Mapping[str, Any] = getattr(self._plant, "parts", {})
         return parts
 
     @property
     def records(self) -> Mapping[str, object]:
-        """Records of the run so far, by the name of the part that made them."""
+        """Records of the current run, by name of the part."""
         records: Mapping[str, object] = getattr(self._plant, "records", {})
         return records

@@ -1,7 +1,7 @@
-"""Plants and simulator parts of other packages, by the entry points of the group `diffdrive_mpc.plants`.
+"""Plants and simulator parts of other packages, from the entry points of the group `diffdrive_mpc.plants`.
 
-An entry is a `PlantKind`, whose plants are called "KIND:NAME" or "KIND:NAME@PLANT", or a `PartKind`, which a sensor
-file names under `parts:`. The entry of the same name in `diffdrive_mpc.columns`, a `RunColumns`, shows its records.
+An entry is a `PlantKind`, for plants called "KIND:NAME" or "KIND:NAME@PLANT", or a `PartKind`, which sensor files name
+under `parts:`. The entry of the same name in `diffdrive_mpc.columns`, a `RunColumns`, presents the records.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ class PlantKind(Protocol):
     """Plants of one kind around other plants."""
 
     def make_plant(self, name: str, plant: str, **options: Any) -> Plant:  # noqa: ANN401 - see `make_plant`
-        """Make the plant NAME around the plant of a name, with the other options of `sim.make_plant`."""
+        """Build the plant `name` around the plant called `plant`, with the other options of `sim.make_plant`."""
         ...
 
     def settings(self, name: str, plant: str) -> Mapping[str, object]:
-        """Return configuration values that the predictive controller needs for the plant, by dotted key."""
+        """Return configuration values of the predictive controller for the plant, by dotted key."""
         ...
 
     def reference(self, name: str, seed: int, limits: Any) -> Any:  # noqa: ANN401 - trajectories are types of `mpc`
-        """Return the trajectory that belongs to the plant, within the limits of the robot; None if it has none."""
+        """Return the trajectory of the plant within the limits of the robot; None if it has none."""
         ...
 
 
@@ -40,11 +40,11 @@ class Scene(Protocol):
 
     @property
     def obstacles(self) -> str:
-        """MJCF of the bodies, for the world's body."""
+        """MJCF of the bodies in the world body."""
         ...
 
     def hull(self, axle_height: float) -> str:
-        """Return MJCF of the robot's hull for its body, whose origin is `axle_height` above the surface [m]."""
+        """Return MJCF of the hull in the robot's body, whose origin is `axle_height` above the surface [m]."""
         ...
 
     def enter(self, model: Any, data: Any) -> None:  # noqa: ANN401 - MuJoCo has no types
@@ -61,7 +61,7 @@ class Scene(Protocol):
 
 
 class SimulatorPart(Protocol):
-    """Device on the robot that observes its motors."""
+    """Device of the robot that observes its motors."""
 
     @property
     def value(self) -> FloatArray:
@@ -73,11 +73,11 @@ class SimulatorPart(Protocol):
         ...
 
     def reset(self) -> None:
-        """Restart at rest, with the noise of the seed."""
+        """Reset to rest, and restart the noise."""
         ...
 
     def take(self, motors: FloatArray) -> None:
-        """Take the motors of one sample: (steps, 2, 4) torques [N m] and wheel speeds [rad/s]."""
+        """Observe the motors over one sample: (steps, 2, 4) torques [N m] and wheel speeds [rad/s]."""
         ...
 
 
@@ -85,7 +85,7 @@ class PartKind(Protocol):
     """Simulator parts of one kind."""
 
     def make_part(self, sensor: object, robot: object, seed: int) -> SimulatorPart:
-        """Make the part from the values under `parts:` of a sensor file and of a robot file."""
+        """Build the part from the values under `parts:` in a sensor file and in a robot file."""
         ...
 
 
@@ -99,49 +99,49 @@ class Surrounded(Protocol):
         ...
 
     def show(self, controller: TrackingController) -> None:
-        """Pass observations that arrived by the current tick to the controller; call once per tick."""
+        """Pass the observations delivered by the current tick to the controller; called once per tick."""
         ...
 
     def is_over(self, goal: FloatArray) -> bool:
-        """Return True if the run needs no further tick after the end of the reference at `goal`, a pose (3,)."""
+        """Return True if the run is complete; called after the end of the reference at `goal`, a pose (3,)."""
         ...
 
 
 class RunColumns:
-    """Base of what one part adds to a run: columns, a line of text, a table and marks in the figure of the path.
+    """Base class for the presentation of a part's records: columns, summary, table and marks in the path figure.
 
-    A package registers an instance in `diffdrive_mpc.columns` under the name by which `Run.parts` holds the records.
+    A package registers an instance in `diffdrive_mpc.columns` under the name of the records in `Run.parts`.
     """
 
-    def series(self, run: Any) -> Mapping[str, FloatArray]:  # noqa: ANN401 - a Run, whose module imports this one
-        """Return columns over time (n,) by name, for `Run.columns` and logs."""
+    def series(self, run: Any) -> Mapping[str, FloatArray]:  # noqa: ANN401 - importing Run would be circular
+        """Return time series (n,) by name, for `Run.columns` and logs."""
         del run
         return {}
 
     def row(self, run: Any) -> Mapping[str, object]:  # noqa: ANN401
-        """Return columns of the run's row in a comparison."""
+        """Return columns of the run's row in comparisons."""
         del run
         return {}
 
     def summary(self, run: Any) -> str:  # noqa: ANN401
-        """Return a line for the summary of a run; empty for none."""
+        """Return a line for the summary of a run; may be empty."""
         del run
         return ""
 
     def table(self, rows: Any) -> Any:  # noqa: ANN401 - a DataFrame and a table of the bench
-        """Return a table of rows; None for none."""
+        """Return a table of rows; None if there is no table."""
         del rows
 
     def draw(self, axes: Any, run: Any) -> None:  # noqa: ANN401 - axes of matplotlib
-        """Draw into the axes of the driven path."""
+        """Draw marks into the axes of the driven path."""
 
 
 def columns_of(run: Any) -> list[RunColumns]:  # noqa: ANN401 - as above
-    """Return the additions of the parts of a run, in order."""
+    """Return the `RunColumns` of the parts of a run, in order."""
     return [plug_in("columns", name) for name in run.parts]
 
 
 def make_part(name: str, sensor: object, robot: object, seed: int) -> SimulatorPart:
-    """Make the simulator part of a name; raises MissingPackageError or ConfigError if it cannot be used."""
+    """Build the simulator part `name`; raise MissingPackageError or ConfigError if it cannot be used."""
     kind: PartKind = plug_in("plants", name)
     return kind.make_part(sensor, robot, seed)

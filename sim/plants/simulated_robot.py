@@ -1,4 +1,4 @@
-"""A robot of the `mujoco` plant: one YAML file with the differences from the digital twin."""
+"""Robots of plant `mujoco`, defined by YAML files with the differences from the digital twin."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
 
 ROBOTS = EntryFile("robot", Path(__file__).with_name("robots.yaml"))
 DEFAULT = "default"
-"""Name of the floor and of the sensors that a robot file may replace by its own."""
+"""Name of the surface and of the sensor set that a robot file may replace."""
 
 
 class SimulatedRobot(StrictModel):
-    """Everything of a robot that the physics needs; keys and units are those of the files of the twin."""
+    """All parameters of a robot in the physics; keys and units as in the files of the digital twin."""
 
-    description: str = Field(min_length=1, description="what robot this is, in one line")
-    robot: Robot = Field(description="as models/parameters/robot.yaml")
-    twin: TwinParameters = Field(description="as sim/plants/parameters/twin.yaml")
-    firmware: Firmware = Field(description="as sim/plants/parameters/firmware.yaml")
-    base: BaseCommands | None = Field(default=None, description="slope limits and wheel commands inside the base")
+    description: str = Field(min_length=1, description="description in one line")
+    robot: Robot = Field(description="robot, as in models/parameters/robot.yaml")
+    twin: TwinParameters = Field(description="physical parameters, as in sim/plants/parameters/twin.yaml")
+    firmware: Firmware = Field(description="firmware, as in sim/plants/parameters/firmware.yaml")
+    base: BaseCommands | None = Field(default=None, description="limits and wheel commands inside the base")
     friction: Positive | None = Field(
-        default=None, description="sliding friction coefficient of the floor that is its default one"
+        default=None, description="sliding friction coefficient of the default surface of the robot"
     )
-    sensors: SensorSet = Field(description="those that are its default ones, as in sim/sensing/sensor_sets.yaml")
+    sensors: SensorSet = Field(description="default sensor set of the robot, as in sim/sensing/sensor_sets.yaml")
     parts: dict[str, Any] = Field(
-        default_factory=dict, description="values for simulator parts of other packages, by their names"
+        default_factory=dict, description="values for simulator parts of other packages, by name"
     )
 
     @model_validator(mode="before")
@@ -62,7 +62,7 @@ class SimulatedRobot(StrictModel):
 
 
 def digital_twin() -> dict[str, object]:
-    """Load the defaults of a robot file as data: the robot of the papers."""
+    """Load the default values of robot files: those of the robot of the papers."""
     parts = {
         "robot": load_robot(),
         "twin": load_twin_parameters(),
@@ -73,11 +73,11 @@ def digital_twin() -> dict[str, object]:
 
 
 def load_simulated_robot(name: str | Path) -> SimulatedRobot:
-    """Read a robot by shipped name or path; values missing in its file are those of the digital twin.
+    """Read a robot given by shipped name or path; missing values are those of the digital twin.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If there is no such robot or its file has a mistake.
+        If there is no such robot or its file is invalid.
     """
     return ROBOTS.load(SimulatedRobot, name, digital_twin())

@@ -1,4 +1,4 @@
-"""Surface under the robot: friction for the physics, slip for velocity models."""
+"""Surfaces: friction for the physics, slip for velocity models."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SURFACES = EntryFile("surface", Path(__file__).with_name("surfaces.yaml"))
 
 
 class Polynomial(StrictModel):
-    """The nine terms of `models.slip_laws.polynomial_twist`; lateral speed is to the left."""
+    """Coefficients of `models.slip_laws.polynomial_twist`; lateral speed is positive to the left."""
 
     a11: float = Field(description="forward speed by v_c [-]")
     a12: float = Field(description="forward speed by w_c [m]")
@@ -32,32 +32,32 @@ class Polynomial(StrictModel):
 
     @property
     def coefficients(self) -> list[float]:
-        """(9,) row by row."""
+        """The nine coefficients, row by row."""
         return [getattr(self, name) for name in POLYNOMIAL]
 
 
 class VirtualTrack(StrictModel):
-    """A track that grows with the yaw rate, i = p1 |yaw rate| + p0: `models.slip_laws.virtual_track_yaw_rate`."""
+    """Track that grows with the yaw rate, i = p1 |yaw rate| + p0: `models.slip_laws.virtual_track_yaw_rate`."""
 
-    p0: Positive = Field(description="track of a robot that hardly turns [m]")
-    p1: float = Field(description="its growth with the yaw rate [m s]")
+    p0: Positive = Field(description="track at yaw rate zero [m]")
+    p1: float = Field(description="growth of the track with the yaw rate [m s]")
 
 
 class BodySlip(StrictModel):
-    """Motion of the body for the output (v, omega) of a velocity model.
+    """Conversion of the output (v, omega) of a velocity model to the motion of the body.
 
-    The gains act first, then optionally one of the papers' laws: on the result of the gains as (v_c, w_c).
+    The gains are applied first; their result is the input (v_c, w_c) of an optional slip law of the papers.
     """
 
     yaw_gain: Positive = Field(description="true yaw rate over that of the velocity model")
     wheel_yaw_gain: Positive = Field(description="true yaw rate over that of encoders and geometric track")
     longitudinal_gain: Positive = Field(description="true forward speed over that of the encoders")
     side_slip: NotNegative = Field(description="lateral speed, outward, over v * omega [s]")
-    polynomial: Polynomial | None = Field(default=None, description="nine terms of the floor")
+    polynomial: Polynomial | None = Field(default=None, description="polynomial slip law of the surface")
     virtual_track: VirtualTrack | None = Field(default=None, description="track that grows with the yaw rate")
 
     def body(self, output: FloatArray) -> FloatArray:
-        """Compute forward and lateral speed [m/s] and yaw rate [rad/s] (3,) of the body for the model's output (2,)."""
+        """Compute forward and lateral speed [m/s] and yaw rate [rad/s] (3,) of the body from the model's output (2,)."""
         v, omega = self.gained(output[0], output[1])
         if self.virtual_track is not None:
             track = self.virtual_track
@@ -69,52 +69,52 @@ class BodySlip(StrictModel):
         return np.array([v, lateral + self.sideways(v, omega), omega])
 
     def wheels(self, output: FloatArray) -> FloatArray:
-        """Compute v [m/s], omega [rad/s] (2,) by encoders and geometric track, which do not depend on the floor."""
+        """Compute v [m/s], omega [rad/s] (2,) from encoders and geometric track, which the slip laws do not affect."""
         return np.array(self.turned(output[0], output[1]))
 
-    # One text each for numbers and for CasADi's symbols, which a copy of this class may hold as its values.
+    # These formulas also accept CasADi symbols, as arguments and as values of the fields.
     def gained(self, v: Any, omega: Any) -> tuple[Any, Any]:  # noqa: ANN401 - numbers or symbols
-        """Forward speed [m/s] and yaw rate [rad/s] after the gains."""
+        """Compute forward speed [m/s] and yaw rate [rad/s] after the gains."""
         return self.longitudinal_gain * v, self.yaw_gain * omega
 
     def sideways(self, v: Any, omega: Any) -> Any:  # noqa: ANN401 - numbers or symbols
-        """Compute the lateral speed of the side-slip, to the left [m/s]."""
+        """Compute the lateral speed by side-slip, to the left [m/s]."""
         return -self.side_slip * v * omega
 
     def turned(self, v: Any, omega: Any) -> tuple[Any, Any]:  # noqa: ANN401 - numbers or symbols
-        """Compute the twist v [m/s], omega [rad/s] by encoders and geometric track."""
+        """Compute the twist v [m/s], omega [rad/s] from encoders and geometric track."""
         return v, self.yaw_gain * omega / self.wheel_yaw_gain
 
 
 class Surface(StrictModel):
-    """One floor."""
+    """Parameters of one surface."""
 
-    friction: Positive | None = Field(default=None, description="sliding friction coefficient of tyre on floor")
+    friction: Positive | None = Field(default=None, description="sliding friction coefficient of the tyres")
     sideways_friction: Positive | None = Field(
-        default=None, description="that coefficient across the rolling direction, where it is another one"
+        default=None, description="sliding friction coefficient across the rolling direction, if different"
     )
-    slip: BodySlip = Field(description="slip of a plant that is a velocity model")
+    slip: BodySlip = Field(description="slip of plants with a velocity model")
 
     @model_validator(mode="after")
     def _both_ways(self) -> Surface:
         if self.sideways_friction is not None and self.friction is None:
-            raise ValueError("sideways_friction: give friction, along the rolling direction, too")
+            raise ValueError("sideways_friction: give also friction, along the rolling direction")
         return self
 
     @property
     def sideways(self) -> float:
-        """Sliding friction across the rolling direction over that along it; 1 where both are the same."""
+        """Ratio of sliding friction across the rolling direction to friction along it."""
         return (
             1.0 if self.friction is None or self.sideways_friction is None else self.sideways_friction / self.friction
         )
 
 
 def load_surface(name: str | Path) -> Surface:
-    """Read a surface by shipped name or path.
+    """Read a surface given by shipped name or path.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If there is no such surface or its file has a mistake.
+        If there is no such surface or its file is invalid.
     """
     return SURFACES.load(Surface, name)

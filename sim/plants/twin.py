@@ -1,4 +1,4 @@
-"""Drivetrain and physics of one robot together: a control sample of both is one call of C."""
+"""Drivetrain and physics of one robot; a control sample of both is one call in C."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from diffdrive_mpc.sim.plants.drivetrain import CommandShaper, DelayLine, SpeedO
 
 
 class Twin:
-    """`twin_advance` of `sim/core/twin.c`, and its halves, for actions between them.
+    """Interface to `twin_advance` of `sim/core/twin.c`, and to its parts, for disturbances between them.
 
     Parameters
     ----------
     line, shaper, observer, loops, chassis
         Parts of the plant.
     steps
-        Steps of the physics in a control sample.
+        Physics steps in a control sample.
 
     Attributes
     ----------
     edges
-        (steps + 1,) begin and end of each step of this control sample [s]; the caller writes them.
+        (steps + 1,) start and end of each step of this control sample [s]; set by the caller.
     poses
-        (steps + 1, 3) x [m], y [m], theta [rad, unwrapped] at these instants.
+        (steps + 1, 3) x [m], y [m], theta [rad, unwrapped] at these times.
     motors
-        (steps, 2, 4) torque of each motor during each step [N m], speed of its wheel at the step's end [rad/s]: their
-        product is the work over the step's length, exactly, as the physics turns the wheels by the new speed.
+        (steps, 2, 4) torque of each motor during each step [N m], and speed of its wheel at the end of the step
+        [rad/s]. Their product is the exact mean power, as the physics integrates the wheel angles with the new speed.
     """
 
     def __init__(
@@ -50,16 +50,16 @@ class Twin:
         self._torques_address = address(self._torques)
 
     def advance(self) -> None:
-        """Advance all steps of the control sample; raise RobotLostError."""
+        """Advance all steps of the control sample; raise RobotLostError if the robot is lost."""
         self._chassis.check(self._lib.twin_advance(self._c, self._steps, *self._addresses))
 
     def torques(self, step: int) -> FloatArray:
-        """Compute motor torques (4,) in this step [N m]."""
+        """Compute the motor torques (4,) [N m] of a step."""
         self._lib.twin_drive(self._c, self.edges[step], self.edges[step + 1], self._torques_address)
         return self._torques
 
     def step(self, step: int, torques: FloatArray) -> None:
-        """Let this step pass under `torques` (4,) instead; raises RobotLostError."""
+        """Advance a step with `torques` (4,) [N m]; raise RobotLostError if the robot is lost."""
         self.poses[step] = self._chassis.pose
         self._torques[:] = torques
         self._chassis.check(self._lib.twin_step(self._c, self._torques_address))

@@ -1,4 +1,4 @@
-"""Typed parameters of the digital twin: chassis, tyres, motors, drivers, link and firmware."""
+"""Parameters of the digital twin: chassis, tyres, motors, drivers, link and firmware."""
 
 from __future__ import annotations
 
@@ -23,31 +23,31 @@ class ChassisParameters(StrictModel):
     body_height: float = Field(description="centre of the body above the axles [m]")
     wheel_mass: Positive = Field(description="mass of one wheel [kg]")
     centre_of_mass: tuple[float, float] = Field(
-        description="of the whole robot, ahead and to the left of the middle between the wheels [m]"
+        description="centre of mass of the robot, ahead and to the left of the centre between the wheels [m]"
     )
     rolling_radii: tuple[Positive, Positive] = Field(
         default=(1.0, 1.0),
-        description="of the left, of the right wheels over what firmware and encoders take",
+        description="true radius of left and right wheels over the radius in firmware and encoders [-]",
     )
     castors: bool = Field(
         default=False,
-        description="whether the rear wheels are castors, which carry load and hold nothing; the front axle then lies "
-        "below the middle of the frame, where two driven wheels turn the robot about",
+        description="whether the rear wheels are castors, which carry load without lateral force; the front axle is "
+        "then at the centre of the frame, the centre of rotation",
     )
     wheel_drag: NotNegative = Field(
         default=0.0,
-        description="torque of each wheel against the friction of its drive train, whatever its speed [N m]",
+        description="friction torque of the drive train of each wheel, independent of speed [N m]",
     )
 
 
 class Tyre(StrictModel):
-    """Contact of a tyre with the floor, in MuJoCo's terms."""
+    """MuJoCo contact parameters of a tyre and the surface."""
 
-    contact_time: Positive = Field(description="time constant normal to the floor [s]")
-    contact_damping: Positive = Field(description="damping ratio normal to the floor")
-    impedance: float = Field(gt=0, lt=1, description="share of the constraint that is enforced at once")
-    creep_time: Positive = Field(description="time constant along the floor [s]")
-    creep_stiffness: Positive = Field(description="stiffness along the floor over that normal to it")
+    contact_time: Positive = Field(description="time constant normal to the surface [s]")
+    contact_damping: Positive = Field(description="damping ratio normal to the surface [-]")
+    impedance: float = Field(gt=0, lt=1, description="share of the constraint that is enforced at once [-]")
+    creep_time: Positive = Field(description="time constant along the surface [s]")
+    creep_stiffness: Positive = Field(description="stiffness along the surface over stiffness normal to it [-]")
 
 
 class Motor(StrictModel):
@@ -66,18 +66,18 @@ class Driver(StrictModel):
     integral_gain: NotNegative = Field(description="duty per angle error [1/rad]")
     observer_bandwidth: Positive = Field(description="double pole of the speed observer [rad/s]")
     torque_limit: Positive | None = Field(
-        default=None, description="largest torque of a motor by the driver's limit of its current [N m]; without: none"
+        default=None, description="maximum motor torque by the driver's current limit [N m]; by default unlimited"
     )
 
 
 class Link(StrictModel):
     """Serial link from onboard computer to motor drivers."""
 
-    dead_time: NotNegative = Field(description="from sending to acting [s]")
+    dead_time: NotNegative = Field(description="time from sending a command to its effect [s]")
 
 
 class TwinParameters(StrictModel):
-    """Everything physical that the robot file does not hold."""
+    """Physical parameters in addition to the robot file."""
 
     substeps: int = Field(ge=1, description="physics steps per control sample")
     chassis: ChassisParameters
@@ -88,21 +88,21 @@ class TwinParameters(StrictModel):
 
 
 class Firmware(StrictModel):
-    """Command shaping and conversion to wheel speeds in the microcontroller: the calibrated parameters."""
+    """Calibrated parameters of the firmware: command shaping and conversion to wheel speeds."""
 
     gain_v: Positive = Field(description="forward set-point over command")
     lag_v: Positive = Field(description="time constant of the forward filter [s]")
     lag_omega: Positive = Field(description="time constant of the yaw filter [s]")
-    track: Positive = Field(description="track that converts yaw rate into wheel speeds [m]")
-    provenance: dict[str, Any] = Field(description="how these values were found")
+    track: Positive = Field(description="track that converts yaw rate to wheel speeds [m]")
+    provenance: dict[str, Any] = Field(description="origin of the values")
 
 
 @cache
 def load_twin_parameters() -> TwinParameters:
-    """Read the digital twin's parameter file; raises ConfigError on a mistake in it."""
+    """Read the parameter file of the digital twin; raise ConfigError if it is invalid."""
     return load_checked(TwinParameters, PARAMETERS / "twin.yaml")
 
 
 def load_firmware(path: str | Path = FIRMWARE_FILE) -> Firmware:
-    """Read firmware parameters; raises ConfigError on a mistake in the file."""
+    """Read firmware parameters; raise ConfigError if the file is invalid."""
     return load_checked(Firmware, path)

@@ -1,1 +1,1 @@
-"""The simulated robot as a ROS 2 node. Only this folder of `sim` imports rclpy."""
+"""Simulated robot as a ROS 2 node. Only this folder of `sim` imports rclpy."""

@@ -1,4 +1,4 @@
-"""Numbers as ROS messages: SI units, frames and signs after REP 103 and REP 105."""
+"""Conversion to ROS messages: SI units, frames and signs according to REP 103 and REP 105."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def clock(now: int) -> Any:  # noqa: ANN401
 def odometry(now: int, pose: ArrayLike, twist: Stamped) -> Any:  # noqa: ANN401
     """Build nav_msgs/Odometry: pose (3,) in odom, twist of the encoders (2,) in base_link.
 
-    A covariance of zeros means that none is known, as usual in ROS; that of a summed pose never is.
+    By ROS convention, a covariance of zeros means unknown; the covariance of the accumulated pose is always unknown.
     """
     message = Odometry(header=_header(now, ODOM), child_frame_id=BASE)
     message.pose.pose = pose_message(pose)
@@ -54,7 +54,7 @@ def odometry(now: int, pose: ArrayLike, twist: Stamped) -> Any:  # noqa: ANN401
 
 
 def imu(now: int, yaw_rate: Stamped) -> Any:  # noqa: ANN401
-    """Build sensor_msgs/Imu with the yaw rate (); orientation and acceleration are marked as not measured."""
+    """Build sensor_msgs/Imu with the yaw rate; orientation and acceleration are marked as not measured."""
     message = Imu(header=_header(now, IMU_LINK))
     message.angular_velocity.z = float(np.asarray(yaw_rate.value))
     message.orientation_covariance[0] = message.linear_acceleration_covariance[0] = -1.0
@@ -82,7 +82,7 @@ def joint_state(now: int, angles: ArrayLike, speeds: ArrayLike) -> Any:  # noqa:
 
 
 def true_pose(now: int, pose: ArrayLike) -> Any:  # noqa: ANN401
-    """Build geometry_msgs/PoseStamped in map: the pose (3,) without error or delay."""
+    """Build geometry_msgs/PoseStamped in map from the true pose (3,)."""
     return PoseStamped(header=_header(now, MAP), pose=pose_message(pose))
 
 
@@ -95,7 +95,7 @@ def true_twist(now: int, twist: ArrayLike) -> Any:  # noqa: ANN401
 
 
 def pose_message(pose: ArrayLike) -> Any:  # noqa: ANN401
-    """Build geometry_msgs/Pose of x [m], y [m], theta [rad] (3,)."""
+    """Build geometry_msgs/Pose from x [m], y [m], theta [rad] (3,)."""
     x, y, theta = (float(value) for value in np.asarray(pose))
     message = Pose(orientation=Quaternion(z=math.sin(theta / 2), w=math.cos(theta / 2)))
     message.position.x, message.position.y = x, y
@@ -103,7 +103,7 @@ def pose_message(pose: ArrayLike) -> Any:  # noqa: ANN401
 
 
 def twist_message(twist: ArrayLike) -> Any:  # noqa: ANN401
-    """Build geometry_msgs/Twist of v [m/s], omega [rad/s] (2,)."""
+    """Build geometry_msgs/Twist from v [m/s], omega [rad/s] (2,)."""
     v, omega = (float(value) for value in np.asarray(twist))
     message = Twist()
     message.linear.x, message.angular.z = v, omega
@@ -111,7 +111,7 @@ def twist_message(twist: ArrayLike) -> Any:  # noqa: ANN401
 
 
 def set_prefix(message: Any, prefix: str) -> None:  # noqa: ANN401
-    """Put `prefix` before the frames of a message, except for the map, which all robots share."""
+    """Prefix the frames of a message, except the map, which all robots share."""
     if message.header.frame_id not in ("", MAP):
         message.header.frame_id = prefix + message.header.frame_id
     if getattr(message, "child_frame_id", ""):
@@ -123,14 +123,14 @@ def _header(stamp: int, frame: str) -> Any:  # noqa: ANN401
 
 
 def _covariance(known: ArrayLike | None, rows: tuple[int, ...]) -> list[float]:
-    """Build a covariance (36,) row by row, with zeros for unknown entries."""
+    """Build a covariance (36,), row by row, with zeros for unknown entries."""
     whole = np.zeros((6, 6))
     if known is not None:
         whole[np.ix_(rows, rows)] = known
     return [float(value) for value in whole.ravel()]
 
 
-# Messages into a rosbag2, written with `rosbags`: no ROS recorder is needed.
+# Recording of messages to a rosbag2 with the package `rosbags`, without a ROS recorder.
 
 
 Storage = Literal["mcap", "sqlite3"]
@@ -138,24 +138,24 @@ MessageRecorder = Callable[[str, Any, int], None]
 """Called with topic, message and time of receipt [ns]."""
 
 _BAG_VERSION: Literal[9] = 9
-"""Version of a bag's metadata that Jazzy writes."""
+"""Version of the bag metadata in Jazzy."""
 
 
 @contextmanager
 def bag_recorder(folder: Path, storage: Storage = "mcap") -> Iterator[MessageRecorder]:
-    """Open a new bag; however the context ends, the recording so far is readable.
+    """Open a new bag; it is closed and readable after any end of the context.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If there is something at `folder` already, or it cannot be written.
+        If `folder` exists or is not writable.
     """
-    from rclpy.serialization import serialize_message  # noqa: PLC0415 - --help does without ROS
+    from rclpy.serialization import serialize_message  # noqa: PLC0415 - --help does not need ROS
     from rosbags.rosbag2 import StoragePlugin, Writer, WriterError  # noqa: PLC0415
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
 
     if folder.exists():
-        raise ConfigError(f"{folder}: is there already; give a folder that is not, or remove it")
+        raise ConfigError(f"{folder}: already exists; give another folder, or remove it")
     plugin = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}[storage]
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -177,6 +177,6 @@ def bag_recorder(folder: Path, storage: Storage = "mcap") -> Iterator[MessageRec
 
 
 def _kind(message: Any) -> str:  # noqa: ANN401
-    """Return the type of a message as ROS names it, such as nav_msgs/msg/Odometry."""
+    """Return the ROS type name of a message, such as nav_msgs/msg/Odometry."""
     kind = type(message)
     return f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"

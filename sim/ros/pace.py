@@ -1,6 +1,6 @@
 """Timing of the simulated base: clocks, lock step with a controller, and real time.
 
-Lock step: sensors of a tick, then /clock, then the command to that tick, then the next tick.
+In lock step, each tick publishes the sensors, then /clock, and waits for the command to the tick.
 """
 
 from __future__ import annotations
@@ -16,28 +16,28 @@ from diffdrive_mpc.sim.ros import messages
 from diffdrive_mpc.sim.ros.simulated_base import LockStep, RealTime, SimulatedBase
 
 Spin = Callable[[float], None]
-"""Handle at most one message, waiting at most this long [s]."""
+"""Function that handles at most one message and waits at most the given time [s]."""
 
 
 class SteppedClock:
-    """Time that passes in samples, as published on /clock.
+    """Clock that advances in samples, as published on /clock.
 
     Attributes
     ----------
     origin
-        The plant's time 0 [ns].
+        Clock time of the plant's time 0 [ns].
 
     Parameters
     ----------
     first_tick
         Samples on the clock at the plant's time 0.
     sample_time
-        [s].
+        Sample time [s].
     """
 
     def __init__(self, first_tick: int, sample_time: float) -> None:
         self._sample = sample_time
-        # A whole number of samples: a node's timer, which counts from 0, then falls due on the ticks.
+        # A whole number of samples, so that a node's timer, which counts from 0, fires on the ticks.
         self.origin = round(1e9 * first_tick * sample_time)
         self._now = self.origin
 
@@ -52,12 +52,12 @@ class SteppedClock:
 
 
 class WallClock:
-    """The system's time at the start, carried on by the steady clock: it never jumps.
+    """Monotonic clock that starts at the system time.
 
     Attributes
     ----------
     origin
-        The plant's time 0 [ns]; moves on when lost time is given up.
+        Clock time of the plant's time 0 [ns]; advances when lost time is skipped.
     """
 
     def __init__(self) -> None:
@@ -70,14 +70,14 @@ class WallClock:
 
 
 class CommandRhythm:
-    """Notices a controller with a longer period than the robot: every command is followed by ticks without one."""
+    """Detector of a controller with a longer period than the robot: every command is followed by ticks without one."""
 
     def __init__(self) -> None:
         self._answered: list[int] = []
         self._reported = False
 
     def differs(self, tick: int, *, answered: bool) -> bool:
-        """Take in whether a tick had a command; whether it shows another period, once."""
+        """Record whether a tick had a command; return True, once, if the controller has a longer period."""
         if answered:
             self._answered = [*self._answered[-2:], tick]
         if self._reported or not answered or len(self._answered) < 3:
@@ -91,7 +91,7 @@ class CommandRhythm:
         period = 0.5 * (self._answered[-1] - self._answered[0]) * sample_time
         return (
             f"lock step: commands come about every {1e3 * period:.3g} ms, the robot's sample time is "
-            f"{1e3 * sample_time:.4g} ms: it waits in vain for each other command; start it with the node's "
+            f"{1e3 * sample_time:.4g} ms: it waits at each tick without a command; start it with the node's "
             "configuration (--config FILE)"
         )
 
@@ -99,11 +99,11 @@ class CommandRhythm:
 def drive_in_lock_step(
     base: SimulatedBase, clock: SteppedClock, settings: LockStep, spin: Spin, going: Callable[[], bool]
 ) -> None:
-    """Drive until `going` says no.
+    """Drive until `going` returns False.
 
-    The clock stands until a publisher of commands is connected. From then on every tick waits for its command for the
-    answer timeout at most, or as long as a repeat of the clock takes while nobody is connected any more: after a
-    controller has stopped or died, the robot continues slowly, and the command timeout acts.
+    The clock does not advance until a publisher of commands is connected. Then every tick waits for its command, at
+    most for the answer timeout, or for the repeat time of the clock if no publisher is connected any more: after the
+    controller has stopped, the robot continues slowly, and the command timeout acts.
 
     Raises
     ------
@@ -111,9 +111,9 @@ def drive_in_lock_step(
         If the robot is lost.
     """
     ticker = base.node.create_publisher(Clock, "/clock", QoSProfile(depth=1))
-    # One sample before the first tick, so that a timer that this wakes falls due again on the first tick.
+    # One sample before the first tick, so that a timer that fires now fires again on the first tick.
     before = messages.clock(clock.set_tick(-1))
-    _wait_for_company(base, lambda: ticker.publish(before), settings, spin, going)
+    _wait_for_connections(base, lambda: ticker.publish(before), settings, spin, going)
     rhythm = CommandRhythm()
     while going():
         now = clock.set_tick(base.tick)
@@ -124,16 +124,16 @@ def drive_in_lock_step(
         base.advance(now)
 
 
-def _wait_for_company(
+def _wait_for_connections(
     base: SimulatedBase, publish: Callable[[], None], settings: LockStep, spin: Spin, going: Callable[[], bool]
 ) -> None:
-    """Wait until commands have a publisher and, for a limited time, until odometry has a reader.
+    """Wait until commands have a publisher and, for a limited time, until odometry has a subscriber.
 
-    Nothing must have connected for the settling time: all connecting nodes must receive the first tick.
+    Then wait until no topic has connected for the settling time, so that all nodes receive the first tick.
     """
     if not base.commanded:
         base.node.get_logger().info(f"lock step: waiting for a publisher of commands on {base.command_topic}")
-    patience: float | None = None
+    deadline: float | None = None
     connected: tuple[int, ...] = ()
     settled = math.inf
     while going():
@@ -141,8 +141,8 @@ def _wait_for_company(
         if connected != base.connections:
             connected, settled = base.connections, moment + settings.settling_time
         if base.commanded:
-            patience = patience or moment + settings.answer_timeout
-            if moment >= settled and (base.observed or moment >= patience):
+            deadline = deadline or moment + settings.answer_timeout
+            if moment >= settled and (base.observed or moment >= deadline):
                 return
         publish()
         while going() and (left := moment + settings.clock_repeat - time.monotonic()) > 0:
@@ -172,10 +172,10 @@ def _wait_for_answer(
 def drive_in_real_time(
     base: SimulatedBase, clock: WallClock, settings: RealTime, spin: Spin, going: Callable[[], bool]
 ) -> None:
-    """Drive until `going` says no.
+    """Drive until `going` returns False.
 
-    As the robot's firmware, the plant takes a command at its next sample. Stamps are the instants of the samples: where
-    the machine is slow, messages come late, but none is stamped wrong. Beyond `settings.most_behind` time is given up.
+    Like the robot's firmware, the plant applies a command at its next sample. Stamps are the times of the samples: on a
+    slow machine messages are late but have correct stamps. A delay above `settings.most_behind` is skipped.
 
     Raises
     ------
@@ -190,7 +190,7 @@ def drive_in_real_time(
             spin(left)
         behind = 1e-9 * (clock() - now)
         if behind > settings.most_behind:
-            base.node.get_logger().warning(f"{behind:.2f} s behind real time: this time is given up")
+            base.node.get_logger().warning(f"{behind:.2f} s behind real time: this time is skipped")
             clock.origin += round(1e9 * behind)
             now += round(1e9 * behind)
         spin(0.0)

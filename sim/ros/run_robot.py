@@ -37,45 +37,45 @@ def run_robot(
     storage: Storage = "mcap",
     ros_arguments: Sequence[str] = (),
 ) -> None:
-    """Put `plant` at `start` and let it live on its topics until SIGINT, SIGTERM, SIGHUP or the end of `duration`.
+    """Reset `plant` to `start`, and run it on its topics until SIGINT, SIGTERM, SIGHUP or the end of `duration`.
 
-    To be called from the main thread, which signals reach.
+    Must be called from the main thread, which receives signals.
 
     Parameters
     ----------
     plant
-        The robot stand-in.
+        The simulated robot.
     start
         (3,) x [m], y [m], theta [rad] in map.
     settings
-        Rates, timeouts, kind of command.
+        Rates, timeouts and command type.
     sensors
-        The plant's sensor set: how late its poses may be.
+        Sensor set of the plant, which defines the latency of poses.
     lock_step
-        Publish /clock and wait for the command to each tick; otherwise the wall clock counts.
+        Whether to publish /clock and wait for the command to each tick; otherwise the base runs in real time.
     duration
-        Time on the robot's clock after which it ends by itself [s]; None to go on.
+        Duration on the robot's clock [s]; None for no limit.
     record, storage
-        Folder of a bag to record to, and its kind.
+        Folder of a bag to record to, and its storage format.
     ros_arguments
-        Arguments from `--ros-args` on.
+        ROS arguments, starting with `--ros-args`.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the bag cannot be written, or the ROS arguments cannot be used.
+        If the bag is not writable, or the ROS arguments are invalid.
     sim.plants.plant.RobotLostError
         If the robot tips over or its motion diverges.
     """
     with ExitStack() as stack:
-        going = stack.enter_context(_told_to_end(plant, duration))
+        going = stack.enter_context(_run_until_end(plant, duration))
         node, spin = stack.enter_context(_ros_node(ros_arguments))
         recorder = None if record is None else stack.enter_context(bag_recorder(record, storage))
         clock: SteppedClock | WallClock = (
             SteppedClock(settings.lock_step.first_tick, plant.sample_time) if lock_step else WallClock()
         )
-        late = math.ceil(sensors.pose.latency / plant.sample_time)
-        base = SimulatedBase(node, plant, start, settings, pose_memory=late, clock=clock, record=recorder)
+        memory = math.ceil(sensors.pose.latency / plant.sample_time)
+        base = SimulatedBase(node, plant, start, settings, pose_memory=memory, clock=clock, record=recorder)
         node.get_logger().info(f"ready, in {'lock step' if lock_step else 'real time'}")
         if isinstance(clock, SteppedClock):
             drive_in_lock_step(base, clock, settings.lock_step, spin, going)
@@ -84,7 +84,7 @@ def run_robot(
 
 
 @contextmanager
-def _told_to_end(plant: Plant, duration: float | None) -> Iterator[Callable[[], bool]]:
+def _run_until_end(plant: Plant, duration: float | None) -> Iterator[Callable[[], bool]]:
     """Yield a function that returns True while the run continues; a signal ends it between samples."""
     ended = False
 
@@ -93,10 +93,10 @@ def _told_to_end(plant: Plant, duration: float | None) -> Iterator[Callable[[], 
         ended = True
 
     before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    last = math.inf if duration is None else duration
+    end_time = math.inf if duration is None else duration
     try:
-        # Half a sample: times are sums of samples.
-        yield lambda: not ended and plant.time < last - 0.5 * plant.sample_time
+        # Tolerance of half a sample, as times are sums of sample times.
+        yield lambda: not ended and plant.time < end_time - 0.5 * plant.sample_time
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
@@ -107,7 +107,7 @@ def _ros_node(arguments: Sequence[str]) -> Iterator[tuple[Node, Callable[[float]
     """Yield a node, and a function that handles one of its messages."""
     try:
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # the base of rclpy's errors, which have no public names
+    except RuntimeError as error:  # base class of rclpy's errors, which are not public
         words = " ".join(str(error).split())
         raise ConfigError(f"ROS cannot start with the arguments '{' '.join(arguments)}': {words}") from error
     try:

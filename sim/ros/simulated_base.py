@@ -1,4 +1,4 @@
-"""A plant with the topics of a mobile base."""
+"""Simulated mobile base: a plant with ROS topics."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from diffdrive_mpc.sim.ros import messages
 from diffdrive_mpc.sim.ros.messages import MessageRecorder
 from diffdrive_mpc.sim.sensing.odometry import Odometry
 
-# Settings of the simulated base: topics' rates, command timeout, lock step.
+# Settings of the simulated base: message rates, command timeout, lock step.
 
 
 SHIPPED = Path(__file__).parent / "base.yaml"
@@ -39,7 +39,7 @@ Seconds = Annotated[float, Field(gt=0, le=60)]
 
 
 class Every(StrictModel):
-    """Control samples from one message of a topic to the next."""
+    """Control samples between messages of a topic."""
 
     odometry: Ticks = Field(description="odom")
     imu: Ticks = Field(description="imu")
@@ -50,50 +50,48 @@ class Every(StrictModel):
 class LockStep(StrictModel):
     """Lock step of clock and commands."""
 
-    # A sensor's latency may be 2 s: stamps of poses from before the start must not fall below zero.
+    # Poses may be 2 s late: stamps of poses before the start must not be negative.
     first_tick: int = Field(ge=200, le=1_000_000, description="control samples on /clock at the start")
-    settling_time: Seconds = Field(
-        description="real time without a new connection before the first tick [s]; others may be about to come"
-    )
+    settling_time: Seconds = Field(description="real time without a new connection before the first tick [s]")
     answer_timeout: Seconds = Field(description="real time to wait for the command to a tick [s]")
     clock_repeat: Seconds = Field(description="real time after which an unanswered /clock is sent again [s]")
 
 
 class RealTime(StrictModel):
-    """Pace of the base by the wall clock."""
+    """Settings of real-time operation."""
 
-    most_behind: Seconds = Field(description="delay beyond which lost time is given up [s]")
+    most_behind: Seconds = Field(description="maximum delay relative to real time; a larger delay is skipped [s]")
 
 
 class BaseSettings(StrictModel):
     """All settings of the simulated base."""
 
     stamped: bool = Field(description="commands are TwistStamped; false: Twist")
-    frame_prefix: str = Field("", description="before all frames but map, such as r1/")
+    frame_prefix: str = Field("", description="prefix of all frames except map, such as r1/")
     transforms: Literal["none", "odom", "map"] = Field(
-        "none", description="odom: send odom -> base_link on /tf; map: map -> odom too, as a localisation without error"
+        "none", description="odom: send odom -> base_link on /tf; map: also map -> odom, as an error-free localisation"
     )
-    command_timeout: Seconds = Field(description="robot time without a command until the base stops [s]")
-    odometry_pose: Literal["dead_reckoning", "pose_sensor"] = Field(description="where the pose in odom comes from")
+    command_timeout: Seconds = Field(description="robot time without a command after which the base stops [s]")
+    odometry_pose: Literal["dead_reckoning", "pose_sensor"] = Field(description="source of the pose in odom")
     every: Every
     lock_step: LockStep
     real_time: RealTime
 
 
 def load_base_settings(path: str | Path | None = None, changes: Mapping[str, object] | None = None) -> BaseSettings:
-    """Read base settings; without a path, the shipped ones.
+    """Read base settings; by default the shipped settings.
 
     Parameters
     ----------
     path
         A YAML file with all settings.
     changes
-        Values that replace those of the file, by dotted key such as "lock_step.answer_timeout"; None leaves the file's.
+        Values that replace those of the file, by dotted key such as "lock_step.answer_timeout"; None keeps the value.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the file cannot be read or a value is missing, unknown or out of range.
+        If the file cannot be read, or a value is missing, unknown or out of range.
     """
     settings = load_checked(BaseSettings, path or SHIPPED)
     values = settings.model_dump()
@@ -104,23 +102,23 @@ def load_base_settings(path: str | Path | None = None, changes: Mapping[str, obj
     return check(BaseSettings, values, "base settings")
 
 
-# The commands that reached the base: which one holds, and whether it answers a tick.
+# Received commands: the valid command, and the match of commands and ticks.
 
 
 STOP = (0.0, 0.0)
 
 
 class CommandInbox:
-    """Newest valid command, which times out.
+    """Newest valid command, with timeout.
 
-    Times are whole nanoseconds on the robot's clock.
+    Times are integer nanoseconds on the robot's clock.
 
     Parameters
     ----------
     timeout
-        Time for which a command stays valid, and the maximum age of its stamp [ns].
+        Time for which a command is valid, and maximum age of its stamp [ns].
     tolerance
-        Largest difference between the stamp of an answer and its tick [ns].
+        Maximum difference between the stamp of a command and the tick that it answers [ns].
     """
 
     def __init__(self, timeout: int, tolerance: int) -> None:
@@ -130,7 +128,7 @@ class CommandInbox:
         self._stamp = 0
 
     def put(self, v: float, omega: float, stamp: int, now: int) -> str:
-        """Take in a command v [m/s], omega [rad/s] that arrives at `now`.
+        """Store a command v [m/s], omega [rad/s] that arrives at `now`, if it is valid.
 
         Parameters
         ----------
@@ -140,7 +138,7 @@ class CommandInbox:
         Returns
         -------
         str
-            Why the command was refused, in one sentence; empty where it was not.
+            Reason for a refusal, in one sentence; empty if the command is accepted.
         """
         if not (math.isfinite(v) and math.isfinite(omega)):
             return f"command v = {v}, omega = {omega} is not finite; it is ignored"
@@ -151,7 +149,7 @@ class CommandInbox:
         return ""
 
     def command(self, now: int) -> tuple[float, float]:
-        """Return the command in force at `now`, v [m/s], omega [rad/s]; zero once the last one has timed out."""
+        """Return the command in effect at `now`, v [m/s], omega [rad/s]; zero after the timeout."""
         return STOP if self.lapsed(now) or self._received is None else self._command
 
     def lapsed(self, now: int) -> bool:
@@ -159,25 +157,25 @@ class CommandInbox:
         return self._received is not None and now - self._received > self._timeout
 
     def answers(self, tick: int) -> bool:
-        """Return True if the newest command belongs to the tick at this time, by its stamp or time of arrival."""
+        """Return True if the newest command, by its stamp or else arrival time, answers the tick at time `tick`."""
         if self._received is None:
             return False
         return abs((self._stamp or self._received) - tick) <= self._tolerance
 
 
-# Report of the node on each tick, with which a recording in real time can be replayed exactly, too.
-_SAID_BY_CONTROLLER = (TICK, DRIVE)
-# rclpy's throttling of repeated warnings [s].
+# Reports of the controller's node, which allow an exact replay of recordings in real time.
+_CONTROLLER_TOPICS = (TICK, DRIVE)
+# Minimum time between repeated warnings [s].
 _WARN_EVERY = 1.0
-# How often to look whether commands of the other type are published [s].
+# Period of the check for publishers of the unsupported command type [s].
 _CHECK_EVERY = 0.5
 
 
 class BaseTopics(Protocol):
-    """Further topics of the base, which publish by themselves.
+    """Interface of additional topics of the base.
 
-    Packages register functions of node, plant and settings that make them, in the group `diffdrive_mpc.plants`:
-    `transforms`, and for a plant the name in its attribute `base_topics`.
+    Packages register factories, functions of node, plant and settings, in the group `diffdrive_mpc.plants`: under the
+    name `transforms`, and under the names in the attribute `base_topics` of a plant.
     """
 
     def send(self, now: int, origin: int, odometry: FloatArray | None, plant: Plant) -> Iterable[tuple[str, Any]]:
@@ -186,44 +184,44 @@ class BaseTopics(Protocol):
         Parameters
         ----------
         now, origin
-            Instant of the tick and of the plant's time 0 on the robot's clock [ns].
+            Times of the tick and of the plant's time 0 on the robot's clock [ns].
         odometry
             (3,) pose in odom; None at ticks without odometry.
         plant
-            The robot stand-in.
+            The simulated robot.
         """
         ...
 
 
 def _further_topics(node: Node, plant: Plant, settings: BaseSettings) -> list[BaseTopics]:
-    """Make the topics that settings and plant ask for; raises MissingPackageError if a package is not installed."""
+    """Create the topics required by settings and plant; raise MissingPackageError if a package is not installed."""
     names = [] if settings.transforms == "none" else ["transforms"]
     names += getattr(plant, "base_topics", ())
     return [plug_in("plants", name)(node, plant, settings) for name in names]
 
 
 class SimulatedBase:
-    """Publisher of the plant's sensor data, which drives the plant with received commands.
+    """Base that publishes the plant's sensor data and drives the plant with received commands.
 
-    Sensors are published best effort, commands are taken reliably, the newest only. The owner of the object decides
-    when a sample passes: `sim.ros.pace`.
+    Sensors are published with best-effort QoS; commands are received with reliable QoS and depth 1. `sim.ros.pace`
+    controls when samples pass.
 
     Parameters
     ----------
     node
-        The node that the topics belong to.
+        Node of the topics.
     plant
-        The robot stand-in; it is reset.
+        The simulated robot; it is reset.
     start
-        (3,) x [m], y [m], theta [rad] where it starts, at rest.
+        (3,) start pose x [m], y [m], theta [rad], at rest.
     settings
-        Rates, timeout and kind of command.
+        Rates, timeout and command type.
     pose_memory
-        Ticks by which a pose of its pose sensor may be late.
+        Maximum latency of the pose sensor in ticks.
     clock
-        Gives the robot's time [ns].
+        Function that returns the robot's time [ns].
     record
-        Takes every message sent or received; None to record nothing.
+        Recorder of all messages sent or received; None to record nothing.
     """
 
     def __init__(
@@ -259,13 +257,13 @@ class SimulatedBase:
             topic: node.create_publisher(kind, topic, qos_profile_sensor_data) for topic, kind in kinds.items()
         }
         kind = TwistStamped if settings.stamped else Twist
-        self._misheard = ""
+        self._rejected_senders = ""
         self._check = node.create_timer(
             _CHECK_EVERY, self._check_senders, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
         self._commands = node.create_subscription(kind, "cmd_vel", self._receive, QoSProfile(depth=1))
         if record is not None:
-            self._records = [self._recorded(node, topic, record) for topic in _SAID_BY_CONTROLLER]
+            self._records = [self._subscribe_recorder(node, topic, record) for topic in _CONTROLLER_TOPICS]
 
     @property
     def commanded(self) -> bool:
@@ -274,12 +272,12 @@ class SimulatedBase:
 
     @property
     def observed(self) -> bool:
-        """True if the odometry has a reader."""
+        """True if the odometry has a subscriber."""
         return bool(self._publishers["odom"].get_subscription_count() > 0)
 
     @property
     def connections(self) -> tuple[int, ...]:
-        """Count the connections of each topic."""
+        """Number of connections of each topic."""
         readers = (publisher.get_subscription_count() for publisher in self._publishers.values())
         return (self._commands.get_publisher_count(), *readers)
 
@@ -289,23 +287,23 @@ class SimulatedBase:
         return str(self._commands.topic_name)
 
     def _check_senders(self) -> None:
-        """Warn once about publishers of the other command type."""
-        heard, unsupported = ("TwistStamped", "Twist") if self._settings.stamped else ("Twist", "TwistStamped")
+        """Warn once about publishers of the unsupported command type."""
+        supported, unsupported = ("TwistStamped", "Twist") if self._settings.stamped else ("Twist", "TwistStamped")
         infos = self.node.get_publishers_info_by_topic(self.command_topic)
         names = {info.node_name for info in infos if info.topic_type == f"geometry_msgs/msg/{unsupported}"}
-        # Discovery may bring a publisher before the name of its node.
-        misheard = " and ".join(sorted(name for name in names if "_UNKNOWN_" not in name))
-        if misheard and misheard != self._misheard:
+        # Discovery may report a publisher before the name of its node.
+        senders = " and ".join(sorted(name for name in names if "_UNKNOWN_" not in name))
+        if senders and senders != self._rejected_senders:
             option, parameter = ("--unstamped", "true") if self._settings.stamped else ("--stamped", "false")
             self.node.get_logger().warning(
-                f"{misheard} publishes {unsupported} on {self.command_topic}, this robot listens to {heard}: "
+                f"{senders} publishes {unsupported} on {self.command_topic}, this robot listens to {supported}: "
                 f"start the robot with {option}, or set the node's parameter stamped:={parameter}"
             )
-        self._misheard = misheard
+        self._rejected_senders = senders
 
-    def _recorded(self, node: Node, topic: str, record: MessageRecorder) -> Subscription:
-        """Record the messages of a controller on `topic`, and nothing else: the robot does not look at it."""
-        # Of the controller in the robot's own namespace.
+    def _subscribe_recorder(self, node: Node, topic: str, record: MessageRecorder) -> Subscription:
+        """Subscribe to `topic` of a controller to record its messages; the robot does not use them."""
+        # The topic of the controller in the robot's namespace.
         name = node.resolve_topic_name(topic.lstrip("/"))
         return node.create_subscription(
             String, name, lambda message: record(name, message, self._clock()), QoSProfile(depth=100)
@@ -317,9 +315,9 @@ class SimulatedBase:
         Parameters
         ----------
         now
-            Instant of the tick on the robot's clock [ns].
+            Time of the tick on the robot's clock [ns].
         origin
-            The plant's time 0 on that clock [ns].
+            Time of the plant's time 0 on the robot's clock [ns].
         """
         due = {topic: self.tick % every == 0 for topic, every in self._settings.every.model_dump().items()}
         measurement = self.plant.measure()
@@ -347,12 +345,12 @@ class SimulatedBase:
                     self._record(topic, message, self._clock())
 
     def advance(self, now: int) -> None:
-        """Let one sample pass under the command that holds at `now` [ns].
+        """Advance one sample with the command in effect at `now` [ns].
 
         Raises
         ------
         sim.plants.plant.RobotLostError
-            If the simulation loses the robot.
+            If the robot tips over or its motion diverges.
         """
         lapsed = self.inbox.lapsed(now)
         if lapsed and not self._was_lapsed:

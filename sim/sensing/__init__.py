@@ -1,1 +1,1 @@
-"""Sensors of the plants: rates, noise, bias and latency, and the sets of them that ship."""
+"""Sensors of the plants: rates, noise, bias and latency, and shipped sensor sets."""

@@ -1,4 +1,4 @@
-"""The pose that a base reports in its odometry: wheels and gyro, with or without a pose sensor."""
+"""Odometry pose of a base from wheels and gyro, with or without a pose sensor."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from diffdrive_mpc.models.pose import integrate_pose
 
 
 class Odometry:
-    """Sums up v of the wheels and the yaw rate of the gyro, and can be pulled onto the poses of a sensor.
+    """Integrator of the wheels' v and the gyro's yaw rate, with optional corrections by a pose sensor.
 
     Parameters
     ----------
     pose
-        (3,) x [m], y [m], theta [rad] at the start: odom and map coincide there.
+        (3,) start pose x [m], y [m], theta [rad], at which odom and map coincide.
     memory
-        Ticks by which a pose of the sensor may be late.
+        Maximum latency of the pose sensor in ticks.
     use_pose_sensor
-        Carry the newest pose of the sensor on to now; otherwise it is not used.
+        Whether to propagate the newest pose of the sensor; otherwise poses are not used.
     """
 
     def __init__(self, pose: ArrayLike, memory: int, *, use_pose_sensor: bool) -> None:
@@ -57,17 +57,17 @@ class Odometry:
         if measurement.pose is not None:
             self._sensed = np.asarray(measurement.pose.value, dtype=float)
             self._anchor = self._summed_at(measurement.pose.time)
-        return _moved(self._sensed, self._anchor, self._summed)
+        return _transform(self._sensed, self._anchor, self._summed)
 
     def _summed_at(self, time: float) -> FloatArray:
         """Compute the accumulated pose (3,) at a past time [s]; before the start, the robot was at rest."""
-        times = np.array([time_of_sum for time_of_sum, _ in self._past])
+        times = np.array([past_time for past_time, _ in self._past])
         poses = np.array([pose for _, pose in self._past])
         return np.array([np.interp(time, times, poses[:, i]) for i in range(3)])
 
 
-def _moved(pose: FloatArray, before: FloatArray, after: FloatArray) -> FloatArray:
-    """Move `pose` (3,) by the motion of a rigid body that takes `before` to `after`."""
+def _transform(pose: FloatArray, before: FloatArray, after: FloatArray) -> FloatArray:
+    """Apply to `pose` (3,) the rigid motion from `before` to `after`."""
     turn = pose[2] - before[2]
     c, s = np.cos(turn), np.sin(turn)
     x, y = after[:2] - before[:2]

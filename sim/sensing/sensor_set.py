@@ -1,4 +1,4 @@
-"""Parameters of the sensors around a plant."""
+"""Parameters of the sensors of a plant."""
 
 from __future__ import annotations
 
@@ -13,39 +13,41 @@ from diffdrive_mpc.models.named_file import EntryFile
 
 SENSOR_SETS = EntryFile("sensor set", Path(__file__).with_name("sensor_sets.yaml"))
 Deviation = Annotated[float, Field(ge=0, le=1e3)]
-"""A standard deviation [m, rad or rad/s]: beyond a kilometre or a thousand turns nothing is measured."""
+"""Standard deviation [m, rad or rad/s], with an upper bound against typing errors."""
 
 
 Scale = Annotated[float, Field(ge=-100, le=100)]
 
 
 class PoseSensor(StrictModel):
-    """SLAM, motion capture or the like."""
+    """Pose sensor, such as SLAM or motion capture."""
 
-    # The number of pending poses is latency over period: without bounds on both, a typing error could fill the memory.
+    # The number of pending poses is latency over period: bounds on both limit the memory.
     period: float | None = Field(ge=1e-3, description="time between poses [s]; null: every control sample")
-    latency: float = Field(ge=0, le=2, description="from the instant a pose describes to its delivery [s]")
+    latency: float = Field(ge=0, le=2, description="time from validity to delivery of a pose [s]")
     position_sd: Deviation = Field(description="standard deviation of x and of y [m]")
     heading_sd: Deviation = Field(description="standard deviation of theta [rad]")
     stated_position_sd: Deviation | None = Field(
-        default=None, description="what the pose says of position_sd [m]; null: the truth"
+        default=None, description="position_sd stated in the covariance of poses [m]; null: the true value"
     )
-    loss: float = Field(default=0.0, ge=0, lt=1, description="share of the poses that never arrive, drawn one by one")
+    loss: float = Field(default=0.0, ge=0, lt=1, description="share of poses that are lost, drawn independently [-]")
     stamped_on_arrival: bool = Field(
-        default=False, description="whether the stamp is the instant of delivery, as if the pose were not late"
+        default=False, description="whether the stamp is the time of delivery instead of validity"
     )
     turned: float = Field(default=0.0, ge=-7, le=7, description="angle by which theta is ahead of the robot [rad]")
-    mirrored: bool = Field(default=False, description="whether y runs the other way, and theta does not")
-    theta_sign: Literal[1, -1] = Field(default=1, description="-1: theta runs clockwise [-]")
+    mirrored: bool = Field(default=False, description="whether the sign of y, but not of theta, is inverted")
+    theta_sign: Literal[1, -1] = Field(default=1, description="-1: theta is positive clockwise [-]")
 
 
 class Gyro(StrictModel):
-    """Yaw-rate gyro."""
+    """Gyro for the yaw rate."""
 
     noise_sd: Deviation = Field(description="standard deviation of the white noise of a sample [rad/s]")
-    bias_sd: Deviation = Field(description="standard deviation of the bias over seeds; constant in a run [rad/s]")
+    bias_sd: Deviation = Field(
+        description="standard deviation of the bias over seeds; the bias is constant in a run [rad/s]"
+    )
     scale: Scale = Field(default=1.0, description="reading over yaw rate; negative: mounted upside down [-]")
-    largest: float = Field(default=1e3, gt=0, le=1e3, description="size at which readings rest [rad/s]")
+    largest: float = Field(default=1e3, gt=0, le=1e3, description="magnitude at which readings are clipped [rad/s]")
 
 
 class Encoders(StrictModel):
@@ -64,7 +66,7 @@ class SensorSet(StrictModel):
     gyro: Gyro
     encoders: Encoders
     parts: dict[str, Any] = Field(
-        default_factory=dict, description="values for simulator parts of other packages, by their names"
+        default_factory=dict, description="values for simulator parts of other packages, by name"
     )
 
     @model_validator(mode="before")
@@ -78,12 +80,12 @@ class SensorSet(StrictModel):
 
 
 def load_sensor_set(name: str | Path) -> SensorSet:
-    """Read a sensor set by shipped name or path; values missing in its file are those of the default set.
+    """Read a sensor set given by shipped name or path; missing values are those of the default set.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If there is no such set or its file has a mistake.
+        If there is no such set or its file is invalid.
     """
     default = SENSOR_SETS.load(SensorSet, "default")
     return SENSOR_SETS.load(SensorSet, name, default.model_dump())

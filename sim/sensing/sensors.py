@@ -1,4 +1,4 @@
-"""The sensor layer that every plant shares: noise, bias, rate and latency between the truth and the controller."""
+"""Sensor layer of all plants: noise, bias, rate and latency between the true state and the controller."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from diffdrive_mpc.models.wheels import WheelKinematics
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 
 TIME_TOLERANCE = 1e-9
-"""Times are sums and multiples of decimals: an instant this close [s] counts as reached."""
+"""Tolerance of times [s], which are sums and multiples of decimal numbers."""
 _BLOCK = 256
-"""Samples of noise that are drawn at once."""
+"""Number of noise samples drawn at once."""
 
 
 class Sensors:
-    """Turns true motion into measurements.
+    """Simulated sensors, which convert true motion to measurements.
 
-    The plant reports its motion as it goes; `collect` returns the delivered measurements. Every sensor has its own
-    random stream, so that its rate does not change the noise of others.
+    The plant reports its motion at each sample; `collect` returns the delivered measurements. Every sensor has a
+    separate random stream, so that its rate does not change the noise of other sensors.
 
     Parameters
     ----------
     parameters
         Noise, rates and latencies.
     kinematics
-        Wheel radius and geometric track, with which the encoders' twist is computed.
+        Kinematics with wheel radius and geometric track, which computes the encoders' twist.
     sample_time
         Control sample time [s].
     seed
-        Seed of all noise, not negative.
+        Seed of the noise, not negative.
     noisy_encoders
-        Draw white noise on the wheel speeds. False where the plant itself counts pulses.
+        Whether to add white noise to wheel speeds; False if the plant simulates counting encoders.
     """
 
     def __init__(
@@ -53,33 +53,33 @@ class Sensors:
         stated_sd = self._pose_sd.copy()
         if pose.stated_position_sd is not None:
             stated_sd[:2] = pose.stated_position_sd
-        self._pose_covariance = _stated(np.diag(stated_sd**2))
+        self._pose_covariance = _published_covariance(np.diag(stated_sd**2))
         self._pose_signs = np.array([1.0, -1.0 if pose.mirrored else 1.0, pose.theta_sign])
-        wired = parameters.encoders
+        encoders = parameters.encoders
         # Front left, front right, rear left, rear right.
-        self._wheels = [1, 0, 3, 2] if wired.swapped else [0, 1, 2, 3]
-        self._wheel_signs = np.array([wired.left, wired.right] * 2)
-        self._gyro_covariance = _stated(np.array([[gyro.noise_sd**2]]))
-        self._speed_covariance = _stated(speed_sd**2 * np.eye(4))
-        self._twist_covariance = _stated(speed_sd**2 * (to_body @ to_body.T))
+        self._wheels = [1, 0, 3, 2] if encoders.swapped else [0, 1, 2, 3]
+        self._wheel_signs = np.array([encoders.left, encoders.right] * 2)
+        self._gyro_covariance = _published_covariance(np.array([[gyro.noise_sd**2]]))
+        self._speed_covariance = _published_covariance(speed_sd**2 * np.eye(4))
+        self._twist_covariance = _published_covariance(speed_sd**2 * (to_body @ to_body.T))
         self.reset(np.zeros(3), np.zeros(4))
 
     def reset(self, pose: ArrayLike, wheel_speeds: ArrayLike) -> None:
-        """Restart all noise at time 0, after a long rest at `pose` (3,)."""
+        """Restart all noise at time 0, for a robot that has been at rest at `pose` (3,)."""
         pose_noise, gyro_noise, encoder_noise, losses = np.random.SeedSequence(self._seed).spawn(4)
         self._losses = np.random.default_rng(losses)
         self._pose_noise, self._gyro_noise = _white(pose_noise, self._pose_sd), _white(gyro_noise, np.ones(1))
         self._encoder_noise = _white(encoder_noise, np.full(4, self._speed_noise))
         self._gyro_bias = self._parameters.gyro.bias_sd * float(next(self._gyro_noise)[0])
         self._on_the_way: deque[tuple[float, Stamped]] = deque()
-        # Back to the first pose that has arrived by time 0.
+        # Start with the first pose that arrives by time 0.
         self._next_pose = -int(np.ceil((self._parameters.pose.latency - TIME_TOLERANCE) / self._period))
         for time in self.poses_due(0.0):
             self.see_pose(time, pose)
         self.see_motion(0.0, wheel_speeds, 0.0)
 
     def poses_due(self, until: float) -> list[float]:
-        """Return the times up to `until` [s] of pose measurements; each requires a call of `see_pose`."""
+        """Return the times up to `until` [s] of pose measurements; `see_pose` must be called for each."""
         due = []
         while self._next_pose * self._period <= until + TIME_TOLERANCE:
             due.append(self._next_pose * self._period)
@@ -111,7 +111,7 @@ class Sensors:
         self._yaw_rate: Stamped | None = Stamped(np.float64(rate), time, self._gyro_covariance)
 
     def collect(self, time: float, sent: tuple[float, float] | None) -> Measurement:
-        """Collect measurements delivered up to `time` [s] and not collected yet; of several poses the newest."""
+        """Return the new measurements delivered by `time` [s]; if several poses are new, the newest."""
         pose = None
         while self._on_the_way and self._on_the_way[0][0] <= time + TIME_TOLERANCE:
             _, pose = self._on_the_way.popleft()
@@ -127,14 +127,14 @@ class Sensors:
 
 
 def _white(seed: np.random.SeedSequence, deviations: FloatArray) -> Iterator[FloatArray]:
-    """Yield white noise with these standard deviations (k,), sample by sample; drawing in blocks does not change it."""
+    """Yield white noise (k,) with these standard deviations, sample by sample; the block size does not change it."""
     stream = np.random.default_rng(seed)
     while True:
         yield from deviations * stream.standard_normal((_BLOCK, len(deviations)))
 
 
-def _stated(covariance: FloatArray) -> FloatArray | None:
-    """Return a covariance to publish, or None for an exact sensor, since a filter must not divide by zero."""
+def _published_covariance(covariance: FloatArray) -> FloatArray | None:
+    """Return a covariance for measurements; None for an exact sensor, since a filter must not divide by zero."""
     if not covariance.any():
         return None
     covariance.setflags(write=False)

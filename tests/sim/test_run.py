@@ -156,13 +156,13 @@ def test_a_run_prints_as_a_table() -> None:
     run = run_along(ConstantTwist(1.0, 0.0, 3.0, name="line"), offset, twist, np.arange(4.0))
     assert str(run).splitlines() == [
         "Run along 'line': 4 ticks of 1 s",
-        "                        rmse    mean     std   p50     p95   p99     max",
-        "position [m]          0.0500  0.0500  0.0000     -       -     -  0.0500",
-        "heading [rad]         0.0100  0.0100  0.0000     -       -     -  0.0100",
-        "course [rad]          0.0100       -       -     -       -     -       -",
-        "|lateral| [m]         0.0500  0.0500       -     -  0.0500     -  0.0500",
-        "step time [ms]             -       -       -  1.00    1.00  1.00    1.00",
-        "of it the solve [ms]       -       -       -     -       -     -       -",
+        "                   rmse    mean     std   p50     p95   p99     max",
+        "position [m]     0.0500  0.0500  0.0000     -       -     -  0.0500",
+        "heading [rad]    0.0100  0.0100  0.0000     -       -     -  0.0100",
+        "course [rad]     0.0100       -       -     -       -     -       -",
+        "|lateral| [m]    0.0500  0.0500       -     -  0.0500     -  0.0500",
+        "step time [ms]        -       -       -  1.00    1.00  1.00    1.00",
+        "solve time [ms]       -       -       -     -       -     -       -",
         "4 steps, completed; in the band 100.0 %; deadlines missed 0, fall-backs 0",
     ]
     assert str(run.metrics) == "\n".join(str(run).splitlines()[1:])

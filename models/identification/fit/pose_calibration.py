@@ -343,7 +343,7 @@ def calibrate_delay(records: Sequence[Record]) -> ParameterEstimate:
 def _lag(
     windows: Sequence[PoseWindows], motion: Sequence[FloatArray], disturbance: Sequence[FloatArray]
 ) -> ParameterEstimate:
-    """Regress the motion (n,) of windows on a signal's first column: lag, scale, and factor of `disturbance` (n,)."""
+    """Fit lag, scale and the factor of `disturbance` (n,) of a signal's first column to the motion (n,) of windows."""
     signals = [part.signal[..., 0] for part in windows]
     whole = np.concatenate([part.dt * signal.sum(axis=1) for part, signal in zip(windows, signals, strict=True)])
     change = np.concatenate([part.change[:, 0] for part in windows])
@@ -383,7 +383,7 @@ def displacement(twist: FloatArray, dt: float, lever_arm: FloatArray) -> FloatAr
 
 
 def _solve(errors: Callable[[FloatArray], FloatArray], start: FloatArray, names: tuple[str, ...]) -> PoseCalibration:
-    """Minimise window errors (n, r) by least squares, reweighted by their scale and by spike weights."""
+    """Solve for minimal window errors (n, r) by least squares, reweighted by their scale and by spike weights."""
     parameters, residuals = start, errors(start)
     spread = np.maximum(residuals.std(axis=0), np.finfo(float).tiny)
     for _ in range(_ROUNDS):

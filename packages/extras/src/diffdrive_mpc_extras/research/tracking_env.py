@@ -87,14 +87,14 @@ class TrackingEnv(gym.Env[FloatArray, FloatArray]):
         if self._driven >= self._ticks:
             raise RuntimeError("the episode is over: call reset before step")
         self._command = np.clip(command, self.action_space.low, self.action_space.high)
-        self._record.before(self._plant, self._measurement)
-        self._record.decided(PeerStep(self._command, "TRACKING", "", math.nan), self._command)
+        self._record.record_state(self._plant, self._measurement)
+        self._record.record_step(PeerStep(self._command, "TRACKING", "", math.nan), self._command)
         ended = ""
         try:
             self._plant.advance(self._command)
         except RobotLostError as error:
             ended = str(error)
-        self._record.after(self._plant, lost=bool(ended))
+        self._record.record_work(self._plant, lost=bool(ended))
         self._driven += 1
         self._measurement = self._measure()
         info = self._info()
