@@ -122,7 +122,7 @@ def draw_steps(_: Sequence[SsmResult], path: Path) -> None:
 
 
 def _times(count: int) -> FloatArray:
-    return load_robot().sample_time * np.arange(count)
+    return load_robot().sample_time * np.arange(count, dtype=float)
 
 
 def draw_orders(results: Sequence[SsmResult], path: Path) -> None:

@@ -139,7 +139,8 @@ def _controller(pool: Pool, choices: dict[str, Any]) -> dict[str, Any]:
     """Collect sizes and fields of a base, and by varied choice its fields: field, places, and numbers per unit."""
     model, rest = choices["model"], {name: choices[name] for name in BASES if name != "model"}
     base = numbers.controller(numbers.configuration(model, rest))
-    varied, touched = {}, set[tuple[int, int]]()
+    varied: dict[str, list[Any]] = {}
+    touched: set[tuple[int, int]] = set()
     for name, power in numbers.powers().items():
         varied[name] = []
         for field, places, units in _proportional(base, model, rest, name, power):
