@@ -117,7 +117,7 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         )
 
     def report(self, results: ReproduceResults, seconds: float) -> Report:
-        """Build the report: findings with their verdicts first, and all results except paths and responses, which are too large."""
+        """Build the report: findings with their verdicts first, and all results except large paths and responses."""
         parts = [part for part in PARTS if getattr(results, part)]
         written = plain(results)
         for result in written["mbm_sm"]:
