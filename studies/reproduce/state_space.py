@@ -257,7 +257,7 @@ def _order_table(results: Sequence[SsmResult], published: Published) -> Table:
 
 
 def ssm_tables(results: Sequence[SsmResult], published: Published) -> list[Table]:
-    """Tabulate orders, and velocity and odometry errors on free drives: ours, at the paper's speeds, and the paper's."""
+    """Tabulate orders, and velocity and odometry errors on free drives: ours, at the paper's speeds, and its own."""
     return [
         _order_table(results, published),
         *_drive_tables("free drives", [result.free_drives for result in results], published),
