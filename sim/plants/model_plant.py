@@ -149,7 +149,7 @@ class _Function:
         return self._output()
 
     def _output(self) -> list[float]:
-        return np.asarray(self._model.output(self._state)).ravel().tolist()
+        return list(map(float, np.asarray(self._model.output(self._state)).ravel()))
 
 
 def _plant_in_c(
@@ -167,13 +167,14 @@ def _plant_in_c(
     c = load_twin()[0].new("velocity_plant *")
     # The mean twist of a step is that of its ends, so the step is at most the sample time of the papers' robot.
     c.steps = max(1 if plain else PARTS, math.ceil(sample_time / load_robot().sample_time - 1e-9))
+    matrices: dict[str, FloatArray] = {}
     if isinstance(model, NonlinearModel):
         if not (plain and math.isclose(sample_time, model.dt, rel_tol=1e-9)):
             raise ModelError(
                 f"model '{model.name}': it is for samples of {model.dt} s without effects of a base; as a plant of "
                 f"{sample_time} s take another model, or a sample_time of {model.dt} s"
             )
-        c.steps, matrices = 1, {}
+        c.steps = 1
     else:
         sampled = model.discretise(sample_time / c.steps)
         c.order, c.memory, c.delay = sampled.order, sampled.memory, sampled.delay.tolist()
@@ -206,5 +207,6 @@ def _plant_in_c(
 
 def _both_sides(limits: TwistRange | TwistSlew | None) -> FloatArray:
     """Return the limits (2, 2) of v and omega: those of the first side, then those of the second."""
-    channels = (None, None) if limits is None else (limits.v, limits.omega)
-    return np.minimum([sides_of(math.inf if limit is None else limit) for limit in channels], _NO_LIMIT).T
+    channels: tuple[float | None, float | None] = (None, None) if limits is None else (limits.v, limits.omega)
+    sides = [sides_of(math.inf if limit is None else limit) for limit in channels]
+    return np.asarray(np.minimum(sides, _NO_LIMIT).T)

@@ -27,7 +27,7 @@ _DRIVES, _DRAWS, _SEED = 6, 40, 9000
 
 
 def identified(folder, make, structure="sm"):
-    """Excite a robot for 120 s in 6 by 6 m, and write model, configuration and robot of the log; return the second."""
+    """Drive a robot for 120 s in 6 by 6 m, and write model, configuration and robot of the log; return the second."""
     excitation = excite_model("ssm", Room(6.0, 6.0), seconds=120.0, seed=7)
     path, log = folder / "excitation.yaml", folder / "log.csv"
     excitation.write(path)

@@ -56,10 +56,7 @@ class PredictedErrorSettings(PartSettings):
         "refuse: it is refused [-]",
     )
     error_population: str = Field(
-        "drawn",
-        min_length=1,
-        description="population of the calibration that a predicted error is for; own: drives of the plant in the "
-        "folder of the configuration are simulated instead, for the service alone [-]",
+        "drawn", min_length=1, description="population of the calibration; own: drives of the own plant, no limit [-]"
     )
     error_calibration: str = Field("", description="calibration file of predicted errors; empty: the shipped one [-]")
 
