@@ -44,7 +44,8 @@ def simulate(
         Anything with `start` and `step`; or a configuration, or what `load_config` makes one of, such as "ssm".
     plant
         The robot stand-in, which is reset first; or what `make_plant` makes one of, such as "mujoco" or a velocity
-        model. It is made with the sample time and the limits of the controller's configuration.
+        model. It is made with the sample time and the limits of the controller's configuration. For a seed or other
+        sensors give `make_plant(name, seed=..., sensors=...)`.
     reference
         The timed trajectory; or what `load_trajectory` makes one of, such as "circle", with the limits of the
         controller's configuration.
