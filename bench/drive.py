@@ -44,7 +44,8 @@ def simulate(
         Object with `start` and `step`; or a configuration, or an argument of `load_config`, such as "ssm".
     plant
         Simulated robot, which is reset first; or an argument of `make_plant`, such as "mujoco" or a velocity model. A
-        new plant has the sample time and the limits of the controller's configuration.
+        new plant has the sample time and the limits of the controller's configuration. To choose its seed or sensors,
+        pass `make_plant(name, seed=..., sensors=...)`.
     reference
         Timed trajectory; or an argument of `load_trajectory`, such as "circle", loaded with the limits of the
         controller's configuration.

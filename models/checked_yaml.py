@@ -282,6 +282,8 @@ def _sentence(schema: type[BaseModel], error: Any, shown: Callable[[str], str]) 
     stated_value, hint = error.get("input"), ""
     if kind == "model_type":
         message = "expected keys and values"
+    if stated_value is None and kind.endswith("_type") and place:
+        return f"{place} is empty: " + message.replace("Input should be", "fill in")
     if kind == "literal_error":
         near = get_close_matches(str(stated_value).lower(), re.findall(r"'([^']*)'", error["ctx"]["expected"]), 1)
         hint = f"; did you mean '{near[0]}'?" if near else ""
