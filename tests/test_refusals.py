@@ -19,7 +19,7 @@ from diffdrive_mpc.bench.comparison.plan import default_settings, plan_cases
 from diffdrive_mpc.bench.controllers import check_cases
 from diffdrive_mpc.bench.sweep import sweep_settings
 from diffdrive_mpc.models.checked_yaml import read_yaml
-from diffdrive_mpc.models.load import model_path
+from diffdrive_mpc.models.load import load_base_effects, model_path
 from diffdrive_mpc.models.wheels import WheelKinematics
 from diffdrive_mpc.mpc.config.typed_settings import single_settings
 from diffdrive_mpc.mpc.trajectories import TrajectoryLimits
@@ -31,7 +31,7 @@ from studies.cli import app as studies
 
 DOORS = yaml.safe_load(Path(__file__).with_name("refusals.yaml").read_text(encoding="utf-8"))
 PROGRAMS = {"diffdrive-mpc ": product, "python -m studies ": studies}
-SSM = yaml.safe_load(model_path("ssm").read_text(encoding="utf-8"))
+SM, SSM = (yaml.safe_load(model_path(name).read_text(encoding="utf-8")) for name in ("sm", "ssm"))
 TIMES = np.linspace(0.0, 10.0, 101)
 
 
@@ -55,6 +55,7 @@ def started():
 
 NAMES = {name: getattr(diffdrive_mpc, name) for name in diffdrive_mpc.__all__} | {
     "Case": Case,
+    "SM": SM,
     "SSM": SSM,
     "SYSTEM": control.tf([1.0], [0.1, 1.0]),
     "T": TIMES,
@@ -63,7 +64,9 @@ NAMES = {name: getattr(diffdrive_mpc, name) for name in diffdrive_mpc.__all__} |
     "X": np.sin(0.5 * TIMES),
     "Y": 1.0 - np.cos(0.5 * TIMES),
     "check_cases": check_cases,
+    "diffdrive_mpc": diffdrive_mpc,
     "default_settings": default_settings,
+    "load_base_effects": load_base_effects,
     "load_scenario": load_scenario,
     "load_sensor_set": load_sensor_set,
     "load_surface": load_surface,

@@ -76,11 +76,6 @@ def test_a_wrong_type_is_a_type_error():
     assert issubclass(ArgumentError, TypeError)
 
 
-def test_a_misspelt_public_name_gets_a_suggestion():
-    with pytest.raises(AttributeError, match="did you mean 'Controller'"):
-        _ = diffdrive_mpc.Controler
-
-
 def test_a_sweep_is_a_table_with_one_row_for_each_run():
     shipped = load_model("sm")
     made = VelocityModel.from_control(shipped.to_control(), shipped.dead_time, name="mine")

@@ -21,7 +21,6 @@ from diffdrive_mpc.models.base_effects import (
     YawRelaxation,
     respond,
 )
-from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification.effects import identify_with_effects
 from diffdrive_mpc.models.identification.effects.free_run import free_run, smooth_command, two_lags
 from diffdrive_mpc.models.identification.effects.pose_sensor import pose_sensor
@@ -32,7 +31,6 @@ from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.models.output_error.held_out import blocks
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.structures.sm import identify_sm
-from refusals import one_line_error
 
 TWISTS = arrays(float, (2,), elements=st.floats(-3, 3, allow_subnormal=False))
 STEPS = WheelCommand(track=0.5, resolution=0.01, coasting_speed=0.08, top_speed=2.0)
@@ -347,19 +345,6 @@ def test_file_carries_effects_beside_an_unchanged_linear_model(tmp_path):
     wheels = EFFECTS["wheel_command"] | {"top_speed": None}
     assert load_base_effects(path).model_dump() == EFFECTS | {"wheel_command": wheels, "twist_range": None}
     np.testing.assert_array_equal(load_model(path).A, load_model("sm").A)
-
-
-@pytest.mark.parametrize(
-    ("effects", "words"),
-    [
-        ({"twist_slew": {"v": 0.0, "omega": 2.0}}, "base_effects.twist_slew.v"),
-        ({"yaw_relaxatoin": {"angle": 0.03}}, "did you mean 'base_effects.yaw_relaxation'"),
-        ({"wheel_command": {"track": 0.5, "resolution": 0.1, "top_speed": 0.05}}, "less than one step"),
-    ],
-)
-def test_mistakes_are_named_in_one_line(tmp_path, effects, words):
-    with one_line_error(ConfigError, words):
-        load_base_effects(write_effects(tmp_path / "base.yaml", effects))
 
 
 def random_steps(seed, steps=12, length=40):

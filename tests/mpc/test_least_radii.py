@@ -200,13 +200,6 @@ def test_plan_keeps_the_radius_from_a_feasible_state():
     assert (np.abs(move[:, 2]) > np.hypot(move[:, 0], move[:, 1]) + 1e-3).any()
 
 
-@pytest.mark.parametrize("name", ["square", "figure8"])
-def test_too_tight_reference_raises_error(name):
-    controller = Controller(with_radius(1.5))
-    with pytest.raises(ValueError, match=r"turns on a radius of .* tighter than limits.min_turn_radius = 1.5"):
-        controller.start(load_trajectory(name), 0.0)
-
-
 def test_scaled_path_keeps_the_minimum_radius():
     config = with_radius(2.0)
     reference = scaled_to_robot("s", config, load_model("ssm"))

@@ -176,17 +176,6 @@ def test_switched_reference_starts_its_clock_and_finishes():
     assert str(step.mode) == "FINISHED"
 
 
-def test_unusable_switch_of_reference_raises_error():
-    controller, reference = Controller(load_config()), load_trajectory("circle")
-    with pytest.raises(RuntimeError, match="call start"):
-        controller.switch_reference(reference, 0.0)
-    controller.start(reference, 0.0)
-    with pytest.raises(ValueError, match="give its t0"):
-        controller.switch_reference(load_trajectory("s"))
-    with pytest.raises(ValueError, match="finite"):
-        controller.switch_reference(load_trajectory("s"), np.nan)
-
-
 def test_core_rejects_references_without_finite_times():
     """An exported controller rejects such references and keeps the previous one."""
     tick, reference = Controller(load_config())._tick, NativeReference(load_trajectory("s"))

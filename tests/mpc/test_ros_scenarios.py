@@ -48,7 +48,7 @@ class Scenario:
 
     def __init__(self, s, monkeypatch, capfd):
         self.s, self.base, self.monkeypatch, self.capfd = s, s.base, monkeypatch, capfd
-        self.all, self.publishers, self.message = [np.zeros((1, 2))], {}, ""
+        self.all, self.publishers, self.message = [], {}, ""
         self.diagnosed = s.listen(DiagnosticArray, "/diagnostics")
 
     # Actions.
@@ -300,7 +300,7 @@ def test_scenario(row, case, monkeypatch, capfd, request):
         for step in row["steps"]:
             for name, value in step.items():
                 getattr(scenario, name)(filled(value))
-    commands = np.vstack(scenario.all)
+    commands = np.vstack([np.empty((0, 2)), *scenario.all])
     assert np.isfinite(commands).all()
     assert (np.abs(commands) <= [LIMITS.v + 1e-9, LIMITS.omega + 1e-9]).all()
     steps, grows = np.abs(np.diff(commands, axis=0)), np.diff(np.abs(commands), axis=0)
