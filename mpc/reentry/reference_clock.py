@@ -47,7 +47,7 @@ class RateProfile:
 _ON_TIME = RateProfile((0.0,), (1.0,), settles=True)
 
 
-def _constant_rate(rate: float) -> RateProfile:
+def _constant(rate: float) -> RateProfile:
     return RateProfile((0.0,), (rate,), settles=False)
 
 
@@ -139,31 +139,31 @@ class ReferenceClock:
 
     def keep_delay(self) -> None:
         """Keep the current delay from the next `advance` on."""
-        self.rate, self._profile = 1.0, _constant_rate(1.0)
+        self.rate, self._profile = 1.0, _constant(1.0)
 
-    def plan(self, max_rate: float, *, catch_up: bool) -> None:
+    def plan(self, limit: float, *, catch_up: bool) -> None:
         """Plan the progress rate from the current tick on.
 
         Parameters
         ----------
-        max_rate
+        limit
             Maximum rate for the robot's lag [-].
         catch_up
             True to reduce the delay to zero; otherwise the rate returns to 1 and the delay stays.
         """
         ramp = self._ramp
-        if self.delay == 0.0 and self.rate == 1.0 and max_rate >= 1.0:
+        if self.delay == 0.0 and self.rate == 1.0 and limit >= 1.0:
             self._profile = _ON_TIME
-        elif catch_up and max_rate > 1.0:
-            fastest = min(self._fastest, max_rate)
-            self._profile = settling_profile(self.rate, self.delay, 2.0 - self._fastest, fastest, ramp)
+        elif catch_up and limit > 1.0:
+            self._profile = settling_profile(
+                self.rate, self.delay, 2.0 - self._fastest, min(self._fastest, limit), ramp
+            )
         else:
             # For a lagging robot the rate drops at once; later it rises again with a limited slope.
-            target = min(max_rate, 1.0)
-            self.rate = min(self.rate, max_rate)
+            target = min(limit, 1.0)
+            self.rate = min(self.rate, limit)
             rise = abs(target - self.rate) / ramp
-            rates = (self.rate, target)
-            self._profile = RateProfile((0.0, rise), rates, settles=False) if rise else _constant_rate(target)
+            self._profile = RateProfile((0.0, rise), (self.rate, target), settles=False) if rise else _constant(target)
 
     def clocked(self, reference: Reference) -> Reference:
         """Return `reference` as a function of the controller's time, with the planned progress rate."""

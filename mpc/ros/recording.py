@@ -30,7 +30,7 @@ from diffdrive_mpc.mpc.solver.report import SolverStatus
 from diffdrive_mpc.mpc.trajectories.native import table_of
 
 # Time limit for opening the file before the first tick, and for completing it after the last tick [s].
-_FILE_TIMEOUT = 5.0
+_TIMEOUT = 5.0
 Method = Callable[..., None]
 # A longer reference exceeds a message to the writing process and would end the recording, so it is omitted.
 _MAX_LINE_LENGTH = 100_000
@@ -70,7 +70,7 @@ class ActivationRecording:
         self._recorder = DriveRecorder(
             path,
             _metadata(settings, config),
-            patience=_FILE_TIMEOUT,
+            patience=_TIMEOUT,
             frame=frame,
             pose_topic=settings.poses_from != "odometry",
         )
@@ -135,7 +135,7 @@ class ActivationRecording:
     @_end_recording_on_error
     def close(self) -> None:
         """Complete the file after the robot's last command."""
-        self._recorder.close(_FILE_TIMEOUT)
+        self._recorder.close(_TIMEOUT)
         self._warn()
 
     def abandon(self, fault: str) -> None:

@@ -8,14 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from diffdrive_mpc.mpc.ros.transforms.buffer import (
-    MAX_FRAMES,
-    MAX_FUTURE,
-    MAX_TRANSFORMS,
-    STORED_TIME,
-    TransformBuffer,
-    TransformError,
-)
+from diffdrive_mpc.mpc.ros.transforms import buffer as limits
+from diffdrive_mpc.mpc.ros.transforms.buffer import TransformBuffer, TransformError
 from diffdrive_mpc.mpc.ros.transforms.rigid import IDENTITY, Rigid
 
 NOW = 100 * 10**9
@@ -154,7 +148,7 @@ def test_two_parents_in_turns_are_a_dispute_and_one_change_is_none():
     with pytest.raises(TransformError, match="'base_link' is placed in 'odom' and in 'map' by turns"):
         buffer.lookup("odom", "base_link", later + 1)
     # Once it has been settled for as long as anything is kept, it is forgotten.
-    settled = later + STORED_TIME + 2
+    settled = later + limits.STORED_TIME + 2
     buffer.insert("odom", "base_link", settled, planar(3.0, 0.0, 0.0), settled)
     assert buffer.lookup("odom", "base_link", settled).transform.x == 3.0
 
@@ -164,7 +158,7 @@ def test_two_parents_in_turns_are_a_dispute_and_one_change_is_none():
     [
         (planar(math.nan, 0.0, 0.0), NOW, ("odom", "base_link"), "not finite"),
         (Rigid(0, 0, 0, 0, 0, 0, 0), NOW, ("odom", "base_link"), "no unit quaternion"),
-        (IDENTITY, NOW + MAX_FUTURE + 1, ("odom", "base_link"), "in the future: are the clocks in step"),
+        (IDENTITY, NOW + limits.MAX_FUTURE + 1, ("odom", "base_link"), "in the future: are the clocks in step"),
         (IDENTITY, NOW, ("odom", "odom"), "names no two frames"),
     ],
 )
@@ -178,12 +172,12 @@ def test_what_cannot_be_used_is_refused_and_changes_nothing(transform, stamp, fr
 
 def test_memory_is_bounded():
     buffer = TransformBuffer()
-    for index in range(MAX_TRANSFORMS + 100):
+    for index in range(limits.MAX_TRANSFORMS + 100):
         buffer.insert("odom", "base_link", NOW + index * 1000, IDENTITY, NOW)
-    assert len(buffer) == MAX_TRANSFORMS
-    buffer.insert("odom", "base_link", NOW + 2 * STORED_TIME, IDENTITY, NOW + 2 * STORED_TIME)
+    assert len(buffer) == limits.MAX_TRANSFORMS
+    buffer.insert("odom", "base_link", NOW + 2 * limits.STORED_TIME, IDENTITY, NOW + 2 * limits.STORED_TIME)
     assert len(buffer) == 1
     with pytest.raises(TransformError, match="one frame too many"):
-        for index in range(MAX_FRAMES + 1):
+        for index in range(limits.MAX_FRAMES + 1):
             buffer.insert("odom", f"f{index}", NOW, IDENTITY, NOW)
-    assert len(buffer) == MAX_FRAMES
+    assert len(buffer) == limits.MAX_FRAMES
