@@ -38,7 +38,7 @@ for model in MODELS:
     rmse = mean([run["position_rmse_m"] for run in runs if run["model"] == model] or [float("nan")])
     print(f"{model}: position RMSE {rmse:.4f} m, mean over {len(TRAJECTORIES)} trajectories and {len(SEEDS)} seeds")
     if not rmse <= POSITION_RMSE_M:
-        complaints.append(f"{model}: position RMSE {rmse:.4f} m, at most {POSITION_RMSE_M} m is promised")
+        complaints.append(f"{model}: position RMSE {rmse:.4f} m, at most {POSITION_RMSE_M} m is the limit")
     pairs = [(errors[case], error) for case, error in stored.items() if case.split()[0] == model and case in errors]
     if not pairs:
         complaints.append(f"{model}: nothing in {STORE.name} to compare with; write it with --store")
@@ -48,7 +48,7 @@ for model in MODELS:
     if ratio > 1 + WORSE:
         complaints.append(
             f"{model}: {100 * (ratio - 1):.1f} % worse than {STORE.name}, at most {100 * WORSE:g} % passes; "
-            "write it anew with --store in this commit if that is meant"
+            "write it again with --store in this commit if this is intended"
         )
 if complaints:
     sys.exit("\n".join(complaints))

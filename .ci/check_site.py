@@ -31,7 +31,7 @@ class QuietHandler(SimpleHTTPRequestHandler):
 
 
 @contextmanager
-def served(folder: Path) -> Iterator[str]:
+def serve(folder: Path) -> Iterator[str]:
     """Serve the files of `folder` on the local host; yield the address of the server."""
     with ThreadingHTTPServer(("127.0.0.1", 0), partial(QuietHandler, directory=folder)) as server:
         Thread(target=server.serve_forever, daemon=True).start()
@@ -102,7 +102,7 @@ def download(page: Page, home: str) -> int:
 def main(site: Path) -> None:
     """Check the site; exit with the list of faults, if any."""
     faults: list[str] = []
-    with served(site) as home, sync_playwright() as playwright:
+    with serve(site) as home, sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
         page = browser.new_page(viewport=PHONE)
         collect_faults(page, home, faults)

@@ -17,7 +17,7 @@ import typer
 
 from diffdrive_mpc.app.command_line.echo import echo
 from diffdrive_mpc.app.command_line.groups import PackagedGroup
-from diffdrive_mpc.app.command_line.one_line_errors import OneLineErrors, build_only_named, leave_on_sigterm
+from diffdrive_mpc.app.command_line.one_line_errors import OneLineErrors, build_named_options, leave_on_sigterm
 from diffdrive_mpc.app.command_line.options import PluggedCommand
 from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.plug_ins import plug_in, plug_in_names
@@ -89,7 +89,7 @@ def command_line(words: Sequence[str] = ()) -> typer.Typer:
     for entry_name, (first, _, second) in added.items():
         is_named = not second or not words[1:] or words[1] == second or words[1].startswith("-")
         if first in chosen and is_named:
-            _add_plugged(groups[first] if second else app, entry_name, second or first)
+            _add_plug_in(groups[first] if second else app, entry_name, second or first)
     return app
 
 
@@ -101,7 +101,7 @@ def _add_command(app: typer.Typer, name: str, entry: CommandEntry) -> None:
     add(getattr(home, called))
 
 
-def _add_plugged(app: typer.Typer, entry_name: str, name: str) -> None:
+def _add_plug_in(app: typer.Typer, entry_name: str, name: str) -> None:
     """Add the command of a package; if the package cannot be imported, add a command that raises the reason."""
     if name in {command.name for command in app.registered_commands}:
         return  # groups are shared by all command lines of a process
@@ -161,5 +161,5 @@ def main() -> None:
     app = command_line([] if completing else sys.argv[1:3])
     # Command completion must not print the shortened help.
     if not completing:
-        build_only_named(app, sys.argv[1:])
+        build_named_options(app, sys.argv[1:])
     app(prog_name="diffdrive-mpc")

@@ -78,20 +78,20 @@ def _dependencies() -> Check:
         if requirement.marker is None or requirement.marker.evaluate({"extra": ""})
     ]
     faults = [fault for requirement in required if (fault := _fault(requirement))]
-    versions = ", ".join(f"{name} {_installed(name)}" for name in _SHOWN)
+    versions = ", ".join(f"{name} {_installed_version(name)}" for name in _SHOWN)
     remedy = "pip install --upgrade diffdrive-mpc"
     return Check("dependencies", not faults, "; ".join(faults) or versions, remedy, is_required=True)
 
 
 def _fault(requirement: Requirement) -> str:
-    installed = _installed(requirement.name)
+    installed = _installed_version(requirement.name)
     if installed is None:
         return f"{requirement.name} is not installed"
     fits = requirement.specifier.contains(Version(installed), prereleases=True)
     return "" if fits else f"{requirement.name} {installed} is not {requirement.specifier}"
 
 
-def _installed(distribution: str) -> str | None:
+def _installed_version(distribution: str) -> str | None:
     try:
         return version(distribution)
     except PackageNotFoundError:
@@ -129,7 +129,7 @@ def _mujoco() -> Check:
 
     plant = make_plant("mujoco", "default", "default", 0)
     plant.advance((0.1, 0.0))
-    return Check("mujoco", True, f"MuJoCo {_installed('mujoco')} simulated {1e3 * plant.time:.1f} ms")
+    return Check("mujoco", True, f"MuJoCo {_installed_version('mujoco')} simulated {1e3 * plant.time:.1f} ms")
 
 
 def _ros() -> Check:

@@ -35,7 +35,7 @@ def print_model(name: str) -> None:
     """Print all properties of one model; raise ConfigError or ModelError if it cannot be loaded."""
     console = output_console()
     for line in model_text(load_model(name), console.width).splitlines():
-        for part in _wrapped(line, console.width):
+        for part in _wrap(line, console.width):
             console.print(part, markup=False, highlight=False, soft_wrap=True)
 
 
@@ -45,7 +45,7 @@ def model_text(model: VelocityModel | NonlinearModel, width: int = 140) -> str:
     return "\n".join([*lines, *_provenance_lines(model.provenance)])
 
 
-def _wrapped(line: str, width: int) -> list[str]:
+def _wrap(line: str, width: int) -> list[str]:
     """Wrap a line between words, and indent continuation lines to the column of values; do not break words."""
     return textwrap.wrap(line, width, subsequent_indent=" " * _LABEL, break_long_words=False, break_on_hyphens=False)
 

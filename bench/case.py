@@ -22,7 +22,7 @@ Overrides = tuple[tuple[str, object], ...]
 """Configuration values by dotted key."""
 
 NO_SCENARIO, NO_MODEL, AS_FILED = "none", "none", "file"
-"""The scenario without disturbances; the model of a peer without one; the timing that a trajectory file states."""
+"""Scenario without disturbances; model of a peer, which has none; timing that a trajectory file states."""
 MAX_SEEDS = 10_000
 """Maximum number of seeds of one case: more runs take days, and their list alone could fill the memory."""
 MAX_CASES = 100_000

@@ -98,7 +98,7 @@ def check_cases(cases: Iterable[Case]) -> None:
 
 
 def load_reference(case: Case) -> Trajectory:
-    """Return the trajectory of a case with its timing; raises ConfigError if either cannot be used.
+    """Return the trajectory of a case with its timing; raise ConfigError if either cannot be used.
 
     With a top speed, or scaled to the robot, the trajectory stops at jumps of curvature. A plant may have its own
     reference.

@@ -81,7 +81,7 @@ def run_tasks(tasks: Sequence[Callable[[], T]], jobs: int, on_done: OnDone) -> l
                 results[number] = task()
                 on_done()
     else:
-        for number, result in _in_processes([partial(_numbered, *entry) for entry in enumerate(tasks)], jobs):
+        for number, result in _in_processes([partial(_call_numbered, *entry) for entry in enumerate(tasks)], jobs):
             results[number] = result
             on_done()
     return [results[number] for number in range(len(tasks))]
@@ -111,7 +111,7 @@ def _end_processes(*, at_once: bool) -> None:
     pool.shutdown(wait=True, kill_workers=at_once)
 
 
-def _numbered(number: int, task: Callable[[], T]) -> tuple[int, T]:
+def _call_numbered(number: int, task: Callable[[], T]) -> tuple[int, T]:
     return number, task()
 
 

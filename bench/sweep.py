@@ -100,12 +100,12 @@ def sweep(
     """
     pandas = load_pandas("sweep")
     listed = {
-        "model": _listed(model),
-        "trajectory": _listed(trajectory),
+        "model": _as_list(model),
+        "trajectory": _as_list(trajectory),
         "seed": _seeds(seeds),
-        "plant": _listed(plant),
+        "plant": _as_list(plant),
     }
-    listed |= {name: _listed(value) for name, value in values.items()}
+    listed |= {name: _as_list(value) for name, value in values.items()}
     for name, several in listed.items():
         near = get_close_matches(name, [*_DEFAULTS, "seeds"], 1, 0.8)
         if near and name not in _DEFAULTS and name not in ControllerConfig.model_fields:
@@ -137,7 +137,7 @@ class _Task:
         self._trajectory = values["trajectory"] if isinstance(values["trajectory"], Trajectory) else None
         dimensions = {name: value for name, value in values.items() if name in _DEFAULTS}
         for name, replaced in (("model", self._model), ("trajectory", self._trajectory)):
-            dimensions[name] = _DEFAULTS[name] if replaced is not None else _named(name, values[name])
+            dimensions[name] = _DEFAULTS[name] if replaced is not None else _name(name, values[name])
         overrides = tuple((name, value) for name, value in values.items() if name not in _DEFAULTS)
         self.case = Case(**dimensions, config=config, overrides=overrides)
 
@@ -152,7 +152,7 @@ class _Task:
         return {**shown, **statistics_of(run, timed=timed), "ended": run.ended}
 
 
-def _listed(value: Any) -> list[Any]:  # noqa: ANN401
+def _as_list(value: Any) -> list[Any]:  # noqa: ANN401
     """Return one or several values as a list."""
     single = (str, Path, Mapping, VelocityModel, NonlinearModel, Trajectory)
     return [value] if isinstance(value, single) or not isinstance(value, Iterable) else list(value)
@@ -162,13 +162,13 @@ def _seeds(seeds: Any) -> list[int]:  # noqa: ANN401
     """Return the given seeds, or the first n seeds."""
     if isinstance(seeds, int) and not 1 <= seeds <= MAX_SEEDS:
         raise ConfigError(f"sweep: seeds = {seeds}; give 1 to {MAX_SEEDS}, or a list such as [3, 4]")
-    listed = list(range(seeds)) if isinstance(seeds, int) else _listed(seeds)
+    listed = list(range(seeds)) if isinstance(seeds, int) else _as_list(seeds)
     if not all(isinstance(seed, (int, np.integer)) and seed >= 0 for seed in listed):
         raise ConfigError(f"sweep: seeds {seeds!r}; give whole numbers of at least 0, or the number of seeds")
     return [int(seed) for seed in listed]
 
 
-def _named(name: str, value: object) -> str:
+def _name(name: str, value: object) -> str:
     if not isinstance(value, (str, Path)):
         call = "VelocityModel.from_control(system)" if name == "model" else "Trajectory.from_arrays(t, x, y)"
         raise wrong_type(f"sweep: {name}", f"a name, a path or a {name}", value, f"make it with {call}")

@@ -91,7 +91,7 @@ def time_outcomes(outcomes: Sequence[RunOutcome], on_done: OnDone) -> tuple[list
 
     Raises NotReproducibleError if the commands of a replay differ from those of the run.
     """
-    groups = list(_grouped(outcomes, lambda outcome: _place(outcome.case)).values())
+    groups = list(_group_by(outcomes, lambda outcome: _place(outcome.case)).values())
     with quiet_core() as core:
         began, processor, counted = time.perf_counter(), time.process_time(), busy_time(core)
         replays = [[CaseReplay(outcome.case, outcome.run) for outcome in place] for place in groups]
@@ -104,7 +104,7 @@ def time_outcomes(outcomes: Sequence[RunOutcome], on_done: OnDone) -> tuple[list
         for outcome, replayed in zip(place, several, strict=True)
     }
     # Disturbed ticks are omitted for all controllers or for none.
-    drivers = _grouped(outcomes, lambda outcome: _driver(outcome.case)).values()
+    drivers = _group_by(outcomes, lambda outcome: _driver(outcome.case)).values()
     all_have_clean = all(any(times[outcome.case].clean.any() for outcome in runs) for runs in drivers)
     timed = {}
     for outcome in outcomes:
@@ -118,7 +118,7 @@ def time_outcomes(outcomes: Sequence[RunOutcome], on_done: OnDone) -> tuple[list
     return [timed[outcome.case] for outcome in outcomes], TimingPass(clean, others, best)
 
 
-def _grouped(outcomes: Sequence[RunOutcome], key: Callable[[RunOutcome], K]) -> dict[K, list[RunOutcome]]:
+def _group_by(outcomes: Sequence[RunOutcome], key: Callable[[RunOutcome], K]) -> dict[K, list[RunOutcome]]:
     """Group outcomes by a key, in the order of first appearance."""
     groups: dict[K, list[RunOutcome]] = {}
     for outcome in outcomes:

@@ -14,7 +14,7 @@ from types import ModuleType
 
 import typer
 
-from diffdrive_mpc.app.command_line.one_line_errors import OneLineErrors, build_only_named, leave_on_sigterm
+from diffdrive_mpc.app.command_line.one_line_errors import OneLineErrors, build_named_options, leave_on_sigterm
 from studies import commands
 from studies.commands import shipped_models_app
 
@@ -54,5 +54,5 @@ app.add_typer(shipped_models_app, name="models")
 def main() -> None:
     """Run `python -m studies`."""
     leave_on_sigterm()
-    build_only_named(app, sys.argv[1:])
+    build_named_options(app, sys.argv[1:])
     app(prog_name=Studies.program)

@@ -52,7 +52,7 @@ def tracking(
     jobs: Jobs = None,
 ) -> None:
     """Run the tracking study and write its tables and figures: about ten minutes on two cores."""
-    from studies.tracking.study import TrackingStudy, load_study  # noqa: PLC0415 - --help does without it
+    from studies.tracking.study import TrackingStudy, load_study  # noqa: PLC0415 - --help does not need it
 
     if quick and study is not None:
         raise ValueError(f"--study {study}: --quick selects another study file; pass only one of the two options")
@@ -72,7 +72,7 @@ def reproduce(
     jobs: Jobs = None,
 ) -> None:
     """Repeat the papers' experiments on the simulated robot, and report confirmed findings: minutes on two cores."""
-    from studies.reproduce.published import PARTS, load_study  # noqa: PLC0415 - --help does without it
+    from studies.reproduce.published import PARTS, load_study  # noqa: PLC0415 - --help does not need it
     from studies.reproduce.study import ReproduceStudy  # noqa: PLC0415
 
     parts = PARTS if only is None else split_names(only, "--only")
@@ -89,7 +89,7 @@ def peers(
 ) -> None:
     """Tune all peers by the same search with one budget on the same runs: about 20 minutes on two cores."""
     from diffdrive_mpc.models.whole_file import whole_file  # noqa: PLC0415
-    from studies.peers.study import GAINS_FILE, PeersStudy, gains_text, load_settings  # noqa: PLC0415 - --help does without it
+    from studies.peers.study import GAINS_FILE, PeersStudy, gains_text, load_settings  # noqa: PLC0415 - --help does not need it
 
     loaded = load_settings(settings, quick=quick)
     results = _carry_out(PeersStudy(loaded, None if only is None else split_names(only, "--peers")), out, jobs)
@@ -133,7 +133,7 @@ def robustness(
     jobs: Jobs = None,
 ) -> None:
     """Run every controller on robots, surfaces and sensors that it was not tuned for: some minutes on two cores."""
-    from diffdrive_mpc_extras.campaign.campaign_file import load_conditions  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc_extras.campaign.campaign_file import load_conditions  # noqa: PLC0415 - --help does not need it
     from studies.robustness.study import RobustnessStudy  # noqa: PLC0415
 
     loaded = load_conditions(conditions)
@@ -171,7 +171,7 @@ def speed(
     ] = None,
 ) -> None:
     """Time whole steps of the controller and of its peers on the same problem: about a quarter of an hour."""
-    from studies.speed.settings import MAX_STEPS, load_speed_settings, select_subjects  # noqa: PLC0415 - --help does without it
+    from studies.speed.settings import MAX_STEPS, load_speed_settings, select_subjects  # noqa: PLC0415 - --help does not need it
     from studies.speed.study import SpeedStudy  # noqa: PLC0415
 
     loaded = load_speed_settings(settings, quick=quick)

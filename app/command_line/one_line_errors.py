@@ -142,7 +142,7 @@ def _singular(name: str) -> str:
     return _SINGULARS.get(name, name)
 
 
-def build_only_named(app: typer.Typer, words: Sequence[str]) -> None:
+def build_named_options(app: typer.Typer, words: Sequence[str]) -> None:
     """Build the options of the commands in `words` only, because building all options is slow.
 
     Other commands keep their name and help for the overview.
@@ -152,7 +152,7 @@ def build_only_named(app: typer.Typer, words: Sequence[str]) -> None:
             command.callback = _without_options(command.callback)
     for group in app.registered_groups:
         if group.typer_instance is not None and group.name not in words:
-            build_only_named(group.typer_instance, words)
+            build_named_options(group.typer_instance, words)
 
 
 def _without_options(callback: Callable[..., Any]) -> Callable[[], None]:

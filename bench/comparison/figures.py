@@ -77,7 +77,7 @@ def magnification(run: Run) -> float:
     return max([1.0, *(factor for factor in _MAGNIFICATIONS if factor <= limit)])
 
 
-def magnified(run: Run, factor: float) -> FloatArray:
+def magnify(run: Run, factor: float) -> FloatArray:
     """Return the driven poses (n, 3) with their deviation from the reference multiplied by `factor`."""
     return np.asarray(run.reference_pose + factor * (run.true_pose - run.reference_pose))
 
@@ -85,7 +85,7 @@ def magnified(run: Run, factor: float) -> FloatArray:
 def draw_case(run: Run, title: str, path: Path) -> None:
     """Draw `run` into the PNG file `path`, with its position error magnified if it is too small to see."""
     views, factor = run_series(run, "run", points=_TICKS_OF_A_RUN), magnification(run)
-    more = [_in_plane(f"driven, error x {factor:g}", magnified(run, factor), 6)] if factor > 1 else []
+    more = [_in_plane(f"driven, error x {factor:g}", magnify(run, factor), 6)] if factor > 1 else []
 
     def draw_parts(axes: Axes) -> None:
         for part in columns_of(run):

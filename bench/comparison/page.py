@@ -35,7 +35,7 @@ _TICKS_OF_A_RUN = 350
 _WARNINGS_SHOWN = 12
 
 
-def shown(results: ComparisonResults) -> Shown:
+def page_contents(results: ComparisonResults) -> Shown:
     """Collect the contents of the page except tables and charts."""
     drivers = by(results.main, COMPARED)
     names, paths, seeds = tuple(drivers), tuple(by(results.main, "trajectory")), tuple(by(results.main, "seed"))
@@ -62,14 +62,14 @@ def charts(results: ComparisonResults) -> dict[str, list[Chart]]:
     if len(results.speed):
         speeds = [round(case.top_speed or 0.0, 6) for case in results.speed["case"]]
         axis = f"top speed [m/s] of {' and '.join(by(results.speed, 'trajectory'))}"
-        files["speed.png"] = _swept(results.speed, speeds, axis, _errors("Error against speed"), names)
+        files["speed.png"] = _sweep(results.speed, speeds, axis, _errors("Error against speed"), names)
     if len(results.dead_time):
         delays = [round(1e3 * sample * case.excess_delay, 6) for case in results.dead_time["case"]]
         axis, title = "dead time beyond the configured one [ms]", "Error against an unknown dead time"
-        files["dead-time.png"] = _swept(results.dead_time, delays, axis, _errors(title), names)
+        files["dead-time.png"] = _sweep(results.dead_time, delays, axis, _errors(title), names)
     if len(results.horizon):
         axis = f"horizon [steps of {1e3 * sample:.1f} ms]"
-        files["horizon.png"] = _swept(results.horizon, list(results.horizon["horizon"]), axis, _HORIZON_FIGURES, names)
+        files["horizon.png"] = _sweep(results.horizon, list(results.horizon["horizon"]), axis, _HORIZON_FIGURES, names)
     return files
 
 
@@ -197,7 +197,7 @@ def _errors(title: str) -> Figures:
     }
 
 
-def _swept(rows: DataFrame, x: Sequence[float], axis: str, figures: Figures, names: Sequence[str]) -> list[Chart]:
+def _sweep(rows: DataFrame, x: Sequence[float], axis: str, figures: Figures, names: Sequence[str]) -> list[Chart]:
     """Return charts of figures of the runs at each x, with the range over single seeds."""
     rows, swept_charts = rows.assign(x=x), []
     for title, (unit, figure) in figures.items():

@@ -132,7 +132,7 @@ def property_table(properties: Sequence[Property], runs: DataFrame) -> Table:
 
 
 def predicts(rows: Sequence[dict[str, object]]) -> str:
-    """Describe the rank correlation of each property with the tracking error; say if there are too few points."""
+    """Describe the rank correlation of each property with the tracking error; report if there are too few points."""
     if len(rows) < _MIN_PAIRS:
         return f"{len(rows)} pairs of model and plant are too few for a correlation with the tracking error."
     from scipy.stats import spearmanr  # noqa: PLC0415 - loads slowly

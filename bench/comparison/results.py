@@ -176,7 +176,7 @@ def describe(settings: ComparisonSettings, timing: TimingPass) -> dict[str, obje
     timing
         State of the machine during all timed runs.
     """
-    options: dict[str, object] = {dimension.several: labelled(settings, dimension.several) for dimension in DIMENSIONS}
+    options: dict[str, object] = {dimension.several: labels_of(settings, dimension.several) for dimension in DIMENSIONS}
     if not settings.ours:
         options["models"] = []
     return {
@@ -187,13 +187,13 @@ def describe(settings: ComparisonSettings, timing: TimingPass) -> dict[str, obje
         "experiment": options | {"horizons": settings.horizons},
         "configuration": {
             "file": None if settings.config is None else Path(settings.config).stem,
-            "set": _swept(settings),
+            "set": _swept_values(settings),
             "controllers": _configurations(settings) if settings.ours else [],
         },
     }
 
 
-def labelled(settings: ComparisonSettings, dimension: str) -> list[object]:
+def labels_of(settings: ComparisonSettings, dimension: str) -> list[object]:
     """Return the values of a dimension by its plural name, without parts that identify the machine."""
     return [label(value) if isinstance(value, str) else value for value in settings.values(dimension)]
 
@@ -201,7 +201,7 @@ def labelled(settings: ComparisonSettings, dimension: str) -> list[object]:
 def chosen_configuration(settings: ComparisonSettings) -> str:
     """Describe the configuration file and changed values as one phrase; empty for shipped values."""
     parts = [] if settings.config is None else [f"file {Path(settings.config).stem}"]
-    parts += [f"{key}={','.join(map(str, values))}" for key, values in _swept(settings).items()]
+    parts += [f"{key}={','.join(map(str, values))}" for key, values in _swept_values(settings).items()]
     return "; ".join(parts)
 
 
@@ -219,7 +219,7 @@ def _configurations(settings: ComparisonSettings) -> list[dict[str, object]]:
     ]
 
 
-def _swept(settings: ComparisonSettings) -> dict[str, list[object]]:
+def _swept_values(settings: ComparisonSettings) -> dict[str, list[object]]:
     """Collect the swept values by dotted key, each once."""
     values: dict[str, list[object]] = {}
     for key, value in (pair for overrides in settings.settings for pair in overrides):

@@ -9,7 +9,7 @@ from functools import partial
 from pandas import DataFrame
 
 from diffdrive_mpc.bench.case import DIMENSIONS, Case
-from diffdrive_mpc.bench.comparison.page import shown
+from diffdrive_mpc.bench.comparison.page import page_contents
 from diffdrive_mpc.bench.comparison.plan import CasePlan, ComparisonSettings, plan_cases
 from diffdrive_mpc.bench.comparison.properties import measure_properties
 from diffdrive_mpc.bench.comparison.results import (
@@ -18,7 +18,7 @@ from diffdrive_mpc.bench.comparison.results import (
     ComparisonResults,
     chosen_configuration,
     describe,
-    labelled,
+    labels_of,
 )
 from diffdrive_mpc.bench.comparison.tables import other_robot_tables, report_tables, scenario_table, screen_table
 from diffdrive_mpc.bench.controllers import run_case
@@ -86,7 +86,7 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         requested = [
             f"{entry.name if entry.place and len(values) == 1 else entry.several} {', '.join(map(str, values))}"
             for entry in named
-            if (values := labelled(self.settings, entry.several))
+            if (values := labels_of(self.settings, entry.several))
         ]
         chosen = chosen_configuration(self.settings)
         return Report(
@@ -99,12 +99,12 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
             ],
             notes=[
                 f"Errors: {STATISTICS}.",
-                f"Times: {TIMING}. {_undisturbed(results.timing)}",
+                f"Times: {TIMING}. {_timing_note(results.timing)}",
             ],
             tables=report_tables(results),
             figures=drawings(results),
             figures_first=3 if len(results.speed) else 1,
-            shown=shown(results),
+            shown=page_contents(results),
             screen=[
                 *([scenario_table(results.main)] if "scenario" not in results.silent else []),
                 screen_table(results.main),
@@ -119,7 +119,7 @@ def _drive(case: Case, *, whole: bool) -> RunOutcome | Row:
     return RunOutcome(case, run) if whole else row_of(case, run)
 
 
-def _undisturbed(timing: TimingPass) -> str:
+def _timing_note(timing: TimingPass) -> str:
     return (
         f"{100 * timing.clean_share:.1f} % of the ticks were undisturbed; other programs used the core for "
         f"{100 * timing.others_share:.0f} % of the time, and the yardstick took {1e6 * timing.yardstick:.1f} us."

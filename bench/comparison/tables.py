@@ -68,7 +68,7 @@ def _time(name: str, percent: float, digits: int = 2) -> Cell:
     return time_cell
 
 
-def _recovered(rows: DataFrame) -> str:
+def _recovery_count(rows: DataFrame) -> str:
     """Format the number of recovered runs and of all runs; "-" for a lasting disturbance."""
     times = values(rows, "recovery_time_s")
     return "-" if np.isnan(times).all() else f"{np.count_nonzero(np.isfinite(times))}/{len(rows)}"
@@ -78,7 +78,7 @@ CELLS: dict[str, Cell] = {
     "horizons": lambda rows: " ".join(map(str, sorted(rows["horizon"].dropna().astype(int).unique()))) or "-",
     "steps": lambda rows: str(step_times(rows).size),
     "undisturbed": lambda rows: number(100 * (1 - disturbed_share(rows)), 1),
-    "recovered": _recovered,
+    "recovered": _recovery_count,
     **{f"{name}_p{percent}": _time(name, percent) for name in ("solve", "step") for percent in (50, 99)},
     **{f"{name}_p{percent}_3": _time(name, percent, 3) for name in ("solve", "step") for percent in (50, 95, 99, 100)},
 }

@@ -180,11 +180,11 @@ class RunSeries:
 
     def in_style(self, style: int) -> RunSeries:
         """Return the run drawn in another style."""
-        plane = _styled(self.plane, style)
-        return replace(self, plane=plane, panes={title: _styled(pane, style) for title, pane in self.panes.items()})
+        plane = _in_style(self.plane, style)
+        return replace(self, plane=plane, panes={title: _in_style(pane, style) for title, pane in self.panes.items()})
 
 
-def _styled(series: Sequence[Series], style: int) -> list[Series]:
+def _in_style(series: Sequence[Series], style: int) -> list[Series]:
     return [entry if entry.kind == "reference" else replace(entry, style=style) for entry in series]
 
 

@@ -57,11 +57,11 @@ def run_warnings(run: Run, config: ControllerConfig | None = None, name: str = "
     """
     remedies_of_kinds = remedies()
     warned = [
-        (_not_completed(run), remedies_of_kinds.not_completed),
+        (_incomplete(run), remedies_of_kinds.not_completed),
         (_fallbacks(run, ("BRAKING", "STOPPED")), remedies_of_kinds.waited),
         (_fallbacks(run, ("REUSED_PLAN",)), remedies_of_kinds.fallback),
         (_missed_deadlines(run), remedies_of_kinds.late),
-        (_poses_lost(run, remedies_of_kinds), remedies_of_kinds.poses_lost),
+        (_missing_poses(run, remedies_of_kinds), remedies_of_kinds.poses_lost),
         (_at_limit(run, config, remedies_of_kinds), remedies_of_kinds.at_limit),
         (_on_backend(run, config, remedies_of_kinds), remedies_of_kinds.backend),
         (_messages(run), remedies_of_kinds.messages),
@@ -70,7 +70,7 @@ def run_warnings(run: Run, config: ControllerConfig | None = None, name: str = "
     return [Warned(before + sentence, remedy) for sentence, remedy in warned if sentence]
 
 
-def _not_completed(run: Run) -> str:
+def _incomplete(run: Run) -> str:
     if run.metrics.completed:
         return ""
     return f"The run did not complete: {run.ended or 'the robot was not near the end of its path in time'}."
@@ -98,7 +98,7 @@ def _missed_deadlines(run: Run) -> str:
     return f"{_ticks(misses)} took longer than the sample time of {sample:.1f} ms; the longest {worst:.1f} ms."
 
 
-def _poses_lost(run: Run, remedy: Remedies) -> str:
+def _missing_poses(run: Run, remedy: Remedies) -> str:
     arrived = run.time[np.isfinite(run.measured_pose[:, 0])]
     if len(arrived) < 3:
         return "" if len(arrived) or not len(run.time) else "No pose arrived."

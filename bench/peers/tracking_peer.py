@@ -225,11 +225,11 @@ def make_tracking_peer(
     kind = law_kind(name)
     config = config or load_config(MODEL, dict(overrides or {}))
     gains = gains or load_gains(name)
-    robot = delayed(config)
+    robot = law_data(config)
     return TrackingPeer(kind(gains, robot), gains.lead, side_slip=name.endswith("+slip"), config=config)
 
 
-def delayed(config: ControllerConfig) -> Delayed:
+def law_data(config: ControllerConfig) -> Delayed:
     """Return the parameters of the configuration's robot for a law."""
     model = load_linear_model(config.model)
     return Delayed(config.sample_time, model.lag - model.dead_time, config.limits)

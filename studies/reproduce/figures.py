@@ -17,7 +17,7 @@ from diffdrive_mpc.models.velocity_model import CHANNELS
 from studies.reproduce.drives import QUANTITIES, sampled, trajectory_commands
 from studies.reproduce.mbm_and_sm import COMPARED, MBM, SM, MbmSmResult
 from studies.reproduce.published import load_published
-from studies.reproduce.state_space import PAPERS_ORDER, SsmResult, as_printed
+from studies.reproduce.state_space import PAPERS_ORDER, SsmResult, published_system
 from studies.reproduce.virtual_track import TrackLine, VirtualTrackResult
 
 _BAR = 0.16
@@ -113,7 +113,7 @@ def draw_responses(results: Sequence[MbmSmResult], path: Path) -> None:
 def draw_steps(_: Sequence[SsmResult], path: Path) -> None:
     """Draw the responses of v and omega to unit steps of either command, by the printed matrices of SSM."""
     dt = load_robot().sample_time
-    model, rows = sampled(as_printed(load_linear_model("ssm")), dt), round(1.2 / dt)
+    model, rows = sampled(published_system(load_linear_model("ssm")), dt), round(1.2 / dt)
     with new_figure(path, 9.0, 3.2) as figure:
         for axes, channel, command in zip(figure.subplots(1, 2), CHANNELS, np.eye(2), strict=True):
             axes.plot(_times(rows), model.simulate(np.tile(command, (rows, 1))), label=CHANNELS)

@@ -175,8 +175,8 @@ def _beats_sm(
     return PaperFinding(
         f"{words} predicts the {quantity} better than SM on every trajectory (RMSE)",
         "P0, Table 2" if model == MBM else "P0, Table 2; the tracks are ours",
-        _compared(printed[0], printed[1], QUANTITIES[quantity]),
-        _compared(ours.mean(axis=0), theirs.mean(axis=0), QUANTITIES[quantity]),
+        _comparison(printed[0], printed[1], QUANTITIES[quantity]),
+        _comparison(ours.mean(axis=0), theirs.mean(axis=0), QUANTITIES[quantity]),
         as_flags((ours < theirs).all(axis=1)),
     )
 
@@ -206,7 +206,7 @@ def _printed(published: Published, model: str, names: Sequence[str], quantity: s
     return np.array([getattr(published.odometry[model][name], quantity)[0] for name in names])
 
 
-def _compared(ours: FloatArray, theirs: FloatArray, unit: str) -> str:
+def _comparison(ours: FloatArray, theirs: FloatArray, unit: str) -> str:
     a, b = float(ours.mean()), float(theirs.mean())
     return f"{np.sum(ours < theirs)} of {len(ours)}; mean {a:.3f} against {b:.3f} {unit} ({100 * (a / b - 1):+.0f} %)"
 

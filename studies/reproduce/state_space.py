@@ -107,13 +107,13 @@ def compare_orders(study: SsmStudy, repetition: int) -> SsmResult:
         tuple(_order(number, row, train, test) for number, row in enumerate(choice.rows, start=1)),
         choice.order,
         choice.reason,
-        _predicted(identified, drives),
-        _predicted(fast, fast_drives),
+        _predict_drives(identified, drives),
+        _predict_drives(fast, fast_drives),
     )
 
 
-def _predicted(identified: IdentifiedModel, drives: Sequence[Record]) -> dict[str, tuple[FreeDrive, ...]]:
-    systems = {IDENTIFIED: identified.system, PRINTED: as_printed(load_linear_model("ssm"))}
+def _predict_drives(identified: IdentifiedModel, drives: Sequence[Record]) -> dict[str, tuple[FreeDrive, ...]]:
+    systems = {IDENTIFIED: identified.system, PRINTED: published_system(load_linear_model("ssm"))}
     return {name: tuple(free_drive(system, drive) for drive in drives) for name, system in systems.items()}
 
 
@@ -145,7 +145,7 @@ def _pair(values: Sequence[float] | np.ndarray) -> Pair:
     return v, omega
 
 
-def as_printed(model: VelocityModel) -> LinearSystem:
+def published_system(model: VelocityModel) -> LinearSystem:
     """Convert a published model for the comparison with logs, without sensor offset and limit."""
     return LinearSystem(model.A, model.B, model.C, model.dead_time, np.zeros(2), np.full((2, 4), np.inf))
 

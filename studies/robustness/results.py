@@ -154,15 +154,15 @@ def _within_share(rows: DataFrame) -> str:
     return f"{100 * rows['within_room'].mean():.0f} ({100 * low:.0f} to {100 * high:.0f})"
 
 
-def _expected(rows: DataFrame) -> float:
+def _expected_alarms(rows: DataFrame) -> float:
     return float(rows["rate"].iloc[0]) * float(rows["driven_s"].sum()) / _HOUR
 
 
 CELLS: Mapping[str, Cell] = {
     "within_share": _within_share,
     "hours": lambda rows: number(float(rows["driven_s"].sum()) / _HOUR, 2),
-    "expected": lambda rows: number(_expected(rows), 1),
-    "poisson": lambda rows: "{} to {}".format(*alarms_interval(_expected(rows))),
+    "expected": lambda rows: number(_expected_alarms(rows), 1),
+    "poisson": lambda rows: "{} to {}".format(*alarms_interval(_expected_alarms(rows))),
 }
 
 

@@ -139,12 +139,12 @@ def calibrate(
         If `path` cannot be written; checked on entry. After any error `path` is unchanged.
     """
     with whole_file(path, rewrites=True) as unfinished:
-        firmware = _calibrated(date or datetime.date.today(), on_evaluation)
+        firmware = _fit_firmware(date or datetime.date.today(), on_evaluation)
         write_firmware(firmware, unfinished)
     return firmware
 
 
-def _calibrated(date: datetime.date, on_evaluation: Callable[[], None] | None) -> Firmware:
+def _fit_firmware(date: datetime.date, on_evaluation: Callable[[], None] | None) -> Firmware:
     from scipy.optimize import minimize  # noqa: PLC0415 - loads slowly
 
     parameters = load_calibration_parameters()

@@ -288,7 +288,7 @@ def _fit_sm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
             channel: round(max(fit.parameters.value("dead_time") - delay, 0.0), 5)
             for delay, (channel, fit) in zip(_output_delays(), fits.items(), strict=True)
         },
-        "channels": {channel: _rounded(fit) for channel, fit in fits.items()},
+        "channels": {channel: _round_content(fit) for channel, fit in fits.items()},
     }
 
 
@@ -320,12 +320,12 @@ def _fit_mbm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
     difference = np.concatenate([side_difference(log.wheel_speeds, robot.wheel_radius) for log in logs.omega])
     gyro = np.concatenate([log.yaw_rate for log in logs.omega])
     commanded = np.concatenate([log.command[:, 1] for log in logs.omega])
-    settled = np.concatenate([_settled(log) for log in logs.omega])
+    settled = np.concatenate([_settled_ticks(log) for log in logs.omega])
     gain = np.mean([channel.content["gain"] for channel in channels])
     content = {
         "warnings": [str(warning) for channel in channels for warning in channel.warnings],
         "dead_time": dict.fromkeys(CHANNELS, 0.0),
-        "motors": {name: _rounded(channel) for name, channel in zip(names, channels, strict=True)},
+        "motors": {name: _round_content(channel) for name, channel in zip(names, channels, strict=True)},
         "wheel_radius": robot.wheel_radius,
         "firmware_track": round(identify_track(difference[settled], commanded[settled]) / float(gain), 5),
         "effective_track": round(identify_track(difference[settled], gyro[settled]), 5),
@@ -346,7 +346,7 @@ def _experiment(log: OpenLoopDrive, command: FloatArray, output: FloatArray) -> 
     return SampledExperiment(name, load_robot().sample_time, command[:, None], output[:, None], every)
 
 
-def _settled(log: OpenLoopDrive) -> FloatArray:
+def _settled_ticks(log: OpenLoopDrive) -> FloatArray:
     """Return (K,) True if the command has not changed for the settling time."""
     window = round(fitting_settings().settling_time / load_robot().sample_time)
     changed = np.concatenate([[True], (np.diff(log.command, axis=0) != 0).any(axis=1)])
@@ -368,7 +368,7 @@ def _describe(logs: list[OpenLoopDrive], row: int) -> str:
     return f"steps from rest to {', '.join(f'{level:.4g}' for level in levels)} {('m/s', 'rad/s')[row]}{random}"
 
 
-def _rounded(channel: IdentifiedChannel) -> dict[str, float]:
+def _round_content(channel: IdentifiedChannel) -> dict[str, float]:
     return {key: float(f"{value:.5g}") for key, value in channel.content.items()}
 
 

@@ -19,7 +19,7 @@ _LONGEST = 60
 
 def licence_table() -> str:
     """Tabulate every dependency of our package without extras: its stated licence, and the packages that need it."""
-    needed = _needed()
+    needed = _dependencies()
     rows = [(name, licence(distribution), ", ".join(sorted(by))) for name, (distribution, by) in sorted(needed.items())]
     lines = ["| package | licence | needed by |", "| --- | --- | --- |"]
     return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)])
@@ -42,7 +42,7 @@ def licence(package: Distribution) -> str:
     return ", ".join(sorted(classes)) or (f"{words[0][:_LONGEST]} ..." if words else "not stated; see its sources")
 
 
-def _needed() -> dict[str, tuple[Distribution, set[str]]]:
+def _dependencies() -> dict[str, tuple[Distribution, set[str]]]:
     """Collect the dependencies of our package by normalised name, each with the packages that need it."""
     distributions: dict[str, tuple[Distribution, set[str]]] = {}
     todo = [(_OURS, distribution(_OURS), frozenset[str]())]

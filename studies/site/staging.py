@@ -44,7 +44,7 @@ def place_on_site(path: str) -> str:
 
 def linked_files(markdown: str, document: str) -> set[str]:
     """List the files of the repository that a `document` links to; paths are relative to the top, with slashes."""
-    return {_resolved(target, document) for _, target, *_ in _LINK.findall(_FENCED.sub("", markdown))}
+    return {_resolve(target, document) for _, target, *_ in _LINK.findall(_FENCED.sub("", markdown))}
 
 
 def with_site_links(markdown: str, document: str) -> str:
@@ -53,7 +53,7 @@ def with_site_links(markdown: str, document: str) -> str:
 
     def site_link(match: re.Match[str]) -> str:
         before, target, anchor, after = match.groups()
-        place = place_on_site(_resolved(target, document))
+        place = place_on_site(_resolve(target, document))
         return f"{before}{posixpath.relpath(place, folder)}{anchor or ''}{after}"
 
     parts = _FENCED.split(_COMMENT.sub("", markdown))
@@ -79,7 +79,7 @@ def pages_outside(root: Path, documents: Mapping[str, str]) -> dict[str, str]:
     return {**shown, **whole, "index.md": f"---\nhide: [navigation]\n---\n\n{whole['index.md']}"}
 
 
-def _resolved(target: str, document: str) -> str:
+def _resolve(target: str, document: str) -> str:
     return posixpath.normpath(posixpath.join(posixpath.dirname(document), target))
 
 

@@ -270,10 +270,10 @@ def _tails(results: SpeedResults, model: str) -> Table:
         "p99 / p50": lambda r: number(r.step_p99_s / r.step_p50_s, 1),
     }
     note = "Whole steps of all repetitions; by tick: the median over repetitions, which shows the effect of the data."
-    return _detailed(results, "Tail", model, columns, note)
+    return _detail_table(results, "Tail", model, columns, note)
 
 
-def _detailed(
+def _detail_table(
     results: SpeedResults, title: str, model: str, columns: dict[str, Callable[[SpeedRecord], str]], note: str
 ) -> Table:
     """Build a table with a row per solver at the detailed horizon."""
@@ -316,7 +316,7 @@ def _exactness(results: SpeedResults, model: str) -> Table:
         "Distance of the command from the converged command at the same state, p50 and maximum. Cost: of the closed "
         "loop, per tick. Its: median of the solver's iterations. Fails: ticks at which the solver failed."
     )
-    return _detailed(results, "Exactness", model, columns, note)
+    return _detail_table(results, "Exactness", model, columns, note)
 
 
 def _growth(results: SpeedResults) -> Table:

@@ -106,10 +106,10 @@ def stage_problem(config: ControllerConfig, model: DiscreteModel) -> StageProble
         terminal=w.terminal,
         soft=w.soft,
         soft_quadratic=w.soft_quadratic,
-        step=_serialised("step", [z, u, p], ca.vertcat(after, moved, line[2:])),
-        tracking=_serialised("tracking", [z, p], ca.vertcat(c * error[0] + s * error[1], across, pose[2] - heading)),
-        effort=_serialised("effort", [z, u, p], ca.vertcat(u - feed_forward, u - line[-4:-2] - p[15:17])),
-        soft_values=_serialised("soft_values", [z, p], soft),
+        step=_serialise("step", [z, u, p], ca.vertcat(after, moved, line[2:])),
+        tracking=_serialise("tracking", [z, p], ca.vertcat(c * error[0] + s * error[1], across, pose[2] - heading)),
+        effort=_serialise("effort", [z, u, p], ca.vertcat(u - feed_forward, u - line[-4:-2] - p[15:17])),
+        soft_values=_serialise("soft_values", [z, p], soft),
     )
 
 
@@ -149,5 +149,5 @@ def _body(turn_left: ca.SX, point: ca.SX) -> ca.SX:
     return ca.vertcat(point[0] + turn_left * point[1], point[1])
 
 
-def _serialised(name: str, arguments: list[ca.SX], result: ca.SX) -> str:
+def _serialise(name: str, arguments: list[ca.SX], result: ca.SX) -> str:
     return str(ca.Function(name, arguments, [result]).serialize())

@@ -144,7 +144,7 @@ class TrackingStudy(SpecStudy):
             plain,
             facts=[f"{plain.facts[0][:-1]}; seeds {seeds}."],
             figures={name: partial(draw, results) for name, (part, draw) in drawn.items() if part in driven},
-            shown=shown(results),
+            shown=page_contents(results),
         )
 
 
@@ -178,7 +178,7 @@ def _cells(rows: DataFrame) -> Mapping[str, Cell]:
     }
 
 
-def shown(rows: DataFrame) -> Shown:
+def page_contents(rows: DataFrame) -> Shown:
     """Collect the contents of the page except tables and figures."""
     targets = rows[rows["part"] == "targets"]
     verdicts = evaluate_targets(targets) if len(targets) else []

@@ -20,7 +20,7 @@ from pandas import DataFrame
 
 from diffdrive_mpc import ConfigError, load_config
 from diffdrive_mpc.bench.comparison.figures import draw_case, drawings
-from diffdrive_mpc.bench.comparison.page import shown
+from diffdrive_mpc.bench.comparison.page import page_contents
 from diffdrive_mpc.bench.comparison.plan import default_settings
 from diffdrive_mpc.bench.comparison.results import ComparisonResults, describe, incomplete, json_row
 from diffdrive_mpc.bench.comparison.study import ComparisonStudy
@@ -181,7 +181,7 @@ def test_tables_show_means_over_all_runs_however_long_they_are_and_end(outcome: 
 def test_least_error_is_that_of_any_controller_that_completed_every_run(results, ours, peer, value, note) -> None:
     main, errors = results.main.iloc[[0, 1, 0, 1]].reset_index(drop=True), 1e-3 * np.array([ours[0], peer[0]] * 2)
     main = main.assign(position_rmse_m=errors, completed=[True, True, ours[1], peer[1]])
-    page = shown(replace(results, main=main))
+    page = page_contents(replace(results, main=main))
     card = page.key_figures[1]
     assert ("Not ranked" in page.summary[0]) is not (ours[1] and peer[1])
     assert (card.label, card.value, card.note) == ("minimum position error, RMSE", value, note)

@@ -17,7 +17,7 @@ from pydantic import Field
 from scipy.ndimage import distance_transform_edt
 
 from diffdrive_mpc.bench.peers.pursuit import PursuitGains, PursuitLaw
-from diffdrive_mpc.bench.peers.tracking_peer import MODEL, AboveZero, Delayed, Law, LawInput, TrackingPeer, delayed
+from diffdrive_mpc.bench.peers.tracking_peer import MODEL, AboveZero, Delayed, Law, LawInput, TrackingPeer, law_data
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.pose import ahead_and_left, integrate_pose
@@ -151,7 +151,7 @@ class PursuitThatStops(SeeingPeer):
 
     def __init__(self) -> None:
         settings = seeing_settings()
-        law = PursuitLaw(settings.rpp.gains, delayed(load_config(MODEL)))
+        law = PursuitLaw(settings.rpp.gains, law_data(load_config(MODEL)))
         super().__init__(law, settings.rpp.gains.lead, settings.rpp.wait)
         self._stop, self._outline = settings.rpp, outline_points(settings.outline)
 
@@ -222,7 +222,7 @@ class MppiWithGrid(SeeingPeer):
 
     def __init__(self) -> None:
         settings = seeing_settings()
-        law = GridMppiLaw(settings.mppi, delayed(load_config(MODEL)), settings.outline)
+        law = GridMppiLaw(settings.mppi, law_data(load_config(MODEL)), settings.outline)
         super().__init__(law, settings.mppi.gains.lead, settings.mppi.wait)
         self._grid_law = law
 
