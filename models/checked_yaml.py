@@ -225,9 +225,8 @@ def merge_mappings(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[
     """Merge `changes` into a copy of `base`; groups are merged key by key."""
     whole = dict(base)
     for key, value in changes.items():
-        base_value = whole.get(key)
-        both_groups = isinstance(base_value, Mapping) and isinstance(value, Mapping)
-        whole[key] = merge_mappings(base_value, value) if both_groups else value
+        old = whole.get(key)
+        whole[key] = merge_mappings(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
     return whole
 
 

@@ -102,5 +102,5 @@ def read_input(path: Path, max_bytes: int) -> bytes:
         # Allocate at most the size of the file; a special file may report size 0 and is then read only in part.
         content = file.read(min(max_bytes, os.fstat(file.fileno()).st_size) + 1)
     if len(content) > max_bytes:
-        raise OSError(errno.EFBIG, f"it is larger than the limit of {max_bytes / MEGABYTE:g} MB")
+        raise OSError(errno.EFBIG, f"it is larger than {max_bytes / MEGABYTE:g} MB, the limit")
     return content

@@ -77,7 +77,7 @@ class SimulatorPart(Protocol):
         ...
 
     def take(self, motors: FloatArray) -> None:
-        """Observe the motors over one sample: (steps, 2, 4) torques [N m] and wheel speeds [rad/s]."""
+        """Record the motors of one sample: (steps, 2, 4) torques [N m] and wheel speeds [rad/s]."""
         ...
 
 

@@ -57,7 +57,7 @@ class BodySlip(StrictModel):
     virtual_track: VirtualTrack | None = Field(default=None, description="track that grows with the yaw rate")
 
     def body(self, output: FloatArray) -> FloatArray:
-        """Compute forward and lateral speed [m/s] and yaw rate [rad/s] (3,) of the body from the output (2,)."""
+        """Compute forward and lateral speed [m/s] and yaw rate [rad/s] (3,) of the body from a model's output (2,)."""
         v, omega = self.gained(output[0], output[1])
         if self.virtual_track is not None:
             track = self.virtual_track

@@ -111,7 +111,7 @@ def twist_message(twist: ArrayLike) -> Any:  # noqa: ANN401
 
 
 def set_prefix(message: Any, prefix: str) -> None:  # noqa: ANN401
-    """Prefix the frames of a message, except the map, which all robots share."""
+    """Add `prefix` to the frames of a message, except the map, which all robots share."""
     if message.header.frame_id not in ("", MAP):
         message.header.frame_id = prefix + message.header.frame_id
     if getattr(message, "child_frame_id", ""):

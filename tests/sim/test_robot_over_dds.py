@@ -184,7 +184,7 @@ def test_a_lost_robot_ends_the_run_and_the_bag_is_whole(tmp_path):
 
 
 def test_a_bag_is_never_written_over(tmp_path):
-    with pytest.raises(ConfigError, match="is there already"):
+    with pytest.raises(ConfigError, match="already exists"):
         run_robot(make_plant("model:ssm"), (0, 0, 0), settings(), load_sensor_set("default"), record=tmp_path)
 
 
