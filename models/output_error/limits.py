@@ -143,10 +143,13 @@ def _removed(
     layout = replace(fit.layout, limited=(tuple(free.tolist()),))
     plain = fit_output_error([(layout, start)], drives.experiments, robust, brief=True)
     without = _held_out(plain, drives, robust)
-    is_worse = all(_is_certain(fit, kind, drives) for kind in kinds) and _evidence(plain, fit) > settings.evidence
+    evidence = _evidence(plain, fit)
+    is_worse = all(_is_certain(fit, kind, drives) for kind in kinds) and evidence > settings.evidence
     if is_worse and blocks is not None and without is not None:
+        # A limit that is reached in one block only is unknown to the model without this block.
+        required = 0.0 if evidence > settings.strong_evidence else settings.held_out_evidence
         fall = np.log(without.powers.sum(axis=0) / blocks.powers.sum(axis=0))
-        is_worse = bool(plain.effective_samples @ fall > settings.held_out_evidence)
+        is_worse = bool(plain.effective_samples @ fall > required)
     return _Removal(plain, without, is_worse)
 
 

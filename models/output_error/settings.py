@@ -22,6 +22,7 @@ class LimitSettings(StrictModel):
     evaluations: int = Field(ge=2, description="of the model for each of them")
     share: Positive = Field(lt=1, description="least share of samples that a limit changes [-]")
     evidence: Positive = Field(description="least fall of the information criterion [-]")
+    strong_evidence: Positive = Field(description="decrease above which blocks only have to agree [-]")
     held_out_evidence: Positive = Field(
         description="least fall of the log of the mean square error on blocks held out, times effective samples [-]"
     )

@@ -174,6 +174,6 @@ def _drive_nodes(
     max_bend, change = np.maximum(size[:-1], size[1:]), np.abs(np.diff(curvature)) / steps
     path = SmoothPath(points, pose[2] + local[:, 2], curvature, steps, max_bend, change)
     speeds = np.concatenate(cruises)
-    cruise = speeds if caps is None else np.minimum(speeds, caps.speeds_of(max_bend))
-    square = squared_speeds(steps, max_bend, change, limits, cruise, lateral=True, sense=sense)
+    capped = speeds if caps is None else np.minimum(speeds, caps.speeds_of(max_bend))
+    square = squared_speeds(steps, max_bend, change, limits, capped, lateral=True, sense=sense)
     return *time_path(path, square, limits, sense), np.concatenate(drawn)
