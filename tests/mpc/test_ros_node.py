@@ -63,7 +63,7 @@ def test_lifecycle_passes_every_state():
         assert s.base.silent(3) == 0
         assert "activate it first" in s.trigger("start").message
         assert s.change(Transition.TRANSITION_ACTIVATE)
-        s.base.until(s.hears, "sensors")
+        s.base.until(s.has_received_inputs, "sensors")
         assert not s.base.run(3).any()
         assert s.trigger("start").success
         assert s.base.run(5).any()
@@ -73,7 +73,7 @@ def test_lifecycle_passes_every_state():
         assert state(s) == State.PRIMARY_STATE_UNCONFIGURED
         assert s.change(Transition.TRANSITION_CONFIGURE)
         assert s.change(Transition.TRANSITION_ACTIVATE)
-        s.base.until(s.hears, "sensors")
+        s.base.until(s.has_received_inputs, "sensors")
         s.trigger("start")
         assert s.base.run(5).any()
         assert s.change(Transition.TRANSITION_ACTIVE_SHUTDOWN)

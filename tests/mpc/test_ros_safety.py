@@ -324,7 +324,7 @@ def test_hold_outlasts_deactivation_and_cleanup(while_active):
                 assert s.change(number)
         for number in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
             assert s.change(number)
-        s.base.until(s.hears, "sensors")
+        s.base.until(s.has_received_inputs, "sensors")
         assert not s.base.run(20).any()
         assert hold(s, on=False) == "let go; drives on"
         assert s.base.run(20)[-1, 0] > 0.1
