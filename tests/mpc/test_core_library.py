@@ -15,7 +15,7 @@ from diffdrive_mpc.models.compiled import cache, compiler
 from diffdrive_mpc.models.compiled import packaged as in_wheel
 from diffdrive_mpc.models.compiled.compiler import NotCompiledError
 from diffdrive_mpc.mpc.core import library, packaged, sources
-from imports import imported
+from imports import imports_of
 
 ROOT = Path(__file__).parents[2]
 # A minimal core.
@@ -131,7 +131,7 @@ def test_changed_sources_give_a_new_library(folder, core, compilations):
 def test_digest_covers_every_module_of_the_formulas():
     """A change of an omitted module would still load the old library from the cache."""
     origins = set(sources._FORMULAS)
-    modules = {module for module, _ in imported(ROOT / "mpc" / "problem" / "formulas.py")}
+    modules = {module for module, _ in imports_of(ROOT / "mpc" / "problem" / "formulas.py")}
     ours = {module.removeprefix("diffdrive_mpc.") for module in modules if module.startswith("diffdrive_mpc.")}
     assert {f"{module.replace('.', '/')}.py" for module in ours} <= origins
     assert len(origins) == len(sources._FORMULAS)

@@ -46,7 +46,7 @@ class Rig:
         return np.array([x + c * plant[0] - s * plant[1], y + s * plant[0] + c * plant[1], plant[2] + turned])
 
     def carry(self, away):
-        """Displace the robot by `away` (3,) [m, m, rad]."""
+        """Move the robot by `away` (3,) [m, m, rad]."""
         target, plant = self.pose() + away, np.asarray(self.plant.true_pose)
         turned = target[2] - plant[2]
         c, s = math.cos(turned), math.sin(turned)
