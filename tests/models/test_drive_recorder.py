@@ -121,10 +121,10 @@ KILLED = """
 import os, sys
 from pathlib import Path
 sys.path[:0] = sys.argv[2:]
-from test_drive_recorder import hand, recorder_in
+from test_drive_recorder import record_tick, recorder_in
 recorder = recorder_in(Path(sys.argv[1]))
 for k in range(100):
-    hand(recorder, k)
+    record_tick(recorder, k)
 print(recorder._process.pid, flush=True)
 os.kill(os.getpid(), 9)
 """

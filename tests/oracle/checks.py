@@ -44,7 +44,7 @@ def covariance(value: Any, size: int) -> FloatArray | None:
 
 
 def stamp_fault(stamp: object, t: float, last: float, history: float, delay: float) -> str:
-    """Return the fault of a stamp at tick `t` [s] after one at `last` [s], of a reading `delay` older; empty if valid."""
+    """Return the fault of a stamp at tick `t` [s] after one at `last` [s], of a reading `delay` older; else ""."""
     time = numbers(stamp, 1)
     if time is None:
         return "its stamp is not a finite number"
