@@ -11,23 +11,23 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import MissingPackageError
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-"""Names under which the browser is looked for on the path."""
+"""Program names of the browser that are searched on the path."""
 READY = "html[data-ready]"
 """Selector of a completely drawn page."""
-_LONGEST = 60_000
-"""Longest time for a page [ms], after which an error is assumed."""
+_PAGE_TIMEOUT = 60_000
+"""Time limit for drawing a page [ms]."""
 
 
 @contextmanager
-def opened_browser(executable: str | None = None) -> Iterator[Any]:
+def open_browser(executable: str | None = None) -> Iterator[Any]:
     """Open a browser of Playwright.
 
     Parameters
     ----------
     executable
-        The browser's program; by default it is looked for on the path.
+        Program of the browser; by default it is searched on the path.
 
-    Raises MissingPackageError without Playwright, ConfigError where there is no such browser.
+    Raises MissingPackageError without Playwright, ConfigError if no browser is found.
     """
     try:
         from playwright.sync_api import sync_playwright
@@ -35,10 +35,10 @@ def opened_browser(executable: str | None = None) -> Iterator[Any]:
         raise MissingPackageError("screenshots need playwright: pip install playwright") from error
     program = executable or next(filter(None, map(shutil.which, BROWSERS)), None)
     if program is None or shutil.which(program) is None:
-        wanted = program or f"any of {', '.join(BROWSERS)} on the path"
-        raise ConfigError(f"no browser: {wanted} was not found; install chromium, or name it with --browser")
+        description = program or f"any of {', '.join(BROWSERS)} on the path"
+        raise ConfigError(f"no browser: {description} was not found; install chromium, or name it with --browser")
     with sync_playwright() as playwright:
-        # A container has no sandbox of its own; the page is ours.
+        # A container provides no sandbox; the page is our own file.
         browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
         try:
             yield browser
@@ -47,21 +47,21 @@ def opened_browser(executable: str | None = None) -> Iterator[Any]:
 
 
 def open_report(page: Any, report: Path) -> None:
-    """Open a report in a page of Playwright, and wait until all of it is drawn; raises ConfigError if it never is."""
+    """Open a report in a page of Playwright and wait until it is drawn; raise ConfigError on a timeout."""
     from playwright.sync_api import TimeoutError as NotDrawnError
 
     page.goto(report.resolve().as_uri())
     try:
-        page.wait_for_selector(READY, state="attached", timeout=_LONGEST)
+        page.wait_for_selector(READY, state="attached", timeout=_PAGE_TIMEOUT)
     except NotDrawnError as error:
-        raise ConfigError(f"{report}: it does not draw itself; is it a report.html of this version?") from error
+        raise ConfigError(f"{report}: the page was not drawn; is it a report.html of this version?") from error
 
 
 def screenshot(report: Path, picture: Path, width: int = 1280, height: int = 1500) -> None:
     """Write a screenshot of the top of a report [pixels]; a height of 0 takes the whole page."""
     if not report.is_file():
         raise ConfigError(f"{report}: no such report")
-    with opened_browser() as browser:
+    with open_browser() as browser:
         page = browser.new_page(viewport={"width": width, "height": height or 1000}, device_scale_factor=1)
         open_report(page, report)
         page.evaluate("window.scrollTo({top: 0, behavior: 'instant'})")

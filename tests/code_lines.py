@@ -16,11 +16,11 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
 ROOMS = ("models", "mpc", "sim", "bench", "app", "src", "extras")
-"""Folders of the root wheel; `extras` counts until its packages replace it."""
+"""Folders of the root wheel; `extras` counts until packages replace it."""
 PYTHON, C_LIKE = {".py"}, {".c", ".h", ".js", ".mjs", ".ts"}
 HIDDEN_FOLDERS = {".ci", ".devcontainer", ".github"}
 NO_CODE = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
-# Literals come before comments, so that `//` in the text of a literal starts no comment.
+# Literals come before comments, so that `//` in a literal starts no comment.
 LITERAL_OR_COMMENT = re.compile(r"""("(?:\\.|[^"\\\n])*"|'(?:\\.|[^'\\\n])*')|/\*.*?\*/|//[^\n]*""", re.DOTALL)
 
 
@@ -42,9 +42,9 @@ def python_size(text: str) -> tuple[int, int]:
         for node in statements
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
     ]
-    documented = {line for node in docstrings for line in range(node.lineno, node.end_lineno + 1)}
+    docstring_lines = {line for node in docstrings for line in range(node.lineno, node.end_lineno + 1)}
     rows = text.splitlines()
-    return sum(bool(rows[line - 1].strip()) for line in code - documented), len(statements) - len(docstrings)
+    return sum(bool(rows[line - 1].strip()) for line in code - docstring_lines), len(statements) - len(docstrings)
 
 
 def c_size(text: str) -> tuple[int, int]:
@@ -54,7 +54,7 @@ def c_size(text: str) -> tuple[int, int]:
 
 
 def file_size(path: Path) -> Size:
-    """Return the size of a file; other languages and links have no code lines."""
+    """Return the size of a file; files in other languages and links have no code lines."""
     if path.is_symlink() or path.suffix not in PYTHON | C_LIKE:
         return Size(files=1)
     count = python_size if path.suffix in PYTHON else c_size
@@ -98,7 +98,7 @@ def files_on_disk(root: Path, ignored: list[str]) -> list[Path]:
 
 
 def area_of(name: str) -> str:
-    """Return the area of a path: a room, a package or its tests or studies, `studies`, `tests` or `rest`."""
+    """Return the area of a path: a folder of the root wheel, a package or its tests or studies, or another area."""
     first, *inner = name.split("/")
     if first == "packages" and len(inner) > 1:
         return "/".join([first, inner[0], *{"tests", "studies"}.intersection(inner[1:2])])

@@ -1,4 +1,4 @@
-"""The command line, invoked within the tests' own process."""
+"""The command line, invoked within the process of the tests."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ if TYPE_CHECKING:
 
 
 def invoke(app: Typer, *words: object, code: int = 0) -> Result:
-    """Invoke a command of `app`, which ends with the exit code `code`."""
+    """Invoke a command of `app` and check that it ends with the exit code `code`."""
     result = CliRunner().invoke(app, [str(word) for word in words])
     assert result.exit_code == code, result.output
     return result
 
 
 def call(*words: object, code: int = 0) -> str:
-    """Return the output of a command of the product, which ends with the exit code `code`."""
+    """Return the output of a command of the product; check its exit code."""
     return invoke(product, *words, code=code).output
 
 
 def refusal(*words: object, code: int = 2) -> str:
-    """Return the only line that a command of the product prints, an error."""
+    """Return the error line of a refused command; check that it is its only output."""
     result = invoke(product, *words, code=code)
     (line,) = result.stderr.splitlines()
     assert line.startswith("error: ") and result.stdout == ""

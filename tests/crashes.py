@@ -1,4 +1,4 @@
-"""A process that is killed, or finds the disk full, at the n-th thing that it does to the files of a folder."""
+"""Processes that are killed, or find the disk full, at a given change of the files of a folder."""
 
 import errno
 import os
@@ -13,10 +13,10 @@ KILLED, REFUSED = -signal.SIGKILL, 3
 
 
 def crash(act: Callable[[], object], folder: Path, moment: int, *, full: bool) -> int:
-    """Run `act` in another process, killed before the change `moment` of `folder`, or with a full disk from then on.
+    """Run `act` in a process that is killed before the change `moment` of `folder`, or has a full disk from then on.
 
-    Returns 0 where it came to its end first, else KILLED, or REFUSED where it said that there is no space left. On a
-    full disk files can be removed and renamed.
+    Return 0 if `act` finished, KILLED if it was killed, REFUSED if it reported that no space is left. On a full disk,
+    files can be removed and renamed.
     """
     child = os.fork()
     if child == 0:
@@ -41,7 +41,7 @@ def _outcome(act: Callable[[], object]) -> int:
 def _hook(folder: str, moment: int, full: bool) -> Callable[[str, Any], None]:
     changes = 0
 
-    def look(event: str, arguments: Any) -> None:
+    def audit(event: str, arguments: Any) -> None:
         nonlocal changes
         writes = (
             event == "open" and isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR | os.O_CREAT)
@@ -56,4 +56,4 @@ def _hook(folder: str, moment: int, full: bool) -> Callable[[str, Any], None]:
         if writes or event == "os.mkdir":
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    return look
+    return audit

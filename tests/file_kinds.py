@@ -58,7 +58,7 @@ def _kind(name: str, folder: str) -> FileKind:
 
 
 def _configurations() -> tuple[Path, ...]:
-    """Return the configurations that packages bring with their structures."""
+    """Return the configurations of the structures in packages."""
     return tuple(structure.config for structure in function_structures().values() if structure.config)
 
 
@@ -89,4 +89,4 @@ KINDS: dict[str, FileKind] = {
         FileKind("world", _EXTRAS / "worlds" / "shipped"),
     )
 }
-"""By name."""
+"""File kinds by name."""

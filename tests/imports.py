@@ -10,10 +10,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def imported(path: Path) -> Iterator[tuple[str, str]]:
-    """Yield each module that a file imports, at its head or in a function, and the name from it; empty for the whole.
+def imports_of(path: Path) -> Iterator[tuple[str, str]]:
+    """Yield the module and name of each import of a file, also inside functions; the name is empty for whole modules.
 
-    A module beside it begins with a dot.
+    Relative imports begin with a dot.
     """
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):

@@ -1,8 +1,8 @@
-"""Mutation score of the core: changes the product, and lists the changes that no test notices.
+"""Mutation score of the core: change the product, and list the changes that no test detects.
 
-A seed draws mutants from the files that `tests/mutants.yaml` lists: one sign, comparison, constant, index, field,
-negation or extremum differs. Each is made in a copy of the tree, and the tests that belong to its file run there. A
-failed test, a crash and a time-out kill it. What compiles to the same code is drawn again.
+A seed draws mutants from the files in `tests/mutants.yaml`: one sign, comparison, constant, index, field, negation or
+extremum differs. Each is applied to a copy of the tree, in which the tests of its file run. A failed test, a crash and
+a time-out kill it. Mutants that compile to the same code are skipped.
 """
 
 import argparse
@@ -34,17 +34,17 @@ from diffdrive_mpc.mpc.core.sources import core_texts
 
 ROOT = Path(__file__).parents[1]
 PLAN = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
-# Share of unexplained mutants to kill; time of tests in that of the product's, and beside it [s]; memory [bytes].
-GOAL, PATIENCE, START, MEMORY = 0.9, 4.0, 30.0, 8 << 30
+# Required share of killed mutants; time limit as a multiple of that of the unchanged product, plus [s]; memory [bytes].
+GOAL, TIME_FACTOR, EXTRA_TIME, MEMORY = 0.9, 4.0, 30.0, 8 << 30
 PYTEST = ("-x", "-q", "-n", "0", "-p", "no:cacheprovider", "-m", "not system and not long")
-# A field of another type is no mutant, but gcc 12 only warns.
+# A field of another type is no valid mutant, but gcc 12 only warns.
 ERRORS = ("-w", "-Werror=int-conversion", "-Werror=incompatible-pointer-types")
 COMPILE = ("cc", "-std=c99", "-O2", "-fPIC", *ERRORS, "-I.")
-# Imported once, for all runs of the tests.
+# Imported once for all test runs.
 PRELOADED = ("casadi", "cffi", "control", "hypothesis", "mujoco", "numpy", "osqp", "pydantic", "scipy.stats")
 
 _STRING = r'[rf]*(?:"(?:\\.|[^"\\\n])*"|\'(?:\\.|[^\'\\\n])*\')|'
-# A directive of C is skipped unless it defines a number.
+# Directives of C are skipped unless they define a number.
 _SKIPPED = {
     ".c": r"/\*.*?\*/|//[^\n]*|^[ \t]*#(?!define \w+ [-\d.])(?:[^\n]*\\\n)*[^\n]*|" + _STRING,
     ".py": r'[rf]*""".*?"""|#[^\n]*|' + _STRING,
@@ -59,14 +59,14 @@ _words = f"{_OPERATORS} {_FUNCTIONS}".split()
 SWAPS = {word: (_words[i ^ 1],) for i, word in enumerate(_words)} | {
     **{"!": ("",), "not": ("",), "<": ("<=", ">"), "<=": ("<", ">"), ">": (">=", "<"), ">=": (">", "<")}
 }
-# What stands before the size of an array in its declaration: a larger one changes nothing, a smaller one is undefined.
+# Precedes the size of an array in its declaration: a larger size changes nothing, a smaller one is undefined behaviour.
 _ARRAY = re.compile(r"[ \t]*(?:static |const )*(?:real|int|ddmpc_\w+) [^=;(]*\[")
 AXES = {"X": "Y", "Y": "X", "THETA": "X", "V": "OMEGA", "OMEGA": "V"}
 
 
 @dataclass(frozen=True)
 class Mutant:
-    """A file with another word at one place: its relative path, its text, where, and the word."""
+    """A file with one token replaced: its relative path, its text, the span of the token, and the new word."""
 
     path: str
     original: str
@@ -75,17 +75,17 @@ class Mutant:
 
     @property
     def text(self) -> str:
-        """The changed file."""
+        """Text of the changed file."""
         return self.original[: self.span[0]] + self.word + self.original[self.span[1] :]
 
     @property
     def is_size(self) -> bool:
-        """Return True if the place is the size of an array of C."""
+        """True if the token is the size of an array in C."""
         return bool(_ARRAY.fullmatch(self.original, self.original.rfind("\n", 0, self.span[0]) + 1, self.span[0]))
 
     @property
     def change(self) -> tuple[str, str, str]:
-        """The file, and the line before and after: by these an explained mutant is known."""
+        """File, and line before and after; these identify an explained mutant."""
         line = self.original.count("\n", 0, self.span[0])
         before, after = (text.splitlines()[line].strip() for text in (self.original, self.text))
         return self.path, before, after
@@ -96,7 +96,7 @@ class Mutant:
 
 
 def mutants_of(path: str, text: str) -> list[list[Mutant]]:
-    """Return the mutants of a file, by the token that they change."""
+    """Return the mutants of a file, grouped by the changed token."""
     suffix = Path(path).suffix
     tokens = [t for t in re.finditer(_SKIPPED[suffix] + _TOKEN, text, re.DOTALL | re.MULTILINE) if t.lastgroup]
     hidden = _hidden_from(text) if suffix == ".py" else []
@@ -116,7 +116,7 @@ def mutants_of(path: str, text: str) -> list[list[Mutant]]:
 
 
 def _is_field(text: str, base: re.Match[str], dot: re.Match[str], name: re.Match[str]) -> bool:
-    """Return True if a token names a field, not a function, of an object, not of a module."""
+    """Return True if a token is a field, not a function, of an object that is not a module."""
     is_called = text[name.end() : name.end() + 1] == "("
     return dot[0] in (".", "->") and base.lastgroup == "name" and base[0] not in ("np", "ca") and not is_called
 
@@ -146,7 +146,7 @@ def _hidden_from(text: str) -> list[tuple[int, int]]:
 
 
 class Tree:
-    """A copy of the tree in a folder of its own, where one mutant at a time lives."""
+    """Separate copy of the tree, in which one mutant at a time is applied."""
 
     def __init__(self, folder: Path) -> None:
         self._tree, self._sources = folder / "tree", folder / "sources"
@@ -168,7 +168,7 @@ class Tree:
         os.environ["PYTHONPATH"] = os.pathsep.join((str(self._tree / "src"), str(self._tree)))
 
     def changes_code(self, mutant: Mutant) -> bool:
-        """Return True if a mutant compiles, and to other code than the original."""
+        """Return True if a mutant compiles to code that differs from the original."""
         if mutant.is_size:
             return False
         compiled = _python_code if mutant.path.endswith(".py") else self._machine_code
@@ -182,7 +182,7 @@ class Tree:
         return None if done.returncode else (self._sources / "mutant.o").read_bytes()
 
     def kills(self, mutant: Mutant) -> bool:
-        """Return True if a test that belongs to the file of a mutant fails, crashes or does not end."""
+        """Return True if a test of the mutant's file fails, crashes or does not end."""
         stages = next(group["tests"] for group in PLAN["groups"] if mutant.path in group["files"])
         return any(self._fails(stage, mutant) for stage in stages)
 
@@ -199,10 +199,10 @@ class Tree:
             subprocess.run(["cc", "-shared", *objects, "-o", library, "-lm"], cwd=self._sources, check=True)
         written = file.stat()
         file.write_text(mutant.text, encoding="utf-8")
-        # Python compares times of files in whole seconds: compiled code of the original must not count.
+        # Python compares file times in whole seconds: compiled code of the original must not be reused.
         os.utime(file, (written.st_atime, written.st_mtime + 10.0))
         try:
-            return self._run(PATIENCE * self._times[stage] + START, stage, library, keep=False) != 0
+            return self._run(TIME_FACTOR * self._times[stage] + EXTRA_TIME, stage, library, keep=False) != 0
         finally:
             file.write_text(mutant.original, encoding="utf-8")
             os.utime(file, (written.st_atime, written.st_mtime))
@@ -212,7 +212,7 @@ class Tree:
         return self._sources / "log"
 
     def _run(self, seconds: float, stage: str, library: Path | None = None, *, keep: bool = True) -> int:
-        """Run tests in a copy of this process, ended after a while with all that it has started; 0 if they pass."""
+        """Run tests in a copy of this process; end it and its children after `seconds`; return 0 if the tests pass."""
         child = os.fork()
         if child == 0:
             os.setsid()
@@ -220,7 +220,7 @@ class Tree:
             log = os.open(self._log, os.O_CREAT | os.O_TRUNC | os.O_WRONLY)
             os.dup2(log, 1)
             os.dup2(log, 2)
-            os._exit(_tested(self._tree, stage, library, keep=keep))
+            os._exit(_run_pytest(self._tree, stage, library, keep=keep))
         end, status = time.monotonic() + seconds, 0
         while (ended := os.waitpid(child, os.WNOHANG))[0] == 0:
             if time.monotonic() > end:
@@ -234,8 +234,8 @@ class Tree:
         return status
 
 
-def _tested(tree: Path, stage: str, library: Path | None, *, keep: bool) -> int:
-    """Return the result of pytest; `keep` the compiled files of Python. The core is `library`, if there is one."""
+def _run_pytest(tree: Path, stage: str, library: Path | None, *, keep: bool) -> int:
+    """Return the result of pytest; `keep` compiled files of Python. `library`, if given, replaces the core."""
     sys.dont_write_bytecode = not keep
     for name in [name for name in sys.modules if name.partition(".")[0] == "diffdrive_mpc"]:
         del sys.modules[name]
@@ -266,7 +266,7 @@ def _python_code(text: str, path: str) -> object:
 
 
 def draw(tree: Tree, seed: int, count: int, only: list[str]) -> Iterator[Mutant]:
-    """Draw `count` mutants that change the code, each at another token."""
+    """Draw `count` mutants that change the code, each at a different token."""
     files = [name for group in PLAN["groups"] for name in group["files"] if any(fnmatch(name, p) for p in only)]
     sites = [site for name in files for site in mutants_of(name, (ROOT / name).read_text("utf-8"))]
     generator = random.Random(seed)
@@ -275,7 +275,7 @@ def draw(tree: Tree, seed: int, count: int, only: list[str]) -> Iterator[Mutant]
 
 
 def main() -> None:
-    """Draw, try and list."""
+    """Draw, test and list mutants."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=200)

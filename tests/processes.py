@@ -1,27 +1,27 @@
-"""Other processes that tests start: Python with some code, the command line without a package, and which still run."""
+"""Processes of tests: Python with given code, the command line without a package, and a check that a process runs."""
 
 import subprocess
 import sys
 from pathlib import Path
 
 BOUND = 120.0
-"""No process is waited for longer [s]."""
+"""Time limit for a process [s]."""
 
 
 def run_python(code: str) -> subprocess.CompletedProcess[str]:
-    """Run `code` in a Python of its own."""
+    """Run `code` in a separate Python process."""
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=BOUND, check=False)
 
 
 def run_command(*words: str, without: str = "") -> subprocess.CompletedProcess[str]:
-    """Run the command line as a program, as where the package `without` is not installed."""
+    """Run the command line as a program, as if the package `without` were not installed."""
     missing = f"sys.modules[{without!r}] = None; " if without else ""
     arguments = ["diffdrive-mpc", *words]
     return run_python(f"import sys; {missing}sys.argv = {arguments}; from diffdrive_mpc.app.cli import main; main()")
 
 
 def is_running(number: int) -> bool:
-    """Return True if a process runs, and has not ended or become a zombie."""
+    """Return True if a process runs, that is, it has not ended or become a zombie."""
     try:
         return Path(f"/proc/{number}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z"
     except (FileNotFoundError, ProcessLookupError):

@@ -1,4 +1,4 @@
-"""Searches cut to a few steps, for tests of the code before and after them."""
+"""Short searches, for tests of the code before and after them."""
 
 from contextlib import contextmanager
 from importlib import import_module
@@ -8,7 +8,7 @@ import pytest
 
 from diffdrive_mpc.app.identification import trial_drives
 
-SHORTER = {
+SHORT_SETTINGS = {
     "diffdrive_mpc_extras.excitation.model_excitation": (
         "model_excitation_settings",
         {"population": 6, "generations": 1},
@@ -16,14 +16,14 @@ SHORTER = {
     "diffdrive_mpc_extras.hybrids.finding": ("hybrid_settings", {"units": 6, "decays": (1e-3,), "most_steps": 80}),
     "diffdrive_mpc_extras.twin.fitting": ("twin_settings", {"evaluations": (2, 3), "refined": 1}),
 }
-"""Modules of a package that may be missing: the function that reads the settings, and changes of them."""
+"""By module of a package that may be missing: the function that reads its settings, and their changes."""
 
 
 @contextmanager
 def quick_settings():
-    """Search, train and fit with `SHORTER`, and try an identified model along one path."""
+    """Search, train and fit with `SHORT_SETTINGS`, and try an identified model along one path."""
     with pytest.MonkeyPatch.context() as patch:
-        for place, (name, changes) in SHORTER.items() if find_spec("diffdrive_mpc_extras") else ():
+        for place, (name, changes) in SHORT_SETTINGS.items() if find_spec("diffdrive_mpc_extras") else ():
             module = import_module(place)
             settings = getattr(module, name)().model_copy(update=changes)
             patch.setattr(module, name, lambda settings=settings: settings)

@@ -1,4 +1,4 @@
-"""Errors of one line."""
+"""Check of errors with a message of one line."""
 
 from contextlib import contextmanager
 
@@ -7,7 +7,7 @@ import pytest
 
 @contextmanager
 def one_line_error(kind, *words, match=None):
-    """Check that an error is raised whose message is one line with all words; yield pytest's record of it."""
+    """Check that an error is raised whose message is one line with all words; yield pytest's exception info."""
     with pytest.raises(kind, match=match) as caught:
         yield caught
     line = str(caught.value)

@@ -1,9 +1,9 @@
-"""Drives one controller of `CASES` through failures in a process of its own; prints as JSON what its steps imported.
+"""Drive one controller of `CASES` through failures in a separate process; print the imports of its steps as JSON.
 
     python steps_without_imports.py NAME
 
-The robot begins beside the path, is held, and loses its pose for a while: the way back, the failure ladder and what the
-configuration enables all run.
+The robot begins off the path, is held, and temporarily loses its pose: the return path, the failure modes and the
+features of the configuration all run.
 """
 
 import json
@@ -19,18 +19,18 @@ CASES = {
 HELD, LOST, TICKS = range(60, 90), range(120, 160), 200
 
 
-class Watch:
-    """A finder that finds nothing and notes what is looked for: modules that are loaded already never come here."""
+class ImportRecorder:
+    """Finder that finds no module and records the requested names; loaded modules are never requested."""
 
     def __init__(self):
-        self.wanted = []
+        self.requested = []
 
     def find_spec(self, name, path=None, target=None):
-        self.wanted.append(name)
+        self.requested.append(name)
 
 
-def drive(settings, started=lambda controller: None):
-    """Return the names of the modules that the steps imported, and every message; `started` gets the controller."""
+def drive(settings, on_start=lambda controller: None):
+    """Return the names of the modules that the steps imported, and all messages; `on_start` receives the controller."""
     from diffdrive_mpc.mpc import Controller, Hold, Measurement, load_config, load_trajectory
     from diffdrive_mpc.sim import make_plant
 
@@ -39,21 +39,21 @@ def drive(settings, started=lambda controller: None):
     start = reference.sample([0.0]).pose[0] + [-0.1, 0.15, 0.0]
     robot.reset(start)
     controller.start(reference, 0.0)
-    started(controller)
-    watch, messages = Watch(), []
+    on_start(controller)
+    recorder, messages = ImportRecorder(), []
     for tick in range(TICKS):
         measurement = Measurement() if tick in LOST else robot.measure()
         hold = Hold("a test") if tick in HELD else None
-        sys.meta_path.insert(0, watch)
+        sys.meta_path.insert(0, recorder)
         result = controller.step(tick * dt, measurement, hold)
-        sys.meta_path.remove(watch)
+        sys.meta_path.remove(recorder)
         messages.append(result.message)
         robot.advance(result.command)
-    return {"imported": watch.wanted, "messages": messages}
+    return {"imported": recorder.requested, "messages": messages}
 
 
 def check_steps(program, name):
-    """Run a program that prints what `drive` returns; check that its steps ran all branches and imported nothing."""
+    """Run a program that prints the result of `drive`; check that its steps ran all branches and imported no module."""
     path = os.pathsep.join(filter(None, sys.path))
     words, environment = [sys.executable, str(program), name], os.environ | {"PYTHONPATH": path}
     done = subprocess.run(words, capture_output=True, text=True, check=True, env=environment)

@@ -1,4 +1,4 @@
-"""Test suite setup: one hypothesis profile, the system suite, real logs, the order of files, ROS types without a wheel.
+"""Test suite setup: one hypothesis profile, the system suite, real logs, order of files, ROS types without a wheel.
 
 The hypothesis profile draws the same examples on every run, without a deadline; `--hypothesis-profile=many` draws more.
 """
@@ -17,20 +17,20 @@ from hypothesis import settings
 settings.register_profile("reproducible", deadline=None, derandomize=True, print_blob=False, max_examples=25)
 settings.register_profile("many", settings.get_profile("reproducible"), max_examples=200)
 settings.load_profile("reproducible")
-# As the command line does, before anybody imports NumPy.
+# As in the command line, before NumPy is imported.
 for library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
-# Workers of xdist have a width of their own; tables are as wide as in a pipe.
+# Workers of xdist set a width; without it, tables are as wide as in a pipe.
 os.environ.pop("COLUMNS", None)
 
 SYSTEM_PACKAGES = yaml.safe_load(Path(__file__).with_name("system_packages.yaml").read_text(encoding="utf-8"))
-"""By need of a test marked `system`: programs and shared libraries, each with its Debian packages."""
+"""Programs and shared libraries with their Debian packages, by need of a test marked `system`."""
 LONG_TESTS = {"core_library", "documents", "export", "hybrids", "identify_command", "identify_truth"}
 LONG_TESTS |= {"model_comparison", "monitor_with_node", "networks", "over_dds", "real_time_iterations", "replay"}
 LONG_TESTS |= {"reproduce_experiments", "tutorials"}
-"""Files with a test or a fixture of five seconds or more: they begin first, so that no core waits at the end."""
+"""Files with a test or fixture of five seconds or more: they run first, so that no core waits at the end."""
 LOGS = os.environ.get("DIFFDRIVE_MPC_DATA")
-LEFT_OUT = {
+SKIP_REASONS = {
     "system": f"need processes, many drives or Debian packages ({', '.join(SYSTEM_PACKAGES)}): make test-system",
     "long": "take long: .ci/long tests",
     "real_logs": (
@@ -38,7 +38,7 @@ LEFT_OUT = {
         "(NORLAB, BSD-3-Clause; see CONTRIBUTING.md)"
     ),
 }
-"""Reason that the last lines of a run state for tests that it leaves out, by mark."""
+"""Reason for skipped tests in the last lines of a run, by mark."""
 deselected_tests = pytest.StashKey[dict[str, int]]()
 
 
@@ -55,9 +55,9 @@ def is_installed(name):
 
 
 def missing_packages(needs):
-    """Return a line that names missing programs and their Debian packages; empty if nothing is missing."""
-    wanted = {name: packages for need in needs for name, packages in SYSTEM_PACKAGES[need].items()}
-    missing = {name: packages for name, packages in wanted.items() if not is_installed(name)}
+    """Return a line that names missing programs and their Debian packages; empty if none is missing."""
+    required = {name: packages for need in needs for name, packages in SYSTEM_PACKAGES[need].items()}
+    missing = {name: packages for name, packages in required.items() if not is_installed(name)}
     if not missing:
         return ""
     packages = " ".join(sorted({package for names in missing.values() for package in names.split()}))
@@ -65,10 +65,10 @@ def missing_packages(needs):
 
 
 def pytest_configure(config):
-    config.stash[deselected_tests] = dict.fromkeys(LEFT_OUT, 0)
+    config.stash[deselected_tests] = dict.fromkeys(SKIP_REASONS, 0)
     if LOGS is not None and not Path(LOGS).is_dir():
         raise pytest.UsageError(f"DIFFDRIVE_MPC_DATA: no folder {LOGS!r}; unset it, or name the folder of the logs")
-    # Workers of xdist would each fail with a traceback of their own.
+    # Without this condition, each worker of xdist would fail with a traceback.
     if config.option.markexpr == "system" and not hasattr(config, "workerinput"):
         line = missing_packages(SYSTEM_PACKAGES)
         if line:
@@ -96,16 +96,16 @@ def pytest_runtest_setup(item):
 
 def pytest_deselected(items):
     for item in items:
-        marks = [mark for mark in LEFT_OUT if item.get_closest_marker(mark) is not None]
+        marks = [mark for mark in SKIP_REASONS if item.get_closest_marker(mark) is not None]
         if marks:
-            # Without the logs, a long test of them counts as a test of logs.
+            # If the logs are missing, a long test of them counts as a test of logs.
             reason = "real_logs" if LOGS is None and "real_logs" in marks else marks[0]
             item.config.stash[deselected_tests][reason] += 1
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node, error):
-    # Every worker of xdist collects all tests, and one that crashed reports nothing.
+    # Every worker of xdist collects all tests, and a crashed worker reports none.
     counts = node.config.stash[deselected_tests]
     for mark, count in getattr(node, "workeroutput", {}).get("deselected_tests", {}).items():
         counts[mark] = max(count, counts[mark])
@@ -117,17 +117,17 @@ def pytest_sessionfinish(session):
     if hasattr(config, "workeroutput"):
         config.workeroutput["deselected_tests"] = config.stash[deselected_tests]
     result = yield
-    # Below pytest's own last line.
+    # Printed below pytest's last line.
     reporter = config.pluginmanager.getplugin("terminalreporter")
     for mark, count in config.stash[deselected_tests].items():
         if count and reporter:
-            reporter.write_line(f"{count} more tests {LEFT_OUT[mark]}")
+            reporter.write_line(f"{count} more tests {SKIP_REASONS[mark]}")
     return result
 
 
 @pytest.fixture
 def one_process(monkeypatch):
-    """Commands without a number of jobs use one process: starting each further one takes seconds."""
+    """Commands without a number of jobs use one process: starting each additional one takes seconds."""
     from diffdrive_mpc.bench import runner
 
     monkeypatch.setattr(runner, "os", SimpleNamespace(**vars(os) | {"sched_getaffinity": lambda process: {0}}))
@@ -135,7 +135,7 @@ def one_process(monkeypatch):
 
 @pytest.fixture
 def quick_search():
-    """Search for training drives, training of networks and fit of twins at minimum duration."""
+    """Short search for training drives, training of networks and fit of twins."""
     from quick_settings import quick_settings
 
     with quick_settings():
@@ -146,7 +146,7 @@ def quick_search():
 def ros_types():
     """Make nav2_msgs, tf2_msgs and bond importable in this process and its children; return their folder.
 
-    Import them inside of tests. Types are compiled as C++, so a test that uses them is one of the system suite.
+    Import them inside tests. Types are compiled as C++, so a test that uses them is one of the system suite.
     """
     from ros_types.build import add_types
 

@@ -1,4 +1,4 @@
-"""The documents are correct: every command runs, every link resolves, every figure is a bench result."""
+"""Documents are correct: every command runs, every link resolves, every figure is a bench result."""
 
 import json
 import re
@@ -20,7 +20,7 @@ from studies.documents.documents import SHOWN, with_report
 ROOT = Path(__file__).parents[1]
 PACKAGE_PAGES = list(ROOT.glob("packages/*/docs/*.md"))
 DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md"), *PACKAGE_PAGES])
-# Of tutorials the notebooks are run, by test_tutorials.py.
+# Tutorials are run as notebooks by test_tutorials.py.
 PAGES = sorted([*(ROOT / "docs").glob("*.md"), *(ROOT / "docs").glob("tutorials/*.md"), *PACKAGE_PAGES])
 LINKING = sorted([*DOCUMENTS, ROOT / "CHANGELOG.md", ROOT / "SECURITY.md", *(ROOT / "docs").glob("*/*.md")])
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -29,17 +29,17 @@ MARKED = re.compile(r"<!-- ([\w-]+):begin -->.*?<!-- \1:end -->", re.DOTALL)
 MAX_WORDS, MAX_PAGES = 42_000, 26
 """Limits of the hand-written documents."""
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
-# What make would set up is set up already; .ci/run calls these as they stand.
+# Setup by make is already done; .ci/run calls these lines unchanged.
 CI_SCRIPT = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
 RUN_IN_CI = {line.strip() for line in CI_SCRIPT.splitlines()}
-# What a line of .ci/run or .ci/long runs, with more beside it.
+# Commands that a line of .ci/run or .ci/long runs with additional options.
 PART_OF_CI = {
     "python -m studies speed --out out/speed --quick --peers ours,casadi/sqpmethod --horizons 10": (
         'NAME=speed OPTIONS="--quick --horizons 10"'
     ),
     "python -m studies tracking --out out/tracking --quick --only cross": 'NAME=tracking OPTIONS="--quick',
 }
-# Commands that a test of their own runs with the same options, to look at what they leave.
+# Commands that a separate test runs with the same options, in order to check their results.
 RUN_IN_TESTS = {
     "diffdrive-mpc prove ssm --tolerance 0.01,0.02,0.05 --out passport": "packages/extras/tests/test_speed_passport.py",
     "diffdrive-mpc models compare drive.csv --kinds sm,ssm --parts 2": "packages/extras/tests/test_model_comparison.py",
@@ -47,9 +47,9 @@ RUN_IN_TESTS = {
 PLACES = {"passport"}
 """Folders of results in `RUN_IN_TESTS`."""
 OWN_PROCESS = ("node", "sim-robot", "monitor")
-# These say how to install it: .ci/tour.py runs them as they stand, where only a wheel is installed.
-TOURED = {ROOT / "README.md", ROOT / "docs" / "install.md"}
-# What of a command says that it needs a program of the system.
+# These pages describe the installation: .ci/tour.py runs them unchanged with only a wheel installed.
+TOUR_PAGES = {ROOT / "README.md", ROOT / "docs" / "install.md"}
+# Options that need a program of the system.
 NEEDS = {"--emulate": "microcontroller"}
 RUN_BY_CI = re.compile(
     r"make (bench|study NAME=(tracking|reproduce|speed)|site|test|test-system|lint|types|wheel|fuzz)$"
@@ -60,58 +60,58 @@ def blocks(document):
     return FENCE.findall(document.read_text(encoding="utf-8"))
 
 
-def named(document):
+def name_of(document):
     return str(document.relative_to(ROOT))
 
 
-def marked(document):
-    """Return the document as a parameter of the system suite, with what its commands need."""
+def as_system_test(document):
+    """Return the document as a parameter of the system suite, with the needs of its commands."""
     commands = "".join(body for language, body in blocks(document) if language == "sh")
     needs = [need for word, need in NEEDS.items() if word in commands]
     return pytest.param(document, marks=pytest.mark.system(*needs))
 
 
 @pytest.mark.usefixtures("one_process", "quick_search")
-@pytest.mark.parametrize("document", [*map(marked, sorted({*DOCUMENTS} - TOURED))], ids=named)
+@pytest.mark.parametrize("document", [*map(as_system_test, sorted({*DOCUMENTS} - TOUR_PAGES))], ids=name_of)
 def test_every_command_and_example_runs(document, tmp_path, monkeypatch):
-    """They run in order in one folder, after files are written as shown in the document."""
+    """Examples run in order in one folder, after files are written as shown in the document."""
     monkeypatch.chdir(tmp_path)
     names = {"__name__": "__main__"}
     for language, body in blocks(document):
         if language == "yaml":
             name = re.match(r"# file: (\S+)\n", body)
-            assert name, f"{named(document)}: a YAML example must say which file it is"
+            assert name, f"{name_of(document)}: a YAML example must name its file"
             (tmp_path / name[1]).write_text(body, encoding="utf-8")
         elif language == "python":
-            exec(compile(body, named(document), "exec"), names)
+            exec(compile(body, name_of(document), "exec"), names)
         elif language == "sh":
             for line in body.strip().splitlines():
                 words = shlex.split(line)
                 if words[0] == "make":
-                    assert RUN_BY_CI.match(line), f"{named(document)}: `{line}` is run by no test"
+                    assert RUN_BY_CI.match(line), f"{name_of(document)}: `{line}` is run by no test"
                 elif line in RUN_IN_CI or line in PART_OF_CI or line in RUN_IN_TESTS:
                     continue
                 elif "$DIFFDRIVE_MPC_DATA" in line:
-                    raise AssertionError(f"{named(document)}: .ci/run does not have `{line}`")
+                    raise AssertionError(f"{name_of(document)}: .ci/run does not have `{line}`")
                 elif words[:3] == ["python", "-m", "studies"]:
-                    invoked(studies_app, words[3:], "python -m studies")
+                    invoke_command(studies_app, words[3:], "python -m studies")
                 else:
                     assert words[0] == "diffdrive-mpc"
                     command(words[1:], tmp_path)
         else:
-            raise AssertionError(f"{named(document)}: nothing runs a block of {language}")
+            raise AssertionError(f"{name_of(document)}: nothing runs a block of {language}")
 
 
 def command(words, folder):
-    """Run a command in this process to save its imports; nodes, which take over signals, get their own process."""
+    """Run a command in this process to save its imports; nodes, which handle signals, run in a separate process."""
     if words[0] in OWN_PROCESS:
         run([str(COMMAND), *words], folder)
         return
-    invoked(app, words, "diffdrive-mpc")
+    invoke_command(app, words, "diffdrive-mpc")
 
 
-def invoked(program, words, name):
-    # That a command runs is shown as well by a short search of a drive, of a hybrid, of a twin.
+def invoke_command(program, words, name):
+    # Short searches are enough to show that a command runs.
     with quick_settings():
         result = CliRunner().invoke(program, words, prog_name=name)
     assert result.exit_code == 0, f"{words}: {result.output}\n{result.exception!r}"
@@ -152,46 +152,46 @@ def test_a_page_is_named_by_its_question_and_begins_with_the_answer(document):
     assert not opening.startswith(("```", "* ", "<!--"))
 
 
-def test_ci_runs_what_the_documents_leave_to_it():
+def test_ci_runs_the_make_targets_of_the_documents():
     assert 'pre-commit" run --all-files' in CI_SCRIPT
     hooks = (ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8")
-    called = " ".join(
+    make_lines = " ".join(
         line for line in (CI_SCRIPT + hooks).splitlines() if re.match(r" *(on_bare_machine |entry: )?make ", line)
     )
     for target in ("bench", "tracking", "reproduce", "speed", "site", "test", "lint", "types", "wheel", "fuzz"):
-        assert re.search(rf"\b{target}\b", called), target
+        assert re.search(rf"\b{target}\b", make_lines), target
     (tour,) = (line for line in CI_SCRIPT.splitlines() if ".ci/tour.py" in line)
-    assert all(f'"$root/{named(page)}"' in tour for page in TOURED)
+    assert all(f'"$root/{name_of(page)}"' in tour for page in TOUR_PAGES)
 
 
-def test_files_of_tests_that_documents_and_ci_name_are_there():
+def test_files_named_by_documents_and_ci_exist():
     texts = [page.read_text(encoding="utf-8") for page in LINKING] + [CI_SCRIPT]
     named_files = {name for text in texts for name in re.findall(r"(?:packages/\w+/)?tests/[a-z_0-9/]+\.py", text)}
-    on_the_robot = re.search(r'robot="(.*)"', CI_SCRIPT)[1].split()
-    named_files |= {f"tests/mpc/test_{name}.py" for name in on_the_robot}
+    robot_tests = re.search(r'robot="(.*)"', CI_SCRIPT)[1].split()
+    named_files |= {f"tests/mpc/test_{name}.py" for name in robot_tests}
     assert len(named_files) > 10
     assert [name for name in sorted(named_files) if not (ROOT / name).is_file()] == []
 
 
 @pytest.mark.parametrize(("line", "part"), PART_OF_CI.items())
-def test_what_ci_runs_with_more_is_run_there(line, part):
+def test_commands_with_additional_options_in_ci_exist(line, part):
     scripts = CI_SCRIPT + (ROOT / ".ci" / "long").read_text(encoding="utf-8")
     assert part in scripts
     assert any(line in body.splitlines() for document in DOCUMENTS for _, body in blocks(document))
 
 
 @pytest.mark.parametrize(("line", "file"), RUN_IN_TESTS.items())
-def test_what_a_test_runs_is_run_there_as_the_documents_say(line, file):
-    """Every word of the line is quoted in that file, except for paths of files."""
+def test_commands_run_in_tests_match_the_documents(line, file):
+    """Every word of the line is quoted in the file of the test, except for paths."""
     words = shlex.split(line.removeprefix("python -m studies ").removeprefix("diffdrive-mpc "))
-    named_there = [f'"{word}"' for word in words if "." not in word and word not in PLACES]
+    expected_words = [f'"{word}"' for word in words if "." not in word and word not in PLACES]
     test = (ROOT / file).read_text(encoding="utf-8")
-    assert all(word in test for word in named_there), named_there
+    assert all(word in test for word in expected_words), expected_words
     assert any(line in body.splitlines() for document in DOCUMENTS for _, body in blocks(document))
 
 
-@pytest.mark.parametrize("document", sorted(TOURED), ids=named)
-def test_a_toured_page_has_only_what_the_tour_runs(document):
+@pytest.mark.parametrize("document", sorted(TOUR_PAGES), ids=name_of)
+def test_page_of_the_tour_contains_only_commands_of_the_tour(document):
     for language, body in blocks(document):
         assert language in ("sh", "python", "yaml")
         lines = body.splitlines() if language == "sh" else []
@@ -199,19 +199,19 @@ def test_a_toured_page_has_only_what_the_tour_runs(document):
         assert all(line in RUN_IN_CI for line in lines if "--from ." in line)
 
 
-@pytest.mark.parametrize("document", LINKING, ids=named)
-def test_links_lead_somewhere(document):
-    """Links inside the repository; external addresses are only checked for their form."""
+@pytest.mark.parametrize("document", LINKING, ids=name_of)
+def test_links_resolve(document):
+    """Links inside the repository must exist; external addresses are only checked for their form."""
     for target in re.findall(r"\]\(([^)#]+)[^)]*\)", FENCE.sub("", document.read_text(encoding="utf-8"))):
         if "://" in target:
-            assert re.fullmatch(r"https://[\w.-]+\.[a-z]+(/[\w./%~-]*)?", target), f"{named(document)}: {target}"
+            assert re.fullmatch(r"https://[\w.-]+\.[a-z]+(/[\w./%~-]*)?", target), f"{name_of(document)}: {target}"
         else:
-            assert (document.parent / target).exists(), f"{named(document)}: {target}"
+            assert (document.parent / target).exists(), f"{name_of(document)}: {target}"
 
 
 @pytest.mark.parametrize("shown", SHOWN, ids=lambda shown: shown.name)
-def test_pages_lead_to_the_committed_report_and_show_its_tables(shown):
-    """README shows those of `bench`; a report without a page of tables says itself of when it is."""
+def test_pages_link_the_committed_report_and_show_its_tables(shown):
+    """README shows the tables of `bench`; a report without a page of tables states its own revision and date."""
     report = (ROOT / "docs" / shown.name / f"{shown.name}.md").read_text(encoding="utf-8")
     if shown.page:
         page = (ROOT / "docs" / shown.page).read_text(encoding="utf-8")
@@ -222,7 +222,7 @@ def test_pages_lead_to_the_committed_report_and_show_its_tables(shown):
         assert re.search(r"^\* diffdrive-mpc .*, revision [0-9a-f]{12}, \d{4}-\d\d-\d\d\.$", report, re.MULTILINE)
 
 
-def test_reports_are_of_todays_commands_or_say_that_they_are_older():
+def test_reports_are_current_or_marked_as_older():
     known = json.loads((ROOT / twelve_drives.RECORD).read_text(encoding="utf-8"))
     assert twelve_drives.alike(known["drives"], twelve_drives.drives()), (
         "the controller's commands have changed: make results, or python -m studies.documents.documents"
@@ -233,7 +233,7 @@ def test_reports_are_of_todays_commands_or_say_that_they_are_older():
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/reproduce.md"])
-def test_the_stated_number_of_findings_that_hold_is_that_of_the_report(page):
+def test_stated_number_of_confirmed_findings_is_that_of_the_report(page):
     report = (ROOT / "docs" / "reproduce" / "reproduce.md").read_text(encoding="utf-8")
     findings = report.partition("## Findings")[2].partition("\n## ")[0]
     held = [line.split("|")[-2].strip() for line in findings.splitlines() if line.startswith("| ")][2:]
@@ -252,7 +252,7 @@ def test_the_stated_number_of_findings_that_hold_is_that_of_the_report(page):
         (["simulate", "--set", "horizon=0"], "horizon: Input should be greater than or equal to 1 (found 0)"),
     ],
 )
-def test_error_lines_are_as_documented(words, line):
+def test_error_lines_match_the_documents(words, line):
     assert line in refusal(*words)
     documented = (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
     assert line.removeprefix("error: ") in documented

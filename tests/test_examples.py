@@ -1,4 +1,4 @@
-"""The examples run unchanged from any folder and do what they describe."""
+"""Examples run unchanged from any folder and do what they describe."""
 
 import re
 import runpy
@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
-MOST_LINES = 60
+MAX_LINES = 60
 RUN = re.compile(r"position \[m\] +(0\.\d+).*steps, completed; in the band 100\.0 %", re.DOTALL)
 
 
@@ -25,50 +25,50 @@ def run(name, folder):
     return output.getvalue()
 
 
-def test_no_example_is_left_out():
+def test_every_example_is_tested():
     tested = set(re.findall(r"\w+\.py", Path(__file__).read_text(encoding="utf-8")))
     assert {path.name for path in EXAMPLES.glob("*.py")} <= tested
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.name)
-def test_an_example_is_short(path):
-    assert len(path.read_text(encoding="utf-8").splitlines()) < MOST_LINES
+def test_example_is_short(path):
+    assert len(path.read_text(encoding="utf-8").splitlines()) < MAX_LINES
 
 
-def test_track_a_circle(tmp_path):
+def test_circle_example_tracks_a_circle(tmp_path):
     output = run("track_a_circle.py", tmp_path)
     assert float(RUN.search(output)[1]) < 0.01
     assert "ways the solver took: {" in output
 
 
-def test_identify_and_drive(tmp_path):
+def test_identification_example_improves_the_tracking(tmp_path):
     shipped, identified = map(float, re.findall(r"position RMSE (\S+) mm", run("identify_and_drive.py", tmp_path)))
     assert identified < 0.75 * shipped
     assert (tmp_path / "identified" / "model.yaml").exists()
 
 
-def test_own_plant(tmp_path):
+def test_plant_example_tracks(tmp_path):
     assert float(RUN.search(run("own_plant.py", tmp_path))[1]) < 0.015
 
 
-def test_narrow_places(tmp_path):
+def test_narrow_places_example_waits_and_arrives(tmp_path):
     output = run("narrow_places.py", tmp_path)
     assert "waits for disc 0, which crosses its way" in output
     assert abs(float(re.search(r"at x = (\S+) m", output)[1]) - 8.0) < 0.05
     assert (tmp_path / "narrow-places.png").stat().st_size > 10_000
 
 
-def test_loop_without_ros(tmp_path, monkeypatch):
-    """Only `sleep` advances this clock; the interrupted loop below uses the real one."""
+def test_loop_example_reaches_the_end_without_ros(tmp_path, monkeypatch):
+    """Only `sleep` advances this clock; the interrupted loop below uses the real clock."""
     now = [0.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     monkeypatch.setattr(time, "sleep", lambda seconds: now.append(now.pop() + seconds))
     x, y = map(float, re.search(r"x = (\S+) m, y = (\S+) m", run("loop_without_ros.py", tmp_path)).groups())
-    # The end of the cane, as its wheels and gyro have it.
+    # End of the cane according to its wheels and gyro.
     assert abs(x - 2.0) < 0.03 and abs(y - 1.43) < 0.03
 
 
-def test_interrupted_the_loop_without_ros_sends_zero_last(tmp_path):
+def test_interrupted_loop_example_sends_zero_last(tmp_path):
     command = [sys.executable, "-u", str(EXAMPLES / "loop_without_ros.py")]
     with subprocess.Popen(
         command,
@@ -76,45 +76,45 @@ def test_interrupted_the_loop_without_ros_sends_zero_last(tmp_path):
         stderr=subprocess.PIPE,
         text=True,
         cwd=tmp_path,
-        # Where the tests run in the background the signal is ignored, and that is inherited.
-        preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509 - it has no threads
+        # In background test runs the signal is ignored, and children inherit that.
+        preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509 - the child has no threads
     ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "driving\n"
         time.sleep(0.4)
         process.send_signal(signal.SIGINT)
-        output, complained = process.communicate(timeout=60)
-    assert process.returncode == 0, complained
+        output, errors = process.communicate(timeout=60)
+    assert process.returncode == 0, errors
     assert "interrupted" in output
     assert re.search(r"last command \(0\.0, 0\.0\), at x = 0\.\d+ m", output)
 
 
-def test_own_cost(tmp_path):
+def test_cost_example_keeps_a_distance(tmp_path):
     without, aware = map(float, re.findall(r"(0\.\d+) m", run("own_cost.py", tmp_path)))
     assert without < 0.1
     assert aware > 0.35
 
 
-def test_own_path(tmp_path):
+def test_path_example_ends_at_the_stated_point(tmp_path):
     output = run("own_path.py", tmp_path)
     assert [float(error) < 4.0 for error in re.findall(r"RMSE (\S+) mm, completed: True", output)] == [True, True]
     assert "ends at x = 5.00 m, y = 2.00 m" in output
 
 
-def test_osqp_directly(tmp_path):
+def test_osqp_example_agrees_with_active_limits(tmp_path):
     active, difference = re.search(r"to (\d+) active .* command (\S+)", run("osqp_directly.py", tmp_path)).groups()
     assert int(active) > 0
     assert float(difference) < 1e-9
 
 
-def test_horizon_sweep(tmp_path):
+def test_horizon_sweep_example_finds_a_sufficient_horizon(tmp_path):
     output = run("horizon_sweep.py", tmp_path)
     errors = {int(row[0]): float(row[1]) for row in map(str.split, output.splitlines()[2:6])}
     assert errors[5] > 1.5 * errors[20]
     assert "enough: horizon 20" in output
 
 
-def test_own_structure(tmp_path):
+def test_structure_example_fits_the_acceleration_limits(tmp_path):
     output = run("own_structure.py", tmp_path)
     limits = re.search(r"limit (\S+) m/s\^2, (\S+) rad/s\^2", output).groups()
     assert [float(limit) for limit in limits] == pytest.approx([0.3, 1.5], rel=0.03)
@@ -122,7 +122,7 @@ def test_own_structure(tmp_path):
     assert fitted < 0.5 * shipped
 
 
-def test_gymnasium_loop(tmp_path):
+def test_gymnasium_example_tracks(tmp_path):
     output = run("gymnasium_loop.py", tmp_path)
     assert "lost: False" in output
     assert float(re.search(r"RMSE (\S+) mm", output)[1]) < 20

@@ -1,7 +1,7 @@
-"""The first hour of a new user: an own robot, an own log, and no wrong turn up to the drive over DDS.
+"""The first hour of a new user: a new robot, its log, and every step up to the drive over DDS.
 
-The robot is none of this project: 3 m/s, logged at 20 Hz in columns with other names, and on its floor the body turns
-0.7 of what the wheels say. It is simulated here in a few lines, by none of the plants of `sim`.
+The robot is not one of this project: 3 m/s, logged at 20 Hz in columns with other names, and its body turns 0.7 times
+as fast as its wheels indicate. It is simulated in this file in a few lines, independent of the plants of `sim`.
 """
 
 import re
@@ -55,8 +55,8 @@ def write_log(path, duration=150.0):
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def typed(line):
-    """Run a command that has to succeed; return its output."""
+def run_line(line):
+    """Run a command line that has to succeed; return its output."""
     result = CliRunner().invoke(app, shlex.split(line)[1:], prog_name="diffdrive-mpc")
     assert result.exit_code == 0, f"{line}: {result.output}"
     return result.output
@@ -64,13 +64,13 @@ def typed(line):
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory):
-    """Folder of the user after `identify` with a drafted mapping, which needs no correction here; and the output."""
+    """Folder of the user after `identify` with a drafted mapping, which needs no correction, and the output."""
     folder = tmp_path_factory.mktemp("user")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         write_log(folder / "drive.csv")
-        typed("diffdrive-mpc identify --draft-mapping drive.csv")
-        yield folder, typed("diffdrive-mpc identify drive.csv --mapping mapping.yaml --out mine")
+        run_line("diffdrive-mpc identify --draft-mapping drive.csv")
+        yield folder, run_line("diffdrive-mpc identify drive.csv --mapping mapping.yaml --out mine")
 
 
 def position_rmse(output):
@@ -79,7 +79,7 @@ def position_rmse(output):
     return float(value) * {"mm": 1e-3, "m": 1.0}[unit]
 
 
-def test_what_was_identified_is_the_robot(session):
+def test_identified_configuration_matches_the_robot(session):
     config = load_config(session[0] / "mine" / "config.yaml")
     assert config.sample_time == PERIOD
     assert config.limits.v == pytest.approx(TOP_SPEED, rel=0.01)
@@ -88,20 +88,20 @@ def test_what_was_identified_is_the_robot(session):
     assert float(match[2]) == pytest.approx(DEAD_TIME + LAG_OMEGA, abs=0.01)
 
 
-def test_the_next_command_gives_the_figure_of_the_table_above_it(session):
+def test_suggested_command_reproduces_the_figure_of_the_table(session):
     output = session[1]
     command = output[output.rindex("diffdrive-mpc simulate") :].replace("\\\n", " ")
     (promised,) = re.findall(r"the model itself +circle +(\S+)", output)
-    assert position_rmse(typed(command)) == pytest.approx(float(promised), abs=0.0001)
+    assert position_rmse(run_line(command)) == pytest.approx(float(promised), abs=0.0001)
 
 
-def test_a_path_at_the_speed_of_the_robot_is_driven(session):
+def test_path_at_the_speed_of_the_robot_is_driven(session):
     (session[0] / "fast.yaml").write_text("segments:\n- {v: 2.8, omega: 0.3, duration: 6.0}\n", encoding="utf-8")
     options = "--config mine/config.yaml --plant model:mine/model.yaml --surface mine/surface.yaml"
-    assert position_rmse(typed(f"diffdrive-mpc simulate {options} --trajectory fast.yaml")) < 0.05
+    assert position_rmse(run_line(f"diffdrive-mpc simulate {options} --trajectory fast.yaml")) < 0.05
 
 
-def test_node_and_simulated_robot_drive_it_as_one_process_does(session, tmp_path):
+def test_node_and_simulated_robot_drive_like_one_process(session, tmp_path):
     options = ["--config", "mine/config.yaml", "--trajectory", "mine/first_circle.yaml"]
     plant = ["--plant", "model:mine/model.yaml", "--surface", "mine/surface.yaml"]
     environment = own_domain(tmp_path)
@@ -109,7 +109,7 @@ def test_node_and_simulated_robot_drive_it_as_one_process_does(session, tmp_path
     reference = load_trajectory("mine/first_circle.yaml", config)
     duration = ["--duration", str(reference.duration + 2.0), "--record", str(tmp_path / "bag")]
     node = ["node", *options, "--drive", "--ros-args", "-p", "use_sim_time:=true", "-p", "use_pose_topic:=true"]
-    # The path stays where it is in the map; by default it begins where the first pose is measured.
+    # Keep the path fixed in the map; by default it begins at the first measured pose.
     node += ["-p", "start_at_robot:=false"]
     with (
         running("node", node, environment, tmp_path) as controller,
@@ -121,6 +121,6 @@ def test_node_and_simulated_robot_drive_it_as_one_process_does(session, tmp_path
             time.sleep(0.05)
         assert robot.popen.returncode == 0, robot.output
     over_dds = read_drive(tmp_path / "bag", reference, config.sample_time).metrics
-    alone = position_rmse(typed(" ".join(["diffdrive-mpc", "simulate", *options, *plant])))
+    alone = position_rmse(run_line(" ".join(["diffdrive-mpc", "simulate", *options, *plant])))
     assert over_dds.completed
     assert over_dds.position_rmse_m == pytest.approx(alone, rel=0.05)

@@ -1,4 +1,4 @@
-"""Imports: a command or a robot loads only the modules that it needs, and a step loads none."""
+"""Imports: a command or robot loads only the modules that it needs, and a step loads none."""
 
 import json
 import subprocess
@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from diffdrive_mpc import sim
-from imports import imported
+from imports import imports_of
 from steps_without_imports import CASES, check_steps
 
 STEPS = Path(__file__).with_name("steps_without_imports.py")
-# Modules of SciPy beside its linear algebra, which discretises models.
+# Modules of SciPy other than its linear algebra, which discretises models.
 SCIPY = {f"scipy.{name}" for name in ("fft", "integrate", "interpolate", "ndimage", "optimize", "signal", "stats")}
 REPORTS = {"control", "jinja2", "joblib", "matplotlib", "mcap", "osqp", "pandas", "plotly", "polars", "rosbags"}
 SIMULATION = {"diffdrive_mpc.sim", "diffdrive_mpc.bench"}
@@ -35,7 +35,7 @@ LOADED = {
     "a model": (MODEL, REPORTS | SCIPY | {"mujoco", "rich", "typer"}),
     "a controller": (CONTROLLER, REPORTS | SCIPY | SIMULATION | {"mujoco", "rich", "typer"}),
     "--help": (COMMAND.format(["--help"]), REPORTS | NUMBERS | {"rich"}),
-    # A wheel is built with what `build-system` of pyproject.toml names, and nothing else.
+    # A wheel is built with only the packages in `build-system` of pyproject.toml.
     "the schemas": ("import diffdrive_mpc.app.schemas", {"pandas", "rich", "mujoco"}),
     "a plant of a model": (PLANT, {"mujoco"}),
     "simulate": (COMMAND.format(["simulate", "--trajectory", "circle"]), REPORTS | SCIPY),
@@ -47,15 +47,15 @@ def run(*words):
 
 
 @pytest.mark.parametrize("case", LOADED)
-def test_what_is_not_needed_is_not_loaded(case):
+def test_only_needed_modules_are_loaded(case):
     code, unwanted = LOADED[case]
     loaded = run("-c", f"{code}\nimport sys; print(*sys.modules)").splitlines()[-1].split()
     assert "diffdrive_mpc" in loaded
     assert not unwanted & set(loaded)
 
 
-def test_a_simulation_loads_no_more_of_us_than_it_is_allowed():
-    """Count modules with code: an empty `__init__` does not count."""
+def test_simulation_loads_a_limited_number_of_our_modules():
+    """Only modules with code count: an empty `__init__` does not."""
     code = COMMAND.format(["simulate", "--trajectory", "circle"])
     files = (
         "[m.__file__ for n, m in sys.modules.items() if n.startswith('diffdrive_mpc') and getattr(m, '__file__', 0)]"
@@ -77,8 +77,8 @@ SingleThreadedExecutor.spin_once = spin_or_end
 """
 
 
-def test_an_active_node_loads_at_most_160_modules_and_none_of_sim_bench_and_log_diagnosis(monkeypatch):
-    """Count all modules of the package, empty ones included, with the shipped configuration."""
+def test_active_node_loads_at_most_160_modules_and_none_of_sim_bench_and_log_diagnosis(monkeypatch):
+    """All modules of the package count, including empty ones, with the shipped configuration."""
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")
     command = COMMAND.format(["node", "--autostart", "--ros-args", "-p", "discovery_wait:=0.0"])
     # The loop of the executor begins after the activation.
@@ -93,7 +93,7 @@ def test_an_active_node_loads_at_most_160_modules_and_none_of_sim_bench_and_log_
     assert not [name for name in ours if name.removeprefix("diffdrive_mpc.").startswith(folders)]
 
 
-def test_a_robot_needs_neither_mujoco_nor_matplotlib():
+def test_robot_needs_neither_mujoco_nor_matplotlib():
     blocked = f"import sys; sys.modules.update(dict.fromkeys({sorted(REPORTS | {'mujoco', 'rclpy', 'rich'})}))\n"
     drive = "from diffdrive_mpc import make_plant, simulate, load_trajectory, Controller, load_config\n"
     drive += "run = simulate(Controller(load_config('ssm')), make_plant('model:ssm'), load_trajectory('circle'))\n"
@@ -101,19 +101,19 @@ def test_a_robot_needs_neither_mujoco_nor_matplotlib():
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_a_step_imports_nothing(name):
+def test_step_imports_no_module(name):
     check_steps(STEPS, name)
 
 
-# The modules of `sim` build on each other in one direction.
+# The modules of `sim` depend on each other in one direction.
 
 
 FOLDER = Path(sim.__file__).parent
 
 
-def _imported(path: Path) -> set[str]:
+def _sim_imports(path: Path) -> set[str]:
     """Return the modules of `sim` that a file imports, also inside functions and for type checking."""
-    names = {candidate for module, name in imported(path) for candidate in (module, f"{module}.{name}".rstrip("."))}
+    names = {candidate for module, name in imports_of(path) for candidate in (module, f"{module}.{name}".rstrip("."))}
     return {name for name in names if name.startswith("diffdrive_mpc.sim.")}
 
 
@@ -130,7 +130,7 @@ ALLOWED: dict[str, set[str]] = {
     "ros": {"sensing", "plants"},
     "": {"sensing", "disturbances", "plants", "metrics"},
 }
-"""By room, the others that it may build on; "" stands for the files beside the rooms."""
+"""Permitted dependencies by folder; "" stands for the files outside the folders."""
 
 
 def room(module: str) -> str:
@@ -139,10 +139,10 @@ def room(module: str) -> str:
 
 
 def modules() -> dict[str, set[str]]:
-    return {name(path): _imported(path) for path in FOLDER.rglob("*.py") if path.stem != "__init__"}
+    return {name(path): _sim_imports(path) for path in FOLDER.rglob("*.py") if path.stem != "__init__"}
 
 
-def test_no_module_needs_itself_in_a_circle() -> None:
+def test_modules_have_no_circular_imports() -> None:
     graph = modules()
     assert {"diffdrive_mpc.sim.metrics.metrics", "diffdrive_mpc.sim.metrics.tracking_errors"} <= graph[
         "diffdrive_mpc.sim.run"
@@ -150,7 +150,7 @@ def test_no_module_needs_itself_in_a_circle() -> None:
     TopologicalSorter(graph).prepare()  # raises CycleError
 
 
-def test_rooms_build_on_each_other_in_one_direction() -> None:
+def test_folders_depend_on_each_other_in_one_direction() -> None:
     arrows = {(room(user), room(used)) for user, all_used in modules().items() for used in all_used}
     assert ("plants", "sensing") in arrows and ("", "plants") in arrows
     assert {arrow for arrow in arrows if arrow[0] != arrow[1] and arrow[1] not in ALLOWED[arrow[0]]} == set()

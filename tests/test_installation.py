@@ -1,4 +1,4 @@
-"""Installation instructions and settings name things that exist."""
+"""Installation instructions and settings refer to existing things."""
 
 import os
 import re
@@ -16,7 +16,7 @@ from studies.speed.process.environment import REQUIREMENTS
 ROOT = Path(__file__).parents[1]
 DOCKERFILE = (ROOT / "Dockerfile").read_text(encoding="utf-8").replace("\\\n", " ")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-# Every Debian has them, though the path of the tests may not.
+# Every Debian has these commands, though the path of the tests may not contain them.
 SHELL = {"capture_output": True, "text": True, "env": {"PATH": os.defpath}}
 SCRIPTS = sorted((ROOT / "docker").glob("*.sh"))
 PYTHONS = [f"3.{minor}" for minor in (11, 12, 13, 14)]
@@ -26,7 +26,7 @@ def instructions(word):
     return [line.split(maxsplit=1)[1] for line in DOCKERFILE.splitlines() if line.startswith(f"{word} ")]
 
 
-def test_an_image_copies_only_what_is_there():
+def test_image_copies_only_existing_files():
     for copied in instructions("COPY"):
         *sources, _ = shlex.split(copied)
         assert all((ROOT / source).exists() for source in sources), copied
@@ -35,7 +35,7 @@ def test_an_image_copies_only_what_is_there():
 
 
 def test_pins_of_the_image_are_those_of_the_project():
-    """The image's command generates them from the file with hashes."""
+    """The command of the image generates them from the file with hashes."""
     (command,) = re.findall(r"sed .*?> \S+", DOCKERFILE)
     shell = command.replace("/source", str(ROOT)).rpartition(">")[0]
     pins = subprocess.run(["/bin/sh", "-c", shell], check=True, **SHELL).stdout.splitlines()
@@ -46,12 +46,12 @@ def test_pins_of_the_image_are_those_of_the_project():
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.name)
-def test_scripts_of_the_image_can_be_run(script):
+def test_scripts_of_the_image_are_executable_and_valid(script):
     assert os.access(script, os.X_OK)
     subprocess.run(["/bin/bash", "-n", script], check=True, **SHELL)
 
 
-def test_wheels_are_tried_with_every_python_that_is_promised():
+def test_wheels_are_tested_with_every_promised_python():
     command = [sys.executable, "-m", "cibuildwheel", "--print-build-identifiers", "--platform", "linux", str(ROOT)]
     builds = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
     promised = [f"cp{python.replace('.', '')}" for python in PYTHONS]
@@ -61,14 +61,14 @@ def test_wheels_are_tried_with_every_python_that_is_promised():
     assert PROJECT["project"]["requires-python"] == f">={PYTHONS[0]}"
 
 
-def test_dependencies_are_pinned_for_every_python_that_is_promised():
+def test_dependencies_are_pinned_for_every_promised_python():
     environments = " ".join(PROJECT["tool"]["uv"]["environments"])
     assert all(python in environments for python in PYTHONS[1:])
     pins = (ROOT / "requirements.txt").read_text(encoding="utf-8")
     assert re.search(r"^casadi==\S+ ; python_full_version < '3\.15'", pins, re.MULTILINE)
 
 
-# What comes from elsewhere: pinned by its contents, and under which licence.
+# External packages: pinned by their contents, with their licences.
 
 
 LISTS = (
@@ -80,7 +80,7 @@ LISTS = (
 
 @pytest.mark.parametrize("file", LISTS, ids=lambda file: f"{file.parent.name}/{file.name}")
 def test_every_package_is_pinned_with_the_hashes_of_its_files(file: Path) -> None:
-    """Each has one version and at least one hash; no index address, since none suits every user."""
+    """Each package has one version and at least one hash; index addresses are omitted, since none suits every user."""
     text = file.read_text(encoding="utf-8")
     assert "://" not in text
     parts = re.split(r"^(?=[A-Za-z0-9])", re.sub(r"^\s*#.*\n", "", text, flags=re.MULTILINE), flags=re.MULTILINE)
@@ -92,8 +92,8 @@ def test_every_package_is_pinned_with_the_hashes_of_its_files(file: Path) -> Non
 
 
 @pytest.mark.parametrize("file", LISTS[1:], ids=lambda file: f"{file.parent.name}/{file.name}")
-def test_what_was_asked_for_is_what_is_pinned(file: Path) -> None:
-    """The handwritten lists match the pinned ones."""
+def test_handwritten_requirements_match_the_pins(file: Path) -> None:
+    """The handwritten lists match the pinned lists."""
     text = file.read_text(encoding="utf-8")
     requirements = file.with_suffix(".in").read_text(encoding="utf-8").splitlines()
     for line in requirements:
@@ -103,7 +103,7 @@ def test_what_was_asked_for_is_what_is_pinned(file: Path) -> None:
             assert f"\n{name}=={version} " in f"\n{text}"
 
 
-def test_the_page_tells_the_licences_of_what_is_installed() -> None:
+def test_page_lists_the_licences_of_installed_packages() -> None:
     """The table equals the one generated from the installed packages."""
     page = PAGE.read_text(encoding="utf-8")
     assert with_table(page) == page

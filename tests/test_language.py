@@ -127,7 +127,7 @@ def test_update_refuses_a_higher_total(tree, capsys):
     assert (tree / language.EXCEPTIONS).read_text() == listed
 
 
-def test_corrected_violation_has_to_leave_the_list(tree, capsys):
+def test_corrected_violation_must_leave_the_list(tree, capsys):
     (tree / "a.py").write_text("count = 1\n")
     assert language.main(tree, []) == 1
     assert "lists 1 more of rule 'name' than exist: python .ci/language.py --update" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""The plan of `make mutants` names files and tests that exist, and a mutant differs from the product in one token."""
+"""The plan of `make mutants` names existing files and tests, and a mutant differs from the product in one token."""
 
 import pytest
 
@@ -26,7 +26,7 @@ def test_every_file_of_the_core_has_tests():
     assert [name for name in tests if not (mutants.ROOT / name).exists()] == []
 
 
-def test_an_explained_mutant_is_one_that_can_be_drawn():
+def test_explained_mutant_can_be_drawn():
     for entry in mutants.PLAN["explained"]:
         text = (mutants.ROOT / entry["file"]).read_text(encoding="utf-8")
         assert entry["before"] in [line.strip() for line in text.splitlines()], entry
@@ -46,14 +46,14 @@ def test_an_explained_mutant_is_one_that_can_be_drawn():
         ("a.py", "if not a <= b: pass", {"if  a <= b: pass", "if not a < b: pass", "if not a > b: pass"}),
     ],
 )  # fmt: skip
-def test_a_mutant_changes_one_token(path, line, after):
+def test_mutant_changes_one_token(path, line, after):
     text = f"begin = begin\n{line}\nend = end\n" if path.endswith(".py") else f"int begin;\n{line}\nint end;\n"
     drawn = [mutant for site in mutants.mutants_of(path, text) for mutant in site]
     assert {mutant.change[2] for mutant in drawn} == after
     assert all(mutant.change[:2] == (path, line) for mutant in drawn)
 
 
-def test_the_size_of_an_array_is_no_place_for_a_mutant():
+def test_array_size_is_no_mutant():
     text = "    real state[MOST], before[2], after = before[1] - 3;\n    x[2] = 1;\n    before[1] = a;\n"
     places = [text[m.span[0] - 1 :][:3] for site in mutants.mutants_of("a.c", text) for m in site if m.is_size]
     assert set(places) == {"[2]"} and text.index("[2]") == text.index("before[2]") + 6

@@ -1,4 +1,4 @@
-"""`import diffdrive_mpc`: its names and errors, and that it works in a folder with files of any name."""
+"""`import diffdrive_mpc`: its names and errors, and its use in a folder with files of any name."""
 
 import importlib
 import inspect
@@ -10,7 +10,7 @@ import pytest
 
 import diffdrive_mpc
 
-# They need packages that the speed benchmark installs for itself, or types that have no wheel.
+# Packages that only the speed benchmark installs, or types without a wheel.
 FOREIGN = {"acados_template", "do_mpc", "nav2_msgs"}
 
 
@@ -34,7 +34,7 @@ def test_every_error_of_the_project_has_the_common_base():
 
 
 @pytest.mark.parametrize("name", diffdrive_mpc.__all__)
-def test_every_public_name_is_there(name):
+def test_every_public_name_exists(name):
     assert getattr(diffdrive_mpc, name).__name__ == name
     assert name in dir(diffdrive_mpc)
 
@@ -58,7 +58,7 @@ print(step.mode, step.command[0] > 0.1)
 """
 
 
-def test_a_script_runs_beside_files_that_are_called_as_the_rooms_are(tmp_path):
+def test_script_runs_next_to_files_named_like_the_folders(tmp_path):
     for room in ("models", "mpc", "sim", "bench", "app"):
         (tmp_path / f"{room}.py").write_text("'of the user'\n")
     (tmp_path / "script.py").write_text(SCRIPT)

@@ -1,4 +1,4 @@
-"""Bad input at every door ends in one line that names the place and the remedy: the rows of refusals.yaml."""
+"""Bad input to every interface gives one line that names the place and the remedy: the rows of refusals.yaml."""
 
 import re
 import shlex
@@ -35,18 +35,18 @@ SM, SSM = (yaml.safe_load(model_path(name).read_text(encoding="utf-8")) for name
 TIMES = np.linspace(0.0, 10.0, 101)
 
 
-def saved(model):
+def write_model(model):
     """Write a model file to the working directory and return its name."""
     Path("model.yaml").write_text(yaml.safe_dump(model), encoding="utf-8")
     return "model.yaml"
 
 
-def scaled(name, factors):
+def scaled_matrix(name, factors):
     """Return a matrix of the SSM times a factor, or a factor for each row."""
     return (np.array(SSM[name]) * np.reshape(factors, (-1, 1))).tolist()
 
 
-def started():
+def started_controller():
     """Return a controller that has a reference."""
     controller = Controller("ssm")
     controller.start("s", 0.0)
@@ -75,17 +75,17 @@ NAMES = {name: getattr(diffdrive_mpc, name) for name in diffdrive_mpc.__all__} |
     "pd": pd,
     "plan_cases": plan_cases,
     "read_yaml": read_yaml,
-    "saved": saved,
-    "scaled": scaled,
+    "write_model": write_model,
+    "scaled_matrix": scaled_matrix,
     "single_settings": single_settings,
-    "started": started,
+    "started_controller": started_controller,
     "sweep_settings": sweep_settings,
     "tf": control.tf,
 }
-"""Names that the expressions of doors use."""
+"""Names in the expressions of refusals.yaml."""
 
 
-def expected(message):
+def pattern_of(message):
     """Return a message of the table as a regular expression."""
     start = "^" if message.startswith("^") else ""
     return start + ".*".join(map(re.escape, message.removeprefix("^").split(" ... ")))
@@ -95,7 +95,7 @@ def expected(message):
     ("door", "row"),
     [pytest.param(door, row, id=f"{door['door']}: {row[0]}"[:60]) for door in DOORS for row in door["inputs"]],
 )
-def test_bad_input_ends_in_one_line(door, row, tmp_path, monkeypatch):
+def test_invalid_input_to_every_interface_gives_one_line(door, row, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     place, (text, message, *more) = door["door"], row
     files = dict(more and (more[0] if isinstance(more[0], dict) else {"mine.yaml": more[0]}))
@@ -111,8 +111,8 @@ def test_bad_input_ends_in_one_line(door, row, tmp_path, monkeypatch):
             result = invoke(app, *words, code=2)
             (line,) = result.stderr.splitlines()
             assert line.startswith("error: ") and result.stdout == ""
-            assert re.search(expected(message), line), line
+            assert re.search(pattern_of(message), line), line
             assert sorted(tmp_path.rglob("*")) == before
             return
-    with one_line_error(eval(door.get("error", "ConfigError"), NAMES), match=expected(message)):
+    with one_line_error(eval(door.get("error", "ConfigError"), NAMES), match=pattern_of(message)):
         eval(place.replace("INPUT", text), NAMES)

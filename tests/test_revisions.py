@@ -1,4 +1,4 @@
-"""Revisions that tracked files quote: each is a commit of this repository."""
+"""Revisions quoted by tracked files: each is a commit of this repository."""
 
 import re
 import subprocess
@@ -12,7 +12,7 @@ QUOTED = re.compile(rf'\brevisions?"?:?\s+"?{_HEX}\b(?:(?:,| to| and| or)\s+{_HE
 
 
 def git(*words: str, text: str = "") -> str:
-    """Return the output of git in the repository; empty if it fails."""
+    """Return the output of git in the repository; empty on failure."""
     try:
         done = subprocess.run(["git", *words], cwd=ROOT, input=text, capture_output=True, text=True, check=False)
     except OSError:
@@ -23,7 +23,7 @@ def git(*words: str, text: str = "") -> str:
 def quoted_revisions(text: str) -> set[str]:
     """Return the revisions that a text quotes."""
     quoted = {revision for match in QUOTED.finditer(text) for revision in match.groups() if revision}
-    # A date or another number of decimal digits is none.
+    # Dates and other decimal numbers are no revisions.
     return {revision for revision in quoted if re.search("[a-f]", revision) or len(revision) > 8}
 
 

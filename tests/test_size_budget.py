@@ -16,12 +16,12 @@ BUDGETS = yaml.safe_load(BUDGET_FILE.read_text(encoding="utf-8"))
 
 @cache
 def current_sizes():
-    """Count the sizes of this tree; this takes seconds."""
+    """Count the sizes of this tree, which takes seconds."""
     return code_lines.sizes()
 
 
-def measured(sizes):
-    """Number per name of the budget file: code lines by area, and `files`."""
+def measured_sizes(sizes):
+    """Return the measured number for each name of the budget file: code lines by area, and `files`."""
     return {name: size.lines for name, size in sizes.items() if name != "all files"} | {
         "files": sizes["all files"].files
     }
@@ -32,19 +32,19 @@ def limits(budgets):
 
 
 def excesses(sizes, budgets):
-    """Return one line per area above its budget or without a budget."""
-    numbers, maxima = measured(sizes), limits(budgets)
+    """Return one line per area that exceeds its budget or has none."""
+    numbers, maxima = measured_sizes(sizes), limits(budgets)
     return [
         f"{name}: {number} {unit(name)} exceed the budget of {maxima.get(name, 0)} by {number - maxima.get(name, 0)}; "
-        f"remove code, or raise the budget in {BUDGET_FILE.name} in a commit of its own that states the reason"
+        f"remove code, or raise the budget in {BUDGET_FILE.name} in a separate commit that states the reason"
         for name, number in numbers.items()
         if number > maxima.get(name, 0)
     ]
 
 
 def loose_budgets(sizes, budgets):
-    """Return one line per budget that leaves more room than its margin and is above its aim."""
-    numbers, maxima, aims = measured(sizes), limits(budgets), budgets["aims"]
+    """Return one line per budget that exceeds its measured size by more than its margin, and its aim."""
+    numbers, maxima, aims = measured_sizes(sizes), limits(budgets), budgets["aims"]
     tight = {name: int(1.02 * numbers.get(name, 0)) + (10 if name == "files" else 100) for name in maxima}
     return [
         f"{name}: the budget of {budget} is loose for {numbers.get(name, 0)} {unit(name)}; "

@@ -1,4 +1,4 @@
-"""Imports between rooms, packages, folders and files."""
+"""Imports between folders of the root wheel, packages, folders and files."""
 
 import ast
 import re
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from imports import imported
+from imports import imports_of
 
 ROOT = Path(__file__).parents[1]
 ROOMS = {
@@ -39,7 +39,7 @@ DEFERRED_CIRCLES = {
     "diffdrive_mpc.bench.peers",
     "diffdrive_mpc.bench.case",
 }
-"""A module of each circle that an import inside a function closes."""
+"""One module of each import circle that an import inside a function closes."""
 
 
 def module_names(prefix, folder):
@@ -52,7 +52,7 @@ MODULES = {name: path for prefix, folder in FOLDERS.items() for name, path in mo
 
 
 def statements(tree, inside_functions):
-    """Yield the statements that run, without those under `if TYPE_CHECKING`."""
+    """Yield the executed statements, without those under `if TYPE_CHECKING`."""
     remaining = list(tree.body)
     while remaining:
         node = remaining.pop()
@@ -97,8 +97,8 @@ def circular(graph):
 
 
 def rooms_of(path):
-    """Return the rooms and packages that a file imports."""
-    names = (f"{module}.{name}".split(".") for module, name in imported(path))
+    """Return the root folders and packages that a file imports."""
+    names = (f"{module}.{name}".split(".") for module, name in imports_of(path))
     return {parts[1] if parts[0] == "diffdrive_mpc" else parts[0] for parts in names}
 
 
@@ -111,7 +111,7 @@ def test_room_imports_only_rooms_below_it(room):
 @pytest.mark.parametrize("package", PACKAGES)
 def test_package_imports_only_root_and_declared_packages(package):
     for path in FOLDERS[package].rglob("*.py"):
-        names = {module.partition(".")[0] for module, _ in imported(path)}
+        names = {module.partition(".")[0] for module, _ in imports_of(path)}
         assert names & {"diffdrive_mpc", *PACKAGES, "studies"} <= {package, *PACKAGES[package]}, path
 
 
@@ -134,7 +134,7 @@ def test_contributing_page_shows_imports_between_rooms():
 @pytest.mark.parametrize("prefix", FOLDERS)
 def test_ros_and_mujoco_are_imported_only_in_their_folders(prefix):
     for path in FOLDERS[prefix].rglob("*.py"):
-        names = {module.partition(".")[0] for module, _ in imported(path)}
+        names = {module.partition(".")[0] for module, _ in imports_of(path)}
         if not ROS_FOLDERS & {*path.parents}:
             assert not {name for name in names if name == "rclpy" or name.endswith("_msgs")}, path
         if not MUJOCO_FOLDERS & {*path.parents}:

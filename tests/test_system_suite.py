@@ -1,4 +1,4 @@
-"""Runs of a part of the tests end with the number of tests left out and with what those need."""
+"""Partial test runs end with the number of skipped tests and their needs."""
 
 import os
 import subprocess
@@ -17,7 +17,7 @@ def run_pytest(*words, **environment):
     return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
 
 
-def test_without_its_programs_it_fails_with_one_line_that_names_the_packages(tmp_path):
+def test_system_suite_without_its_programs_fails_with_one_line_that_names_the_packages(tmp_path):
     done = run_pytest("-m", "system", PATH=str(tmp_path), HOME=str(tmp_path))
     assert done.returncode != 0
     (line,) = done.stderr.strip().splitlines()
@@ -25,8 +25,8 @@ def test_without_its_programs_it_fails_with_one_line_that_names_the_packages(tmp
     assert " on Debian or Ubuntu: sudo apt-get install chromium firefox-esr " in line
 
 
-def test_a_run_without_it_ends_with_its_size(tmp_path):
-    """In the process of pytest, and with a worker of xdist."""
+def test_run_without_the_system_suite_ends_with_its_size(tmp_path):
+    """Tested in the process of pytest, and with a worker of xdist."""
     for workers in ("0", "1"):
         words = ("-n", workers, "-m", "not system", "tests/studies/test_declared_tables.py")
         done = run_pytest(*words, PATH=str(tmp_path), HOME=str(tmp_path))

@@ -32,7 +32,7 @@ def test_notebook_draws_the_pictures_of_its_page(page, tmp_path, monkeypatch):
 
 
 def check_jackal(folder):
-    """Check that the robot may be driven, arrives over DDS and stays inside the predicted tube."""
+    """Check that the robot may be driven, arrives over DDS, and stays inside the predicted tube."""
     assert "May I drive? Yes" in (folder / "my_jackal" / "report.md").read_text(encoding="utf-8")
     config = load_config(folder / "my_jackal" / "config.yaml")
     reference = load_trajectory(folder / "my_jackal" / "first_circle.yaml", config)

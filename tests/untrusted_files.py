@@ -1,4 +1,4 @@
-"""Files that a stranger wrote, and commands with the files that they open."""
+"""Untrusted files, and commands with a record of the files that they open."""
 
 import sys
 from pathlib import Path
@@ -30,7 +30,7 @@ sys.addaudithook(_record)
 
 
 def write_untrusted_files(folder):
-    """Write a configuration, its model and its term, which leaves the file `marker` when it runs, and a trajectory."""
+    """Write a configuration, its model, its term, which creates the file `marker` when it runs, and a trajectory."""
     folder.mkdir()
     (folder / "term.py").write_text(_TERM)
     (folder / "model.yaml").write_bytes((MODELS / "ssm.yaml").read_bytes())
@@ -41,7 +41,7 @@ def write_untrusted_files(folder):
 
 
 def call(*words):
-    """Return exit code, output, and the files that were opened."""
+    """Return exit code, output, and opened files of a command."""
     _opened.clear()
     result = CliRunner().invoke(app, [str(word) for word in words])
     assert result.exception is None or isinstance(result.exception, SystemExit), (words, result.exception)

@@ -1,8 +1,8 @@
-"""Test the promise of an identification's verdict against drawn variations of an independent stand-in.
+"""Test the promise of an identification's verdict with random variations of an independent model.
 
-The stand-in is fitted to the held-out rows; its residuals on the rows of the fit are added as a disturbance.
-`python tests/app/promise_kept.py husky --draws 300` prints the result. Its exit code is 1 if fewer
-than 95 % of the variations keep the promise.
+The model is fitted to the held-out rows; its residuals on the rows of the fit are added as a disturbance.
+`python tests/app/promise_kept.py husky --draws 300` prints the result. Its exit code is 1 if fewer than 95 % of the
+variations keep the promise.
 """
 
 import argparse
@@ -35,14 +35,14 @@ from studies.reproduce.real_logs import RealLog, load_protocol
 
 @dataclass(frozen=True)
 class KeptPromise:
-    """Share of variations in which a promise held.
+    """Share of variations in which the promise held.
 
     Attributes
     ----------
     verdict
-        With the promise.
+        Verdict with the promise.
     beside
-        (n,) largest lateral error of each variation on a curved path [m]; infinity where it did not arrive.
+        (n,) largest lateral error of each variation on a curved path [m]; infinity if it did not arrive.
     """
 
     verdict: TrialVerdict
@@ -66,12 +66,12 @@ class KeptPromise:
 def keep_promise(
     log: RealLog, data: Path, draws: int, seed: int, on_run: Callable[[], None] = lambda: None
 ) -> KeptPromise:
-    """Identify an SM, and drive its configuration on `draws` variations of a model of the rows held out.
+    """Identify an SM, and drive its configuration on `draws` variations of a model of the held-out rows.
 
     Raises
     ------
     ValueError, OSError
-        If the log cannot be used, or nothing is promised of it.
+        If the log cannot be used, or its verdict contains no promise.
     """
     verdict = judge_by_drives(identify(data / log.file, mapping=log.mapping))
     if verdict.promised is None or verdict.config is None:
@@ -87,7 +87,7 @@ def keep_promise(
 
 
 def _variations(identification: Identification, config: ControllerConfig, seed: int) -> Iterator[StandIn]:
-    """Yield models of the rows held out whose parameters are drawn; what is no robot's is drawn again."""
+    """Yield models of the held-out rows with random parameters; parameters without a valid model are skipped."""
     data = identification.report.data
     held_out = replace(data, train=data.validation, validation=data.train)
     fitted = fit(held_out, STRUCTURES["ssm"], trial_settings().stand_in_order)

@@ -1,4 +1,4 @@
-"""The commands as a user runs them, on the physics."""
+"""Commands as a user runs them, on the mujoco plant."""
 
 import json
 import re
@@ -12,7 +12,7 @@ from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.report_folder import CONTENTS
 
 
-def test_a_quick_bench_writes_its_report(tmp_path: Path) -> None:
+def test_quick_bench_writes_its_report(tmp_path: Path) -> None:
     arguments = "--quick --models ssm --trajectories cane --jobs 1 --controller mpc,kanayama"
     result = invoke(app, "bench", "--out", tmp_path / "out", *arguments.split())
     files = [CONTENTS, "bench.json", "bench.md", "figures", "report.html"]
@@ -23,18 +23,18 @@ def test_a_quick_bench_writes_its_report(tmp_path: Path) -> None:
     assert ours["completed"] and peer["completed"]
     assert ours["in_band_percent"] == 100.0
     assert ours["fallbacks"] == 0
-    # Last, and on one screen of 80 columns, in a pipe too: models and errors, and where the report lies.
+    # The output ends with models and errors on one screen of 80 columns, also in a pipe, and the path of the report.
     lines = result.stdout.rstrip().splitlines()
     assert lines[-1] == f"2 runs in {report['meta']['wall_time_s']:g} s; report: {tmp_path / 'out' / 'report.html'}"
     table = lines[lines.index(next(line for line in lines if line.startswith("Tracking error"))) :]
     assert len(table) <= 24 and all(len(line) <= 80 for line in table[:-1])
     assert [line.split()[0] for line in table[3:5]] == ["SSM", "kanayama"]
-    # Whoever is best: the figures are of the predictive controller.
+    # The figures show the predictive controller, whichever controller is best.
     figures = {path.stem for path in (tmp_path / "out" / "figures").iterdir()}
     assert figures == {"overview", "step-time", "ssm-cane"}
 
 
-def test_simulate_draws_and_logs_the_same_run_every_time(tmp_path: Path) -> None:
+def test_simulate_draws_and_logs_reproducible_runs(tmp_path: Path) -> None:
     logs = []
     for name in ("first", "second"):
         arguments = ["--trajectory", "cane", "--seed", "3", "--log", str(tmp_path / f"{name}.csv")]
@@ -42,7 +42,7 @@ def test_simulate_draws_and_logs_the_same_run_every_time(tmp_path: Path) -> None
         files = [CONTENTS, "report.html", "ssm-cane-step-time.png", "ssm-cane.png"]
         assert sorted(path.name for path in (tmp_path / name).iterdir()) == files
         logs.append(read_columns(tmp_path / f"{name}.csv"))
-    clock = [logs[0].pop(name) for name in ("step_time_s", "solve_time_s")]  # the clock of the computer makes no other
+    clock = [logs[0].pop(name) for name in ("step_time_s", "solve_time_s")]  # measured times are not reproducible
     assert ((clock[0] >= clock[1]) & (clock[1] > 0.0)).all()
     assert [logs[0].pop(name) for name in TEXTS] == [logs[1][name] for name in TEXTS]
     for column, values in logs[0].items():
@@ -54,7 +54,7 @@ TIPPING = "description: tips\npushes: [{force: 200.0, direction: 1.5708, height:
 TIPPED = r"t = 1\.\d\d s: the robot has tipped over; lower the force, height or payload of the scenario"
 
 
-def test_a_robot_that_tips_over_is_an_incomplete_run_of_a_bench_that_goes_on(tmp_path: Path) -> None:
+def test_tipped_robot_is_an_incomplete_run_and_the_bench_continues(tmp_path: Path) -> None:
     (tmp_path / "tips.yaml").write_text(TIPPING)
     out, scenarios = tmp_path / "out", f"{tmp_path / 'tips.yaml'},none"
     arguments = "--quick --models ssm --trajectories cane --jobs 1 --scenario"
@@ -67,7 +67,7 @@ def test_a_robot_that_tips_over_is_an_incomplete_run_of_a_bench_that_goes_on(tmp
     assert upright["ended"] is None
     assert 50 < tipped["steps"] < 100 < upright["steps"]
     assert tipped["recovery_time_s"] is None
-    # On a busy machine so short a run may have no tick that was timed undisturbed.
+    # On a busy machine so short a run may have no tick with undisturbed timing.
     timed = ("step_time", "solve_time")
     assert [name for name, value in tipped.items() if value is None and not name.startswith(timed)] == [
         "recovery_time_s"

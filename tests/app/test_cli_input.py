@@ -1,4 +1,4 @@
-"""The command line: faults, interruptions and exit codes; help has examples."""
+"""Command line: faults, interruptions and exit codes; every help text has examples."""
 
 import re
 import signal
@@ -44,7 +44,7 @@ def test_every_command_has_help_with_an_example(command: str) -> None:
     assert f"Example: diffdrive-mpc {command}".rstrip() in " ".join(result.stdout.split())
 
 
-def test_version() -> None:
+def test_version_option_prints_name_and_version() -> None:
     result = invoke(app, "--version")
     assert result.stdout.split() == ["diffdrive-mpc", version("diffdrive-mpc")]
 
@@ -72,8 +72,8 @@ def test_project_error_has_exit_code_1(kind: type[Exception], monkeypatch: pytes
     assert (result.exit_code, result.stderr) == (1, "error: no compiler; get one\n")
 
 
-def test_a_grid_is_counted_before_it_is_listed() -> None:
-    """10^12 combinations of four settings, and of four dimensions."""
+def test_grid_is_counted_before_it_is_listed() -> None:
+    """A grid of 10^12 combinations of four settings, and one of four dimensions."""
     tracemalloc.start()
     values = ",".join(map(str, range(1, 1001)))
     with pytest.raises(ValueError, match="1,000,000,000,000 runs are requested, at most 100,000"):
@@ -86,8 +86,8 @@ def test_a_grid_is_counted_before_it_is_listed() -> None:
     assert len(combinations(seed=range(5), model=["a", "b"])) == 10
 
 
-def test_a_log_that_pauses_for_years_is_not_filled_with_samples(tmp_path: Path) -> None:
-    """A mapping that allows any gap: 5,000,000,300 samples, 37 GiB for the first array."""
+def test_log_with_a_pause_of_years_is_not_filled_with_samples(tmp_path: Path) -> None:
+    """The mapping permits any gap: 5,000,000,300 samples, 37 GiB for the first array."""
     log, mapping = tmp_path / "years.csv", tmp_path / "any.yaml"
     rows = [(0.02 * i, (-1) ** (i // 50) * 0.3) for i in range(300)]
     rows += [(1e8 + t, v) for t, v in rows]
@@ -104,18 +104,18 @@ def test_a_log_that_pauses_for_years_is_not_filled_with_samples(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("kind", [KeyboardInterrupt, typer.Abort])
-def test_an_interrupted_command_says_so(kind: type[BaseException], monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(*_: object) -> None:
+def test_interrupted_command_prints_one_line(kind: type[BaseException], monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_: object) -> None:
         raise kind
 
-    monkeypatch.setattr("diffdrive_mpc.app.model_report.print_model", interrupted)
+    monkeypatch.setattr("diffdrive_mpc.app.model_report.print_model", interrupt)
     result = invoke(app, "models", "show", "ssm", code=130)
     assert result.stderr.strip() == "error: aborted"
     assert result.stdout == ""
 
 
 @pytest.mark.parametrize("jobs", [pytest.param("1", marks=pytest.mark.system), "2"])
-def test_sigterm_leaves_no_draft_and_no_process_behind(jobs: str, tmp_path: Path) -> None:
+def test_sigterm_leaves_no_draft_and_no_process(jobs: str, tmp_path: Path) -> None:
     command = [sys.executable, "-c", "from diffdrive_mpc.app.cli import main; main()", "bench", "--seeds", "20"]
     words = ["--models", "ssm,sm", "--trajectories", "circle,s", "--jobs", jobs, "--out", str(tmp_path / "out")]
     with subprocess.Popen([*command, *words], stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
@@ -129,11 +129,11 @@ def test_sigterm_leaves_no_draft_and_no_process_behind(jobs: str, tmp_path: Path
     assert process.returncode == 143
     assert stderr.strip() == "error: ended by SIGTERM"
     assert not list(tmp_path.rglob("*"))
-    for _ in range(100):  # what was killed takes a moment; idle processes would stay for two minutes
+    for _ in range(100):  # killed processes need a moment; idle ones would stay for two minutes
         if session not in sessions():
             return
         time.sleep(0.1)
-    raise AssertionError("processes are left")
+    raise AssertionError("processes still run")
 
 
 def sessions() -> list[int]:

@@ -1,4 +1,4 @@
-"""The command line as a reader sees it: configurations and models, seeds, completion, and widths of tables."""
+"""Output of the command line: configurations and models, seeds, completion, and widths of tables."""
 
 import os
 import subprocess
@@ -19,7 +19,7 @@ from diffdrive_mpc.mpc.config.rooms import side_by_side
 runner = CliRunner()
 
 
-def test_a_shown_configuration_is_a_file_with_the_same_values(tmp_path: Path) -> None:
+def test_shown_configuration_is_a_file_with_the_same_values(tmp_path: Path) -> None:
     shown = invoke(app, "config", "show", "ssm")
     path = tmp_path / "mine.yaml"
     path.write_text(shown.stdout)
@@ -29,7 +29,7 @@ def test_a_shown_configuration_is_a_file_with_the_same_values(tmp_path: Path) ->
     assert "valid, horizon 30 steps" in checked.stdout
 
 
-def test_config_check_names_what_a_trajectory_lacks_and_the_timing_that_would_do(tmp_path: Path) -> None:
+def test_config_check_names_the_violated_limit_and_a_feasible_timing(tmp_path: Path) -> None:
     config, path = tmp_path / "mine.yaml", tmp_path / "arcs.yaml"
     config.write_text("{model: ssm, limits: {omega_slew: 0.8}}")
     arcs = [{"v": 0.6, "omega": omega, "duration": 3.0} for omega in (1.0, -1.0)]
@@ -41,7 +41,7 @@ def test_config_check_names_what_a_trajectory_lacks_and_the_timing_that_would_do
     assert "reference 'circle': feasible in" in invoke(app, "config", "check", config, "--trajectory", "circle").stdout
 
 
-def test_the_schema_lists_every_key_with_its_default() -> None:
+def test_schema_lists_every_key_with_its_default() -> None:
     flat = {row.key: row for row in schema_rows()}
     assert flat["horizon"].default == str(ControllerConfig().horizon)
     assert flat["horizon"].range == ">= 1, <= 200"
@@ -54,7 +54,7 @@ def test_the_schema_lists_every_key_with_its_default() -> None:
     assert "[" not in flat["weights.across"].help
 
 
-def test_a_model_is_shown_with_its_numbers_and_origin() -> None:
+def test_model_is_shown_with_its_parameters_and_origin() -> None:
     result = invoke(app, "models", "show", "ssm")
     assert "-7.444, -13.25" in result.stdout
     assert "published" in result.stdout
@@ -64,14 +64,14 @@ def test_a_model_is_shown_with_its_numbers_and_origin() -> None:
 @pytest.mark.parametrize(
     ("text", "seeds"), [("3", (0, 1, 2)), ("7,", (7,)), ("3,4", (3, 4)), ("1000000000,", (1_000_000_000,))]
 )
-def test_a_number_or_a_list(text: str, seeds: tuple[int, ...]) -> None:
+def test_seeds_are_parsed_from_a_count_or_a_list(text: str, seeds: tuple[int, ...]) -> None:
     assert parse_seeds(text) == seeds
 
 
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 
 
-def completed(words: str, shell: str = "bash") -> list[str]:
+def completions(words: str, shell: str = "bash") -> list[str]:
     """Return the words that a shell offers after `words`."""
     variables = {
         "_DIFFDRIVE_MPC_COMPLETE": f"complete_{shell}",
@@ -86,19 +86,19 @@ def completed(words: str, shell: str = "bash") -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("words", "offered"),
+    ("words", "expected"),
     [
         ("simul", {"simulate"}),
         ("models s", {"show"}),
         ("simulate --traj", {"--trajectory"}),
     ],
 )
-def test_commands_and_options_are_completed(words: str, offered: set[str]) -> None:
-    assert set(completed(f"diffdrive-mpc {words}")) == offered
+def test_commands_and_options_are_completed(words: str, expected: set[str]) -> None:
+    assert set(completions(f"diffdrive-mpc {words}")) == expected
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_the_script_for_a_shell_is_shown(shell: str) -> None:
+def test_completion_script_for_a_shell_is_shown(shell: str) -> None:
     variables = os.environ | {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}
     shown = subprocess.run(
         [COMMAND, "--show-completion", shell], env=variables, capture_output=True, text=True, check=True

@@ -1,4 +1,4 @@
-"""`doctor` prints one line for each check, with a remedy where it fails, and fails only without a controller."""
+"""`doctor` prints one line per check, with a remedy on failure, and fails only without a controller."""
 
 from importlib.metadata import EntryPoint
 
@@ -33,7 +33,7 @@ def test_installation_passes_and_every_check_is_one_line() -> None:
         ('no-such-package; extra == "tune"', ""),
     ],
 )
-def test_dependency_out_of_range_is_missing(requirement: str, fault: str, monkeypatch) -> None:
+def test_dependency_outside_its_range_is_reported_missing(requirement: str, fault: str, monkeypatch) -> None:
     monkeypatch.setattr(doctor, "requires", lambda name: [requirement])
     check = checks()["dependencies"]
     assert (check.is_ok, fault in check.finding) == (not fault, True)
@@ -41,16 +41,16 @@ def test_dependency_out_of_range_is_missing(requirement: str, fault: str, monkey
     assert ("pip install --upgrade" in check.line) == bool(fault)
 
 
-def test_broken_controller_ends_with_exit_code_1(monkeypatch) -> None:
-    def broken(*arguments: object) -> None:
+def test_broken_controller_gives_exit_code_1(monkeypatch) -> None:
+    def fail(*arguments: object) -> None:
         raise RuntimeError("no core\nof any kind")
 
-    monkeypatch.setattr("diffdrive_mpc.mpc.load_config", broken)
+    monkeypatch.setattr("diffdrive_mpc.mpc.load_config", fail)
     lines = invoke(app, "doctor", code=1).stdout.splitlines()
     assert lines[3].startswith("MISSING controller") and "RuntimeError: no core of any kind; report this" in lines[3]
 
 
-# Commands of packages and former names, with packages that are made up.
+# Commands of packages, with test packages.
 
 
 COMMAND = """
@@ -65,8 +65,8 @@ GREET = PluggedCommand("Drive", greet, "Example: diffdrive-mpc greet --name you"
 
 
 @pytest.fixture
-def registered(tmp_path, monkeypatch):
-    """Register entry points `name = place` as the only commands of packages."""
+def register_commands(tmp_path, monkeypatch):
+    """Function that registers entry points `name = place` as the only commands of packages."""
     (tmp_path / "greeting.py").write_text(COMMAND)
     (tmp_path / "broken.py").write_text("raise ImportError('broken needs diffdrive-mpc 9.9')\n")
     monkeypatch.syspath_prepend(tmp_path)
@@ -82,20 +82,20 @@ def registered(tmp_path, monkeypatch):
     plug_ins.plug_in.cache_clear()
 
 
-def test_registered_command_is_listed_and_runs(registered):
-    registered(greet="greeting:GREET")
+def test_registered_command_is_listed_and_runs(register_commands):
+    register_commands(greet="greeting:GREET")
     assert "greet     Print a greeting; nothing else." in invoke(command_line(), "--help").stdout
     assert invoke(command_line(["greet"]), "greet", "--name", "you").stdout == "hello you\n"
 
 
-def test_broken_package_leaves_other_commands_usable(registered):
-    registered(greet="broken:GREET")
+def test_broken_package_leaves_other_commands_usable(register_commands):
+    register_commands(greet="broken:GREET")
     assert "Not available" in invoke(command_line(), "--help").stdout
     assert "broken needs diffdrive-mpc 9.9" in invoke(command_line(["greet"]), "greet", code=1).stderr
     assert invoke(command_line(["models"]), "models", "list").exit_code == 0
 
 
-def test_plug_in_of_another_command_is_not_imported(registered):
-    registered(greet="broken:GREET")
+def test_plug_in_of_another_command_is_not_imported(register_commands):
+    register_commands(greet="broken:GREET")
     names = [command.name for command in command_line(["bench"]).registered_commands]
     assert names == ["bench"]

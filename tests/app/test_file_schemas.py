@@ -1,4 +1,4 @@
-"""JSON Schemas accept and refuse the same files as the readers, as far as a schema can."""
+"""JSON Schemas accept and refuse the same files as the readers, within what a schema can state."""
 
 import copy
 import json
@@ -25,7 +25,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "model": load_model,
 }
 BEYOND_A_SCHEMA = ("value_error", "finite_number")
-"""Errors between keys, which a schema cannot state."""
+"""Error types that involve several keys, which a schema cannot state."""
 FILES = [(name, path) for name in SCHEMAS for path in KINDS[name].files]
 IDS = [f"{name}-{path.stem}" for name, path in FILES]
 
@@ -34,8 +34,8 @@ def validator(kind: str) -> Draft202012Validator:
     return Draft202012Validator(json.loads(SCHEMAS[kind].read_text(encoding="utf-8")))
 
 
-def refused_by_reader(kind: str, data: object, folder: Path) -> str | None:
-    """Return None, "structure" for errors that a schema can state, or "meaning" for the rest."""
+def reader_error(kind: str, data: object, folder: Path) -> str | None:
+    """Return None if accepted, "structure" for errors that a schema can state, "meaning" for others."""
     path = folder / "changed.yaml"
     path.write_text(yaml.safe_dump(data), encoding="utf-8")
     try:
@@ -53,8 +53,8 @@ def refused_by_reader(kind: str, data: object, folder: Path) -> str | None:
 
 
 def changes(data: Any, node: Any) -> Iterator[tuple[str, Any]]:
-    """Yield copies of `data` with one mistake each, for keys in `node`, a part of it."""
-    items = list(node.items()) if isinstance(node, dict) else list(enumerate(node))[:1]  # one item for all of a list
+    """Yield copies of `data` with one mistake each, in the keys of `node`, a part of it."""
+    items = list(node.items()) if isinstance(node, dict) else list(enumerate(node))[:1]  # one item represents the list
     if isinstance(node, dict):
         node["no_such_key"] = 1.0
         yield "a key too many", copy.deepcopy(data)
@@ -100,14 +100,14 @@ def agree(kind: str, data: Any, folder: Path) -> None:
     disagree = []
     every = list(changes(data, data))
     for label, changed in every[:: 1 + len(every) // 120]:
-        refused = refused_by_reader(kind, changed, folder)
+        refused = reader_error(kind, changed, folder)
         if (refused == "structure") == fits(changed) and refused != "meaning":
             disagree.append((label, refused))
     assert disagree == []
 
 
-def test_numbers_are_those_that_editors_read(tmp_path: Path) -> None:
-    """YAML 1.2 and JSON: 1e-3 is a number."""
+def test_yaml_numbers_are_read_as_editors_read_them(tmp_path: Path) -> None:
+    """1e-3 is a number, as in YAML 1.2 and JSON."""
     path = tmp_path / "numbers.yaml"
     path.write_text("a: 1e-3\nb: -2.5E+2\nc: .5e1\nd: 1e\ne: e5\nf: '1e-3'\n", encoding="utf-8")
     assert read_yaml(path) == {"a": 1e-3, "b": -250.0, "c": 5.0, "d": "1e", "e": "e5", "f": "1e-3"}

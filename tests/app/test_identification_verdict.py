@@ -1,4 +1,4 @@
-"""The verdict of an identification: what the trial drives prove, and what the logs say against it."""
+"""Verdict of an identification: results of the trial drives, and objections from the logs."""
 
 import os
 import re
@@ -29,7 +29,7 @@ TRACK = "wheels: {track: 0.5}\n"
 
 @pytest.fixture(scope="module")
 def identification(tmp_path_factory):
-    """A robot with nothing to say against it."""
+    """Identification of a log without objections."""
     folder = tmp_path_factory.mktemp("sound")
     log, mapping = (
         write_csv(folder / "drive.csv", drive(seconds=40.0)),
@@ -43,7 +43,7 @@ def sound(identification):
     return judge_by_drives(identification)
 
 
-def test_a_sound_log_is_a_yes_with_a_promise_that_its_drives_keep(identification, sound):
+def test_sound_log_gives_yes_with_a_promise_that_its_drives_keep(identification, sound):
     assert sound.grade == "Yes" and sound.reasons == () and sound.identification is identification
     assert [(drive.plant, drive.path) for drive in sound.drives] == [(p, s) for p in (ITSELF, HELD_OUT) for s in PATHS]
     drives = (*(drive for drive in sound.drives if drive.path in trial_settings().curved), *sound.unexplained)
@@ -53,8 +53,8 @@ def test_a_sound_log_is_a_yes_with_a_promise_that_its_drives_keep(identification
     assert off >= 100 * max(drive.metrics.position_max_m for drive in drives) > 0.3 * off
 
 
-def moved(identification, motion):
-    """Return the identification with poses held out moved by `motion(time, left)`, complex [m]."""
+def move_held_out_poses(identification, motion):
+    """Return the identification with held-out poses moved by `motion(time, left)`, complex [m]."""
     data = identification.report.data
     (record,) = data.validation
     left = 1j * np.exp(1j * record.pose[:, 2])
@@ -64,41 +64,41 @@ def moved(identification, motion):
     return replace(identification, report=replace(identification.report, data=data))
 
 
-def test_unexplained_motion_is_what_poses_show_and_noise_of_the_poses_is_none(identification):
+def test_unexplained_motion_contains_slides_but_no_pose_noise(identification):
     (before,) = unexplained_motion(identification)
     dt = identification.report.data.validation[0].dt
-    (slid,) = unexplained_motion(moved(identification, lambda time, left: 0.05 * dt * np.cumsum(left)))
-    change = (slid - before)[np.any(slid != 0.0, axis=1)]
+    (slide,) = unexplained_motion(move_held_out_poses(identification, lambda time, left: 0.05 * dt * np.cumsum(left)))
+    change = (slide - before)[np.any(slide != 0.0, axis=1)]
     assert change.mean(axis=0) == pytest.approx([0.0, 0.05, 0.0], abs=0.005)
     noise = np.random.default_rng(0).normal(0.0, 0.02, (2, 100_000))
     (noisy,) = unexplained_motion(
-        moved(identification, lambda time, _: noise[0, : len(time)] + 1j * noise[1, : len(time)])
+        move_held_out_poses(identification, lambda time, _: noise[0, : len(time)] + 1j * noise[1, : len(time)])
     )
-    # Displacements over a second would say 28 mm/s.
+    # Displacements over one second would give 28 mm/s.
     assert np.std(noisy[:, 1]) < 0.015
 
 
-def test_a_robot_that_slides_gets_no_promise_that_it_cannot_keep(identification):
-    """A sideways speed that comes and goes every four seconds."""
+def test_sliding_robot_gets_a_larger_promise_and_needs_care(identification):
+    """The sideways speed changes its sign every two seconds."""
 
-    def slides(time, left):
+    def slide_sideways(time, left):
         speed = 0.08 * np.sign(np.sin(2.0 * np.pi * time / 4.0))
         return np.cumsum(speed * left) * (time[1] - time[0])
 
-    verdict = judge_by_drives(moved(identification, slides))
+    verdict = judge_by_drives(move_held_out_poses(identification, slide_sideways))
     assert verdict.grade == "With care" and any("leaves its path" in reason for reason in verdict.reasons)
     assert 0.03 < verdict.promised.beside < 0.3
 
 
 def clips(identification, share):
-    """Return the robot itself, with omega clipped to a share of what the configuration allows."""
+    """Return the robot itself, with omega clipped to a share of the configured limit."""
     limit = share * identification.config["limits"]["omega"]
     return [StandIn(HELD_OUT, identification.model, BaseEffects(twist_range={"omega": limit}))]
 
 
 @pytest.fixture
 def one_path(monkeypatch):
-    """Drives that fail take long."""
+    """Only the first path is driven, because failing drives take long."""
     monkeypatch.setattr(trial_drives, "PATHS", PATHS[:1])
 
 
@@ -117,14 +117,14 @@ def test_limits_are_lowered_until_the_drives_pass(identification, share, monkeyp
 
 @pytest.mark.usefixtures("one_path")
 def test_configuration_is_not_written_if_no_stand_in_drives(tmp_path, monkeypatch):
-    """A robot that hardly turns: exit 2, the report alone, and by force the configuration as it was."""
+    """The robot hardly turns: exit code 2 and only the report; --force writes the unchanged configuration."""
 
-    def hardly_turns(identified):
+    def reduce_turning(identified):
         model = replace(identified.model, C=identified.model.C * np.array([[1.0], [0.1]]))
         return [StandIn(HELD_OUT, model, BaseEffects())]
 
-    monkeypatch.setattr(verdicts, "stand_ins", hardly_turns)
-    # Drives that fail take long: of the lowered limits only the least.
+    monkeypatch.setattr(verdicts, "stand_ins", reduce_turning)
+    # Failing drives take long: only the lowest limits are tried.
     slowest = trial_drives.trial_settings().model_copy(update={"shares": trial_drives.trial_settings().shares[-1:]})
     monkeypatch.setattr(verdicts, "trial_settings", lambda: slowest)
     log, mapping = (
@@ -150,19 +150,19 @@ def test_configuration_is_not_written_if_no_stand_in_drives(tmp_path, monkeypatc
         ([Doubt("lag", "x"), Doubt("pose point", "y")], "With care", "2 warnings matter (lag, pose point)"),
     ],
 )
-def test_what_matters_for_driving_is_never_beside_a_yes(identification, doubts, grade, reason):
+def test_matching_warnings_prevent_a_yes(identification, doubts, grade, reason):
     trust = judge(identification.report.data, identification.report.fitted, doubts)
     assert (trust.grade, "; ".join(trust.reasons)) == (grade, reason)
 
 
 @pytest.mark.parametrize(("fit", "grade"), [(95.0, "Yes"), (39.0, "No"), (16.0, "No"), (float("nan"), "No")])
-def test_little_explained_is_a_no(identification, fit, grade):
+def test_poor_fit_gives_no(identification, fit, grade):
     fitted = identification.report.fitted
     poor = replace(fitted, validation=replace(fitted.validation, fit_percent=np.array([fit, 95.0])))
     assert judge(identification.report.data, poor, []).grade == grade
 
 
-def test_an_unknown_delay_is_a_no(identification):
+def test_unknown_delay_gives_no(identification):
     fitted = identification.report.fitted
     parameters = fitted.identified.parameters
     scale = np.where([name.startswith("omega") for name in parameters.names], 300.0, 1.0)
@@ -176,7 +176,7 @@ def test_an_unknown_delay_is_a_no(identification):
 @pytest.mark.long
 @pytest.mark.real_logs
 def test_promise_for_the_husky_holds_in_variations_of_a_held_out_model():
-    """A few of the 300 of `.ci/long real`; what would be too small a promise is seen by the first of them."""
+    """Three of the 300 variations of `.ci/long real`; a promise that is too small already fails in the first."""
     result = keep_promise(load_protocol().log("husky"), Path(os.environ["DIFFDRIVE_MPC_DATA"]), 3, 1000)
     assert result.verdict.grade == "With care" and "pose point" in result.verdict.reasons[0]
     assert result.held_count == 3 and all(0.0 < beside < 0.05 for beside in result.beside)

@@ -1,4 +1,4 @@
-"""From a simulated log to a folder that the controller drives with, through the command line."""
+"""From a simulated log to a folder that configures the controller, through the command line."""
 
 import json
 import re
@@ -39,29 +39,29 @@ def logs(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def mine(logs):
-    """Identified from two of the drives and tried on the third; the folder, and what was printed."""
+def identified_robot(logs):
+    """Folder and output of an identification from two of the drives, validated on the third."""
     words = ["identify", logs / "square", logs / "s", "--validate", logs / "cane", "--name", "mine"]
     return logs / "mine", run(*words, "--out", logs / "mine")
 
 
 def identify_order_3(out):
-    """Identify an SSM of order 3 from a small drive, with all orders compared; return folder and output."""
+    """Identify an SSM of order 3 from a short drive, comparing all orders; return folder and output."""
     out.parent.mkdir()
     log, mapping = write_csv(out.parent / "drive.csv", drive(seconds=12.0)), write_mapping(out.parent / "map.yaml")
     return out, run("identify", log, "--mapping", mapping, "--structure", "ssm", "--order", "3", "--out", out)
 
 
-def identified(tmp_path, columns, mapping=MAPPING, **options):
-    """Identify without driving; return the folder and the report as data."""
+def identify_columns(tmp_path, columns, mapping=MAPPING, **options):
+    """Identify without trial drives; return the folder and the report as data."""
     log = write_csv(tmp_path / "drive.csv", columns)
     result = identify(log, mapping=write_mapping(tmp_path / "map.yaml", mapping), **options)
     result.write(tmp_path / "out")
     return tmp_path / "out", json.loads((tmp_path / "out" / "report.json").read_text())
 
 
-def test_the_report_has_the_agreed_keys(mine):
-    report = json.loads((mine[0] / "report.json").read_text())
+def test_report_has_the_agreed_keys(identified_robot):
+    report = json.loads((identified_robot[0] / "report.json").read_text())
     assert list(report) == [*REPORT_KEYS, "verdict"]
     assert report["model"] == "sm"
     assert all(set(report[f"{part}_fit_percent"]) == {"v", "omega"} for part in ("train", "validation"))
@@ -70,12 +70,12 @@ def test_the_report_has_the_agreed_keys(mine):
     assert all(set(e) == {"horizon_s", "position_rmse_m", "heading_rmse_rad"} for e in report["pose_error"])
     assert all(set(entry) == {"value", "standard_deviation"} for entry in report["parameters"].values())
     assert {"v.gain", "omega.dead_time", "poses.track", "poses.gyro_scale"} <= set(report["parameters"])
-    assert any("10 s" in warning for warning in report["warnings"])  # no drive is that long between two poses
+    assert any("10 s" in warning for warning in report["warnings"])  # no stretch between two poses is that long
 
 
-def test_the_report_ends_with_the_first_drive_on_the_robot(mine, monkeypatch):
-    """Its command runs where the files are, slowly, and what it points at exists."""
-    out, _ = mine
+def test_report_ends_with_the_first_drive_on_the_robot(identified_robot, monkeypatch):
+    """The command of the first drive runs slowly in the folder, and all linked files exist."""
+    out, _ = identified_robot
     _, _, recipe = (out / "report.md").read_text().partition("## The first drive on the robot")
     (command,) = re.findall(r"`diffdrive-mpc (simulate .*?)`", recipe)
     monkeypatch.chdir(out)
@@ -89,38 +89,38 @@ def test_the_report_ends_with_the_first_drive_on_the_robot(mine, monkeypatch):
 
 
 @pytest.mark.system("browser")
-def test_its_page_is_drawn_in_a_browser(mine):
-    check_report(mine[0] / "report.html")
+def test_report_page_is_drawn_in_a_browser(identified_robot):
+    check_report(identified_robot[0] / "report.html")
 
 
-def test_the_configuration_drives_the_plant(mine, logs):
-    """Checked as a user would, and as good on the plant as the configuration that was made for it."""
-    config = mine[0] / "config.yaml"
+def test_configuration_drives_the_plant(identified_robot, logs):
+    """It passes `config check`, and tracks as well as the configuration shipped for the plant."""
+    config = identified_robot[0] / "config.yaml"
     assert "valid" in run("config", "check", config)
     loaded = load_config(config)
     assert loaded.sample_time == 0.0202
     assert loaded.wheels.encoder_track == pytest.approx(0.330, rel=1e-3)
-    # The square turns on the spot with 1.0 rad/s and drives with 0.5 m/s; corrections go a little beyond.
+    # The square turns on the spot at 1.0 rad/s and drives at 0.5 m/s; corrections slightly exceed this.
     assert 0.5 <= loaded.limits.v < 0.7
     assert 1.0 <= loaded.limits.omega < 1.5
     start, truth = loaded.estimator, load_surface("default").slip.side_slip
     assert abs(start.side_slip - truth) < 2 * start.side_slip_uncertainty < 0.08
     bench = logs / "bench"
     words = f"bench --out {bench} --plant model:sm --trajectories s --seeds 1 --horizons none --jobs 1 --models"
-    run(*words.split(), f"sm,{mine[0] / 'model.yaml'}")
+    run(*words.split(), f"sm,{identified_robot[0] / 'model.yaml'}")
     shipped, identified_run = json.loads((bench / "bench.json").read_text())["runs"]
     assert identified_run["completed"]
     assert identified_run["position_rmse_m"] < 1.2 * shipped["position_rmse_m"]
 
 
 def files_of(folder):
-    """Read every file without times: omit the duration and the page."""
+    """Read every file without times; skip the page."""
     files = [path for path in folder.rglob("*") if path.is_file() and path.name not in ("report.html", CONTENTS)]
     return {path.relative_to(folder): without_times(path) for path in files}
 
 
 @pytest.mark.system
-def test_the_same_log_gives_the_same_files(tmp_path, monkeypatch):
+def test_equal_logs_give_equal_files(tmp_path, monkeypatch):
     monkeypatch.setattr(trial_drives, "PATHS", ("circle",))
     first, second = (files_of(identify_order_3(tmp_path / name / "out")[0]) for name in ("first", "second"))
     assert len(first) >= 8
@@ -131,15 +131,15 @@ def without_times(path: Path) -> bytes:
     return b"\n".join(line for line in path.read_bytes().split(b"\n") if not line.startswith(b"* Estimation took"))
 
 
-def test_a_base_that_clips_its_command_says_so_in_model_and_configuration(tmp_path):
+def test_clipping_base_is_stated_in_model_and_configuration(tmp_path):
     columns = drive(seconds=30.0)
     command = columns["omega_ref"].copy()
     columns["omega_ref"] = np.where(np.abs(command) > 0.9, 1.8 * command, command)  # followed up to 0.9 rad/s
-    turned = np.zeros(len(command))
+    rate = np.zeros(len(command))
     for k in range(1, len(command)):
-        turned[k] = turned[k - 1] + (1 - np.exp(-0.02 / 0.1)) * (np.clip(command[k - 1], -0.9, 0.9) - turned[k - 1])
-    columns["gyro"] = turned + np.random.default_rng(0).normal(0, 0.005, len(command))
-    out, _ = identified(tmp_path, columns, NO_POSE)
+        rate[k] = rate[k - 1] + (1 - np.exp(-0.02 / 0.1)) * (np.clip(command[k - 1], -0.9, 0.9) - rate[k - 1])
+    columns["gyro"] = rate + np.random.default_rng(0).normal(0, 0.005, len(command))
+    out, _ = identify_columns(tmp_path, columns, NO_POSE)
     limits = read_model_file(out / "model.yaml").base_effects.twist_range
     assert limits.v is None
     assert limits.omega == pytest.approx(0.9, rel=0.02)

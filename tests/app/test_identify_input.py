@@ -1,4 +1,4 @@
-"""Bad logs and options end in one line and exit code 2, and leave nothing behind."""
+"""Invalid logs and options give one line and exit code 2, and leave no files."""
 
 import shlex
 
@@ -17,7 +17,7 @@ EVIL = "!!python/object/apply:os.system ['touch {folder}/executed']\n"
 
 @pytest.fixture(autouse=True, scope="module")
 def bare_results():
-    """No figures, and one trial drive: test_identify_command.py looks at all of them."""
+    """No figures, and one trial drive: test_identify_command.py covers all of them."""
 
     def draw_nothing(report, folder, on_done):
         (folder / "figures").mkdir()
@@ -69,27 +69,27 @@ def folder(tmp_path_factory):
         ("short.csv --mapping map.yaml", "short.csv: v was hardly driven"),
     ],
 )
-def test_bad_input_is_one_line_and_exit_code_2(arguments, message, folder, tmp_path, monkeypatch):
+def test_invalid_input_gives_one_line_and_exit_code_2(arguments, message, folder, tmp_path, monkeypatch):
     monkeypatch.chdir(folder)
     before = sorted(folder.rglob("*"))
     line = invoke(app, "identify", "--out", tmp_path / "out", *shlex.split(arguments), code=2).stderr
     assert line.startswith("error: ") and line.count("\n") == 1 and message in line
     assert not (tmp_path / "out").exists()
-    assert sorted(folder.rglob("*")) == before  # nothing of a file was executed either
+    assert sorted(folder.rglob("*")) == before  # no file was executed
 
 
 @pytest.mark.parametrize("name", [pytest.param("degrees", marks=pytest.mark.system), "reversed"])
-def test_a_refused_log_leaves_the_mapping_that_mends_it_and_no_more(name, folder, tmp_path):
+def test_refused_log_leaves_only_a_corrected_mapping(name, folder, tmp_path):
     words = ["identify", folder / f"{name}.csv", "--out", tmp_path / "out", "--mapping"]
     result = invoke(app, *words, folder / "map.yaml", code=2)
     assert result.stderr.startswith(f"error: {name}.csv: omega of the gyro") and result.stderr.count("\n") == 1
     assert f"--mapping {tmp_path / 'out' / 'fixed.yaml'}" in result.stderr
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["fixed.yaml"]
     invoke(app, *words, tmp_path / "out" / "fixed.yaml")
-    assert (tmp_path / "out" / "fixed.yaml").exists(), "it is read, so it stays"
+    assert (tmp_path / "out" / "fixed.yaml").exists(), "the mapping is an input, so it must remain"
 
 
-def test_a_log_that_speaks_against_itself_gives_a_configuration_only_by_force(folder, tmp_path):
+def test_contradictory_log_gives_a_configuration_only_by_force(folder, tmp_path):
     log = write_csv(tmp_path / "rpm.csv", COLUMNS | {"v": 60 / (2 * np.pi) * COLUMNS["v"]})
     words = ["identify", log, "--mapping", folder / "map.yaml", "--out", tmp_path / "o"]
     assert "v of the encoders is 9.2" in invoke(app, *words, code=2).stderr
@@ -99,8 +99,8 @@ def test_a_log_that_speaks_against_itself_gives_a_configuration_only_by_force(fo
     assert "May I drive? No: " in (tmp_path / "o" / "report.md").read_text()
 
 
-def test_a_fit_below_zero_leaves_the_report_alone(folder, tmp_path):
-    """The log held out is of a robot that turns a quarter as far: no model of the first predicts it."""
+def test_negative_fit_writes_only_the_report(folder, tmp_path):
+    """The held-out log is of a robot that turns a quarter as far, which no model of the first log predicts."""
     log = write_csv(tmp_path / "one.csv", COLUMNS)
     validation = write_csv(tmp_path / "other.csv", COLUMNS | {"gyro": 0.25 * COLUMNS["gyro"]})
     words = ["identify", log, "--validate", validation, "--mapping", folder / "map.yaml", "--out", tmp_path / "o"]
@@ -119,7 +119,7 @@ def draft(*words, code=0):
     return invoke(app, "identify", "--draft-mapping", *words, code=code)
 
 
-def test_a_draft_is_written_where_the_user_stands_and_is_never_replaced(tmp_path, monkeypatch):
+def test_draft_mapping_is_written_to_the_working_folder_and_never_replaced(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     log = write_csv(tmp_path / "log.csv", DRAFT_COLUMNS | {"gyro": -DRAFT_COLUMNS["gyro"]})
     shown = draft("log.csv").stdout

@@ -1,4 +1,4 @@
-"""The public call from logs to a controller, without the command line."""
+"""The public function from logs to a controller, without the command line."""
 
 import numpy as np
 import pandas as pd
@@ -31,7 +31,7 @@ def identification(folder):
     return identify([folder / "one.csv"], mapping=folder / "map.yaml", structure="sm", validate=[folder / "two.csv"])
 
 
-def test_the_model_is_the_robot_and_drives(identification):
+def test_identified_model_matches_the_robot_and_drives(identification):
     assert np.diag(identification.model.dc_gain) == pytest.approx([1.0, 1.0], abs=0.02)
     assert identification.model.name == "SM from one"
     controller = Controller(load_config(identification.config), model=identification.model)
@@ -39,22 +39,20 @@ def test_the_model_is_the_robot_and_drives(identification):
     assert controller.config.sample_time == pytest.approx(0.02)
 
 
-def test_what_is_written_is_what_was_found(identification, tmp_path):
+def test_written_files_equal_the_identification(identification, tmp_path):
     identification.write(tmp_path / "new" / "mine")
     folder = tmp_path / "new" / "mine"
     assert sorted(path.name for path in folder.iterdir()) == sorted(set(FILES) - {NODE_FILE})
-    written, held = load_config(folder / "config.yaml"), load_config(identification.config)
-    assert written.model_copy(update={"model": held.model}) == held
+    written, expected = load_config(folder / "config.yaml"), load_config(identification.config)
+    assert written.model_copy(update={"model": expected.model}) == expected
     assert written.model == str(folder / "model.yaml")
     loaded = load_model(folder / "model.yaml")
     for name in ("A", "B", "C", "dead_time"):
         assert getattr(loaded, name).tolist() == getattr(identification.model, name).tolist()
-    identification.write(folder)  # and again, over itself
+    identification.write(folder)  # a second write replaces the files
 
 
-def test_the_configuration_without_its_model_is_refused_and_not_driven_with_another(
-    identification, tmp_path, monkeypatch
-):
+def test_configuration_without_its_model_is_refused(identification, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ConfigError, match=r"model 'model\.yaml'"):
         Controller(load_config(identification.config))
@@ -67,7 +65,7 @@ def test_data_frames_give_the_model_of_their_files(folder, identification):
     assert model.A.tolist() == identification.model.A.tolist()
 
 
-def test_one_path_is_a_log_and_progress_is_reported(folder):
+def test_single_path_is_read_as_a_log_and_progress_is_reported(folder):
     stages, findings = [], []
     result = identify(
         str(folder / "one.csv"),
@@ -84,7 +82,7 @@ def test_one_path_is_a_log_and_progress_is_reported(folder):
     assert "the last 50 %" in result.content.provenance.notes
 
 
-# How records are divided, and what is read off their wheels.
+# Division of records, and geometry of wheels.
 
 
 def record(count, start=0.0):
@@ -93,7 +91,7 @@ def record(count, start=0.0):
 
 
 @given(st.lists(st.integers(1, 40), min_size=1, max_size=6), st.floats(0.1, 0.9))
-def test_dividing_keeps_every_row_once_and_in_order(counts, share):
+def test_division_keeps_every_row_once_and_in_order(counts, share):
     starts = np.cumsum([0, *counts]) + 10 * np.arange(len(counts) + 1)  # a gap between two records
     records = [record(count, start) for count, start in zip(counts, starts, strict=False)]
     first, last = divide(records, share)
@@ -104,8 +102,8 @@ def test_dividing_keeps_every_row_once_and_in_order(counts, share):
         assert part.start == part.command[0, 0]
 
 
-def driven(radius, track, effective, firmware, gyro=True):
-    """Return a drive of wheels without lag: `firmware` is the track of commands, `effective` that of the body."""
+def wheel_drive(radius, track, effective, firmware, gyro=True):
+    """Return a drive of wheels without lag; `firmware` is the track of commands, `effective` that of the body."""
     command = np.random.default_rng(0).uniform([-1.0, -1.5], [1.0, 1.5], (200, 2))
     requested = WheelKinematics(radius, firmware).body_to_wheels @ command.T
     wheels = np.column_stack([requested[[0, 2]].mean(axis=0), requested[[1, 3]].mean(axis=0)])
@@ -116,11 +114,11 @@ def driven(radius, track, effective, firmware, gyro=True):
 
 
 @given(*[st.floats(0.05, 2.0)] * 4)
-def test_radius_and_tracks_are_read_off_the_wheels(radius, track, effective, firmware):
-    drive = driven(radius, track, effective, firmware)
+def test_radius_and_tracks_are_estimated_from_the_wheels(radius, track, effective, firmware):
+    drive = wheel_drive(radius, track, effective, firmware)
     geometry = wheel_geometry([drive])
     assert geometry == pytest.approx((radius, track), rel=1e-9)
-    # What the body does for what is commanded: v as asked, omega by the two tracks.
+    # Gain of the body per command: v as commanded, omega by the ratio of the tracks.
     gain = np.diag([1.0, firmware / effective])
     assert firmware_track([drive], geometry, gain) == pytest.approx(firmware, rel=1e-6)
 
@@ -134,7 +132,7 @@ def test_all_logs_get_the_sample_time_of_the_first(tmp_path):
     assert spans == pytest.approx([30.0, 10.0], abs=0.2)
 
 
-def test_a_stretch_without_the_gyro_is_left_out_with_a_warning(tmp_path):
+def test_stretch_without_the_gyro_is_skipped_with_a_warning(tmp_path):
     columns = drive(seconds=20.0)
     rows = np.r_[0:500, 700:1000]  # a gap of four seconds, after which the gyro is silent
     columns["gyro"] = np.where(columns["t"] > 10.0, np.nan, columns["gyro"])

@@ -29,7 +29,7 @@ LISTED = {
 
 
 def is_listed(name, parts_of_owner=1):
-    """Return True if the page has a row for a name or its owner, a module or group of at least so many parts."""
+    """Return True if the page has a row for a name or for its owner of at least `parts_of_owner` parts."""
     parts = name.split(".")
     prefixes = [name, *(".".join(parts[:count]) for count in range(parts_of_owner, len(parts)))]
     return any(fnmatchcase(prefix, listed) for prefix in prefixes for listed in LISTED)
@@ -83,12 +83,12 @@ def test_each_name_of_0_2_0_exists_or_is_listed():
     assert {kind: names for kind, names in missing.items() if names} == {}
 
 
-def test_renamed_keys_of_the_page_are_those_that_are_read():
+def test_former_keys_are_listed_on_the_page():
     missing = [before for before in former_keys() if before in NAMES["keys"] and not is_listed(before)]
     assert missing == []
 
 
-def test_parameters_of_node_parts_are_those_of_the_page():
+def test_listed_parameters_of_node_parts_exist():
     rows = re.findall(r"`parts\.(\w+)\.(\w+)`", PAGE.partition("## Parameters of the node")[2].partition("## Files")[0])
     schemas = {name: plug_in("node_parts", name).schema for name in plug_in_names("node_parts")}
     assert rows and all(field in schemas[part].model_fields for part, field in rows)

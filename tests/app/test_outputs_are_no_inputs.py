@@ -1,4 +1,4 @@
-"""No command replaces a file that it reads, under whatever name."""
+"""No command replaces a file that it reads, whatever path names it."""
 
 import errno
 import os
@@ -23,25 +23,25 @@ from diffdrive_mpc.sim import log_mcap
 _POSES = "t,x,y,theta\n" + "".join(f"{0.1 * i:.1f},{0.02 * i:.2f},0,0\n" for i in range(50))
 
 
-def _as_it_is(file: Path, folder: Path) -> Path:
+def _same_path(file: Path, folder: Path) -> Path:
     return file
 
 
-def _linked(file: Path, folder: Path) -> Path:
+def _symbolic_link(file: Path, folder: Path) -> Path:
     (folder / "link.csv").symlink_to(file)
     return folder / "link.csv"
 
 
-def _hard_linked(file: Path, folder: Path) -> Path:
+def _hard_link(file: Path, folder: Path) -> Path:
     os.link(file, folder / "hard.csv")
     return folder / "hard.csv"
 
 
-@pytest.mark.parametrize("name", [_as_it_is, _linked, _hard_linked])
+@pytest.mark.parametrize("name", [_same_path, _symbolic_link, _hard_link])
 def test_simulate_does_not_replace_the_trajectory_that_it_drives(
     tmp_path: Path, name: Callable[[Path, Path], Path]
 ) -> None:
-    """Refused before the drive, with the file as it was."""
+    """The command is refused before the drive, and the file is unchanged."""
     file = tmp_path / "poses.csv"
     file.write_text(_POSES, encoding="utf-8")
     line = refusal("simulate", "--trajectory", file, "--log", name(file, tmp_path))
@@ -50,8 +50,8 @@ def test_simulate_does_not_replace_the_trajectory_that_it_drives(
     assert file.read_text(encoding="utf-8") == _POSES
 
 
-def test_a_file_that_another_file_names_is_no_output_either(tmp_path: Path) -> None:
-    """The model of a configuration, which is known only once that is read."""
+def test_file_named_by_another_input_file_is_not_replaced(tmp_path: Path) -> None:
+    """The model of a configuration is known only after the configuration has been read."""
     model = tmp_path / "model.csv"
     shutil.copyfile(model_path("ssm"), model)
     before = model.read_bytes()
@@ -61,8 +61,8 @@ def test_a_file_that_another_file_names_is_no_output_either(tmp_path: Path) -> N
     assert model.read_bytes() == before
 
 
-def test_an_output_may_be_replaced_and_so_may_what_was_read_before(tmp_path: Path) -> None:
-    """An option that is written does not count as read, nor does what another command has read."""
+def test_output_and_input_of_an_earlier_command_may_be_replaced(tmp_path: Path) -> None:
+    """An output option does not count as read, nor does a file that another command has read."""
     inputs = ("simulate", "--log", "--trajectory", "b.yaml")
     words = ["simulate", "--log", "a.csv", "--trajectory", "b.yaml", "--out=c"]
     assert named_inputs(words) == [word for word in inputs for _ in range(2)]
@@ -81,7 +81,7 @@ def test_an_output_may_be_replaced_and_so_may_what_was_read_before(tmp_path: Pat
 WORDS = ["simulate", "--trajectory", "s", "--plant", "model:ssm", "--seed", "3", "--set", "horizon=12"]
 
 
-def simulated(*words, code=0):
+def run_simulate(*words, code=0):
     return invoke(app, *WORDS, *words, code=code)
 
 
@@ -89,11 +89,11 @@ def simulated(*words, code=0):
 def logs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("logs")
     for name in ("s.csv", "s.mcap"):
-        simulated("--log", folder / name)
+        run_simulate("--log", folder / name)
     return folder
 
 
-def test_the_file_says_what_was_driven_and_how_to_drive_it_again(logs):
+def test_log_states_the_drive_and_its_command(logs):
     metadata_of_drive = read_drive_log(logs / "s.mcap").metadata
     assert metadata_of_drive["case"]["plant"] == "model:ssm" and metadata_of_drive["case"]["seed"] == "3"
     assert metadata_of_drive["case"]["repeat"] == " ".join(["diffdrive-mpc", *WORDS])
@@ -101,7 +101,7 @@ def test_the_file_says_what_was_driven_and_how_to_drive_it_again(logs):
     assert yaml.safe_load(metadata_of_drive["model"]["yaml"])["name"]
 
 
-def test_identify_finds_the_same_in_both(logs):
+def test_identify_gives_the_same_result_from_csv_and_mcap(logs):
     first, second = (identify([logs / name], structure="sm") for name in ("s.csv", "s.mcap"))
     sampled, expected = first.model.discretise(0.0202), second.model.discretise(0.0202)
     assert all(
@@ -110,15 +110,15 @@ def test_identify_finds_the_same_in_both(logs):
     assert first.config == second.config
 
 
-def test_a_full_disk_is_one_line_and_leaves_the_old_file(tmp_path, monkeypatch):
-    def full(*_):
+def test_full_disk_gives_one_line_and_leaves_the_old_file(tmp_path, monkeypatch):
+    def fail_on_full_disk(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(log_mcap, "write_ticks", full)
+    monkeypatch.setattr(log_mcap, "write_ticks", fail_on_full_disk)
     log = tmp_path / "run.mcap"
     log.write_bytes(b"old")
     assert (
-        simulated("--log", log, code=2).stderr.splitlines()[-1]
+        run_simulate("--log", log, code=2).stderr.splitlines()[-1]
         == f"error: --log {log}: cannot be written (No space left on device)"
     )
     assert log.read_bytes() == b"old" and list(tmp_path.iterdir()) == [log]

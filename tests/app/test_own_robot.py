@@ -1,4 +1,4 @@
-"""A robot that is not that of the papers: its configuration rules wherever it is given."""
+"""A user's robot: its configuration sets limits, tracks and sample times of all commands."""
 
 from dataclasses import replace
 
@@ -41,7 +41,7 @@ def run(*words, code=0):
 
 @pytest.mark.parametrize("path", PATHS)
 @pytest.mark.parametrize("controller", ["mpc", "kanayama"])
-def test_the_limits_of_a_trajectory_are_those_of_the_configuration(files, path, controller):
+def test_trajectory_uses_the_limits_of_the_configuration(files, path, controller):
     case = Case(controller=controller, model="sm", trajectory=path, config="fast.yaml")
     reference = load_reference(case)
     assert reference.duration < 8.0
@@ -51,7 +51,7 @@ def test_the_limits_of_a_trajectory_are_those_of_the_configuration(files, path, 
         load_reference(slow)
 
 
-def test_a_fast_path_is_driven_by_the_commands_with_its_configuration(files):
+def test_commands_drive_a_fast_path_with_its_configuration(files):
     words = ["--config", "fast.yaml", "--trajectory", "straight.yaml"]
     assert "completed: SM along" in run("simulate", *words, "--plant", "model:sm")
     bench = ["bench", "--config", "fast.yaml", "--models", "sm", "--plant", "model:sm", "--seeds", "1"]
@@ -60,7 +60,7 @@ def test_a_fast_path_is_driven_by_the_commands_with_its_configuration(files):
     assert "beyond the limit of 1.5 m/s; lower it, or give the configuration of the robot (--config)" in message
 
 
-def test_a_controller_and_a_plant_of_other_sample_times_are_refused_with_both_values():
+def test_different_sample_times_of_controller_and_plant_are_refused_with_both_values():
     controller, circle = Controller(load_config("sm", {"sample_time": 0.05})), load_trajectory("circle")
     with pytest.raises(ValueError, match=r"sample_time is 0.05 s, .* 0.0202 s: .*make_plant\(..., sample_time=0.05\)"):
         simulate(controller, make_plant("model:sm"), circle)
@@ -71,8 +71,8 @@ OWN = MAPPING + "wheels: {track: 0.6, ticks_per_turn: 4096}\n"
 
 
 @pytest.fixture(scope="module")
-def identified(tmp_path_factory):
-    """A log at 20 Hz whose stamps jitter, of a robot whose wheels count 1.6 times its yaw rate: folder and screen."""
+def identification(tmp_path_factory):
+    """Folder and output for a log at 20 Hz with clock drift, of a robot whose wheels read 1.6 times its yaw rate."""
     folder = tmp_path_factory.mktemp("own")
     columns = drive(seconds=40.0, dt=0.05)
     columns["t"] = 1.000002 * columns["t"]
@@ -83,8 +83,8 @@ def identified(tmp_path_factory):
         return folder, invoke(app, "identify", log.name, "--mapping", mapping.name, "--out", "my robot").stdout
 
 
-def test_identify_writes_sample_time_track_and_surface_of_the_log(identified):
-    folder, screen = identified
+def test_identify_writes_sample_time_track_and_surface_of_the_log(identification):
+    folder, screen = identification
     config = load_config(folder / "my robot" / "config.yaml")
     assert config.sample_time == 0.05
     assert config.wheels.encoder_track == 0.6
@@ -94,7 +94,7 @@ def test_identify_writes_sample_time_track_and_surface_of_the_log(identified):
     assert "map.yaml: wheels.ticks_per_turn is not used: no column has the unit ticks" in screen
 
 
-def test_a_bag_s_topics_and_types_go_into_the_node_s_parameters(tmp_path):
+def test_topics_and_types_of_a_bag_are_written_to_the_node_parameters(tmp_path):
     topics = {name.replace("/", "/base/"): rows for name, rows in bag_topics(drive()).items()}
     bag = write_bag(tmp_path / "bag", topics)
     names = "command: /base/cmd_vel, odometry: /base/odom, imu: /base/imu, pose: /base/pose"
@@ -108,7 +108,7 @@ def test_a_bag_s_topics_and_types_go_into_the_node_s_parameters(tmp_path):
     assert NodeSettings(**parameters)
 
 
-def test_a_plant_that_is_another_robot_than_the_configuration_s_is_said(files):
+def test_plant_of_another_robot_than_the_configuration_is_reported(files):
     wide = load_config("sm", {"wheels.encoder_track": 0.6}).model_dump(mode="json")
     (files / "wide.yaml").write_text(yaml.safe_dump(wide))
     wide_robot, fast_robot = Case(model="sm", config="wide.yaml"), Case(model="sm", config="fast.yaml")

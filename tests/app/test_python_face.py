@@ -1,4 +1,4 @@
-"""From Python as people of the field write it: names where objects stand, sweeps, and one sentence for each mistake."""
+"""The Python interface: names in place of objects, sweeps, and one line for each mistake."""
 
 import warnings
 from dataclasses import replace
@@ -32,7 +32,7 @@ def controller():
     return Controller("ssm")
 
 
-def test_names_stand_for_what_they_name(controller):
+def test_names_are_accepted_in_place_of_objects(controller):
     config = load_config("ssm")
     plant = make_plant(PLANT, sample_time=config.sample_time)
     expected = simulate(Controller(config), plant, load_trajectory("circle", config))
@@ -43,7 +43,7 @@ def test_names_stand_for_what_they_name(controller):
     assert controller.reference.name == "circle"
 
 
-def test_a_plant_by_name_has_the_controllers_sample_time_and_a_model_is_one():
+def test_plant_by_name_has_the_sample_time_of_the_controller_and_may_be_a_model():
     mine = VelocityModel.from_control((SYSTEM, SYSTEM), name="mine")
     run = simulate({"model": "ssm", "sample_time": 0.05}, mine, STRAIGHT)
     assert run.sample_time == 0.05
@@ -54,7 +54,7 @@ def test_a_plant_by_name_has_the_controllers_sample_time_and_a_model_is_one():
     "config",
     ["ssm", load_config("ssm"), {"model": "ssm"}, Path(diffdrive_mpc.mpc.__path__[0]) / "config/parameters/ssm.yaml"],
 )
-def test_a_controller_takes_what_load_config_takes(config):
+def test_controller_accepts_the_arguments_of_load_config(config):
     assert Controller(config).config.model == "ssm"
 
 
@@ -63,7 +63,7 @@ def test_keywords_replace_values_of_the_configuration():
     assert (config.horizon, config.weights.across) == (20, 200.0)
 
 
-def test_a_start_at_speed_is_told_and_one_from_rest_is_not(controller):
+def test_start_at_speed_is_warned_of_and_a_start_from_rest_is_not(controller):
     t = np.linspace(0.0, 0.5, 30)
     with pytest.warns(UserWarning, match="reference 'arrays': infeasible from 0.13 s .* it falls 0.16 m behind"):
         simulate(controller, PLANT, Trajectory.from_arrays(t, 0.85 * t, 0 * t))
@@ -72,15 +72,15 @@ def test_a_start_at_speed_is_told_and_one_from_rest_is_not(controller):
         simulate(controller, PLANT, STRAIGHT)
 
 
-def test_a_wrong_type_is_a_type_error():
+def test_argument_error_is_a_type_error():
     assert issubclass(ArgumentError, TypeError)
 
 
 def test_a_sweep_is_a_table_with_one_row_for_each_run():
     shipped = load_model("sm")
-    made = VelocityModel.from_control(shipped.to_control(), shipped.dead_time, name="mine")
-    # Of the same robot: the ratio of yaw rates of a model made in Python is less certain.
-    mine = replace(made, provenance=shipped.provenance)
+    converted = VelocityModel.from_control(shipped.to_control(), shipped.dead_time, name="mine")
+    # Use the provenance of the same robot: for a model made in Python the ratio of yaw rates is less certain.
+    mine = replace(converted, provenance=shipped.provenance)
     values = {"horizon": [10, 30], "weights.across": 150.0}
     table = sweep(model=["sm", mine], trajectory=STRAIGHT, seeds=range(2), plant=PLANT, jobs=1, **values)
     assert list(table.columns[:6]) == ["model", "trajectory", "seed", "plant", "horizon", "weights.across"]
@@ -89,7 +89,7 @@ def test_a_sweep_is_a_table_with_one_row_for_each_run():
     assert list(table["horizon"]) == [10, 30] * 4
     assert table["completed"].all()
     assert set(table["ended"]) == {""}
-    # The same numbers as the run by itself, and the same model under both names.
+    # The values equal those of a single run, and the same model has equal values under both names.
     run = simulate(load_config("sm", {"horizon": 30, "weights.across": 150.0}), make_plant(PLANT, seed=1), STRAIGHT)
     assert table["position_rmse_m"][3] == run.metrics.position_rmse_m
     np.testing.assert_allclose(table["position_rmse_m"][:4], table["position_rmse_m"][4:], rtol=1e-9)

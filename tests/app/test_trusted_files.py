@@ -1,4 +1,4 @@
-"""A configuration from a stranger: a term that exits is refused, and checks run no code of it."""
+"""Untrusted configurations: a term that exits is refused, and checks run no code."""
 
 import pytest
 
@@ -7,8 +7,8 @@ from untrusted_files import call, write_untrusted_files
 
 
 @pytest.fixture
-def stranger(tmp_path):
-    """A folder of files that nobody has looked at."""
+def untrusted(tmp_path):
+    """Folder of untrusted files."""
     return write_untrusted_files(tmp_path / "stranger")
 
 
@@ -21,10 +21,10 @@ def test_term_that_exits_is_refused_with_one_line(error, stranger):
         Controller(load_config(stranger / "config.yaml"))
 
 
-def test_config_check_names_the_python_of_terms_and_does_not_run_it(stranger):
-    code, output, _ = call("config", "check", stranger / "config.yaml")
-    assert (code, (stranger / "marker").exists()) == (0, False)
-    assert f"not run here: {stranger / 'term.py'}" in output
-    (stranger / "term.py").unlink()
-    code, output, _ = call("config", "check", stranger / "config.yaml")
+def test_config_check_names_the_python_of_terms_and_does_not_run_it(untrusted):
+    code, output, _ = call("config", "check", untrusted / "config.yaml")
+    assert (code, (untrusted / "marker").exists()) == (0, False)
+    assert f"not run here: {untrusted / 'term.py'}" in output
+    (untrusted / "term.py").unlink()
+    code, output, _ = call("config", "check", untrusted / "config.yaml")
     assert code == 2 and "no such Python file" in output

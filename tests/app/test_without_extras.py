@@ -1,4 +1,4 @@
-"""Without the other packages the root package works; a command of a missing package is one line."""
+"""The root package works without the other packages; a command of a missing package gives one line."""
 
 import subprocess
 import sys
@@ -27,7 +27,7 @@ def run(folder, *words):
     return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=folder, check=False)
 
 
-def test_the_models_that_are_left_are_listed(tmp_path):
+def test_remaining_models_are_listed(tmp_path):
     listed = run(tmp_path, "models", "list").stdout
     assert all(name in listed for name in ("mbm", "sm", "ssm", "kinematic"))
     assert "lstm" not in listed and "p2_physical" not in listed
@@ -44,21 +44,21 @@ def test_the_models_that_are_left_are_listed(tmp_path):
         (("simulate", "--model", "lstm"), "model 'lstm'", "extras"),
     ],
 )
-def test_part_of_a_missing_package_is_one_line_with_the_remedy(tmp_path, words, subject, package):
+def test_part_of_a_missing_package_gives_one_line_with_the_remedy(tmp_path, words, subject, package):
     done = run(tmp_path, *words)
     line = f"error: {subject} is in the package diffdrive-mpc-{package}: pip install 'diffdrive-mpc[{package}]'\n"
     assert (done.returncode, done.stderr) == (1, line)
 
 
 @pytest.mark.system
-def test_a_drive_is_driven_and_identified(tmp_path):
-    driven = run(tmp_path, "simulate", "--trajectory", "s", "--log", "s.csv")
-    assert driven.returncode == 0, driven.stderr
-    identified = run(tmp_path, "identify", "s.csv", "--structure", "sm", "--out", "found")
-    assert identified.returncode == 0, identified.stderr
+def test_root_package_drives_and_identifies(tmp_path):
+    drive = run(tmp_path, "simulate", "--trajectory", "s", "--log", "s.csv")
+    assert drive.returncode == 0, drive.stderr
+    identification = run(tmp_path, "identify", "s.csv", "--structure", "sm", "--out", "found")
+    assert identification.returncode == 0, identification.stderr
     assert (tmp_path / "found" / "report.html").is_file()
 
 
-def test_json_schema_of_models_leaves_out_missing_structures(tmp_path):
+def test_json_schema_of_models_omits_missing_structures(tmp_path):
     schema = run(tmp_path, "config", "schema", "model", "--json").stdout
     assert '"ssm"' in schema and '"lstm"' not in schema

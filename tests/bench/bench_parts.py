@@ -1,4 +1,4 @@
-"""A fast plant and ready-made outcomes for the tests of the bench."""
+"""Fast plant and ready-made outcomes for tests of the bench."""
 
 from dataclasses import dataclass
 
@@ -22,12 +22,12 @@ META: dict[str, object] = {
     "date": "2026-01-01",
     "wall_time_s": 1.0,
 }
-"""Machine and time of a report."""
+"""Metadata of a report: machine, revision and time."""
 
 
 @dataclass(frozen=True)
 class Arc(ConstantTwist):
-    """A reference with constant twist, of which a gentle curve is usual."""
+    """A reference with constant twist, by default a gentle curve."""
 
     v: float = 0.5
     omega: float = 0.3
@@ -36,7 +36,7 @@ class Arc(ConstantTwist):
 
 
 class DisplacedUnicycle(KinematicPlant):
-    """Does at once what it is told; starts off the reference; its pose arrives `late` ticks late."""
+    """Plant that follows commands immediately, starts off the reference, and reports its pose `late` ticks late."""
 
     sample_time = 0.0202
 
@@ -56,7 +56,7 @@ class DisplacedUnicycle(KinematicPlant):
 
 
 def check_return(peer: TrackingController) -> Run:
-    """Check that a peer brings the robot back to an arc from beside it; return the run."""
+    """Check that a peer returns to an arc from a displaced start; return the run."""
     plant = make_plant("model:sm", surface="ideal", sensors="perfect")
     plant.reset = lambda pose: type(plant).reset(plant, [-0.05, 0.1, 0.1])
     run = simulate(peer, plant, Arc(duration=6.0))
@@ -67,7 +67,7 @@ def check_return(peer: TrackingController) -> Run:
 
 
 def check_square(peer: TrackingController, path: str = "square") -> None:
-    """Check that a peer completes a path near to it."""
+    """Check that a peer completes a path and stays near it."""
     run = simulate(peer, make_plant("model:sm", seed=0), load_trajectory(path))
     assert run.metrics.completed
     assert run.errors.position[run.counted].max() < 0.05
@@ -75,7 +75,7 @@ def check_square(peer: TrackingController, path: str = "square") -> None:
 
 
 def quick_case(**changes: object) -> Case:
-    """Build a case on the plant of the controller's own model, without noise."""
+    """Build a case on the plant of the controller's model, without noise."""
     return Case(**{"plant": "model:ssm", "surface": "ideal", "sensors": "perfect", **changes})  # type: ignore[arg-type]
 
 

@@ -1,4 +1,4 @@
-"""A report opened in a real browser without a network, and what must hold of every one."""
+"""Reports opened in a real browser without a network, and checks of every report."""
 
 import json
 import re
@@ -7,36 +7,36 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from browser import open_report, opened_browser
+from browser import open_browser, open_report
 
 PHONE, DESK = {"width": 390, "height": 844}, {"width": 1280, "height": 900}
 
 
 @contextmanager
-def opened(report: Path) -> Iterator[Any]:
-    """Open the report in a page of Playwright; at the end there must be no errors and no requests."""
-    complaints: list[str] = []
+def open_offline(report: Path) -> Iterator[Any]:
+    """Open the report in a page of Playwright; check that no errors and no requests occurred."""
+    errors: list[str] = []
     requests: list[str] = []
-    with opened_browser() as browser:
+    with open_browser() as browser:
         page = browser.new_context(viewport=DESK, offline=True).new_page()
-        page.on("console", lambda message: complaints.append(message.text))
-        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.on("console", lambda message: errors.append(message.text))
+        page.on("pageerror", lambda error: errors.append(str(error)))
         page.on("request", lambda request: requests.append(request.url))
         open_report(page, report)
         yield page
-        assert complaints == []
+        assert errors == []
         assert [url for url in requests if not url.startswith("data:")] == [report.resolve().as_uri()]
 
 
 def check_report(report: Path) -> dict[str, Any]:
-    """Hold a report against what every one must be; its content."""
-    with opened(report) as page:
+    """Check the page of a report; return its content."""
+    with open_offline(report) as page:
         check_page(page)
     return content_of(report)
 
 
 def check_page(page: Any) -> None:
-    """Check that all is drawn, nothing is wider than a phone, and print shows no buttons."""
+    """Check that all plots are drawn, nothing is wider than a phone, and the print view shows no buttons."""
     assert page.locator("#key-figures .value").count() >= 1
     assert page.locator("#repeat pre").inner_text().strip()
     plots = page.locator(".plot")
@@ -44,14 +44,14 @@ def check_page(page: Any) -> None:
     page.set_viewport_size(PHONE)
     assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
     page.emulate_media(media="print")
-    shown = "[...document.querySelectorAll('input, button, nav')].filter((one) => one.offsetParent !== null).length"
+    shown = "[...document.querySelectorAll('input, button, nav')].filter((item) => item.offsetParent !== null).length"
     assert page.evaluate(shown) == 0
     page.emulate_media(media="screen")
     page.set_viewport_size(DESK)
 
 
 def content_of(report: Path) -> dict[str, Any]:
-    """Return the content that the script of a report gets."""
+    """Return the content that the script of a report receives."""
     match = re.search(r'<script id="content" type="application/json">(.*?)</script>', report.read_text(), re.DOTALL)
     assert match
     content: dict[str, Any] = json.loads(match[1])

@@ -1,4 +1,4 @@
-"""Drives on the physics: lateral errors on paths of commands and at the limits, and the estimator's consistency."""
+"""Drives on the mujoco plant: lateral errors on commanded paths and at limits, and consistency of the estimator."""
 
 from pathlib import Path
 
@@ -16,17 +16,17 @@ from diffdrive_mpc.mpc.step_result import StepResult
 from diffdrive_mpc.sim import make_plant, simulate
 
 SPEED = 0.5  # m/s, of both paths
-STEPS = {"s": 1.0, "cane": 0.7}  # rad/s, by which the yaw rate of the path jumps where it does so furthest
+STEPS = {"s": 1.0, "cane": 0.7}  # largest jump of the yaw rate of the path [rad/s]
 
 
-def least_lateral(step: float) -> float:
-    """Compute the least maximum lateral error [m] at a jump of the path's yaw rate, limited by the slew of omega.
+def min_lateral_error(step: float) -> float:
+    """Compute the minimum of the maximum lateral error [m] at a jump of the yaw rate, limited by the slew of omega.
 
-    The error e follows e'' = v (omega - omega_path); omega may begin to change before the jump. A linear programme.
+    The error e satisfies e'' = v (omega - omega_path); omega may change before the jump. Solved as a linear program.
     """
     dt, count = 0.01, 160
     path = np.where(np.arange(count) < count // 2, 0.0, step)
-    # Unknown: omega, heading error and e at each instant, then the bound of |e|.
+    # Variables: omega, heading error and e at each instant, then the bound of |e|.
     shift, keep, none = np.diff(np.eye(count), axis=0), np.eye(count)[:-1], np.zeros((count - 1, count))
     moves = np.block([[-dt * keep, shift, none, none[:, :1]], [none, -dt * SPEED * keep, shift, none[:, :1]]])
     known = np.concatenate([-dt * path[:-1], np.zeros(count - 1)])
@@ -46,9 +46,9 @@ def least_lateral(step: float) -> float:
 
 @pytest.mark.parametrize("path", STEPS)
 @pytest.mark.parametrize("model", ["mbm", "sm", "ssm"])
-def test_without_a_stop_it_stays_near_what_geometry_allows(path, model):
+def test_drive_without_stops_stays_near_the_geometric_minimum_error(path, model):
     run = run_case(Case(model=model, trajectory=path, timing="commanded", seed=60))
-    bound = least_lateral(STEPS[path])
+    bound = min_lateral_error(STEPS[path])
     assert run.metrics.completed
     assert 1e-5 < bound < 0.002
     assert bound < run.metrics.lateral_max_m <= 0.02
@@ -59,7 +59,7 @@ WHEEL_SPEED = ("limits.wheel_speed", 1.53)
 
 
 @pytest.mark.parametrize("name", EDGE)
-def test_a_path_at_the_edge_is_driven_to_its_end(name: str) -> None:
+def test_path_at_the_limits_is_driven_to_its_end(name: str) -> None:
     run = run_case(Case(trajectory=name))
     assert run.metrics.completed
     assert run.metrics.fallbacks == 0
@@ -68,7 +68,7 @@ def test_a_path_at_the_edge_is_driven_to_its_end(name: str) -> None:
 
 
 @pytest.mark.parametrize("overrides", [(), (WHEEL_SPEED,)])
-def test_limits_bind_on_tight_for_about_half_of_the_time(overrides: tuple[tuple[str, object], ...]) -> None:
+def test_limits_are_active_on_tight_for_about_half_of_the_time(overrides: tuple[tuple[str, object], ...]) -> None:
     run = run_case(Case(trajectory="tight", overrides=overrides))
     assert run.metrics.completed
     config = controller_config("ssm", overrides=overrides)
@@ -79,28 +79,28 @@ def test_limits_bind_on_tight_for_about_half_of_the_time(overrides: tuple[tuple[
         [measurement.wheel_twist.value for measurement in run.measurements if measurement.wheel_twist is not None]
     )
     rim = np.abs(encoders) @ (1.0, config.wheels.encoder_track / 2)
-    binding = {
+    active = {
         "command": (np.abs(command) >= np.array([limits.v, limits.omega]) - 1e-4).any(axis=1),
         "slew": (change >= 0.999 * np.array([limits.v_slew, limits.omega_slew])).any(axis=1),
         "wheels": rim[run.counted] >= 0.98 * limits.wheel_speed,
     }
-    share = {name: rows.mean() for name, rows in binding.items()}
+    share = {name: rows.mean() for name, rows in active.items()}
     assert share["command"] > 0.05
     assert share["slew"] > 0.1
-    # Within the command's shipped limits the wheels never reach theirs.
+    # Within the shipped command limits, the wheel limits are never reached.
     assert (share["wheels"] > 0.05) == bool(overrides)
-    assert 0.35 < (binding["command"] | binding["slew"] | binding["wheels"]).mean() < 0.65
+    assert 0.35 < (active["command"] | active["slew"] | active["wheels"]).mean() < 0.65
 
 
 PATHS = ["circle", "square", "s", "cane"]
 MINUTE = "segments:\n- {v: 0.5, omega: 0.5, duration: 62.83185307179586}\n"
-"""Five circles, as the shipped one."""
+"""Five circles like the shipped one."""
 SETTLED = 10
-"""Ticks after which the first poses have been weighed."""
+"""Ticks after which the filter has processed the first poses."""
 
 
 class Recorder:
-    """Keeps what the controller believed at each tick."""
+    """Records the step results of a controller."""
 
     def __init__(self, controller: Controller) -> None:
         self._controller = controller
@@ -114,8 +114,8 @@ class Recorder:
         return self.steps[-1]
 
 
-def normalised(model: str) -> tuple[dict[str, float], np.ndarray]:
-    """Compute over four trajectories: mean normalised innovation by sensor, mean squared pose error over variance."""
+def normalised_errors(model: str) -> tuple[dict[str, float], np.ndarray]:
+    """Compute over four paths the mean normalised innovation per sensor and the mean normalised squared pose error."""
     innovations: dict[str, list[float]] = {}
     errors = []
     for trajectory in PATHS:
@@ -131,12 +131,12 @@ def normalised(model: str) -> tuple[dict[str, float], np.ndarray]:
 
 
 @pytest.mark.parametrize("model", ["ssm", "sm"])
-def test_on_the_physics_innovations_and_errors_are_about_as_large_as_the_estimator_expects(model: str) -> None:
-    """In comments: the range over single runs with both models, four trajectories and seeds 20 to 24."""
-    innovations, (x, y, heading) = normalised(model)
+def test_innovations_and_errors_on_mujoco_match_the_variances_of_the_estimator(model: str) -> None:
+    """Comments state the range over single runs with both models, four trajectories and seeds 20 to 24."""
+    innovations, (x, y, heading) = normalised_errors(model)
     assert 0.75 < innovations["pose"] < 1.2  # 0.83 to 0.97
     assert 0.35 < innovations["wheel_speed"] < 1.5  # 0.38 to 0.99
-    # The gyro's is the first after a prediction; the wheels, which lag by more than half a sample, meet what it left.
+    # The gyro corrects first after a prediction; the wheels, which lag by over half a sample, see what remains.
     assert 0.05 < innovations["yaw_rate"] < 1.0  # 0.12 (SM), 0.71 (SSM): means over trajectories at seed 20
     assert 0.75 < innovations["wheel_yaw_rate"] < 2.0  # 1.36 (SSM), 1.47 (SM)
     assert 0.3 < x < 1.0  # means over seeds: 0.43 to 0.47
@@ -145,8 +145,8 @@ def test_on_the_physics_innovations_and_errors_are_about_as_large_as_the_estimat
 
 
 @pytest.mark.long
-def test_on_a_circle_of_a_minute_the_estimate_does_not_wander(tmp_path: Path) -> None:
-    """A gain that the filter takes for better known than it is would drift by the lap, and the robot off its path."""
+def test_estimate_does_not_drift_on_circles_of_a_minute(tmp_path: Path) -> None:
+    """With a too small variance a gain would drift from lap to lap, and the robot would leave its path."""
     controller = Recorder(Controller(load_config("ssm")))
     (tmp_path / "minute.yaml").write_text(MINUTE)
     reference = load_trajectory(tmp_path / "minute.yaml")
@@ -155,4 +155,4 @@ def test_on_a_circle_of_a_minute_the_estimate_does_not_wander(tmp_path: Path) ->
     gains = [step.estimate.slip.omega_gain for step in controller.steps[lap:] if step.estimate is not None]
     assert max(gains) - min(gains) < 0.1
     error = np.hypot(*(run.true_pose - run.reference_pose)[:, :2].T)
-    assert np.sqrt(np.mean(error[-lap:] ** 2)) < 0.006  # that of the shipped trajectories
+    assert np.sqrt(np.mean(error[-lap:] ** 2)) < 0.006  # the RMSE of the shipped trajectories

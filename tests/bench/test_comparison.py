@@ -1,4 +1,4 @@
-"""The comparison: its cases, and its results besides the error tables."""
+"""Cases of the comparison, and its results other than the error tables."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -43,14 +43,14 @@ def experiment(**changes: object) -> ComparisonSettings:
 
 
 def settings_for(**options: Any) -> ComparisonSettings:
-    """Return the settings that these options select; dimensions go by their plural names."""
+    """Return the settings that these options select; dimensions have their plural names."""
     values = {
         dimension.several: options.pop(dimension.several) for dimension in DIMENSIONS if dimension.several in options
     }
     return read_options(values, **options)
 
 
-def test_a_horizon_case_that_is_a_main_case_runs_once() -> None:
+def test_horizon_case_equal_to_a_main_case_runs_once() -> None:
     plan = plan_cases(experiment(seeds=(0, 1), horizons=(5, 30)))
     assert load_config("ssm").horizon == 30
     assert len(plan.main) == 8
@@ -60,7 +60,7 @@ def test_a_horizon_case_that_is_a_main_case_runs_once() -> None:
     assert {case.seed for case in plan.horizon} == {0}
 
 
-def test_a_peer_has_no_model_and_no_settings() -> None:
+def test_peer_has_no_model_and_no_settings() -> None:
     settings = ((("horizon", 5),), (("horizon", 10),))
     plan = plan_cases(
         experiment(controllers=("mpc", "kanayama"), trajectories=("s",), seeds=(0,), horizons=(), settings=settings)
@@ -72,7 +72,7 @@ def test_a_peer_has_no_model_and_no_settings() -> None:
     ]
 
 
-def test_a_file_with_the_label_of_a_shipped_model_or_a_peer_is_refused(tmp_path: Path) -> None:
+def test_file_with_the_label_of_a_shipped_model_or_peer_is_refused(tmp_path: Path) -> None:
     for name in ("SSM", "kanayama"):
         path = tmp_path / f"{name}.yaml"
         path.write_text(KINDS["model"].texts["ssm"])
@@ -81,7 +81,7 @@ def test_a_file_with_the_label_of_a_shipped_model_or_a_peer_is_refused(tmp_path:
             plan_cases(experiment(horizons=(), seeds=(0,), **changes))
 
 
-def test_a_configuration_file_brings_its_model(tmp_path: Path) -> None:
+def test_configuration_file_selects_its_model(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text("model: ssm\nhorizon: 12\n")
     chosen = settings_for(config=path)
@@ -90,7 +90,7 @@ def test_a_configuration_file_brings_its_model(tmp_path: Path) -> None:
     assert plan.all[0].horizon == 12
 
 
-def test_a_model_file_of_the_users_own_is_named_by_its_stem(tmp_path: Path) -> None:
+def test_model_file_of_the_user_is_labelled_by_its_stem(tmp_path: Path) -> None:
     source = Path(__file__).parents[2] / "models" / "parameters" / "ssm.yaml"
     path = tmp_path / "my_robot.yaml"
     path.write_text(source.read_text())
@@ -101,7 +101,7 @@ def test_a_model_file_of_the_users_own_is_named_by_its_stem(tmp_path: Path) -> N
     assert len(plan_cases(experiment(models=(str(path),), horizons=(), seeds=(0,))).all) == 4
 
 
-def test_the_bench_compares_the_pairs_that_are_named_in_one_place() -> None:
+def test_bench_compares_the_declared_pairs() -> None:
     settings = default_settings().model_copy(update={"trajectories": ("s",), "seeds": (0,), "beyond": True})
     plan = plan_cases(settings)
     *main, by_osqp = plan.main
@@ -116,7 +116,7 @@ def test_the_bench_compares_the_pairs_that_are_named_in_one_place() -> None:
     assert not set(plan.beyond) & set(plan.all)
 
 
-def test_another_top_speed_is_another_time_along_the_same_path() -> None:
+def test_top_speed_changes_the_timing_but_not_the_path() -> None:
     (_, _, slow), (_, _, fast) = (build(quick_case(trajectory="s", top_speed=speed)) for speed in (0.5, 1.0))
     (_, _, shipped) = build(quick_case(trajectory="s"))
     times = np.linspace(0.0, 1.0, 400)
@@ -129,7 +129,7 @@ def test_another_top_speed_is_another_time_along_the_same_path() -> None:
     assert references[2].pose[-1] == pytest.approx(references[0].pose[-1])
 
 
-def test_a_late_plant_does_the_same_so_many_ticks_later() -> None:
+def test_late_plant_repeats_the_motion_after_its_delay() -> None:
     plain, late = (make_plant("model:ssm", "ideal", "perfect") for _ in range(2))
     behind = LatePlant(late, 3)
     for plant in (plain, behind):
@@ -142,11 +142,11 @@ def test_a_late_plant_does_the_same_so_many_ticks_later() -> None:
             plant.advance(command)
             poses.append(plant.true_pose)
     np.testing.assert_allclose(motion[1][3:], motion[0][:-3], atol=1e-12)
-    assert behind.measure().sent == pytest.approx(tuple(commands[-1])), "what was sent, not what arrived"
+    assert behind.measure().sent == pytest.approx(tuple(commands[-1])), "the sent command, not the applied one"
     assert behind.time == plain.time
 
 
-def test_a_plant_that_is_earlier_than_told_is_told_of_more_dead_time() -> None:
+def test_plant_that_responds_early_gets_a_model_with_more_dead_time() -> None:
     settings = default_settings().model_copy(update={"trajectories": ("s",), "seeds": (0,), "beyond": True})
     (case,) = (case for case in plan_cases(settings).dead_time if (case.model, case.excess_delay) == ("ssm", -2))
     adjusted, shipped = controller_config("ssm", None, case.overrides), controller_config("ssm")
@@ -170,8 +170,8 @@ def scores(outcome: RunOutcome, **errors: list[float]) -> DataFrame:
     return frame(row_of(case, outcome.run) | {"position_rmse_m": error} for case, error in cases)
 
 
-def test_the_order_says_who_is_told_apart(outcome: RunOutcome) -> None:
-    """SM is always 1 mm behind MBM; SSM is as often ahead of SM as behind."""
+def test_order_states_which_controllers_differ_significantly(outcome: RunOutcome) -> None:
+    """SM is always 1 mm behind MBM; SSM is as often better than SM as worse."""
     base = np.array([5e-3, 9e-3, 5.2e-3, 9.1e-3, 5.1e-3, 8.8e-3])
     ahead = 4e-4 * np.array([1, -1, 2, 1, -1, -1])
     rows = scores(outcome, mbm=list(base), sm=list(base + 1e-3), ssm=list(base + 1e-3 + ahead))
@@ -183,10 +183,10 @@ def test_the_order_says_who_is_told_apart(outcome: RunOutcome) -> None:
     assert places[0].rmse == pytest.approx(base.mean())
     unknown = rows.assign(position_rmse_m=[np.nan, *rows["position_rmse_m"][1:]])
     assert [place.name for place in order(unknown)] == ["SM", "SSM"]
-    assert places[0].spread == pytest.approx(np.std(base.reshape(3, 2).mean(axis=1)))
+    assert ranks[0].spread == pytest.approx(np.std(base.reshape(3, 2).mean(axis=1)))
 
 
-def test_a_reversed_order_is_named_and_whether_it_could_be_told_apart(outcome: RunOutcome) -> None:
+def test_reversed_order_is_named_with_its_significance(outcome: RunOutcome) -> None:
     path = np.array([0.0, 4e-3] * 2)  # the second path is harder
     these = scores(outcome, mbm=list(5e-3 + path), sm=list(6e-3 + path), ssm=list(path + [6.1e-3, 5.95e-3] * 2))
     others = scores(outcome, mbm=[7e-3] * 4, sm=[6e-3] * 4, ssm=[5.9e-3, 6.05e-3, 5.9e-3, 6.05e-3])
@@ -198,7 +198,7 @@ def test_a_reversed_order_is_named_and_whether_it_could_be_told_apart(outcome: R
     assert [row[0] for row in order_table(these, others).rows] == ["2 (these)"] * 3 + ["2 (others)"] * 3
 
 
-def test_the_bootstrap_covers_the_mean_and_repeats_itself() -> None:
+def test_bootstrap_interval_covers_the_mean_and_is_reproducible() -> None:
     values = np.random.default_rng(3).normal(2.0, 1.0, 400)
     low, high = interval(values)
     assert low < values.mean() < high
@@ -206,7 +206,7 @@ def test_the_bootstrap_covers_the_mean_and_repeats_itself() -> None:
     assert np.array_equal(interval(values), (low, high))
 
 
-def test_the_plants_own_model_explains_it_and_another_does_not(outcome: RunOutcome) -> None:
+def test_model_of_the_plant_fits_it_better_than_another_model(outcome: RunOutcome) -> None:
     cases = [quick_case(model=model, seed=seed) for model in ("ssm", "sm") for seed in (0, 1)]
     cases.append(quick_case(model="ssm", overrides=BY_OSQP))
     matching, mismatched = measure_properties([*cases, quick_case(controller="kanayama", model="none")], 1)

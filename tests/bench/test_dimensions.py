@@ -1,4 +1,4 @@
-"""One table of dimensions, from which options, settings, cases and rows follow."""
+"""The table of dimensions, from which options, settings, cases and rows are derived."""
 
 import re
 
@@ -29,13 +29,13 @@ def help_of(command: str) -> str:
 
 
 @pytest.mark.parametrize("dimension", DIMENSIONS, ids=lambda dimension: dimension.name)
-def test_an_option_chooses_its_values(dimension: Dimension) -> None:
+def test_option_selects_its_values(dimension: Dimension) -> None:
     text = {"controller": "mpc,kanayama", "seed": "3,7"}.get(dimension.name, "a,b")
     chosen = read_options({dimension.several: text}).values(dimension.several)
     assert [str(value) for value in chosen] == text.split(",")
 
 
-def test_timing_makes_another_reference_of_a_trajectory() -> None:
+def test_timing_selects_another_reference_of_a_trajectory() -> None:
     filed, stopping, commanded = (
         load_reference(Case(trajectory="slalom", timing=timing)) for timing in ("file", "stop", "commanded")
     )
@@ -65,7 +65,7 @@ def test_every_finite_number_is_read_exactly(numbers: list[float]) -> None:
     assert parse_setting("key=" + ",".join(repr(number) for number in numbers))[1] == numbers
 
 
-def test_several_settings_make_every_combination_in_order() -> None:
+def test_several_settings_give_every_combination_in_order() -> None:
     assert sweep_settings(["a=1,2", "b=x,y"]) == [
         (("a", 1), ("b", "x")),
         (("a", 1), ("b", "y")),
@@ -75,5 +75,5 @@ def test_several_settings_make_every_combination_in_order() -> None:
     assert sweep_settings([]) == [()]
 
 
-def test_one_run_takes_one_value_for_each_key() -> None:
+def test_single_run_takes_one_value_for_each_key() -> None:
     assert single_settings(["horizon=5", "weights.along=2"]) == (("horizon", 5), ("weights.along", 2))

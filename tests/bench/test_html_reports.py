@@ -1,4 +1,4 @@
-"""Reports as pages: linked views in a real browser, their contents, and their warnings."""
+"""HTML reports: linked views in a real browser, their contents, and their warnings."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bench_parts import quick_outcome
-from opened_report import check_page, check_report, content_of, opened
+from opened_report import check_page, check_report, content_of, open_offline
 from plotly.graph_objects import Figure
 
 from commands import invoke
@@ -44,25 +44,25 @@ def outcome() -> RunOutcome:
 
 
 @pytest.fixture(scope="module")
-def single(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return called(tmp_path_factory.mktemp("single"), "simulate", *QUICK)
+def run_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return run_command(tmp_path_factory.mktemp("single"), "simulate", *QUICK)
 
 
 @pytest.fixture(scope="module")
-def compared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def bench_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     paths = [word.replace("--trajectory", "--trajectories") for word in QUICK]
     words = ["--quick", "--models", "ssm,sm", "--seeds", "2", *paths]
-    return called(tmp_path_factory.mktemp("compared"), "bench", *words)
+    return run_command(tmp_path_factory.mktemp("compared"), "bench", *words)
 
 
-def called(folder: Path, *words: str) -> Path:
+def run_command(folder: Path, *words: str) -> Path:
     invoke(app, *words, "--out", folder)
     return folder / "report.html"
 
 
 @pytest.mark.system("browser")
-def test_pointing_at_one_view_marks_the_same_tick_in_the_other(single: Path) -> None:
-    with opened(single) as page:
+def test_pointing_at_one_view_marks_the_same_tick_in_the_other(run_page: Path) -> None:
+    with open_offline(run_page) as page:
         box = page.locator("#times").bounding_box()
         page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.1 * box["height"])
         page.wait_for_selector("#plane .hoverlayer .hovertext", state="attached")
@@ -70,13 +70,13 @@ def test_pointing_at_one_view_marks_the_same_tick_in_the_other(single: Path) -> 
 
 
 @pytest.mark.system("browser")
-def test_toggles_hide_a_controller_and_its_seeds_in_all_views(compared: Path) -> None:
+def test_toggles_hide_a_controller_and_its_seeds_in_all_views(bench_page: Path) -> None:
     count = "(id) => document.querySelector(id).data.filter((trace) => trace.visible).length"
     names = (
         "[...document.querySelectorAll('.charts .plot')]"
         ".map((plot) => plot.data.filter((trace) => trace.visible).map((trace) => trace.name))"
     )
-    with opened(compared) as page:
+    with open_offline(bench_page) as page:
         assert all("SM" in shown for shown in page.evaluate(names))
         before = [page.evaluate(count, plot) for plot in ("#plane", "#times")]
         page.locator("input[data-value='SM']").uncheck()
@@ -90,24 +90,24 @@ def test_toggles_hide_a_controller_and_its_seeds_in_all_views(compared: Path) ->
         check_page(page)
 
 
-def test_plotly_accepts_every_figure(single: Path, compared: Path, tmp_path: Path, outcome: RunOutcome) -> None:
+def test_plotly_accepts_every_figure(run_page: Path, bench_page: Path, tmp_path: Path, outcome: RunOutcome) -> None:
     path = tmp_path / "report.html"
     path.write_text(page_text(every_kind("a", outcome)), encoding="utf-8")
-    for report in (single, compared, path):
+    for report in (run_page, bench_page, path):
         views = content_of(report)["views"]
         figures = [view.get(name) for view in views for name in ("figure", "plane", "times")]
         shown = [Figure(figure) for figure in figures if figure]
-        assert len(shown) == len(views) + 1  # the view of runs has two
+        assert len(shown) == len(views) + 1  # the view of runs has two figures
         assert all({"labels", "group"} == set(trace.meta) for figure in shown for trace in figure.data)
-    plane, times = (Figure(content_of(single)["views"][0][name]) for name in ("plane", "times"))
+    plane, times = (Figure(content_of(run_page)["views"][0][name]) for name in ("plane", "times"))
     driven = next(trace for trace in plane.data if trace.name == "driven")
     lateral = times.data[0]
     assert driven.meta == lateral.meta
     assert len(driven.x) == len(lateral.x)
 
 
-def test_a_page_says_how_to_repeat_it_and_with_which_configuration(single: Path) -> None:
-    content = content_of(single)
+def test_page_shows_its_command_and_configuration(run_page: Path) -> None:
+    content = content_of(run_page)
     assert content["origin"]["command"].startswith("diffdrive-mpc simulate --plant model:ssm --surface ideal")
     facts = dict(content["origin"]["facts"])
     assert facts["seed"] == "0"
@@ -115,7 +115,7 @@ def test_a_page_says_how_to_repeat_it_and_with_which_configuration(single: Path)
     assert "horizon: 30" in content["configurations"][0]["text"]
 
 
-def test_the_same_run_gives_the_same_page_but_for_times(outcome: RunOutcome) -> None:
+def test_equal_runs_give_equal_pages_except_for_times(outcome: RunOutcome) -> None:
     def text() -> str:
         runs = RunViews([run_series(outcome.run.with_step_time(np.zeros(len(outcome.run.time))), "a", points=100)])
         return page_text(Page("c", "t", Shown(views=[runs]), [], Origin("c", [])))
@@ -124,7 +124,7 @@ def test_the_same_run_gives_the_same_page_but_for_times(outcome: RunOutcome) -> 
 
 
 def every_kind(name: str, outcome: RunOutcome) -> Page:
-    """Build a page with every kind of view, whose names that can come from a file are all `name`."""
+    """Build a page with every kind of view; every name that can come from a file is `name`."""
     labels = {"controller": name, "path": "p"}
     series = [Series(name, [1.0, 2.0], [1.0, None], text=[name, name], labels=labels)]
     series += [Series(f"{name}2", [1.0, 2.0], [2.0, 3.0], 1, "bars", low=[1.0, 2.0], high=[3.0, 4.0])]
@@ -150,11 +150,11 @@ def test_every_kind_of_view_is_drawn_and_names_from_files_are_text(tmp_path: Pat
     path = tmp_path / "report.html"
     path.write_text(page_text(every_kind(name, outcome)), encoding="utf-8")
     check_report(path)
-    with opened(path) as page:
+    with open_offline(path) as page:
         assert page.title() == name
         assert page.locator("#title").inner_text() == name
         assert page.locator("main script, main b:not(svg b)").count() == 0
-        drawn = page.evaluate("[...document.querySelectorAll('.charts .plot text')].map((one) => one.textContent)")
+        drawn = page.evaluate("[...document.querySelectorAll('.charts .plot text')].map((label) => label.textContent)")
         assert name in drawn
 
 
@@ -177,26 +177,26 @@ def test_thinned_runs_keep_their_peaks_and_series_their_values(outcome: RunOutco
     assert rounded_list(np.array([np.nan, 1.26]), 1) == [None, 1.3]
 
 
-def test_a_sound_run_is_not_warned_of(outcome: RunOutcome) -> None:
+def test_normal_run_has_no_warnings(outcome: RunOutcome) -> None:
     quiet = outcome.run.with_step_time(np.full(len(outcome.run.time), 1e-3))
     assert run_warnings(quiet, case_config(outcome.case)) == []
 
 
-def test_what_needs_attention_is_said_with_what_to_do(outcome: RunOutcome) -> None:
+def test_every_problem_of_a_run_is_warned_of_with_a_remedy(outcome: RunOutcome) -> None:
     run, config = outcome.run, case_config(outcome.case)
     count = len(run.time)
     modes = ("BRAKING",) * 4 + ("REUSED_PLAN",) * 2 + run.modes[6:]
     times = np.where(np.arange(count) == 7, 1.0, 1e-3)
-    blind = tuple(
+    without_poses = tuple(
         replace(measurement, pose=None) if count // 3 < k < 2 * count // 3 else measurement
         for k, measurement in enumerate(run.measurements)
     )
     fast = np.full((count, 2), [config.limits.v, 0.0])
-    away = replace(
-        run, modes=modes, measurements=blind, command=fast, ended="it was lost", messages=("why",) * count,
+    faulty = replace(
+        run, modes=modes, measurements=without_poses, command=fast, ended="it was lost", messages=("why",) * count,
         true_pose=run.true_pose + 9.0, solver_methods=("osqp",) * count,
     )  # fmt: skip
-    warnings = run_warnings(away.with_step_time(times), config, "SSM")
+    warnings = run_warnings(faulty.with_step_time(times), config, "SSM")
     texts = " ".join(warning.text for warning in warnings)
     for expected in (
         "it was lost",

@@ -1,4 +1,4 @@
-"""Robots beside the bench's own, the split of errors, and the gate that compares a bench with its last result."""
+"""Other robots of the bench, the split of errors, and the gate that compares a bench with the last result."""
 
 import itertools
 import json
@@ -34,8 +34,8 @@ def test_identified_model_tracks_slow_and_ringing_robots_better_than_two_delays(
     assert model.position_rmse_m < 0.8 * delays.position_rmse_m
 
 
-def test_slow_wheels_that_are_still_speeding_up_are_not_at_their_end():
-    """The watch held this robot at half of its speed, 1.3 m behind its reference."""
+def test_accelerating_slow_wheels_are_not_reported_as_saturated():
+    """A false report kept this robot at half of its speed, 1.3 m behind its reference."""
     metrics = drive("hauler", "figure8", "sm", 2)
     assert metrics.completed
     assert metrics.position_rmse_m < 0.03
@@ -53,7 +53,7 @@ def test_lead_over_the_best_complete_peer_is_stated_with_its_interval():
     assert "SSM 24 % (24 to 24) ahead of kanayama+slip (mujoco:a, s)" in table.note
 
 
-def test_every_controller_drives_every_drawn_robot():
+def test_every_controller_drives_every_random_robot():
     population = other_robots().population
     cases, whole = population_cases(), population_cases(whole=True)
     assert set(cases) < set(whole)
@@ -61,10 +61,10 @@ def test_every_controller_drives_every_drawn_robot():
     assert {case.seed for case in cases} == {int(case.plant.partition(":")[2]) for case in cases}
 
 
-def test_error_is_split_into_what_repeats_and_noise():
+def test_error_is_split_into_repeatable_part_and_noise():
     noise, heading = 0.002 * np.random.default_rng(3).standard_normal((40, 500)), 0.5 * np.pi
     reference = np.column_stack([np.zeros(500), np.linspace(0.0, 5.0, 500), np.full(500, heading)])
-    # 3 mm ahead, which is along y, with every seed; noise to the left, which is against x.
+    # With every seed 3 mm ahead, along y; noise to the left, along -x.
     runs = [
         SimpleNamespace(
             ended="",
@@ -80,7 +80,7 @@ def test_error_is_split_into_what_repeats_and_noise():
 
 
 @pytest.mark.parametrize(("factor", "code"), [(1.0, 0), (1.02, 0), (1.05, 1), (0.5, 0)])
-def test_gate_fails_where_a_model_becomes_worse_by_more_than_three_percent(tmp_path, factor, code):
+def test_gate_fails_if_a_model_is_worse_by_more_than_three_percent(tmp_path, factor, code):
     script = shutil.copy(ROOT / ".ci" / "check_bench.py", tmp_path)
     drives = list(itertools.product(("mbm", "sm", "ssm"), ("circle", "square", "s", "cane"), range(5)))
 

@@ -1,4 +1,4 @@
-"""The peers' laws against known answers, and what all peers share: estimate, prediction, limits."""
+"""Control laws of the peers against known results, and their common parts: estimate, prediction, limits."""
 
 from dataclasses import replace
 from itertools import product
@@ -40,7 +40,7 @@ PATHS = ("square", "s")
 PURSUIT = PursuitGains(lead=0.09, look_ahead_time=0.4, min_look_ahead=0.1, along=3.0, turn=3.0, least_radius=0.0)
 
 
-def sight(pose, reference, feed_forward, time=2.0, twist=None):
+def law_input(pose, reference, feed_forward, time=2.0, twist=None):
     return LawInput(
         time,
         PredictedMotion(np.array(pose), np.array(feed_forward if twist is None else twist)),
@@ -49,35 +49,35 @@ def sight(pose, reference, feed_forward, time=2.0, twist=None):
     )
 
 
-def test_the_estimate_is_that_of_a_controller_that_drives() -> None:
-    """Held or not, the same measurements and commands give the same estimate, bit for bit."""
-    controller, held, compared = Controller(CONFIG), HeldEstimator(CONFIG), 0
+def test_estimate_of_a_peer_equals_that_of_a_driving_controller() -> None:
+    """Equal measurements and commands give the same estimate, bit for bit, with and without control."""
+    controller, estimator, compared = Controller(CONFIG), HeldEstimator(CONFIG), 0
     plant, reference = make_plant("model:sm", surface="slippery", seed=3), load_trajectory("s")
     plant.reset(reference.sample([0.0]).pose[0])
     controller.start(reference, 0.0)
-    held.start(reference, 0.0)
+    estimator.start(reference, 0.0)
     for _ in range(250):
-        # Without word of what the robot got: then the peer's own command has to do.
+        # Without a reported command, the estimator uses the command of the peer.
         measured = replace(plant.measure(), sent=None)
         step = controller.step(plant.time, measured)
-        estimate = held.step(plant.time, measured)
+        estimate = estimator.step(plant.time, measured)
         assert (step.estimate is None) == (estimate is None)
         if step.estimate is not None and estimate is not None:
             np.testing.assert_array_equal(estimate.mean, step.estimate.mean)
             np.testing.assert_array_equal(estimate.twist, step.estimate.twist)
             compared += 1
-        held.sent(step.command)
+        estimator.sent(step.command)
         plant.advance(step.command)
     assert compared > 200
 
 
 @pytest.mark.parametrize("ticks", [0, 2, 5])
-def test_the_predictor_says_where_a_perfect_plant_will_be(ticks: int) -> None:
-    """The plant's own model, states and slip, and commands that stay as they were: the pose is the plant's."""
+def test_predictor_gives_the_future_pose_of_a_perfect_plant(ticks: int) -> None:
+    """Model, states and slip are those of the plant, and commands stay constant: the pose equals the plant's."""
     dt = CONFIG.sample_time
     plant = make_plant("model:sm", surface="slippery", sensors="perfect")
     slip = plant._slip
-    believed = Slip(longitudinal_gain=slip.longitudinal_gain, yaw_gain=slip.yaw_gain, side_slip=slip.side_slip)
+    known_slip = Slip(longitudinal_gain=slip.longitudinal_gain, yaw_gain=slip.yaw_gain, side_slip=slip.side_slip)
     predictor, sampled = DelayPredictor(MODEL, dt, ticks * dt), MODEL.discretise(dt)
     state, past = np.zeros(4), np.zeros((sampled.memory, 2))
     for k in range(60):
@@ -87,32 +87,32 @@ def test_the_predictor_says_where_a_perfect_plant_will_be(ticks: int) -> None:
         past = np.vstack([past[1:], command])
         predictor.sent(command)
         plant.advance(command)
-    expected = predictor.predict(plant.true_pose, state, believed)
+    expected = predictor.predict(plant.true_pose, state, known_slip)
     for _ in range(ticks):
         plant.advance(command)
-    # The plant's body crabs by the angle of its side-slip, the model by its tangent.
+    # The plant's body moves at the angle of its side slip, the model at its tangent.
     assert expected.pose == pytest.approx(plant.true_pose, abs=2e-5)
     assert expected.twist == pytest.approx(plant.true_twist[[0, 2]], abs=1e-9)
 
 
-@given(x=st.floats(-0.3, 0.3), y=st.floats(-0.3, 0.3), turned=st.floats(-1.0, 1.0), v=st.floats(-1.0, 1.0))
-def test_kanayamas_function_decreases_on_the_ideal_robot(x: float, y: float, turned: float, v: float) -> None:
-    """V = (x^2 + y^2) / 2 + (1 - cos turned) / across, for a robot that does at once what it is told; sign of v free.
+@given(x=st.floats(-0.3, 0.3), y=st.floats(-0.3, 0.3), turn=st.floats(-1.0, 1.0), v=st.floats(-1.0, 1.0))
+def test_kanayamas_function_decreases_on_the_ideal_robot(x: float, y: float, turn: float, v: float) -> None:
+    """V = (x^2 + y^2) / 2 + (1 - cos turn) / across, for a robot that follows commands immediately; any sign of v.
 
-    The paper's proof is for v > 0; backwards the robot is the same one seen from behind.
+    The paper proves it for v > 0; for v < 0 the robot is the same one with front and rear exchanged.
     """
     gains, omega = KanayamaGains(along=4.0, across=16.0, heading=8.0, turn=2.0), 0.3
-    u, w = kanayama_twist(gains, np.array([v, omega]), np.array([x, y, turned]))
+    u, w = kanayama_twist(gains, np.array([v, omega]), np.array([x, y, turn]))
     # Error kinematics in the robot's frame.
-    dx, dy, dturned = w * y - u + v * np.cos(turned), -w * x + v * np.sin(turned), omega - w
-    rate = x * dx + y * dy + np.sin(turned) * dturned / gains.across
-    expected = -gains.along * x**2 - (abs(v) * gains.heading + gains.turn) * np.sin(turned) ** 2 / gains.across
+    dx, dy, dturn = w * y - u + v * np.cos(turn), -w * x + v * np.sin(turn), omega - w
+    rate = x * dx + y * dy + np.sin(turn) * dturn / gains.across
+    expected = -gains.along * x**2 - (abs(v) * gains.heading + gains.turn) * np.sin(turn) ** 2 / gains.across
     assert rate == pytest.approx(expected, abs=1e-12)
     assert rate <= 1e-12
 
 
 @pytest.mark.parametrize("twist", [(0.5, 0.5), (1.2, -1.0), (-0.4, 0.3)])
-def test_lqr_gains_at_constant_speed_are_those_of_the_algebraic_equation(twist: tuple[float, float]) -> None:
+def test_lqr_gains_at_constant_speed_solve_the_algebraic_riccati_equation(twist: tuple[float, float]) -> None:
     law = LqrLaw(load_gains("lqr"), ROBOT)
     law.start(Arc(*twist, duration=20.0))
     A, B = law.linearised(*twist)
@@ -122,8 +122,8 @@ def test_lqr_gains_at_constant_speed_are_those_of_the_algebraic_equation(twist: 
     assert np.abs(np.linalg.eigvals(A - B @ law._K[0])).max() < 1.0
 
 
-def test_lqr_linearises_what_the_robot_does() -> None:
-    """One sample of A against the motion itself, a little off an arc."""
+def test_lqr_linearises_the_motion_of_the_robot() -> None:
+    """One sample of A is compared with the exact motion near an arc."""
     law, dt = LqrLaw(load_gains("lqr"), ROBOT), 1e-3
     law._dt = dt
     v, omega = 0.7, 0.4
@@ -138,15 +138,15 @@ def test_lqr_linearises_what_the_robot_does() -> None:
 
 @pytest.mark.parametrize("v", [0.6, -0.6])
 @settings(max_examples=25)
-@given(x=st.floats(-0.1, 0.1), y=st.floats(-0.1, 0.1), turned=st.floats(-0.5, 0.5))
-def test_pursuits_arc_passes_through_the_look_ahead_point(v: float, x: float, y: float, turned: float) -> None:
+@given(x=st.floats(-0.1, 0.1), y=st.floats(-0.1, 0.1), turn=st.floats(-0.5, 0.5))
+def test_pursuits_arc_passes_through_the_look_ahead_point(v: float, x: float, y: float, turn: float) -> None:
     law, arc = PursuitLaw(PURSUIT, ROBOT), Arc(v=v, omega=0.5, duration=20.0)
     law.start(arc)
     pose = arc.sample([2.0]).pose[0]
-    view = sight(pose + [x, y, turned], pose, [v, 0.5])
+    view = law_input(pose + [x, y, turn], pose, [v, 0.5])
     wanted, turn = law.decide(view)
     carrot = law.carrot(view)
-    # The pose after a drive along the arc until the chord is as long as the way to the point.
+    # The pose after a drive along the arc until the chord equals the distance to the point.
     if abs(turn) > 1e-6:
         radius = wanted / turn
         angle = 2 * np.arcsin(np.hypot(*carrot) / (2 * abs(radius))) * np.sign(turn)
@@ -154,7 +154,7 @@ def test_pursuits_arc_passes_through_the_look_ahead_point(v: float, x: float, y:
         assert np.hypot(*(reached - carrot)) < 1e-6 or carrot[0] * v < 0
 
 
-# What is tested is the law: the tuned gains of some peers without slip are too stiff for a start beside the path.
+# The law is tested: the tuned gains of some peers without slip are too stiff for a displaced start.
 MODERATE = {
     "pursuit": PURSUIT.model_dump() | {"look_ahead_time": 0.3, "least_radius": 0.3},
     "kanayama": {"lead": 0.09, "along": 4, "across": 25, "heading": 10, "turn": 2},
@@ -163,7 +163,7 @@ MODERATE = {
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_it_comes_back_to_the_reference_from_beside_it(name: str) -> None:
+def test_peer_returns_to_the_reference_from_a_displaced_start(name: str) -> None:
     moderate = MODERATE.get(name.partition("+")[0])
     gains = law_kind(name).gains(**moderate) if moderate else None
     run = check_return(make_tracking_peer(name, gains) if gains else make_peer(name))
@@ -175,24 +175,24 @@ def test_it_comes_back_to_the_reference_from_beside_it(name: str) -> None:
 
 @pytest.mark.parametrize(("name", "trajectory"), [*product(LAWS, PATHS)])
 def test_every_peer_completes_the_shipped_paths(name: str, trajectory: str) -> None:
-    """The turns on the spot of the square among them."""
+    """The square contains turns on the spot."""
     check_square(make_peer(name), trajectory)
 
 
 @pytest.mark.parametrize("name", ["pursuit", "kanayama", "lqr"])
-def test_it_drives_backwards(name: str) -> None:
+def test_peer_drives_backwards(name: str) -> None:
     run = simulate(make_peer(name), make_plant("model:sm", surface="ideal"), Arc(v=-0.5, omega=0.4, duration=5.0))
-    # The reference leaps to its speed: the robot catches up.
+    # The speed of the reference jumps at the start: the robot has to catch up.
     assert run.errors.position[run.counted & (run.time > 4.0)].max() < 0.03
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_the_same_seed_gives_the_same_run(name: str) -> None:
+def test_equal_seeds_give_equal_runs(name: str) -> None:
     runs = [simulate(make_peer(name), make_plant("model:sm", seed=5), Arc(duration=1.0)) for _ in range(2)]
     np.testing.assert_array_equal(runs[0].command, runs[1].command)
 
 
-def test_a_peer_that_gets_no_pose_brakes_and_says_so() -> None:
+def test_peer_without_poses_brakes_with_a_message() -> None:
     peer, plant, arc = make_peer("pursuit"), DisplacedUnicycle(), Arc()
     peer.start(arc, 0.0)
     assert peer.step(0.0, Measurement()).mode == "BRAKING"
@@ -207,7 +207,7 @@ def test_a_peer_that_gets_no_pose_brakes_and_says_so() -> None:
     assert step.command == pytest.approx([0.0, 0.0])
 
 
-def test_leaning_into_the_curve_makes_up_for_side_slip() -> None:
+def test_lean_into_the_curve_compensates_side_slip() -> None:
     errors = []
     for name in ("pursuit", "pursuit+slip"):
         run = simulate(make_peer(name), make_plant("model:sm", surface="slippery"), load_trajectory("circle"))
@@ -223,7 +223,7 @@ def test_missing_peer_names_its_package(monkeypatch: pytest.MonkeyPatch) -> None
         make_controller(Case(controller="rppp", model="none"))
 
 
-def test_registered_peer_is_made_without_arguments(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_registered_peer_is_created_without_arguments(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("diffdrive_mpc.bench.peers.plug_in", lambda group, name: FeedForward)
     assert isinstance(make_peer("mine", {"horizon": 3}), FeedForward)
     assert not takes_settings("mine") and takes_settings("pursuit+slip")

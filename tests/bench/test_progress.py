@@ -1,9 +1,9 @@
-"""Progress of long commands where stderr is no terminal."""
+"""Progress of long commands if stderr is no terminal."""
 
 from diffdrive_mpc.bench import progress
 
 
-def test_a_pipe_gets_a_line_per_period(capsys, monkeypatch):
+def test_pipe_gets_a_line_per_period(capsys, monkeypatch):
     now = [100.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
     with progress.ProgressBar("driving", 40, lines=True) as bar:

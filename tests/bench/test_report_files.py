@@ -1,4 +1,4 @@
-"""The files of a report: exact fields, no half-written results, nothing about the machine's paths."""
+"""Files of a report: exact fields, no partial results, and no paths of the machine."""
 
 import json
 import math
@@ -56,10 +56,10 @@ FIELDS = {
     )
     for name in names.split()
 }
-"""Kind of each published field in order; the names `path_..._percent` are deprecated."""
+"""Type of each published field in order; the names `path_..._percent` are deprecated."""
 
 SILENT = ("scenario", "timing")
-"""Dimensions that nobody asked for."""
+"""Dimensions that the user did not set."""
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +75,7 @@ def results(outcome: RunOutcome) -> ComparisonResults:
     return ComparisonResults(settings, rows_of(outcome, peer), rows_of(short, outcome), TimingPass(0.9, 0.2, 1.4e-5))
 
 
-def written(results: ComparisonResults, folder: Path, done: Callable[[], None] = lambda: None) -> dict[str, object]:
+def write_out(results: ComparisonResults, folder: Path, done: Callable[[], None] = lambda: None) -> dict[str, object]:
     """Write the report into `folder`; return its `meta` part."""
     study = ComparisonStudy(results.settings)
     report = study.report(results, 12.3)
@@ -89,7 +89,7 @@ def text_of(results: ComparisonResults) -> str:
     return markdown("Bench", replace(report, figures={}), describe_run(12.3) | report.meta)
 
 
-def test_a_row_has_exactly_the_published_fields(outcome: RunOutcome) -> None:
+def test_row_has_exactly_the_published_fields(outcome: RunOutcome) -> None:
     values = json_row(outcome.row, SILENT)
     assert list(values) == list(FIELDS)
     for name, kind in FIELDS.items():
@@ -98,10 +98,10 @@ def test_a_row_has_exactly_the_published_fields(outcome: RunOutcome) -> None:
     assert values["horizon"] == 30
 
 
-def test_the_ways_of_the_solver_are_shares_of_the_solved_ticks(outcome: RunOutcome) -> None:
+def test_solver_methods_are_shares_of_the_solved_ticks(outcome: RunOutcome) -> None:
     ticks = len(outcome.run.time)
-    ways = ("none",) * 5 + ("osqp",) * 10 + ("daqp",) * 10 + ("active_set",) * 20 + ("unlimited",) * (ticks - 45)
-    run = replace(outcome.run, solver_methods=ways)
+    methods = ("none",) * 5 + ("osqp",) * 10 + ("daqp",) * 10 + ("active_set",) * 20 + ("unlimited",) * (ticks - 45)
+    run = replace(outcome.run, solver_methods=methods)
     solved = np.count_nonzero(run.counted) - 5
     values = json_row(RunOutcome(outcome.case, run).row, ["scenario"])
     assert values["method_backend_percent"] == pytest.approx(100 * 20 / solved)
@@ -114,7 +114,7 @@ def test_the_ways_of_the_solver_are_shares_of_the_solved_ticks(outcome: RunOutco
     assert (peer["method_unlimited_percent"], peer["not_solved"]) == (None, solved + 5)
 
 
-def test_what_lasts_has_no_end_and_no_recovery_in_its_row(outcome: RunOutcome) -> None:
+def test_lasting_disturbance_has_no_end_and_no_recovery_in_its_row(outcome: RunOutcome) -> None:
     lasting = replace(outcome.run, disturbance=(0.0, math.inf))
     values = json_row(RunOutcome(outcome.case, lasting).row, silent=())
     assert values["disturbance_s"] == [0.0, None]
@@ -125,7 +125,7 @@ def test_what_lasts_has_no_end_and_no_recovery_in_its_row(outcome: RunOutcome) -
     assert cells[-2:] == ("-", "1/1")
 
 
-def test_what_cannot_be_computed_is_null(outcome: RunOutcome) -> None:
+def test_undefined_value_is_null(outcome: RunOutcome) -> None:
     broken = outcome.run.true_pose.copy()
     broken[5] = np.nan
     values = json_row(RunOutcome(outcome.case, replace(outcome.run, true_pose=broken)).row, ["scenario"])
@@ -133,9 +133,9 @@ def test_what_cannot_be_computed_is_null(outcome: RunOutcome) -> None:
     assert values["completed"] is False
 
 
-def test_a_report_is_complete_and_valid(results: ComparisonResults, tmp_path: Path) -> None:
+def test_report_is_complete_and_valid(results: ComparisonResults, tmp_path: Path) -> None:
     done: list[int] = []
-    written(results, tmp_path, lambda: done.append(1))
+    write_out(results, tmp_path, lambda: done.append(1))
     data = json.loads((tmp_path / "bench.json").read_text())
     assert set(data) == {"meta", "runs"}
     assert [set(run) for run in data["runs"]] == [set(FIELDS)] * 3
@@ -152,13 +152,13 @@ def test_a_report_is_complete_and_valid(results: ComparisonResults, tmp_path: Pa
     assert str(Path.home()) not in text + json.dumps(data)
 
 
-def test_a_figure_is_the_same_file_every_time(outcome: RunOutcome, tmp_path: Path) -> None:
+def test_figure_is_reproduced_byte_for_byte(outcome: RunOutcome, tmp_path: Path) -> None:
     for name in ("first.png", "second.png"):
         draw_case(outcome.run, "title", tmp_path / name)
     assert (tmp_path / "first.png").read_bytes() == (tmp_path / "second.png").read_bytes()
 
 
-def test_tables_show_means_over_all_runs_however_long_they_are_and_end(outcome: RunOutcome) -> None:
+def test_tables_show_means_over_all_runs_of_any_length_and_outcome(outcome: RunOutcome) -> None:
     rows = rows_of(*(RunOutcome(replace(outcome.case, seed=seed), outcome.run) for seed in range(3)))
     rows = rows.assign(position_rmse_m=[0.1, 0.2, 0.6], steps=[1, 2, 3], completed=[True, True, False])
     (cells,) = summary_table(rows).rows
@@ -178,7 +178,7 @@ def test_tables_show_means_over_all_runs_however_long_they_are_and_end(outcome: 
         ((2.4, False), (2.5, False), "-", "no controller completed every run"),
     ],
 )
-def test_least_error_is_that_of_any_controller_that_completed_every_run(results, ours, peer, value, note) -> None:
+def test_min_error_is_that_of_a_controller_that_completed_every_run(results, ours, peer, value, note) -> None:
     main, errors = results.main.iloc[[0, 1, 0, 1]].reset_index(drop=True), 1e-3 * np.array([ours[0], peer[0]] * 2)
     main = main.assign(position_rmse_m=errors, completed=[True, True, ours[1], peer[1]])
     page = page_contents(replace(results, main=main))
@@ -192,10 +192,10 @@ def times_in(table: Table, line: int = 0) -> list[str]:
     return [table.rows[line][i] for i in names]
 
 
-def test_times_are_those_of_undisturbed_ticks_and_a_row_that_has_others_is_marked(outcome: RunOutcome) -> None:
+def test_times_exclude_disturbed_ticks_and_mark_their_rows(outcome: RunOutcome) -> None:
     times = np.where(outcome.run.counted, 2e-3, 9.0)
     whole = RunOutcome(outcome.case, outcome.run.with_step_time(times, times / 2))
-    times = np.where(np.arange(len(times)) < len(times) // 2, np.nan, times)  # disturbed whenever they were measured
+    times = np.where(np.arange(len(times)) < len(times) // 2, np.nan, times)  # disturbed in every measurement
     half = RunOutcome(outcome.case, outcome.run.with_step_time(times, times / 4), clean_share=0.5)
     table = summary_table(rows_of(half))
     assert times_in(table) == ["0.50*", "0.50*", "2.00*", "2.00*"]
@@ -208,7 +208,7 @@ def test_times_are_those_of_undisturbed_ticks_and_a_row_that_has_others_is_marke
     assert time_table(rows_of(whole)).rows[0][3:11] == ("1.000",) * 4 + ("2.000",) * 4, "the largest included"
 
 
-def test_a_report_says_which_configuration_it_is_of(results: ComparisonResults, tmp_path: Path) -> None:
+def test_report_states_its_configuration(results: ComparisonResults, tmp_path: Path) -> None:
     path = tmp_path / "tuned.yaml"
     path.write_text("model: ssm\nhorizon: 12\n")
     swept = tuple((("weights.across", value), ("estimator.history", 0.4)) for value in (60, 120))
@@ -232,7 +232,7 @@ def test_a_report_says_which_configuration_it_is_of(results: ComparisonResults, 
     ]
 
 
-def test_the_path_of_a_model_file_is_not_in_the_report(tmp_path: Path) -> None:
+def test_report_omits_the_path_of_a_model_file(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text((Path(__file__).parents[2] / "models" / "parameters" / "ssm.yaml").read_text())
     meta = describe(default_settings().model_copy(update={"models": (str(path),)}), TimingPass())
@@ -240,7 +240,7 @@ def test_the_path_of_a_model_file_is_not_in_the_report(tmp_path: Path) -> None:
     assert str(tmp_path) not in json.dumps(meta)
 
 
-def test_runs_of_ours_that_did_not_complete_are_complained_about(results: ComparisonResults) -> None:
+def test_incomplete_runs_of_the_mpc_are_reported(results: ComparisonResults) -> None:
     assert incomplete(results) is None
     ours, peer = (RunOutcome(case, run) for case, run in zip(results.main["case"], results.main["run"], strict=True))
     stopped = replace(ours.run, true_pose=ours.run.true_pose + 1.0)
@@ -250,7 +250,7 @@ def test_runs_of_ours_that_did_not_complete_are_complained_about(results: Compar
     assert incomplete(replace(results, main=rows_of(ours, RunOutcome(peer.case, stopped)))) is None
 
 
-def test_the_named_files_are_put_in_place_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_named_files_are_moved_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     moved: list[str] = []
     move = Path.replace
     monkeypatch.setattr(Path, "replace", lambda self, to: moved.append(self.name) or move(self, to))
@@ -262,7 +262,7 @@ def test_the_named_files_are_put_in_place_last(tmp_path: Path, monkeypatch: pyte
 
 
 @pytest.mark.parametrize("kind", ["folder", "link"])
-def test_a_conflict_found_in_the_end_replaces_nothing(kind: str, tmp_path: Path) -> None:
+def test_late_conflict_replaces_no_file(kind: str, tmp_path: Path) -> None:
     out, mine = tmp_path / "out", tmp_path / "mine"
     out.mkdir()
     (out / "a.txt").write_text("old")
@@ -279,7 +279,7 @@ def test_a_conflict_found_in_the_end_replaces_nothing(kind: str, tmp_path: Path)
     assert sorted(path.name for path in out.iterdir()) == ["a.txt", "b.txt"]
 
 
-def test_a_failure_leaves_everything_as_it_was(tmp_path: Path) -> None:
+def test_failure_leaves_all_files_unchanged(tmp_path: Path) -> None:
     (tmp_path / "bench.md").write_text("old")
     with pytest.raises(ZeroDivisionError), staged(tmp_path) as folder:
         (folder / "bench.md").write_text("half")
@@ -299,64 +299,64 @@ def _write(out: Path, owner: str, *names: str, shared: bool = False) -> None:
             (folder / name).write_text(f"{owner} {name}", encoding="utf-8")
 
 
-def _there(out: Path) -> set[str]:
+def _files_in(out: Path) -> set[str]:
     return {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()} - {CONTENTS}
 
 
-def test_results_of_the_same_command_are_replaced_wholly(tmp_path: Path) -> None:
-    """Old figures of the command are removed; files that others added or changed stay."""
+def test_results_of_the_same_command_are_replaced_completely(tmp_path: Path) -> None:
+    """Old figures of the command are removed; files that users added or changed stay."""
     _write(tmp_path, "bench", "bench.md", "figures/a.png", "figures/b.png", "old/c.png")
     (tmp_path / "figures" / "mine.png").write_text("mine", encoding="utf-8")
     (tmp_path / "figures" / "b.png").write_text("retouched by hand", encoding="utf-8")
     _write(tmp_path, "bench", "bench.md", "figures/z.png")
-    assert _there(tmp_path) == {"bench.md", "figures/b.png", "figures/mine.png", "figures/z.png"}
+    assert _files_in(tmp_path) == {"bench.md", "figures/b.png", "figures/mine.png", "figures/z.png"}
     assert not (tmp_path / "old").exists()
 
 
 def test_two_commands_keep_both_their_results(tmp_path: Path) -> None:
-    """The page of the second has a different name, also in later runs; files of the first are not replaced."""
+    """The page of the second command has a different name, also in later runs; files of the first stay."""
     _write(tmp_path, "bench", "bench.md", "report.html")
     _write(tmp_path, "tracking", "tracking.md", "report.html")
     _write(tmp_path, "tracking", "tracking.md", "report.html")
     _write(tmp_path, "bench", "bench.md", "report.html")
-    assert _there(tmp_path) == {"bench.md", "report.html", "tracking.md", "tracking.html"}
+    assert _files_in(tmp_path) == {"bench.md", "report.html", "tracking.md", "tracking.html"}
     assert (tmp_path / "report.html").read_text(encoding="utf-8") == "bench report.html"
     assert (tmp_path / "tracking.html").read_text(encoding="utf-8") == "tracking report.html"
     with (
         pytest.raises(ConfigError, match=r"'bench.md' is a result of `bench`; give another folder"),
         staged(tmp_path, files=("bench.md",), owner="twin"),
     ):
-        raise AssertionError("it began")
+        raise AssertionError("the command must be refused")
 
 
-def test_results_whose_move_fails_leave_the_old_ones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """This includes stale results."""
+def test_failed_move_leaves_the_old_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stale results are kept as well."""
     _write(tmp_path, "bench", "a", "b")
     before = {name: (tmp_path / name).read_bytes() for name in ("a", "b", CONTENTS)}
     move = Path.replace
 
-    def full(self: Path, to: Path) -> Path:
+    def replace_on_a_full_disk(self: Path, to: Path) -> Path:
         if self.name == "c":
             raise OSError("disk full")
         return move(self, to)
 
-    monkeypatch.setattr(Path, "replace", full)
+    monkeypatch.setattr(Path, "replace", replace_on_a_full_disk)
     with pytest.raises(OSError, match="disk full"):
         _write(tmp_path, "bench", "a", "new/b", "c")
-    assert _there(tmp_path) == {"a", "b"} and not (tmp_path / "new").exists()
+    assert _files_in(tmp_path) == {"a", "b"} and not (tmp_path / "new").exists()
     assert {name: (tmp_path / name).read_bytes() for name in ("a", "b", CONTENTS)} == before
 
 
 @pytest.mark.parametrize("contents", ["", "[]", "{", '{"a": 1}', '{"a": {"by": "bench"}}', '{"../x": null}'])
-def test_a_damaged_list_of_contents_is_as_good_as_none(tmp_path: Path, contents: str) -> None:
-    """Every file then counts as foreign."""
+def test_damaged_list_of_contents_is_ignored(tmp_path: Path, contents: str) -> None:
+    """Every file then counts as a file of the user."""
     (tmp_path / CONTENTS).write_text(contents, encoding="utf-8")
     (tmp_path / "a").write_text("mine", encoding="utf-8")
     _write(tmp_path, "bench", "b")
-    assert _there(tmp_path) == {"a", "b"}
+    assert _files_in(tmp_path) == {"a", "b"}
 
 
-def test_no_file_outside_is_ever_stale(tmp_path: Path) -> None:
+def test_file_outside_the_folder_is_never_stale(tmp_path: Path) -> None:
     """The list of contents, which a user may edit, names a file outside the folder."""
     out, mine = tmp_path / "out", tmp_path / "mine"
     mine.write_text("mine", encoding="utf-8")
@@ -376,7 +376,7 @@ def _hold(out: str, ready: object, shared: bool) -> None:
 
 
 @pytest.mark.parametrize("shared", [False, pytest.param(True, marks=pytest.mark.system)])
-def test_a_second_command_is_refused_until_the_first_has_ended_however_it_ends(tmp_path: Path, shared: bool) -> None:
+def test_second_command_is_refused_until_the_first_has_ended_or_was_killed(tmp_path: Path, shared: bool) -> None:
     """A killed command leaves no lock, and its unfinished files are removed; commands may share a folder."""
     context = multiprocessing.get_context("spawn")
     ready = context.Event()
@@ -395,7 +395,7 @@ def test_a_second_command_is_refused_until_the_first_has_ended_however_it_ends(t
     (left,) = tmp_path.glob(".unfinished-*")
     os.utime(left, (0, 0))
     _write(tmp_path, "bench", "third", shared=shared)
-    assert "third" in _there(tmp_path)
+    assert "third" in _files_in(tmp_path)
     assert not list(tmp_path.glob(".unfinished-*"))
 
 
@@ -419,4 +419,4 @@ def test_workers_end_when_their_parent_is_killed() -> None:
         if not any(map(is_running, workers)):
             return
         time.sleep(0.1)
-    raise AssertionError("workers are left")
+    raise AssertionError("workers still run")

@@ -30,7 +30,7 @@ def threads() -> str | None:
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_results_come_in_the_order_of_the_tasks(jobs: int) -> None:
+def test_results_have_the_order_of_the_tasks(jobs: int) -> None:
     done: list[int] = []
     assert run_tasks([partial(slow_square, k) for k in range(5)], jobs, lambda: done.append(1)) == [0, 1, 4, 9, 16]
     assert len(done) == 5
@@ -41,7 +41,7 @@ def test_every_process_has_one_thread() -> None:
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_what_a_task_raises_is_raised(jobs: int) -> None:
+def test_exception_of_a_task_is_raised(jobs: int) -> None:
     with pytest.raises(ValueError, match="no such plant"):
         run_tasks([refuse, refuse], jobs, lambda: None)
 
@@ -57,11 +57,11 @@ def test_a_process_that_dies_is_one_line_with_a_remedy(monkeypatch: pytest.Monke
     assert not (tmp_path / "out").exists()
 
 
-def test_an_interruption_ends_the_processes_at_once() -> None:
-    def interrupted() -> None:
+def test_interruption_ends_the_processes_at_once() -> None:
+    def interrupt() -> None:
         raise KeyboardInterrupt
 
-    began = time.monotonic()
+    start = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
-        run_tasks([partial(slow_square, 5), partial(time.sleep, 60.0)], 2, interrupted)
-    assert time.monotonic() - began < 30.0
+        run_tasks([partial(slow_square, 5), partial(time.sleep, 60.0)], 2, interrupt)
+    assert time.monotonic() - start < 30.0

@@ -20,19 +20,19 @@ from diffdrive_mpc.models.interface import FloatArray, Measurement, TrackingCont
 from diffdrive_mpc.sim import Run, simulate
 
 
-class Moody(FeedForward):
-    """Controller with state that `start` does not reset."""
+class StatefulController(FeedForward):
+    """Controller with a state that `start` does not reset."""
 
     calls = 0
 
     def step(self, t: float, measurement: Measurement) -> FixedStep:
-        Moody.calls += 1
+        StatefulController.calls += 1
         step = super().step(t, measurement)
-        return replace(step, command=step.command + 1e-15 * Moody.calls)
+        return replace(step, command=step.command + 1e-15 * StatefulController.calls)
 
 
-class Dawdling(FeedForward):
-    """Controller that takes 2 ms longer than it reports: time outside its own clock."""
+class SlowController(FeedForward):
+    """Controller that takes 2 ms longer than it reports."""
 
     def step(self, t: float, measurement: Measurement) -> FixedStep:
         step = super().step(t, measurement)
@@ -45,9 +45,9 @@ def replay_all(controller: TrackingController, run: Run) -> FloatArray:
     return replay(controller, run, 0, len(run.time))
 
 
-def test_a_replay_measures_every_whole_step_itself() -> None:
+def test_replay_measures_the_whole_step() -> None:
     run = simulate(FeedForward(), DisplacedUnicycle([0.0, 0.1, 0.0]), Arc(duration=1.0))
-    controller = Dawdling()
+    controller = SlowController()
     controller.start(run.reference, 0.0)
     times = replay(controller, run, 0, len(run.time))
     assert times.shape == (len(run.time), 2)
@@ -56,7 +56,7 @@ def test_a_replay_measures_every_whole_step_itself() -> None:
 
 
 def test_every_outcome_gets_the_times_of_its_own_replay(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Step times are the trajectory's duration plus the tick's own time, in whatever order the blocks are replayed."""
+    """Step times are the trajectory's duration plus the tick's own time, whatever the order of the blocks."""
     outcomes = [quick_outcome(controller="kanayama", model="none", trajectory=name) for name in ("circle", "s")]
 
     def timed_by_tick(controller: object, run: Run, first: int, last: int) -> FloatArray:
@@ -75,7 +75,7 @@ def test_every_outcome_gets_the_times_of_its_own_replay(monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("clean", [1, 0])
-def test_disturbed_ticks_are_left_out_of_all_controllers_or_of_none(
+def test_disturbed_ticks_are_excluded_for_all_controllers_or_for_none(
     clean: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Disturbed ticks of a peer must not be compared with undisturbed ticks of others."""
@@ -90,7 +90,7 @@ def test_disturbed_ticks_are_left_out_of_all_controllers_or_of_none(
     assert counts == ([1, 5] if clean else [len(outcome.run.time) for outcome in outcomes])
 
 
-def test_a_difference_in_the_last_bit_is_found() -> None:
+def test_difference_in_the_last_bit_raises_error() -> None:
     run = simulate(FeedForward(), DisplacedUnicycle([0.0, 0.1, 0.0]), Arc())
     command = run.command.copy()
     command[77, 1] = np.nextafter(command[77, 1], 1.0)
@@ -98,13 +98,13 @@ def test_a_difference_in_the_last_bit_is_found() -> None:
         replay_all(FeedForward(), replace(run, command=command))
 
 
-def test_a_controller_with_hidden_state_is_found_out() -> None:
-    run = simulate(Moody(), DisplacedUnicycle([0.0, 0.1, 0.0]), Arc())
+def test_controller_with_hidden_state_raises_error() -> None:
+    run = simulate(StatefulController(), DisplacedUnicycle([0.0, 0.1, 0.0]), Arc())
     with pytest.raises(NotReproducibleError, match="not deterministic"):
-        replay_all(Moody(), run)
+        replay_all(StatefulController(), run)
 
 
-def test_the_predictive_controller_replays_bit_for_bit() -> None:
+def test_mpc_is_replayed_bit_for_bit() -> None:
     outcome = quick_outcome(sensors="default", surface="default")
     (timed,), timing = time_outcomes([outcome], lambda: None)
     assert timed.run.metrics.position_rmse_m == outcome.run.metrics.position_rmse_m
@@ -113,7 +113,7 @@ def test_the_predictive_controller_replays_bit_for_bit() -> None:
     assert 0 <= timing.clean_share == timed.clean_share <= 1
 
 
-def test_the_quiet_core_is_given_back() -> None:
+def test_quiet_core_is_released() -> None:
     cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else None
     with pytest.raises(KeyError), quiet_core():
         assert not gc.isenabled()
@@ -126,17 +126,17 @@ def test_the_quiet_core_is_given_back() -> None:
 
 
 QUIET = Effort(elapsed=1e-3, processor=1e-3, switches=0, pace=1e-5)
-PUT_ASIDE = QUIET._replace(switches=1)
+PREEMPTED = QUIET._replace(switches=1)
 
 
 @pytest.fixture(autouse=True)
-def a_clock_that_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+def frozen_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     """A frozen clock, so that no retry times out on a busy machine."""
     monkeypatch.setattr(turns, "perf_counter", lambda: 0.0)
 
 
 class Scripted:
-    """Replay with blocks that are disturbed as specified; the time of a tick is the number of its pass."""
+    """Replay whose blocks are disturbed as specified; the time of a tick is the number of its pass."""
 
     def __init__(self, name: str, ticks: int, log: list[str], disturbed: dict[int, list[Effort]] | None = None) -> None:
         self.name, self.ticks, self._log = name, ticks, log
@@ -147,34 +147,34 @@ class Scripted:
 
     def restart(self) -> None:
         self.passes += 1
-        self._at = 0
+        self._next = 0
 
     def run(self, first: int, last: int) -> tuple[FloatArray, Effort] | None:
-        assert first == self._at, "a controller goes through its ticks in order"
-        self._at = last
+        assert first == self._next, "ticks must be replayed in order"
+        self._next = last
         self._log.append(f"{self.name}{first}")
         effort = next(self._efforts.get(first, iter(())), QUIET)
         return np.full((last - first, 2), float(self.passes)), effort
 
 
-def test_blocks_take_turns_and_each_is_the_first_once_in_a_while() -> None:
+def test_blocks_alternate_and_so_does_their_order() -> None:
     log: list[str] = []
     take_turns([[Scripted("a", 6, log), Scripted("b", 4, log)], [Scripted("c", 2, log)]], block=2)
     assert log == ["a0", "b0", "b2", "a2", "a4", "c0"]
 
 
-def test_a_disturbed_block_is_measured_again_and_the_others_keep_their_first_times() -> None:
-    a, b = Scripted("a", 6, log := [], {2: [PUT_ASIDE, PUT_ASIDE]}), Scripted("b", 6, log)
+def test_disturbed_block_is_measured_again_and_the_others_keep_their_first_times() -> None:
+    a, b = Scripted("a", 6, log := [], {2: [PREEMPTED, PREEMPTED]}), Scripted("b", 6, log)
     ((times, untouched),), best = take_turns([[a, b]], block=2)
     assert times.times[0, 1::2, 0].tolist() == [1, 3, 1]
     assert times.share == untouched.share == 1.0
     assert (a.passes, b.passes) == (3, 1)
-    assert log[6:] == ["a0", "a2"] * 2, "as far as the disturbed block, and not further"
+    assert log[6:] == ["a0", "a2"] * 2, "up to the disturbed block only"
     assert best == QUIET.pace
 
 
-def test_what_stays_disturbed_is_marked_and_left_out() -> None:
-    replay = Scripted("a", 4, [], {2: [PUT_ASIDE] * (AGAIN + 1)})
+def test_permanently_disturbed_block_is_marked_and_excluded() -> None:
+    replay = Scripted("a", 4, [], {2: [PREEMPTED] * (AGAIN + 1)})
     ((times,),), _ = take_turns([[replay]], block=2)
     assert times.clean.tolist() == [[True, True, False, False]]
     assert times.share == 0.5
@@ -182,9 +182,9 @@ def test_what_stays_disturbed_is_marked_and_left_out() -> None:
     assert replay.passes == AGAIN + 1
 
 
-def test_a_slow_controller_is_watched_in_stretches_and_only_the_disturbed_one_is_measured_again() -> None:
+def test_slow_controller_is_measured_in_parts_of_which_only_the_disturbed_one_is_repeated() -> None:
     slow = QUIET._replace(elapsed=1.2 * turns.STRETCH, processor=1.2 * turns.STRETCH)
-    efforts = {0: [slow], 2: [slow, slow], 3: [PUT_ASIDE, slow]}
+    efforts = {0: [slow], 2: [slow, slow], 3: [PREEMPTED, slow]}
     replay = Scripted("a", 4, log := [], efforts)
     ((times,),), _ = take_turns([[replay]], block=2)
     assert log == ["a0", "a2", "a3"] + ["a0", "a2", "a3"]
@@ -193,15 +193,15 @@ def test_a_slow_controller_is_watched_in_stretches_and_only_the_disturbed_one_is
     assert times.times[0, :, 0].tolist() == pytest.approx([np.nan, 1, np.nan, 2], nan_ok=True)
 
 
-def test_so_many_undisturbed_repetitions_as_wanted_are_taken() -> None:
-    replay = Scripted("a", 4, [], {0: [QUIET, PUT_ASIDE]})
+def test_requested_number_of_undisturbed_repetitions_is_measured() -> None:
+    replay = Scripted("a", 4, [], {0: [QUIET, PREEMPTED]})
     ((times,),), _ = take_turns([[replay]], block=2, repetitions=3)
     assert times.times[:, 1, 0].tolist() == [1, 3, 4]
     assert times.times[:, 3, 0].tolist() == [1, 2, 3]
     assert times.clean.all()
 
 
-def test_a_machine_that_was_slow_is_found_out_when_it_is_fast_again() -> None:
+def test_slow_start_of_the_machine_is_detected_when_it_becomes_fast() -> None:
     """The first block counts as undisturbed until a shorter reference time is measured."""
     slow = QUIET._replace(pace=1.01 * SLOWER * QUIET.pace)
     ((times,),), best = take_turns([[Scripted("a", 4, [], {0: [slow]})]], block=2)
@@ -214,10 +214,10 @@ def test_a_machine_that_was_slow_is_found_out_when_it_is_fast_again() -> None:
     [
         ({}, True),
         ({"switches": 1}, False),
-        ({"processor": 0.9e-3}, False),  # somebody else had the core, or the host took it
+        ({"processor": 0.9e-3}, False),  # another process or the host used the core
         ({"processor": 0.985e-3}, True),  # reading clocks
         ({"pace": 1.2e-5}, False),  # a throttled core, or a neighbour on it
     ],
 )
-def test_what_disturbs_a_block(changes: dict[str, float], undisturbed: bool) -> None:
+def test_block_is_disturbed_by_switches_lost_time_or_a_slow_pace(changes: dict[str, float], undisturbed: bool) -> None:
     assert QUIET._replace(**changes).undisturbed(best_pace=1e-5) is undisturbed

@@ -1,4 +1,4 @@
-"""Records of a made-up robot with known base effects."""
+"""Records of an artificial robot with known base effects."""
 
 import numpy as np
 import yaml
@@ -25,14 +25,14 @@ def linear_model():
 
 
 def write_effects(path, effects):
-    """Write the shipped SM with these effects of its base."""
+    """Write the shipped SM with these base effects."""
     data = yaml.safe_load((PARAMETERS / "sm.yaml").read_text())
     path.write_text(yaml.safe_dump({**data, "base_effects": effects}))
     return path
 
 
 def step_commands(seed, duration, hold=2.5) -> FloatArray:
-    """Return steps of v and omega together, slow and fast ones, some of which hardly turn one side."""
+    """Return steps of v and omega together, slow and fast, some of which hardly turn one side."""
     stream = np.random.default_rng(seed)
     steps = round(duration / hold)
     v, omega = stream.uniform(-0.8, 0.8, steps), stream.uniform(-3.0, 3.0, steps)
@@ -42,17 +42,17 @@ def step_commands(seed, duration, hold=2.5) -> FloatArray:
 
 
 def record_of(effects: BaseEffects, seed, duration, *, noise=1.0, yaw_ratio=1.8, delay=0.05, clip=np.inf) -> Record:
-    """Simulate readings of encoders (late) and gyro (biased) of the made-up robot; noise in multiples of the usual.
+    """Simulate encoder (delayed) and gyro (biased) readings of the artificial robot; `noise` scales the usual noise.
 
     The robot clips |omega_ref| at `clip`.
     """
     commands = step_commands(seed, duration)
-    taken = np.column_stack([commands[:, 0], np.clip(commands[:, 1], -clip, clip)])
-    response = respond(linear_model(), effects, taken, DT)
+    applied = np.column_stack([commands[:, 0], np.clip(commands[:, 1], -clip, clip)])
+    response = respond(linear_model(), effects, applied, DT)
     stream = np.random.default_rng(seed + 1000)
     time = DT * np.arange(len(commands))
-    late = np.column_stack([np.interp(time - delay, time, column) for column in response.wheels.T])
-    twist = late * np.array([1.0, yaw_ratio]) + noise * np.array([0.01, 0.03]) * stream.normal(size=late.shape)
+    delayed = np.column_stack([np.interp(time - delay, time, column) for column in response.wheels.T])
+    twist = delayed * np.array([1.0, yaw_ratio]) + noise * np.array([0.01, 0.03]) * stream.normal(size=delayed.shape)
     yaw_rate = response.body[:, 1] + 0.02 + noise * 0.015 * stream.normal(size=len(time))
     rim = np.stack(
         [twist[:, 0] - twist[:, 1] * ENCODER_TRACK / 2, twist[:, 0] + twist[:, 1] * ENCODER_TRACK / 2], axis=-1

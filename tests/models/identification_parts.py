@@ -1,4 +1,4 @@
-"""Drives with a known truth, for the tests of the identification."""
+"""Drives with known parameters, for tests of the identification."""
 
 import numpy as np
 import pytest
@@ -32,11 +32,11 @@ def record(commands, twist, name="drive", start=0.0, **more):
 
 
 def noisy_drive(model, seed, count=3000, noise=(0.01, 0.03), limit=np.inf):
-    """Simulate one record of `model`, white noise on both sensors; the robot clips |omega_ref| at `limit`."""
+    """Simulate one record of `model` with white noise on both sensors; the robot clips |omega_ref| at `limit`."""
     commands = set_points(seed, count, (0.8, 1.5))
-    taken = commands.copy()
-    taken[:, 1] = np.clip(taken[:, 1], -limit, limit)
-    clean = model.discretise(DT).simulate(taken)
+    applied = commands.copy()
+    applied[:, 1] = np.clip(applied[:, 1], -limit, limit)
+    clean = model.discretise(DT).simulate(applied)
     return record(commands, clean + np.array(noise) * np.random.default_rng(seed + 1000).normal(size=clean.shape))
 
 
@@ -51,7 +51,7 @@ def two_channels(v, omega, dead_time=(0.05, 0.03)):
 
 
 def data_of(*records):
-    """Return data whose first record is to train on and whose others are to validate on."""
+    """Return data with the first record for training and the others for validation."""
     return LogData(tuple(records[:1]), tuple(records[1:]), ("made up",), "nothing", "gyro", (), ())
 
 

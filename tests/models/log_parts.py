@@ -1,4 +1,4 @@
-"""A small drive with known answers, and writers of the files that a robot would have left."""
+"""A small drive with known results, and writers of log files as recorded on a robot."""
 
 import csv
 from dataclasses import replace
@@ -71,7 +71,7 @@ def message(kind, reading, seconds):
     def quaternion(theta):
         return types["geometry_msgs/msg/Quaternion"](0.0, 0.0, np.sin(theta / 2), np.cos(theta / 2))
 
-    def placed(parent, child, roll):
+    def transform_message(parent, child, roll):
         turn = types["geometry_msgs/msg/Quaternion"](np.sin(roll / 2), 0.0, 0.0, np.cos(roll / 2))
         transform = types["geometry_msgs/msg/Transform"](vector(), turn)
         return types["geometry_msgs/msg/TransformStamped"](replace(header, frame_id=parent), child, transform)
@@ -95,7 +95,7 @@ def message(kind, reading, seconds):
             *(header, quaternion(0.0), np.zeros(9), vector(**dict(zip("zxy", reading, strict=False))), np.zeros(9)),
             *(vector(), np.zeros(9)),
         ],
-        "TFMessage": lambda: [[placed(*reading)]],
+        "TFMessage": lambda: [[transform_message(*reading)]],
         "PoseStamped": lambda: [header, pose(*reading)],
         "PoseWithCovarianceStamped": lambda: [header, with_covariance("Pose", pose(*reading))],
         "String": lambda: ["hello"],
@@ -111,7 +111,7 @@ def message(kind, reading, seconds):
 
 
 def write_bag(folder, topics, storage="sqlite3"):
-    """Write a bag; topics: name, with #word for a further type -> (type, times of receipt, stamps [s], readings)."""
+    """Write a bag; topics: name, with #word for a second type -> (type, times of receipt, stamps [s], readings)."""
     plugin = {"sqlite3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}[storage]
     with Writer(folder, version=9, storage_plugin=plugin) as writer:
         queue = []
@@ -125,7 +125,7 @@ def write_bag(folder, topics, storage="sqlite3"):
 
 
 def bag_topics(columns, command="geometry_msgs/msg/Twist", pose="geometry_msgs/msg/PoseStamped"):
-    """Return the topics of a robot that moves by `columns`: commands on the grid, odometry and gyro after it."""
+    """Return the topics of a robot that moves by `columns`: commands on the grid, odometry and gyro later."""
     t = columns["t"] + 1.0
 
     def rows(*names):
@@ -154,19 +154,19 @@ def read_columns(path):
 
 
 def teleoperated(seconds=60.0, rate=100.0, sensor_dt=1 / 30, seed=0):
-    """Simulate topics of a robot (lags 0.1 s) with commands at `rate` [Hz] while a key is pressed, then without.
+    """Simulate topics of a robot (lags 0.1 s) with commands at `rate` [Hz] only while a key is pressed.
 
-    The last command stays in force between, as that of a base without a time-out does.
+    The last command stays active between, as in a base without a time-out.
     """
     rng = np.random.default_rng(seed)
     fine = 0.01
     time = fine * np.arange(round(seconds / fine))
     presses = np.arange(0.5, seconds - 2.0, 1.6)
-    held = rng.uniform([-0.3, -1.0], [0.3, 1.0], (len(presses), 2))
-    held[1::3] = 0.0
+    levels = rng.uniform([-0.3, -1.0], [0.3, 1.0], (len(presses), 2))
+    levels[1::3] = 0.0
     lengths = rng.uniform(0.3, 0.9, len(presses))
     sent = [instants + np.arange(0.0, length, 1 / rate) for instants, length in zip(presses, lengths, strict=True)]
-    commands = np.repeat(held, [len(part) for part in sent], axis=0)
+    commands = np.repeat(levels, [len(part) for part in sent], axis=0)
     sent = np.concatenate(sent) + rng.uniform(0.0, 0.001, len(commands))
     force = np.searchsorted(sent, time, side="right")
     in_force = np.where(force[:, None] > 0, commands[force - 1], 0.0)

@@ -1,4 +1,4 @@
-"""Logs that were degraded on purpose: the cause is named, and the advice mends it."""
+"""Logs with artificial defects: the cause is named, and the advice corrects it."""
 
 from pathlib import Path
 
@@ -54,17 +54,17 @@ def gyro_and_sides(columns, base):
 
 
 def slow_body(lag):
-    """Delay the yaw of the body behind its wheels, as on ice."""
+    """Delay the yaw of the body behind that of its wheels, as on ice."""
     keep = np.exp(-0.02 / lag)
     return replaced(gyro=lambda columns: lfilter([1 - keep], [1, -keep], columns["gyro"]))
 
 
 def coarse(columns):
-    """Return stamps in quarters of a second, as floats of 32 bits have some weeks after their epoch."""
+    """Return stamps in quarters of a second, as 32-bit floats have some weeks after their epoch."""
     return np.round(4.0 * columns["t"]) / 4.0
 
 
-def from_a_half_on(columns, base):
+def halved_from_the_middle_on(columns, base):
     half = np.arange(len(columns["t"])) < len(columns["t"]) // 2
     return columns | {name: np.where(half, 1.0, 0.5) * columns[name] for name in base.wheels}
 
@@ -81,7 +81,7 @@ def advice_on(case, folder):
     return advise(LogSelection(tuple(paths), (), mapping, 0.6), findings_of(paths, mapping))
 
 
-MENDED = {
+CORRECTED = {
     "gyro late": (simulated_case(SKIDS, shifted("gyro", 0.3)), {"gyro delay"}),
     "gyro early": (simulated_case(QUICK, shifted("gyro", -0.3)), {"gyro delay"}),
     "encoders late": (simulated_case(SLOW, shifted("encoders", 0.3)), {"encoders delay"}),
@@ -97,7 +97,7 @@ MENDED = {
     "milliseconds": (simulated_case(SKIDS, scaled(t=1000.0)), {"time unit"}),
     "stamps in bursts, confirmed by poses": (simulated_case(SKIDS, replaced(t=in_bursts)), {"time sample_time"}),
     "yaw in degrees": (simulated_case(SLOW, scaled(theta=DEGREES)), {"pose theta.unit"}),
-    "encoders half from the middle on": (simulated_case(QUICK, from_a_half_on), {"log times"}),
+    "encoders half from the middle on": (simulated_case(QUICK, halved_from_the_middle_on), {"log times"}),
 }
 
 
@@ -109,14 +109,14 @@ QUICK_CASES = {
     "milliseconds",
     "gyro in deg/s, sides swapped",
 }
-"""Mended logs of each kind of change that `make test` tries; the system suite tries all."""
+"""Corrected logs of each kind of change that `make test` runs; the system suite runs all."""
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[] if name in QUICK_CASES else pytest.mark.system) for name in MENDED]
+    "name", [pytest.param(name, marks=[] if name in QUICK_CASES else pytest.mark.system) for name in CORRECTED]
 )
 def test_advised_change_predicts_better_and_repairs_the_log(tmp_path, name):
-    case, expected = MENDED[name]
+    case, expected = CORRECTED[name]
     advice = advice_on(case, tmp_path)
     assert {f"{change.stream} {change.key}" for change in advice.changes} == expected
     assert advice.after.fit.min() > 70
@@ -130,7 +130,7 @@ def test_advised_change_predicts_better_and_repairs_the_log(tmp_path, name):
     assert not any(finding.severity == "error" for finding in read_log(tmp_path / "log0.csv", fixed).findings)
 
 
-NOT_MENDED = {
+NOT_CORRECTED = {
     "stamps in bursts, without poses": simulated_case(SKIDS, replaced(t=in_bursts), NO_POSE),
     "time reversed": simulated_case(SKIDS, replaced(t=lambda columns: columns["t"][::-1])),
     "stamps of coarse floats": simulated_case(SKIDS, replaced(t=coarse), NO_POSE),
@@ -141,26 +141,26 @@ NOT_MENDED = {
 }
 
 
-@pytest.mark.parametrize("name", NOT_MENDED)
+@pytest.mark.parametrize("name", NOT_CORRECTED)
 def test_change_without_better_prediction_is_not_advised(tmp_path, name):
-    paths, mapping = logs_of(NOT_MENDED[name], tmp_path)
+    paths, mapping = logs_of(NOT_CORRECTED[name], tmp_path)
     findings = findings_of(paths, mapping)
     assert advise(LogSelection(tuple(paths), (), mapping, 0.6), findings) is None
     assert "in the mapping" not in " ".join(map(str, without_rejected(findings, None)))
 
 
-def test_that_a_robot_answers_late_is_no_reason_to_take_its_dead_time_away(tmp_path):
+def test_late_response_of_the_robot_is_not_treated_as_shifted_commands(tmp_path):
     findings = findings_of(*logs_of(simulated_case(QUICK, shifted("command", -0.5)), tmp_path))
     assert [finding.kind for finding in findings] == ["time shift"]
     assert not findings[0].changes
 
 
-def test_a_log_without_proposals_is_not_read_again():
+def test_log_without_proposals_is_not_read_again():
     selection = LogSelection((Path("there_is_none.csv"),), (), None, 0.6)
-    assert advise(selection, [Finding("gap", "note", "", "")], lambda _: pytest.fail("something was tried")) is None
+    assert advise(selection, [Finding("gap", "note", "", "")], lambda _: pytest.fail("a change was tried")) is None
 
 
-# Whether the mapping that is written is the one that was meant.
+# The written mapping equals the intended one.
 
 
 SIDES = {"left": {"column": "left"}, "right": {"column": "right"}}
@@ -183,7 +183,7 @@ def test_changes_of_v_and_omega_reach_the_wheels(tmp_path, key, value, expected)
     assert mapping.columns.encoders.model_dump(exclude_defaults=True) == expected
 
 
-def test_a_topic_is_changed_as_far_as_it_can_be():
+def test_topic_changes_are_applied_if_the_mapping_of_topics_supports_them():
 
     bag = LogMapping.model_validate({"topics": {"odometry": "/odom", "imu": {"topic": "/imu", "sign": -1}}})
     changes = [MappingChange("gyro", "yaw_rate.sign", -1), MappingChange("command", "on_change", True)]
@@ -195,11 +195,11 @@ def test_a_topic_is_changed_as_far_as_it_can_be():
         changed(bag, of_topics([MappingChange("encoders", "left.unit", "rpm")]))
 
 
-UNTOLD = {"asphalt: command +0.3 s"}
-"""Commands stamped late on a robot whose dead time is longer than that: it merely looks quicker than it is."""
+UNDETECTED = {"asphalt: command +0.3 s"}
+"""Late stamps of commands on a robot with a longer dead time: it only seems to respond faster than it does."""
 
 
-def judged(case, folder):
+def diagnose(case, folder):
     """Return the findings on the logs of a case, or the message that refuses them."""
     try:
         paths, mapping = logs_of(case, folder)
@@ -211,7 +211,7 @@ def judged(case, folder):
 
 
 def marks_of(case):
-    """Return the marks of a case: many bases belong to the system suite, robots of others to the tests of real logs."""
+    """Return the marks of a case: the system suite covers most bases, tests of real logs cover robots of others."""
     system = case in (*TIMES, *READINGS, *CAUSES) and case.base not in REAL_BASES
     return [
         mark for mark, has in ((pytest.mark.real_logs, case.base in REAL_BASES), (pytest.mark.system, system)) if has
@@ -219,12 +219,12 @@ def marks_of(case):
 
 
 @pytest.mark.parametrize("case", [pytest.param(case, id=case.name, marks=marks_of(case)) for case in CASES])
-def test_the_cause_is_named_and_no_other(case, tmp_path):
-    findings, raised = judged(case, tmp_path)
+def test_only_the_true_cause_is_named(case, tmp_path):
+    findings, raised = diagnose(case, tmp_path)
     messages = [f"{finding.severity}: {finding}" for finding in findings] + [raised]
-    assert verdict(case, findings, raised) == ("missed" if case.name in UNTOLD else "right"), messages
+    assert verdict(case, findings, raised) == ("missed" if case.name in UNDETECTED else "right"), messages
     refused = raised is not None or any(finding.severity == "error" for finding in findings)
-    if case.refused is not None and case.name not in UNTOLD:
+    if case.refused is not None and case.name not in UNDETECTED:
         assert refused == case.refused, messages
 
 

@@ -1,4 +1,4 @@
-"""Effects of bases: what they do, and that they are estimated from drives."""
+"""Base effects: their behaviour, and their estimation from drives."""
 
 from dataclasses import replace
 
@@ -56,15 +56,15 @@ def test_motor_commands_are_whole_steps_within_the_command(twist):
     steps = sides[~STEPS.coasts(twist)] / STEPS.resolution
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
     assert (np.abs(sides) <= 2.0 + 1e-9).all()
-    held = ~STEPS.coasts(twist)
-    assert (np.abs(sides[held]) <= np.abs(wanted[held]) + 1e-9).all()
-    near = held & (np.abs(wanted) < 2.0)
+    rolling = ~STEPS.coasts(twist)
+    assert (np.abs(sides[rolling]) <= np.abs(wanted[rolling]) + 1e-9).all()
+    near = rolling & (np.abs(wanted) < 2.0)
     assert (np.abs(wanted[near] - sides[near]) < STEPS.resolution + 1e-9).all()
 
 
 @given(st.floats(-3, 3), st.floats(-3, 3), st.floats(-3, 3))
-def test_a_side_never_runs_slower_for_a_greater_command(left, right, opposite):
-    """Monotone in each side while the other is held: true without coasting, which depends on the other side."""
+def test_side_never_runs_slower_for_a_larger_command(left, right, opposite):
+    """Each side is monotone with the other fixed; coasting, which depends on the other side, is excluded."""
     firm = STEPS.model_copy(update={"coasting_speed": 0.0})
     low, high = sorted([left, right])
     slower, faster = (firm.sides(firm.apply(firm.twist(np.array([side, opposite]))))[0] for side in (low, high))
@@ -72,7 +72,7 @@ def test_a_side_never_runs_slower_for_a_greater_command(left, right, opposite):
 
 
 @pytest.mark.parametrize(("opposite", "rolls"), [(1.0, 0.08), (-1.0, -0.08), (0.05, 0.05)])
-def test_a_side_without_a_step_rolls_along_with_the_other(opposite, rolls):
+def test_side_without_a_step_coasts_with_the_other(opposite, rolls):
     commanded = STEPS.apply(STEPS.twist(np.array([0.009, opposite])))
     np.testing.assert_allclose(STEPS.sides(commanded), [rolls, opposite], atol=1e-9)
 
@@ -86,7 +86,7 @@ def test_slope_is_the_derivative_of_the_map_without_steps(twist):
 
 
 @given(st.floats(-1, 1), st.floats(-3, 3), st.floats(0.001, 1.0), st.floats(0.005, 0.5))
-def test_strain_stays_bounded_and_the_heading_adds_up(strain, rate, dt, angle):
+def test_strain_is_bounded_and_the_heading_is_conserved(strain, rate, dt, angle):
     end, body = YawRelaxation(angle=angle).advance(strain, rate, dt)
     assert -1 <= end <= 1
     assert body * dt == pytest.approx(rate * dt - angle * (end - strain), abs=1e-12)
@@ -94,7 +94,7 @@ def test_strain_stays_bounded_and_the_heading_adds_up(strain, rate, dt, angle):
 
 
 @given(st.floats(-1, 1), st.floats(-3, 3), st.floats(0.01, 1.0))
-def test_two_half_samples_are_one(strain, rate, dt):
+def test_two_half_samples_equal_a_whole_one(strain, rate, dt):
     relaxation = YawRelaxation(angle=0.04)
     once, mean = relaxation.advance(strain, rate, dt)
     middle, first = relaxation.advance(strain, rate, dt / 2)
@@ -103,7 +103,7 @@ def test_two_half_samples_are_one(strain, rate, dt):
     assert 0.5 * (first + second) == pytest.approx(mean, abs=1e-9)
 
 
-def test_a_reversal_costs_twice_the_angle_and_a_pause_nothing():
+def test_reversal_costs_twice_the_angle_and_a_pause_nothing():
     relaxation = YawRelaxation(angle=0.035)
     dt = 0.01
     rates = np.concatenate([np.full(100, 0.8), np.zeros(50), np.full(100, 0.8), np.full(200, -0.8)])
@@ -116,14 +116,14 @@ def test_a_reversal_costs_twice_the_angle_and_a_pause_nothing():
 
 
 @given(TWISTS, LENGTHS)
-def test_veer_inverts(twist, yaw_per_metre):
+def test_veer_is_inverted(twist, yaw_per_metre):
     veer = Veer(yaw_per_metre=yaw_per_metre)
     np.testing.assert_allclose(veer.wheels(veer.body(twist)), twist, atol=1e-12)
     assert veer.body([2.0, 0.0])[1] == pytest.approx(2 * yaw_per_metre)
 
 
 @given(arrays(float, (3,), elements=st.floats(-4, 4)), LENGTHS, LENGTHS, LENGTHS)
-def test_pose_mount_inverts_and_is_rigid(pose, ahead, left, heading):
+def test_pose_mount_is_inverted_and_rigid(pose, ahead, left, heading):
     mount = PoseMount(ahead=ahead, left=left, heading=heading)
     centre = mount.centre(pose)
     np.testing.assert_allclose(mount.sensor(centre), pose, atol=1e-12)
@@ -138,7 +138,7 @@ TRUE = BaseEffects.model_validate(
         "veer": {"yaw_per_metre": -0.06},
     }
 )
-# Encoders' yaw ratio with which the gains belong to the base's track: 0.95 * 0.54 = ratio * 0.57 * 0.5.
+# Yaw ratio of the encoders at which the gains match the base's track: 0.95 * 0.54 = ratio * 0.57 * 0.5.
 RATIO = 0.95 * TRUE.wheel_command.track / (0.57 * ENCODER_TRACK)
 POINT = {
     "gain.v": 0.95,
@@ -165,7 +165,7 @@ def at_rest(commands):
     return SampledExperiment("at rest", DT, commands, readings, np.ones(readings.shape, dtype=bool))
 
 
-def test_the_free_run_is_that_of_the_model_file():
+def test_free_run_equals_that_of_the_model_file():
     commands = step_commands(3, 60.0)
     response = respond(linear_model(), TRUE, commands, DT)
     expected = np.column_stack([response.wheels * [1.0, RATIO], response.body[:, 1]])
@@ -173,7 +173,7 @@ def test_the_free_run_is_that_of_the_model_file():
 
 
 @given(st.floats(0.02, 1.0), st.floats(0.3, 2.4))
-def test_two_lags_are_exact_under_a_zero_order_hold(lag, damping):
+def test_two_lags_are_exact_for_a_zero_order_hold(lag, damping):
     drive = np.random.default_rng(0).normal(size=50)
     system = control.sample_system(control.tf([1], [lag**2, 2 * damping * lag, 1]), DT, method="zoh")
     expected = control.forced_response(system, inputs=drive, timepts=DT * np.arange(50)).outputs
@@ -184,7 +184,7 @@ COMMANDS = st.lists(st.sampled_from([-1.0, -0.3, 0.0, 0.2, 1.0]), min_size=1, ma
 
 
 @given(COMMANDS, st.floats(0.05, 5.0), st.floats(-2.0, 2.0))
-def test_ramps_are_the_steps_one_by_one(levels, limit, start):
+def test_ramps_equal_single_steps(levels, limit, start):
     slew = TwistSlew(v=limit, omega=2 * limit)
     commands = np.column_stack([levels, levels[::-1]])
     last, expected = np.array([start, -start]), []
@@ -195,7 +195,7 @@ def test_ramps_are_the_steps_one_by_one(levels, limit, start):
 
 
 @given(COMMANDS, st.floats(0.005, 0.3), st.floats(-1.0, 1.0))
-def test_relaxation_over_a_run_is_that_of_its_samples(rates, angle, strain):
+def test_relaxation_over_a_run_equals_that_of_its_samples(rates, angle, strain):
     relaxation = YawRelaxation(angle=angle)
     expected, z = [], strain
     for k, rate in enumerate(rates):
@@ -216,8 +216,8 @@ def test_smoothed_steps_stay_within_a_step_of_the_true_ones(v, omega):
 def test_each_sample_is_held_out_once():
     experiments = [at_rest(np.zeros((count, 2))) for count in (300, 500, 200)]
     folds = blocks(experiments)
-    held = [(i, k) for _, block in folds for i, first, stop in block for k in range(first, stop)]
-    assert sorted(held) == [(i, k) for i, experiment in enumerate(experiments) for k in range(experiment.samples)]
+    rolling = [(i, k) for _, block in folds for i, first, stop in block for k in range(first, stop)]
+    assert sorted(rolling) == [(i, k) for i, experiment in enumerate(experiments) for k in range(experiment.samples)]
     for rest, block in folds:
         assert not {(i, k) for i, a, b in rest for k in range(a, b)} & {
             (i, k) for i, a, b in block for k in range(a, b)
@@ -225,16 +225,16 @@ def test_each_sample_is_held_out_once():
 
 
 @pytest.fixture(scope="module")
-def fitted():
+def fit_result():
     return identify_with_effects([record_of(TRUE, 7, 150.0, yaw_ratio=RATIO)])
 
 
-def test_every_effect_is_identified(fitted):
-    assert set(fitted.effects) == {"twist slew", "steps and coasting of the wheels", "yaw relaxation", "veer"}
+def test_every_effect_is_identified(fit_result):
+    assert set(fit_result.effects) == {"twist slew", "steps and coasting of the wheels", "yaw relaxation", "veer"}
 
 
-def test_effects_are_recovered_within_their_stated_uncertainty(fitted):
-    estimate = fitted.identified.parameters
+def test_effects_are_recovered_within_their_stated_uncertainty(fit_result):
+    estimate = fit_result.identified.parameters
     truth = {
         "v.gain": 0.95,
         "omega.gain": 0.57,
@@ -251,31 +251,31 @@ def test_effects_are_recovered_within_their_stated_uncertainty(fitted):
     }
     scores = {name: (estimate.value(name) - true) / estimate.deviation(name) for name, true in truth.items()}
     assert max(map(abs, scores.values())) < 4, scores
-    assert fitted.point["wheels.resolution"] == pytest.approx(0.02)
+    assert fit_result.point["wheels.resolution"] == pytest.approx(0.02)
 
 
-def test_the_model_file_holds_what_was_found(fitted):
-    content = fitted.identified.file("found", {"origin": "identified", "source": "a test"})
-    assert content.base_effects.twist_slew.omega == pytest.approx(fitted.point["slew.omega"], rel=1e-6)
+def test_model_file_contains_the_estimates(fit_result):
+    content = fit_result.identified.file("found", {"origin": "identified", "source": "a test"})
+    assert content.base_effects.twist_slew.omega == pytest.approx(fit_result.point["slew.omega"], rel=1e-6)
     assert content.base_effects.pose_mount is None
-    assert (fitted.fit_percent([record_of(TRUE, 8, 60.0, yaw_ratio=RATIO)]) > 93).all()
+    assert (fit_result.fit_percent([record_of(TRUE, 8, 60.0, yaw_ratio=RATIO)]) > 93).all()
 
 
-def test_a_base_without_effects_ends_with_none():
+def test_base_without_effects_gets_none():
     assert identify_with_effects([record_of(BaseEffects(), 7, 75.0)]).effects == ()
 
 
 @pytest.mark.long
-def test_a_limit_that_the_plain_model_found_lives_on():
+def test_limit_of_the_plain_model_is_kept():
     record = record_of(BaseEffects(), 7, 75.0, clip=1.0)
     limits = identify_sm([record]).limits
     assert limits == {"omega": pytest.approx(1.0, abs=0.05)}
-    fitted = identify_with_effects([record], limits=limits).identified
-    assert fitted.limits == {"omega": pytest.approx(1.0, abs=0.03)}
-    assert fitted.parameters.deviation("omega.limit") < 0.05
+    fit_result = identify_with_effects([record], limits=limits).identified
+    assert fit_result.limits == {"omega": pytest.approx(1.0, abs=0.03)}
+    assert fit_result.parameters.deviation("omega.limit") < 0.05
 
 
-def test_effects_stay_only_where_they_predict_better_than_the_plain_model(fitted):
+def test_effects_are_kept_only_if_they_predict_better_than_the_plain_model(fit_result):
     records = [record_of(TRUE, 7, 150.0, yaw_ratio=RATIO)]
     plain = identify_sm(records, limits=False)
     assert explain_rejection(fitted, plain, records) is None
@@ -285,7 +285,7 @@ def test_effects_stay_only_where_they_predict_better_than_the_plain_model(fitted
     assert "no better than the plain model" in explain_rejection(spoilt, plain, records)
 
 
-def test_the_place_and_delay_of_a_pose_sensor_are_found():
+def test_place_and_delay_of_a_pose_sensor_are_estimated():
     record = record_of(BaseEffects(), 11, 120.0, noise=0.1, delay=0.0)
     mount, travel, late = PoseMount(ahead=0.2, left=-0.05, heading=0.03), 0.93, 3
     body = respond(linear_model(), BaseEffects(), record.command, DT).body * [travel, 1.0]
@@ -311,24 +311,24 @@ FAST_WHEELS = BaseEffects.model_validate({"wheel_command": {"track": 0.54, "top_
     [(BaseEffects(), 1.0, True, False), (BaseEffects(), 1.0, False, True), (FAST_WHEELS, np.inf, False, True)],
     ids=["clips, gyro", "clips, track", "top speed, track"],
 )
-def test_with_effects_no_row_held_out_is_predicted_worse(effects, clip, gyro, track):
-    """The same on logs of real robots, in all combinations: test_logs_real.py."""
+def test_effects_never_worsen_the_prediction_of_held_out_rows(effects, clip, gyro, track):
+    """test_logs_real.py checks this on logs of real robots, in all combinations."""
     record = record_of(effects, 9, 120.0, clip=clip)
     record = record if gyro else replace(record, yaw_rate=None, fresh_yaw_rate=None)
     record = record if track else replace(record, wheels=None)
     yaw = "gyro" if gyro else "encoders"
     data = LogData((record.part(0, 1440),), (record.part(1440, 2400),), ("made up",), "", yaw, (), ())
-    plain, fitted = (fit(data, STRUCTURES["sm"], effects=on).validation.fit_percent for on in (False, True))
-    assert (fitted > plain - 1.0).all()
-    assert (fitted > 94.0).all()  # what the robot does is found
+    plain, fit_result = (fit(data, STRUCTURES["sm"], effects=on).validation.fit_percent for on in (False, True))
+    assert (fit_result > plain - 1.0).all()
+    assert (fit_result > 94.0).all()  # the effects of the robot are identified
 
 
 @pytest.mark.long
-def test_a_top_speed_tells_the_track_that_a_log_does_not():
-    fitted = identify_with_effects([replace(record_of(FAST_WHEELS, 9, 120.0), wheels=None)]).identified.parameters
+def test_top_speed_determines_the_track_missing_in_a_log():
+    fit_result = identify_with_effects([replace(record_of(FAST_WHEELS, 9, 120.0), wheels=None)]).identified.parameters
     for name, true in (("wheels.track", 0.54), ("wheels.top_speed", 0.7)):
-        assert abs(fitted.value(name) - true) < 4 * fitted.deviation(name), name
-        assert fitted.deviation(name) < 0.05 * true
+        assert abs(fit_result.value(name) - true) < 4 * fit_result.deviation(name), name
+        assert fit_result.deviation(name) < 0.05 * true
 
 
 EFFECTS = {
@@ -340,7 +340,7 @@ EFFECTS = {
 }
 
 
-def test_file_carries_effects_beside_an_unchanged_linear_model(tmp_path):
+def test_file_contains_effects_next_to_an_unchanged_linear_model(tmp_path):
     path = write_effects(tmp_path / "base.yaml", EFFECTS)
     wheels = EFFECTS["wheel_command"] | {"top_speed": None}
     assert load_base_effects(path).model_dump() == EFFECTS | {"wheel_command": wheels, "twist_range": None}
@@ -352,22 +352,22 @@ def random_steps(seed, steps=12, length=40):
     return np.repeat(rng.uniform([-0.8, -1.5], [0.8, 1.5], (steps, 2)), length, axis=0)
 
 
-def test_without_effects_it_is_the_linear_model():
+def test_response_without_effects_equals_the_linear_model():
     model, commands = load_model("sm"), random_steps(1)
     response = respond(model, BaseEffects(), commands, DT)
     np.testing.assert_allclose(response.wheels, model.discretise(DT).simulate(commands), atol=1e-9)
     np.testing.assert_array_equal(response.wheels, response.body)
 
 
-def test_a_settled_start_stays_settled():
+def test_settled_start_stays_settled():
     model, command = load_model("sm"), np.array([0.4, -0.7])
     effects = BaseEffects(twist_slew=TwistSlew(v=1, omega=1), yaw_relaxation=YawRelaxation(angle=0.03))
     response = respond(model, effects, np.tile(command, (50, 1)), DT, start=command)
     np.testing.assert_allclose(response.body, np.tile(model.dc_gain @ command, (50, 1)), atol=1e-9)
 
 
-def test_effects_leave_the_settled_twist_alone_but_for_steps_and_veer():
-    """Slew and relaxation pass; what is asked for in whole steps arrives, and the body veers."""
+def test_settled_twist_is_changed_only_by_steps_and_veer():
+    """Slew and relaxation decay; commands are rounded to whole steps, and the body veers."""
     model, effects = load_model("sm"), BaseEffects.model_validate(EFFECTS)
     command = np.array([0.5, -0.9])
     settled = respond(model, effects, np.tile(command, (400, 1)), DT)
@@ -384,8 +384,8 @@ def test_commands_within_the_slew_limit_pass_unchanged():
     np.testing.assert_allclose(limited.wheels, respond(model, BaseEffects(), slow, DT).wheels, atol=1e-12)
 
 
-def test_top_speed_takes_from_both_channels():
-    """A wheel that saturates drives the body slower and turns it less, as on a fast turn."""
+def test_top_speed_reduces_both_channels():
+    """A saturated wheel drives the body slower and turns it less, as in a fast turn."""
     effects = BaseEffects(wheel_command=WheelCommand(track=0.5, top_speed=1.0), veer=Veer(yaw_per_metre=0.0))
     model = load_model("sm")
     settled = respond(model, effects, np.tile([0.9, 1.0], (200, 1)), DT).body[-1]

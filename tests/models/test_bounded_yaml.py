@@ -1,4 +1,4 @@
-"""Hostile YAML, names and paths of files: one line, and nothing built or run."""
+"""Hostile YAML, names and paths: each gives one line, and no object is built and no code runs."""
 
 import contextlib
 import os
@@ -52,7 +52,7 @@ plain = st.recursive(
 
 
 @given(plain)
-def test_what_is_written_is_read(data):
+def test_written_data_are_read_back(data):
     assert parse_yaml(yaml.safe_dump(data)) == data
 
 
@@ -63,7 +63,7 @@ def test_any_text_is_read_or_refused(text):
 
 
 @pytest.mark.parametrize("kind", ["pipe", "device", "folder"])
-def test_only_files_on_a_disk_are_read(kind, tmp_path):
+def test_only_regular_files_are_read(kind, tmp_path):
     path = tmp_path / "there.yaml"
     if kind == "pipe":
         os.mkfifo(path)
@@ -75,7 +75,7 @@ def test_only_files_on_a_disk_are_read(kind, tmp_path):
         read_yaml(path)
 
 
-def test_a_large_file_is_refused(tmp_path):
+def test_large_file_is_refused(tmp_path):
     path = tmp_path / "large.yaml"
     with path.open("wb") as file:
         file.truncate(11_000_000)
@@ -83,7 +83,7 @@ def test_a_large_file_is_refused(tmp_path):
         read_yaml(path)
 
 
-def test_a_message_repeats_no_more_of_a_value_or_a_key_than_shows_what_it_is(tmp_path):
+def test_message_shortens_long_values_and_keys(tmp_path):
     file = tmp_path / "long.yaml"
     for text in (f"horizon: {'a' * 5000}\n", f"{'k' * 100_000}: 1\n", f'weights: {{along: "\\e[31m{"b" * 5000}"}}\n'):
         file.write_text(text, encoding="utf-8")
@@ -94,7 +94,7 @@ def test_a_message_repeats_no_more_of_a_value_or_a_key_than_shows_what_it_is(tmp
 
 
 @given(st.text())
-def test_any_text_becomes_one_line_that_can_be_printed(text):
+def test_any_text_becomes_one_printable_line(text):
     line = plain_line(text, longest=60)
     assert line.isprintable()
     assert len(line) <= 60
@@ -102,17 +102,17 @@ def test_any_text_becomes_one_line_that_can_be_printed(text):
 
 
 @given(st.text(st.characters(categories=["L", "N", "P", "S"]), max_size=60))
-def test_what_is_harmless_stays(text):
+def test_harmless_text_is_unchanged(text):
     assert plain_line(text) == text
 
 
 @given(st.text())
-def test_no_name_puts_keys_into_a_configuration(name):
+def test_name_adds_no_key_to_a_configuration(name):
     configuration = IdentifiedConfiguration(name, (Setting("sample_time", 0.02, f"from {name}"),), (), ())
     assert set(yaml.safe_load(configuration.text())) == {"sample_time", "limits"}
 
 
-def test_a_shipped_name_comes_before_a_file_of_that_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_shipped_name_precedes_a_file_of_that_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shipped, local = tmp_path / "shipped", tmp_path / "own"
     for folder in (shipped, local):
         folder.mkdir()
@@ -128,7 +128,7 @@ def test_a_shipped_name_comes_before_a_file_of_that_name(tmp_path: Path, monkeyp
         named_file("floor", shipped, "notes", ("dry", "wet"))
 
 
-def test_ctrl_c_while_pydantic_builds_a_schema_stays_ctrl_c(monkeypatch):
+def test_ctrl_c_during_schema_construction_raises_keyboard_interrupt(monkeypatch):
     for words, raised in (('Field "sign":\n  KeyboardInterrupt: ', KeyboardInterrupt), ("no such type", SchemaError)):
         monkeypatch.setattr(LogMapping, "model_validate", Mock(side_effect=SchemaError(words)))
         with pytest.raises(raised):

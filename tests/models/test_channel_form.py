@@ -1,4 +1,4 @@
-"""The form of a channel."""
+"""Forms of a channel of user structures."""
 
 from dataclasses import replace
 from typing import ClassVar, Literal
@@ -56,7 +56,7 @@ class ZeroFile(ModelFile):
 
 
 class ZeroForm:
-    """The logarithms of `TwoPolesForm`, and the time constant of the zero."""
+    """Form with the logarithms of `TwoPolesForm`, and the time constant of the zero."""
 
     file = TwoPolesAndZero
     words = "two poles, a zero"
@@ -85,7 +85,7 @@ class ZeroForm:
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory):
-    """Identified from a drive of the truth, whose commands are clipped at a level, and the folder it was written to."""
+    """Identification from a drive of the true model with commands clipped at a level, and the model of its files."""
     folder = tmp_path_factory.mktemp("zeros")
     provenance = {"origin": "assumed", "source": "this test"}
     truth = {"name": "truth", "structure": "zeros", "provenance": provenance, "dead_time": DEAD_TIME, "channels": TRUTH}
@@ -108,7 +108,7 @@ def result(tmp_path_factory):
         yield identification, load_model(folder / "written" / "model.yaml")
 
 
-def test_the_truth_and_the_limit_lie_within_the_intervals(result):
+def test_true_values_and_the_limit_lie_within_the_intervals(result):
     parameters = result[0].report.fitted.identified.parameters
     truth = {f"{name}.{key}": value for name in CHANNELS for key, value in TRUTH[name].items()}
     truth |= {f"{name}.dead_time": DEAD_TIME[name] for name in CHANNELS} | {"v.forward": LIMIT, "v.reverse": LIMIT}
@@ -118,7 +118,7 @@ def test_the_truth_and_the_limit_lie_within_the_intervals(result):
     assert parameters.deviation("omega.zero") < 0.005
 
 
-def test_a_file_loads_as_the_model_that_was_identified(result):
+def test_file_loads_as_the_identified_model(result):
     identification, loaded = result
     for name in ("A", "B", "C", "dead_time"):
         np.testing.assert_array_equal(getattr(loaded, name), getattr(identification.model, name))
@@ -135,10 +135,10 @@ def test_delays_and_poles_follow_from_the_form(result):
 
 
 def test_parameters_undetermined_by_a_short_noisy_log_are_doubts(result):
-    """The doubt is about the form of the response, and there is none about a zero that may not exist."""
+    """The doubt concerns the form of the response; a zero that may not exist causes none."""
     record = result[0].report.data.train[0].part(0, 400)
     rng = np.random.default_rng(0)
-    loud = replace(record, twist=record.twist + rng.normal(0.0, 0.5, record.twist.shape))
-    doubts = [doubt for doubt in identify_sm([loud], form=ZeroForm(), schema=ZeroFile).warnings if "v:" in doubt.words]
+    noisy = replace(record, twist=record.twist + rng.normal(0.0, 0.5, record.twist.shape))
+    doubts = [doubt for doubt in identify_sm([noisy], form=ZeroForm(), schema=ZeroFile).warnings if "v:" in doubt.words]
     assert doubts
     assert not [doubt for doubt in doubts if "zero = " in doubt.words]

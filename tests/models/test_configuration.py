@@ -1,4 +1,4 @@
-"""One writer of the controller's configuration: values are positive and safe, whatever the identification found."""
+"""Written configuration of the controller: values are positive and safe, whatever the identification estimated."""
 
 import control
 import numpy as np
@@ -6,7 +6,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from limit_population import drawn_case, judged
+from limit_population import drawn_case, judge_limits
 
 from diffdrive_mpc import VelocityModel, load_model
 from diffdrive_mpc.models.base_effects import BaseEffects, respond
@@ -30,7 +30,7 @@ TRAIN = [Record("drive", 0.0, 0.05, COMMANDS, twist=COMMANDS, yaw_rate=COMMANDS[
 GEOMETRY = WheelGeometry(0.1, 0.4)
 
 
-def identified(slew=None, deviation=0.1, limits=None, effects=None):
+def model_with(slew=None, deviation=0.1, limits=None, effects=None):
     names = ("slew.v", "slew.omega") if slew else ("v.gain",)
     values = np.array(slew or [0.9])
     effects = {
@@ -54,51 +54,51 @@ def limits(result, geometry=GEOMETRY):
     return configure("robot", result, TRAIN, geometry, slip_prior(TRAIN)).mapping()["limits"]
 
 
-def test_the_slew_stays_two_deviations_inside_that_of_the_base():
-    assert limits(identified(slew=(1.5, 3.0)))["v_slew"] == pytest.approx(1.3)
-    assert limits(identified(slew=(1.5, 3.0)))["omega_slew"] == pytest.approx(2.8)
-    quick = limits(identified(slew=(9.0, 9.0)))  # no more than the default
+def test_slew_stays_two_deviations_below_that_of_the_base():
+    assert limits(model_with(slew=(1.5, 3.0)))["v_slew"] == pytest.approx(1.3)
+    assert limits(model_with(slew=(1.5, 3.0)))["omega_slew"] == pytest.approx(2.8)
+    quick = limits(model_with(slew=(9.0, 9.0)))  # no more than the default
     assert (quick["v_slew"], quick["omega_slew"]) == (2.0, 6.0)
-    assert "v_slew" not in limits(identified())
+    assert "v_slew" not in limits(model_with())
 
 
 @given(st.floats(1e-3, 50.0), st.one_of(st.floats(0.0, 1e6), st.just(np.inf), st.just(np.nan)))
-def test_a_slew_hardly_known_is_never_zero_nor_negative(slew, deviation):
-    """It failed: two deviations off a slew of 1.0 +- 0.6 m/s^2 were written as -0.2."""
-    written = limits(identified(slew=(slew, slew), deviation=deviation))
+def test_uncertain_slew_is_never_zero_or_negative(slew, deviation):
+    """Two deviations below a slew of 1.0 +- 0.6 m/s^2 would be -0.2."""
+    written = limits(model_with(slew=(slew, slew), deviation=deviation))
     for name in ("v_slew", "omega_slew"):
         assert written[name] >= 0.499 * min(slew, 2.0)
         assert written[name] <= 1.001 * slew
 
 
-def test_limits_are_those_that_the_log_covers_or_the_base_has():
-    written = limits(identified(limits={"omega": 0.8}))
+def test_limits_are_those_of_the_log_or_of_the_base():
+    written = limits(model_with(limits={"omega": 0.8}))
     assert (written["v"], written["omega"]) == (0.5, 0.8)
     assert (written["predicted_v"], written["predicted_omega"]) == pytest.approx((0.55, 0.88))
 
 
-def test_wheels_of_a_robot_whose_v_is_limited_may_turn_as_fast_as_they_were_seen_to():
-    assert limits(identified(limits={"v": 0.5}))["wheel_speed"] == pytest.approx(0.5 + 0.2 * 1.0)
+def test_wheel_speed_limit_covers_the_observed_wheel_speeds():
+    assert limits(model_with(limits={"v": 0.5}))["wheel_speed"] == pytest.approx(0.5 + 0.2 * 1.0)
 
 
 def test_each_side_is_written_with_its_own_limit():
-    written = limits(identified(limits={"v": {"reverse": 0.2}, "omega": {"left": 0.3, "right": 0.6}}))
+    written = limits(model_with(limits={"v": {"reverse": 0.2}, "omega": {"left": 0.3, "right": 0.6}}))
     assert written["v"] == {"forward": 0.5, "reverse": 0.2}
     assert written["omega"] == {"left": 0.3, "right": 0.6}
 
 
-def test_motors_that_saturate_bind_before_what_the_log_asked():
-    slow = limits(identified(effects={"wheel_command": WHEELS}))
+def test_saturation_of_the_motors_limits_the_wheel_speed():
+    slow = limits(model_with(effects={"wheel_command": WHEELS}))
     assert slow["wheel_speed"] == pytest.approx(0.9 * 0.4)
-    fast = limits(identified(effects={"wheel_command": WHEELS | {"top_speed": 5.0}}))
+    fast = limits(model_with(effects={"wheel_command": WHEELS | {"top_speed": 5.0}}))
     assert fast["wheel_speed"] == pytest.approx(1.1 * (0.5 + 0.25 * 1.0))
 
 
 @pytest.mark.parametrize("geometry", [GEOMETRY, None])
 @pytest.mark.parametrize("slew", [(1.5, 3.0), None])
-def test_the_file_says_what_the_mapping_says(slew, geometry):
+def test_file_and_mapping_have_equal_values(slew, geometry):
     written = configure(
-        "robot", identified(slew=slew, effects={"wheel_command": WHEELS}), TRAIN, geometry, slip_prior(TRAIN)
+        "robot", model_with(slew=slew, effects={"wheel_command": WHEELS}), TRAIN, geometry, slip_prior(TRAIN)
     )
     text = written.text()
     assert side_by_side(yaml.safe_load(text)) == written.mapping()
@@ -109,29 +109,29 @@ def test_the_file_says_what_the_mapping_says(slew, geometry):
         assert written.mapping()["wheels"] == {"track": 0.5, "encoder_track": 0.4}
 
 
-def test_a_larger_robot_has_more_room_and_a_small_one_no_less_than_usual():
-    large = configure("robot", identified(), TRAIN, WheelGeometry(0.2, 0.99), slip_prior(TRAIN)).mapping()
+def test_reentry_band_grows_with_the_robot_and_is_never_below_the_default():
+    large = configure("robot", model_with(), TRAIN, WheelGeometry(0.2, 0.99), slip_prior(TRAIN)).mapping()
     assert large["reentry"]["band"] == pytest.approx(3 * 0.08)
     assert large["failure"]["max_position_error"] == pytest.approx(3.0)
-    small = configure("robot", identified(), TRAIN, WheelGeometry(0.02, 0.1), slip_prior(TRAIN)).mapping()
+    small = configure("robot", model_with(), TRAIN, WheelGeometry(0.02, 0.1), slip_prior(TRAIN)).mapping()
     assert "reentry" not in small
     fast = [Record("drive", 0.0, 0.05, 6 * COMMANDS, twist=6 * COMMANDS)]
-    assert configure("robot", identified(), fast, None, slip_prior(fast)).mapping()["reentry"]["wait"] == pytest.approx(
+    assert configure("robot", model_with(), fast, None, slip_prior(fast)).mapping()["reentry"]["wait"] == pytest.approx(
         0.9 * 3 / 1.5 * 0.1
     )
 
 
 @pytest.mark.parametrize("seed", [2026, 2030])
-def test_a_limit_that_is_seldom_reached_is_found(seed):
+def test_seldom_reached_limit_is_identified(seed):
     case = drawn_case(seed)
-    result, close, false = judged(case, identify_sm(case.records).limits)
+    result, close, false = judge_limits(case, identify_sm(case.records).limits)
     assert result and close and not false
 
 
 @pytest.mark.long
-def test_most_limits_of_drawn_robots_are_identified():
+def test_most_limits_of_random_robots_are_identified():
     cases = [drawn_case(seed) for seed in range(11_000, 11_060)]
-    verdicts = [judged(case, identify_sm(case.records).limits) for case in cases]
+    verdicts = [judge_limits(case, identify_sm(case.records).limits) for case in cases]
     limited = sum(case.channel is not None for case in cases)
     assert limited > 20
     assert sum(close for _, close, _ in verdicts) >= 0.8 * limited
@@ -139,11 +139,11 @@ def test_most_limits_of_drawn_robots_are_identified():
 
 
 @pytest.mark.parametrize(
-    ("seed", "odd"), [(2017, "compressed gain"), (2013, "gain of the other channel"), (2040, "slew")]
+    ("seed", "defect"), [(2017, "compressed gain"), (2013, "gain of the other channel"), (2040, "slew")]
 )
-def test_what_is_no_limit_is_not_taken_for_one(seed, odd):
+def test_other_defects_are_not_identified_as_limits(seed, defect):
     case = drawn_case(seed)
-    assert case.name.endswith(odd)
+    assert case.name.endswith(defect)
     assert identify_sm(case.records).limits == {}
 
 
@@ -156,7 +156,7 @@ def lag_of(slow, quick=0.05, dead_time=(0.0, 0.0)):
 
 
 @pytest.mark.parametrize("name", ["sm", "mbm", "ssm"])
-def test_settling_is_that_of_the_step_response(name):
+def test_settling_time_is_that_of_the_step_response(name):
     model = load_model(name)
     late = 0.0
     for row in range(2):
@@ -169,35 +169,35 @@ def test_settling_is_that_of_the_step_response(name):
 
 @settings(max_examples=50)
 @given(st.floats(0.01, 5.0), st.floats(0.001, 0.1))
-def test_the_horizon_sees_the_answer_and_has_few_steps(lag, dt):
+def test_horizon_covers_the_response_with_few_steps(lag, dt):
     pace = choose_pace(lag_of(lag), dt)
     assert SETTINGS.least_steps <= pace.horizon <= SETTINGS.most_steps
     assert pace.horizon * pace.sample_time >= SETTINGS.look_ahead * pace.settling * (1 - 1e-9)
     assert pace.sample_time == pytest.approx(pace.every * dt)
-    if pace.every > 1:  # no more seldom than it must be
+    if pace.every > 1:  # no longer than necessary
         assert SETTINGS.look_ahead * pace.settling > SETTINGS.most_steps * (pace.every - 1) * dt * (1 - 1e-6)
 
 
 @pytest.mark.parametrize("outliers", [0.0, 0.01])
-def test_noise_is_found_under_motion_plateaus_and_outliers(outliers):
+def test_noise_is_estimated_despite_motion_plateaus_and_outliers(outliers):
     rng = np.random.default_rng(3)
     time = 0.02 * np.arange(5000)
     slow = np.column_stack((0.5 * np.sin(time), np.cos(0.7 * time)))
     twist = slow + rng.normal(size=slow.shape) * [0.03, 0.2]
     yaw_rate = slow[:, 1] + 0.05 * rng.normal(size=time.size)
     fresh = rng.random(time.size) < 0.7
-    spoilt = rng.random(time.size) < outliers
-    twist[spoilt] += 5.0
+    is_outlier = rng.random(time.size) < outliers
+    twist[is_outlier] += 5.0
     result = sensor_noise([Record("a", 0.0, 0.02, slow, twist=twist, yaw_rate=yaw_rate, fresh_twist=fresh)])
-    # A spike spoils three differences of a hundred, of which nine tenths count.
+    # An outlier affects three differences of a hundred, of which nine tenths count.
     assert result["wheel_speed_noise"] == pytest.approx(0.03, rel=0.1)
     assert result["wheel_yaw_rate_noise"] == pytest.approx(0.2, rel=0.1)
     assert result["yaw_rate_noise"] == pytest.approx(0.05, rel=0.1)
     assert "position_noise" not in result
 
 
-def test_each_side_of_range_and_ramp_is_found():
-    """A base that is slower in reverse and brakes harder than it accelerates; omega is free."""
+def test_each_side_of_range_and_ramp_is_identified():
+    """The base is slower in reverse and brakes harder than it accelerates; omega is not limited."""
     rng = np.random.default_rng(3)
     command = np.repeat(rng.uniform(-1.0, 1.0, (60, 2)), 50, axis=0)
     base = BaseEffects(twist_range={"v": {"reverse": 0.3}}, twist_slew={"v": {"accelerate": 0.8, "brake": 2.0}})

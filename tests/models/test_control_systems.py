@@ -1,4 +1,4 @@
-"""Models from systems of python-control and back: nothing is lost, and what cannot be a robot's is told."""
+"""Conversion of models from and to systems of python-control: exact, with errors for invalid models."""
 
 import control
 import numpy as np
@@ -18,7 +18,7 @@ def response(system):
 
 
 @pytest.mark.parametrize("name", ["mbm", "sm", "ssm", "husky"])
-def test_a_model_survives_the_way_to_control_and_back(name):
+def test_model_is_unchanged_by_a_round_trip_through_control(name):
     model = load_model(name).with_extra_dead_time([0.04, 0.03])
     back = VelocityModel.from_control(model.to_control(), dead_time=model.dead_time)
     for matrix in ("A", "B", "C", "dead_time"):
@@ -28,7 +28,7 @@ def test_a_model_survives_the_way_to_control_and_back(name):
 
 
 @pytest.mark.parametrize("name", ["mbm", "sm", "ssm"])
-def test_a_transfer_function_answers_the_same_as_its_model(name):
+def test_transfer_function_responds_like_its_model(name):
     system = control.ss2tf(load_model(name).to_control())
     back = VelocityModel.from_control(system).to_control()
     np.testing.assert_allclose(response(back), response(system), atol=1e-12)
@@ -37,7 +37,7 @@ def test_a_transfer_function_answers_the_same_as_its_model(name):
 @pytest.mark.parametrize(
     ("name", "form"), [("mbm", control.ss), ("sm", control.ss), ("ssm", control.ss), ("ssm", control.ss2tf)]
 )
-def test_a_discrete_system_is_inverted_exactly_with_its_delays(name, form):
+def test_discrete_system_is_inverted_exactly_with_its_delays(name, form):
     model = load_model(name)
     model = model.with_extra_dead_time(DT * np.array([5, 6]) - model.dead_time)
     system = form(model.to_control(DT))
@@ -48,14 +48,14 @@ def test_a_discrete_system_is_inverted_exactly_with_its_delays(name, form):
         np.testing.assert_allclose(response(back.to_control()), response(model.to_control()), atol=1e-12)
 
 
-def test_the_discrete_system_carries_a_dead_time_that_is_no_whole_number_of_samples():
+def test_discrete_system_includes_a_dead_time_of_a_fraction_of_a_sample():
     model = load_model("ssm").with_extra_dead_time([0.03, 0.0])
     commands = np.random.default_rng(0).normal(size=(60, 2))
-    driven = control.forced_response(model.to_control(DT), inputs=commands.T, timepts=np.arange(60) * DT)
-    np.testing.assert_allclose(driven.outputs.T, model.discretise(DT).simulate(commands), atol=1e-12)
+    result = control.forced_response(model.to_control(DT), inputs=commands.T, timepts=np.arange(60) * DT)
+    np.testing.assert_allclose(result.outputs.T, model.discretise(DT).simulate(commands), atol=1e-12)
 
 
-def test_two_single_systems_are_v_and_omega():
+def test_two_single_systems_become_v_and_omega():
     model = VelocityModel.from_control((LAG, SECOND), dead_time=(0.04, 0.02), name="mine")
     expected = np.array([[LAG(2j), 0.0], [0.0, SECOND(2j)]])
     np.testing.assert_allclose(model.to_control()(2j), expected, atol=1e-14)
@@ -69,7 +69,7 @@ def discrete(numerator, denominator, dt=0.02):
     return control.tf(numerator, denominator, dt)
 
 
-def test_a_discrete_matrix_of_transfer_functions_goes_both_ways():
+def test_discrete_matrix_of_transfer_functions_is_converted_both_ways():
     delay = control.tf([1.0], [1.0, 0.0, 0.0], DT)
     v, omega, cross = (control.sample_system(part, DT) for part in (LAG, SECOND, 0.05 * LAG))
     system = control.combine_tf([[v * delay, cross], [cross * delay, omega]])
@@ -80,7 +80,7 @@ def test_a_discrete_matrix_of_transfer_functions_goes_both_ways():
     np.testing.assert_allclose(model.to_control()(2j), expected, atol=1e-12)
 
 
-def test_powers_of_z_in_the_denominator_are_dead_time():
+def test_powers_of_z_in_the_denominator_become_dead_time():
     model = VelocityModel.from_control((discrete([0.1], [1, -0.9, 0, 0]), discrete([0.2], [1, -0.8])), dead_time=0.01)
     np.testing.assert_allclose(model.dead_time, [0.05, 0.01], atol=1e-15)
     np.testing.assert_allclose(np.sort(model.poles.real), np.log([0.8, 0.9]) / 0.02, rtol=1e-12)

@@ -14,14 +14,14 @@ from diffdrive_mpc.models.output_error.experiment import twist_experiments
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.structures.channel import identify_channel
 
-ROOM = Path(models.__file__).parent
-TRIALS = ROOM.parent / "studies" / "shipped_models"
+FOLDER = Path(models.__file__).parent
+TRIALS = FOLDER.parent / "studies" / "shipped_models"
 
 
 def kinds_in_the_sources() -> set[str]:
-    """Collect the words of every `Doubt(...)`, and of every `Finding(...)` that is more than a note."""
+    """Collect the first words of every `Doubt(...)`, and of every `Finding(...)` above a note."""
     result = set()
-    for path in (*ROOM.rglob("*.py"), *TRIALS.glob("*.py")):
+    for path in (*FOLDER.rglob("*.py"), *TRIALS.glob("*.py")):
         for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             name = getattr(getattr(call, "func", None), "id", "")
             if name not in ("Doubt", "Finding"):
@@ -33,24 +33,24 @@ def kinds_in_the_sources() -> set[str]:
     return result
 
 
-def test_every_kind_has_its_verdict():
+def test_every_kind_has_a_verdict():
     kinds = kinds_in_the_sources()
     assert len(kinds) > 30
     assert kinds - set(VERDICTS) == set()
 
 
-@pytest.mark.parametrize(("deviation", "late"), [(0.005, []), (0.03, ["lag"])])
-def test_only_the_total_delay_matters_not_its_division(deviation, late):
-    """Half of what is 0.07 s late is not known to twice 0.03 s: told once, of the whole."""
+@pytest.mark.parametrize(("deviation", "expected"), [(0.005, []), (0.03, ["lag"])])
+def test_only_the_total_delay_matters(deviation, expected):
+    """The division of a delay of 0.07 s is unknown in both cases; only an uncertain total is a relevant doubt."""
     names = ("v.gain", "v.natural_frequency", "v.damping")
     estimate = ParameterEstimate(names, np.array([1.0, 100.0, 2.0]), np.diag([0.01, 80.0, 1.6]) ** 2)
     delays = ParameterEstimate(("v",), np.array([0.07]), np.array([[deviation**2]]))
     assert [doubt.kind for doubt in badly_known(estimate, delays=delays)] == ["divided lag", "divided lag"]
-    assert [doubt.kind for doubt in late_answers(delays)] == late
+    assert [doubt.kind for doubt in late_answers(delays)] == expected
 
 
-def test_the_delay_of_a_fit_is_known_better_than_its_parts():
-    """One lag of 20 ms behind 50 ms of dead time: of steps at 50 Hz the sum is seen, hardly the parts."""
+def test_delay_of_a_fit_is_known_better_than_its_parts():
+    """One lag of 20 ms after 50 ms of dead time: steps at 50 Hz determine the sum, hardly the parts."""
     lag = two_channels((1.0, 140.0, 1.4), (1.0, 7.0, 0.7), dead_time=(0.05, 0.03))
     fit = identify_channel(_channel(noisy_drive(lag, 8, count=400, noise=(0.03, 0.03))), "v", limit=False).fit
     delay = answer_delays(fit, ["v"], [0])
@@ -59,15 +59,15 @@ def test_the_delay_of_a_fit_is_known_better_than_its_parts():
     assert delay.deviation("v") < dead_time / 2
 
 
-def test_a_fit_says_whether_what_it_does_not_know_matters():
-    """The same robot in a long quiet log, and in a short one in noise as large as its speed."""
+def test_uncertainty_of_a_fit_matters_only_if_relevant_for_driving():
+    """One robot in a long quiet log, and in a short one with noise as large as its speed."""
     lag = two_channels((1.0, 140.0, 1.4), (1.0, 7.0, 0.7), dead_time=(0.05, 0.03))
-    quiet, loud = (
+    quiet, noisy = (
         identify_channel(_channel(noisy_drive(lag, 8, count=count, noise=(noise, noise))), "v", limit=False).warnings
         for count, noise in ((3000, 0.01), (150, 1.0))
     )
     assert not [str(doubt) for doubt in quiet if doubt.verdict.matters]
-    assert "v: dead time and lag" in " ".join(doubt.words for doubt in loud if doubt.verdict.matters)
+    assert "v: dead time and lag" in " ".join(doubt.words for doubt in noisy if doubt.verdict.matters)
 
 
 def _channel(drive):

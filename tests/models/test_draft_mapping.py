@@ -1,4 +1,4 @@
-"""A mapping that is drafted from a log reads that log as the right one does."""
+"""A drafted mapping reads a log like the correct mapping."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from diffdrive_mpc.models.logs.mapping import load_mapping
 COLUMNS = drive(seconds=8.0)
 DEGREE = 180.0 / np.pi
 FIELDS = ("command", "twist", "yaw_rate", "pose")
-# By case the columns in order, their names in the log and the factors from SI units.
+# Case: columns in order, their names in the log and the factors from SI units.
 ORDER = ("t", "v_ref", "omega_ref", "v", "omega_wheels", "gyro", "x", "y", "theta")
 MIXED = ("t", "omega_wheels", "v", "v_ref", "omega_ref", "gyro", "x", "y", "theta")
 WORDS = "time,velCmd,yaw_rate_cmd,velMeasured,yaw_rate_measured,imu.angular_velocity.z,mocap/x,mocap/y,mocap/yaw"
@@ -36,18 +36,18 @@ def test_columns_and_units_are_guessed(tmp_path, names):
     rows = zip(names[0], names[1].split(","), names[2], strict=True)
     log = write_csv(tmp_path / "log.csv", {name: COLUMNS[key] * factor for key, name, factor in rows})
     (guessed,) = read_log(log, draft_of(log, tmp_path)).records
-    (right,) = read_log(write_csv(tmp_path / "right.csv", COLUMNS), write_mapping(tmp_path / "map.yaml")).records
+    (correct,) = read_log(write_csv(tmp_path / "right.csv", COLUMNS), write_mapping(tmp_path / "map.yaml")).records
     for field in FIELDS:
-        np.testing.assert_allclose(getattr(guessed, field), getattr(right, field), atol=1e-9, err_msg=field)
+        np.testing.assert_allclose(getattr(guessed, field), getattr(correct, field), atol=1e-9, err_msg=field)
 
 
 @pytest.mark.parametrize(("stamp", "unit"), [(1.7e9, "s"), (1.7e12, "ms"), (1.7e15, "us"), (1.7e18, "ns")])
-def test_the_unit_of_times_since_1970_is_known(tmp_path, stamp, unit):
+def test_unit_of_times_since_1970_is_guessed(tmp_path, stamp, unit):
     log = write_csv(tmp_path / "log.csv", COLUMNS | {"t": stamp + COLUMNS["t"] * stamp / 1.7e9})
     assert load_mapping(draft_of(log, tmp_path)).columns.time.unit == unit
 
 
-def test_seconds_and_nanoseconds_are_one_time(tmp_path):
+def test_seconds_and_nanoseconds_become_one_time(tmp_path):
     time = 1.7e9 + COLUMNS["t"]
     columns = {"stamp.sec": np.floor(time), "stamp.nanosec": np.round((time % 1) * 1e9), **COLUMNS}
     log = write_csv(tmp_path / "log.csv", {name: cells for name, cells in columns.items() if name != "t"})
@@ -55,7 +55,7 @@ def test_seconds_and_nanoseconds_are_one_time(tmp_path):
     assert record.dt == pytest.approx(0.02, abs=1e-6)
 
 
-def test_wheels_of_a_log_without_times_leave_what_cannot_be_guessed_to_be_filled_in(tmp_path):
+def test_draft_leaves_unknown_values_of_wheels_and_times_empty(tmp_path):
     counts = np.round(1e4 * COLUMNS["t"])
     columns = {"cmd_left": COLUMNS["v_ref"], "cmd_right": COLUMNS["v"], "enc_left": counts, "enc_right": counts}
     log = write_csv(tmp_path / "log.csv", columns)

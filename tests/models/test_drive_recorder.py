@@ -1,4 +1,4 @@
-"""The recorder hands ticks to a process of its own: it never waits or raises, and what was recorded can be read."""
+"""Recorder that passes ticks to a separate process: it never waits or raises, and recorded data are readable."""
 
 import json
 import os
@@ -28,7 +28,7 @@ def row(k):
     return {"t_s": 0.02 * k, "v_ref_m_s": 0.1 * (k % 7), "omega_ref_rad_s": 0.01 * k, **words}
 
 
-def hand(recorder, k):
+def record_tick(recorder, k):
     speed = Stamped(np.array([0.1 * (k % 7), 0.0]), 0.02 * k - 0.003)
     plan = np.full((31, 3), float(k))
     recorder.hand(
@@ -38,7 +38,7 @@ def hand(recorder, k):
 
 @contextmanager
 def largest_file(size):
-    """Limit files of processes begun meanwhile to `size` bytes, as on a full disk."""
+    """Limit files of processes started meanwhile to `size` bytes, as on a full disk."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
     try:
@@ -56,7 +56,7 @@ def recorder_in(folder, **options):
 def test_recorded_file_contains_all_passed_rows(tmp_path):
     recorder = recorder_in(tmp_path / "new", frame="odom", pose_topic=False)
     for k in range(300):
-        hand(recorder, k)
+        record_tick(recorder, k)
     recorder.close(PATIENCE)
     assert not recorder.fault and not recorder.lost
     log = read_drive_log(recorder.path, plans=True)
@@ -67,47 +67,47 @@ def test_recorded_file_contains_all_passed_rows(tmp_path):
     assert read_log(recorder.path).records[0].twist is not None
 
 
-def test_a_file_that_is_there_stays(tmp_path):
+def test_existing_file_is_not_replaced(tmp_path):
     (tmp_path / "drive.mcap").write_bytes(b"mine")
     recorder = recorder_in(tmp_path)
-    hand(recorder, 0)
+    record_tick(recorder, 0)
     recorder.close(PATIENCE)
     assert recorder.path == tmp_path / "drive-1.mcap" and len(read_drive_log(recorder.path).rows) == 1
     assert (tmp_path / "drive.mcap").read_bytes() == b"mine"
 
 
-def test_a_full_disk_ends_the_recording_alone_and_leaves_what_was_written(tmp_path):
+def test_full_disk_ends_only_the_recording_and_keeps_the_written_part(tmp_path):
     with largest_file(300_000):
         recorder = recorder_in(tmp_path)
     k, end = 0, time.monotonic() + PATIENCE
     while not recorder.fault and time.monotonic() < end:
-        hand(recorder, k)
+        record_tick(recorder, k)
         recorder.poll()
         k += 1
         time.sleep(0.001)
     assert recorder.fault == "File too large"
-    hand(recorder, k)
+    record_tick(recorder, k)
     recorder.close(PATIENCE)
     log = read_drive_log(recorder.path)
     assert log.cut and 0 < len(log.rows) <= k
 
 
-def test_a_folder_that_cannot_be_made_is_a_fault_and_no_exception(tmp_path):
+def test_folder_that_cannot_be_created_is_a_fault_without_exception(tmp_path):
     (tmp_path / "file").touch()
     recorder = DriveRecorder(tmp_path / "file" / "drive.mcap", {}, patience=PATIENCE)
     assert recorder.fault in ("Not a directory", "File exists")
-    hand(recorder, 0)
+    record_tick(recorder, 0)
     recorder.close(PATIENCE)
 
 
-def test_a_writer_that_hangs_costs_ticks_and_no_time(tmp_path):
+def test_hanging_writer_loses_ticks_without_delay(tmp_path):
     recorder = recorder_in(tmp_path)
     writer = recorder._process.pid
     os.kill(writer, signal.SIGSTOP)
     try:
         k = 0
-        while not recorder.lost and k < 100_000:  # more than any system keeps on the way
-            hand(recorder, k)
+        while not recorder.lost and k < 100_000:  # more than any system buffers
+            record_tick(recorder, k)
             k += 1
     finally:
         os.kill(writer, signal.SIGCONT)
@@ -121,16 +121,16 @@ KILLED = """
 import os, sys
 from pathlib import Path
 sys.path[:0] = sys.argv[2:]
-from test_drive_recorder import hand, recorder_in
+from test_drive_recorder import record_tick, recorder_in
 recorder = recorder_in(Path(sys.argv[1]))
 for k in range(100):
-    hand(recorder, k)
+    record_tick(recorder, k)
 print(recorder._process.pid, flush=True)
 os.kill(os.getpid(), 9)
 """
 
 
-def test_the_file_is_whole_when_the_recording_process_is_killed(tmp_path):
+def test_file_is_complete_if_the_recording_process_is_killed(tmp_path):
     words = [sys.executable, "-c", KILLED, str(tmp_path), *sys.path]
     done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=PATIENCE)
     assert done.returncode == -signal.SIGKILL, done.stderr
@@ -141,16 +141,16 @@ def test_the_file_is_whole_when_the_recording_process_is_killed(tmp_path):
     assert not log.cut and len(log.rows) == 100
 
 
-def test_a_file_whose_writer_was_killed_is_read_as_far_as_it_goes(tmp_path):
+def test_file_of_a_killed_writer_is_read_up_to_its_end(tmp_path):
     recorder = recorder_in(tmp_path)
     k, end = 0, time.monotonic() + PATIENCE
     while recorder.path.stat().st_size < 20_000 and time.monotonic() < end:
-        hand(recorder, k)
+        record_tick(recorder, k)
         k += 1
         time.sleep(0.001)
     recorder._process.kill()
     recorder._process.wait()
-    hand(recorder, k)
+    record_tick(recorder, k)
     assert recorder.fault == "the process that writes has ended"
     recorder.close(PATIENCE)
     log = read_drive_log(recorder.path)
@@ -161,7 +161,7 @@ POSE = Stamped(np.array([0.1, -1 / 3, 3.1]), 12.3456789012345, np.diag([1e-5, 2e
 
 
 @pytest.mark.parametrize("hold", [None, ("paused", False), ("odometry is 0.30 s old", True)])
-def test_a_tick_reads_back(hold):
+def test_tick_is_read_back(hold):
     measurement = Measurement(POSE, Stamped((0.5, 0.1 + 0.2), 12.5), Stamped(-0.7, 12.49))
     record = TickRecord(7, 12.6, 2, measurement, hold, np.array([0.3, 1e-17]), "TRACKING", 'a, "b"', "unlimited", 1e-4)
     again = TickRecord.read(record.line())
@@ -169,15 +169,15 @@ def test_a_tick_reads_back(hold):
     assert np.array_equal(again.command, record.command)
     assert (again.mode, again.message, again.solver_path) == ("TRACKING", 'a, "b"', "unlimited")
     for name in ("pose", "wheel_twist", "yaw_rate"):
-        was, result = getattr(measurement, name), getattr(again.measurement, name)
-        assert result.time == was.time and np.array_equal(result.value, was.value)
-        assert (result.covariance is None) == (was.covariance is None)
+        original, result = getattr(measurement, name), getattr(again.measurement, name)
+        assert result.time == original.time and np.array_equal(result.value, original.value)
+        assert (result.covariance is None) == (original.covariance is None)
     assert np.array_equal(again.measurement.pose.covariance, POSE.covariance)
     nothing = TickRecord(1, 0.0, 1, Measurement(), None, np.zeros(2), "STOPPED", "", "none", 0.0)
     assert TickRecord.read(nothing.line()).measurement == Measurement()
 
 
-def test_a_drive_reads_back():
+def test_drive_is_read_back():
     record = DriveRecord(3, True, False, 1 / 3, {"name": "s", "breaks": [0.0]}, {"horizon": 30}, "kind: sm\n")
     assert DriveRecord.read(record.line()) == record
 
@@ -194,8 +194,8 @@ def run():
     return simulate(Controller("sm"), make_plant("model:sm"), load_trajectory("s"))
 
 
-def test_a_run_keeps_what_its_steps_said(run):
+def test_run_contains_the_progress_of_its_steps(run):
     assert {"reference_progress", "blocked_for_s"} <= set(run.columns)
     assert np.all(run.columns["reference_progress"][:-1] <= 1.0)
-    # Nothing is looked for around this robot.
+    # This robot has no surroundings.
     assert "clearance_m" not in run.columns

@@ -1,4 +1,4 @@
-"""Texts of files and messages in errors, warnings and results of the Python API steer no terminal."""
+"""Texts of files and messages cannot control the terminal through errors, warnings or results of the Python API."""
 
 import random
 import warnings
@@ -13,7 +13,7 @@ from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.logs.reading import read_log
 from diffdrive_mpc.models.logs.record import Finding
 
-STEERING = [
+CONTROLS = [
     "\x1b[2J",
     "\x1b]0;owned\x07",
     "\r",
@@ -27,12 +27,12 @@ STEERING = [
     "\x85",
 ]
 NAMES = [
-    "".join(random.Random(seed).sample(STEERING, 3)) + "x".join(random.Random(seed + 1).sample(STEERING, 2))
+    "".join(random.Random(seed).sample(CONTROLS, 3)) + "x".join(random.Random(seed + 1).sample(CONTROLS, 2))
     for seed in range(12)
 ]
 
 
-def check_refused(call):
+def refusal_message(call):
     with pytest.raises((DiffdriveMpcError, ValueError)) as error:
         call()
     assert str(error.value).isprintable(), str(error.value)
@@ -52,10 +52,10 @@ def test_errors_show_escapes_of_names(name, tmp_path):
     file = tmp_path / "file.yaml"
     for load in (load_config, load_model, load_trajectory):
         file.write_text(yaml.safe_dump({f"key{name}": name, "name": name}))
-        check_refused(lambda load=load: load(file))
-        check_refused(lambda load=load: load(name))
-        check_refused(lambda load=load: load(tmp_path / name.replace("\x00", "")))
-    check_refused(lambda: load_config("ssm", {name: 1}))
+        refusal_message(lambda load=load: load(file))
+        refusal_message(lambda load=load: load(name))
+        refusal_message(lambda load=load: load(tmp_path / name.replace("\x00", "")))
+    refusal_message(lambda: load_config("ssm", {name: 1}))
 
 
 @pytest.mark.parametrize("name", NAMES[:4])
@@ -63,9 +63,9 @@ def test_logs_show_escapes_of_columns_and_topics(name, tmp_path):
     text = f"\x1b{name}".translate(dict.fromkeys(map(ord, "\x00\n\r\u2028\x85;")))
     columns = drive(seconds=6.0)
     log = write_csv(tmp_path / "log.csv", {f"{key}{text}": values for key, values in columns.items()})
-    assert "\\" in check_refused(lambda: read_log(log, write_mapping(tmp_path / "map.yaml")))
+    assert "\\" in refusal_message(lambda: read_log(log, write_mapping(tmp_path / "map.yaml")))
     topics = {f"{key}{text}": rows for key, rows in bag_topics(columns).items()}
-    assert "\\" in check_refused(lambda: read_log(write_bag(tmp_path / "bag", topics)))
+    assert "\\" in refusal_message(lambda: read_log(write_bag(tmp_path / "bag", topics)))
 
 
 def test_results_show_escapes_of_names(tmp_path):
@@ -85,5 +85,5 @@ def _subclasses(kind):
         yield from _subclasses(inner)
 
 
-def test_long_messages_are_cut():
+def test_long_messages_are_truncated():
     assert len(str(ModelError("x" * 10_000))) == 4000

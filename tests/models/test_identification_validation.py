@@ -1,4 +1,4 @@
-"""Identified models are validated, and written."""
+"""Validation and files of identified models."""
 
 import datetime
 from dataclasses import replace
@@ -47,16 +47,16 @@ def test_fit_is_that_of_a_free_run_from_the_first_reading():
         assert outputs[0] == pytest.approx([r.twist[0, 0], r.yaw_rate[0]])
 
 
-def test_a_limit_and_an_offset_are_part_of_the_prediction():
+def test_limit_and_offset_are_part_of_the_prediction():
     drive = noisy_drive(MODEL, 2, limit=0.6, noise=(0.0, 0.0))
     plain = system(MODEL)
-    right = LinearSystem(*plain[:4], np.array([0.0, 0.05]), np.array([[np.inf] * 4, [0.6, 0.6, np.inf, np.inf]]))
+    complete = LinearSystem(*plain[:4], np.array([0.0, 0.05]), np.array([[np.inf] * 4, [0.6, 0.6, np.inf, np.inf]]))
     drive = record(drive.command, drive.twist + [0.0, 0.05])
-    assert validate(right, [drive]).fit_percent.min() > 99.0
+    assert validate(complete, [drive]).fit_percent.min() > 99.0
     assert validate(plain, [drive]).fit_percent[1] < 80.0
 
 
-def test_white_residuals_pass_and_coloured_ones_do_not():
+def test_white_residuals_pass_and_coloured_residuals_do_not():
     white = noisy_drive(MODEL, 3)
     stream = np.random.default_rng(4)
     noise = np.zeros((3000, 2))
@@ -64,7 +64,7 @@ def test_white_residuals_pass_and_coloured_ones_do_not():
         noise[k] = 0.6 * noise[k - 1] + 0.01 * stream.normal(size=2)
     clean = MODEL.discretise(DT).simulate(white.command)
     good, bad = (validate(system(MODEL), [r]).residuals for r in (white, record(white.command, clean + noise)))
-    # The first reading is noisy, and the run starts there: a short transient that a white noise test forgives.
+    # The run starts at the first, noisy reading: a short transient that the whiteness test tolerates.
     assert good.ljung_box_p.min() > 1e-3
     assert bad.ljung_box_p.max() < 1e-9
     assert bad.autocorrelation[:, 1] == pytest.approx([0.6, 0.6], abs=0.05)
@@ -73,18 +73,18 @@ def test_white_residuals_pass_and_coloured_ones_do_not():
     assert good.autocorrelation[:, 0] == pytest.approx([1.0, 1.0])
 
 
-def test_the_bound_of_white_residuals_is_that_of_the_fewest_readings():
-    """For a yaw rate that is read a quarter as often as the speed, about 95 of 100 lags lie inside."""
+def test_whiteness_bound_is_that_of_the_fewest_readings():
+    """For a yaw rate read a quarter as often as the speed, about 95 of 100 lags lie inside."""
     errors = np.random.default_rng(6).normal(size=(4000, 2))
     errors[np.arange(4000) % 4 > 0, 1] = np.nan
     check = check_residuals([errors], [single(np.random.default_rng(7).normal(size=(4000, 2)), np.zeros((4000, 2)))])
     assert check.whiteness_bound == pytest.approx(1.96 / np.sqrt(1000), rel=1e-3)
-    # Lags between two readings alone have pairs.
+    # Only lags between two readings have pairs.
     inside = np.abs(check.autocorrelation[1, 4::4]) < check.whiteness_bound
     assert inside.mean() > 0.9
 
 
-def test_a_model_that_misses_its_command_is_correlated_with_it():
+def test_residuals_of_a_wrong_model_are_correlated_with_the_command():
     drive = noisy_drive(MODEL, 5)
     wrong = published_ssm(dead_time=(0.043, 0.152))
     good, bad = (validate(system(m), [drive]).residuals.unexplained for m in (MODEL, wrong))
@@ -93,8 +93,8 @@ def test_a_model_that_misses_its_command_is_correlated_with_it():
     assert bad[1, 1] > bad[1, 0]
 
 
-def test_the_correlation_reported_is_the_largest_over_all_lags():
-    """A residual that follows one command twenty samples later, and no other."""
+def test_reported_correlation_is_the_maximum_over_all_lags():
+    """The residual follows only one command, twenty samples later."""
     drive = noisy_drive(MODEL, 6, noise=(0.0, 0.0))
     echo = np.zeros_like(drive.twist)
     echo[20:, 0] = 0.1 * drive.command[:-20, 0]
@@ -105,7 +105,7 @@ def test_the_correlation_reported_is_the_largest_over_all_lags():
     assert residuals.unexplained[0, 0] * residuals.cross_bound[0, 0] == pytest.approx(past[20])
 
 
-def driven(twist, lever_arm=(0.0, 0.0), lag=0):
+def driven_record(twist, lever_arm=(0.0, 0.0), lag=0):
     """Build a record whose poses follow `twist` (K, 2) exactly, for a delayed sensor off the centre."""
     poses = [np.zeros(3)]
     for v, omega in 0.5 * (twist[1:] + twist[:-1]):
@@ -117,28 +117,28 @@ def driven(twist, lever_arm=(0.0, 0.0), lag=0):
     return record(twist, twist, pose=pose[np.maximum(np.arange(len(pose)) - lag, 0)])
 
 
-def test_a_true_twist_does_not_drift():
+def test_exact_twist_does_not_drift():
     twist = set_points(6, 1500, (0.5, 1.0))
     settings = {"lever_arm": (0.146, 0.02), "side_slip": 0.1, "horizons": (1.0, 5.0)}
-    exact = pose_drift([driven(twist, (0.146, 0.02))], [twist], **settings)
+    exact = pose_drift([driven_record(twist, (0.146, 0.02))], [twist], **settings)
     assert [drift.horizon for drift in exact] == [1.0, 5.0]
     assert max(drift.position_rmse for drift in exact) < 1e-9
     assert max(drift.heading_rmse for drift in exact) < 1e-9
-    late = pose_drift([driven(twist, (0.146, 0.02), lag=5)], [twist], pose_lag=5 * DT, **settings)
+    late = pose_drift([driven_record(twist, (0.146, 0.02), lag=5)], [twist], pose_lag=5 * DT, **settings)
     assert max(drift.position_rmse for drift in late) < 1e-9
 
 
-def test_poses_that_are_slow_and_off_the_seconds_tell_the_drift():
+def test_slow_poses_between_the_seconds_give_the_drift():
     twist = set_points(6, 1500, (0.5, 1.0))
-    slow = replace(driven(twist), fresh_pose=np.arange(1500) % 11 == 5)
+    slow = replace(driven_record(twist), fresh_pose=np.arange(1500) % 11 == 5)
     drifts = pose_drift([slow], [twist], side_slip=0.1)
     assert [drift.starts for drift in drifts] == [29, 28, 25, 20]
     assert max(drift.position_rmse for drift in drifts) < 1e-9
 
 
-def test_a_speed_error_drifts_in_proportion_to_time():
+def test_drift_of_a_speed_error_grows_in_proportion_to_time():
     twist = np.tile([0.5, 0.0], (1500, 1))
-    drifts = pose_drift([driven(twist)], [1.02 * twist])
+    drifts = pose_drift([driven_record(twist)], [1.02 * twist])
     assert [drift.position_rmse for drift in drifts] == pytest.approx([0.01, 0.02, 0.05, 0.1])
     assert [drift.starts for drift in drifts] == [29, 28, 25, 20]
 
@@ -153,7 +153,7 @@ IDENTIFY = {
 }
 
 
-def written(identified, path):
+def write_identified(identified, path):
     content = model_file(
         identified,
         name="test",
@@ -168,9 +168,9 @@ def written(identified, path):
 
 
 @pytest.mark.parametrize("structure", IDENTIFY)
-def test_the_loaded_model_is_the_identified_one(structure, tmp_path):
+def test_loaded_model_equals_the_identified_one(structure, tmp_path):
     identified = IDENTIFY[structure]()
-    path = written(identified, tmp_path / "model.yaml")
+    path = write_identified(identified, tmp_path / "model.yaml")
     loaded = load_model(path)
     for name in ("A", "B", "C", "dead_time"):
         assert getattr(loaded, name).tolist() == getattr(identified.model, name).tolist()
@@ -180,10 +180,10 @@ def test_the_loaded_model_is_the_identified_one(structure, tmp_path):
     data = read_model_file(path)
     assert data.fit_percent.v == 91.23
     assert data.validation_fit_percent.omega == 84.0
-    known = data.uncertainty
-    assert known.parameters == list(identified.parameters.names)
-    deviation = np.array(known.standard_deviation)
-    covariance = np.outer(deviation, deviation) * known.correlation
+    uncertainty = data.uncertainty
+    assert uncertainty.parameters == list(identified.parameters.names)
+    deviation = np.array(uncertainty.standard_deviation)
+    covariance = np.outer(deviation, deviation) * uncertainty.correlation
     scale = np.outer(identified.parameters.standard_deviation, identified.parameters.standard_deviation)
     assert np.abs(covariance - identified.parameters.covariance).max() < 1e-3 * scale.max()
     assert data.warnings == [str(doubt) for doubt in identified.warnings]
@@ -204,15 +204,15 @@ def step_record(transfer, dead_time, level, noise=0.0, seed=0):
     return experiment(command, clean + noise * np.random.default_rng(seed).normal(size=len(clean)))
 
 
-def identify(experiments, **known):
-    return identify_channel(experiments, "v", limit=False, robust=False, **known)
+def identify(experiments, **uncertainty):
+    return identify_channel(experiments, "v", limit=False, robust=False, **uncertainty)
 
 
 @pytest.mark.parametrize(
     ("gain", "frequency", "damping", "dead_time"),
     [(1.0, 10.0, 1.3, 0.04), (0.6, 25.0, 0.7, 0.013), (1.07, 14.0, 1.0, 0.0), (2.0, 6.0, 0.9, 0.11)],
 )
-def test_known_truth_is_recovered_without_noise(gain, frequency, damping, dead_time):
+def test_true_parameters_are_recovered_without_noise(gain, frequency, damping, dead_time):
     experiments = [step_record((gain, frequency, damping), dead_time, level) for level in (0.5, -0.8)]
     identified = identify(experiments)
     simulated = [simulate_experiment(identified.fit.system, experiment)[:, 0] for experiment in experiments]
@@ -223,15 +223,15 @@ def test_known_truth_is_recovered_without_noise(gain, frequency, damping, dead_t
     assert identified.parameters.value("dead_time") == pytest.approx(dead_time, abs=1e-3)
 
 
-def test_a_known_dead_time_is_kept():
+def test_known_dead_time_is_kept():
     identified = identify([step_record((1.0, 12.0, 1.1), 0.04, 0.5)], dead_time=0.04)
     assert identified.fit.system.dead_time.tolist() == [0.04]
     assert identified.parameters.names == ("gain", "natural_frequency", "damping")
     assert identified.parameters.values == pytest.approx([1.0, 12.0, 1.1], rel=1e-3)
 
 
-def test_a_bound_on_the_shorter_time_constant_is_kept():
-    """A robot with one lag shows no second pole: without the bound it would run to the edge of what can be seen."""
+def test_bound_on_the_shorter_time_constant_is_kept():
+    """A robot with one lag has no second pole: without the bound its estimate would become arbitrarily fast."""
     one_lag = [step_record((1.0, 80.0, 4.5), 0.04, level) for level in (0.5, -0.8)]
     parameters = identify(one_lag, form=TwoPolesForm(shortest=5e-3)).parameters
     frequency, damping = parameters.value("natural_frequency"), parameters.value("damping")
@@ -248,7 +248,7 @@ def test_tracks_are_recovered():
         identify_track(difference, -yaw_rate)
 
 
-def test_fit_of_perfect_mean_and_worse():
+def test_fit_is_100_percent_if_perfect_0_for_the_mean_and_else_below():
     y = np.sin(np.arange(50.0))
     assert fit_percent(y, y) == 100.0
     assert fit_percent(y, np.full(50, y.mean())) == pytest.approx(0.0, abs=1e-9)

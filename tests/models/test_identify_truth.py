@@ -1,4 +1,4 @@
-"""SM, SSM and MBM find the robot that made the log, and know how well."""
+"""SM, SSM and MBM estimate the robot of a log within their stated uncertainty."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -29,7 +29,7 @@ SM_TRUTH = {
 }
 
 
-def agrees(parameters, truth, within=4.0):
+def check_agreement(parameters, truth, within=4.0):
     for name, value in truth.items():
         off = abs(parameters.value(name) - value) / parameters.deviation(name)
         assert off < within, f"{name}: {off:.1f} standard deviations"
@@ -61,24 +61,24 @@ def test_stretches_whose_past_is_not_known_give_the_same_model(offset, whole):
     assert np.abs((split.values - single.values) / split.standard_deviation).max() < 3.0
 
 
-def test_outliers_hardly_move_the_model():
+def test_outliers_hardly_change_the_model():
     clean = noisy_drive(SM, 3)
     twist = clean.twist.copy()
     twist[np.random.default_rng(0).integers(0, len(twist), 60), 0] += 2.0
-    spoilt = Record("spoilt", 0.0, DT, clean.command, twist=twist, yaw_rate=clean.yaw_rate)
-    robust, plain = (identify_sm([spoilt], limits=False, robust=how).parameters for how in (True, False))
-    agrees(robust, SM_TRUTH)
+    with_outliers = Record("spoilt", 0.0, DT, clean.command, twist=twist, yaw_rate=clean.yaw_rate)
+    robust, plain = (identify_sm([with_outliers], limits=False, robust=how).parameters for how in (True, False))
+    check_agreement(robust, SM_TRUTH)
     assert robust.deviation("v.gain") < 0.5 * plain.deviation("v.gain")
 
 
 def test_only_fresh_readings_count():
-    """Encoders at a fifth of the rate, anything in between."""
+    """Encoders have a fifth of the rate, and arbitrary values in between."""
     full = noisy_drive(SM, 4)
     fresh = np.arange(len(full.command)) % 5 == 0
     twist = np.where(fresh[:, None], full.twist, np.nan)
     slow = Record("slow", 0.0, DT, full.command, twist=twist, yaw_rate=full.yaw_rate, fresh_twist=fresh)
     parameters = identify_sm([slow], limits=False).parameters
-    agrees(parameters, SM_TRUTH)
+    check_agreement(parameters, SM_TRUTH)
     assert parameters.deviation("v.gain") > 1.5 * identify_sm([full], limits=False).parameters.deviation("v.gain")
 
 
@@ -86,20 +86,20 @@ def test_gyro_bias_is_distinguished_from_a_turn():
     drive = noisy_drive(SM, 5)
     biased = Record("biased", 0.0, DT, drive.command, twist=drive.twist, yaw_rate=drive.yaw_rate + 0.04)
     parameters = identify_sm([biased], limits=False).parameters
-    agrees(parameters, {**SM_TRUTH, "omega.offset": 0.04})
+    check_agreement(parameters, {**SM_TRUTH, "omega.offset": 0.04})
 
 
-def test_coloured_noise_is_worth_fewer_samples():
+def test_coloured_noise_counts_as_fewer_samples():
     stream = np.random.default_rng(0)
     white = stream.normal(size=(20000, 1))
     coloured = np.zeros_like(white)
     for k in range(1, len(white)):
         coloured[k] = 0.8 * coloured[k - 1] + 0.6 * white[k]
-    # A first-order process of correlation rho has a long-run variance of (1 + rho) / (1 - rho) times its own.
+    # A first-order process with correlation rho has a long-run variance of (1 + rho) / (1 - rho) times its variance.
     assert effective_samples([coloured])[0] == pytest.approx(20000 / 9, rel=0.2)
-    # 302 cosines tell a variance within 8 %.
+    # 302 cosines estimate a variance within 8 %.
     assert effective_samples([white])[0] > 16000
-    # Readings in every third row are worth as much as without the rows between them.
+    # Readings in every third row count as much as without the rows between them.
     thirds = np.zeros((60000, 1))
     thirds[::3] = coloured
     assert long_run_covariance([thirds[:21000], thirds[21000:]])[0] == pytest.approx(long_run_covariance([coloured])[0])
@@ -109,18 +109,18 @@ def test_a_limit_of_the_base_is_found_where_there_is_one():
     limited, free = (noisy_drive(SM, 7, count=1500, limit=limit) for limit in (0.9, np.inf))
     identified = identify_sm([limited])
     assert set(identified.limits) == {"omega"}
-    agrees(identified.parameters, {**SM_TRUTH, "omega.left": 0.9, "omega.right": 0.9})
+    check_agreement(identified.parameters, {**SM_TRUTH, "omega.left": 0.9, "omega.right": 0.9})
     assert identify_sm([free]).limits == {}
 
 
-def test_a_pole_too_fast_to_see_is_said():
+def test_unobservable_fast_pole_is_a_doubt():
     lag = two_channels((1.0, 80.0, 5.5), (1.0, 7.0, 0.7))
     experiments = [s.channel(0, 0) for s in twist_experiments([noisy_drive(lag, 8, count=1500)])]
     doubts = identify_channel(experiments, "v", limit=False).warnings
     assert {doubt.kind for doubt in doubts} == {"divided lag"}
 
 
-def test_ssm_finds_the_published_model():
+def test_ssm_recovers_the_published_model():
     model = published_ssm()
     drive = noisy_drive(model, 14)
     identified = identify_ssm([drive.part(0, 1400), drive.part(1500, 3000)], 2, limits=False)
@@ -135,7 +135,7 @@ def test_ssm_finds_the_published_model():
         "dead_time.v": 0.043,
         "dead_time.omega": 0.052,
     }
-    agrees(identified.parameters, truth)
+    check_agreement(identified.parameters, truth)
     assert identified.model.dc_gain == pytest.approx(gain, abs=0.02)
 
 
@@ -152,7 +152,7 @@ def test_the_order_of_a_second_order_robot_is_two(ladder):
     assert choice.order == 2
     elsewhere = replace(held_out, twist=-held_out.twist)
     repeated = compare_orders(models, [train], [elsewhere], "gyro", requested=None)
-    assert repeated.order == 2  # the rows that score a model have no part in its choice
+    assert repeated.order == 2  # validation rows do not affect the choice
     for row, same in zip(choice.rows, repeated.rows, strict=True):
         np.testing.assert_array_equal(row.block_fit_percent, same.block_fit_percent)
         assert row.validation_fit_percent[0] > same.validation_fit_percent[0] + 50
@@ -162,7 +162,7 @@ def test_the_order_of_a_second_order_robot_is_two(ladder):
 
 
 @pytest.mark.parametrize(("four", "limit"), [(True, np.inf), (False, 0.4)])
-def test_mbm_finds_motors_both_tracks_and_a_limit(four, limit):
+def test_mbm_recovers_motors_both_tracks_and_a_limit(four, limit):
     radius, firmware, effective = 0.07, 0.4, 0.62
     commands = set_points(17, 2000, (0.6, 1.2))
     motors = [(0.95, 12.0, 0.9), (1.02, 10.0, 1.2)]
@@ -191,12 +191,12 @@ def test_mbm_finds_motors_both_tracks_and_a_limit(four, limit):
     for side, motor in zip(("left", "right"), motors, strict=True):
         for name, value in zip(("gain", "natural_frequency", "damping"), motor, strict=True):
             truth |= {f"{axle}_{side}.{name}": value for axle in (("front", "rear") if four else ("front",))}
-    agrees(identified.parameters, truth)
+    check_agreement(identified.parameters, truth)
     assert identified.parameters.value("effective_track") == pytest.approx(effective, rel=0.02)
     assert identified.model.order == 8
 
 
-def test_bad_input_is_one_clear_line():
+def test_invalid_input_raises_one_clear_line():
     drive = noisy_drive(SM, 20, count=200)
     with pytest.raises(ValueError, match="no yaw_rate"):
         identify_sm([Record("mute", 0.0, DT, drive.command, twist=drive.twist)])
@@ -209,7 +209,7 @@ def test_bad_input_is_one_clear_line():
 SPIKED = two_channels((0.95, 10.0, 1.3), (0.7, 7.0, 0.7))
 
 
-def spiked(drive, size):
+def with_spikes(drive, size):
     """Add an outlier of up to `size` to one reading in a hundred of each sensor."""
     stream = np.random.default_rng(3)
     twist, yaw_rate = drive.twist.copy(), drive.yaw_rate.copy()
@@ -233,9 +233,9 @@ def as_read(drive, folder):
 
 @pytest.mark.long
 @pytest.mark.parametrize("size", [5.0, 1000.0])
-def test_one_wild_reading_in_a_hundred_costs_nothing(size, tmp_path):
+def test_one_outlier_in_a_hundred_readings_does_not_worsen_the_model(size, tmp_path):
     clean = noisy_drive(SPIKED, 5)
-    records, findings = as_read(spiked(clean, size), tmp_path)
+    records, findings = as_read(with_spikes(clean, size), tmp_path)
     assert [finding.severity for finding in findings] == ["warning", "warning"]
     assert "(1 %)" in findings[1].words
     reference, identified = (identify_sm(part, limits=False) for part in ([clean], records))
@@ -246,12 +246,12 @@ def test_one_wild_reading_in_a_hundred_costs_nothing(size, tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_sound_drive_has_none(seed, tmp_path):
+def test_clean_drive_has_no_spikes(seed, tmp_path):
     assert as_read(noisy_drive(SPIKED, seed), tmp_path)[1] == []
 
 
-def test_commands_that_come_at_uneven_times_do_not_shorten_the_dead_time():
-    """20 Hz with 8 ms of jitter: the command in force at each grid point alone would miss 16 ms."""
+def test_uneven_command_times_do_not_shorten_the_dead_time():
+    """At 20 Hz with 8 ms of jitter, using only the active command at each grid point would lose 16 ms."""
     period, fine, seconds, random = 0.05, 0.001, 80.0, np.random.default_rng(0)
     count = int(seconds / period)
     sent, read = period * np.arange(count) + np.clip(random.normal(0, 0.008, (2, count)), -0.02, 0.02) + 0.03
@@ -277,7 +277,7 @@ def test_ssm_explains_its_training_rows_at_least_as_well_as_sm():
     assert gain.mean() > -1e-3 and gain.min() > -0.25
 
 
-def test_an_order_behind_the_floor_is_not_chosen(ladder):
+def test_order_with_a_fit_below_the_floor_is_not_chosen(ladder):
     drive, models = ladder
     floor = validate(models[3].system, [drive]).fit_percent
     free, above = (compare_orders(models, [drive], [], "gyro", floor=limit).order for limit in (None, floor))

@@ -1,4 +1,4 @@
-"""The engine simulates what control and plain recursion simulate, and its derivatives are those of its values."""
+"""The engine simulates like control and a plain recursion, and its derivatives match its values."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ from diffdrive_mpc.models.structures.two_poles import TWO_POLES
 
 @given(seed=st.integers(0, 10_000), n=st.integers(1, 5))
 @settings(max_examples=30)
-def test_states_are_those_of_the_recursion(seed, n):
+def test_states_equal_the_recursion(seed, n):
     stream = np.random.default_rng(seed)
     A = stream.normal(size=(n, n))
     A *= 0.95 / np.abs(np.linalg.eigvals(A)).max()
@@ -40,7 +40,7 @@ def test_states_are_those_of_the_recursion(seed, n):
         x = A @ x + drive[:, :, k]
 
 
-def test_states_where_poles_meet():
+def test_states_are_exact_for_equal_poles():
     A = np.array([[0.9, 1.0], [0.0, 0.9]])
     states = StateResponse(A)(np.zeros((2, 1, 50)), np.array([[0.0], [1.0]]))
     k = np.arange(50)
@@ -50,7 +50,7 @@ def test_states_where_poles_meet():
 @pytest.mark.parametrize("name", ["mbm", "sm", "ssm"])
 @given(dead_time=st.tuples(st.floats(0, 0.3), st.floats(0, 0.3)))
 @settings(max_examples=20)
-def test_sampling_is_that_of_control(name, dead_time):
+def test_sampling_equals_that_of_control(name, dead_time):
     model = load_model(name).with_extra_dead_time(dead_time)
     ours, theirs = sample(system(model), DT), model.discretise(DT)
     commands = set_points(0, 200, (0.5, 1.0))
@@ -82,14 +82,14 @@ STRUCTURES = {
 
 @pytest.mark.parametrize("has_prior", [False, True])
 @pytest.mark.parametrize("name", STRUCTURES)
-def test_the_gradient_is_that_of_finite_differences(name, has_prior):
-    """A prior of the past makes the settled state at the start, and how it moves with the parameters, matter."""
+def test_gradient_equals_finite_differences(name, has_prior):
+    """With a prior of the past, the settled initial state and its dependence on the parameters matter."""
     layout, parameters = STRUCTURES[name]
     parameters = np.array(parameters)
     stream = np.random.default_rng(0)
     inputs = set_points(1, 300, np.ones(layout.inputs), hold=30)
     outputs = stream.normal(size=(300, layout.outputs))
-    outputs[0] = 0.0  # from rest: where ramps begin does not move with the gain
+    outputs[0] = 0.0  # at rest the start of ramps does not depend on the gain
     experiment = single(inputs, outputs)
     weights = [stream.uniform(size=(300, layout.outputs))] * 2
     prior = past_prior(layout.system(parameters), [experiment], 0.01)
@@ -101,22 +101,22 @@ def test_the_gradient_is_that_of_finite_differences(name, has_prior):
         assert slope == pytest.approx((high - low) / 4e-6, rel=1e-4, abs=1e-4), layout.names[i]
 
 
-def test_an_initial_state_costs_nothing():
-    """Two experiments that begin in motion are explained exactly by the model that made them."""
+def test_initial_state_has_no_residual():
+    """Two experiments that begin in motion are explained exactly by the model that generated them."""
     model = published_ssm((0.04, 0.02))
     layout = Layout(LocalStateSpace(model.A, model.B, model.C), 2, 2)
     commands = set_points(2, 400, (0.5, 1.0))
     outputs = model.discretise(DT).simulate(commands)
     parts = [single(commands[rows], outputs[rows]) for rows in (slice(0, 170), slice(170, 400))]
     weights = [np.ones(part.outputs.shape) for part in parts]
-    # The commands before a part act on its first samples, and are not known.
+    # The commands before a part act on its first samples, and are unknown.
     for weight in weights:
         weight[:3] = 0.0
     residuals = OutputErrorProblem(layout, parts, weights).residuals(np.array([0.0] * 8 + [0.04, 0.02]))
     assert np.abs(residuals).max() < 1e-9
 
 
-def test_an_unstable_model_is_infinitely_bad():
+def test_unstable_model_has_infinite_cost():
     layout = Layout(LocalStateSpace(np.eye(2), np.eye(2), np.eye(2)), 2, 2)
     problem = OutputErrorProblem(layout, [single(np.ones((30, 2)), np.ones((30, 2)))], [np.ones((30, 2))])
     assert np.isinf(problem.residuals(np.zeros(10))).all()
@@ -124,8 +124,8 @@ def test_an_unstable_model_is_infinitely_bad():
 
 @given(seed=st.integers(0, 10_000), n=st.integers(1, 5))
 @settings(max_examples=20)
-def test_local_coordinates_leave_out_what_outputs_do_not_show(seed, n):
-    """n (m + p) of them; a change of state coordinates is no direction of theirs to first order."""
+def test_local_coordinates_omit_unobservable_directions(seed, n):
+    """There are n (m + p) of them; to first order they contain no change of state coordinates."""
     stream = np.random.default_rng(seed)
     A, B, C = stream.normal(size=(n, n)) - 3 * np.eye(n), stream.normal(size=(n, 2)), stream.normal(size=(2, n))
     structure = LocalStateSpace(A, B, C)
@@ -137,37 +137,37 @@ def test_local_coordinates_leave_out_what_outputs_do_not_show(seed, n):
 
 @given(seed=st.integers(0, 10_000), n=st.integers(1, 4))
 @settings(max_examples=20)
-def test_balancing_changes_no_output(seed, n):
+def test_balancing_does_not_change_the_output(seed, n):
     stream = np.random.default_rng(seed)
     A, B, C = stream.normal(size=(n, n)), stream.normal(size=(n, 2)), stream.normal(size=(2, n))
     A -= (np.linalg.eigvals(A).real.max() + 1.0) * np.eye(n)
-    tidy = balanced(A, B, C)
+    balanced_system = balanced(A, B, C)
     for s in (0.0, 1.0j, 5.0j):
-        plain, transformed = (c @ np.linalg.solve(s * np.eye(n) - a, b) for a, b, c in ((A, B, C), tidy))
+        plain, transformed = (c @ np.linalg.solve(s * np.eye(n) - a, b) for a, b, c in ((A, B, C), balanced_system))
         assert np.abs(transformed - plain).max() < 1e-6 * (1 + np.abs(plain).max())
 
 
-def test_an_impulse_response_gives_the_model_back():
+def test_model_is_recovered_from_its_impulse_response():
     model = published_ssm((0.0, 0.0))
     commands = np.random.default_rng(5).normal(size=(3000, 2))
     outputs = model.discretise(DT).simulate(commands)
     response = impulse_response([single(commands, outputs)], np.zeros(2), 60)
     A, B, C = from_impulse_response(response, 2, DT)
     assert np.sort(np.linalg.eigvals(A)) == pytest.approx(np.sort(model.poles), rel=2e-2)
-    # The response is cut after 60 samples and ridged: a place to start from.
+    # The response is truncated after 60 samples and regularised: it is only an initial guess.
     assert -C @ np.linalg.solve(A, B) == pytest.approx(model.dc_gain, abs=5e-2)
 
 
-def test_a_simulation_starts_at_the_first_reading():
+def test_simulation_starts_at_the_first_reading():
     model = two_channels((0.9, 10.0, 1.2), (0.6, 6.0, 0.7))
     outputs = np.tile([0.3, -0.2], (50, 1))
-    held = outputs[:1] / np.diag(model.dc_gain)
-    experiment = single(np.tile(held, (50, 1)), outputs)
+    settled_command = outputs[:1] / np.diag(model.dc_gain)
+    experiment = single(np.tile(settled_command, (50, 1)), outputs)
     assert settled_start(system(model), outputs[0])[0] @ model.C.T == pytest.approx(outputs[0])
     assert simulate_experiment(system(model), experiment) == pytest.approx(outputs, abs=1e-12)
 
 
-def test_a_spike_is_held_back_and_a_lasting_error_is_not():
+def test_spike_is_weighted_down_and_a_lasting_error_is_not():
     residuals = 0.01 * np.random.default_rng(0).normal(size=(2000, 1))
     residuals[500] += 1.0
     residuals[1000:1040] += 0.3 * np.exp(-np.arange(40.0) / 10)[:, None]
@@ -178,16 +178,16 @@ def test_a_spike_is_held_back_and_a_lasting_error_is_not():
     assert np.mean(weights == 1.0) > 0.995
 
 
-def test_readings_of_a_robot_that_stands_are_no_spikes():
-    """Nine tenths say exactly zero; the rest moves by one count now and then."""
+def test_readings_of_a_resting_robot_are_no_spikes():
+    """Nine tenths are exactly zero; the rest occasionally changes by one count."""
     residuals = np.zeros((1000, 1))
     residuals[900:, 0] = 0.01 * np.random.default_rng(1).integers(-1, 2, 100)
     (weights,) = spike_weights([residuals])
     assert weights.min() > 0.1
 
 
-def test_a_channel_without_any_reading_weighs_nothing_and_warns_of_nothing():
-    """Short stretches of a slow sensor may leave one out; tests turn warnings into errors."""
+def test_channel_without_readings_has_weights_and_no_warning():
+    """Short stretches may contain no reading of a slow sensor; tests turn warnings into errors."""
     residuals = np.random.default_rng(2).normal(size=(100, 2))
     residuals[:, 1] = np.nan
     (weights,) = spike_weights([residuals])
@@ -197,12 +197,12 @@ def test_a_channel_without_any_reading_weighs_nothing_and_warns_of_nothing():
 
 
 def stated_error(seed, drift, count=4000):
-    """Compute the error of a gain over its stated deviation; the true one drifts slowly about 1 by `drift`."""
+    """Compute the error of a gain over its stated deviation; the true gain drifts slowly about 1 by `drift`."""
     stream = np.random.default_rng(seed)
     command = np.repeat(stream.uniform(-1, 1, count // 40), 40)
     keep = np.exp(-10 / count)  # a tenth of the log
-    wander = signal.lfilter([np.sqrt(1 - keep**2)], [1.0, -keep], stream.normal(size=2 * count))[count:]
-    output = command * (1.0 + drift * wander) + 0.1 * stream.normal(size=count)
+    drift_signal = signal.lfilter([np.sqrt(1 - keep**2)], [1.0, -keep], stream.normal(size=2 * count))[count:]
+    output = command * (1.0 + drift * drift_signal) + 0.1 * stream.normal(size=count)
     gain = command @ output / (command @ command)
     error = output - gain * command
     scale = error.std()
@@ -211,6 +211,6 @@ def stated_error(seed, drift, count=4000):
 
 
 @pytest.mark.parametrize("drift", [0.0, 0.1])
-def test_intervals_hold_for_a_gain_that_stays_and_for_one_that_wanders(drift):
+def test_intervals_hold_for_a_constant_and_for_a_drifting_gain(drift):
     inside = np.mean([abs(stated_error(seed, drift)) < 1.96 for seed in range(300)])
     assert 0.92 < inside < 0.98

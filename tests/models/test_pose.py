@@ -1,4 +1,4 @@
-"""Poses: arcs, angles, and the calibration of where a pose is measured."""
+"""Poses: arcs, angles, and calibration of the pose point."""
 
 from dataclasses import replace
 
@@ -28,13 +28,13 @@ from oracle.motion import linearised_arc
 
 poses = st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-10, 10)).map(np.array)
 speeds, times = st.floats(-2, 2), st.floats(1e-3, 0.5)
-# Around the switch to the series and around zero, where a sloppy formula shows.
+# Near the switch to the series and near zero, where an inexact formula fails.
 slips = st.floats(-0.2, 0.2)
 rates = st.one_of(st.floats(-3, 3), st.floats(-1e-6, 1e-6), st.floats(0.03, 0.05), st.just(0.0))
 
 
 @given(poses, speeds, rates, times, slips)
-def test_matches_an_ode_solver(pose, v, omega, dt, slip):
+def test_integrate_pose_matches_an_ode_solver(pose, v, omega, dt, slip):
     def motion(_, p):
         c, s, sideways = np.cos(p[2]), np.sin(p[2]), -slip * v * omega
         return [v * c - sideways * s, v * s + sideways * c, omega]
@@ -52,7 +52,7 @@ def arc_function():
 
 
 @given(poses, speeds, rates, times, slips)
-def test_casadi_agrees_with_numpy(pose, v, omega, dt, slip):
+def test_casadi_arc_equals_numpy(pose, v, omega, dt, slip):
     assert np.array(arc_function()(pose, v, omega, dt, slip)).ravel() == pytest.approx(
         integrate_pose(pose, v, omega, dt, slip), abs=1e-12
     )
@@ -80,7 +80,7 @@ def test_casadi_derivatives_agree(pose, v, omega, dt, slip):
 
 
 @given(poses, speeds, rates, times, st.floats(0.05, 0.95), slips)
-def test_an_arc_in_two_parts_is_the_same_arc(pose, v, omega, dt, share, slip):
+def test_arc_in_two_parts_equals_the_whole_arc(pose, v, omega, dt, share, slip):
     half_way = integrate_pose(pose, v, omega, share * dt, slip)
     assert integrate_pose(half_way, v, omega, (1 - share) * dt, slip) == pytest.approx(
         integrate_pose(pose, v, omega, dt, slip), abs=1e-12
@@ -88,12 +88,12 @@ def test_an_arc_in_two_parts_is_the_same_arc(pose, v, omega, dt, share, slip):
 
 
 @given(poses, speeds, rates, times)
-def test_going_back_returns(pose, v, omega, dt):
+def test_reversed_motion_returns_to_the_start(pose, v, omega, dt):
     assert integrate_pose(integrate_pose(pose, v, omega, dt), v, omega, -dt) == pytest.approx(pose, abs=1e-12)
 
 
 @given(st.floats(-100, 100))
-def test_wrapped_angles_point_the_same_way(angle):
+def test_wrapped_angle_has_the_same_direction(angle):
     wrapped = float(wrap_angle(angle))
     assert -np.pi <= wrapped < np.pi
     assert np.cos(wrapped) == pytest.approx(np.cos(angle), abs=1e-12)
@@ -104,7 +104,7 @@ RADIUS, TRACK = 0.07, 0.4
 
 
 def drive(law, coefficients, lever_arm=(0.0, 0.0), noise=(0.0, 0.0), lag=0, seed=0):
-    """Simulate wheels, gyro and poses of a robot that obeys `law`, 80 s; poses come `lag` samples late."""
+    """Simulate wheels, gyro and poses of a robot that obeys `law` for 80 s; poses are `lag` samples late."""
     count = 4000
     wheels = 6.0 * set_points(seed, count, (1.0, 1.0), hold=70)
     twist = law.twist(np.asarray(coefficients), 0.5 * (wheels[1:] + wheels[:-1]))
@@ -141,8 +141,8 @@ def test_each_law_is_recovered(law, truth):
     assert np.all(noisy.standard_deviation > 0)
 
 
-def test_a_polynomial_takes_in_the_lever_arm():
-    """A point ahead of the centre moves sideways with the yaw rate, one to the left moves back."""
+def test_polynomial_absorbs_the_lever_arm():
+    """A point ahead of the centre moves sideways with the yaw rate, a point to its left moves back."""
     law, plain = SlipPolynomial(RADIUS, TRACK), ConstantTrack(RADIUS, TRACK)
     result = calibrate_wheels([drive(plain, [RADIUS, TRACK, 0.0], lever_arm=(0.15, 0.04))], law).parameters
     assert result.value("a22") == pytest.approx(0.15, abs=1e-6)
@@ -150,21 +150,21 @@ def test_a_polynomial_takes_in_the_lever_arm():
 
 
 @given(p1=st.floats(0.0, 0.3), left=st.floats(-20, 20), right=st.floats(-20, 20))
-def test_the_virtual_track_solves_its_equation(p1, left, right):
-    """yaw rate times (p1 |yaw rate| + p0) is the difference of the rim speeds."""
+def test_virtual_track_solves_its_equation(p1, left, right):
+    """yaw rate times (p1 |yaw rate| + p0) is the difference of the wheel speeds at the rims."""
     rate = GrowingTrack(RADIUS, TRACK).twist(np.array([RADIUS, 0.5, p1, 0.0]), np.array([left, right]))[2]
     assert rate * (p1 * abs(rate) + 0.5) == pytest.approx(RADIUS * (right - left), abs=1e-9)
 
 
 @given(p1=st.floats(-0.5, 0.5), left=st.floats(-3, 3), right=st.floats(-3, 3))
-def test_a_robot_on_a_virtual_track_turns_faster_the_more_its_wheels_differ(p1, left, right):
-    """Also where a shrinking track leaves no solution: a search may try such values."""
+def test_yaw_rate_of_a_virtual_track_grows_with_the_difference_of_the_wheels(p1, left, right):
+    """This includes shrinking tracks without a solution, which a search may try."""
     slow, fast = virtual_track_yaw_rate([min(left, right), max(left, right)], 0.5, p1)
     assert slow <= fast
     assert virtual_track_yaw_rate(-left, 0.5, p1) == -virtual_track_yaw_rate(left, 0.5, p1)
 
 
-def test_the_gyro_scale_is_found_behind_a_late_pose():
+def test_gyro_scale_is_estimated_with_late_poses():
     late = drive(*LAWS[0], noise=(0.005, 0.005), lag=5)
     result = calibrate_gyro([late], pose_lag=5 * DT)
     assert abs(result.parameters.value("gyro_scale") - 1.03) < 4 * result.parameters.deviation("gyro_scale")
@@ -172,7 +172,7 @@ def test_the_gyro_scale_is_found_behind_a_late_pose():
     assert result.rmse[0] < 0.5 * calibrate_gyro([late]).rmse[0]
 
 
-def test_lags_and_scale_are_estimate_beside_poses():
+def test_lags_and_scale_of_the_wheels_are_estimated_from_poses():
     """Wheels read 4 % too much, three samples late; poses are one sample late, so that the gyro leads them."""
     plain = drive(*LAWS[0], noise=(0.005, 0.005), lag=1)
     read = 1.04 * LAWS[0][0].twist(np.array(LAWS[0][1]), np.roll(plain.wheels, 3, axis=0))[:, [0, 2]]
@@ -183,7 +183,7 @@ def test_lags_and_scale_are_estimate_beside_poses():
 
 @given(x=st.floats(-5, 5), theta=st.floats(-4, 4), ahead=st.floats(-1, 1), left=st.floats(-1, 1))
 @settings(max_examples=30)
-def test_the_rotation_centre_is_behind_the_pose_point(x, theta, ahead, left):
+def test_rotation_centre_is_at_the_lever_arm_behind_the_pose_point(x, theta, ahead, left):
     c, s = np.cos(theta), np.sin(theta)
     point = np.array([x + ahead * c - left * s, 1.0 + ahead * s + left * c, theta])
     assert rotation_centre(point, (ahead, left)) == pytest.approx([x, 1.0, theta], abs=1e-12)
@@ -203,7 +203,7 @@ def test_missing_signals_and_short_logs_are_refused():
 SAMPLES = 3000
 
 
-def slipping(side_slip, load_shift, noise, seed=0):
+def slipping_record(side_slip, load_shift, noise, seed=0):
     """Simulate a minute of driving in which the lateral speed follows the two terms."""
     stream, times = np.random.default_rng(seed), DT * np.arange(SAMPLES)
     v = 0.5 + 0.4 * np.sin(0.9 * times)
@@ -211,8 +211,8 @@ def slipping(side_slip, load_shift, noise, seed=0):
     lateral = -side_slip * v * omega + load_shift * np.gradient(v, DT) * omega
     theta = np.concatenate([[0.0], np.cumsum(0.5 * (omega[1:] + omega[:-1])) * DT])
     rate = np.column_stack([v * np.cos(theta) - lateral * np.sin(theta), v * np.sin(theta) + lateral * np.cos(theta)])
-    way = np.vstack([np.zeros(2), np.cumsum(0.5 * (rate[1:] + rate[:-1]), axis=0) * DT])
-    pose = np.column_stack([way, theta]) + noise * stream.standard_normal((SAMPLES, 3))
+    position = np.vstack([np.zeros(2), np.cumsum(0.5 * (rate[1:] + rate[:-1]), axis=0) * DT])
+    pose = np.column_stack([position, theta]) + noise * stream.standard_normal((SAMPLES, 3))
     twist = np.column_stack([v, omega])
     return Record("drive", 0.0, DT, twist, twist=twist, yaw_rate=omega, pose=pose)
 
@@ -220,15 +220,15 @@ def slipping(side_slip, load_shift, noise, seed=0):
 @settings(deadline=None, max_examples=20)
 @given(side_slip=st.floats(-0.05, 0.15), load_shift=st.floats(-0.05, 0.1))
 def test_lateral_slip_is_identified(side_slip, load_shift):
-    loaded = lateral_slip([slipping(side_slip, load_shift, 0.0)])
-    # Windows of a second turn by up to a radian and a half: to the left is not one direction in them.
+    loaded = lateral_slip([slipping_record(side_slip, load_shift, 0.0)])
+    # Windows of a second contain turns of up to 1.5 rad, in which the lateral direction is not constant.
     assert loaded.values == pytest.approx([side_slip, load_shift], abs=3e-3)
 
 
 def test_deviation_of_lateral_slip_covers_its_error():
     errors = []
     for seed in range(20):
-        result = lateral_slip([slipping(0.08, 0.03, 0.005, seed)])
+        result = lateral_slip([slipping_record(0.08, 0.03, 0.005, seed)])
         errors.append((result.values - [0.08, 0.03]) / result.standard_deviation)
     size = np.sqrt(np.mean(np.square(errors), axis=0))
     assert (size > 0.5).all(), size
@@ -236,10 +236,10 @@ def test_deviation_of_lateral_slip_covers_its_error():
 
 
 @pytest.mark.parametrize(("gyro", "left_out"), [(True, 1), (False, 1), (True, 10)])
-def test_slip_prior_holds_the_truth_with_and_without_gyro_and_with_few_poses(gyro, left_out):
-    whole = slipping(0.15, 0.02, 0.005)
+def test_slip_prior_contains_the_true_slip_with_and_without_gyro_and_with_few_poses(gyro, left_out):
+    whole = slipping_record(0.15, 0.02, 0.005)
     yaw_rate, fresh = whole.yaw_rate if gyro else None, np.arange(SAMPLES) % left_out == 0
-    twist = whole.twist * [1.0, 1.2]  # a skid-steer's wheels turn faster than its body
+    twist = whole.twist * [1.0, 1.2]  # wheels of a skid-steer robot turn faster than its body
     record = Record("drive", 0.0, DT, twist, twist=twist, yaw_rate=yaw_rate, pose=whole.pose, fresh_pose=fresh)
     prior = slip_prior([record])
     assert prior.is_regressed
@@ -247,7 +247,7 @@ def test_slip_prior_holds_the_truth_with_and_without_gyro_and_with_few_poses(gyr
 
 
 def test_slip_prior_is_wide_without_poses_with_noisy_poses_and_without_turns():
-    whole, none = slipping(0.1, 0.0, 0.0), np.zeros((SAMPLES, 3))
+    whole, none = slipping_record(0.1, 0.0, 0.0), np.zeros((SAMPLES, 3))
     mute = Record("mute", 0.0, DT, whole.twist, twist=whole.twist, yaw_rate=whole.yaw_rate)
     still = replace(whole, twist=none[:, :2], yaw_rate=none[:, 0], pose=none)
     assert lateral_slip([]) is lateral_slip([mute]) is lateral_slip([still]) is None

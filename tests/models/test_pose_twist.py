@@ -1,4 +1,4 @@
-"""Commands and poses alone identify a robot: mean twists over arcs, without a delay."""
+"""Identification from commands and poses alone: mean twists over arcs, without a delay."""
 
 import numpy as np
 import pytest
@@ -50,8 +50,8 @@ def test_mean_twist_has_no_delay(every):
     assert delay == pytest.approx(np.zeros(2), abs=0.002)
 
 
-def written(folder, with_gyro=False):
-    """Write 90 s of a robot with 0.9 and 0.8 of its commands, 0.25 s and 0.3 s late; return the log and its mapping."""
+def write_log(folder, with_gyro=False):
+    """Write 90 s of a robot with gains 0.9 and 0.8, 0.25 s and 0.3 s late; return the log and its mapping."""
     stream, dt, count = np.random.default_rng(5), 0.05, 1800
     command = np.repeat(stream.uniform([-0.5, -0.8], [0.5, 0.8], (count // 30, 2)), 30, axis=0)
     per = round(dt / FINE)
@@ -74,7 +74,7 @@ def written(folder, with_gyro=False):
 
 @pytest.mark.parametrize("with_gyro", [False, True])
 def test_commands_and_poses_alone_identify_a_robot(tmp_path, with_gyro):
-    log, mapping = written(tmp_path, with_gyro)
+    log, mapping = write_log(tmp_path, with_gyro)
     result = identify(log, mapping=mapping, structure="sm")
     assert not result.refusal
     for channel, gain, late in [("v", 0.9, 0.25), ("omega", 0.8, 0.3)]:

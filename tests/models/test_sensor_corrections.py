@@ -1,4 +1,4 @@
-"""Sensors that are built in otherwise than the log says: they are found, put right, and stated for the robot."""
+"""Sensors wired differently than the log states: detected, corrected, and stated in the configuration of the robot."""
 
 import numpy as np
 import pytest
@@ -23,8 +23,8 @@ COLUMNS = {
 }
 
 
-def drive(*, gyro=1.0, wheels=1.0, late=0, most=np.inf, seed=0):
-    """Return a record of 60 s in which wheels turn a fifth further than the body, and poses are `late` samples late."""
+def drive(*, gyro=1.0, wheels=1.0, late=0, max_rate=np.inf, seed=0):
+    """Return a record of 60 s in which wheels turn a fifth more than the body, and poses are `late` samples late."""
     rng = np.random.default_rng(seed)
     command = set_points(seed, 3000, [0.5, 0.8])
     body = np.zeros_like(command)
@@ -34,7 +34,7 @@ def drive(*, gyro=1.0, wheels=1.0, late=0, most=np.inf, seed=0):
     for k, (v, omega) in enumerate(0.5 * (body[1:] + body[:-1])):
         pose[k + 1] = integrate_pose(pose[k], v, omega, DT)
     pose = np.roll(pose, late, axis=0)[late:] + rng.normal(0.0, [0.005, 0.005, 0.005], (len(pose) - late, 3))
-    read = np.clip(gyro * body[:, 1] + rng.normal(0.0, 0.005, len(body)), -most, most)
+    read = np.clip(gyro * body[:, 1] + rng.normal(0.0, 0.005, len(body)), -max_rate, max_rate)
     twist = wheels * body * [1.0, 1.2] + rng.normal(0.0, 0.01, body.shape)
     return Record("drive", 0.0, DT, command[late:], twist=twist[late:], yaw_rate=read[late:], pose=pose)
 
@@ -61,8 +61,8 @@ def test_wiring_differences_are_detected_and_corrected(wired, expected):
     assert again.settings == {}
 
 
-def test_a_gyro_at_the_end_of_its_range_has_no_scale():
-    corrections = find_corrections("drive", [drive(most=0.3)], None)
+def test_saturated_gyro_has_no_scale():
+    corrections = find_corrections("drive", [drive(max_rate=0.3)], None)
     assert corrections.settings == {}
     assert ["increase its range" in str(finding) for finding in corrections.findings] == [True]
 
@@ -81,8 +81,8 @@ def test_mapping_corrections_are_stated_for_the_robot():
     assert stated_corrections(None) == {}
 
 
-def test_a_log_of_a_wired_robot_becomes_a_configuration_that_drives_it(tmp_path):
-    """From the log of a gyro upside down and poses stamped on arrival to the controller's own settings."""
+def test_log_of_a_miswired_robot_gives_a_configuration_that_corrects_it(tmp_path):
+    """The log of an inverted gyro and of poses stamped on arrival determines the settings of the controller."""
     wired = {"gyro": {"scale": -1.0}, "pose": {"latency": 0.11, "stamped_on_arrival": True}}
     (tmp_path / "sensors.yaml").write_text(yaml.safe_dump(wired), encoding="utf-8")
     plant = make_plant("mujoco", seed=3, sensors=tmp_path / "sensors.yaml")
@@ -108,8 +108,8 @@ def test_a_log_of_a_wired_robot_becomes_a_configuration_that_drives_it(tmp_path)
     assert sensors.pose.delay == pytest.approx(0.11, abs=0.01)
 
 
-def test_the_record_of_a_drive_with_a_gyro_upside_down_becomes_such_a_configuration_too(tmp_path):
-    """The record holds readings as they were, also where the controller that drove had the sign."""
+def test_record_of_a_drive_with_an_inverted_gyro_gives_a_configuration_that_corrects_it(tmp_path):
+    """The record contains uncorrected readings, even if the controller of the drive applied the sign."""
     (tmp_path / "sensors.yaml").write_text("gyro: {scale: -1.0}", encoding="utf-8")
     controller = Controller(load_config("sm", {"sensors.yaw_rate.sign": -1}))
     plant = make_plant("mujoco", seed=3, sensors=tmp_path / "sensors.yaml")

@@ -1,4 +1,4 @@
-"""Robots stated by their makers, by name: the start of a configuration, and never treated as identified."""
+"""Robots stated by their makers, by name: a start for a configuration, never treated as identified."""
 
 import pytest
 import yaml
@@ -14,7 +14,7 @@ CLEARPATH = {"odom": "platform/odom", "imu": "platform/sensors/imu_0/data", "cmd
 
 @pytest.fixture(scope="module")
 def husky_bag(tmp_path_factory):
-    """A bag with the topics of a Husky in its namespace, and with another source of commands beside."""
+    """A bag with the topics of a Husky in its namespace, and another source of commands."""
     topics = bag_topics(drive(60.0), command="geometry_msgs/msg/TwistStamped")
     named = {f"/a200_0001/{CLEARPATH[name[1:]]}": topic for name, topic in topics.items() if name[1:] in CLEARPATH}
     named["/a200_0001/joy_teleop/cmd_vel"] = named["/a200_0001/cmd_vel"]
@@ -22,12 +22,12 @@ def husky_bag(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def identified(husky_bag):
+def identification(husky_bag):
     return identify(husky_bag, robot="husky")
 
 
 @pytest.mark.parametrize("name", stated_robots())
-def test_every_value_is_stated_and_has_a_source_with_its_revision(name):
+def test_every_value_is_stated_with_a_source_and_its_revision(name):
     robot = load_stated_robot(name)
     assert robot.provenance == "stated"
     assert all("commit" in source or "read 20" in source for source in robot.sources.values())
@@ -38,7 +38,7 @@ def test_every_value_is_stated_and_has_a_source_with_its_revision(name):
 
 
 @pytest.mark.parametrize("name", stated_robots())
-def test_the_values_make_a_configuration(name):
+def test_stated_values_form_a_configuration(name):
     robot = load_stated_robot(name)
     values = robot.bounds(1.1) | {key: stated.value for key, stated in robot.configuration().items()}
     config = load_config("kinematic", values)
@@ -49,13 +49,13 @@ def test_the_values_make_a_configuration(name):
     assert config.limits.predicted_v > config.limits.v
 
 
-def test_the_turtlebot_keeps_its_safety_limit():
-    """Its firmware lets it drive faster only where its safety features are off."""
+def test_turtlebot_keeps_its_safety_limit():
+    """Its firmware permits higher speeds only without its safety features."""
     words = "\n".join(load_stated_robot("turtlebot4").lines())
     assert "v 0.306 m/s (stated: safety)" in words
 
 
-def test_topics_are_those_of_the_namespace_that_has_the_odometry(husky_bag):
+def test_topics_are_in_the_namespace_of_the_odometry(husky_bag):
     log = read_log(husky_bag, load_stated_robot("husky").mapping())
     assert log.topics["command"][0] == "/a200_0001/cmd_vel"
     assert log.topics["odometry"][0] == "/a200_0001/platform/odom"
@@ -70,9 +70,9 @@ def test_two_robots_in_one_bag_are_named(tmp_path, husky_bag):
         read_log(bag, load_stated_robot("husky").mapping())
 
 
-def test_what_the_log_tells_stays_and_the_maker_bounds_it(identified):
-    limits = {setting.name: setting for setting in identified.configuration.limits}
-    # The log is driven with up to 1.5 rad/s, the maker allows 1.
+def test_limits_of_the_log_are_kept_within_those_of_the_maker(identification):
+    limits = {setting.name: setting for setting in identification.configuration.limits}
+    # The log has up to 1.5 rad/s, the maker permits 1.
     assert limits["omega"].value == 1.0
     assert "stated by the maker" in limits["omega"].reason
     assert limits["v"].value < 1.0
@@ -80,7 +80,7 @@ def test_what_the_log_tells_stays_and_the_maker_bounds_it(identified):
     assert limits["omega_slew"].value == 1.0
 
 
-def test_the_model_is_the_logs_alone(identified, husky_bag):
+def test_model_is_identified_from_the_log_alone(identification, husky_bag):
     plain = identify(husky_bag, load_mapping_of_husky(husky_bag))
     assert identified.content.channels == plain.content.channels
     assert identified.content.provenance.origin == "identified"
@@ -96,8 +96,8 @@ def load_mapping_of_husky(bag):
     return path
 
 
-def test_its_files_are_a_configuration_with_the_reason_of_each_value(identified, tmp_path):
-    identified.write(tmp_path)
+def test_written_configuration_states_the_reason_of_each_value(identification, tmp_path):
+    identification.write(tmp_path)
     config = load_config(tmp_path / "config.yaml")
     assert config.wheels.track == pytest.approx(1.04063, rel=1e-4)
     assert ("free_space" in config.features) == ("free_space" in plug_in_names("features"))

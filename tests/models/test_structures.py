@@ -1,4 +1,4 @@
-"""Structures of models: the published SSM, and sampling."""
+"""Structures of models: registration of user structures, the published SSM, and sampling."""
 
 import itertools
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ class Lag(StrictModel):
 
 
 class LagsFile(ModelFile):
-    """One lag for each channel."""
+    """Model file with one lag per channel."""
 
     structure: Literal["lags"]
     v: Lag
@@ -63,7 +63,7 @@ def identify_lags(records: Sequence[Record], conditions: IdentificationCondition
 
 @pytest.fixture
 def lags(monkeypatch):
-    """The line in the registry."""
+    """Registers the structure of one lag per channel."""
     monkeypatch.setitem(registry.STRUCTURES, "lags", Structure("lags", LagsFile, identify_lags))
 
 
@@ -73,7 +73,7 @@ def log(tmp_path):
     return write_csv(tmp_path / "drive.csv", drive(seconds=20.0))
 
 
-def test_a_structure_of_one_s_own_goes_all_the_way(lags, log, tmp_path):
+def test_user_structure_is_identified_written_and_loaded(lags, log, tmp_path):
     identified = identify(log, tmp_path / "map.yaml", "lags")
     identified.write(tmp_path / "mine")
     model = load_model(tmp_path / "mine" / "model.yaml")
@@ -84,7 +84,7 @@ def test_a_structure_of_one_s_own_goes_all_the_way(lags, log, tmp_path):
     assert "LAGS from drive" in str(identified)
 
 
-def test_two_delays_are_the_dead_times_and_lags_of_sm(log, tmp_path):
+def test_two_delays_have_the_lags_of_sm_as_dead_times(log, tmp_path):
     fits = {name: identify(log, tmp_path / "map.yaml", name) for name in ("sm", "two_delays")}
     sm, delays = (fit.report.fitted.identified.model for fit in fits.values())
     assert delays.dead_time == pytest.approx(sm.lag, abs=1e-3)
@@ -94,7 +94,7 @@ def test_two_delays_are_the_dead_times_and_lags_of_sm(log, tmp_path):
     assert load_model(tmp_path / "mine" / "model.yaml").structure == "two_delays"
 
 
-def test_only_what_is_registered_is_known(log, tmp_path):
+def test_unregistered_structure_is_refused(log, tmp_path):
     with pytest.raises(ConfigError, match="structure 'lags': give one of mbm, sm, ssm"):
         identify(log, tmp_path / "map.yaml", "lags")
     content = {"name": "x", "structure": "lags", "provenance": {"origin": "identified", "source": "x"}}
@@ -104,15 +104,15 @@ def test_only_what_is_registered_is_known(log, tmp_path):
 
 
 @pytest.mark.parametrize("name", registry.STRUCTURES)
-def test_the_registry_calls_each_by_the_name_in_its_files(name):
+def test_registry_uses_the_names_of_the_files(name):
     structure = registry.STRUCTURES[name]
     assert structure.name == name == structure_name(structure.file)
     assert is_shipped(name)
     assert load_model(name).structure == name
 
 
-def test_kinematic_is_sm_that_obeys_at_once():
-    """Its gains are SM's, it says that nobody measured it, and one sample later nothing is left of the one before."""
+def test_kinematic_model_is_sm_without_lag():
+    """It has the gains of SM and an assumed origin, and its response ends after one sample."""
     kinematic, sm = load_model("kinematic"), load_model("sm")
     assert kinematic.provenance["origin"] == "assumed"
     np.testing.assert_allclose(kinematic.dc_gain, sm.dc_gain, rtol=1e-12)
@@ -124,7 +124,7 @@ def test_kinematic_is_sm_that_obeys_at_once():
 
 
 # Guffanti, Pavon, Sensors 2025, 25(18), 5821: numerators (s, 1) over the common denominator, as printed: without
-# minus signs, and with the two cross terms under each other's names.
+# minus signs, and with the two cross terms exchanged.
 PRINTED = {(0, 0): (7.428, 98.86), (1, 1): (14.26, 105.9), (0, 1): (0.1981, 0.01966), (1, 0): (1.013, 0.9052)}
 PRINTED_DENOMINATOR = (1.0, 20.69, 98.62)
 PRINTED_DIGITS = 4
@@ -142,22 +142,22 @@ def coefficients(A, B, C):
 
 
 def half_digit(values):
-    """Return half a unit in the last of the printed significant digits."""
+    """Return half a unit of the last printed significant digit."""
     values = np.abs(np.asarray(values, dtype=float))
     return 0.5 * 10.0 ** (np.floor(np.log10(values)) - PRINTED_DIGITS + 1)
 
 
 def rounding_bounds(model):
-    """Bound the change of the coefficients if every matrix entry moves by half its last printed digit."""
+    """Bound the change of the coefficients if every matrix entry changes by half its last printed digit."""
     nominal, nominal_den = coefficients(model.A, model.B, model.C)
     bounds = {key: np.zeros(2) for key in nominal}
     den_bound = np.zeros(3)
     for name in "ABC":
         matrix = getattr(model, name)
         for index, step in np.ndenumerate(half_digit(matrix)):
-            moved = {label: getattr(model, label).copy() for label in "ABC"}
-            moved[name][index] += step
-            numerators, denominator = coefficients(moved["A"], moved["B"], moved["C"])
+            perturbed = {label: getattr(model, label).copy() for label in "ABC"}
+            perturbed[name][index] += step
+            numerators, denominator = coefficients(perturbed["A"], perturbed["B"], perturbed["C"])
             for key in bounds:
                 bounds[key] += np.abs(numerators[key] - nominal[key])
             den_bound += np.abs(denominator - nominal_den)
@@ -172,7 +172,7 @@ def test_transfer_functions_agree_to_the_rounding_of_the_matrices():
     assert (np.abs(denominator - PRINTED_DENOMINATOR)[1:] <= (den_bound + [0, 0.005, 0.005])[1:]).all()
 
 
-def test_the_bounds_are_tight_enough_to_notice_a_lost_sign():
+def test_rounding_bounds_reveal_a_lost_sign():
     model = load_model("ssm")
     A = model.A.copy()
     A[1, 0] = -A[1, 0]
@@ -185,7 +185,7 @@ def test_the_bounds_are_tight_enough_to_notice_a_lost_sign():
     assert misfit > 10
 
 
-def test_poles_gains_and_lags():
+def test_poles_gains_and_lags_equal_the_published_ones():
     model = load_model("ssm")
     assert np.sort(model.poles) == pytest.approx([-13.25, -7.44], abs=0.01)
     assert model.dc_gain == pytest.approx(np.array([[1.0026, -0.0002], [0.0092, 1.073]]), abs=5e-4)
@@ -198,7 +198,7 @@ dead_times = st.tuples(st.floats(0, 0.12), st.floats(0, 0.12))
 
 
 def ode_outputs(model, commands, dt):
-    """Solve for outputs at the samples with an adaptive solver, stopped wherever a delayed command switches."""
+    """Compute outputs at the samples with an adaptive solver, interrupted at every switch of a delayed command."""
 
     def command(t):
         index = np.floor((t - model.dead_time) / dt + 1e-9).astype(int)
@@ -219,7 +219,7 @@ def ode_outputs(model, commands, dt):
 
 
 @pytest.mark.parametrize("dead_time", [(0.0, 0.0), (0.0202, 0.0404), (0.04, 0.031), (0.007, 0.0999)])
-def test_matches_an_ode_solver(dead_time):
+def test_simulation_matches_an_ode_solver(dead_time):
     model = SSM.with_extra_dead_time(dead_time)
     commands = np.random.default_rng(1).normal(size=(40, 2))
     simulated = model.discretise(0.0202).simulate(commands)
@@ -228,23 +228,23 @@ def test_matches_an_ode_solver(dead_time):
 
 @pytest.mark.parametrize("name", ["mbm", "sm", "ssm", "kinematic"])
 @pytest.mark.parametrize("dead_time", [(0.0, 0.0), (0.007, 0.0999)])
-def test_it_is_the_zero_order_hold_of_control(name, dead_time):
+def test_discretisation_is_the_zero_order_hold_of_control(name, dead_time):
     model, dt = replace(load_model(name), dead_time=np.array(dead_time)), 0.0202
     discrete = model.discretise(dt)
 
-    def held(time):
+    def zero_order_hold(time):
         return control.sample_system(control.ss(model.A, model.B, model.C, 0 * model.C @ model.B), time, "zoh")
 
-    whole, rest = held(dt), np.array(dead_time) - discrete.delay * dt
-    acting = np.column_stack([held(dt - rest[j]).B[:, j] for j in (0, 1)])
+    whole, rest = zero_order_hold(dt), np.array(dead_time) - discrete.delay * dt
+    expected = np.column_stack([zero_order_hold(dt - rest[j]).B[:, j] for j in (0, 1)])
     assert pytest.approx(whole.A, rel=1e-13, abs=1e-15) == discrete.A
-    assert pytest.approx(acting, rel=1e-13, abs=1e-15) == discrete.B0
+    assert pytest.approx(expected, rel=1e-13, abs=1e-15) == discrete.B0
     assert pytest.approx(whole.B, rel=1e-13, abs=1e-15) == discrete.B0 + discrete.B1
     assert not discrete.D.any()
     assert discrete.delay.tolist() == [0, 4 if any(dead_time) else 0]
 
 
-def test_channels_side_by_side_are_what_control_appends():
+def test_side_by_side_channels_equal_those_appended_by_control():
     parts = [TwoPoles(gain=0.9, natural_frequency=7.0, damping=1.2), TwoPoles(gain=1.1, natural_frequency=9, damping=2)]
     whole = control.append(*(control.ss(*part.matrices(), 0.0) for part in parts))
     for ours, theirs in zip(side_by_side(parts), (whole.A, whole.B, whole.C), strict=True):
@@ -252,7 +252,7 @@ def test_channels_side_by_side_are_what_control_appends():
 
 
 @given(dead_times)
-def test_a_settled_robot_stays_settled(dead_time):
+def test_settled_robot_stays_settled(dead_time):
     discrete = SSM.with_extra_dead_time(dead_time).discretise(0.0202)
     command = np.array([0.6, -0.4])
     past = np.tile(command, (discrete.memory, 1))

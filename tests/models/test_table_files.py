@@ -1,4 +1,4 @@
-"""Tables as spreadsheets, loggers and data frames write them: read, or refused in one sentence that is true."""
+"""Tables of spreadsheets, loggers and data frames: read, or refused in one correct sentence."""
 
 import csv
 import io
@@ -53,7 +53,7 @@ WRITTEN = {
 
 @pytest.mark.parametrize("text", WRITTEN.values(), ids=WRITTEN)
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-be"])
-def test_a_table_reads_the_same_however_it_is_written(tmp_path, text, encoding):
+def test_table_is_read_equally_in_every_format(tmp_path, text, encoding):
     path = tmp_path / "log.csv"
     mark = b"\xfe\xff" if encoding == "utf-16-be" else b""
     path.write_bytes(mark + text.encode(encoding))
@@ -65,8 +65,8 @@ def test_a_table_reads_the_same_however_it_is_written(tmp_path, text, encoding):
     assert "yaw_rate: {column: gyro, unit: rad/s}" in draft_mapping(path)
 
 
-def test_a_long_file_in_utf_16_is_read_whole(tmp_path):
-    """More than any buffer, and characters of one, two, three and four bytes."""
+def test_long_file_in_utf_16_is_read_completely(tmp_path):
+    """The file exceeds any buffer and has characters of one, two, three and four bytes."""
     text = "".join(f"{k};ä€😀\n" for k in range(50_000))
     (tmp_path / "log.csv").write_bytes(text.encode("utf-16"))
     with open_csv(tmp_path / "log.csv") as file:
@@ -74,7 +74,7 @@ def test_a_long_file_in_utf_16_is_read_whole(tmp_path):
 
 
 @pytest.mark.parametrize("word", ["NA", "N/A", "null", "None", "-", "NaN", "nan", "inf", ""])
-def test_a_word_for_a_missing_reading_leaves_that_reading_out(tmp_path, word):
+def test_word_for_a_missing_reading_omits_that_reading(tmp_path, word):
     gyro = [word if k % 10 == 0 else float(value) for k, value in enumerate(COLUMNS["gyro"])]
     path = write_csv(tmp_path / "log.csv", COLUMNS | {"gyro": gyro})
     (record,) = read_log(path, write_mapping(tmp_path / "map.yaml")).records
@@ -100,7 +100,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("text", "words"), REFUSED.values(), ids=REFUSED)
-def test_what_cannot_be_read_is_said_in_one_true_line(tmp_path, text, words):
+def test_unreadable_table_is_refused_with_the_true_reason_in_one_line(tmp_path, text, words):
     path = tmp_path / "log.csv"
     path.write_text(text, newline="")
     assert words in line_of(path, write_mapping(tmp_path / "map.yaml"))

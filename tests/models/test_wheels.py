@@ -1,4 +1,4 @@
-"""Logs of wheels and of power."""
+"""Wheel kinematics, and logs of wheels and of power."""
 
 import numpy as np
 import pytest
@@ -17,12 +17,12 @@ twists = st.tuples(st.floats(-1.5, 1.5), st.floats(-2, 2))
 
 
 @given(twists)
-def test_there_and_back(twist):
+def test_wheel_speeds_give_the_twist_back(twist):
     assert KINEMATICS.twist(KINEMATICS.wheel_speeds(twist)) == pytest.approx(twist, abs=1e-12)
 
 
 @given(twists)
-def test_pulses_per_second_follow_the_papers_equation(twist):
+def test_pulses_per_second_follow_the_equation_of_the_paper(twist):
     v, omega = twist
     factor = ROBOT.encoder_pulses / (2 * np.pi * ROBOT.wheel_radius)
     left, right = factor * (v - omega * ROBOT.track / 2), factor * (v + omega * ROBOT.track / 2)
@@ -33,7 +33,7 @@ def test_pulses_per_second_follow_the_papers_equation(twist):
 COLUMNS = drive(seconds=6.0)
 T = COLUMNS["t"] + 1.0
 RNG = np.random.default_rng(3)
-# Single precision, as the messages have it.
+# Single precision, as in the messages.
 VOLTAGE, CURRENT = (np.float32(x).astype(float) for x in (12.0 + 0.1 * RNG.normal(size=300), 2 + RNG.random(300)))
 MOTORS = np.float32(RNG.normal(size=(300, 4))).astype(float)
 USUAL = "topics:\n  command: /cmd_vel\n  odometry: /odom\n"
@@ -55,13 +55,13 @@ def read(tmp_path, words, **more):
     return read_log(bag(tmp_path, **more), write_mapping(tmp_path / "m.yaml", USUAL + words + WHEELS))
 
 
-def test_what_the_battery_gives_is_positive_whatever_the_robot_says(tmp_path):
+def test_battery_power_is_positive_for_any_sign_of_the_log(tmp_path):
     (record,) = read(tmp_path, "  battery: /battery\n").records
     assert np.array_equal(record.battery, np.column_stack([VOLTAGE, CURRENT]))
     assert record.motor_current is None
 
 
-def test_a_robot_of_the_other_sign_is_turned_round(tmp_path):
+def test_battery_sign_of_the_mapping_is_applied(tmp_path):
     (record,) = read(tmp_path, "  battery: {topic: /battery, sign: -1}\n", battery=CURRENT).records
     assert np.array_equal(record.battery, np.column_stack([VOLTAGE, CURRENT]))
 
@@ -74,17 +74,17 @@ def test_efforts_of_joints_are_the_motors_of_the_sides(tmp_path):
     assert record.wheels == pytest.approx((twist[:, :1] + [-0.2, 0.2] * twist[:, 1:]) / 0.1)
 
 
-def test_single_numbers_have_the_times_of_their_receipt_and_their_unit(tmp_path):
+def test_single_numbers_have_their_times_of_receipt_and_units(tmp_path):
     words = "  motors: {left: {topic: /left_a, unit: mA}, right: /right_a}\n"
     (record,) = read(tmp_path, words).records
     assert record.motor_currents is None
     assert record.motor_current[1:299, 0] == pytest.approx(1e-3 * MOTORS[1:299, 0])
-    # Those of the right come half as often and half a sample late.
+    # Readings of the right side are half as frequent and half a sample later.
     later = np.interp(T[1:299], T[::2] + 0.01, MOTORS[::2, 1])
     assert record.motor_current[1:299, 1] == pytest.approx(later, abs=1e-4)
 
 
-def test_readings_that_are_no_numbers_are_left_out_and_said(tmp_path):
+def test_readings_that_are_no_numbers_are_skipped_with_a_finding(tmp_path):
     torn = CURRENT.copy()
     torn[50:60] = np.nan
     log = read(tmp_path, "  battery: /battery\n", battery=-torn)

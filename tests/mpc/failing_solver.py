@@ -10,9 +10,9 @@ import osqp
 
 from diffdrive_mpc.mpc import load_config
 
-# A soft limit presses at every tick of a drive at 0.5 m/s, and the backend is asked each time.
-PRESSING = {"limits.predicted_v": 0.4, "solver.method": "daqp"}
-BACKENDS = {name: PRESSING | {"solver.method": name} for name in ("osqp", "daqp")}
+# A soft limit is active at every tick of a drive at 0.5 m/s, so the backend is called each time.
+ACTIVE_LIMIT = {"limits.predicted_v": 0.4, "solver.method": "daqp"}
+BACKENDS = {name: ACTIVE_LIMIT | {"solver.method": name} for name in ("osqp", "daqp")}
 
 _TICK = load_config("ssm").sample_time
 _FLAGS = {
@@ -23,9 +23,9 @@ _FLAGS = {
 
 
 class FailingSolver:
-    """While `failing`, both packages give `outcome`, with `garbage` for a plan and multipliers, at every solve.
+    """Return `outcome` from every solve of both packages while `failing`, with `garbage` as plan and multipliers.
 
-    They are left with that garbage for a warm start, too. `solves` counts all solves, failing or not.
+    The garbage is also stored as the next warm start. `solves` counts all solves, failing or not.
     """
 
     def __init__(self, monkeypatch, outcome="iteration limit", garbage=2.1e9):
@@ -44,7 +44,7 @@ class FailingSolver:
         return change_during
 
     def _osqp(self, solve):
-        def wrapped(solver, *args, **kwargs):
+        def failing_solve(solver, *args, **kwargs):
             self.solves += 1
             result = solve(solver, *args, **kwargs)
             if not self.failing:
@@ -55,10 +55,10 @@ class FailingSolver:
             info = SimpleNamespace(status_val=_FLAGS[self.outcome][0], iter=7, prim_res=1.0, dual_res=1.0)
             return SimpleNamespace(x=x, y=y, info=info)
 
-        return wrapped
+        return failing_solve
 
     def _daqp(self, solve):
-        def wrapped(model):
+        def failing_solve(model):
             self.solves += 1
             x, value, flag, info = solve(model)
             if not self.failing:
@@ -66,21 +66,21 @@ class FailingSolver:
             info = dict(info) | {"lam": np.full_like(info["lam"], self.garbage)}
             return np.full_like(x, self.garbage), value, _FLAGS[self.outcome][1], info
 
-        return wrapped
+        return failing_solve
 
 
-class SpoiltReference:
-    """A reference that is no number from the next tick on while it is `spoilt`: no problem can be made of it.
+class CorruptedReference:
+    """Reference that becomes NaN from the next tick on while `is_corrupted`: no problem can be built from it.
 
-    Only where it is sampled tick by tick, as for a plan: who looks around in it for a way back sees it as it is.
+    Only samples one tick apart, as used for a plan, are corrupted; the search for a return path gets valid samples.
     """
 
     def __init__(self, original):
-        self.original, self.spoilt = original, False
+        self.original, self.is_corrupted = original, False
         self.name, self.duration = original.name, original.duration
 
     def sample(self, times):
         result = self.original.sample(times)
-        if self.spoilt and np.diff(times).max(initial=0.0) < 2 * _TICK:
+        if self.is_corrupted and np.diff(times).max(initial=0.0) < 2 * _TICK:
             result.pose[1:] = np.nan
         return result

@@ -1,4 +1,4 @@
-"""A client of follow_path as a process of its own: commands come in as lines of JSON, and what it hears goes out so.
+"""Client of follow_path in a separate process: reads commands and writes events as lines of JSON.
 
 In: {"send": id, "frame": .., "poses": [[x, y, theta], ..], "controller": ..} or {"cancel": id}. {"burst": id, "goals":
 [{"poses": .., ..}, ..], "times": count, "rate": Hz} sends these goals in turn, as "id 0", "id 1", ...
@@ -19,7 +19,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 
 
-def say(**fields):
+def write_event(**fields):
     sys.stdout.write(json.dumps(fields | {"time": time.monotonic()}) + "\n")
     sys.stdout.flush()
 
@@ -40,10 +40,10 @@ class Client:
     def __init__(self):
         rclpy.init(args=[])
         self.node = rclpy.create_node("planner_of_the_test")
-        # A client on a busy computer is late, too, and would lose what exceeds the default of services, 10.
-        room = QoSProfile(depth=1000)
+        # A client on a busy computer is slow and would lose events beyond the default queue size of services, 10.
+        queue = QoSProfile(depth=1000)
         self.action = ActionClient(
-            self.node, FollowPath, "follow_path", goal_service_qos_profile=room, result_service_qos_profile=room
+            self.node, FollowPath, "follow_path", goal_service_qos_profile=queue, result_service_qos_profile=queue
         )
         self.handles = {}
         self.lines = []
@@ -61,13 +61,13 @@ class Client:
         executor.add_node(self.node)
         while not self.action.server_is_ready() and not self.ended:
             executor.spin_once(timeout_sec=0.05)
-        say(event="ready")
+        write_event(event="ready")
         while not self.ended:
             while self.lines:
                 self.act(self.lines.pop(0))
             while self.due and self.due[0][0] <= time.monotonic():
                 self.submit(*self.due.pop(0)[1:])
-            # Each goal is answered by several messages.
+            # Each goal takes several messages.
             for _ in range(5):
                 executor.spin_once(timeout_sec=0.002)
 
@@ -82,23 +82,23 @@ class Client:
             self.submit(line["send"], goal_message(line))
 
     def submit(self, name, goal):
-        sent = self.action.send_goal_async(
+        future = self.action.send_goal_async(
             goal, feedback_callback=lambda message: self.report_feedback(name, message.feedback)
         )
-        sent.add_done_callback(lambda future: self.answered(name, future.result()))
+        future.add_done_callback(lambda future: self.report_acceptance(name, future.result()))
 
     def report_feedback(self, name, feedback):
-        say(id=name, event="feedback", distance=feedback.distance_to_goal, speed=feedback.speed)
+        write_event(id=name, event="feedback", distance=feedback.distance_to_goal, speed=feedback.speed)
 
-    def answered(self, name, handle):
-        say(id=name, event="accepted" if handle.accepted else "rejected")
+    def report_acceptance(self, name, handle):
+        write_event(id=name, event="accepted" if handle.accepted else "rejected")
         if handle.accepted:
             self.handles[name] = handle
-            handle.get_result_async().add_done_callback(lambda future: self.over(name, future.result()))
+            handle.get_result_async().add_done_callback(lambda future: self.report_result(name, future.result()))
 
-    def over(self, name, reply):
+    def report_result(self, name, reply):
         self.handles.pop(name, None)
-        say(
+        write_event(
             id=name,
             event="result",
             status=int(reply.status),

@@ -1,8 +1,8 @@
-"""Many random goals in a row, from a client in another process to a node in a third: nothing may be left behind.
+"""Send many random goals from a client process to a node process and check that memory and threads do not grow.
 
     python tests/mpc/follow_long.py --goals 100
 
-A hundred goals take some ten minutes in lock step, faster than the clock. Memory and threads are those of the node.
+A hundred goals take about ten minutes in lock step, faster than real time. Memory and threads are those of the node.
 """
 
 import argparse
@@ -15,13 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
-# What the interpreter may take more, after it has settled [MB].
-_GROWTH = 4.0
+# Permitted growth of memory after the node has settled [MB].
+_MAX_GROWTH = 4.0
 FOLDER = Path(__file__).parent
 
 
 def random_path(rng, start):
-    """Return one or two arcs from the robot on, one in four driven backwards, with any goal heading."""
+    """Return one or two arcs from the robot's pose, one in four driven backwards, with a random goal heading."""
     pose, poses = np.array(start, dtype=float), [np.array(start, dtype=float)]
     for _ in range(rng.integers(1, 3)):
         sense, length, bend = rng.choice([1.0, 1.0, 1.0, -1.0]), rng.uniform(0.3, 1.0), rng.uniform(-1.2, 1.2)
@@ -47,9 +47,9 @@ def run(goals, seed):
     reached, errors, used = 0, [], []
 
     def tick(pace=0.2 * DT):
-        began = time.monotonic()
+        start = time.monotonic()
         base.step()
-        while time.monotonic() - began < pace:
+        while time.monotonic() - start < pace:
             base.spin()
 
     def alive():
@@ -97,10 +97,10 @@ def run(goals, seed):
         )
     )
 
-    grown = memory[-1] - settled[0]
+    growth = memory[-1] - settled[0]
     faults = [
         f"{goals - reached} goals were not reached" * (reached < goals),
-        f"memory grew by {grown:.1f} MB after the tenth goal" * bool(grown > _GROWTH),
+        f"memory grew by {growth:.1f} MB after the tenth goal" * bool(growth > _MAX_GROWTH),
         f"threads went from {settled[1]} to {threads[-1]}" * bool(threads[-1] > settled[1]),
     ]
     if any(faults):

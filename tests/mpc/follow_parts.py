@@ -31,17 +31,17 @@ class Client:
         for line in self.process.stdout:
             self.events.append(json.loads(line))
 
-    def tell(self, **fields):
+    def write(self, **fields):
         self.process.stdin.write(json.dumps(fields) + "\n")
         self.process.stdin.flush()
 
     def send(self, name, poses, **options):
-        self.tell(send=name, poses=np.asarray(poses, dtype=float).tolist(), **options)
+        self.write(send=name, poses=np.asarray(poses, dtype=float).tolist(), **options)
 
     def burst(self, name, goals, times, rate):
-        """Send these goals, with `poses` and what `send` takes, in turn, `rate` [Hz] a second; returns their names."""
+        """Send these goals, with `poses` and the options of `send`, in turn at `rate` [Hz]; return their names."""
         goals = [goal | {"poses": np.asarray(goal["poses"], dtype=float).tolist()} for goal in goals]
-        self.tell(burst=name, goals=goals, times=times, rate=rate)
+        self.write(burst=name, goals=goals, times=times, rate=rate)
         return [f"{name} {number}" for number in range(times)]
 
     def events_for(self, name, event):
@@ -57,33 +57,33 @@ class Client:
 
 
 class Follow:
-    """Node, base and client; ticks pass in about real time."""
+    """Node, base and client; ticks run in approximately real time."""
 
     def __init__(self, made, client):
         self.made, self.base, self.client = made, made.base, client
 
     def tick(self, count=1, pace=DT):
         for _ in range(count):
-            began = time.monotonic()
+            start = time.monotonic()
             self.base.step()
-            while time.monotonic() - began < pace:
+            while time.monotonic() - start < pace:
                 self.base.spin()
 
-    def until(self, condition, awaited, pace=0.5 * DT, most=4000):
-        for _ in range(most):
+    def until(self, condition, awaited, pace=0.5 * DT, max_ticks=4000):
+        for _ in range(max_ticks):
             if condition():
                 return
             self.tick(pace=pace)
-        raise AssertionError(f"waited in vain: {awaited}; {self.client.events[-3:]}")
+        raise AssertionError(f"timed out waiting for {awaited}; {self.client.events[-3:]}")
 
-    def driven(self, name="a"):
+    def wait_for_motion(self, name="a"):
         """Wait until the robot moves for a goal."""
         self.until(
             lambda: self.client.events_for(name, "feedback") and abs(self.base.commands[-1][0]) > 0.2,
             "the robot drives",
         )
 
-    def ended(self, name, **how):
+    def wait_for_end(self, name, **how):
         self.until(lambda: self.client.result(name) is not None, f"the end of {name}", **how)
         return self.client.result(name)
 

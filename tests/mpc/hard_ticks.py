@@ -2,9 +2,9 @@
 
     python tests/mpc/hard_ticks.py [DRIVE...] [--horizons N,..] [--methods auto,osqp,daqp] [--bounds SHARE,..]
 
-Processor time of `Controller.step`, and how the ticks were solved, on drives of robots that can hardly or by no means
-follow, and on one that can: a table in Markdown. Drives are those in `DRIVES`. `--bounds` compiles the core with these
-shares of the operations after which a solve is stopped. Set OMP_NUM_THREADS=1.
+Report the processor time of `Controller.step`, and how the ticks were solved, as a Markdown table: on drives of robots
+that can hardly or not at all follow, and on one that can. Drives are those in `DRIVES`. `--bounds` compiles the core
+with these shares of the operations after which a solve is stopped. Set OMP_NUM_THREADS=1.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ from diffdrive_mpc.mpc.core import library
 DRIVES: dict[str, tuple[str, str, dict[str, Any]]] = {
     "slow wheels": ("kinematic", "cane", {"horizon": 60, "limits.wheel_speed": 0.0562, "limits.omega_slew": 0.134}),
     "narrow corridor": ("ssm", "s", {"horizon": 60, "limits.wheel_speed": 0.1, "limits.corridor": 0.01}),
-    "slow answer": ("ssm", "s", {"horizon": 60, "limits.v": 0.5, "limits.v_slew": 0.02}),
+    "slow response": ("ssm", "s", {"horizon": 60, "limits.v": 0.5, "limits.v_slew": 0.02}),
     "tight": ("ssm", "tight", {"horizon": 30}),
     "as shipped": ("ssm", "s", {}),
 }
-"""Model, trajectory and changes of the configuration of each."""
-MOST = "return MOST_WORK * (p.start + p.factor);"
+"""Model, trajectory and changes of the configuration of each drive."""
+BOUND_LINE = "return MOST_WORK * (p.start + p.factor);"
 """Line of the core that bounds the operations of a solve."""
 HEAD = ("drive", "N", "method", "bound", "ticks", "p50 [ms]", "p99 [ms]", "worst [ms]", "systems", "of bound")
 HEAD += ("stopped", "RMSE [m]", "by")
 
 
 class Timed(Controller):
-    """Keeps the processor time of each step [ms], and its operations."""
+    """Stores the processor time [ms] and the operations of each step."""
 
     def step(self, *args: Any, **bounds: Any) -> Any:
-        began = time.process_time()
+        start = time.process_time()
         result = super().step(*args, **bounds)
-        vars(self).setdefault("times", []).append(1e3 * (time.process_time() - began))
+        vars(self).setdefault("times", []).append(1e3 * (time.process_time() - start))
         vars(self).setdefault("operations", []).append(result.solver.operations)
         vars(self).setdefault("stopped", []).append(result.solver.status.startswith("stopped"))
         return result
@@ -49,10 +49,10 @@ class Timed(Controller):
 def lower_bound(share: float) -> None:
     """Let new controllers use a core that stops a solve after this share of its operations."""
     texts, origin = CORE_TEXTS(), CORE_ORIGIN()
-    if texts["active_set.c"].count(MOST) != 1:
-        raise SystemExit("mpc/core/active_set.c states its bound otherwise now")
+    if texts["active_set.c"].count(BOUND_LINE) != 1:
+        raise SystemExit("mpc/core/active_set.c does not contain the expected line of the bound; update BOUND_LINE")
     lower = f"return (ddmpc_count)({share!r} * MOST_WORK * (double)(p.start + p.factor));"
-    texts["active_set.c"] = texts["active_set.c"].replace(MOST, lower)
+    texts["active_set.c"] = texts["active_set.c"].replace(BOUND_LINE, lower)
     vars(library)["core_texts"] = lambda: texts
     vars(library)["core_origin"] = lambda: f"{origin}, {share!r} of the bound"
     library.load_core.cache_clear()
@@ -63,7 +63,7 @@ CORE_TEXTS, CORE_ORIGIN = library.core_texts, library.core_origin
 
 
 def row(drive: str, horizon: int | None, method: str, share: float) -> list[str]:
-    """Drive once, and say what HEAD names."""
+    """Drive once; return the table row with the columns of HEAD."""
     model, trajectory, changes = DRIVES[drive]
     config = load_config(model, changes | {"solver.method": method} | ({"horizon": horizon} if horizon else {}))
     controller = Timed(config)
@@ -88,7 +88,7 @@ def row(drive: str, horizon: int | None, method: str, share: float) -> list[str]
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("drives", nargs="*", default=list(DRIVES))
-    parser.add_argument("--horizons", default="", help="in place of each drive's own")
+    parser.add_argument("--horizons", default="", help="horizons that replace those of the drives")
     parser.add_argument("--methods", default="auto")
     parser.add_argument("--bounds", default="1")
     options = parser.parse_args()

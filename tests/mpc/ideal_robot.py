@@ -1,4 +1,4 @@
-"""A robot that obeys a discrete model exactly, with the sensors' errors added on top: for tests of the controller."""
+"""Robot for tests of the controller that obeys a discrete model exactly; sensor errors are added on top."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from diffdrive_mpc.mpc.config.schema import Estimator, Wheels
 from diffdrive_mpc.mpc.problem.slip import Slip
 from oracle.motion import arc, sideways, slid
 
-# What encoders and geometric track make of the yaw rate that the firmware was asked for.
+# Ratio of the yaw rate from encoders and geometric track to the yaw rate of the firmware.
 WHEEL_YAW_RATIO = Wheels().track / Wheels().encoder_track
-# Its encoders do not lag, as those do that the shipped configurations are for.
+# The encoders of this robot have no lag, unlike those that the shipped configurations describe.
 PROMPT = {"sensors.wheels.lag": 0.0, "sensors.wheels.scale": 1.0}
 
 
 class IdealRobot:
-    """Advances a discrete model; measurements are exact but for what the arguments say.
+    """Advances a discrete model; measurements are exact except for the errors given as arguments.
 
     Parameters
     ----------
     model
         The dynamics.
     pose
-        Where it stands at first.
+        Initial pose.
     late
         Samples by which poses arrive late.
     slip
-        What the body makes of the model's twist.
+        Slip that maps the model's twist to the body's.
     gyro_bias
         Bias of the gyro [rad/s].
     noise
@@ -63,7 +63,7 @@ class IdealRobot:
 
     @property
     def wheels(self) -> FloatArray:
-        """v and omega of the wheels, as a floor without slip would show them."""
+        """v and omega of the wheels, as on a surface without slip."""
         moving = any(command.any() for command in self.line)
         return (self.model.C @ self.state + (self.slip.offset if moving else 0.0)) * [1.0, self.slip.omega_gain]
 

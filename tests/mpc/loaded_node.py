@@ -1,8 +1,8 @@
-"""The node under load: `python tests/mpc/loaded_node.py [--minutes 30]`, with every core kept busy by other processes.
+"""Load test of the node with every core kept busy by other processes: `python tests/mpc/loaded_node.py [--minutes 30]`.
 
-A node drives circle after circle; this process is the robot, whose sensors fall silent every 10 s for 2 s. Printed are
-the time between two commands, memory and threads of the node, and the time of each stop. The exit code is 1 if memory
-grew, a stop was missed, or the node ended.
+A node drives circle after circle; this process simulates the robot, whose sensors are silent for 2 s of every 10 s. It
+prints the time between two commands, memory and threads of the node, and the time of each stop. The exit code is 1 if
+memory grew, a stop was missed, or the node ended.
 """
 
 import argparse
@@ -23,11 +23,11 @@ from std_srvs.srv import Trigger
 from fuzz.live.base import Base
 from fuzz.live.node_process import NodeProcess
 
-EVERY, SILENT = 10.0, 2.0
-# Odometry is silent from 0.2 s on, half a second of braking follows; the rest is for a machine that is busy [s].
+PERIOD, SILENT = 10.0, 2.0
+# Odometry times out after 0.2 s, then the robot brakes for half a second; the rest is a margin for a busy machine [s].
 STOPPED_WITHIN = 1.2
-# After a fifth of the time memory is as large as it gets [MB].
-GROWTH = 5.0
+# Permitted growth of memory after the first fifth of the time [MB].
+MAX_GROWTH = 5.0
 
 
 def drive(node, minutes):
@@ -36,18 +36,18 @@ def drive(node, minutes):
     base, start = Base(robot, sim_time=False), robot.create_client(Trigger, "diffdrive_mpc/start")
     executor = SingleThreadedExecutor()
     executor.add_node(robot)
-    silences, used, began, polled = [], [], None, 0.0
-    while node.alive and (began is None or time.monotonic() - began < 60.0 * minutes):
+    silences, used, start_time, polled = [], [], None, 0.0
+    while node.alive and (start_time is None or time.monotonic() - start_time < 60.0 * minutes):
         executor.spin_once(timeout_sec=0.005)
         now = time.monotonic()
-        if began is None and base.commands:
-            began = now
-        silent = began is not None and (now - began) % EVERY > EVERY - SILENT
+        if start_time is None and base.commands:
+            start_time = now
+        silent = start_time is not None and (now - start_time) % PERIOD > PERIOD - SILENT
         if silent and not base.silent and abs(base.command[0]) > 0.1:
             silences.append(now)
         base.silent = silent
         base.tick_if_due()
-        if began is not None and now - polled > 3.0:
+        if start_time is not None and now - polled > 3.0:
             polled = now
             used.append(node.used())
             if not silent and base.command == [0.0, 0.0]:
@@ -57,7 +57,7 @@ def drive(node, minutes):
 
 
 def main(minutes):
-    # They end with this process.
+    # The processes end with this process.
     spin = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: pass"
     busy = [subprocess.Popen([sys.executable, "-c", spin]) for _ in range(os.cpu_count())]
     node = NodeProcess(Path(tempfile.mkdtemp(), "node.log"), {"autostart": True, "start_at_robot": True})
@@ -74,7 +74,7 @@ def main(minutes):
     assert len(used), node.log.read_text()[-2000:]
     times = np.array([command.time for command in base.commands])
     at_rest = np.array([command.time for command in base.commands if command.v == command.omega == 0.0])
-    # One that has just begun at the end is not judged.
+    # A silence that begins shortly before the end is not judged.
     judged = [silence for silence in silences if silence < times[-1] - STOPPED_WITHIN]
     stops = np.array([min(at_rest[at_rest > silence] - silence, default=np.nan) for silence in judged])
     p50, p99, p999, worst = 1e3 * np.percentile(np.diff(times), (50, 99, 99.9, 100))
@@ -87,7 +87,7 @@ def main(minutes):
     print(f"threads: {threads.min():.0f} to {threads.max():.0f}")
     after = f"zero {np.nanmedian(stops):.2f} s after the last odometry, {np.nanmax(stops):.2f} s at most"
     print(f"{len(stops)} stops, {missed} missed: {after}")
-    return 1 if ended or missed or not len(stops) or memory[-1] - settled > GROWTH else 0
+    return 1 if ended or missed or not len(stops) or memory[-1] - settled > MAX_GROWTH else 0
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 RESERVED = 7_000_000
-"""Start of the seeds that no threshold was chosen on."""
+"""Start of the seeds that were not used to choose a threshold."""
 BOUND = 0.3
 """Time in which a second publisher is detected, unless its third message comes later [s]."""
 
@@ -17,7 +17,7 @@ class Message(NamedTuple):
 
 
 class Driver:
-    """A publisher of 10 to 200 Hz with its own clock, latency, losses and reordering."""
+    """A publisher of 10 to 200 Hz with clock offset, latency, losses and reordering."""
 
     def __init__(self, draw, *, clock_offset=0.0):
         self.draw, self.offset = draw, clock_offset
@@ -44,23 +44,23 @@ class Driver:
 
 
 def without_numbers(messages, kind):
-    """Return the messages as a middleware without numbers delivers them."""
+    """Return the messages as a middleware without sequence numbers delivers them."""
     return [message._replace(number={"none": None, "zero": 0, "constant": 9}[kind]) for message in messages]
 
 
 def twins(seed):
-    """Return the messages of a driver and those of the second, which begins 2 to 4 s later."""
+    """Return the messages of a driver and those of a second driver, which begins 2 to 4 s later."""
     draw = np.random.default_rng(seed)
     offset = 0.0 if draw.random() < 0.5 else draw.choice([-1.0, 1.0]) * 10.0 ** draw.uniform(-3.0, 3.0)
     ours, theirs = Driver(draw), Driver(draw, clock_offset=offset)
     start = 2.0 + draw.uniform(0.0, 2.0)
-    # Its numbers are the first ones, nearly those of the first driver, or any.
+    # The second driver numbers from 1, from nearly the number of the first driver, or from a random number.
     number = int(draw.choice([1, start / ours.period + draw.integers(-5, 6), draw.integers(1, 100_000)]))
     return ours.messages(0.0, 8.0), theirs.messages(start, 8.0, max(1, number))
 
 
 def restarts(seed, count=50, *, is_ordered=False, min_life=0.15):
-    """Return the messages of a driver that is killed and started again `count` times; its stamps go on."""
+    """Return the messages of a driver that is killed and restarted `count` times; its stamps continue."""
     draw = np.random.default_rng(seed)
     messages, start = [], 0.0
     driver = Driver(draw)

@@ -14,7 +14,7 @@ from diffdrive_mpc import Controller, ControllerConfig, Measurement, NonlinearMo
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.mpc.step_result import StepResult
 
-# The controller knows that its robot slips in no way: what it aims at is the reference itself.
+# The controller assumes no slip, so that its target is the reference itself.
 NO_SLIP = {f"compensation.{name}": False for name in ("delay", "v_offset", "yaw_gain", "side_slip")}
 EXACT = {"solver.tolerance": 1e-8, "solver.max_iterations": 50000}
 
@@ -32,7 +32,7 @@ class Drive:
 
 
 def record(controller: Controller, robot: Any, reference: Reference, ticks: int, each_tick: EachTick) -> Drive:
-    """Drive `robot` for so many ticks."""
+    """Drive `robot` for `ticks` ticks."""
     drive = Drive([], [], [])
     controller.start(reference, 0.0)
     for _ in range(ticks):
@@ -46,7 +46,7 @@ def record(controller: Controller, robot: Any, reference: Reference, ticks: int,
     return drive
 
 
-def converged(
+def iterate_to_convergence(
     make: Callable[[], Controller], drive: Drive, reference: Reference, each_tick: EachTick
 ) -> tuple[Controller, StepResult]:
     """Repeat the last tick of `drive` with its plan as the guess until the plan changes by less than 1e-9."""
@@ -67,15 +67,15 @@ def converged(
 
 
 def guess_of(controller: Controller) -> FloatArray:
-    """Return the plan (2 N,) along which the next tick is linearised, in place."""
+    """Return the plan (2 N,) along which the next tick is linearised; a view of the core's memory."""
     tick = controller._tick
     return tick.view(tick.lib.ddmpc_program_of(tick.c).guess, (2 * controller.config.horizon,))
 
 
 def feed_forward(controller: Controller, reference: Reference, t: float) -> FloatArray:
-    """Return the commands (N + 1, 2) for the reference's twist one lag later, interpolated between the samples.
+    """Return the commands (N + 1, 2) for the reference twist one lag later, interpolated between the samples.
 
-    The first is that of the last tick.
+    The first row belongs to the last tick.
     """
     dt, model = controller.config.sample_time, controller.model
     wanted = np.empty((controller.config.horizon + 1, 2))
@@ -85,7 +85,7 @@ def feed_forward(controller: Controller, reference: Reference, t: float) -> Floa
         wanted[:, channel] = np.interp(instants, grid, reference.sample(t + dt * grid).twist[:, channel])
     if not isinstance(model, NonlinearModel):
         return np.asarray(wanted @ np.linalg.inv(model.dc_gain).T)
-    # As a rule many samples want the same.
+    # Many samples usually have the same twist.
     result = {key: _settled_command(model, np.array(key)) for key in {tuple(row) for row in wanted}}
     return np.array([result[tuple(row)] for row in wanted])
 
@@ -93,19 +93,19 @@ def feed_forward(controller: Controller, reference: Reference, t: float) -> Floa
 def _settled_command(model: NonlinearModel, wanted: FloatArray) -> FloatArray:
     """Return the constant command (2,) that settles the model's output at `wanted`."""
 
-    def missing(command: FloatArray) -> FloatArray:
+    def residual(command: FloatArray) -> FloatArray:
         return np.asarray(model.simulate(np.tile(command, (200, 1)))[-1] - wanted)
 
-    return np.asarray(scipy.optimize.fsolve(missing, wanted, xtol=1e-12))
+    return np.asarray(scipy.optimize.fsolve(residual, wanted, xtol=1e-12))
 
 
-def by_ipopt(
+def solve_with_ipopt(
     controller: Controller,
     config: ControllerConfig | None = None,
     model: NonlinearModel | None = None,
     terms: Sequence[Term] = (),
 ) -> FloatArray:
-    """Return the plan (N, 2) of IPOPT at the controller's last tick, of a problem without the last of its terms."""
+    """Return IPOPT's plan (N, 2) at the controller's last tick, without the terms beyond `terms`."""
     problem, inputs = casadi_problem(config or controller.config, model, terms), controller.problem_inputs()
     inputs["parameters"] = inputs["parameters"][: problem.horizon.size1_in("parameters")]
     kinds = 4 + problem.horizon.size1_out("soft")
@@ -121,13 +121,13 @@ DT = load_config("ssm").sample_time
 LAG = np.array([0.12, 0.09])
 
 
-def saturating(most=(0.9, 1.8), delay=2, dt=DT):
-    """Return a model of v' = most tanh((v_ref - v) / (lag most)), `delay` samples late, by Runge and Kutta."""
+def saturating(max_rate=(0.9, 1.8), delay=2, dt=DT):
+    """Return a model of v' = r tanh((v_ref - v) / (lag r)), r = `max_rate`, `delay` samples late (Runge-Kutta step)."""
     x, window = ca.SX.sym("x", 2), ca.SX.sym("window", 2 * (delay + 1))
-    most = np.array(most)
+    max_rate = np.array(max_rate)
 
     def rate(state):
-        return most * ca.tanh((window[:2] - state) / (LAG * most))
+        return max_rate * ca.tanh((window[:2] - state) / (LAG * max_rate))
 
     a = rate(x)
     b = rate(x + dt / 2 * a)

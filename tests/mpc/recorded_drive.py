@@ -1,4 +1,4 @@
-"""Read a bag of the simulated robot: the drive as a run with its statistics, and missed samples."""
+"""Read a bag of the simulated robot: the drive as a run with its metrics, and missed samples."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from diffdrive_mpc.models.logs.mapping import Topic
 from diffdrive_mpc.sim import Run
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE
 
-# A command later than this share of the sample time after the one before leaves a sample of the robot without news.
+# A gap between commands above this multiple of the sample time leaves the robot without a new command for one sample.
 _MISSED = 1.5
 
 
 def read_drive(bag: Path, reference: Reference, sample_time: float) -> Run:
     """Return the part of a recorded drive in which `reference` was tracked.
 
-    The reference begins at the first command that is not zero. Step times, modes and measurements are those of another
-    process and not in the bag: the times are NaN, the others empty.
+    The reference begins at the first command that is not zero. Step times, modes and measurements are not in the bag:
+    the times are NaN, the others empty.
 
     Parameters
     ----------
     bag
-        Folder that `diffdrive-mpc sim-robot --record` has written.
+        Folder that `diffdrive-mpc sim-robot --record` wrote.
     reference
-        What was tracked, in the frame map.
+        Tracked reference in the frame map.
     sample_time
-        Of the control loop [s].
+        Sample time of the control loop [s].
 
     Raises ConfigError if the bag cannot be read.
     """
@@ -45,7 +45,7 @@ def read_drive(bag: Path, reference: Reference, sample_time: float) -> Run:
     moving = np.flatnonzero(commands.value.any(axis=1))
     assert moving.size, f"{bag}: every command is zero"
     start = int(command_times(commands)[moving[0]])
-    # The plant's own instants: the tick that the first command answered, and those after it.
+    # Time base of the plant: the tick that the first command acted on, and the following ones.
     first = int(np.searchsorted(poses.stamped, start, side="right")) - 1
     time = 1e-9 * (poses.stamped[first:] - poses.stamped[first])
     needed = int(np.ceil((reference.duration - TIME_TOLERANCE) / sample_time)) + 1
@@ -64,7 +64,7 @@ def read_drive(bag: Path, reference: Reference, sample_time: float) -> Run:
         reference_pose=expected.pose,
         reference_twist=expected.twist,
         reference_arc_length=expected.arc_length,
-        command=_held(commands, poses.stamped[rows]),
+        command=_commands_at(commands, poses.stamped[rows]),
         step_time=np.full(needed, np.nan),
         modes=("",) * needed,
         messages=("",) * needed,
@@ -77,7 +77,7 @@ def command_times(commands: TopicRows) -> FloatArray:
     return np.asarray(commands.stamped if commands.has_stamps else commands.received)
 
 
-def _held(commands: TopicRows, ticks: FloatArray) -> FloatArray:
+def _commands_at(commands: TopicRows, ticks: FloatArray) -> FloatArray:
     """Return the newest command (n, 2) at each of `ticks` (n,) [ns]."""
     newest = np.searchsorted(command_times(commands), ticks, side="right") - 1
     return np.where(newest[:, None] >= 0, commands.value[newest], 0.0)

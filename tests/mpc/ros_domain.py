@@ -1,4 +1,4 @@
-"""A ROS domain for the tests of the node that no other process of theirs has: nodes in one would hear each other."""
+"""Exclusive ROS domain for each test process: nodes in a shared domain would receive each other's messages."""
 
 import fcntl
 import os
@@ -6,9 +6,9 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
-# Ports of domains above 101 may be taken by anybody.
+# Other programs may use the ports of domains above 101.
 _DOMAINS = 101
-# Fast DDS 2.14 may lock up where several participants of one process leave at once: here they talk like processes.
+# Fast DDS 2.14 may deadlock if several participants of one process leave at once; this disables intra-process delivery.
 # https://github.com/eProsima/Fast-DDS/issues/6193
 _PROFILES = """<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"><library_settings>
 <intraprocess_delivery>OFF</intraprocess_delivery></library_settings></dds>"""
@@ -16,7 +16,7 @@ _PROFILES = """<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
 
 @cache
 def own_domain() -> str:
-    """Return the number of a domain that belongs to this process until it ends, and set its profile of Fast DDS."""
+    """Return the number of a domain reserved for this process until it ends, and set its profile of Fast DDS."""
     folder = Path(tempfile.gettempdir(), f"diffdrive-mpc-ros-domains-{os.getuid()}")
     folder.mkdir(exist_ok=True)
     for number in range(_DOMAINS):

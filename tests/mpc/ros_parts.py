@@ -1,4 +1,4 @@
-"""A small robot behind the topics of a base, in lock step with the node under test, over DDS in one thread."""
+"""Small robot behind the topics of a base, in lock step with the node under test, over DDS in one thread."""
 
 import os
 import tempfile
@@ -37,14 +37,14 @@ CONFIG = load_config("ssm")
 DT = CONFIG.sample_time
 PERIOD = round(DT * 1e9)
 START = 10**9
-# Far more than anything here takes; only a fault reaches it.
+# Far longer than any step of a test takes; reached only after a fault [s].
 PATIENCE = 60.0
-# For one participant to discover a service, which takes some hundredths of a second [s].
+# Time limit for a participant to discover a service, which normally takes some hundredths of a second [s].
 DISCOVERY = 20.0
 
 
 class KeptProcess(SideProcess):
-    """Side process of the node that outlives it: the next test does not start Python again."""
+    """Side process that is reused by the next node, so that the next test does not start Python again."""
 
     _spare = None
     _busy = False
@@ -73,12 +73,12 @@ node_module.SideProcess = KeptProcess
 
 
 def in_name_space(name):
-    """Return ROS arguments of a robot in the name space `name` with its clock; none without a name."""
+    """Return ROS arguments of a robot in the name space `name` with its own clock; an empty list without a name."""
     return ["--ros-args", "-r", f"__ns:=/{name}", "-r", f"/clock:=/{name}/clock"] if name else []
 
 
 class FakeBase:
-    """A velocity model with perfect sensors; `odometry` and `sensors` may tamper with what is published."""
+    """A velocity model with perfect sensors; `tamper` may change or drop each odometry message."""
 
     def __init__(self, spin, plant="model:ssm+0.005", *, stamped=True, pose_topic=False, name_space=""):
         self.context = Context()
@@ -102,7 +102,7 @@ class FakeBase:
         self.times = []
         self.tamper = lambda odometry: odometry
         self.held = False
-        self.ahead = 0  # by how much stamps of sensors lie in the future [ns]
+        self.ahead = 0  # offset of sensor stamps into the future [ns]
         self.gyro = True
 
     @property
@@ -121,7 +121,7 @@ class FakeBase:
     def until(self, condition, awaited):
         end = time.monotonic() + PATIENCE
         while not condition():
-            assert time.monotonic() < end, f"waited in vain: {awaited}"
+            assert time.monotonic() < end, f"timed out waiting for {awaited}"
             self.spin()
 
     def publish_sensors(self):
@@ -166,7 +166,7 @@ class FakeBase:
         return np.array([self.step() for _ in range(ticks)])
 
     def silent(self, ticks):
-        """Run ticks that the node must not answer; return the number of commands."""
+        """Run ticks that the node must not respond to; return the number of commands."""
         count = len(self.commands)
         for _ in range(ticks):
             self.advance_clock()
@@ -216,9 +216,9 @@ class Stack:
         **parameters,
     ):
         parameters = {"autostart": True, "start_at_robot": False, "use_pose_topic": pose_topic, **parameters}
-        # Nobody else has this test's domain: there is nobody to wait for.
+        # The domain is exclusive to this process: waiting for discovery of other nodes is not needed.
         parameters = {"discovery_wait": 0.0, **parameters}
-        # Files first: of two rules that fit a node, the one whose kind came last counts.
+        # Files first: if two rules match a node, the later one applies.
         parameter_words = [word for file in files for word in ("--params-file", str(file))]
         words = ["--ros-args", *parameter_words, "-p", f"use_sim_time:={str(sim_time).lower()}", "--log-level", "warn"]
         for name, value in parameters.items():
@@ -235,22 +235,22 @@ class Stack:
         )
         try:
             if sim_time:
-                self.base.until(self.knows_the_time, "the first clock")
+                self.base.until(self.has_clock, "the first clock")
             self.node.bring_up()
             if parameters["autostart"]:
-                self.base.until(self.hears, "sensors")
+                self.base.until(self.has_received_inputs, "sensors")
             if drive:
                 assert self.trigger("start").success
         except BaseException:
             self.close()
             raise
 
-    def knows_the_time(self):
+    def has_clock(self):
         self.base.clock.publish(Clock(clock=time_message(self.base.now)))
         return self.node.get_clock().now().nanoseconds == START
 
-    def hears(self):
-        """Return True if everything has arrived once; discovery may lose earlier messages."""
+    def has_received_inputs(self):
+        """Return True if every input has arrived once; discovery may lose earlier messages."""
         self.base.silent(1)
         inbox = self.node._inbox
         topics = [inbox.odometry, inbox.imu, inbox.pose] if self.base.pose_topic else [inbox.odometry, inbox.imu]
@@ -266,23 +266,23 @@ class Stack:
     def call(self, kind, name, request):
         """Call a service of the node over DDS.
 
-        Fast DDS may lose a service for good (ros2/rmw_fastrtps#792), and an answer to a client that the node does not
-        know yet: a new participant discovers both anew, and asks again.
+        Fast DDS may lose a service permanently (ros2/rmw_fastrtps#792), and a response to a client that the node has
+        not discovered yet: a new participant discovers both again and repeats the request.
         """
         with ExitStack() as stack:
             node = self.base.node
             for _ in range(2):
                 client = node.create_client(kind, name)
                 stack.callback(node.destroy_client, client)
-                known = self.comes(client.service_is_ready, DISCOVERY)
-                if known and self.comes(lambda: self.node.count_clients(name) > 0, DISCOVERY):
+                known = self.wait_for(client.service_is_ready, DISCOVERY)
+                if known and self.wait_for(lambda: self.node.count_clients(name) > 0, DISCOVERY):
                     future = client.call_async(request)
-                    if self.comes(future.done, PATIENCE):
+                    if self.wait_for(future.done, PATIENCE):
                         return future.result()
                 node = stack.enter_context(self.new_participant())
-        raise AssertionError(f"waited in vain: {name}")
+        raise AssertionError(f"timed out waiting for {name}")
 
-    def comes(self, condition, patience):
+    def wait_for(self, condition, patience):
         """Wait for a condition; return False after `patience` [s]."""
         end = time.monotonic() + patience
         while not condition():
@@ -293,7 +293,7 @@ class Stack:
 
     @contextmanager
     def new_participant(self):
-        """Yield a node in a new context, which the base's loop spins, too."""
+        """Yield a node in a new context; the base's loop spins it as well."""
         context = Context()
         rclpy.init(context=context, args=[])
         node = rclpy.create_node("second_caller", context=context)
@@ -314,11 +314,11 @@ class Stack:
         return self.call(Trigger, f"{self.name_space}/diffdrive_mpc/{name}", Trigger.Request())
 
     def change(self, number):
-        """Request a transition of the lifecycle; return True if it was made."""
+        """Request a transition of the lifecycle; return True if it succeeded."""
         before = self.state
         request = ChangeState.Request(transition=Transition(id=number))
         made = self.call(ChangeState, "/diffdrive_mpc/change_state", request).success
-        # Where the first answer was lost, the second refuses what has been done.
+        # If the first response was lost, the second request is refused because the transition is done.
         return made or self.state != before
 
     @property
@@ -327,12 +327,12 @@ class Stack:
 
     def listen(self, kind, topic, qos=10):
         """Return a list that collects the messages of a topic from now on."""
-        heard = []
-        self.base.node.create_subscription(kind, topic, heard.append, qos)
-        return heard
+        messages = []
+        self.base.node.create_subscription(kind, topic, messages.append, qos)
+        return messages
 
     def publisher(self, kind, topic, qos=1):
-        """Create a publisher of the base and wait until both sides are connected, which takes two discoveries."""
+        """Create a publisher of the base and wait until both sides have discovered each other."""
         name = self.base.node.resolve_topic_name(topic)
         (reader,) = [each for each in self.node.subscriptions if each.topic_name == name]
         before = reader.get_publisher_count()

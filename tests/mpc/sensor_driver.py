@@ -1,4 +1,4 @@
-"""Driver of a robot at rest as a process of its own: messages of the given inputs until it is killed."""
+"""Driver of a robot at rest in a separate process: publishes messages of the given inputs until it is killed."""
 
 import os
 import subprocess
@@ -43,7 +43,7 @@ def main(name, rate, *topics):
     node = rclpy.create_node(name)
     publishers = {topic: node.create_publisher(KINDS[topic], topic, qos_profile_sensor_data) for topic in topics}
     parent = os.getppid()
-    while os.getppid() == parent:  # also where a test crashes
+    while os.getppid() == parent:  # also if the test crashes
         for topic, publisher in publishers.items():
             publisher.publish(message_of(topic, node.get_clock().now().to_msg()))
         time.sleep(1.0 / float(rate))

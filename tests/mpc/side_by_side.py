@@ -1,4 +1,4 @@
-"""The product's controller and the oracle at the same measurements, tick by tick, compared in everything they say."""
+"""The product's controller and the oracle at the same measurements, tick by tick, with all results compared."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from oracle.controller import OracleController
 EXACT = 1e-9
 """Rounding error between two exact evaluations of the same formulas [m/s, rad/s, m, rad]."""
 
-# A solver whose answers are exact where it ends: nothing but rounding is left between it and the oracle.
-# The oracle has no monitor of its own; that one that accuses nobody changes nothing is held in test_monitor.py.
+# A solver with exact results when it ends: only rounding separates it from the oracle.
+# The oracle has no monitor; test_monitor.py checks that a monitor without findings changes no command.
 ACTIVE_SET = {"solver.tolerance": 1e-9, "monitor.enabled": False}
 
 
 def assert_same(got, expected, accuracy=EXACT):
-    """Compare two step results; `accuracy` is that of the solver, on which the estimate does not hang."""
-    # The oracle names no limit.
+    """Compare two step results; `accuracy` is that of the solver and does not affect the estimate."""
+    # Messages of the oracle do not name limits.
     message = re.sub("; at [^;]+", "", got.message)
     assert (got.mode, message, got.solver.status) == (expected.mode, expected.message, expected.solver.status)
     assert_close(got.command, expected.command, accuracy)
@@ -38,20 +38,20 @@ def assert_same(got, expected, accuracy=EXACT):
         assert getattr(got, name) == pytest.approx(getattr(expected, name), abs=accuracy), name
     assert (got.estimate is None) == (expected.estimate is None)
     if expected.estimate is not None:
-        assert_close(numbers(got.estimate), numbers(expected.estimate))
+        assert_close(estimate_values(got.estimate), estimate_values(expected.estimate))
 
 
 def assert_close(value, wanted, accuracy=EXACT, name=""):
     """Compare arrays within `accuracy` or rounding, the larger of the two; much quicker than pytest's approx."""
     value, wanted = np.asarray(value), np.asarray(wanted)
     assert value.shape == wanted.shape, name
-    # Not the other way round: NaN must not pass.
+    # Written as a negation because NaN must not pass.
     beyond = ~(np.abs(value - wanted) <= np.maximum(accuracy, EXACT * np.abs(wanted)))
     assert not beyond.any(), (name, value[beyond], wanted[beyond])
 
 
-def numbers(estimate):
-    """Return all numbers of an estimate in one row; -1 for a missing innovation."""
+def estimate_values(estimate):
+    """Return all values of an estimate in one row; -1 for a missing innovation."""
     innovations = [estimate.innovations.get(sensor, -1.0) for sensor in SENSORS]
     parts = (estimate.mean, estimate.deviation, estimate.twist, estimate.twist_deviation, innovations)
     return np.concatenate([[estimate.time, estimate.pose_age], *parts])
@@ -91,9 +91,9 @@ class Pair:
         return got
 
     def drive(self, plant, reference, ticks, event=None):
-        """Drive `plant` by the product's commands, from the start of `reference`.
+        """Drive `plant` with the product's commands, from the start of `reference`.
 
-        `event(k, t, measurement, pair)` may change what arrives: it returns time, measurement and hold.
+        `event(k, t, measurement, pair)` may change the inputs: it returns time, measurement and hold.
         """
         plant.reset(reference.sample([0.0]).pose[0])
         self.start(reference, plant.time)
@@ -106,7 +106,7 @@ class Pair:
 
     @property
     def modes(self):
-        """The modes in order, repetitions left out."""
+        """Modes in order, without repetitions."""
         sequence = [str(result.mode) for result in self.results]
         return [mode for k, mode in enumerate(sequence) if k == 0 or mode != sequence[k - 1]]
 
@@ -116,7 +116,7 @@ class Pair:
         return " / ".join(sorted({result.message for result in self.results}))
 
 
-def changed(m, **parts):
+def replace_parts(m, **parts):
     """Return the measurement with some of its parts replaced."""
     fields = ("pose", "wheel_twist", "yaw_rate", "wheel_speeds", "sent")
     return Measurement(**{name: parts.get(name, getattr(m, name)) for name in fields})
@@ -131,7 +131,7 @@ def inner_core():
 
 
 class InnerController:
-    """A controller of the product, its `ddmpc_controller` as `c` and its constants, which may be changed, as `k`."""
+    """Controller with access to its `ddmpc_controller` as `c` and to its mutable constants as `k`."""
 
     def __init__(self, name="ssm", **changes):
         self.ffi, self.lib = inner_core()

@@ -1,4 +1,4 @@
-"""Every backend of the registry, against optimality conditions that do not depend on the method."""
+"""Every backend of the registry against optimality conditions that do not depend on the method."""
 
 import math
 import time
@@ -23,14 +23,14 @@ from diffdrive_mpc_extras.replay.node_log import LoggedConfigs, recorded_drive
 from diffdrive_mpc_extras.replay.replay import replay
 
 STEPS, HARD, KINDS = 6, 4, 9
-# Cheap enough that some soft limits are exceeded, dear enough that others are kept.
+# Low enough that some soft limits are exceeded, high enough that others are satisfied.
 WEIGHTS = load_config("ssm", {"weights.soft": 3.0, "weights.soft_quadratic": 20.0}).weights
 every_backend = pytest.mark.parametrize("backend", BACKENDS)
 
 
 @dataclass
 class PlainProgram:
-    """A program in arrays of its own, as `mpc.solver.backend.Program` has it in the core's memory."""
+    """Program in NumPy arrays, with the interface of `mpc.solver.backend.Program`."""
 
     H: np.ndarray
     g: np.ndarray
@@ -61,7 +61,7 @@ class PlainProgram:
 
 
 def random_program(seed, tightness=0.5, softness=1.0):
-    """Return a strictly convex program; about `tightness` of its limits matter."""
+    """Return a strictly convex program; about `tightness` of its limits are active."""
     rng = np.random.default_rng(seed)
     n = 2 * STEPS
     root = rng.normal(size=(n, n))
@@ -92,18 +92,18 @@ def solve(program, backend, **changes):
     return chosen.solve(program, tuple(range(KINDS)), program.guess, program.multipliers)
 
 
-def assert_optimal(program, plan, pressing, within):
+def assert_optimal(program, plan, multipliers, within):
     rows, price, slope = program.all_rows(), WEIGHTS.soft, WEIGHTS.soft_quadratic
-    force = np.einsum("ks,ksu->u", pressing, rows)
+    force = np.einsum("ks,ksu->u", multipliers, rows)
     assert program.H @ plan + program.g + force == pytest.approx(np.zeros(2 * STEPS), abs=within)
     values = rows @ plan
     over, under = values - program.upper, program.lower - values
     assert np.maximum(over, under)[:HARD].max() <= within
-    # Only a limit that is reached presses, and towards the inside.
-    assert over[pressing > 10 * within].min(initial=0.0) >= -within
-    assert under[pressing < -10 * within].min(initial=0.0) >= -within
-    # A soft limit presses with up to its price while it is kept, and with what its excess costs where it is not.
-    excess, size = np.maximum(np.maximum(over, under)[HARD:], 0), np.abs(pressing[HARD:])
+    # Only a limit that is reached has a multiplier, and it pushes inwards.
+    assert over[multipliers > 10 * within].min(initial=0.0) >= -within
+    assert under[multipliers < -10 * within].min(initial=0.0) >= -within
+    # A satisfied soft limit has a multiplier of at most its price, an exceeded one the marginal cost of its excess.
+    excess, size = np.maximum(np.maximum(over, under)[HARD:], 0), np.abs(multipliers[HARD:])
     exceeded = excess > 10 * within
     assert (size <= price + slope * excess + 100 * within).all()
     assert size[exceeded] == pytest.approx(price + slope * excess[exceeded], abs=100 * within)
@@ -131,8 +131,8 @@ def test_random_programs_exercise_all_limits():
     """Otherwise the conditions above would only cover problems without active limits."""
     programs = [random_program(seed) for seed in range(40)]
     solutions = [solve(program, "daqp") for program in programs]
-    pressing = np.array([np.abs(solution.multipliers).max(axis=1) > 0 for solution in solutions])
-    assert (pressing.mean(axis=0) > 0.1).all()
+    multipliers = np.array([np.abs(solution.multipliers).max(axis=1) > 0 for solution in solutions])
+    assert (multipliers.mean(axis=0) > 0.1).all()
     exceeded = [
         (program.excess(solution.plan)[HARD:] > 1e-6).any()
         for program, solution in zip(programs, solutions, strict=True)
@@ -171,7 +171,7 @@ def test_backend_stops_at_its_iteration_limit(backend):
     assert solve(program, backend).status is SolverStatus.SOLVED
     stopped = solve(program, backend, max_iterations=10)
     assert stopped.status is SolverStatus.MAX_ITERATIONS
-    assert stopped.iterations <= 11  # DAQP counts the one that it did not begin
+    assert stopped.iterations <= 11  # DAQP counts the iteration that it did not begin
 
 
 def test_backend_solves_if_the_active_set_has_no_iterations():
@@ -187,16 +187,16 @@ def test_backend_solves_if_the_active_set_has_no_iterations():
         )
     none, many = (np.array(drives[iterations].solver_methods) for iterations in (0, 500))
     assert "daqp" not in many
-    pressed = many == "active_set"
-    assert pressed.sum() > 20
-    assert set(none[pressed]) == {"daqp"}
-    # Whoever solves it, the robot does the same.
+    is_active = many == "active_set"
+    assert is_active.sum() > 20
+    assert set(none[is_active]) == {"daqp"}
+    # The method does not change the motion of the robot.
     assert drives[0].command == pytest.approx(drives[500].command, abs=1e-5)
 
 
 @every_backend
 def test_backend_plan_equals_the_active_set_with_active_limits(backend):
-    """The problems of a drive are solved again from the core's memory."""
+    """Problems of a drive are solved again from the core's memory."""
     limits = {"limits.v_slew": 0.9, "limits.omega_slew": 1.5, "limits.omega": 0.51, "limits.predicted_v": 0.48}
     controller = Controller(load_config("ssm", limits | {"horizon": 15}))
     plant, reference = make_plant("model:ssm", "ideal", "perfect"), load_trajectory("circle")
@@ -216,7 +216,7 @@ def test_backend_plan_equals_the_active_set_with_active_limits(backend):
 
 
 def test_violated_limit_is_detected_at_every_step():
-    """Above and below, by more than the margin; limits of the other command are not violated."""
+    """Checked above and below, by more than the margin; limits of the other command are not violated."""
     reference = load_trajectory("s")
     controller = Controller(load_config("ssm", {"limits.v": 0.6, "limits.omega": 1.0}))
     controller.start(reference, 0.0)
@@ -232,7 +232,7 @@ def test_violated_limit_is_detected_at_every_step():
 
 # Solves that are stopped.
 
-# A robot that can by no means follow: its wheels are too slow, and its corridor is narrow.
+# A robot that cannot follow: its wheels are too slow, and its corridor is narrow.
 DEMANDING = {"horizon": 40, "limits.wheel_speed": 0.1, "limits.corridor": 0.01}
 
 
@@ -241,23 +241,23 @@ def controller(**overrides):
 
 
 def plant():
-    made = make_plant("model:ssm", "ideal", "perfect")
-    made.reset(load_trajectory("s").sample([0.0]).pose[0])
-    return made
+    result = make_plant("model:ssm", "ideal", "perfect")
+    result.reset(load_trajectory("s").sample([0.0]).pose[0])
+    return result
 
 
-def drive(driven, robot, ticks, **bounds):
+def drive(driver, robot, ticks, **bounds):
     """Return the results of some steps; `bounds` maps step numbers to the arguments that bound each step."""
-    driven.start(load_trajectory("s"), robot.time)
+    driver.start(load_trajectory("s"), robot.time)
     results = []
     for number in range(ticks):
         measured = robot.measure()
-        results.append(driven.step(robot.time, measured, **{name: bound(number) for name, bound in bounds.items()}))
+        results.append(driver.step(robot.time, measured, **{name: bound(number) for name, bound in bounds.items()}))
         robot.advance(results[-1].command)
     return results
 
 
-def priced(program, plan):
+def plan_cost(program, plan):
     """Return the cost of a plan, soft limits included, from the matrices of the program."""
     cost = 0.5 * plan @ program.H @ plan + program.g @ plan
     weights = load_config("ssm").weights
@@ -268,26 +268,26 @@ def priced(program, plan):
     return cost
 
 
-def inside(limits, dt, plan, last):
+def clip_to_limits(limits, dt, plan, last):
     """Return the plan (2 N,) clipped to ranges and slew, command by command."""
     clipped = plan.reshape(-1, 2).copy()
     before = np.array(last)
     for command in clipped:
-        most, slew = np.array([limits.v, limits.omega]), np.array([limits.v_slew, limits.omega_slew]) * dt
-        command[:] = np.clip(command, np.maximum(-most, before - slew), np.minimum(most, before + slew))
+        ranges, slew = np.array([limits.v, limits.omega]), np.array([limits.v_slew, limits.omega_slew]) * dt
+        command[:] = np.clip(command, np.maximum(-ranges, before - slew), np.minimum(ranges, before + slew))
         before = command
     return clipped.reshape(-1)
 
 
 def test_stopped_plan_is_feasible_and_no_worse_than_the_previous_plan():
-    driven, robot = controller(**{"solver.active_set_iterations": 3}), plant()
-    driven.start(load_trajectory("s"), robot.time)
-    limits, dt = driven.config.limits, driven.sample_time
-    most, slew = np.array([limits.v, limits.omega]), np.array([limits.v_slew, limits.omega_slew]) * dt
+    driver, robot = controller(**{"solver.active_set_iterations": 3}), plant()
+    driver.start(load_trajectory("s"), robot.time)
+    limits, dt = driver.config.limits, driver.sample_time
+    ranges, slew = np.array([limits.v, limits.omega]), np.array([limits.v_slew, limits.omega_slew]) * dt
     stopped, last = 0, np.zeros(2)
     for _ in range(150):
-        rest = driven.program.guess.copy()
-        result = driven.step(robot.time, robot.measure())
+        rest = driver.program.guess.copy()
+        result = driver.step(robot.time, robot.measure())
         assert result.mode is Mode.TRACKING
         robot.advance(result.command)
         before, last = last, result.command
@@ -297,11 +297,11 @@ def test_stopped_plan_is_feasible_and_no_worse_than_the_previous_plan():
         assert result.solver.primal_residual == 0.0 and np.isnan(result.solver.dual_residual)
         plan = result.planned_commands
         moves = np.diff(np.vstack([before, plan]), axis=0)
-        assert (np.abs(plan) <= most + 1e-12).all()
+        assert (np.abs(plan) <= ranges + 1e-12).all()
         assert (np.abs(moves) <= slew + 1e-12).all()
-        if rest.any():  # at the first tick there is no plan before it
-            cost = priced(driven.program, plan.reshape(-1))
-            assert cost <= priced(driven.program, inside(limits, dt, rest, before)) + 1e-9 * abs(cost)
+        if rest.any():  # the first tick has no previous plan
+            cost = plan_cost(driver.program, plan.reshape(-1))
+            assert cost <= plan_cost(driver.program, clip_to_limits(limits, dt, rest, before)) + 1e-9 * abs(cost)
     assert stopped > 50
 
 
@@ -319,22 +319,22 @@ def test_tick_stopped_by_the_clock_is_reproduced_exactly():
 
 @pytest.mark.parametrize("time_limit", [None, 1e-6])
 def test_node_bounds_solves_by_the_clock_and_replay_is_exact(time_limit, tmp_path):
-    driven, robot = controller(**({} if time_limit is None else {"solver.time_limit": time_limit})), plant()
+    driver, robot = controller(**({} if time_limit is None else {"solver.time_limit": time_limit})), plant()
     fresh = SimpleNamespace(fault=lambda *_: "", age=lambda _: 0.0)
     inbox = SimpleNamespace(now=0.0, odometry=fresh, newest_pose=None, look_up_pose=lambda: None)
     settings = SimpleNamespace(
         statistics_window=10, drive_on_activate=True, start_at_robot=False, poses_from="odometry", odom_timeout=1.0,
         blocked_timeout=9.0,
     )  # fmt: skip
-    deadlines, inner = [], driven.step
+    deadlines, inner = [], driver.step
 
     def step(*arguments, deadline):
         deadlines.append(deadline - time.monotonic())
         return inner(*arguments, deadline=deadline)
 
-    driven.step = step
+    driver.step = step
     reference = load_trajectory("s")
-    loop, records = ControlLoop(driven, settings, inbox, reference, in_sim_time=False), TickRecords(driven)
+    loop, records = ControlLoop(driver, settings, inbox, reference, in_sim_time=False), TickRecords(driver)
     lines, results = [], []
     for _ in range(50):
         inbox.now, measured = robot.time, robot.measure()
@@ -344,19 +344,19 @@ def test_node_bounds_solves_by_the_clock_and_replay_is_exact(time_limit, tmp_pat
             lines += records.lines(loop.drive, tick)
             results.append(tick.result)
         robot.advance(tick.command)
-    limit = time_limit or 0.5 * driven.sample_time
+    limit = time_limit or 0.5 * driver.sample_time
     assert limit - 1e-3 < max(deadlines) <= limit
     late = sum(result.solver.status is SolverStatus.STOPPED_IN_TIME for result in results)
     assert late > 20 if time_limit else late < len(results)
     ticks, drives = ([line for topic, line in lines if topic.endswith(kind)] for kind in ("tick", "drive"))
     log = Path("drive.bag")
     recording = recorded_drive(log, ticks, drives, LoggedConfigs(log, tmp_path))
-    again = replay(recording, driven.config, (reference,), as_recorded=True)
+    again = replay(recording, driver.config, (reference,), as_recorded=True)
     assert [tuple(command) for command in again.command] == [tuple(result.command) for result in results]
 
 
 @pytest.mark.parametrize("backend", ["osqp", "daqp"])
-def test_backend_without_time_gives_no_plan_and_repeats_so(backend):
+def test_backend_that_runs_out_of_time_returns_no_plan_and_replay_is_exact(backend):
     by_backend = controller(**{"solver.method": backend})
     results = drive(by_backend, plant(), 30, deadline=lambda k: 1e-9 if k == 20 else None)
     late = results[20]
@@ -375,7 +375,7 @@ def test_backend_without_time_gives_no_plan_and_repeats_so(backend):
 
 @every_backend
 @pytest.mark.parametrize("kinds", [HARD, KINDS])
-def test_factorisation_that_lasts_too_long_is_not_begun(backend, kinds, monkeypatch):
+def test_factorisation_that_would_exceed_the_time_limit_is_not_begun(backend, kinds, monkeypatch):
     work, steps = [], 100
     for owner, name in ((daqp, "Model"), (osqp.OSQP, "setup"), (osqp.OSQP, "update")):
         inner = getattr(owner, name)
@@ -386,13 +386,13 @@ def test_factorisation_that_lasts_too_long_is_not_begun(backend, kinds, monkeypa
     program = SimpleNamespace(H=H, g=np.ones(2 * steps), lower=-bounds, upper=bounds, rows=lambda kind: rows[kind])
     guess, multipliers = np.zeros(2 * steps), np.zeros((KINDS, steps))
     work.clear()
-    # Either takes a millisecond here, and more with soft limits.
+    # Each backend needs a millisecond here, and more with soft limits.
     solved = chosen.solve(program, tuple(range(kinds)), guess, multipliers, 5e-5)
     assert (solved.status, solved.iterations, work) == (SolverStatus.TIME_LIMIT, 0, [])
     solved = chosen.solve(program, tuple(range(kinds)), guess, multipliers, 30.0)
     assert solved.status.usable
     assert work
-    # If it was begun all the same, the clock of the solver ends it: DAQP looks at it at every 32nd iteration.
+    # If the solver is started nevertheless, its own clock stops it: DAQP checks it every 32nd iteration.
     monkeypatch.setattr(SetUpTime, "expected", lambda *_: 0.0)
     solved = chosen.solve(program, tuple(range(kinds)), guess, multipliers, 1e-9)
     assert solved.status is SolverStatus.TIME_LIMIT
@@ -414,8 +414,8 @@ def test_time_of_a_factorisation_is_its_shortest_measurement(monkeypatch):
 def test_robot_brakes_after_missed_deadlines_and_resumes_in_time():
     limit = 4
     late = range(20, 32)
-    driven = controller(**{"solver.max_missed": limit})
-    results = drive(driven, plant(), 60, deadline=lambda k: 1e-9 if k in late else None)
+    driver = controller(**{"solver.max_missed": limit})
+    results = drive(driver, plant(), 60, deadline=lambda k: 1e-9 if k in late else None)
     assert [r.solver.missed for r in results[19:33]] == [0, *range(1, len(late) + 1), 0]
     modes = [result.mode for result in results]
     assert set(modes[20 : 19 + limit]) == {Mode.TRACKING}
@@ -428,14 +428,14 @@ def test_robot_brakes_after_missed_deadlines_and_resumes_in_time():
 
 
 def test_missed_deadlines_stop_the_robot_for_good_without_resume():
-    driven = controller(**{"solver.max_missed": 2, "failure.resume": False})
-    results = drive(driven, plant(), 40, deadline=lambda k: 1e-9 if k in (20, 21) else None)
+    driver = controller(**{"solver.max_missed": 2, "failure.resume": False})
+    results = drive(driver, plant(), 40, deadline=lambda k: 1e-9 if k in (20, 21) else None)
     assert results[20].mode is Mode.TRACKING
     assert all(result.mode in (Mode.BRAKING, Mode.STOPPED) for result in results[21:])
     assert "call start or resume" in results[-1].message
 
 
-def test_step_that_ends_late_is_counted_though_no_limit_presses():
+def test_late_step_is_counted_as_missed_without_active_limits():
     results = drive(Controller("ssm"), plant(), 84, deadline=lambda k: time.monotonic() - 1.0 if k >= 80 else None)
     assert [result.solver.missed for result in results[79:]] == [0, 1, 2, 3, 4]
     assert "unlimited" in {result.solver.method for result in results[80:]}

@@ -1,4 +1,4 @@
-"""The full belief of the filter, and its prediction of the pose."""
+"""The full state distribution of the filter, and its prediction of the pose."""
 
 from dataclasses import astuple
 
@@ -13,8 +13,8 @@ from diffdrive_mpc.mpc.problem.slip import SLIPS, Slip
 CURVED = {"estimator.crab_uncertainty": 0.03, "estimator.yaw_coupling_uncertainty": 0.1}
 
 
-def driven(settings=None, ticks=120, model="ssm"):
-    """Return a controller after some ticks on a floor, its plant, and its last step."""
+def drive(settings=None, ticks=120, model="ssm"):
+    """Return a controller after some ticks on grass, its plant, and its last step."""
     controller, plant = Controller(load_config(model, settings or {})), make_plant("model:ssm", "p4_grass", seed=5)
     controller.start(load_trajectory("s"), 0.0)
     for _ in range(ticks):
@@ -25,25 +25,25 @@ def driven(settings=None, ticks=120, model="ssm"):
 
 @pytest.mark.parametrize("settings", [{}, CURVED])
 @pytest.mark.parametrize("model", ["ssm", "mbm"])
-def test_what_is_foreseen_is_what_the_filter_comes_to_believe_where_nothing_is_measured(settings, model):
-    controller, plant, step = driven(settings, model=model)
+def test_predicted_belief_equals_the_filter_state_without_measurements(settings, model):
+    controller, plant, step = drive(settings, model=model)
     before, commands = controller.belief, [step.command]
     for k in range(1, 13):
         step = controller.step(plant.time + (k - 1) * plant.sample_time, Measurement())
         commands.append(step.command)
-    after, foreseen = controller.belief, controller.predict_belief(before, commands[:-1])
-    assert np.array_equal(foreseen.mean, after.mean)
-    assert np.array_equal(foreseen.covariance, after.covariance)
-    assert np.array_equal(foreseen.sent, after.sent)
+    after, predicted = controller.belief, controller.predict_belief(before, commands[:-1])
+    assert np.array_equal(predicted.mean, after.mean)
+    assert np.array_equal(predicted.covariance, after.covariance)
+    assert np.array_equal(predicted.sent, after.sent)
     assert np.hypot(*(after.pose - before.pose)[:2]) > 0.02
     assert np.trace(after.pose_covariance) > np.trace(before.pose_covariance)
 
 
 @pytest.mark.parametrize("settings", [{}, CURVED])
-def test_the_belief_is_that_of_the_estimate(settings):
-    controller, _, step = driven(settings)
+def test_belief_matches_the_estimate(settings):
+    controller, _, step = drive(settings)
     belief, estimate = controller.belief, step.estimate
-    # What there is no evidence for is not used, in the estimate.
+    # The estimate shrinks terms without evidence.
     weighed = ["turn_ahead", "turn_left", "slide_x", "slide_y"]
     assert all(abs(getattr(estimate.slip, name)) < abs(getattr(belief.slip, name)) for name in weighed)
     assert abs(estimate.slip.omega_gain - 1.0) < abs(belief.slip.omega_gain - 1.0)
@@ -52,13 +52,13 @@ def test_the_belief_is_that_of_the_estimate(settings):
     assert belief.covariance == pytest.approx(belief.covariance.T)
     assert np.linalg.eigvalsh(belief.covariance).min() > -1e-12
     assert np.sqrt(np.diag(belief.slip_covariance)) == pytest.approx(astuple(estimate.slip_deviation))
-    # What is measured is a sum of the terms, so they are not known independently of each other.
+    # Measurements constrain sums of the terms, so the terms are correlated.
     assert np.abs(belief.polynomial_covariance - np.diag(np.diag(belief.polynomial_covariance))).max() > 1e-6
 
 
-def test_what_is_known_of_slip_is_a_part_of_the_scatter_that_adds_up():
-    """Covariance goes through linearly: what slip adds is more the less is known of it, and nothing where all is."""
-    controller, _, _ = driven()
+def test_known_slip_lowers_the_pose_covariance():
+    """Covariance is propagated linearly: unknown slip adds to it, exactly known slip does not."""
+    controller, _, _ = drive()
     belief, commands = controller.belief, np.tile([0.5, 0.8], (60, 1))
     whole, certain = (
         controller.predict_belief(belief, commands),
@@ -66,7 +66,7 @@ def test_what_is_known_of_slip_is_a_part_of_the_scatter_that_adds_up():
     )
     assert np.array_equal(whole.mean, certain.mean)
     assert whole.pose_covariance[2, 2] > certain.pose_covariance[2, 2]
-    # Another slip turns the robot elsewhere.
+    # A different slip turns the robot by a different angle.
     without_slip = controller.predict_belief(belief.with_slip(Slip()), commands)
     assert abs(without_slip.pose[2] - whole.pose[2]) > 0.1
 
@@ -75,15 +75,15 @@ small = st.lists(st.floats(-0.3, 0.3), min_size=len(SLIPS), max_size=len(SLIPS))
 
 
 @given(small, small)
-def test_the_gradient_of_the_terms_is_their_slope(offset, towards):
+def test_polynomial_gradient_is_the_slope_of_the_polynomial(offset, direction):
     slip = Slip(*(np.array(astuple(Slip())) + offset))
-    step = 1e-6 * np.array(towards)
+    step = 1e-6 * np.array(direction)
     moved = Slip(*(np.array(astuple(slip)) + step))
     assert moved.polynomial - slip.polynomial == pytest.approx(slip.polynomial_gradient @ step, abs=1e-11)
 
 
-def test_what_cannot_be_foreseen_is_refused():
-    controller, _, _ = driven(ticks=5)
+def test_invalid_commands_for_a_prediction_raise_value_error():
+    controller, _, _ = drive(ticks=5)
     for commands in ([0.1, 0.2], [[0.1, np.nan]], np.zeros((3, 3))):
         with pytest.raises(ValueError, match="finite pairs"):
             controller.predict_belief(controller.belief, commands)

@@ -1,4 +1,4 @@
-"""Configurations: keys, their terms, and the sections that they belong to."""
+"""Configuration keys, their synonyms, and their sections."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ def test_shipped_configurations_load(name):
 
 
 @pytest.mark.parametrize("key", sorted(SYNONYMS))
-def test_every_word_of_the_field_leads_to_a_key(key):
+def test_every_synonym_suggests_a_key(key):
     hints = [suggestion(schema, [key]) for schema in (ControllerConfig, LogMapping)]
     assert any(name in hint for name in SYNONYMS[key] for hint in hints), hints
 
 
-def test_a_model_file_is_found_beside_the_configuration(tmp_path):
+def test_model_file_is_found_next_to_the_configuration(tmp_path):
     (tmp_path / "mine.yaml").write_text("anything")
     (tmp_path / "c.yaml").write_text("model: mine.yaml\n")
     assert load_config(tmp_path / "c.yaml").model == str(tmp_path / "mine.yaml")
 
 
-def test_every_key_stands_in_one_room_and_users_come_first():
+def test_every_key_is_in_one_section_and_user_keys_come_first():
     keys = [row.key for row in schema_rows()]
     users = [key for key in keys if not key.startswith("expert.")]
     assert keys[: len(users)] == users
@@ -47,7 +47,7 @@ def test_every_key_stands_in_one_room_and_users_come_first():
     )
 
 
-def test_present_names_are_keys_and_former_ones_are_not():
+def test_present_names_are_keys_and_former_names_are_not():
     keys = {plain_key(row.key) for row in schema_rows()}
     present = {key for key in former_keys().values() if key.partition(".")[0] in ControllerConfig.model_fields}
     assert present <= keys | fixed_values().keys()
@@ -75,7 +75,7 @@ def test_earlier_file_is_read_with_one_line_for_each_moved_key(tmp_path):
         assert load_config(path) == old
 
 
-def test_every_constant_is_accepted_with_its_value_and_no_other():
+def test_every_constant_is_accepted_with_its_value_only():
     groups: dict[str, dict[str, float]] = {}
     for key, value in fixed_values().items():
         group, _, name = key.partition(".")
@@ -109,7 +109,7 @@ def test_strategy_and_backend_of_an_earlier_file_are_one_method(tmp_path):
     assert load_config("sm", {"solver.backend": "osqp", "solver.strategy": "backend"}).solver.method == "osqp"
 
 
-def test_a_key_may_be_named_with_its_room_or_without_and_by_its_former_name():
+def test_key_may_be_given_with_or_without_expert_and_by_its_former_name():
     named = [{"expert.estimator.history": 0.5}, {"estimator.history": 0.5}]
     assert [load_config("ssm", overrides).estimator.history for overrides in named] == [0.5, 0.5]
     assert load_config("ssm", {"reentry.look_ahead_max": 1.4}).reentry.max_look_ahead == 1.4
@@ -117,6 +117,6 @@ def test_a_key_may_be_named_with_its_room_or_without_and_by_its_former_name():
     assert load_config({"model": "ssm", "expert": {"estimator": {"history": 0.5}}}).estimator.history == 0.5
 
 
-def test_rooms_lose_nothing():
+def test_commented_yaml_contains_every_key():
     config = ControllerConfig()
     assert side_by_side(yaml.safe_load(commented_yaml(config))) == config.model_dump()

@@ -1,4 +1,4 @@
-"""The controller on a robot that matches its model: tracking through pi, from any clock time, repeatably."""
+"""The controller on a robot that matches its model: tracking across pi, from any clock time, reproducibly."""
 
 import os
 import subprocess
@@ -26,12 +26,12 @@ def robot_for(reference, **kwargs):
     return IdealRobot(MODEL.discretise(DT), reference.sample([0.0]).pose[0], **kwargs)
 
 
-# What is shipped for the mujoco plant: these robots have no lag of the encoders, and no slip to begin with.
-NONE = ("estimator.side_slip", "estimator.load_shift")
+# Values shipped for the mujoco plant: these robots have no encoder lag, and initially no slip.
+SLIP_KEYS = ("estimator.side_slip", "estimator.load_shift")
 
 
 def controller(**overrides):
-    return Controller(load_config("ssm", PROMPT | dict.fromkeys(NONE, 0.0) | overrides))
+    return Controller(load_config("ssm", PROMPT | dict.fromkeys(SLIP_KEYS, 0.0) | overrides))
 
 
 def rmse(poses, times, reference):
@@ -58,13 +58,13 @@ def test_constant_slip_leaves_no_steady_error():
     x, y, theta = reference.sample(times).pose[300:500].T
     across = np.cos(theta) * (poses[300:500, 1] - y) - np.sin(theta) * (poses[300:500, 0] - x)
     assert np.abs(across).max() < 0.003
-    # And in time: the heading that this asks for is no error that would be bought with a lag.
+    # No error along the path: a heading for the side slip must not cost a lag.
     along = np.cos(theta) * (poses[300:500, 0] - x) + np.sin(theta) * (poses[300:500, 1] - y)
     assert along == pytest.approx(0.0, abs=0.002)
     assert poses[300:500, 2] - theta == pytest.approx(np.arctan(0.06 * 0.5), abs=0.004)
 
 
-def hurried():
+def curves_at_two_speeds():
     """Return curves to both sides, each at two speeds."""
     twists = [(0.8, 0.8), (0.3, 0.8), (0.9, -0.8), (0.3, -0.8)] * 4
     segments = [Segment(v=v, omega=omega, duration=1.2) for v, omega in twists]
@@ -72,8 +72,8 @@ def hurried():
 
 
 def with_and_without_side_slip(first_share=0.5, noise=1.0, slip=None, **settings):
-    """Return position errors after `first_share` of the drive, by compensation of slip, and the estimate with it."""
-    reference, errors, estimates = hurried(), {}, {}
+    """Return errors after `first_share` of the drive by compensation of side slip, and the estimate with it."""
+    reference, errors, estimates = curves_at_two_speeds(), {}, {}
     for on in (True, False):
         driver = controller(**{"compensation.side_slip": on} | settings)
         robot = robot_for(reference, slip=slip, noise=noise)
@@ -118,7 +118,7 @@ def test_slip_estimation_does_not_harm_a_robot_without_slip(prior):
 
 
 @pytest.mark.parametrize("turns", [-2, 1, 3])
-def test_full_turns_of_the_heading_do_not_change_commands(turns):
+def test_full_turns_of_the_start_heading_do_not_change_commands(turns):
     reference = load_trajectory("circle")
     plain, _, _ = drive(controller(), robot_for(reference), reference, 3.0)
     robot = IdealRobot(MODEL.discretise(DT), reference.sample([0.0]).pose[0] + [0, 0, 2 * np.pi * turns])
@@ -153,7 +153,7 @@ def test_configured_dead_time_is_compensated():
         robot = IdealRobot(late.discretise(DT), reference.sample([0.0]).pose[0])
         mpc = controller(**{"extra_dead_time.v": extra, "extra_dead_time.omega": extra, "compensation.delay": False})
         _, poses, times = drive(mpc, robot, reference, reference.duration)
-        # The first command acts late whatever the controller knows: the start does not count.
+        # The first command is delayed in both cases: the start does not count.
         errors[extra] = rmse(poses[100:], times[100:], reference)[0]
     assert errors[0.15] < 0.003
     assert errors[0.15] < 0.6 * errors[0.0]
@@ -203,7 +203,7 @@ def test_estimate_follows_commands_of_another_controller():
         watching.set_applied_commands([[0.3, 0.1]])
         robot.advance(np.array([0.3, 0.1]))
     assert result.estimate.twist == pytest.approx([0.3, 0.1], abs=0.02)
-    # Slew counts from what was sent, not from what it would have sent.
+    # Slew counts from the applied command, not from the one that the controller proposed.
     limits = watching.config.limits
     steps = np.array([limits.v_slew, limits.omega_slew]) * DT
     assert (np.abs(result.command - [0.3, 0.1]) <= steps + 1e-12).all()
@@ -224,7 +224,7 @@ def test_updates_take_effect_between_two_ticks():
         commands.append(result.command)
         robot.advance(result.command)
     commands = np.array(commands)
-    # Tightened below the present command: approached at the slew limit, then kept.
+    # The limit is below the present command: approached at the slew limit, then kept.
     assert commands[99, 0] > 0.45
     assert (np.abs(np.diff(commands, axis=0)) <= np.array([2.0, 6.0]) * DT + 1e-12).all()
     due = np.maximum(commands[99, 0] - 2.0 * DT * np.arange(1, 51), 0.2)
@@ -233,7 +233,7 @@ def test_updates_take_effect_between_two_ticks():
     assert driver.config.limits.v == 0.2
 
 
-def test_limits_are_compared_with_what_is_still_to_be_driven():
+def test_update_warns_only_of_limits_that_the_rest_of_the_reference_exceeds():
     """The first second drives at 1 m/s, the rest at 0.3."""
     times = np.linspace(0.0, 6.0, 301)
     v = np.where(times < 1.0, 1.0, 0.3)
@@ -261,14 +261,14 @@ def test_rejected_update_changes_nothing(change):
 
 
 @pytest.mark.parametrize("steps", [1.8, 2.0])
-def test_horizon_that_ends_within_the_dead_time_is_refused_with_the_smallest_that_works(steps):
+def test_horizon_within_the_dead_time_is_refused_with_the_smallest_valid_one(steps):
     late = {"extra_dead_time.v": steps * DT}
     line = "horizon = 2: it ends within the dead time of the model, 2 steps of 0.0202 s; set horizon to 3 or more"
     with pytest.raises(ValueError, match=line):
         controller(horizon=2, **late)
     assert controller(horizon=3, **late).config.horizon == 3
     assert controller(horizon=1).config.horizon == 1
-    # SM answers within its third sample, and tracks with so few.
+    # SM responds within its third sample, so three steps are enough.
     assert Controller(load_config("sm", {"horizon": 3})).config.horizon == 3
 
 
@@ -280,7 +280,7 @@ from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 
 config, reference = load_config("ssm", {"horizon": 12}), load_trajectory("s")
 for order in range(2, 10):
-    # v by lags one behind the other, omega by one of its own.
+    # v through a chain of lags, omega through one lag.
     rates = np.linspace(30.0, 60.0, order)
     A = np.diag(-rates) + np.diag(np.append(rates[1:-1], 0.0), k=-1)
     B, C = np.zeros((order, 2)), np.zeros((2, order))
@@ -295,9 +295,9 @@ for order in range(2, 10):
 
 
 def test_compiled_core_drives_models_of_every_order():
-    """In a process of its own, which a compiler that takes a row for aligned would end at some sizes of the belief.
+    """Run in a separate process: misaligned rows at some sizes of the filter state would crash it.
 
-    Two channels have two states at least.
+    Two channels need at least two states.
     """
     folder = Path(__file__).parent
     path = os.pathsep.join([str(folder), str(folder.parent), *filter(None, sys.path)])

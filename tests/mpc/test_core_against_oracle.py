@@ -1,6 +1,6 @@
-"""The product's controller against the oracle: the same measurements, the same commands, estimates, modes and messages.
+"""The product's controller against the oracle: equal measurements give equal commands, estimates, modes and messages.
 
-What both compute exactly agrees to 1e-9. Only where OSQP solves with limits active its tolerance is left, and stated.
+Exact computations agree to 1e-9. Only solves of OSQP with active limits differ by its tolerance, which is stated.
 """
 
 import math
@@ -8,11 +8,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from failing_solver import SpoiltReference
+from failing_solver import CorruptedReference
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from ideal_robot import IdealRobot
-from side_by_side import ACTIVE_SET, Pair, changed
+from side_by_side import ACTIVE_SET, Pair, replace_parts
 
 from diffdrive_mpc import Measurement, Stamped, load_config, load_model, load_trajectory, make_plant
 from diffdrive_mpc.mpc.hold import Hold
@@ -31,10 +31,10 @@ TWO_SIDED = {
 }
 SOFT = {"limits.predicted_v": 0.45, "limits.predicted_omega": 0.5, "limits.wheel_speed": 0.55, "limits.corridor": 0.01}
 PRECISE = {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 100_000}
-# OSQP ends where its residuals, not the commands, are below its tolerance.
+# OSQP stops when its residuals, not the commands, are below its tolerance.
 OSQP = {"solver.method": "osqp"} | {f"solver.osqp.{key}": value for key, value in PRECISE.items()}
 BY_OSQP = 1e-6
-# DAQP takes a row that hardly answers to any command for none: that of the corridor at the first steps.
+# DAQP drops a row that hardly depends on any command, such as the corridor at the first steps.
 BY_DAQP = 1e-4
 
 
@@ -45,8 +45,8 @@ def pair(name="ssm", accuracy=1e-9, **changes):
 @pytest.mark.parametrize(
     ("name", "reference"), [("ssm", "circle"), ("ssm", "s"), ("sm", "square"), ("sm", "circle"), ("mbm", "cane")]
 )
-def test_a_drive(name, reference):
-    """The configuration is the shipped one."""
+def test_drive_with_the_shipped_configuration_agrees(name, reference):
+    """Modes stay TRACKING."""
     both = Pair(load_config(name))
     both.drive(make_plant("mujoco", seed=0), load_trajectory(reference), 60)
     assert both.modes == ["TRACKING"]
@@ -57,7 +57,7 @@ def test_a_drive(name, reference):
     [(HARD, ACTIVE_SET, 1e-9), (SOFT, ACTIVE_SET, 1e-9), (HARD | SOFT, OSQP, BY_OSQP)],
     ids=["hard, active set", "soft, active set", "both, osqp"],
 )
-def test_a_drive_along_its_limits(limits, chosen, accuracy):
+def test_drive_along_its_limits_agrees(limits, chosen, accuracy):
     both = pair("sm", accuracy, **limits | chosen)
     ticks = 50 if chosen is OSQP else 90
     results = both.drive(make_plant("mujoco", seed=0), load_trajectory("square"), ticks)
@@ -66,36 +66,36 @@ def test_a_drive_along_its_limits(limits, chosen, accuracy):
     assert any(r.solver.soft_limits for r in results) == (limits is not HARD)
 
 
-# What may happen on the way: each is told tick, time, measurement and the pair.
+# Events of a drive: each receives tick, time, measurement and the pair, and returns time, measurement and hold.
 
 
-def carried(k, t, m, both):
-    return t, shifted(m, [0.15, 0.13, 0.1]) if k >= 30 else m, None
+def displaced(k, t, m, both):
+    return t, shift_pose(m, [0.15, 0.13, 0.1]) if k >= 30 else m, None
 
 
-def carried_far(k, t, m, both):
-    return t, shifted(m, [0.0, 0.8, 0.3]) if k >= 30 else m, None
+def displaced_far(k, t, m, both):
+    return t, shift_pose(m, [0.0, 0.8, 0.3]) if k >= 30 else m, None
 
 
 def false_pose(k, t, m, both):
-    return t, shifted(m, [2.0, 0.0, 0.0]) if k in (30, 31, 60) or 80 <= k < 92 else m, None
+    return t, shift_pose(m, [2.0, 0.0, 0.0]) if k in (30, 31, 60) or 80 <= k < 92 else m, None
 
 
 def no_pose(k, t, m, both):
-    return t, changed(m, pose=None) if 30 <= k < 80 or k < 3 else m, None
+    return t, replace_parts(m, pose=None) if 30 <= k < 80 or k < 3 else m, None
 
 
 def no_pose_for_long(k, t, m, both):
     if k == 180:
         both.resume()
-    return t, changed(m, pose=None) if 30 <= k < 175 else m, None
+    return t, replace_parts(m, pose=None) if 30 <= k < 175 else m, None
 
 
 def first_pose_wrong(k, t, m, both):
-    return t, shifted(m, [0.0, 0.8, 0.0]) if k == 0 else m, None
+    return t, shift_pose(m, [0.0, 0.8, 0.0]) if k == 0 else m, None
 
 
-def nothing(k, t, m, both):
+def no_measurement(k, t, m, both):
     return t, Measurement() if 30 <= k < 40 else m, None
 
 
@@ -108,19 +108,19 @@ class Late:
     def __call__(self, k, t, m, both):
         self.queue.append(m.pose)
         late = (1, 4, 4, 9, 2)[k % 5]
-        return t, changed(m, pose=self.queue[max(0, k - late)]), None
+        return t, replace_parts(m, pose=self.queue[max(0, k - late)]), None
 
 
-def obeys_by_half(k, t, m, both):
-    """Report applied commands that differ from the sent ones, or nonsense."""
+def halved_commands(k, t, m, both):
+    """Report applied commands that differ from the sent ones, or are invalid."""
     if k < 2:
         return t, m, None
     v, omega = 0.5 * both.results[-1].command
-    return t, changed(m, sent=(7.0, 0.0) if k % 17 == 0 else (v, omega) if k % 3 else (4.9, -9.0)), None
+    return t, replace_parts(m, sent=(7.0, 0.0) if k % 17 == 0 else (v, omega) if k % 3 else (4.9, -9.0)), None
 
 
-def overruled(k, t, m, both):
-    """Apply foreign commands, at times beyond the limits, first for longer than the memory."""
+def foreign_commands(k, t, m, both):
+    """Apply commands of another controller, some beyond the limits, first for longer than the memory."""
     if k == 0:
         both.overrule(np.tile([0.3, -0.2], (700, 1)))
     elif k % 3:
@@ -129,7 +129,7 @@ def overruled(k, t, m, both):
 
 
 @pytest.mark.parametrize("solver", [{}, {"solver.method": "daqp"}])
-def test_a_change_of_direction_with_limits_of_two_sides(solver):
+def test_change_of_direction_with_two_sided_limits_agrees(solver):
     """The reference reverses direction and turn at once: commands pass through zero within a tick."""
     reference = lay_commanded(
         [Segment(v=0.3, omega=0.5, duration=0.8), Segment(v=-0.18, omega=-0.5, duration=1.2)],
@@ -141,25 +141,25 @@ def test_a_change_of_direction_with_limits_of_two_sides(solver):
     assert both.modes == ["TRACKING"]
 
 
-def held(k, t, m, both):
+def hold(k, t, m, both):
     return t, m, Hold("pause") if 30 <= k < 80 else None
 
 
-def held_by_a_failure(k, t, m, both):
+def short_failure(k, t, m, both):
     return t, m, Hold("bumper", failure=True) if 30 <= k < 34 else None
 
 
-def held_by_a_long_failure(k, t, m, both):
+def long_failure(k, t, m, both):
     return t, m, Hold("bumper", failure=True) if 30 <= k < 70 else None
 
 
-def silent(k, t, m, both):
+def no_odometry(k, t, m, both):
     if k == 40:
         both.resume()
     return t, m, Hold("no odometry", failure=True, waits=True) if k == 30 else None
 
 
-def updated(k, t, m, both):
+def new_limits(k, t, m, both):
     if k == 20:
         both.update(limits={"v": 0.35, "v_slew": 0.7, "omega_slew": 2.0, "corridor": 0.01})
     if k == 45:
@@ -168,32 +168,32 @@ def updated(k, t, m, both):
     return t, m, None
 
 
-def sensors_gone(k, t, m, both):
+def no_sensors(k, t, m, both):
     if k == 30:
         both.update(limits={"v_slew": 0.001})
     return t, Measurement() if k >= 30 else m, None
 
 
-def started_again(k, t, m, both):
+def second_start(k, t, m, both):
     if k == 140:
-        # Back to where it came from: the way on leads out.
+        # Back to the start: the continuation leads out of the fence.
         both.start(starting_at(load_trajectory("circle"), m.pose.value + [0.0, 0.0, 2.0]), t)
     return t, m, None
 
 
-def clock_astray(k, t, m, both):
+def wrong_times(k, t, m, both):
     times = {30: t - 1.0, 50: math.nan, 70: t + 1e6, 90: t - 0.7 * DT, 100: t + 0.004}
     return times.get(k, t), m, None
 
 
-def set_back(k, t, m, both):
-    return t - (1.5 if k >= 30 else 0.0), restamped(m, -1.5 if k >= 30 else 0.0), None
+def clock_set_back(k, t, m, both):
+    return t - (1.5 if k >= 30 else 0.0), shift_stamps(m, -1.5 if k >= 30 else 0.0), None
 
 
-def paused(k, t, m, both):
+def pause(k, t, m, both):
     if k == 50:
         both.resume()
-    return t + (5.0 if k >= 30 else 0.0), restamped(m, 5.0 if k >= 30 else 0.0), None
+    return t + (5.0 if k >= 30 else 0.0), shift_stamps(m, 5.0 if k >= 30 else 0.0), None
 
 
 class Blocked:
@@ -208,11 +208,11 @@ class Blocked:
         return t, m, None
 
 
-def shifted(m, by):
-    return m if m.pose is None else changed(m, pose=Stamped(np.asarray(m.pose.value) + by, m.pose.time))
+def shift_pose(m, by):
+    return m if m.pose is None else replace_parts(m, pose=Stamped(np.asarray(m.pose.value) + by, m.pose.time))
 
 
-def restamped(m, by):
+def shift_stamps(m, by):
     parts = {name: getattr(m, name) for name in ("pose", "wheel_twist", "yaw_rate")}
     return Measurement(**{n: p and Stamped(p.value, p.time + by, p.covariance) for n, p in parts.items()})
 
@@ -220,17 +220,17 @@ def restamped(m, by):
 FENCE = {"fence.enabled": True, "fence.length": 1.7, "fence.width": 1.2}
 LEFT_FENCE = (["TRACKING", "BRAKING", "STOPPED", "TRACKING"], "leaves the fence of 1.7 by 1.2 m")
 EVENTS = {
-    "carried": (carried, {}, ["TRACKING"], "rejoining"),
-    "carried far": (carried_far, {}, ["TRACKING", "BRAKING", "STOPPED", "TRACKING"], "robot is somewhere else"),
+    "carried": (displaced, {}, ["TRACKING"], "rejoining"),
+    "carried far": (displaced_far, {}, ["TRACKING", "BRAKING", "STOPPED", "TRACKING"], "robot is somewhere else"),
     "carried far, no resuming": (
-        carried_far,
+        displaced_far,
         {"failure.resume": False},
         ["TRACKING", "BRAKING", "STOPPED"],
         "robot is somewhere else",
     ),
-    "chased": (carried, {"reentry.enabled": False}, ["TRACKING"], ""),
+    "chased": (displaced, {"reentry.enabled": False}, ["TRACKING"], ""),
     "carried too far": (
-        carried_far,
+        displaced_far,
         {"failure.max_position_error": 0.5},
         ["TRACKING", "BRAKING", "STOPPED"],
         "stopped after a failure",
@@ -239,44 +239,44 @@ EVENTS = {
     "no pose": (no_pose, {}, ["STOPPED", "TRACKING", "BRAKING", "STOPPED", "TRACKING"], "no pose was accepted"),
     "no resuming": (no_pose, {"failure.resume": False}, ["STOPPED", "TRACKING", "BRAKING", "STOPPED"], "call start"),
     "first pose wrong": (first_pose_wrong, {}, ["TRACKING", "BRAKING", "STOPPED", "TRACKING"], "jumps"),
-    "nothing": (nothing, {}, ["TRACKING"], ""),
+    "nothing": (no_measurement, {}, ["TRACKING"], ""),
     "late poses": (Late(), {}, ["TRACKING"], "not newer"),
-    "sent given": (obeys_by_half, {}, ["TRACKING"], "sent command rejected"),
-    "overruled": (overruled, {}, ["TRACKING"], ""),
-    "held": (held, {}, ["TRACKING", "BRAKING", "STOPPED", "TRACKING"], "pause"),
-    "held by a failure": (held_by_a_failure, {"failure.resume": False}, ["TRACKING", "BRAKING", "STOPPED"], "bumper"),
-    "updated": (updated, {}, ["TRACKING"], ""),
+    "sent given": (halved_commands, {}, ["TRACKING"], "sent command rejected"),
+    "overruled": (foreign_commands, {}, ["TRACKING"], ""),
+    "held": (hold, {}, ["TRACKING", "BRAKING", "STOPPED", "TRACKING"], "pause"),
+    "held by a failure": (short_failure, {"failure.resume": False}, ["TRACKING", "BRAKING", "STOPPED"], "bumper"),
+    "updated": (new_limits, {}, ["TRACKING"], ""),
     "sensors gone": (
-        sensors_gone,
+        no_sensors,
         {"limits.v_braking": 0.7, "limits.omega_braking": 0.9},
         ["TRACKING", "BRAKING", "STOPPED"],
         "no pose was accepted",
     ),
-    "clock astray": (clock_astray, {}, None, "time ran backwards"),
-    "paused": (paused, {"failure.max_position_error": 9.0}, ["TRACKING", "STOPPED", "TRACKING"], "starts anew"),
-    "set back": (set_back, {}, ["TRACKING", "BRAKING", "STOPPED"], "time ran backwards"),
+    "clock astray": (wrong_times, {}, None, "time ran backwards"),
+    "paused": (pause, {"failure.max_position_error": 9.0}, ["TRACKING", "STOPPED", "TRACKING"], "starts anew"),
+    "set back": (clock_set_back, {}, ["TRACKING", "BRAKING", "STOPPED"], "time ran backwards"),
     "no pose for long": (no_pose_for_long, {}, ["TRACKING", "BRAKING", "STOPPED", "TRACKING"], "call start or resume"),
-    "held by a short failure": (held_by_a_failure, {}, ["TRACKING", "BRAKING", "TRACKING"], "bumper"),
+    "held by a short failure": (short_failure, {}, ["TRACKING", "BRAKING", "TRACKING"], "bumper"),
     "held by a long failure": (
-        held_by_a_long_failure,
+        long_failure,
         {"failure.resume_within": 0.5},
         ["TRACKING", "BRAKING", "STOPPED"],
         "stopped after a failure",
     ),
-    "silent": (silent, {}, ["TRACKING", "BRAKING", "TRACKING"], "call start or resume"),
+    "silent": (no_odometry, {}, ["TRACKING", "BRAKING", "TRACKING"], "call start or resume"),
     "blocked": (Blocked(), {}, ["TRACKING"], "blocked for"),
     "no compensation of dead time": (Late(), {"compensation.dead_time": False}, ["TRACKING"], ""),
-    "no v offset": (carried, {"compensation.v_offset": False}, ["TRACKING"], ""),
-    "no yaw gain": (carried, {"compensation.yaw_gain": False}, ["TRACKING"], ""),
-    "no side-slip": (carried, {"compensation.side_slip": False}, ["TRACKING"], ""),
-    "a horizon of the dead time": (carried, {"horizon": 4}, ["TRACKING"], ""),
-    "a long horizon": (carried, {"horizon": 50}, ["TRACKING"], ""),
-    "fenced": (started_again, FENCE | {"fence.y": 0.1, "fence.heading": 0.2}, *LEFT_FENCE),
-    "fenced in the frame of poses": (started_again, FENCE | {"fence.frame": "poses", "fence.x": -0.1}, *LEFT_FENCE),
-    "along its limits": (carried, HARD | SOFT, ["TRACKING"], "rejoining"),
-    "along limits with two sides": (carried, TWO_SIDED | SOFT, ["TRACKING"], "catches up"),
+    "no v offset": (displaced, {"compensation.v_offset": False}, ["TRACKING"], ""),
+    "no yaw gain": (displaced, {"compensation.yaw_gain": False}, ["TRACKING"], ""),
+    "no side-slip": (displaced, {"compensation.side_slip": False}, ["TRACKING"], ""),
+    "a horizon of the dead time": (displaced, {"horizon": 4}, ["TRACKING"], ""),
+    "a long horizon": (displaced, {"horizon": 50}, ["TRACKING"], ""),
+    "fenced": (second_start, FENCE | {"fence.y": 0.1, "fence.heading": 0.2}, *LEFT_FENCE),
+    "fenced in the frame of poses": (second_start, FENCE | {"fence.frame": "poses", "fence.x": -0.1}, *LEFT_FENCE),
+    "along its limits": (displaced, HARD | SOFT, ["TRACKING"], "rejoining"),
+    "along limits with two sides": (displaced, TWO_SIDED | SOFT, ["TRACKING"], "catches up"),
     "held with limits of two sides": (
-        held,
+        hold,
         TWO_SIDED | {"limits.v_braking": 0.7},
         ["TRACKING", "BRAKING", "STOPPED", "TRACKING"],
         "pause",
@@ -285,27 +285,27 @@ EVENTS = {
 
 
 @pytest.mark.parametrize("name", EVENTS)
-def test_what_may_happen_on_a_drive(name):
+def test_event_of_a_drive_is_handled_equally(name):
     event, changes, modes, words = EVENTS[name]
     model, plant = ("ssm", "mujoco") if len(name) % 2 else ("mbm", "model:sm")
     both = pair(model, BY_DAQP if name in ("updated", "along its limits") else 1e-9, **{"horizon": 15} | changes)
-    # Events that change the mode are driven to their end; of the others the first second says all.
+    # Events that change the mode run to their end; for the others the first second is enough.
     longer = {"no pose for long": 190, "blocked": 160, "along its limits": 160, "along limits with two sides": 190}
     ticks = longer.get(name, 70 if modes == ["TRACKING"] else 160)
     both.drive(make_plant(plant, seed=4), load_trajectory("circle"), ticks, event)
     assert words in both.words
     if modes is not None:
         assert [mode for mode in both.modes if mode in modes][: len(modes)] == modes
-        # Where it must not resume, nothing follows.
+        # Without resuming, the last mode remains.
         assert changes.get("failure.resume", True) or both.modes[-1] == modes[-1]
 
 
-def test_solves_that_fail():
-    reference = SpoiltReference(load_trajectory("circle"))
+def test_failing_solves_are_handled_equally():
+    reference = CorruptedReference(load_trajectory("circle"))
     both = pair(horizon=12, **{"failure.max_reused_ticks": 3})
 
     def spoil(k, t, m, both):
-        reference.spoilt = k in (40, 41) or 80 <= k < 120
+        reference.is_corrupted = k in (40, 41) or 80 <= k < 120
         return t, m, None
 
     both.drive(make_plant("mujoco", seed=2), reference, 150, spoil)
@@ -323,7 +323,7 @@ ROUTES = {
 
 @pytest.mark.parametrize("name", ["ssm", "mbm"])
 @pytest.mark.parametrize("route", ROUTES)
-def test_a_whole_route_with_its_end(route, name, tmp_path):
+def test_route_with_its_end_agrees(route, name, tmp_path):
     path = tmp_path / "route.yaml"
     path.write_text(ROUTES[route])
     reference = load_trajectory(path)
@@ -335,7 +335,7 @@ def test_a_whole_route_with_its_end(route, name, tmp_path):
     assert both.modes[-1] == "FINISHED"
 
 
-def test_an_end_that_is_not_reached_is_told():
+def test_missed_end_is_reported_equally():
     both = pair("ssm", horizon=10, **{"finish.position": 1e-6, "finish.timeout": 0.4})
     reference = starting_at(load_trajectory("cane"), [0.0, 0.0, 0.0])
     plant = make_plant("model:ssm", seed=1)
@@ -357,8 +357,8 @@ class SlowRobot(IdealRobot):
         super().advance(np.clip(command, -0.4, 0.4))
 
 
-def test_wheels_at_the_end_of_their_speed(tmp_path):
-    """After a turn on the spot, and again in the curve that follows it once the limit was dropped."""
+def test_saturated_wheels_are_handled_equally(tmp_path):
+    """The wheels saturate after a turn on the spot, and again in the following curve after the limit was dropped."""
     path = tmp_path / "route.yaml"
     parts = (
         "{v: 0.0, omega: 1.0, duration: 1.2}",
@@ -372,7 +372,7 @@ def test_wheels_at_the_end_of_their_speed(tmp_path):
     assert sum(now and not before for before, now in pairwise(slowed)) > 1
 
 
-def test_starting_again_and_resetting():
+def test_restart_and_reset_agree():
     both, plant = pair("sm", horizon=10), make_plant("model:sm", seed=1)
     both.drive(plant, load_trajectory("circle"), 60)
     both.start(load_trajectory("s"), plant.time)
@@ -382,7 +382,7 @@ def test_starting_again_and_resetting():
     both.drive(plant, load_trajectory("square"), 40)
 
 
-# Faults of single measurements, four ticks each.
+# Single faulty measurements, four ticks each.
 
 SLIP = Slip(
     v_offset=0.03,
@@ -396,19 +396,19 @@ SLIP = Slip(
 
 
 def pose(change, **stated):
-    def spoilt(m, queue):
+    def corrupt(m, queue):
         value, time = change(m.pose.value, m.pose.time)
-        return changed(m, pose=Stamped(value, time, **stated))
+        return replace_parts(m, pose=Stamped(value, time, **stated))
 
-    return spoilt
+    return corrupt
 
 
 def wheels(value, **stated):
-    return lambda m, queue: changed(m, wheel_twist=Stamped(value, m.wheel_twist.time, **stated))
+    return lambda m, queue: replace_parts(m, wheel_twist=Stamped(value, m.wheel_twist.time, **stated))
 
 
 def late(ticks):
-    return lambda m, queue: changed(m, pose=queue[-1 - min(ticks, len(queue) - 1)])
+    return lambda m, queue: replace_parts(m, pose=queue[-1 - min(ticks, len(queue) - 1)])
 
 
 SPOILERS = {
@@ -445,12 +445,12 @@ SPOILERS = {
 
 
 class Estimating:
-    """Both controllers on a robot that applies, and reports, commands different from theirs."""
+    """Both controllers on a robot that applies, and reports, commands that differ from theirs."""
 
     def __init__(self, name="ssm", noise=1.0):
         model = load_model(name).with_extra_dead_time([0.01, 0.03])
         self.robot = IdealRobot(model.discretise(DT), np.array([1.0, 2.0, 3.0]), slip=SLIP, noise=noise, seed=3)
-        # So short that solving costs nothing, so lenient that it never brakes for long.
+        # So short that solving costs little, so lenient that it never brakes for long.
         config = load_config(name, ACTIVE_SET | {"horizon": 6, "reentry.enabled": False})
         self.both = Pair(config, model)
         self.both.start(load_trajectory("circle"), 0.0)
@@ -462,13 +462,13 @@ class Estimating:
         self.queue.append(m.pose)
         if not skip:
             m = SPOILERS[spoiler](m, self.queue)
-            self.both.step(robot.time, changed(m, sent=self.sent) if is_reported else m)
+            self.both.step(robot.time, replace_parts(m, sent=self.sent) if is_reported else m)
         self.sent = (0.5 + 0.2 * np.sin(k / 15), 0.8 * np.sin(k / 25))
         robot.advance(np.array(self.sent))
 
 
 @pytest.mark.parametrize("first", [0, 1, 2])
-def test_faults_of_single_measurements(first):
+def test_single_faulty_measurements_are_handled_equally(first):
     drive = Estimating(noise=0.5)
     for spoiler in sorted(SPOILERS)[first::3]:
         for k in range(14):
@@ -482,13 +482,13 @@ def test_faults_of_single_measurements(first):
     st.lists(st.tuples(st.sampled_from(sorted(SPOILERS)), st.integers(0, 9)), min_size=40, max_size=40),
     st.sampled_from(["ssm", "sm", "mbm"]),
 )
-def test_whatever_arrives(events, name):
+def test_any_sequence_of_measurements_is_handled_equally(events, name):
     drive = Estimating(name)
     for spoiler, choice in events:
         drive.tick(spoiler, skip=choice == 0, is_reported=choice != 1)
 
 
-def test_more_than_is_kept_for_one_sample_is_rejected_and_named():
+def test_measurements_beyond_the_capacity_of_a_sample_are_rejected_and_named():
     drive = Estimating()
     for _ in range(20):
         drive.tick("in time")

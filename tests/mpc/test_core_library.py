@@ -15,11 +15,11 @@ from diffdrive_mpc.models.compiled import cache, compiler
 from diffdrive_mpc.models.compiled import packaged as in_wheel
 from diffdrive_mpc.models.compiled.compiler import NotCompiledError
 from diffdrive_mpc.mpc.core import library, packaged, sources
-from imports import imported
+from imports import imports_of
 
 ROOT = Path(__file__).parents[2]
-# A core as small as can be.
-STAND_IN = {
+# A minimal core.
+SMALL_CORE = {
     "real.h": "#ifndef REAL_H\n#define REAL_H\n#include <math.h>\n"
     "typedef double real;\ntypedef double ddmpc_time;\n#define R(number) number\n#endif\n",
     "core.h": '#include "real.h"\ntypedef struct { real v, omega; } ddmpc_speed;\n'
@@ -35,24 +35,24 @@ def write(folder, texts):
         (folder / name).write_text(text)
 
 
-def forget():
+def clear_caches():
     for cached in (library.load_core, library.load_functions, compiler.find_compiler, cache._process_folder):
         cached.cache_clear()
 
 
 @pytest.fixture
 def core(tmp_path, monkeypatch):
-    """Folder of a small core's sources."""
+    """Folder with the sources of a minimal core."""
     folder = tmp_path / "core"
-    write(folder, STAND_IN)
+    write(folder, SMALL_CORE)
     monkeypatch.setattr(sources, "CORE", folder)
     monkeypatch.setattr(packaged, "CORE", folder)
-    # Without the generated formulas, which take longer to compile than all the rest.
+    # Exclude the generated formulas, which take most of the compile time.
     monkeypatch.setattr(library, "core_texts", sources.written_texts)
     monkeypatch.setattr(packaged, "core_texts", sources.written_texts)
-    forget()
+    clear_caches()
     yield folder
-    forget()
+    clear_caches()
 
 
 @pytest.fixture
@@ -68,21 +68,21 @@ def folder(core, tmp_path, monkeypatch):
 @pytest.fixture
 def no_compiler(folder, monkeypatch):
     monkeypatch.setattr(compiler, "_COMPILERS", ("no-such-compiler",))
-    forget()
+    clear_caches()
 
 
 @pytest.fixture
 def compilations(monkeypatch):
     """List with one entry per compilation."""
-    made = []
+    calls = []
     build = compiler.build_library
 
-    def counted(*arguments):
-        made.append(arguments)
+    def count_and_build(*arguments):
+        calls.append(arguments)
         return build(*arguments)
 
-    monkeypatch.setattr(library, "build_library", counted)
-    return made
+    monkeypatch.setattr(library, "build_library", count_and_build)
+    return calls
 
 
 def load_result():
@@ -92,35 +92,35 @@ def load_result():
     return lib.ddmpc_answer()
 
 
-def make():
-    """Compile the core into the cache without loading it, as another process would have."""
+def compile_into_cache():
+    """Compile the core into the cache without loading it, as if another process had done so."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(library.cffi.FFI, "dlopen", lambda self, name: None)
         library.load_core()
     library.load_core.cache_clear()
 
 
-def only(folder):
+def only_entry(folder):
     (path,) = folder.iterdir()
     return path
 
 
-def private(tmp_path):
+def private_folder(tmp_path):
     return tmp_path / "temporary" / f"diffdrive-mpc-{os.geteuid()}"
 
 
 def test_core_is_compiled_once_and_cached(folder, compilations):
     assert load_result() == 42
-    written = only(folder).stat().st_mtime_ns
+    written = only_entry(folder).stat().st_mtime_ns
     assert load_result() == 42
     assert len(compilations) == 1
-    assert only(folder).stat().st_mtime_ns == written
+    assert only_entry(folder).stat().st_mtime_ns == written
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
 
 
 def test_changed_sources_give_a_new_library(folder, core, compilations):
     load_result()
-    (core / "answer.c").write_text(STAND_IN["answer.c"].replace("42", "43"))
+    (core / "answer.c").write_text(SMALL_CORE["answer.c"].replace("42", "43"))
     assert load_result() == 43
     assert len(compilations) == 2
 
@@ -129,27 +129,27 @@ def test_changed_sources_give_a_new_library(folder, core, compilations):
 
 
 def test_digest_covers_every_module_of_the_formulas():
-    """If a module were left out, a change of it would still load the old library from the cache."""
+    """A change of an omitted module would still load the old library from the cache."""
     origins = set(sources._FORMULAS)
-    modules = {module for module, _ in imported(ROOT / "mpc" / "problem" / "formulas.py")}
+    modules = {module for module, _ in imports_of(ROOT / "mpc" / "problem" / "formulas.py")}
     ours = {module.removeprefix("diffdrive_mpc.") for module in modules if module.startswith("diffdrive_mpc.")}
     assert {f"{module.replace('.', '/')}.py" for module in ours} <= origins
     assert len(origins) == len(sources._FORMULAS)
 
 
-def empty(path):
+def write_empty(path):
     path.write_bytes(b"")
 
 
-def truncated(path):
+def truncate(path):
     path.write_bytes(path.read_bytes()[:4096])
 
 
-def no_library(path):
+def write_text(path):
     path.write_bytes(b"no library")
 
 
-def foreign(path):
+def write_foreign_library(path):
     """Put a valid library with different content at the path."""
     source = path.with_suffix(".c")
     source.write_text("int ddmpc_answer(void) { return 666; }")
@@ -157,19 +157,19 @@ def foreign(path):
     source.unlink()
 
 
-def one_bit(path):
+def flip_one_bit(path):
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1
     path.write_bytes(content)
 
 
-@pytest.mark.parametrize("damage", [empty, truncated, no_library, foreign, one_bit])
+@pytest.mark.parametrize("damage", [write_empty, truncate, write_text, write_foreign_library, flip_one_bit])
 def test_damaged_or_foreign_library_is_compiled_again(folder, compilations, damage):
-    make()
-    damage(only(folder))
+    compile_into_cache()
+    damage(only_entry(folder))
     assert load_result() == 42
     assert len(compilations) == 2
-    # What took its place is found again.
+    # The replacement is found in the cache.
     assert load_result() == 42
     assert len(compilations) == 2
 
@@ -193,37 +193,37 @@ def load_in_process(core, **more):
 def test_concurrent_compilations_do_not_collide(folder, core):
     running = [load_in_process(core) for _ in range(2)]
     assert [process.communicate()[0] for process in running] == ["42\n", "42\n"]
-    assert only(folder).suffix == ".so"
+    assert only_entry(folder).suffix == ".so"
 
 
 def test_library_that_fails_to_load_is_compiled_in_the_private_folder(folder, tmp_path, monkeypatch):
-    """The file system forbids execution."""
+    """The file system of the cache forbids execution."""
     ffi_class = library.cffi.FFI
     dlopen = ffi_class.dlopen
 
-    def refused(self, name, *flags):
+    def dlopen_outside_cache(self, name, *flags):
         if name.startswith(str(folder)):
             raise OSError("failed to map segment from shared object")
         return dlopen(self, name, *flags)
 
-    monkeypatch.setattr(ffi_class, "dlopen", refused)
+    monkeypatch.setattr(ffi_class, "dlopen", dlopen_outside_cache)
     assert load_result() == 42
-    assert only(private(tmp_path)).suffix == ".so"
+    assert only_entry(private_folder(tmp_path)).suffix == ".so"
 
 
 # Folders that must not be used.
 
 
 def test_folder_writable_by_others_is_not_used(folder, tmp_path, caplog):
-    make()
-    planted = only(folder)
-    foreign(planted)
+    compile_into_cache()
+    planted = only_entry(folder)
+    write_foreign_library(planted)
     planted.rename(planted.with_name(f"{planted.stem.rpartition('-')[0]}-{cache.content_digest(planted)}.so"))
     folder.chmod(0o777)
     assert load_result() == 42
     assert f"other users can write to {folder}" in caplog.text
     assert cache.CACHE_VARIABLE in caplog.text
-    assert stat.S_IMODE(private(tmp_path).stat().st_mode) == 0o700
+    assert stat.S_IMODE(private_folder(tmp_path).stat().st_mode) == 0o700
 
 
 def give_to_somebody_else(path, monkeypatch):
@@ -247,7 +247,7 @@ def test_prepared_temporary_folder_of_another_user_is_not_used(folder, tmp_path,
     """Another user has created the path of the private folder."""
     folder.mkdir()
     folder.chmod(0o777)
-    prepared = private(tmp_path)
+    prepared = private_folder(tmp_path)
     if trap == "open":
         prepared.mkdir()
         prepared.chmod(0o777)
@@ -266,22 +266,22 @@ def test_prepared_temporary_folder_of_another_user_is_not_used(folder, tmp_path,
 
 
 def test_missing_compiler_error_names_the_wheel(no_compiler):
-    with pytest.raises(NotCompiledError) as refused:
+    with pytest.raises(NotCompiledError) as dlopen_outside_cache:
         library.load_core()
-    message = str(refused.value)
+    message = str(dlopen_outside_cache.value)
     assert "no C compiler (no-such-compiler) was found" in message
     assert "install gcc, or diffdrive-mpc from a wheel (pip install diffdrive_mpc-*.whl)" in message
     assert "\n" not in message
 
 
-# The package's own library.
+# The library in the package.
 
 
 @pytest.fixture
 def wheel_core(core, folder):
-    """The small core as installed from a wheel."""
+    """The minimal core as installed from a wheel."""
     packaged.write_packaged(core)
-    forget()
+    clear_caches()
     return core
 
 
@@ -290,7 +290,7 @@ def test_packaged_library_needs_no_compiler_and_no_cache(wheel_core, no_compiler
     assert not folder.exists()
 
 
-@pytest.mark.parametrize("damage", [empty, truncated, no_library, foreign, one_bit])
+@pytest.mark.parametrize("damage", [write_empty, truncate, write_text, write_foreign_library, flip_one_bit])
 def test_damaged_packaged_library_is_not_loaded(wheel_core, folder, caplog, compilations, damage):
     for path in wheel_core.glob("*.so"):
         damage(path)
@@ -301,7 +301,7 @@ def test_damaged_packaged_library_is_not_loaded(wheel_core, folder, caplog, comp
 
 def test_damaged_packaged_library_without_compiler_raises_error(wheel_core, no_compiler):
     for path in wheel_core.glob("*.so"):
-        one_bit(path)
+        flip_one_bit(path)
     with pytest.raises(NotCompiledError, match="from a wheel"):
         library.load_core()
 
@@ -357,7 +357,7 @@ def wheel(tmp_path_factory):
         shutil.copytree(ROOT / name, tree / name, symlinks=True, ignore=skipped)
     for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, tree)
-    # What the wheel holds does not depend on the optimisation, which takes most of the time.
+    # The content of the wheel does not depend on the optimisation, which takes most of the time.
     (folder / "bin").mkdir()
     (folder / "bin" / "cc").write_text(f'#!/bin/sh\nexec {shutil.which("gcc")} "$@" -O0\n')
     (folder / "bin" / "cc").chmod(0o755)

@@ -11,10 +11,10 @@ from diffdrive_mpc import Measurement, Stamped, load_trajectory
 STEPS = 8
 
 
-def kept_to_radius(wanted, last, step, most, radius):
-    """Return the command (2,) nearest to `wanted` within range and slew, its turn reduced as far as slew allows.
+def limit_to_radius(wanted, last, step, max_command, radius):
+    """Return the command (2,) nearest to `wanted` within range and slew, with the turn reduced as far as slew permits.
 
-    Of each channel `step` (2, 2) holds how much its size grows and falls, and `most` (2, 2) the largest on either side.
+    `step` (2, 2) holds the largest growth and fall per channel, and `most` (2, 2) the largest command on either side.
     """
     ends = []
     for before, (grows, falls) in zip(last, step, strict=True):
@@ -22,7 +22,7 @@ def kept_to_radius(wanted, last, step, most, radius):
         smallest = size - falls if size > falls else -grows * (1 - size / falls)
         ends.append(sorted([math.copysign(1, before) * smallest, math.copysign(1, before) * (size + grows)]))
     low, high = np.transpose(ends)
-    upper, lower = np.clip(most[:, 0], low, None), np.clip(-most[:, 1], None, high)
+    upper, lower = np.clip(max_command[:, 0], low, None), np.clip(-max_command[:, 1], None, high)
     v, omega = np.clip(wanted, np.maximum(low, lower), np.minimum(high, upper))
     if radius * abs(omega) <= abs(v):
         return np.array([v, omega]), 0.0
@@ -31,24 +31,24 @@ def kept_to_radius(wanted, last, step, most, radius):
     if abs(nearest - np.clip(nearest, low[1], high[1])) < 1e-15:
         return np.array([v, nearest]), abs(omega - nearest)
     turn = last[1] - np.sign(last[1]) * step[1, 1]
-    # Not even the quickest way out of the turn is enough: the speed is kept up, but not raised.
+    # Even the fastest decrease of the turn is too slow: the speed is kept, but not raised.
     speed = min(radius * abs(turn), abs(last[0]), -lower[0] if last[0] < 0 else upper[0])
     backs_off = speed > abs(v) or (v < 0) != (last[0] < 0)
     return np.array([np.copysign(speed, last[0]) if backs_off else v, turn]), abs(omega - turn)
 
 
-def test_a_command_of_the_ladder_keeps_range_slew_and_radius_and_says_so():
-    """The next command of a drawn plan, from drawn last commands."""
+def test_reused_command_respects_range_slew_and_radius_and_reports_a_reduced_turn():
+    """The next command of a random plan, from random last commands."""
     inner = InnerController(horizon=STEPS, **{"limits.min_commanded_radius": 1.0})
     c, k, draw, reported = inner.c, inner.k, np.random.default_rng(0), 0
     for _ in range(400):
         radius, step = draw.uniform(0.2, 2.0), draw.uniform([[0.005], [0.01]], [[0.2], [0.4]], (2, 2))
         last, plan = draw.uniform([-1, -2], [1, 2]), draw.uniform([-1.2, -2.4], [1.2, 2.4], (STEPS, 2))
-        most = draw.uniform([[0.3], [0.5]], [[1.5], [2.5]], (2, 2))
-        command, taken = kept_to_radius(plan[3], last, step, most, radius)
-        k.slew, k.largest_command = step.ravel().tolist(), most.ravel().tolist()
+        max_command = draw.uniform([[0.3], [0.5]], [[1.5], [2.5]], (2, 2))
+        command, taken = limit_to_radius(plan[3], last, step, max_command, radius)
+        k.slew, k.largest_command = step.ravel().tolist(), max_command.ravel().tolist()
         k.min_commanded_radius, c.last = radius, last.tolist()
-        # On either side of what is taken back.
+        # Test both sides of the threshold for reporting.
         side = draw.choice([0.999, 1.001])
         k.turn_held_from, k.max_reused_ticks = [taken * side, 1e3], 3
         c.plan_age, c.result.reasons = 2, 0
@@ -63,13 +63,13 @@ def test_a_command_of_the_ladder_keeps_range_slew_and_radius_and_says_so():
 
 
 def direction(v, sample, end):
-    """Return 1 or -1: the direction at a sample, as the reference moves next up to `end`, else as it moved last."""
+    """Return the direction (1 or -1) of the next motion of the reference up to `end`, else of its last motion."""
     moving = [x for x in [*v[sample : end + 1], *v[: sample + 1][::-1], v[0]] if abs(x) > 1.0]
     return -1.0 if (moving[0] if moving else v[0]) < 0 else 1.0
 
 
-def test_turns_are_limited_in_the_direction_in_which_the_reference_moves():
-    """It goes to and fro, and rests for samples in a row, also at the ends: rows by the speed have that sign."""
+def test_turn_limits_have_the_sign_of_the_reference_direction():
+    """The reference moves to and fro and rests, also at the ends: rows by the speed have the sign of its motion."""
     inner = InnerController(horizon=STEPS, **{"limits.min_turn_radius": 0.5, "limits.min_commanded_radius": 0.5})
     controller, c, draw = inner.controller, inner.c, np.random.default_rng(0)
     controller.start(load_trajectory("circle"), 0.0)
@@ -82,14 +82,15 @@ def test_turns_are_limited_in_the_direction_in_which_the_reference_moves():
         c.reference_twist[0 : 2 * samples] = np.column_stack([speeds, 0 * speeds]).ravel().tolist()
         inner.lib.ddmpc_problem_limit(c)
         gradients = np.reshape(list(c.problem.soft_gradient[0 : 7 * c.sizes.soft * STEPS]), (-1, STEPS, 7))
-        # By pose (3), speed and yaw rate of the model, and command (2): the first two turns are the body's.
+        # Columns: pose (3), speed and yaw rate of the model, command (2); the first two turn limits are those of the
+        # body.
         for kinds, after, end, place in ((slice(5, 7), 1, STEPS, 3), (slice(7, 9), lag, samples - 1, 5)):
             wanted = [-direction(speeds, i + after, end) for i in range(STEPS)]
             assert np.sign(gradients[kinds, :, place]).tolist() == [wanted, wanted], (speeds, kinds)
 
 
 @pytest.mark.parametrize(("t0", "duration"), [(math.nan, 5.0), (math.inf, 5.0), (0.0, math.nan), (0.0, -math.inf)])
-def test_a_reference_that_is_refused_changes_nothing(t0, duration):
+def test_refused_reference_changes_no_state(t0, duration):
     """The previous reference remains active after a failed start or switch."""
     inner = InnerController(horizon=STEPS)
     inner.controller.start(load_trajectory("circle"), 1.0)

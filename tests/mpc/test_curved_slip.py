@@ -29,7 +29,7 @@ from diffdrive_mpc.mpc.trajectories.segments import lay_segments
 from diffdrive_mpc.sim.plants.surface import load_surface
 
 DT = load_config("ssm").sample_time
-# What a floor might do.
+# Plausible coefficients of a surface.
 CURVES = {"crab": 0.0, "veer": 0.1, "forward_coupling": -0.1, "yaw_coupling": 0.3, "track_growth": 0.2}
 PLAIN = {
     "weights.v_increment": 20.0,
@@ -46,8 +46,8 @@ def in_config(values):
     return {f"estimator.{name}": value for name, value in values.items()}
 
 
-def bent_model(curves):
-    """Return the linear model whose output is the twist of the body, as a function."""
+def curved_model(curves):
+    """Return the nonlinear model whose output is the twist of the slipping body."""
     model = load_model("ssm").discretise(DT)
     x, window = ca.SX.sym("x", model.order), ca.SX.sym("window", 4)
     slip = Slip(**curves)
@@ -63,7 +63,7 @@ def bent_model(curves):
 
 
 def drive(controller, ticks, name="s"):
-    """Return commands and plans on a robot without slip; poses alone are measured, so both estimates are equal."""
+    """Return commands and plans on a robot without slip; only poses are measured, so that both estimates are equal."""
     robot = IdealRobot(load_model("ssm").discretise(DT), np.array([0.02, -0.03, 0.05]))
     controller.start(load_trajectory(name), 0.0)
     commands, plans = [], []
@@ -75,10 +75,10 @@ def drive(controller, ticks, name="s"):
     return np.array(commands), np.array(plans)
 
 
-def test_curved_slip_is_predicted_as_a_nonlinear_model_that_says_the_same():
+def test_curved_slip_is_predicted_like_an_equivalent_nonlinear_model():
     fixed = {f"{name}_uncertainty": 1e-9 for name in CURVES}
     curved = Controller(load_config("ssm", PLAIN | in_config(CURVES | fixed)))
-    bent = Controller(load_config("ssm", PLAIN), model=bent_model(CURVES))
+    bent = Controller(load_config("ssm", PLAIN), model=curved_model(CURVES))
     first, second = drive(curved, 40), drive(bent, 40)
     assert first[0] == pytest.approx(second[0], abs=2e-5)
     assert first[1] == pytest.approx(second[1], abs=2e-5)
@@ -87,7 +87,7 @@ def test_curved_slip_is_predicted_as_a_nonlinear_model_that_says_the_same():
 
 
 @pytest.mark.parametrize("name", CURVED_SLIPS)
-def test_every_setting_reaches_the_estimate_in_its_own_place(name):
+def test_every_setting_reaches_its_entry_of_the_estimate(name):
     settings = in_config({name: 0.011, f"{name}_uncertainty": 0.02})
     controller = Controller(load_config("ssm", PLAIN | settings))
     controller.start(load_trajectory("s"), 0.0)
@@ -97,8 +97,8 @@ def test_every_setting_reaches_the_estimate_in_its_own_place(name):
     assert getattr(slip.slip_deviation, name) == pytest.approx(0.02)
 
 
-def learned(surface, seed):
-    """Estimate after the diagnostic drive of 90 s, without prior knowledge of the surface."""
+def estimate_after_excitation(surface, seed):
+    """Return the estimate after the diagnostic drive of 90 s, without prior knowledge of the surface."""
     still = {"longitudinal_gain": 2e-4, "turn_ahead": 1e-3, "turn_left": 1e-3, "side_slip": 2e-3, "yaw_gain": 1.5e-3}
     settings = in_config(
         {f"{name}_drift": drift for name, drift in (still | {"load_shift": 3e-4, "v_offset": 3e-3}).items()}
@@ -116,16 +116,16 @@ def learned(surface, seed):
 
 
 @pytest.mark.parametrize("surface", ["p4_asphalt", "p4_concrete"])
-def test_the_terms_of_a_floor_are_learned_from_the_diagnostic_drive(surface):
-    """From zero in 90 s: within 20 % of the published coefficients, or within what so small a term is worth."""
+def test_terms_of_a_surface_are_learned_from_the_diagnostic_drive(surface):
+    """Within 90 s from zero: within 20 % of the published coefficients, or within `worth` for small terms."""
     truth = dict(zip(POLYNOMIAL, load_surface(surface).slip.polynomial.coefficients, strict=True))
-    learned_values = dict(zip(POLYNOMIAL, learned(surface, 3).slip.polynomial, strict=True))
-    worth = {"a11": 0.001, "a12": 0.001, "a21": 0.001, "a23": 0.003, "a31": 0.0015}
+    learned_values = dict(zip(POLYNOMIAL, estimate_after_excitation(surface, 3).slip.polynomial, strict=True))
+    tolerance = {"a11": 0.001, "a12": 0.001, "a21": 0.001, "a23": 0.003, "a31": 0.0015}
     for name, value in truth.items():
-        assert learned_values[name] == pytest.approx(value, rel=0.2, abs=worth.get(name, 0.0)), name
+        assert learned_values[name] == pytest.approx(value, rel=0.2, abs=tolerance.get(name, 0.0)), name
 
 
-def test_terms_that_a_drive_does_not_tell_stay_where_they_were():
+def test_unobservable_terms_keep_their_prior():
     """On one circle at one speed, only the sum of yaw gain, veer and coupling is observable."""
     settings = in_config({"veer_uncertainty": 0.02, "yaw_coupling_uncertainty": 0.1})
     controller, plant = Controller(load_config("ssm", settings)), make_plant("model:ssm", "p4_asphalt", seed=3)
@@ -145,7 +145,7 @@ SSM = load_model("ssm")
 
 
 @given(st.tuples(st.floats(0, 0.1), st.floats(0, 0.1)), st.integers(1, 25), st.integers(0, 1000))
-def test_matches_simulation(dead_time, horizon, seed):
+def test_prediction_matches_simulation(dead_time, horizon, seed):
     model = SSM.with_extra_dead_time(dead_time).discretise(0.0202)
     prediction = build_prediction(model, horizon)
     rng = np.random.default_rng(seed)
@@ -166,7 +166,7 @@ def test_heading_is_the_sum_of_mean_rates():
     assert prediction.heading_from_plan @ plan == pytest.approx(trapezoid, abs=1e-12)
 
 
-def test_nothing_acts_before_its_dead_time():
+def test_commands_have_no_effect_before_their_dead_time():
     model = SSM.with_extra_dead_time([0.0606, 0.0202]).discretise(0.0202)
     plan = build_prediction(model, 8).from_plan.reshape(9, 2, 8, 2)
     for k in range(9):

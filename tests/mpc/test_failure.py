@@ -1,4 +1,4 @@
-"""Failures of measurements, clock and solver: the ladder down to zero, and back."""
+"""Failures of measurements, clock and solver: the sequence of modes down to standstill, and recovery."""
 
 import math
 from dataclasses import replace
@@ -122,7 +122,7 @@ def test_speed_falls_with_position_uncertainty_before_braking():
 
 @pytest.mark.parametrize(("wheels", "band"), [(False, 0.08), (True, 0.015)])
 def test_dead_reckoning_ends_without_wheels_or_beyond_the_band(wheels, band):
-    """Dead reckoning is unreliable here: the usual age limit of poses applies."""
+    """Dead reckoning is unreliable in these cases: the usual age limit of poses applies."""
     patient = controller(**{"failure.dead_reckoning": 2.0, "reentry.band": band})
     results, _, _ = drive(patient, robot(), REFERENCE, 4.0, change=without_poses(100, wheels=wheels))
     assert Mode.BRAKING in modes(results)
@@ -131,7 +131,7 @@ def test_dead_reckoning_ends_without_wheels_or_beyond_the_band(wheels, band):
 
 
 def rare_poses(interval, latency, until=math.inf):
-    """Return a change for `drive`: up to `until` [s] one pose each `interval`, each `latency` late [samples]."""
+    """Return a change for `drive`: up to `until` [s], one pose per `interval`, `latency` late [samples]."""
     waiting = []
 
     def change(k, m):
@@ -146,16 +146,16 @@ def rare_poses(interval, latency, until=math.inf):
 
 
 @pytest.mark.parametrize(
-    ("interval", "latency", "largest", "most"),
+    ("interval", "latency", "max_pose_age", "stops"),
     [(26, 5, 0.5, 1), (10, 18, 0.5, 1), (26, 5, 0.65, 0), (10, 18, 0.65, 0), (60, 0, 0.5, 1)],
 )
-def test_too_rare_poses_stop_the_robot_once_with_the_remedy(interval, latency, largest, most):
-    """It brakes `most` times, then stops; the setting named in its message lets it drive."""
-    tracker = controller(**{"failure.max_pose_age": largest, "failure.dead_reckoning": 0.0})
+def test_too_rare_poses_stop_the_robot_once_with_the_remedy(interval, latency, max_pose_age, stops):
+    """The robot brakes `stops` times, then stops; the setting named in its message lets it drive."""
+    tracker = controller(**{"failure.max_pose_age": max_pose_age, "failure.dead_reckoning": 0.0})
     results, _, _ = drive(tracker, robot(), REFERENCE, 6.0, change=rare_poses(interval, latency))
     order = modes(results)
-    assert order.count(Mode.BRAKING) == most
-    if most:
+    assert order.count(Mode.BRAKING) == stops
+    if stops:
         assert order[-1] is Mode.STOPPED
         message = results[-1].message
         assert f"poses come every {interval * DT:.2f} s and {latency * DT:.2f} s late" in message
@@ -248,11 +248,11 @@ def test_robot_waits_after_a_leap_of_the_clock_and_continues_from_rest_on_resume
 
 @pytest.mark.parametrize("wrong", [[0.8, 0.0, 0.0], [0.0, 0.0, 3.0]])
 def test_wrong_first_pose_is_detected_before_the_robot_moves_far(wrong):
-    def spoil(k, m):
+    def corrupt(k, m):
         return with_pose(m, np.asarray(m.pose.value) + wrong) if k == 0 else m
 
-    results, poses, times = drive(controller(), robot(), REFERENCE, 6.0, change=spoil)
-    # Two agreeing poses more, then it brakes: nothing faster than three ticks of slew.
+    results, poses, times = drive(controller(), robot(), REFERENCE, 6.0, change=corrupt)
+    # Two more poses that agree, then it brakes: no command exceeds three ticks of slew.
     assert modes(results[:8]) == [Mode.TRACKING, Mode.BRAKING, Mode.STOPPED, Mode.TRACKING]
     assert np.abs([r.command[0] for r in results[:6]]).max() <= 3 * SLEW[0] + 1e-9
     assert results[-1].mode is Mode.TRACKING
@@ -269,14 +269,14 @@ def test_applied_command_beyond_limits_does_not_widen_them():
 
 
 def test_plan_is_not_reused_beyond_its_horizon():
-    reference = SpoiltReference(REFERENCE)
+    reference = CorruptedReference(REFERENCE)
 
-    def spoil(k, m):
-        reference.spoilt = k >= 60
+    def corrupt(k, m):
+        reference.is_corrupted = k >= 60
         return m
 
     results, _, _ = drive(
-        controller(horizon=3, **{"failure.max_reused_ticks": 50}), robot(), reference, 1.6, change=spoil
+        controller(horizon=3, **{"failure.max_reused_ticks": 50}), robot(), reference, 1.6, change=corrupt
     )
     assert sum(r.mode is Mode.REUSED_PLAN for r in results) == 2
 
@@ -315,11 +315,11 @@ def test_plan_that_is_not_finite_is_not_driven(monkeypatch, backend):
 
 @every_backend
 def test_failed_warm_start_is_discarded(monkeypatch, backend):
-    """After a failure the solver starts cold: the next solves succeed, whatever the state after the failed one."""
+    """After a failure the solver starts cold: the next solves succeed, whatever state the failed one left."""
     solver = FailingSolver(monkeypatch, garbage=1e12)
     results, _, _ = drive(controller(**BACKENDS[backend]), robot(), REFERENCE, 2.0, change=solver.during({50}))
     assert [r.solver.status.usable for r in results].count(False) == 1
-    assert solver.solves >= len(results) - 5, "the backend must have been asked all the time"
+    assert solver.solves >= len(results) - 5, "the backend must be called at nearly every tick"
 
 
 TEN_ITERATIONS = {
@@ -338,13 +338,13 @@ def test_plan_stopped_at_the_iteration_limit_is_not_driven(backend):
 
 
 def test_problem_that_is_not_finite_is_reported_and_not_solved():
-    reference = SpoiltReference(REFERENCE)
+    reference = CorruptedReference(REFERENCE)
 
-    def spoil(k, m):
-        reference.spoilt = 60 <= k < 63
+    def corrupt(k, m):
+        reference.is_corrupted = 60 <= k < 63
         return m
 
-    results, _, _ = drive(controller(), robot(), reference, 2.0, change=spoil)
+    results, _, _ = drive(controller(), robot(), reference, 2.0, change=corrupt)
     assert modes(results) == [Mode.TRACKING, Mode.REUSED_PLAN, Mode.TRACKING]
     assert {r.solver.status for r in results[60:63]} == {SolverStatus.NOT_FINITE}
     assert not SolverStatus.NOT_FINITE.usable
@@ -368,7 +368,7 @@ def test_braking_keeps_its_limits_for_any_slew(slew):
     commands = np.array([r.command for r in results])
     speed = np.abs(commands[braking[0] - 1])
     assert speed.min() > 0.4
-    # Constant rates until each channel is at rest; nothing else takes part.
+    # Constant rates until each channel is at rest, without any other influence.
     for channel, rate in enumerate((0.7, 1.1)):
         expected = np.maximum(speed[channel] - rate * DT * np.arange(1, len(braking) + 2), 0.0)
         assert np.abs(commands[braking[0] : braking[-1] + 2, channel]) == pytest.approx(expected, abs=1e-12)
@@ -381,7 +381,7 @@ def test_hold_and_finish_decelerate_at_the_braking_limits():
     assert modes(held) == [Mode.BRAKING]
     assert slews(held) == pytest.approx(np.tile([0.7, 1.1], (2, 1)) * DT, abs=1e-12)
     cane = load_trajectory("cane")
-    # So wide a finish that it is reached in full motion.
+    # A finish tolerance so wide that it is reached in full motion.
     far = controller(**BRAKE | {"finish.position": 5.0, "finish.speed": 5.0, "weights.v": 2000.0})
     results, _, _ = drive(far, IdealRobot(load_model("ssm").discretise(DT), np.zeros(3)), cane, cane.duration + 1.0)
     finished = [r.mode for r in results].index(Mode.FINISHED)

@@ -1,4 +1,4 @@
-"""Feasibility of a reference before driving: which limit, where, and which timing would do."""
+"""Feasibility of a reference before driving: the violated limit, its place, and a feasible duration."""
 
 import time
 
@@ -16,7 +16,7 @@ FAST = TrajectoryLimits(v=2.0, omega=3.0, v_acceleration=1.0, omega_acceleration
 
 
 class Stretched:
-    """`reference` in `duration` seconds."""
+    """`reference` stretched to `duration` seconds."""
 
     def __init__(self, reference, duration):
         self.reference, self.name, self.duration = reference, reference.name, duration
@@ -39,7 +39,7 @@ class Later:
 
 
 def drive(segments, **limits):
-    """Return the reference of `segments`, and what a robot with these limits lacks for it."""
+    """Return controller, reference of `segments`, and the shortfall of a robot with these limits."""
     controller = Controller(
         replace_values(load_config("ssm"), {f"limits.{key}": value for key, value in limits.items()})
     )
@@ -58,28 +58,28 @@ def drive(segments, **limits):
         ([(0.5, 0.0, 2.0), (1.0, 1.0, 4.0)], {"wheel_speed": 0.9}, "limits.wheel_speed", 1.2),
     ],
 )
-def test_limit_is_named_with_side_size_and_place(segments, limits, key, needed):
-    _, reference, lack = drive(segments, **limits)
-    assert lack.key == key and lack.needed == pytest.approx(needed, rel=0.1)
+def test_limit_is_named_with_side_value_and_place(segments, limits, key, needed):
+    _, reference, shortfall = drive(segments, **limits)
+    assert shortfall.key == key and shortfall.needed == pytest.approx(needed, rel=0.1)
     first = next(i for i, segment in enumerate(segments) if "brake" in key or i == len(segments) - 1)
-    assert lack.time > (reference.breaks[first] if hasattr(reference, "breaks") else 0.0) - 0.5
-    assert reference.sample([lack.time]).arc_length[0] == pytest.approx(lack.arc_length)
-    assert f"infeasible from {lack.time:.2f} s" in str(lack) and f"{key} = " in str(lack)
-    assert lack.behind > 0.04
+    assert shortfall.time > (reference.breaks[first] if hasattr(reference, "breaks") else 0.0) - 0.5
+    assert reference.sample([shortfall.time]).arc_length[0] == pytest.approx(shortfall.arc_length)
+    assert f"infeasible from {shortfall.time:.2f} s" in str(shortfall) and f"{key} = " in str(shortfall)
+    assert shortfall.behind > 0.04
 
 
-def test_named_timing_is_feasible_and_a_shorter_one_is_not():
-    controller, reference, lack = drive([(1.2, 0.9, 4.0)], omega=0.6, v_slew=0.7)
-    assert controller.find_shortfall(Stretched(reference, lack.drivable)) is None
-    assert controller.find_shortfall(Stretched(reference, 0.9 * lack.drivable)) is not None
-    # The deficit that is tolerated lets it be a little quicker than the limit says.
-    assert lack.drivable == pytest.approx(reference.duration * 0.9 / 0.6, rel=0.15)
+def test_named_duration_is_feasible_and_a_shorter_one_is_not():
+    controller, reference, shortfall = drive([(1.2, 0.9, 4.0)], omega=0.6, v_slew=0.7)
+    assert controller.find_shortfall(Stretched(reference, shortfall.drivable)) is None
+    assert controller.find_shortfall(Stretched(reference, 0.9 * shortfall.drivable)) is not None
+    # The tolerated deficit permits a duration slightly below that of the limit.
+    assert shortfall.drivable == pytest.approx(reference.duration * 0.9 / 0.6, rel=0.15)
 
 
 def test_distance_behind_a_brake_limit_follows_from_both_decelerations():
     # From 1 m/s at 1 m/s^2; at 0.25 m/s^2 the robot stops 1/2/0.25 - 1/2/1 = 1.5 m later.
-    _, reference, lack = drive([(1.0, 0.0, 4.0)], v_slew={"accelerate": 4.0, "brake": 0.25})
-    assert lack.behind == pytest.approx(1.5, rel=0.05) and lack.time > reference.duration - 2.0
+    _, reference, shortfall = drive([(1.0, 0.0, 4.0)], v_slew={"accelerate": 4.0, "brake": 0.25})
+    assert shortfall.behind == pytest.approx(1.5, rel=0.05) and shortfall.time > reference.duration - 2.0
 
 
 def test_shipped_paths_are_feasible_for_the_shipped_models():
@@ -101,13 +101,13 @@ def test_start_at_speed_is_reported():
     assert find_shortfall(Trajectory.from_waypoints([(0, 0), (1, 0)]), config, model) is None
 
 
-def test_a_minute_is_checked_within_a_tick_or_two():
+def test_reference_of_a_minute_is_checked_within_two_ticks():
     config = replace_values(load_config("ssm"), {"limits.omega": 0.5, "sample_time": 0.05, "horizon": 15})
     model = Controller(config).model
     path = lay_segments([Segment(v=0.5, omega=side, duration=10.0) for side in 3 * (0.7, -0.7)], FAST, name="minute")
-    took = []
+    durations = []
     for _ in range(3):
-        began = time.process_time()
+        start = time.process_time()
         assert find_shortfall(path, config, model) is not None
-        took.append(time.process_time() - began)
-    assert min(took) < 0.05
+        durations.append(time.process_time() - start)
+    assert min(durations) < 0.05

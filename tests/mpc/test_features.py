@@ -1,4 +1,4 @@
-"""Features attach to a controller through entry points, with a configuration group of their own."""
+"""Features attach to a controller through entry points, each with its configuration group."""
 
 import pickle
 from dataclasses import replace
@@ -95,7 +95,7 @@ def test_relative_path_of_a_feature_is_resolved_in_the_folder_of_the_file(tmp_pa
         ({"rehearsal.enabled": True}, "feature 'rehearsal' is in the package diffdrive-mpc-extras: pip install"),
     ],
 )
-def test_mistake_in_a_feature_is_one_line_with_place_and_remedy(overrides, message):
+def test_mistake_in_a_feature_gives_one_line_with_place_and_remedy(overrides, message):
     with pytest.raises(ConfigError, match=message) as error:
         load_config("sm", overrides)
     assert "\n" not in str(error.value)
@@ -147,7 +147,7 @@ class Entry:
 
 
 def register(monkeypatch, **features):
-    """Let `features` be the features of installed packages."""
+    """Make `features` the features of installed packages."""
     groups = {"features": {name: Entry(part) for name, part in sorted(features.items())}}
     monkeypatch.setattr(plug_ins, "_entries", lambda group: groups.get(group, {}))
     plug_ins.plug_in.cache_clear()

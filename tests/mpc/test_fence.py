@@ -16,7 +16,7 @@ SIZE = np.array([2.4, 1.6])
 FENCE = {"fence.enabled": True, "fence.length": SIZE[0], "fence.width": SIZE[1], "fence.margin": 0.1}
 
 
-def way_out(v=0.6, omega=0.2, heading=0.0):
+def leaving_path(v=0.6, omega=0.2, heading=0.0):
     segments = [Segment(v=v, omega=omega, duration=8.0)]
     return lay_commanded(segments, TrajectoryLimits.of_robot(), name="out", start=(0.0, 0.0, heading))
 
@@ -30,8 +30,8 @@ def outside(poses, middle=(0.0, 0.0, 0.0), size=SIZE):
 
 @pytest.mark.parametrize("yaw_gain", [0.5, 1.0, 1.5])
 @pytest.mark.parametrize(("v", "omega", "heading"), [(0.6, 0.2, 0.3), (0.9, -0.5, 1.9), (-0.5, 0.4, -0.8)])
-def test_it_rests_inside_though_it_turns_otherwise_than_the_model_says(v, omega, heading, yaw_gain):
-    model, reference = load_model("ssm"), way_out(v, omega, heading)
+def test_robot_stops_inside_the_fence_with_a_wrong_yaw_gain(v, omega, heading, yaw_gain):
+    model, reference = load_model("ssm"), leaving_path(v, omega, heading)
     robot = IdealRobot(model.discretise(DT), reference.sample([0.0]).pose[0], slip=Slip(yaw_gain=yaw_gain), noise=1.0)
     controller = Controller(load_config("ssm", {**FENCE, "fence.frame": "poses"}), model)
     controller.start(reference, 0.0)
@@ -41,7 +41,7 @@ def test_it_rests_inside_though_it_turns_otherwise_than_the_model_says(v, omega,
         poses.append(robot.pose)
         robot.advance(steps[-1].command)
     out = outside(np.array(poses))
-    # Inside, and not far from where the margin begins: it does not brake for nothing.
+    # Inside, and near the start of the margin: it does not brake too early.
     assert -0.16 < out.max() < 0.0
     modes = [step.mode for step in steps]
     assert modes[0] == Mode.TRACKING
@@ -50,9 +50,9 @@ def test_it_rests_inside_though_it_turns_otherwise_than_the_model_says(v, omega,
 
 
 @pytest.mark.parametrize("late", [0.0, 0.08])
-def test_with_dead_time_that_nobody_told_it_passes_the_margin_by_that_way_at_most(late):
+def test_unknown_dead_time_exceeds_the_margin_by_its_distance_at_most(late):
     controller = Controller(load_config("ssm", FENCE))
-    run = simulate(controller, make_plant("model:ssm", seed=1, extra_dead_time=late), way_out(0.9, 0.0))
+    run = simulate(controller, make_plant("model:ssm", seed=1, extra_dead_time=late), leaving_path(0.9, 0.0))
     assert outside(run.true_pose).max() <= 0.9 * late + 0.005 - 0.1
     assert run.modes[-1] == "STOPPED"
     braking = np.array(run.modes) == "BRAKING"
@@ -60,13 +60,13 @@ def test_with_dead_time_that_nobody_told_it_passes_the_margin_by_that_way_at_mos
     assert slowing.max() <= controller.config.limits.v_braking * DT + 1e-9
 
 
-def test_the_physics_stays_inside():
-    run = simulate(Controller(load_config("ssm", FENCE)), make_plant("mujoco", seed=3), way_out(0.8, 0.5))
+def test_mujoco_robot_stops_inside_the_fence():
+    run = simulate(Controller(load_config("ssm", FENCE)), make_plant("mujoco", seed=3), leaving_path(0.8, 0.5))
     assert outside(run.true_pose).max() < -0.05
     assert run.modes[-1] == "STOPPED"
 
 
-def test_it_stands_until_it_is_started_and_then_drives_in_but_not_out():
+def test_robot_waits_at_the_fence_for_a_start_and_then_drives_only_inwards():
     model = load_model("ssm")
     robot = IdealRobot(model.discretise(DT), np.zeros(3), noise=1.0)
     controller = Controller(load_config("ssm", {**FENCE, "fence.frame": "poses"}), model)
@@ -80,25 +80,25 @@ def test_it_stands_until_it_is_started_and_then_drives_in_but_not_out():
             robot.advance(steps[-1].command)
         return steps
 
-    assert drive(way_out(), 300)[-1].mode == Mode.STOPPED
+    assert drive(leaving_path(), 300)[-1].mode == Mode.STOPPED
     stood = robot.pose.copy()
     assert {step.mode for step in drive(None, 50)} == {Mode.STOPPED}
-    on = drive(starting_at(way_out(), robot.pose), 60)
-    assert on[-1].mode == Mode.STOPPED
+    outwards = drive(starting_at(leaving_path(), robot.pose), 60)
+    assert outwards[-1].mode == Mode.STOPPED
     assert np.hypot(*(robot.pose - stood)[:2]) < 0.04
-    back = drive(starting_at(way_out(v=-0.4, omega=0.0), robot.pose), 150)
+    back = drive(starting_at(leaving_path(v=-0.4, omega=0.0), robot.pose), 150)
     assert {step.mode for step in back} == {Mode.TRACKING}
     assert outside(np.array([robot.pose]))[0] < -0.5
-    # What it has left behind counts again.
-    assert drive(starting_at(way_out(), robot.pose), 300)[-1].mode == Mode.STOPPED
+    # After the robot has driven back inside, the fence is active again.
+    assert drive(starting_at(leaving_path(), robot.pose), 300)[-1].mode == Mode.STOPPED
     controller.reset()
     assert "fence" not in controller.step(robot.time, robot.measure()).message
 
 
 @pytest.mark.parametrize("frame", ["start", "poses"])
-def test_it_lies_where_it_is_said_to_lie(frame):
+def test_fence_lies_at_its_configured_pose(frame):
     start = np.array([3.0, -2.0, 1.1])
-    reference = starting_at(way_out(0.5, 0.0), start)
+    reference = starting_at(leaving_path(0.5, 0.0), start)
     relative = np.array([0.6, -0.2, 0.7])
     turn = np.exp(1j * start[2]) * complex(*relative[:2])
     middle = start + [turn.real, turn.imag, relative[2]]
@@ -110,8 +110,8 @@ def test_it_lies_where_it_is_said_to_lie(frame):
     assert -0.12 < outside(run.true_pose, middle).max() < -0.08
 
 
-def test_a_fence_that_is_not_reached_or_not_enabled_changes_nothing():
-    reference = way_out(0.5, 0.8)
+def test_unreached_or_disabled_fence_changes_no_command():
+    reference = leaving_path(0.5, 0.8)
     runs = [
         simulate(Controller(load_config("ssm", changes)), make_plant("mujoco", seed=4), reference)
         for changes in ({}, {"fence.enabled": True, "fence.length": 9.0, "fence.width": 9.0}, {"fence.length": 0.5})

@@ -1,7 +1,7 @@
-"""Every field of the configuration reaches the core in its own place.
+"""Every field of the configuration reaches its own place in the core.
 
-Configurations in which no field has its default, nor the value of another, on drives on which every field matters: if
-two fields are exchanged anywhere on the way into the core, it does something else than the oracle.
+Every field has a value that differs from its default and from all other fields, and every field affects the drives:
+if two fields were exchanged on the path into the core, controller and oracle would differ.
 """
 
 from dataclasses import replace
@@ -10,9 +10,9 @@ from operator import attrgetter
 
 import numpy as np
 import pytest
-from failing_solver import SpoiltReference
+from failing_solver import CorruptedReference
 from ideal_robot import IdealRobot
-from side_by_side import ACTIVE_SET, Pair, changed
+from side_by_side import ACTIVE_SET, Pair, replace_parts
 
 from diffdrive_mpc import ControllerConfig, Measurement, Stamped, load_config, load_model
 from diffdrive_mpc.mpc.hold import Hold
@@ -26,7 +26,7 @@ TICKS = 370
 SEEDS = (1, 3)
 SENSORS = ("sensors.wheels", "sensors.yaw_rate", "sensors.pose")
 GROUPS = ("weights", "limits", "wheels", "estimator", "failure", "reentry", "finish", *SENSORS)
-# Ranges of values, where a share of the default would not matter on these drives.
+# Ranges for fields where a multiple of the default would have no effect on these drives.
 RANGES = {
     "limits.v": (0.55, 0.7),
     "limits.omega": (1.2, 1.5),
@@ -56,12 +56,12 @@ RANGES = {
     "sensors.pose.heading": (0.003, 0.02),
     **{f"{sensor}.scale": (0.9, 1.1) for sensor in SENSORS},
 }
-# Orders 2, 4 and 8, with other dead times in each channel.
+# Orders 2, 4 and 8, with a different dead time in each channel.
 MODELS = {"ssm": (0.013, 0.027), "sm": (0.055, 0.021), "mbm": (0.0, 0.0606)}
-# DAQP takes a row that hardly answers to any command for none: that of the corridor at the first steps.
+# DAQP drops a row that hardly depends on any command, such as the corridor at the first steps.
 BY_DAQP = 1e-4
-# Slip on another floor, with another load.
-ELSEWHERE = Slip(
+# Slip on another surface, with another load.
+OTHER_SLIP = Slip(
     v_offset=-0.02,
     omega_gain=1.03,
     yaw_gain=1.5,
@@ -75,10 +75,10 @@ ELSEWHERE = Slip(
 
 
 def numeric_fields():
-    """Yield keys and defaults of all numbers in the groups."""
+    """Yield keys and defaults of all numeric fields in the groups."""
     for group in GROUPS:
         for name, field in type(attrgetter(group)(ControllerConfig())).model_fields.items():
-            # Curved slip, dead reckoning and the signs of sensors are not the oracle's: they have tests of their own.
+            # The oracle has no curved slip, dead reckoning or signs of sensors: other tests cover them.
             excluded = (*CURVED_SLIPS, "dead_reckoning", "sign", "turn_sign")
             default = dict(zip(("v_increment", "omega_increment"), MIN_WEIGHTS.tolist(), strict=True)).get(
                 name, field.default
@@ -87,8 +87,8 @@ def numeric_fields():
                 yield f"{group}.{name}", default
 
 
-def distinct(seed):
-    """Return a configuration whose numbers all differ from their defaults and from each other."""
+def distinct_config(seed):
+    """Return a configuration whose values all differ from their defaults and from each other."""
     rng, values = np.random.default_rng(seed), {}
     for key, default in numeric_fields():
         low, high = RANGES.get(key, (0.6 * default, 1.7 * default))
@@ -107,26 +107,26 @@ def route():
 
 
 class Troubles:
-    """A noisy robot in slip, of which everything that can go wrong with measurements goes wrong at some time."""
+    """A noisy robot with slip on which every fault of measurements occurs at some time."""
 
     def __init__(self, config, model, seed):
         self.settings, self.rng = config.estimator, np.random.default_rng(seed)
-        slip = replace(ELSEWHERE, v_offset=0.02, longitudinal_gain=0.98, yaw_gain=0.7, side_slip=0.06, turn_left=0.03)
+        slip = replace(OTHER_SLIP, v_offset=0.02, longitudinal_gain=0.98, yaw_gain=0.7, side_slip=0.06, turn_left=0.03)
         self.robot = IdealRobot(model.discretise(DT), np.zeros(3), slip=slip, noise=1.0, gyro_bias=0.003, seed=seed)
         self.queue = []
 
-    def often(self, share):
+    def happens(self, share):
         return self.rng.uniform() < share
 
     def stamp(self, time):
-        """Return the stamp or sometimes an older one, even beyond the history."""
-        return time - self.rng.uniform(0, 1.5 * self.settings.history) if self.often(0.08) else time
+        """Return the stamp, sometimes an older one, even beyond the history."""
+        return time - self.rng.uniform(0, 1.5 * self.settings.history) if self.happens(0.08) else time
 
     def twist(self, value, largest, jump):
-        """Return the value, sometimes with a spike around the limits in one number."""
+        """Return the value, sometimes with a spike near the limits in one entry."""
         value = np.array(value, dtype=float)
-        if self.often(0.12):
-            index, most = self.rng.integers(value.size), np.array([jump, largest])[int(self.often(0.3))]
+        if self.happens(0.12):
+            index, most = self.rng.integers(value.size), np.array([jump, largest])[int(self.happens(0.3))]
             value.reshape(-1)[index] += self.rng.choice([-1, 1]) * self.rng.uniform(0.5, 1.5) * np.ravel(most)[index]
         return value
 
@@ -134,20 +134,20 @@ class Troubles:
         s, rng = self.settings, self.rng
         self.queue.append(m.pose)
         if k % 60 > 44:
-            # After a while without any, only an older stamp than the last is older than the history too.
+            # After a gap, a stamp that is older than the last one is also older than the history.
             old = k % 60 > 55
             return Stamped(m.pose.value, m.pose.time - rng.uniform(0.7, 1.3) * s.history) if old else None
-        if 240 <= k < 270 or self.often(0.25):
+        if 240 <= k < 270 or self.happens(0.25):
             return None
-        late = min(int(rng.integers(0, 8)) if self.often(0.3) else 0, len(self.queue) - 1)
+        late = min(int(rng.integers(0, 8)) if self.happens(0.3) else 0, len(self.queue) - 1)
         value, time = self.queue[-1 - late].value, self.queue[-1 - late].time
-        if self.often(0.1):
+        if self.happens(0.1):
             value = value + rng.uniform(0.3, 1.7) * s.max_position_jump * np.array([0.6, 0.8, 0.0])
-        if self.often(0.1):
+        if self.happens(0.1):
             value = value + [0.0, 0.0, rng.choice([-1, 1]) * rng.uniform(0.3, 1.7) * s.max_heading_jump]
         root = 0.01 * rng.normal(size=(3, 3))
-        covariance = root @ root.T + 1e-5 * np.eye(3) if self.often(0.2) else None
-        return Stamped(value, self.stamp(time - 0.4 * DT * self.often(0.2)), covariance)
+        covariance = root @ root.T + 1e-5 * np.eye(3) if self.happens(0.2) else None
+        return Stamped(value, self.stamp(time - 0.4 * DT * self.happens(0.2)), covariance)
 
     def measure(self, k, sent):
         s, m = self.settings, self.robot.measure()
@@ -159,12 +159,12 @@ class Troubles:
         return Measurement(self.pose(k, m), *both, sent=tuple(sent))
 
     def happen(self, k):
-        """Push the robot, carry it far away and back, block it, and change its floor."""
+        """Push the robot, carry it far away and back, and change its surface."""
         push = {40: [0.0, 0.06, 0.2], 100: [0.2, 0.1, -0.3], 150: [0.0, 1.0, 0.0], 225: [0.0, -1.0, 0.0]}
         if k in push:
             self.robot.poses[-1] = self.robot.pose + push[k]
         if k == 90:
-            self.robot.slip = ELSEWHERE
+            self.robot.slip = OTHER_SLIP
 
     def advance(self, k, command):
         robot, stuck = self.robot, 200 <= k < 240
@@ -175,42 +175,42 @@ class Troubles:
 
 
 @cache
-def driven(name, seed):
-    """Return a pair of controllers after its drives, on which the two agreed."""
-    config, model = distinct(seed), load_model(name).with_extra_dead_time(MODELS[name])
-    both, reference = Pair(config, model, accuracy=BY_DAQP), SpoiltReference(route())
+def drive(name, seed):
+    """Return a pair of controllers after drives on which both agreed."""
+    config, model = distinct_config(seed), load_model(name).with_extra_dead_time(MODELS[name])
+    both, reference = Pair(config, model, accuracy=BY_DAQP), CorruptedReference(route())
     troubles, command = Troubles(config, model, seed), np.zeros(2)
     both.start(reference, 0.0)
     for k in range(TICKS):
         troubles.happen(k)
         if k in (89, 170, 230, 280):
             both.resume()
-        reference.spoilt = k in (20, 21) or 30 <= k < 40 or 66 <= k < 82
+        reference.is_corrupted = k in (20, 21) or 30 <= k < 40 or 66 <= k < 82
         hold = Hold("held", failure=True) if 84 <= k < 88 else None
         command = both.step(troubles.robot.time, troubles.measure(k, command), hold).command
         troubles.advance(k, command)
-    reference.spoilt = False
+    reference.is_corrupted = False
     for late, aside in ((-0.3, 0.0), (config.finish.timeout - 0.2, 0.06)):
-        to_the_end(both, model, reference, late, aside)
+        drive_to_end(both, model, reference, late, aside)
     return both, config, model
 
 
-def to_the_end(both, model, reference, late, aside):
-    """Start so `late` after the end of the reference [s], standing `aside` of it [m]."""
+def drive_to_end(both, model, reference, late, aside):
+    """Start `late` after the end of the reference [s], displaced by `aside` [m]."""
     both.reset()
     end = reference.sample([reference.duration]).pose[0]
     robot = IdealRobot(model.discretise(DT), end + [-0.03, aside, 0.0], noise=0.5)
     both.start(reference, -reference.duration - late)
     command = np.zeros(2)
     for _ in range(70):
-        command = both.step(robot.time, changed(robot.measure(), sent=tuple(command))).command
+        command = both.step(robot.time, replace_parts(robot.measure(), sent=tuple(command))).command
         robot.advance(command)
 
 
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_drive_on_which_every_field_matters(name, seed):
-    both, _, _ = driven(name, seed)
+def test_oracle_agrees_on_drives_that_depend_on_every_field(name, seed):
+    both, _, _ = drive(name, seed)
     modes = [str(result.mode) for result in both.results]
     assert {"TRACKING", "REUSED_PLAN", "BRAKING", "FINISHED"} <= set(modes)
     assert modes.count("TRACKING") > 150
@@ -227,5 +227,5 @@ def test_a_drive_on_which_every_field_matters(name, seed):
         "jumps from",
     ],
 )
-def test_everything_happens_on_the_drives(words):
-    assert any(words in driven(name, seed)[0].words for name in MODELS for seed in SEEDS)
+def test_drives_contain_every_event(words):
+    assert any(words in drive(name, seed)[0].words for name in MODELS for seed in SEEDS)

@@ -1,4 +1,4 @@
-"""Goals of follow_path without ROS: missing responses of the side process, and which goal ends which."""
+"""Goals of follow_path without ROS: missing responses of the side process, and replaced and cancelled goals."""
 
 from types import SimpleNamespace
 
@@ -17,7 +17,7 @@ CONFIG, SETTINGS = load_config("ssm"), NodeSettings()
 
 
 class Loop:
-    """Loop of a robot at rest, which records the calls that it receives."""
+    """Control loop of a robot at rest that records the calls that it receives."""
 
     def __init__(self):
         self.inbox = SimpleNamespace(now=0.0)
@@ -41,7 +41,7 @@ class Loop:
         self.calls.append("release")
 
 
-class Beside:
+class SideProcess:
     """Requests to the side process; the test responds to them."""
 
     def __init__(self):
@@ -59,18 +59,18 @@ class Beside:
 
 
 @pytest.fixture
-def made():
-    loop, beside = Loop(), Beside()
-    following = Following(loop, SETTINGS, lambda: CONFIG, lambda: np.eye(2), beside, lambda poses, frame, stamp: poses)
-    return loop, beside, following
+def parts():
+    loop, side = Loop(), SideProcess()
+    following = Following(loop, SETTINGS, lambda: CONFIG, lambda: np.eye(2), side, lambda poses, frame, stamp: poses)
+    return loop, side, following
 
 
 def standing():
     return LoopTick(np.zeros(2), LoopState.IDLE, "")
 
 
-def test_a_goal_waits_for_its_path_and_then_for_the_loop(made):
-    loop, beside, following = made
+def test_goal_waits_for_its_path_and_then_for_the_loop(parts):
+    loop, side, following = parts
     goal = FollowGoal(STRAIGHT, "odom")
     following.take(goal)
     following.update(standing())
@@ -85,7 +85,7 @@ def test_a_goal_waits_for_its_path_and_then_for_the_loop(made):
         ((1.0, 0.0, 0.0), STRAIGHT),
         ((1.03, 0.01, 0.0), STRAIGHT),
         ((1.0, 0.0, 0.0), STRAIGHT[-1:].repeat(2, axis=0)),
-        # A planner's line from the robot, shorter than the robot can bend.
+        # A planner's line from the robot, shorter than the robot's turning ability permits.
         ((1.0, 0.01, 0.0), np.array([[1.0, 0.01, 0.0], [1.0, 0.0, 0.0]])),
     ],
 )
@@ -93,7 +93,7 @@ def test_a_robot_that_stands_at_the_end_has_arrived(made, robot, poses):
     loop, beside, following = made
     loop.pose_and_twist = lambda: (np.array(robot), (0.0, 0.0))
     following.take(goal := FollowGoal(poses, "odom"))
-    beside.respond()
+    side.respond()
     assert (goal.end.outcome, goal.end.code) == (GoalOutcome.SUCCEEDED, Code.NONE)
     assert loop.calls == []
 
@@ -114,48 +114,48 @@ def test_nothing_left_to_drive_is_no_arrival_where_the_robot_moves_or_is_elsewhe
     assert loop.calls == ["follow", "brake", "release"] and old.end.outcome is GoalOutcome.ABORTED
 
 
-def test_a_newer_goal_ends_one_that_has_not_begun(made):
-    loop, beside, following = made
+def test_newer_goal_ends_a_goal_that_has_not_begun(parts):
+    loop, side, following = parts
     first, second = FollowGoal(STRAIGHT, "odom"), FollowGoal(STRAIGHT, "odom")
     following.take(first)
     following.take(second)
     assert (first.end.outcome, first.end.code) == (GoalOutcome.ABORTED, Code.NONE)
-    # Its path comes too late.
-    beside.respond()
+    # The path of the first goal arrives too late.
+    side.respond()
     assert loop.calls == []
-    beside.respond()
+    side.respond()
     assert loop.calls == ["follow"] and second.end is None
 
 
-def test_cancelling_what_has_not_begun_ends_the_drive_that_it_was_to_replace(made):
-    loop, beside, following = made
+def test_cancelling_a_goal_that_has_not_begun_ends_the_drive_it_was_to_replace(parts):
+    loop, side, following = parts
     old, newer = FollowGoal(STRAIGHT, "odom"), FollowGoal(STRAIGHT, "odom")
     following.take(old)
-    beside.respond()
+    side.respond()
     following.take(newer)
     newer.cancelled = True
     following.update(standing())
     assert newer.end.outcome is GoalOutcome.CANCELED
     assert loop.calls == ["follow", "brake", "release"]
     assert (old.end.outcome, old.end.words) == (GoalOutcome.ABORTED, "a newer goal was cancelled")
-    beside.respond()
+    side.respond()
     assert loop.calls == ["follow", "brake", "release"]
 
 
-def test_a_path_that_is_never_laid_is_given_up(made, monkeypatch):
-    _, beside, following = made
+def test_goal_whose_path_never_arrives_times_out(parts, monkeypatch):
+    _, side, following = parts
     goal = FollowGoal(STRAIGHT, "odom")
     following.take(goal)
     goal.received_at -= follow_goal._MAX_PLANNING_TIME + 1.0
     following.update(standing())
     assert goal.end.code is Code.CONTROLLER_TIMED_OUT
     following.take(slow := FollowGoal(STRAIGHT, "odom"))
-    beside.requests[-1][2]("to read it takes longer than 10 s")
+    side.requests[-1][2]("to read it takes longer than 10 s")
     assert slow.end.code is Code.CONTROLLER_TIMED_OUT
 
 
-def test_a_fault_of_the_loop_ends_the_goal(made):
-    _, beside, following = made
+def test_fault_of_the_loop_ends_the_goal(parts):
+    _, side, following = parts
     goal = FollowGoal(STRAIGHT, "odom")
     following.take(goal)
     beside.respond()
@@ -163,11 +163,11 @@ def test_a_fault_of_the_loop_ends_the_goal(made):
     assert (goal.end.code, goal.end.words) == (Code.UNKNOWN, "ValueError: nothing")
 
 
-def test_without_a_pose_it_waits_for_its_patience_and_no_longer(made):
-    loop, beside, following = made
+def test_goal_without_pose_waits_for_its_patience_only(parts):
+    loop, side, following = parts
     goal = FollowGoal(STRAIGHT, "odom")
     following.take(goal)
-    beside.respond()
+    side.respond()
     loop.inbox.now = 0.9 * SETTINGS.follow_patience
     following.update(standing())
     assert goal.end is None
@@ -176,7 +176,7 @@ def test_without_a_pose_it_waits_for_its_patience_and_no_longer(made):
     assert (goal.end.code, goal.end.words) == (Code.TF_ERROR, "no pose arrives")
 
 
-def test_paths_are_driven_inside_what_the_robot_reaches():
+def test_path_limits_stay_below_the_limits_of_the_robot():
     half = np.diag([0.5, 2.0])
     bounds = path_limits(CONFIG, half, SETTINGS)
     assert bounds.v == pytest.approx(SETTINGS.follow_speed_share * 0.5 * CONFIG.limits.v)
@@ -184,8 +184,8 @@ def test_paths_are_driven_inside_what_the_robot_reaches():
     assert bounds.v_acceleration < CONFIG.limits.v_slew and bounds.omega_acceleration < CONFIG.limits.omega_slew
 
 
-def test_robot_waits_for_a_silent_client_drives_on_and_then_gives_up(made, monkeypatch):
-    loop, beside, following = made
+def test_robot_waits_for_a_silent_client_continues_and_finally_aborts(parts, monkeypatch):
+    loop, side, following = parts
     goal = FollowGoal(STRAIGHT, "odom")
     following.take(goal)
     beside.respond()

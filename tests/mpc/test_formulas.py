@@ -1,4 +1,4 @@
-"""The formulas: against the controller's own Python, against finite differences, and their C against CasADi."""
+"""Formulas compared with the Python of the controller, finite differences, and the generated C code."""
 
 import subprocess
 
@@ -19,13 +19,13 @@ from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 from oracle.motion import sideways, slid
 
 FORMULAS = {function.name().removeprefix("ddmpc_f_"): function for function in formulas()}
-# Numbers that a robot can have; gains keep off zero, and yaw rates dwell where the arc changes its form.
+# Plausible values of a robot; gains stay away from zero, and yaw rates are often where the arc changes its form.
 RANGES = {
     "y": [(-2, 2), (-3, 3)],
     "slip": [
         *((-0.3, 0.3), (0.3, 2), (0.3, 2), (0.3, 2), (-0.2, 0.2), (-0.2, 0.2), (-0.2, 0.2), (-0.1, 0.1)),
         *((-0.2, 0.2), (-0.2, 0.2)),  # slide
-        # Crab, veer, couplings and growth of the track: those of floors.
+        # Crab, veer, couplings and growth of the track, as on real surfaces.
         *((-0.05, 0.05), (-0.05, 0.05), (-0.05, 0.05), (-0.05, 0.05), (-0.1, 0.2)),
     ],
     "pose": [(-5, 5), (-5, 5), (-7, 7)],
@@ -72,7 +72,7 @@ def arguments(function):
 
 
 def call(function, values):
-    """Return results as arrays, columns flat."""
+    """Return results as arrays, column vectors flattened."""
     shaped = [np.reshape(value, function.size_in(k), order="F") for k, value in enumerate(values)]
     results = function.call([ca.DM(value) for value in shaped])
     return [np.array(result).ravel() if result.shape[1] == 1 else np.array(result) for result in results]
@@ -105,7 +105,7 @@ def test_gradients_agree_with_finite_differences(function, data):
     name = function.name().removeprefix("ddmpc_f_")
     step, places = 1e-6, [function.index_in(varied) for varied in VARIED[name]]
     sizes = [values[place].size for place in places]
-    # All directions at once: a function that is given more columns answers for each.
+    # All directions at once: a function with more columns is evaluated for each.
     columns = [np.tile(np.reshape(value, (-1, 1)), (1, 2 * sum(sizes))) for value in values]
     for start, place, size in zip(np.cumsum([0, *sizes]), places, sizes, strict=False):
         columns[place][:, start : start + size] += step * np.eye(size)
@@ -113,12 +113,12 @@ def test_gradients_agree_with_finite_differences(function, data):
     ends = np.array(function.call([ca.DM(column) for column in columns])[0])
     slopes = (ends[:, : sum(sizes)] - ends[:, sum(sizes) :]) / (2 * step)
     assert np.isfinite(gradient).all()
-    # A track that grows with the yaw rate has a kink in its second derivative where that is zero.
+    # A track that grows with the yaw rate has a kink in its second derivative at zero yaw rate.
     assert gradient == pytest.approx(slopes, abs=2e-6 if name.endswith("curved") else 2e-7)
 
 
-def carried(pose, place):
-    """Return the position of a point at `place` (2,) in the robot's frame, and its heading."""
+def point_pose(pose, place):
+    """Return the position (2,) of a point at `place` (2,) in the robot's frame, and its heading."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     return pose + [c * place[0] - s * place[1], s * place[0] + c * place[1], 0.0]
 
@@ -131,13 +131,13 @@ def test_move_is_the_arc_of_the_turning_point(values):
     (v, omega), _ = call(FORMULAS["twist"], [y, slip])
     place = np.array([slip[5] - slip[7] * acceleration[0], slip[6]])
     start = np.array([0.0, 0.0, theta[0]])
-    # That point goes at the speed of the wheels, and outward with side_slip times the body's v omega.
+    # The turning point moves at the speed of the wheels, and outward with side_slip times the body's v omega.
     forward = slip[2] * (y[0] + slip[0])
     assert forward == pytest.approx(v - slip[6] * omega, abs=1e-12)
     side_slip = slip[4] * v / forward if abs(forward) > 1e-3 else 0.0
     if abs(forward) > 1e-3 or slip[4] * v == 0:
-        after = integrate_pose(carried(start, place), forward, omega, dt[0], side_slip)
-        assert carried(start + moved, place) == pytest.approx(after, abs=1e-11)
+        after = integrate_pose(point_pose(start, place), forward, omega, dt[0], side_slip)
+        assert point_pose(start + moved, place) == pytest.approx(after, abs=1e-11)
 
 
 @given(arguments(FORMULAS["move"]))
@@ -173,7 +173,7 @@ def test_aim_is_the_path_with_a_finite_heading(values):
     if v == 0 or ahead == slide == 0:
         assert lead == pytest.approx(slip[4] * omega, abs=1e-12)
     if abs(v) > 0.5 and slide == 0:
-        # The robot travels along the path, but for the bend that keeps the heading finite on the spot: 4 % at 0.5 m/s.
+        # The robot follows the path, except for the term that keeps the heading finite on the spot: 4 % at 0.5 m/s.
         course = aim[3] + np.arctan(sideways(v, omega, slip[4], ahead) / v)
         assert course == pytest.approx(pose[2], abs=0.04 * abs(ahead * omega / v) + 1e-12)
 
@@ -188,7 +188,7 @@ def test_slip_inverts_the_feed_forward(values):
 
 @given(arguments(FORMULAS["twist"]))
 def test_rim_speeds_are_those_of_the_model_output(values):
-    """The wheels turn as the model says apart from their offset, for any slip of the body."""
+    """The wheels turn as in the model, plus their offset, for any slip of the body."""
     (v, omega), slip = values
     twist, _ = call(FORMULAS["twist"], values)
     limited, _ = call(FORMULAS["soft"], [np.zeros(3), twist, [0, 0], np.zeros(4), [*slip, 0.3]])
@@ -199,7 +199,7 @@ def test_rim_speeds_are_those_of_the_model_output(values):
 # Slip that curves the twist.
 
 
-def curved(**values):
+def slip_parameters(**values):
     return [getattr(Slip(**values), name) for name in SLIPS]
 
 
@@ -224,8 +224,8 @@ def test_curved_formula_without_curvature_equals_the_flat_one(name, data):
     st.floats(-1, 1),
     st.floats(-1, 1),
 )
-def test_slip_of_floors_inverts_the_feed_forward(small, turning, v, omega):
-    """Ranges cover the floors of P4: a32 is -0.34 to -0.41, a33 up to 0.12, the others mostly far below 0.05."""
+def test_slip_of_real_surfaces_inverts_the_feed_forward(small, turning, v, omega):
+    """Ranges cover the surfaces of P4: a32 is -0.34 to -0.41, a33 up to 0.12, the others mostly far below 0.05."""
     coefficients = np.array([*small, *turning])
     slip = [getattr(Slip.of_polynomial(coefficients), name) for name in SLIPS]
     (y,) = call(FORMULAS["feed_forward_curved"], [[v, omega], slip, [1, 0, 0, 1]])
@@ -253,15 +253,15 @@ def test_slip_terms_equal_the_polynomial_of_p4(coefficients, v, omega, theta):
 
 @given(st.floats(-0.2, 2), st.floats(-1, 1), st.floats(-2, 2))
 def test_track_growth_changes_the_wheel_speeds_of_a_turn(growth, v, omega):
-    """P3: i = p1 |yaw rate| + p0, and rims that differ by i times the yaw rate; turned the other way, the same."""
-    slip = curved(track_growth=growth)
+    """P3: i = p1 |yaw rate| + p0, and wheel speeds that differ by i times the yaw rate, equally in both directions."""
+    slip = slip_parameters(track_growth=growth)
     (forward, result), _ = call(FORMULAS["twist_curved"], [[v, omega], slip])
     _, mirrored = call(FORMULAS["twist_curved"], [[v, -omega], slip])[0]
     if growth * abs(omega) > -0.2:
         assert result * (1 + growth * abs(result)) == pytest.approx(omega, abs=1e-9)
     assert mirrored == -result
     assert forward == v
-    # What it takes of the wheels to turn so, they have.
+    # The feed-forward gives the wheel speeds of this turn.
     (y,) = call(FORMULAS["feed_forward_curved"], [[forward, result], slip, [1, 0, 0, 1]])
     if growth >= 0 and growth * abs(omega) < 0.3:
         assert y == pytest.approx([v, omega], abs=0.02)
@@ -279,7 +279,7 @@ def test_tracking_errors_are_coordinates_of_the_distance(values):
 
 
 @pytest.mark.parametrize("name", ["circle", "square", "s", "cane"])
-def test_pieces_equal_the_trajectories(name):
+def test_trajectory_pieces_equal_the_trajectories(name):
     trajectory = load_trajectory(name)
     kind = "spline_piece" if isinstance(trajectory, SplineTrajectory) else "arc_piece"
     starts = trajectory.breaks[:-1] if kind == "spline_piece" else trajectory.breaks
@@ -295,15 +295,15 @@ def test_pieces_equal_the_trajectories(name):
 
 @pytest.mark.parametrize("side", [-1, 1])
 def test_arc_and_gradient_are_continuous_at_the_end_of_the_series(side):
-    beside = [
+    values_on_both_sides = [
         call(FORMULAS["arc"], [[0.3], [1.0], [side * 0.4 * (1 + e)], Slip(side_slip=0.1).flat, [0.05], [1.0]])
         for e in (-1e-15, 1e-15)
     ]
-    for below, above in zip(*beside, strict=True):
+    for below, above in zip(*values_on_both_sides, strict=True):
         assert below == pytest.approx(above, abs=3e-15)
 
 
-# The C that is generated.
+# Generated C code.
 
 REAL_H = """
 #ifndef REAL_H
@@ -319,10 +319,10 @@ typedef double real;
 #endif
 """
 STRICT = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-Wdouble-promotion", "-Wfloat-conversion"]
-STRICT.append("-Wno-unused-but-set-variable")  # CasADi loads what the compiler then drops
+STRICT.append("-Wno-unused-but-set-variable")  # CasADi loads inputs that it does not use
 
 
-def compiled(generated, folder, precision):
+def compile_functions(generated, folder, precision):
     (folder / "real.h").write_text(REAL_H)
     (folder / f"{generated.stem}.h").write_text(generated.header)
     source, library = folder / f"{generated.stem}.c", folder / f"{generated.stem}-{precision}.so"
@@ -337,13 +337,13 @@ def compiled(generated, folder, precision):
 
 def call_compiled(ffi, library, precision, function, values):
     inputs = [ffi.new(f"{precision}[]", np.ravel(value).tolist() or 1) for value in values]
-    room = [
+    outputs = [
         np.zeros(function.numel_out(k), np.float32 if precision == "float" else float) for k in range(function.n_out())
     ]
-    results = [ffi.from_buffer(f"{precision}[]", memory) for memory in room]
+    results = [ffi.from_buffer(f"{precision}[]", memory) for memory in outputs]
     pointers = ffi.new("const real *[]", inputs), ffi.new("real *[]", results)
     assert getattr(library, function.name())(*pointers, ffi.NULL, ffi.NULL, 0) == 0
-    shaped = [memory.reshape(function.size_out(k), order="F") for k, memory in enumerate(room)]
+    shaped = [memory.reshape(function.size_out(k), order="F") for k, memory in enumerate(outputs)]
     return [memory.ravel() if memory.shape[1] == 1 else memory for memory in shaped]
 
 
@@ -354,7 +354,7 @@ def precision(request):
 
 @pytest.fixture(scope="module")
 def library(precision, tmp_path_factory):
-    return compiled(generate_formulas(), tmp_path_factory.mktemp("formulas"), precision)
+    return compile_functions(generate_formulas(), tmp_path_factory.mktemp("formulas"), precision)
 
 
 @pytest.mark.parametrize("function", formulas(), ids=lambda function: function.name())
@@ -373,7 +373,7 @@ def test_generated_c_equals_casadi(library, precision, function, data):
 def test_single_precision_code_uses_no_doubles(tmp_path):
     """The machine code has no instruction on doubles and calls no function of doubles."""
     generated = generate_formulas()
-    compiled(generated, tmp_path, "float")
+    compile_functions(generated, tmp_path, "float")
     listing = subprocess.run(
         ["objdump", "-d", "-r", tmp_path / f"{generated.stem}-float.so"], capture_output=True, text=True, check=True
     ).stdout
@@ -386,7 +386,7 @@ def test_generated_text_is_deterministic():
     assert generate_formulas() == generate_formulas()
 
 
-# Functions of the user.
+# User functions.
 
 
 def point_distance():
@@ -404,7 +404,7 @@ def test_user_term_gets_the_shipped_form(tmp_path, precision):
     assert function.size_out(1) == (1, 7)
     values = [[1.0, 2.0, 0.3], [0, 0], [0, 0], [0, 0, 0, 0], [1.5, 2.0, 0.8]]
     value, gradient = call_compiled(
-        *compiled(generate([function], "user", "a test"), tmp_path, precision), precision, function, values
+        *compile_functions(generate([function], "user", "a test"), tmp_path, precision), precision, function, values
     )
     rounding = 1e-9 if precision == "double" else 1e-6
     assert value == pytest.approx(0.8 - np.sqrt(0.25 + 1e-6), abs=rounding)
@@ -425,7 +425,7 @@ def test_every_operation_of_c99_is_generated(tmp_path, precision):
     numbers = [[0.5, 1.75, -0.25], [0, 0], [0, 0], [0, 0, 0, 0], []]
     expected = call(function, numbers)[0]
     computed = call_compiled(
-        *compiled(generate([function], "many", "a test"), tmp_path, precision), precision, function, numbers
+        *compile_functions(generate([function], "many", "a test"), tmp_path, precision), precision, function, numbers
     )[0]
     assert computed == pytest.approx(expected, rel=1e-14 if precision == "double" else 3e-6)
 
@@ -449,7 +449,7 @@ def test_nonlinear_model_gets_its_gradients(tmp_path, precision):
     functions = [user_step(lag(), "lag_step")]
     x = ca.SX.sym("x", 2)
     functions.append(user_output(ca.Function("output", [x], [x], ["x"], ["y"]), "lag_output", 2))
-    library = compiled(generate(functions, "lag", "a test"), tmp_path, precision)
+    library = compile_functions(generate(functions, "lag", "a test"), tmp_path, precision)
     rounding = 1e-14 if precision == "double" else 1e-6
     for function, values in zip(functions, [[[0.3, 0.1], [0.5, 0.2, 9.0, 9.0]], [[0.3, 0.1]]], strict=True):
         for first, second in zip(
@@ -463,7 +463,7 @@ def test_nonlinear_model_gets_its_gradients(tmp_path, precision):
     assert (by_window[:, 2:] == 0).all()
 
 
-def a_function(names, sizes):
+def user_function(names, sizes):
     symbols = [ca.SX.sym(name, size) for name, size in zip(names, sizes, strict=True)]
     value = ca.vertcat(*symbols)
     return ca.Function("mine", symbols, [value], names, ["out"])
@@ -493,4 +493,4 @@ def test_function_with_external_calls_raises_error():
 )
 def test_wrong_step_function_raises_error(names, sizes, message):
     with pytest.raises(ConfigError, match=message):
-        user_step(a_function(names, sizes), "step")
+        user_step(user_function(names, sizes), "step")

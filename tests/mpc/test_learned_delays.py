@@ -21,8 +21,8 @@ BENDS = lay_segments(
 )
 
 
-def driven(late, **settings):
-    """Drive a robot that is `late` [s] later than SM; return the controller and the RMSE of the last 4 s [m]."""
+def drive_late_robot(late, **settings):
+    """Drive a robot that responds `late` [s] later than SM; return the controller and the RMSE of the last 4 s [m]."""
     controller = Controller(load_config("sm", PROMPT | settings))
     robot = replace(SM, dead_time=SM.dead_time + late).discretise(DT)
     plant = IdealRobot(robot, BENDS.sample([0.0]).pose[0], noise=1.0)
@@ -33,17 +33,17 @@ def driven(late, **settings):
 
 @pytest.mark.parametrize("late", [(0.06, 0.06), (0.09, 0.03), (0.0, 0.0)])
 def test_unknown_delays_are_estimated(late):
-    controller, _ = driven(late)
+    controller, _ = drive_late_robot(late)
     np.testing.assert_allclose(controller.belief.mean[-5:-3], late, atol=0.01)
 
 
 def test_learned_delays_halve_the_tracking_error():
-    learned = driven((0.06, 0.06))[1]
-    unknown = driven((0.06, 0.06), **{"compensation.delay": False})[1]
+    learned = drive_late_robot((0.06, 0.06))[1]
+    unknown = drive_late_robot((0.06, 0.06), **{"compensation.delay": False})[1]
     assert learned < 0.5 * unknown
 
 
-# A model made in Python is of an unknown robot: how far it turns is learned whatever `wheels` states.
+# A model made in Python has no provenance: its yaw gain is learned from scratch, whatever `wheels` states.
 
 
 LAG = 0.18
@@ -56,18 +56,18 @@ def model():
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.0, 2.0])
-def test_the_yaw_gain_is_known_after_two_seconds_of_turning(model, factor):
-    """The plant turns as its model says; encoders of twice or half the track it would be."""
+def test_yaw_gain_is_known_after_two_seconds_of_turning(model, factor):
+    """The plant turns as in its model; the encoders assume half, exactly or twice the track."""
     wheels = {"track": 0.33 * 0.62 * factor, "encoder_track": 0.33}
     controller = Controller({"wheels": wheels, "extra_dead_time": {"v": 0.0, "omega": 0.0}}, model=model)
     step, gains = controller.step, []
 
-    def noted(*measured, **options):
+    def recording_step(*measured, **options):
         result = step(*measured, **options)
         gains.append(result.estimate.slip.omega_gain * result.estimate.slip.yaw_gain)
         return result
 
-    controller.step = noted
+    controller.step = recording_step
     run = simulate(controller, make_plant(model, surface="ideal", sensors="perfect"), load_trajectory("circle"))
     turning = np.flatnonzero(np.abs(run.true_twist[:, 2]) > 0.05)[0]
     known = turning + round(2.0 / run.sample_time)

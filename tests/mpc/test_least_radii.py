@@ -27,7 +27,7 @@ from diffdrive_mpc.sim import simulate
 
 DT = 0.0202
 KEY = "limits.min_commanded_radius"
-HELD = "the turn is held to limits.min_commanded_radius"
+HELD_MESSAGE = "the turn is held to limits.min_commanded_radius"
 
 
 def excess(commands, radius):
@@ -36,13 +36,13 @@ def excess(commands, radius):
     return omega * radius - v
 
 
-def driven(config, reference, **plant):
+def simulate_drive(config, reference, **plant):
     return simulate(Controller(config), make_plant(**plant), reference)
 
 
 @st.composite
 def paths(draw):
-    """Draw paths forwards and backwards, with cusps and stops, up to the robot's sharpest turns."""
+    """Draw paths forwards and backwards, with cusps and stops, up to the sharpest turns of the robot."""
     parts = []
     for _ in range(draw(st.integers(1, 4))):
         v = draw(st.sampled_from([-1.0, 1.0])) * draw(st.floats(0.2, 0.8))
@@ -60,12 +60,12 @@ def paths(draw):
     seed=st.integers(0, 2**31),
 )
 def test_every_command_keeps_range_slew_and_radius(path, radius, slew, braking, seed):
-    """A robot with arbitrary motion: poses drift, jump and go missing, and stops are requested meanwhile."""
+    """Poses of a robot with arbitrary motion drift, jump and go missing, and a stop is requested meanwhile."""
     limits = dict(zip(("v_slew", "omega_slew", "v_braking", "omega_braking"), (*slew, *braking), strict=True))
     overrides = {KEY: radius, "horizon": 12} | {f"limits.{name}": value for name, value in limits.items()}
     controller, random = Controller(load_config("ssm", overrides)), np.random.default_rng(seed)
     controller.start(path, 0.0)
-    most, last = np.array([controller.config.limits.v, controller.config.limits.omega]), np.zeros(2)
+    max_command, last = np.array([controller.config.limits.v, controller.config.limits.omega]), np.zeros(2)
     aside = np.zeros(3)
     for k in range(200):
         t = k * DT
@@ -75,10 +75,10 @@ def test_every_command_keeps_range_slew_and_radius(path, radius, slew, braking, 
         step = controller.step(t, Measurement(pose=pose), hold)
         brakes = step.mode in ("BRAKING", "FINISHED")
         rate = np.array(braking if brakes else slew)
-        assert (np.abs(step.command) <= most + 1e-12).all()
+        assert (np.abs(step.command) <= max_command + 1e-12).all()
         if step.mode != "STOPPED":
             assert (np.abs(step.command - last) <= rate * DT + 1e-9).all()
-        # A ramp to zero is not held up: it keeps the radius where omega's is quick enough for it.
+        # A ramp to zero has priority: it keeps the radius only if omega can brake fast enough.
         if not brakes or radius * braking[1] >= braking[0]:
             assert excess(step.command, radius).max() <= max(1e-12, excess(last, radius).max())
         last = step.command
@@ -113,26 +113,26 @@ def test_robot_cuts_a_tight_curve_and_returns_to_its_path():
     config = load_config("ssm", {KEY: 0.7})
     warning = sharper_than_commands(reference, config.limits, config.sample_time)
     assert "for 2.1 s it turns tighter than limits.min_commanded_radius = 0.7, down to 0.5" in warning
-    run = driven(config, reference, name="model:ssm", sensors="perfect")
+    run = simulate_drive(config, reference, name="model:ssm", sensors="perfect")
     assert excess(run.command, 0.7).max() <= 1e-12
     off = np.hypot(*(run.true_pose - reference.sample(run.time).pose)[:, :2].T)
-    messages = np.array([HELD in message for message in run.messages])
+    messages = np.array([HELD_MESSAGE in message for message in run.messages])
     corner = (run.time > 2.5) & (run.time < 5.5)
     assert off[corner].max() > 0.03
     assert messages[corner].any() and not messages[run.time < 2.0].any()
-    # The clock of the reference waited meanwhile: beside the path it is back sooner than on time.
+    # The clock of the reference waited meanwhile: the robot is back on the path before it is back on time.
     aside = np.abs(run.true_pose[:, 0] - reference.sample([reference.duration]).pose[0, 0])
     assert aside[run.time > 8.0].max() < 0.01
     assert off[-1] < 0.01
-    free = driven(load_config("ssm"), reference, name="model:ssm", sensors="perfect")
+    free = simulate_drive(load_config("ssm"), reference, name="model:ssm", sensors="perfect")
     assert excess(free.command, 0.7).max() > 0.1
 
 
 @pytest.mark.parametrize("radius", [0.55, 0.65])
 def test_cusps_keep_the_radius_forwards_and_backwards(radius):
-    """The turn in three moves has arcs of 0.6 m: as before where that is allowed, and not much worse where not."""
+    """A three-point turn with arcs of 0.6 m: unchanged if the radius permits them, else not much worse."""
     reference = load_trajectory("k_turn")
-    run = driven(load_config("ssm", {KEY: radius}), reference, name="mujoco", seed=3)
+    run = simulate_drive(load_config("ssm", {KEY: radius}), reference, name="mujoco", seed=3)
     assert excess(run.command, radius).max() <= 1e-12
     assert run.command[:, 0].min() < -0.3
     assert run.metrics.completed
@@ -171,7 +171,7 @@ def drive(config, reference, surface, start=(0.0, 0.0, 0.0), seconds=None):
 @pytest.mark.parametrize(("surface", "radius"), [("p4_asphalt", 1.8), ("p4_concrete", 2.4), ("p4_grass", 1.2)])
 @pytest.mark.parametrize(("v", "turn"), [(0.5, 1.0), (-0.5, 1.0), (0.5, -1.0)])
 def test_path_with_a_20_percent_wider_radius_keeps_the_minimum_radius(surface, radius, v, turn):
-    """P4's least radii on its floors; the robot begins beside its path, so that it would like to turn in."""
+    """P4's minimum radii on its surfaces; the robot begins next to its path, so that it has to turn towards it."""
     beside = (0.0, 0.03 * turn, 0.0)
     twists = drive(with_radius(radius), circle(1.2 * radius, v, turn), surface, beside)
     assert excess(twists, radius).max() <= 4e-3
@@ -180,7 +180,7 @@ def test_path_with_a_20_percent_wider_radius_keeps_the_minimum_radius(surface, r
 
 
 def test_plan_keeps_the_radius_from_a_feasible_state():
-    """From a state that allows it, every sample of the plan does: |omega| radius <= |v|, from standstill on."""
+    """From a feasible state every sample of the plan satisfies |omega| radius <= |v|, from standstill on."""
     radius, reference = 1.0, circle(1.05)
     controller, dt = Controller(with_radius(radius)), 0.0202
     controller.start(reference, 0.0)
@@ -189,11 +189,11 @@ def test_plan_keeps_the_radius_from_a_feasible_state():
     assert step.mode == "TRACKING"
     assert step.solver.status.startswith("solved")
     model = load_model("ssm").with_extra_dead_time([0.005, 0.005]).discretise(dt)
-    # The plan's turn and way between its poses: the mean of two samples of the twist.
+    # Turn and distance between poses of the plan: the mean of two samples of the twist.
     move = np.diff(step.plan, axis=0)
-    turned, way = np.abs(move[:, 2]), np.hypot(move[:, 0], move[:, 1])
+    turned, distance = np.abs(move[:, 2]), np.hypot(move[:, 0], move[:, 1])
     assert model.order == 2
-    assert (turned * radius <= way + 2e-5).all()
+    assert (turned * radius <= distance + 2e-5).all()
     free = Controller(load_config("ssm"))
     free.start(reference, 0.0)
     move = np.diff(free.step(0.0, Measurement(pose=Stamped(pose, 0.0))).plan, axis=0)
@@ -212,7 +212,7 @@ def test_scaled_path_keeps_the_minimum_radius():
 
 
 @pytest.mark.parametrize("side", [-0.3, 0.3])
-def test_way_back_keeps_the_minimum_radius(side):
+def test_return_path_keeps_the_minimum_radius(side):
     reference = circle(4.0)
     window = PathWindow.sample_around(reference, 2.0, 4.0, 0.05)
     index = int(np.argmin(np.abs(window.times - 2.0)))

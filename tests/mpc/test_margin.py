@@ -1,4 +1,4 @@
-"""Weights on increments from the delay that the closed loop tolerates."""
+"""Weights of increments from the delay that the closed loop tolerates."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ IDEAL = {
 
 
 def growth(channel, share):
-    """Return how many times as far SM swings after another 6 s, with so much of its margin as unknown delay."""
+    """Return the growth of the oscillation of SM over 6 s, with `share` of its margin as unknown delay in a channel."""
     controller = Controller(load_config("sm", IDEAL | {"margin.v": 0.29, "margin.omega": 0.16}))
     stated = controller.config.margin
     late = np.eye(2)[channel] * share * [stated.v, stated.omega]
@@ -39,7 +39,7 @@ def growth(channel, share):
 
 
 @pytest.mark.parametrize("channel", [0, 1], ids=["v", "omega"])
-def test_the_loop_is_stable_below_the_margin_and_not_above(channel):
+def test_loop_is_stable_below_the_margin_and_unstable_above(channel):
     assert growth(channel, 0.9) < 0.7
     assert growth(channel, 1.1) > 1.4
 
@@ -49,21 +49,21 @@ def weights(overrides=None, name="sm"):
     return config.weights.v_increment, config.weights.omega_increment
 
 
-def test_weights_are_those_that_were_tuned_for_sm_and_grow_with_the_margin():
+def test_weights_equal_those_tuned_for_sm_and_grow_with_the_margin():
     assert weights() == (5.0, 4.0)
     omega = [weights({"margin.omega": delay})[1] for delay in (0.1, 0.17, 0.2)]
     assert omega[0] == 4.0 < omega[1] < omega[2]
     assert weights({"margin.v": 0.3})[0] > 2 * weights()[0]
 
 
-def test_the_core_takes_given_numbers_and_else_those_of_the_margin():
+def test_core_uses_configured_weights_before_those_of_the_margin():
     assert weights({"weights.v_increment": 3.0}) == (3.0, weights()[1])
     controller = Controller(load_config("sm", {"weights.omega_increment": 4.0}))
     problem = controller._problem(controller.config)
     assert problem.constants()["increment_weight"] == [weights()[0], 4.0]
 
 
-def test_an_update_keeps_the_weights_of_the_start(monkeypatch):
+def test_update_keeps_the_weights_of_the_start(monkeypatch):
     controller = Controller("sm")
     monkeypatch.setattr(margin, "_increment_weights", None)
     before = controller.config.weights
@@ -71,7 +71,7 @@ def test_an_update_keeps_the_weights_of_the_start(monkeypatch):
     assert controller.update(weights={"v_increment": 7.0}).weights.v_increment == 7.0
 
 
-def test_one_computation_serves_all_controllers_alike():
+def test_weights_are_computed_once_for_equal_settings():
     weights({"margin.v": 0.28})
     before = margin._increment_weights.cache_info()
     assert weights({"margin.v": 0.28, "limits.v": 0.4}) != weights()
@@ -96,7 +96,7 @@ def test_every_shipped_model_tolerates_its_margin():
             assert margin.spectral_radius(model, K, 0.99 * late) < 1.0
 
 
-# Without limits the first command is that of a linear-quadratic regulator with preview, by a Riccati recursion.
+# Without limits, the first command is that of a linear-quadratic regulator with preview, from a Riccati recursion.
 
 
 STEPS = 25
@@ -113,8 +113,8 @@ def ramps():
 def regulator(model, weights, state, past, last, error, twists, fed):
     """Return v_ref (1,) of the regulator by dynamic programming.
 
-    The state is (velocity states, commands on their way, position error, last deviation from the feed-forward, 1).
-    `twists` (N + 1,) are the speeds of the reference, `fed` (N + 1,) its feed-forward from the last tick on.
+    State: velocity states, delayed commands, position error, last deviation from the feed-forward, 1.
+    `twists` (N + 1,) are speeds of the reference, `fed` (N + 1,) its feed-forward from the last tick on.
     """
     n, m, dt = model.order, len(past), model.dt
     size = n + m + 3
@@ -148,13 +148,13 @@ def regulator(model, weights, state, past, last, error, twists, fed):
 
 
 @pytest.mark.parametrize("name", ["sm", "mbm"])
-def test_first_command_equals_that_of_the_regulator_with_preview(name):
+def test_first_command_equals_the_regulator_with_preview(name):
     controller = Controller(load_config(name, NO_SLIP | PROMPT | {"horizon": STEPS, "solver.tolerance": 1e-9}))
     model, dt, reference = controller.model.discretise(0.0202), 0.0202, ramps()
     robot = IdealRobot(model, np.array([0.03, 0.0, 0.0]))
     drive = record(controller, robot, reference, 70, lambda *_: None)
     t, steps = drive.times[-1], np.arange(STEPS + 1)
-    # The last tick once more, from what the controller knows.
+    # Repeat the last tick with the controller's estimate.
     result = controller.step(t + dt, robot.measure())
     t += dt
     past = np.array([[0.0, 0.0]] * 20 + drive.commands)[-model.memory :, 0]

@@ -21,7 +21,7 @@ TRACK = Wheels().encoder_track
 
 
 class HeldRobot(IdealRobot):
-    """Robot whose body is held for 1.2 s from the fault on; its wheels stop, too, or spin."""
+    """Robot whose body is held for 1.2 s from the fault on; its wheels stop as well, or spin."""
 
     spins = False
 
@@ -43,7 +43,7 @@ class SpinningRobot(HeldRobot):
 
 
 class QuietHeldRobot(HeldRobot):
-    """Robot that is held for 2.6 s; its encoders read exactly zero meanwhile, as real ones do."""
+    """Robot that is held for 2.6 s; its encoders read exactly zero meanwhile, as real encoders do."""
 
     @property
     def held(self):
@@ -85,7 +85,7 @@ def stuck(field):
     return change
 
 
-def spoilt(field, value):
+def corrupted(field, value):
     """Return a change after which the sensor reads value(correct reading, seconds since the fault)."""
 
     def change(k, m):
@@ -114,7 +114,7 @@ def run(change=None, trajectory="s", model="ssm", robot=IdealRobot, seconds=9.0,
     return results, apart
 
 
-def accused(results):
+def unused_sensors(results):
     return {name for result in results for name in result.unused_sensors}
 
 
@@ -123,14 +123,14 @@ def first(results, name):
     return next(k - FAULT for k, result in enumerate(results) if name in result.unused_sensors) * DT
 
 
-# What fails, along what, who is found, within which time [s]. What creeps takes longer.
+# Fault, trajectory, faulty sensor, and time limit of detection [s]. Slow faults take longer.
 FAULTS = {
-    "wheels at zero": (spoilt("wheel_twist", lambda v, _: 0.0 * v), "s", "wheel speed", 1.0),
-    "wheels at zero, straight on": (spoilt("wheel_twist", lambda v, _: 0.0 * v), "cane", "wheel speed", 1.0),
+    "wheels at zero": (corrupted("wheel_twist", lambda v, _: 0.0 * v), "s", "wheel speed", 1.0),
+    "wheels at zero, straight on": (corrupted("wheel_twist", lambda v, _: 0.0 * v), "cane", "wheel speed", 1.0),
     "wheels stuck": (stuck("wheel_twist"), "s", "wheel speed", 1.0),
-    "an encoder dead": (spoilt("wheel_twist", dead_encoder), "s", "wheel speed", 1.5),
+    "an encoder dead": (corrupted("wheel_twist", dead_encoder), "s", "wheel speed", 1.5),
     "gyro stuck": (stuck("yaw_rate"), "s", "yaw rate", 1.0),
-    "gyro at zero": (spoilt("yaw_rate", lambda rate, _: 0.0 * rate), "circle", "yaw rate", 1.0),
+    "gyro at zero": (corrupted("yaw_rate", lambda rate, _: 0.0 * rate), "circle", "yaw rate", 1.0),
 }
 
 
@@ -140,7 +140,7 @@ def test_sensor_contradicted_by_two_others_is_not_used(fault, model):
     """The robot continues with the remaining sensors."""
     change, trajectory, name, soon = FAULTS[fault]
     results, apart = run(change, trajectory, model)
-    assert accused(results) == {name}
+    assert unused_sensors(results) == {name}
     assert 0.0 < first(results, name) < soon
     assert any(f"{name} not used" in result.message for result in results)
     assert {result.mode for result in results} == {Mode.TRACKING}
@@ -149,24 +149,24 @@ def test_sensor_contradicted_by_two_others_is_not_used(fault, model):
 
 @pytest.mark.parametrize("model", ["ssm", "sm", "mbm"])
 @pytest.mark.parametrize("trajectory", ["circle", "square", "figure8", "k_turn"])
-def test_gyro_upside_down_is_found_and_no_pose_is_blamed(trajectory, model):
-    """Poses may be late, and a delay explains what a turned gyro says; a pose at fault has to be one at every delay."""
+def test_upside_down_gyro_is_detected_and_no_pose_is_blamed(trajectory, model):
+    """A delay could explain an inverted gyro: poses are faulty only if no delay explains the contradiction."""
 
-    def turned(_, m):
+    def invert_gyro(_, m):
         return replace(m, yaw_rate=replace(m.yaw_rate, value=-m.yaw_rate.value))
 
-    results, apart = run(turned, trajectory, model)
-    assert accused(results) == {"yaw rate"}
+    results, apart = run(invert_gyro, trajectory, model)
+    assert unused_sensors(results) == {"yaw rate"}
     assert apart.max() < 0.1
-    pair = run(turned, trajectory, model, **{"sensors.yaw_rate.sign": -1}), run(None, trajectory, model)
+    pair = run(invert_gyro, trajectory, model, **{"sensors.yaw_rate.sign": -1}), run(None, trajectory, model)
     np.testing.assert_array_equal(*([result.command for result in results] for results, _ in pair))
 
 
 POSE_FAULTS = {
     "frozen": (stuck("pose"), "s", 0.5),
     "frozen, straight on": (stuck("pose"), "cane", 0.5),
-    "drifting": (spoilt("pose", lambda pose, t: pose + [0.05 * t, 0.05 * t, 0.0]), "straight", 5.0),
-    "turning": (spoilt("pose", lambda pose, t: pose + [0.0, 0.0, 0.3 * t]), "s", 1.0),
+    "drifting": (corrupted("pose", lambda pose, t: pose + [0.05 * t, 0.05 * t, 0.0]), "straight", 5.0),
+    "turning": (corrupted("pose", lambda pose, t: pose + [0.0, 0.0, 0.3 * t]), "s", 1.0),
 }
 
 
@@ -184,8 +184,8 @@ def test_robot_brakes_if_poses_are_faulty(fault, model):
 
 def test_biased_gyro_is_not_accused():
     """The bias is estimated, as slip is."""
-    results, apart = run(spoilt("yaw_rate", lambda rate, _: rate + 0.05))
-    assert accused(results) == set()
+    results, apart = run(corrupted("yaw_rate", lambda rate, _: rate + 0.05))
+    assert unused_sensors(results) == set()
     assert not any("later than their stamps" in result.message for result in results)
     assert {result.mode for result in results} == {Mode.TRACKING}
     assert apart.max() < 0.1
@@ -203,7 +203,7 @@ class SlidingRobot(IdealRobot):
 @pytest.mark.parametrize("trajectory", ["circle", "square", "s", "cane"])
 def test_robot_sliding_down_a_slope_is_not_stopped(trajectory):
     results, _ = run(trajectory=trajectory, robot=SlidingRobot, seconds=12.0)
-    assert accused(results) == set()
+    assert unused_sensors(results) == set()
     assert {result.mode for result in results} <= {Mode.TRACKING, Mode.FINISHED}
 
 
@@ -211,11 +211,11 @@ def test_robot_sliding_down_a_slope_is_not_stopped(trajectory):
 def test_command_stays_small_for_a_held_robot_with_quiet_encoders(every):
     """Zero readings are correct here, and even rare poses confirm them."""
 
-    def seldom(k, m):
+    def drop_poses(k, m):
         return m if k % every == 0 else replace(m, pose=None)
 
-    results, _ = run(seldom, "straight", robot=QuietHeldRobot, seconds=6.0)
-    assert accused(results) == set()
+    results, _ = run(drop_poses, "straight", robot=QuietHeldRobot, seconds=6.0)
+    assert unused_sensors(results) == set()
     late = results[FAULT + 80 : FAULT + 130]
     assert max(abs(result.command[0]) for result in late) < 0.75
     assert "blocked for" in late[-1].message
@@ -223,8 +223,8 @@ def test_command_stays_small_for_a_held_robot_with_quiet_encoders(every):
 
 @pytest.mark.parametrize(("field", "name", "channel"), [("wheel_twist", "wheel speed", 0), ("yaw_rate", "yaw rate", 1)])
 def test_zero_readings_mislead_the_estimate_for_less_than_200_ms(field, name, channel):
-    """The reading then repeats for too long, well before poses reveal the faulty sensor."""
-    results, _ = run(spoilt(field, lambda value, _: 0.0 * value), "circle", seconds=3.6)
+    """A reading that repeats for too long is dropped, well before poses reveal the faulty sensor."""
+    results, _ = run(corrupted(field, lambda value, _: 0.0 * value), "circle", seconds=3.6)
     twists = np.array([result.estimate.twist[channel] for result in results[FAULT:]])
     assert (np.abs(twists[:5]) < 0.1).all()
     assert (twists[10:] > 0.3).all()
@@ -235,7 +235,7 @@ def test_zero_readings_mislead_the_estimate_for_less_than_200_ms(field, name, ch
 @pytest.mark.parametrize("trajectory", ["circle", "cane", "square"])
 def test_disturbed_robot_accuses_no_sensor(robot, trajectory):
     results, _ = run(trajectory=trajectory, robot=robot)
-    assert accused(results) == set()
+    assert unused_sensors(results) == set()
 
 
 def test_monitor_without_findings_changes_no_command():
@@ -248,8 +248,8 @@ def test_monitor_without_findings_changes_no_command():
     ("name", "field"), [("wheel speed", "wheel_twist"), ("yaw rate", "yaw_rate"), ("pose", "pose")]
 )
 def test_recovered_sensor_is_used_again(name, field):
-    broken = stuck(field) if field == "pose" else spoilt(field, lambda value, _: 0.0 * value)
-    # Long enough to be found, and for the robot to stop.
+    broken = stuck(field) if field == "pose" else corrupted(field, lambda value, _: 0.0 * value)
+    # Long enough for the detection, and for the robot to stop.
     results, apart = run(lambda k, m: broken(k, m) if k < FAULT + 75 else m, "circle")
     assert first(results, name) < 1.0
     assert results[-1].unused_sensors == ()
@@ -269,14 +269,14 @@ def test_poses_later_than_their_stamps_are_reported_within_5_s_but_not_accused(t
         return replace(m, pose=Stamped(late[max(0, k - ticks)], m.pose.time), yaw_rate=m.yaw_rate if has_gyro else None)
 
     results, _ = run(change, trajectory, seconds=7.0)
-    assert accused(results) == set()
+    assert unused_sensors(results) == set()
     for result in results[round(5.0 / DT) :]:
         reported = re.search(r"poses are about ([0-9.]+) s later than their stamps", result.message)
         assert float(reported[1]) == pytest.approx(ticks * DT, abs=0.011)
 
 
 class MirroredReference:
-    """Reference that is mirrored left to right."""
+    """Reference mirrored left to right."""
 
     def __init__(self, original):
         self.original, self.name, self.duration = original, original.name, original.duration
@@ -286,7 +286,7 @@ class MirroredReference:
         return sample._replace(pose=sample.pose * [1, -1, -1], twist=sample.twist * [1, -1])
 
 
-def scattering(k, m):
+def scatter_poses(k, m):
     off = np.random.default_rng(k).normal(size=3) * [0.03, 0.02, 0.02]
     return replace(m, pose=replace(m.pose, value=np.asarray(m.pose.value) + off))
 
@@ -299,15 +299,15 @@ SYMMETRIC = {
     "an encoder dead": (FAULTS["an encoder dead"][0], IdealRobot),
     "gyro stuck": (FAULTS["gyro stuck"][0], IdealRobot),
     "poses drift": (POSE_FAULTS["drifting"][0], IdealRobot),
-    "poses scatter": (scattering, IdealRobot),
+    "poses scatter": (scatter_poses, IdealRobot),
 }
 
 
 @pytest.mark.parametrize("fault", SYMMETRIC)
 def test_verdicts_are_invariant_under_reflection_and_rotation(fault):
-    """Mirrored measurements give mirrored commands, those in another frame the same, and both the same verdicts.
+    """Mirrored measurements give mirrored commands, rotated ones equal commands, and both equal verdicts.
 
-    The other frame is turned by a right angle: a surprise widens the belief along the axes of the poses.
+    The other frame is rotated by a right angle: a surprise widens the covariance along the axes of the poses.
     """
     change, robot = SYMMETRIC[fault]
     reference, motion = load_trajectory("s"), np.array([3.0, -2.0, 0.5 * np.pi])
@@ -341,7 +341,7 @@ def test_verdicts_are_invariant_under_reflection_and_rotation(fault):
 @pytest.mark.parametrize(("track", "is_reported"), [(TRACK, False), (0.5 * TRACK, True), (2.0 * TRACK, True)])
 def test_wrong_track_is_reported_within_ten_seconds_of_turning(track, is_reported):
     results, _ = run(None, "circle", seconds=10.0, **{"wheels.encoder_track": track})
-    assert accused(results) == set()
+    assert unused_sensors(results) == set()
     assert ("wrong wheels.track" in results[-1].message) == is_reported
 
 
@@ -350,10 +350,10 @@ def test_false_reports_of_the_base_keep_the_slew_limit(seed):
     """Slew is relative to the controller's last command, whatever the base reports."""
     rng, limits = np.random.default_rng(seed), load_config("ssm").limits
 
-    def lie(k, m):
+    def misreport(k, m):
         return replace(m, sent=tuple(rng.uniform(-6.0, 6.0, 2))) if rng.random() < 0.3 else m
 
-    results, _ = run(lie, seconds=5.0)
+    results, _ = run(misreport, seconds=5.0)
     steps = np.abs(np.diff([result.command for result in results], axis=0))
     assert (steps <= np.array([limits.v_slew, limits.omega_slew]) * DT + 1e-12).all()
     assert any("beyond the limits" in result.message for result in results)

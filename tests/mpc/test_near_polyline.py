@@ -1,4 +1,4 @@
-"""Paths through waypoints near their polyline: the distance is measured densely, with a function of the test's own."""
+"""Paths through waypoints near their polyline; the distance is measured densely by an independent function."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ ZIGZAG = [(0.5 * i, 0.5 * (i % 2)) for i in range(17)]
 ANGLES = np.arange(0.0, 2 * np.pi, 0.1)
 CIRCLE = np.column_stack([np.cos(ANGLES), np.sin(ANGLES)])
 SEEDS = range(55_000, 55_100)
-"""Reserved: no choice in the method was made on these polylines."""
+"""Reserved: no choice in the method was based on these polylines."""
 
 
 def distances(points: FloatArray, polyline: FloatArray) -> FloatArray:
-    """Return the distance of each point from the nearest leg, whichever that is."""
+    """Return the distance of each point from its nearest leg."""
     nearest = np.full(len(points), np.inf)
     for start, end in pairwise(polyline):
         leg = end - start
@@ -36,12 +36,12 @@ def distances(points: FloatArray, polyline: FloatArray) -> FloatArray:
     return nearest
 
 
-def densely(trajectory: Trajectory, step: float = 0.002) -> FloatArray:
+def dense_points(trajectory: Trajectory, step: float = 0.002) -> FloatArray:
     count = int(trajectory.sample([trajectory.duration]).arc_length[0] / step) + 4000
     return trajectory.sample(np.linspace(0.0, trajectory.duration, count)).pose[:, :2]
 
 
-def drawn_polyline(seed: int) -> FloatArray:
+def random_polyline(seed: int) -> FloatArray:
     """Return 4 to 12 points: legs of 0.3 to 10 m, turns of up to 110 degrees."""
     random = np.random.default_rng(seed)
     count = int(random.integers(3, 12))
@@ -56,12 +56,12 @@ def drawn_polyline(seed: int) -> FloatArray:
 @pytest.mark.parametrize("timing", ["stop", "smooth"])
 def test_path_stays_near_its_polyline_within_all_limits(points, timing):
     spline = lay_waypoints(points, LIMITS, name="spline", timing=timing, max_deviation=None)
-    assert distances(densely(spline), np.array(points, float)).max() > 0.05
+    assert distances(dense_points(spline), np.array(points, float)).max() > 0.05
     trajectory = lay_waypoints(points, LIMITS, name="near", timing=timing)
-    away = distances(densely(trajectory), np.array(points, float)).max()
-    assert away <= MAX_DEVIATION
-    # The stated deviation is the measured one, as far as it is sampled.
-    assert trajectory.drawn_distance(trajectory.breaks).max() == pytest.approx(away, rel=0.02)
+    distance = distances(dense_points(trajectory), np.array(points, float)).max()
+    assert distance <= MAX_DEVIATION
+    # The stated deviation equals the measured one up to sampling.
+    assert trajectory.drawn_distance(trajectory.breaks).max() == pytest.approx(distance, rel=0.02)
     assert np.all(largest_shares(trajectory, LIMITS) <= 1.01)
 
 
@@ -72,23 +72,23 @@ def test_points_on_a_smooth_curve_keep_their_spline():
     assert middle == pytest.approx(1.0, abs=0.01)
 
 
-def test_a_straight_leg_into_dense_points_keeps_the_dense_points_smooth():
+def test_straight_leg_into_dense_points_keeps_the_dense_points_smooth():
     points = np.vstack([[[1.0, -10.0]], CIRCLE])
     path = smooth_path(points, "hook", max_deviation=0.05)
     assert distances(path.points, points).max() <= 0.05
     assert np.abs(path.curvature).max() < 2.0
 
 
-def test_drawn_polylines_are_kept_and_their_points_passed():
+def test_paths_of_random_polylines_stay_near_and_pass_their_points():
     for seed in SEEDS:
-        points = drawn_polyline(seed)
+        points = random_polyline(seed)
         path = smooth_path(points, f"seed {seed}", max_deviation=0.05)
         assert distances(path.points, points).max() <= 0.05, seed
         assert np.isfinite(path.curvature).all() and np.abs(path.curvature).max() < 50.0, seed
         assert np.isfinite(path.bend_change).all(), seed
         gaps = [np.hypot(*(path.points - point).T).min() for point in points]
         assert max(gaps) <= 0.05, seed
-        # Heading and curvature are continuous: from node to node they change by what their bounds allow.
+        # Heading and curvature are continuous: between nodes they change within their bounds.
         assert (np.abs(np.diff(path.heading)) <= path.bend * path.lengths * 1.02 + 1e-9).all(), seed
         assert (np.abs(np.diff(path.curvature)) <= path.bend_change * path.lengths * 1.05 + 1e-9).all(), seed
 
@@ -97,10 +97,10 @@ def test_file_states_its_deviation_and_hairpins_name_the_key(tmp_path: Path):
     file = tmp_path / "square.yaml"
     file.write_text(f"waypoints: {[list(point) for point in SQUARE]}\nmax_deviation: 0.2\n")
     trajectory = load_trajectory(file)
-    away = distances(densely(trajectory), np.array(SQUARE, float)).max()
-    assert 0.05 < away <= 0.2
+    distance = distances(dense_points(trajectory), np.array(SQUARE, float)).max()
+    assert 0.05 < distance <= 0.2
     assert trajectory.remark == (
-        f"trajectory 'square': its path is up to {away:.3f} m from the polyline of its waypoints; "
+        f"trajectory 'square': its path is up to {distance:.3f} m from the polyline of its waypoints; "
         "errors refer to its path"
     )
     with pytest.raises(ConfigError, match=r"between waypoints.1 and waypoints.2; .* or raise max_deviation = 0.05$"):

@@ -1,4 +1,4 @@
-"""Parts of the node: their parameters, their hooks, and the package that has them."""
+"""Parts of the node: their parameters, their hooks, and the packages that contain them."""
 
 from types import SimpleNamespace
 
@@ -27,47 +27,47 @@ class ProbeSettings(PartSettings):
 
 
 class Probe(NodePart):
-    """Records the order in which its hooks are called."""
+    """Records the order of its hook calls."""
 
     schema = ProbeSettings
     fault = "the probe has a fault"
 
     def __init__(self, node):
         super().__init__(node)
-        self.called = []
+        self.calls = []
 
     def configure(self, tools):
         self.settings = tools.part_settings(ProbeSettings)
         if self.settings.refuse:
             raise RefusedError("the probe refuses to be configured")
-        self.called.append("configure")
+        self.calls.append("configure")
 
     def check_activation(self):
         if self.settings.refuse_activation:
             raise RefusedError("the probe refuses to be activated")
-        self.called.append("check")
+        self.calls.append("check")
 
     def activate(self):
         assert self.loop is not None
-        self.called.append("activate")
+        self.calls.append("activate")
 
     def tick(self, tick):
-        self.called.append("tick")
+        self.calls.append("tick")
 
     def after_tick(self, tick, time, row):
-        self.called.append("after tick")
+        self.calls.append("after tick")
         row["battery_current_a"] = self.settings.current
 
     def deactivate(self):
         assert self.loop is None
-        self.called.append("deactivate")
+        self.calls.append("deactivate")
 
     def tear_down(self):
         assert self.tools is None
-        self.called.append("tear down")
+        self.calls.append("tear down")
 
     def change_limits(self):
-        self.called.append("limits")
+        self.calls.append("limits")
 
     def diagnostics(self):
         return {"probe": "ready"}
@@ -75,7 +75,7 @@ class Probe(NodePart):
 
 @pytest.fixture
 def parts(monkeypatch):
-    """Installed parts by name; a test may add and remove some."""
+    """Installed parts by name; a test may add parts."""
     installed = {"probe": SimpleNamespace(name="probe", load=lambda: Probe)}
     monkeypatch.setattr(plug_ins, "_entries", lambda group: installed if group == "node_parts" else {})
     plug_ins.plug_in.cache_clear()
@@ -83,31 +83,31 @@ def parts(monkeypatch):
     plug_ins.plug_in.cache_clear()
 
 
-class Started:
-    """A node that was started with parameters, as far as declarations need it."""
+class StubNode:
+    """Stand-in for a node that was started with parameters, sufficient to declare them."""
 
     def __init__(self, **overrides):
-        self.held, self.warnings = {}, []
+        self.known, self.warnings = {}, []
         self._parameter_overrides = {
             name: Parameter(name, value=value)
             for name, value in ((name.replace("__", "."), value) for name, value in overrides.items())
         }
 
     def declare_parameters(self, _, parameters):
-        self.held |= {name: self._parameter_overrides.get(name, Parameter(name, value=v)) for name, v, _ in parameters}
+        self.known |= {name: self._parameter_overrides.get(name, Parameter(name, value=v)) for name, v, _ in parameters}
 
     def get_parameter(self, name):
-        return self.held[name]
+        return self.known[name]
 
     def get_logger(self):
         return SimpleNamespace(warning=self.warnings.append)
 
 
 def test_parameters_of_a_named_part_are_declared_and_read(parts):
-    node = Started(parts__probe__current=2.5)
+    node = StubNode(parts__probe__current=2.5)
     settings = name_parts(node, NodeSettings(), ())
     declare(node, settings)
-    assert {name for name in node.held if name.startswith("parts.")} == {
+    assert {name for name in node.known if name.startswith("parts.")} == {
         f"parts.probe.{key}" for key in ("enabled", "refuse", "refuse_activation", "current")
     }
     assert read(node, settings).parts == {"probe": ProbeSettings(current=2.5)}
@@ -117,22 +117,22 @@ def test_parameters_of_a_named_part_are_declared_and_read(parts):
 
 def test_part_of_a_configured_feature_is_loaded_and_unnamed_parts_are_not(parts):
     parts["unused"] = SimpleNamespace(name="unused", load=lambda: pytest.fail("an unnamed part is loaded"))
-    assert name_parts(Started(), NodeSettings(), ()).parts == {}
-    assert name_parts(Started(), NodeSettings(), ("probe", "feature_without_part")).parts == {"probe": ProbeSettings()}
+    assert name_parts(StubNode(), NodeSettings(), ()).parts == {}
+    assert name_parts(StubNode(), NodeSettings(), ("probe", "feature_without_part")).parts == {"probe": ProbeSettings()}
     stated = NodeSettings(parts={"probe": {"current": 3.0}})
-    assert name_parts(Started(), stated, ("probe",)).parts == {"probe": ProbeSettings(current=3.0)}
+    assert name_parts(StubNode(), stated, ("probe",)).parts == {"probe": ProbeSettings(current=3.0)}
 
 
 def test_missing_package_of_a_part_is_named_in_one_line(parts):
     with pytest.raises(MissingPackageError, match=r"^node part 'energy' is in the package diffdrive-mpc-extras: pip "):
-        name_parts(Started(parts__energy__use_battery=True), NodeSettings(), ())
+        name_parts(StubNode(parts__energy__use_battery=True), NodeSettings(), ())
     with pytest.raises(MissingPackageError, match=r"^node part 'mine': no installed package has it"):
         NodeSettings(parts={"mine": {}})
 
 
-def test_former_parameter_is_taken_with_a_line_that_names_the_new_one(parts):
+def test_former_parameter_is_accepted_with_a_line_that_names_the_new_one(parts):
     parts["energy"] = SimpleNamespace(name="energy", load=lambda: Probe)
-    node = Started(use_battery=True, battery_timeout=2.0, use_costmap=False)
+    node = StubNode(use_battery=True, battery_timeout=2.0, use_costmap=False)
     assert name_parts(node, NodeSettings(), ()).parts.keys() == {"energy"}
     assert node._parameter_overrides["parts.energy.use_battery"].value is True
     assert sorted(node.warnings) == [
@@ -155,7 +155,7 @@ def test_hooks_are_called_in_the_order_of_the_lifecycle(parts, tmp_path):
         s.node.trigger_cleanup()
         s.base.silent(3)
         assert s.base.silent(3) == 0
-    called = probe.called
+    called = probe.calls
     assert called[:3] == ["configure", "check", "activate"] and called[-2:] == ["deactivate", "tear down"]
     ticks = [name for name in called if name.endswith("tick")]
     assert len(ticks) >= 60 and ticks == ["tick", "after tick"] * (len(ticks) // 2)
@@ -175,5 +175,5 @@ def test_part_refuses_a_transition_and_the_node_recovers(parts, hook):
         if hook == "refuse":
             s.node.trigger_configure()
         s.node.trigger_activate()
-        s.base.until(s.hears, "sensors")
+        s.base.until(s.has_received_inputs, "sensors")
         assert s.node.label == "active"

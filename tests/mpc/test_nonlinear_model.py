@@ -1,4 +1,4 @@
-"""A velocity model that is a function: prediction, plans compared with IPOPT's, and benefit under saturation."""
+"""Velocity model given as a function: prediction, comparison of plans with IPOPT, and benefit under saturation."""
 
 import casadi as ca
 import numpy as np
@@ -8,10 +8,10 @@ from nonlinear_program import (
     EXACT,
     LAG,
     NO_SLIP,
-    by_ipopt,
-    converged,
+    iterate_to_convergence,
     record,
     saturating,
+    solve_with_ipopt,
     windowed,
 )
 from scipy.integrate import solve_ivp
@@ -64,25 +64,25 @@ class ExactRobot:
         self.k += 1
 
 
-def test_the_saturating_lag_is_sampled_as_an_ode_solver_has_it():
-    model, most = saturating(delay=1), np.array([0.9, 1.8])
+def test_saturating_lag_equals_the_solution_of_an_ode_solver():
+    model, max_rate = saturating(delay=1), np.array([0.9, 1.8])
     commands = np.zeros((60, 2))
     commands[5:] = [0.8, -1.5]
     output = model.simulate(commands)[:, 0]
 
     def rate(t, v):
         u = commands[max(0, int(np.floor(t / DT + 1e-9)) - 1), 0] if t >= DT else 0.0
-        return most[0] * np.tanh((u - v) / (LAG[0] * most[0]))
+        return max_rate[0] * np.tanh((u - v) / (LAG[0] * max_rate[0]))
 
     times = np.arange(60) * DT
     exact = solve_ivp(rate, (0, times[-1]), [0.0], t_eval=times, rtol=1e-9, atol=1e-11, max_step=DT / 4).y[0]
     assert output == pytest.approx(exact, abs=1e-5)
-    assert np.diff(output).max() < most[0] * DT
+    assert np.diff(output).max() < max_rate[0] * DT
 
 
-def test_its_lag_is_that_of_its_linearisation():
+def test_lag_of_a_nonlinear_model_is_that_of_its_linearisation():
     model = saturating(delay=2)
-    # The area beside a step is added up by trapezoids, which a kink at its beginning makes too large by this.
+    # Trapezoids overestimate the area above the step response by this term, because of the kink at its start.
     assert model.lag == pytest.approx(LAG + 2 * DT + DT**2 / (12 * LAG), abs=2e-5)
     assert model.dc_gain == pytest.approx(np.eye(2), abs=1e-9)
 
@@ -96,15 +96,15 @@ def test_real_time_iterations_converge_to_ipopts_solution(name, ticks):
     def make():
         return Controller(config, model=model)
 
-    def nothing(controller, t):
+    def no_inputs(controller, t):
         pass
 
-    drive = record(make(), ExactRobot(model), CIRCLE, ticks, nothing)
-    controller, result = converged(make, drive, CIRCLE, nothing)
-    assert result.planned_commands == pytest.approx(by_ipopt(controller, model=model), abs=1e-6)
+    drive = record(make(), ExactRobot(model), CIRCLE, ticks, no_inputs)
+    controller, result = iterate_to_convergence(make, drive, CIRCLE, no_inputs)
+    assert result.planned_commands == pytest.approx(solve_with_ipopt(controller, model=model), abs=1e-6)
 
 
-def test_a_linear_model_as_a_function_gives_the_commands_of_the_linear_one(monkeypatch):
+def test_linear_model_as_a_function_gives_the_commands_of_the_linear_model(monkeypatch):
     linear = load_model("ssm").with_extra_dead_time([0.03, 0.05])
     sampled = linear.discretise(DT)
     x, window = ca.SX.sym("x", sampled.order), ca.SX.sym("window", 2 * (sampled.memory + 1))
@@ -114,10 +114,10 @@ def test_a_linear_model_as_a_function_gives_the_commands_of_the_linear_one(monke
     after = sampled.A @ x + sampled.B0 @ recent + sampled.B1 @ older
     step = ca.Function("step", [x, window], [after], ["x", "window"], ["after"])
     output = ca.Function("output", [x], [sampled.C @ x], ["x"], ["y"])
-    # Of the same robot: the ratio of yaw rates of a model made in Python is less certain.
+    # Use the provenance of the same robot: for a model made in Python the ratio of yaw rates is less certain.
     model = NonlinearModel("ssm", step, output, DT, newest, provenance=linear.provenance)
     assert model.lag == pytest.approx(linear.lag, abs=5e-4)
-    # What the trapezoids leave is no matter here.
+    # Exclude the error of the trapezoids from the comparison.
     monkeypatch.setattr(NonlinearModel, "lag", linear.lag)
     fixed = {"compensation.delay": False, "weights.v_increment": 20.0, "weights.omega_increment": 15.0}
     controllers = [Controller(load_config("ssm", fixed), choice) for choice in (linear, model)]
@@ -132,9 +132,9 @@ def test_a_linear_model_as_a_function_gives_the_commands_of_the_linear_one(monke
         plant.advance(first.command)
 
 
-def test_where_saturation_acts_it_is_better_than_its_linearisation():
-    """A robot whose acceleration saturates far below the slew of its commands, on a path that stops and goes."""
-    model = saturating(most=(0.35, 0.9))
+def test_nonlinear_model_tracks_better_than_its_linearisation_under_saturation():
+    """The acceleration of the robot saturates far below the slew of its commands, on a path with stops."""
+    model = saturating(max_rate=(0.35, 0.9))
     A, B, C = np.diag(-1 / LAG), np.diag(1 / LAG), np.eye(2)
     linear = VelocityModel("linearised", "ssm", A, B, C, dead_time=np.full(2, 2 * DT))
     config, errors = load_config("ssm"), []
@@ -150,13 +150,13 @@ def test_where_saturation_acts_it_is_better_than_its_linearisation():
     assert errors[1] < 0.9 * errors[0]
 
 
-def test_it_drives_the_physics():
+def test_nonlinear_model_tracks_the_mujoco_robot():
     run = simulate(Controller(load_config("ssm"), model=saturating()), make_plant("mujoco", seed=0), CIRCLE)
     assert run.metrics.position_rmse_m < 0.015
     assert set(run.modes) == {"TRACKING"}
 
 
-def test_what_cannot_be_a_robots_model_is_refused_in_one_line():
+def test_invalid_model_functions_are_refused_in_one_line():
     x, window = ca.SX.sym("x", 2), ca.SX.sym("window", 4)
     output = ca.Function("output", [x], [x], ["x"], ["y"])
 
@@ -178,13 +178,13 @@ def test_what_cannot_be_a_robots_model_is_refused_in_one_line():
         Controller(load_config("ssm"), model=saturating(dt=0.01))
 
 
-def test_the_feed_forward_holds_a_speed_at_which_the_gain_is_another_than_at_rest():
-    """For a robot at the reference's speed, the plan is the command that keeps it: no cost, no deviation."""
+def test_feed_forward_keeps_a_speed_at_which_the_gain_differs_from_rest():
+    """For a robot at the speed of the reference, the plan is the command that keeps it: no cost, no deviation."""
     model = windowed()
     config = load_config("ssm", {"reentry.enabled": False} | NO_SLIP | EXACT)
     controller, robot = Controller(config, model=model), ExactRobot(model)
     drive = record(controller, robot, CIRCLE, 250, lambda controller, t: None)
     wanted = CIRCLE.sample([249 * DT]).twist[0]
-    held = 1.5 * np.arctanh(wanted / 1.5)
-    assert drive.commands[-1] == pytest.approx(held, abs=1e-5)
-    assert np.abs(held - wanted).min() > 0.01, "the gain at rest would not do"
+    steady_command = 1.5 * np.arctanh(wanted / 1.5)
+    assert drive.commands[-1] == pytest.approx(steady_command, abs=1e-5)
+    assert np.abs(steady_command - wanted).min() > 0.01, "the gain at rest must differ"

@@ -1,4 +1,4 @@
-"""The oracle's estimator, and its filter against differences of its own predictions and the textbook."""
+"""The oracle's estimator, and its filter against finite differences of its predictions and the textbook filter."""
 
 from dataclasses import replace
 from typing import ClassVar
@@ -22,7 +22,7 @@ MODEL = load_model("ssm").with_extra_dead_time([0.01, 0.03]).discretise(DT)
 
 
 class TextbookEstimator(Estimator):
-    """Settings without thresholds of surprise and speed."""
+    """Settings without thresholds on surprise and speed."""
 
     surprise: ClassVar[float] = 1e9
     min_yaw_rate: ClassVar[float] = 1e-9
@@ -36,7 +36,7 @@ SIZE = N + 16
 NONE = np.zeros((SIZE, SIZE))
 STEP = 1e-6
 NEUTRAL = np.concatenate([np.zeros(N), [0, 1, 1, 1, *[0] * 7], np.zeros(5)])
-# Delays well inside one sample, where the prediction is smooth.
+# Delays within one sample, for which the prediction is smooth.
 SPREAD = np.concatenate([np.ones(N + 11), [0.0, 0.0], np.ones(3)])
 LATE = np.concatenate([np.zeros(N + 11), [0.4 * DT, 0.7 * DT], np.zeros(3)])
 
@@ -52,14 +52,14 @@ def gradient(function, point):
 
 
 @given(means, st.lists(commands, min_size=4, max_size=4).map(np.array))
-def test_predicted_covariance_follows_the_gradient_of_the_prediction(mean, acting):
+def test_predicted_covariance_follows_the_gradient_of_the_prediction(mean, active_commands):
     rng = np.random.default_rng(0)
     root = rng.normal(size=(SIZE, SIZE))
     P = root @ root.T
-    noise = FILTER.predict(Belief(mean, NONE), acting).covariance
-    acceleration = FILTER.acceleration(mean, acting)
-    F = gradient(lambda z: FILTER.process(z, acting, acceleration), mean)
-    predicted = FILTER.predict(Belief(mean, P), acting).covariance
+    noise = FILTER.predict(Belief(mean, NONE), active_commands).covariance
+    acceleration = FILTER.acceleration(mean, active_commands)
+    F = gradient(lambda z: FILTER.process(z, active_commands, acceleration), mean)
+    predicted = FILTER.predict(Belief(mean, P), active_commands).covariance
     assert predicted - noise == pytest.approx(F @ P @ F.T, abs=1e-5)
     assert np.linalg.eigvalsh(noise).min() > -1e-15
 
@@ -155,9 +155,9 @@ COMMANDS = np.column_stack([0.5 + 0.2 * np.sin(TICKS / 15), 0.8 * np.sin(TICKS /
 
 
 def run(estimator, robot, ticks=200, deliver=None, command=None, after=None):
-    """Drive open loop; `deliver(k, measurement)` decides what the estimator gets, `after(k)` looks at it.
+    """Drive open loop; `deliver(k, measurement)` replaces measurements, `after(k)` runs after each update.
 
-    The command is `command`, or one of those above.
+    The command is `command`, or an entry of COMMANDS.
     """
     messages = []
     for k in range(ticks):
@@ -174,7 +174,7 @@ def run(estimator, robot, ticks=200, deliver=None, command=None, after=None):
     return messages
 
 
-def test_exact_data_give_the_exact_estimate():
+def test_exact_measurements_give_the_exact_estimate():
     estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.array([1.0, 2.0, 3.0]))
     messages = run(estimator, robot)
     estimate = estimator.estimate
@@ -204,10 +204,10 @@ def test_late_poses_give_the_estimate_of_punctual_ones(late):
     assert delayed.estimate.pose_deviation == pytest.approx(in_time.estimate.pose_deviation, abs=1e-12)
 
 
-def test_readings_count_when_they_were_true():
-    """Poses half a tick old with a stated delay, wheels of the same lag that read too much: all stamped now."""
-    known = SensorResponses(pose=PoseResponse(delay=0.5 * DT), wheels=WheelResponse(lag=0.5 * DT, scale=1.05))
-    estimator, robot = StateEstimator(MODEL, Estimator(), sensors=known), IdealRobot(MODEL, np.zeros(3))
+def test_readings_count_at_the_time_they_represent():
+    """Half a tick old poses with a stated delay, and wheels of the same lag that read too much: all stamped now."""
+    responses = SensorResponses(pose=PoseResponse(delay=0.5 * DT), wheels=WheelResponse(lag=0.5 * DT, scale=1.05))
+    estimator, robot = StateEstimator(MODEL, Estimator(), sensors=responses), IdealRobot(MODEL, np.zeros(3))
     wheels = [np.zeros(2)]
 
     def half_a_tick_ago(_, measurement):
@@ -217,20 +217,20 @@ def test_readings_count_when_they_were_true():
         return replace(measurement, pose=Stamped(pose, robot.time), wheel_twist=read)
 
     run(estimator, robot, 200, half_a_tick_ago)
-    # Taken for readings of now they would leave half a tick of travel, 5 mm, and 25 mm/s.
+    # Without the correction, half a tick of travel, 5 mm, and 25 mm/s would remain.
     assert estimator.estimate.pose[:2] == pytest.approx(robot.poses[-2][:2], abs=5e-4)
     assert estimator.estimate.slip.v_offset == pytest.approx(0.0, abs=1e-3)
 
 
 SLIP = Slip(v_offset=0.04, longitudinal_gain=0.985, yaw_gain=0.85, side_slip=0.08)
-# The same robot with its load ahead, to the left, and one that dips where it speeds up.
+# The same robot with its load ahead, to the left, and one that dips during acceleration.
 LOADED = [replace(SLIP, turn_ahead=0.05), replace(SLIP, turn_left=0.05), replace(SLIP, load_shift=0.05)]
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("slip", [SLIP, *LOADED], ids=["middle", "ahead", "left", "dips"])
 def test_turning_point_and_slip_are_estimated_within_two_deviations(slip):
-    """On a noisy robot, each number within two of its deviations; the turning point within a centimetre and a half."""
+    """Each value is within two of its standard deviations; the turning point within 15 mm."""
     estimator = StateEstimator(MODEL, Estimator())
     run(estimator, IdealRobot(MODEL, np.zeros(3), slip=slip, noise=1.0), 1500)
     result, deviation = (np.array(part.flat) for part in (estimator.estimate.slip, estimator.estimate.slip_deviation))
@@ -267,7 +267,7 @@ def test_disabled_compensation_keeps_its_slip_at_zero(part, names):
 
 
 def yaw_gains(after, ticks):
-    """Drive on a floor where the yaw gain falls to `after` at tick 300 for `ticks`; estimates at each tick."""
+    """Return estimates at each tick of a drive on which the yaw gain falls to `after` at tick 300 for `ticks`."""
     estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3), noise=1.0)
     results = []
 
@@ -281,7 +281,7 @@ def yaw_gains(after, ticks):
 
 
 @pytest.mark.parametrize("after", [0.35, 0.6, 1.8])
-def test_sudden_change_of_floor_is_learned_within_seconds(after):
+def test_sudden_change_of_surface_is_learned_within_seconds(after):
     """A lasting deviation counts as slip, however large it is."""
     result = yaw_gains(after, 400)
     assert result[295] == pytest.approx(1.0, abs=0.05)
@@ -305,10 +305,10 @@ def test_yaw_gains_are_frozen_at_low_yaw_rate():
 
 
 def test_innovations_are_chi_squared_distributed():
-    """On a robot that is as noisy as the filter assumes, the mean over seeds lies inside its 99.9 % interval.
+    """For a robot as noisy as the filter assumes, the mean over seeds lies inside its 99.9 % interval.
 
-    Squared innovations over their variances, k numbers in each of n, are distributed as chi-squared with n k degrees
-    of freedom, over n k.
+    Squared innovations over their variances, k values in each of n, follow a chi-squared distribution with n k degrees
+    of freedom, divided by n k.
     """
     values, numbers = [], np.array([3 if sensor == "pose" else 1 for sensor in SENSORS])
     for seed in range(10):

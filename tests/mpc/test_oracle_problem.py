@@ -1,4 +1,4 @@
-"""The oracle's problem against IPOPT on the nonlinear program, and finite differences; its feed-forward."""
+"""The oracle's problem against IPOPT on the nonlinear program and finite differences, and its feed-forward."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ SOFT = {
 
 def problem(model_name, horizon, **overrides):
     model = load_model(model_name).with_extra_dead_time(EXTRA).discretise(DT)
-    # With lighter weights the iterations of a robot that rests converge slowly.
+    # With lighter weights the iterations converge slowly for a resting robot.
     weights = {"weights.v_increment": 20.0, "weights.omega_increment": 15.0}
     return TrackingProblem(load_config("ssm", {"horizon": horizon} | weights | overrides), model)
 
@@ -36,7 +36,7 @@ def problem(model_name, horizon, **overrides):
 def setting(model_name, horizon=15, **overrides):
     """Return the problem and the tick of a robot next to a curve, at speed."""
     subject = problem(model_name, horizon, **overrides)
-    # Driving outwards where the corridor is to matter.
+    # For the corridor the robot drives outwards, so that the limit is active.
     heading = -0.3 if "limits.corridor" in overrides else 0.06
     theta = 0.5 * DT * np.arange(horizon + 1)
     aim = np.column_stack([np.sin(theta), 1 - np.cos(theta), theta])
@@ -73,7 +73,7 @@ def converge(subject, tick, iterations=30):
         plan = solution.x.reshape(-1, 2)
         if np.abs(plan - before).max() < 1e-8:
             return plan, solution
-    raise AssertionError("it does not converge")
+    raise AssertionError("the iteration does not converge")
 
 
 def ipopt(subject, tick, ahead=None):
@@ -91,12 +91,12 @@ def ipopt(subject, tick, ahead=None):
 def test_real_time_iterations_converge_to_ipopts_solution(model_name, soft):
     subject, tick = setting(model_name, **SOFT[soft])
     plan, solution = converge(subject, tick)
-    assert solution.soft.any() == (soft != "none"), "the case must exercise what it is named for"
+    assert solution.soft.any() == (soft != "none"), "the soft limit of the case must be exceeded"
     assert plan == pytest.approx(ipopt(subject, tick), abs=2e-6)
 
 
-def test_turning_points_of_the_guess_cost_little():
-    """The iteration ends where the plan is best for its own turning points: nearly as good as if it moved them."""
+def test_fixed_turning_points_of_the_guess_cost_little():
+    """The iteration ends at the best plan for its own turning points: nearly as good as if it moved them."""
     subject, tick = setting("ssm")
     tick = replace(tick, slip=replace(tick.slip, load_shift=0.05))
     plan, _ = converge(subject, tick)

@@ -1,4 +1,4 @@
-"""The base is silent and comes back, perhaps elsewhere: after a long silence the robot waits for a person.
+"""Outages of the base, after which the robot may be elsewhere: after a long silence it waits for a person.
 
 The node's loop and inbox are driven without DDS in simulated time, so that long silences take little time.
 """
@@ -40,13 +40,13 @@ class Rig:
         return round(1e9 * DT * self.tick_number)
 
     def pose(self):
-        """Return the pose that the base reports: that of the plant, seen from where somebody put it."""
+        """Return the pose that the base reports: that of the plant in the frame after the last displacement."""
         (x, y, turned), plant = self.carried, np.asarray(self.plant.true_pose)
         c, s = math.cos(turned), math.sin(turned)
         return np.array([x + c * plant[0] - s * plant[1], y + s * plant[0] + c * plant[1], plant[2] + turned])
 
     def carry(self, away):
-        """Put the robot `away` (3,) from where it is [m, m, rad]."""
+        """Move the robot by `away` (3,) [m, m, rad]."""
         target, plant = self.pose() + away, np.asarray(self.plant.true_pose)
         turned = target[2] - plant[2]
         c, s = math.cos(turned), math.sin(turned)
@@ -70,7 +70,7 @@ class Rig:
             pose.pose.pose = message.pose.pose
             self.inbox.take_pose(pose)
         result = self.loop.tick()
-        # A base that is switched off rolls out.
+        # A base that is switched off coasts to rest.
         self.plant.advance(result.command if self.on else (0.0, 0.0))
         self.commands.append(result.command)
         return result
@@ -86,21 +86,21 @@ class Rig:
         return self.run(seconds)
 
 
-def drawn_place(random):
-    """Return a displacement (3,) from nothing to several metres, any heading."""
+def random_displacement(random):
+    """Return a displacement (3,) between zero and several metres, with any heading."""
     away, side = random.choice([0.0, 0.3, 1.0, 4.0]) * random.uniform(0.5, 1.5), random.uniform(-math.pi, math.pi)
     return np.array([away * math.cos(side), away * math.sin(side), random.uniform(-math.pi, math.pi) * (away > 0)])
 
 
 def silent_base(seed, **settings):
-    """Switch the base off for 2 to 600 s and on elsewhere; return the rig, and the commands from then on."""
+    """Switch the base off for 2 to 600 s and on elsewhere; return the rig, and the commands after that."""
     random = np.random.default_rng(seed)
     rig = Rig(random.choice(["circle", "square", "s", "cane"]), **settings)
     rig.start_drive(random.uniform(0.5, 4.0))
     rig.on = False
     outage = math.exp(random.uniform(math.log(2.0), math.log(600.0)))
     rig.run(outage / 2)
-    rig.carry(drawn_place(random))
+    rig.carry(random_displacement(random))
     rig.run(outage / 2)
     rig.on = True
     return rig, rig.run(5.0)
@@ -108,7 +108,7 @@ def silent_base(seed, **settings):
 
 @pytest.mark.parametrize("seed", [0, 2])
 @pytest.mark.parametrize("pose_source", ["odometry", "topic"])
-def test_robot_stands_after_a_long_silence_of_its_base_until_start(seed, pose_source):
+def test_robot_stays_at_rest_after_a_long_silence_until_start(seed, pose_source):
     rig, commands = silent_base(seed, pose_source=pose_source)
     assert not commands.any()
     assert rig.loop.last.mode == Mode.STOPPED
@@ -120,7 +120,7 @@ def test_robot_stands_after_a_long_silence_of_its_base_until_start(seed, pose_so
 
 
 @pytest.mark.long
-def test_no_metre_is_driven_after_any_of_many_silences():
+def test_robot_moves_after_none_of_many_silences():
     for seed in range(100):
         _, commands = silent_base(7000 + seed)
         assert not commands.any(), seed
@@ -177,7 +177,7 @@ def test_resume_returns_to_where_the_reference_waits_and_start_begins_anew():
     reached = rig.loop.last.result.reference[0]
     rig.on = False
     rig.run(1.0)
-    # Back along the path by less than max_position_error: no progress, so it drives this stretch again.
+    # Back along the path by less than max_position_error: without progress, so the robot drives this stretch again.
     rig.carry(np.array([-0.5, 0.0, 0.0]))
     rig.run(20.0)
     rig.on = True
@@ -192,12 +192,12 @@ def test_resume_returns_to_where_the_reference_waits_and_start_begins_anew():
     assert np.hypot(*(sample.pose[0] - reached)[:2]) > 0.5
 
 
-def test_resume_far_from_where_the_reference_waits_stays_braked():
+def test_resume_far_from_the_waiting_reference_keeps_the_robot_stopped():
     rig = Rig()
     rig.start_drive(3.0)
     rig.on = False
     rig.run(2.0)
-    # To the other end of the circle: on the path, and still no progress.
+    # To the opposite side of the circle: on the path, but without progress.
     x, y, theta = rig.pose()
     opposite = np.array([-x, 2.0 - y, theta + math.pi])
     rig.carry(opposite - rig.pose())
@@ -220,7 +220,7 @@ def test_jump_beyond_the_position_error_waits_and_a_smaller_one_does_not():
         assert rig.commands[-1].any() is not np.bool_(waits)
 
 
-def test_resume_is_refused_where_nothing_waits_and_a_new_reference_where_something_does():
+def test_resume_is_refused_if_not_waiting_and_a_new_reference_if_waiting():
     rig = Rig()
     with pytest.raises(RefusedError, match="nothing waits for it"):
         rig.loop.resume()

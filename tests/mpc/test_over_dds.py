@@ -1,4 +1,4 @@
-"""Drives over DDS: recorded, compared with those in one process, and monitored."""
+"""Drives over DDS: recorded, compared with drives in one process, and monitored."""
 
 import time
 from contextlib import contextmanager
@@ -30,7 +30,7 @@ MAGIC = b"\x89MCAP0\r\n"
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory):
-    """Return a drive over DDS and its number of missed samples; the clock repeats often, as if answers were late."""
+    """Return a drive over DDS and its missed samples; the clock repeats often, as if responses were late."""
     folder = tmp_path_factory.mktemp("drive")
     base = folder / "base.yaml"
     shipped = SHIPPED.read_text(encoding="utf-8")
@@ -43,16 +43,16 @@ def drive(tmp_path_factory):
 
 
 def test_commands_over_dds_equal_those_of_one_process(drive):
-    """The node takes no covariance of wheels and gyro from messages; without them in one process nothing differs."""
+    """The node ignores covariances of wheels and gyro; the drive in one process omits them as well."""
     controller, plant, reference = build(CASE)
     measure = plant.measure
 
-    def as_the_node_sees_it():
+    def measure_without_covariance():
         full = measure()
         plain = {name: replace(getattr(full, name), covariance=None) for name in ("wheel_twist", "yaw_rate")}
         return replace(full, **plain)
 
-    plant.measure = as_the_node_sees_it
+    plant.measure = measure_without_covariance
     alone = simulate(controller, plant, reference)
     assert np.abs(alone.command - drive[0].command).max() < 1e-9
     assert np.abs(alone.true_pose - drive[0].true_pose).max() < 1e-9
@@ -61,7 +61,7 @@ def test_commands_over_dds_equal_those_of_one_process(drive):
 
 def test_failing_process_is_reported_with_its_output(tmp_path):
     bad = Case(surface="sand")
-    with pytest.raises(DriveFailedError, match="robot: ended with code 2; it said: error: unknown surface 'sand'"):
+    with pytest.raises(DriveFailedError, match="robot: ended with code 2; output: error: unknown surface 'sand'"):
         drive_over_dds(bad, 1.0, tmp_path / "bag", lock_step=True, timeout=BOUND)
 
 
@@ -75,7 +75,7 @@ def true_twists(environment):
     executor.add_node(node)
     node.create_subscription(TwistStamped, "ground_truth/twist", arrived.append, qos_profile_sensor_data)
 
-    def following():
+    def next_twist():
         end = time.monotonic() + BOUND
         arrived.clear()
         while not arrived:
@@ -84,7 +84,7 @@ def true_twists(environment):
         return arrived[-1].twist.linear.x, arrived[-1].twist.angular.z
 
     try:
-        yield following
+        yield next_twist
     finally:
         executor.shutdown()
         node.destroy_node()
@@ -101,12 +101,12 @@ def test_robot_stops_if_its_controller_is_killed(tmp_path, monkeypatch):
     with (
         running("node", node, environment, tmp_path) as controller,
         running("robot", robot, environment, tmp_path) as base,
-        true_twists(environment) as following,
+        true_twists(environment) as next_twist,
     ):
-        while following()[0] < 0.3:
+        while next_twist()[0] < 0.3:
             assert controller.popen.poll() is None and base.popen.poll() is None
         controller.popen.kill()
-        while np.abs(following()).max() > 0.01:
+        while np.abs(next_twist()).max() > 0.01:
             assert base.popen.poll() is None
         assert "no command on /cmd_vel for 0.5 s: the robot stops" in base.output
     with opened(bag) as reader:
@@ -120,7 +120,7 @@ def test_robot_stops_if_its_controller_is_killed(tmp_path, monkeypatch):
 
 
 def check_record(folder, commands):
-    """Check that the file of a killed node is complete and holds every command that the robot received."""
+    """Check that the file of a killed node is complete and contains every command that the robot received."""
     (path,) = folder.iterdir()
     end = time.monotonic() + BOUND
     while not path.read_bytes().endswith(MAGIC):
@@ -129,6 +129,6 @@ def check_record(folder, commands):
     with opened(path) as reader:
         recorded = read_topics(reader, path, {"commands": TopicRequest(Topic(topic="/cmd_vel"), COMMANDS)})["commands"]
     decided = dict(zip(recorded.stamped.tolist(), recorded.value.tolist(), strict=True))
-    # The last may have been sent in the tick in which the node was killed.
+    # The last command may have been sent in the tick in which the node was killed.
     sent = dict(zip(commands.stamped.tolist()[:-1], commands.value.tolist(), strict=False))
     assert len(sent) > 10 and {stamp: decided[stamp] for stamp in sent} == sent

@@ -1,4 +1,4 @@
-"""A planner's path as a reference: close to the planned line, within the limits, with stops where needed."""
+"""A planner's path as a reference: close to the planned line, within the limits, with stops if needed."""
 
 import math
 import time
@@ -18,14 +18,14 @@ AT_ORIGIN = np.zeros(3)
 X = np.linspace(0.0, 3.0, 61)
 
 
-def laid(poses, robot=AT_ORIGIN, limits=LIMITS, **options):
+def lay(poses, robot=AT_ORIGIN, limits=LIMITS, **options):
     return lay_poses(
         np.array(poses, dtype=float), limits, robot=np.array(robot), deviation=DEVIATION, max_offset=0.08, **options
     )
 
 
 def on_grid(corners, cell=0.05):
-    """Return cells from corner to corner, as a planner on an eight-connected grid."""
+    """Return cells from corner to corner, as from a planner on an eight-connected grid."""
     cells = [np.round(np.array(corners[0]) / cell)]
     for corner in corners[1:]:
         first, last = cells[-1], np.round(np.array(corner) / cell)
@@ -34,13 +34,13 @@ def on_grid(corners, cell=0.05):
     return np.array(cells) * cell
 
 
-def headed(points, goal=None):
+def with_headings(points, goal=None):
     step = np.diff(points, axis=0)
     heading = np.arctan2(step[:, 1], step[:, 0])
     return np.column_stack([points, np.append(heading, heading[-1] if goal is None else goal)])
 
 
-def sampled(plan):
+def sample_plan(plan):
     times = np.linspace(0.0, plan.reference.duration, 2 + int(plan.reference.duration / 0.005))
     return times, plan.reference.sample(times)
 
@@ -55,7 +55,7 @@ def distance(points, line):
 
 def check(result, poses, limits=LIMITS):
     """Check limits, motion without lateral slip, deviation and end of a reference."""
-    times, sample = sampled(result)
+    times, sample = sample_plan(result)
     assert np.all(np.abs(sample.twist).max(axis=0) <= np.array([limits.v, limits.omega]) * 1.01 + 1e-9)
     change = np.abs(np.diff(sample.twist, axis=0) / np.diff(times)[:, None])
     assert np.all(change.max(axis=0) <= np.array([limits.v_acceleration, limits.omega_acceleration]) * 1.05)
@@ -83,15 +83,15 @@ def check(result, poses, limits=LIMITS):
 @pytest.mark.parametrize("stated", [True, False], ids=["headings", "identities"])
 def test_staircase_of_cells_becomes_a_drivable_path_close_to_it(corners, stated):
     points = on_grid(corners)
-    poses = headed(points, 0.3)
+    poses = with_headings(points, 0.3)
     if not stated:
         poses[:-1, 2] = 0.0
-    result = laid(poses)
+    result = lay(poses)
     sample = check(result, poses)
     assert distance(sample.pose[::5, :2], points).max() <= DEVIATION * 1.001
-    # Cells are climbed nowhere: the heading turns no more than corners and goal ask for.
-    required = np.abs(np.diff(np.unwrap(headed(np.array(corners, dtype=float), 0.3)[:, 2]))).sum()
-    assert np.abs(np.diff(sample.pose[:, 2])).sum() < required + abs(float(headed(points)[0, 2])) + 1.0
+    # Stair steps are not followed: the heading turns no more than corners and goal require.
+    required = np.abs(np.diff(np.unwrap(with_headings(np.array(corners, dtype=float), 0.3)[:, 2]))).sum()
+    assert np.abs(np.diff(sample.pose[:, 2])).sum() < required + abs(float(with_headings(points)[0, 2])) + 1.0
     assert sample.twist[:, 0].min() > -1e-9
     assert result.reference.duration < 3.5 * result.length / LIMITS.v + 8.0
 
@@ -100,7 +100,7 @@ def test_poses_against_the_travel_direction_are_driven_backwards():
     forth = np.column_stack([X / 3, 0 * X, 0 * X])
     back = np.column_stack([1 - X[1:] / 3, 0.3 * (X[1:] / 3) ** 2, -0.6 * X[1:] / 3])
     poses = np.concatenate([forth, back])
-    result = laid(poses)
+    result = lay(poses)
     sample = check(result, poses)
     assert sample.twist[:, 0].min() < -0.3 and sample.twist[:, 0].max() > 0.3
     cusp = int(np.argmax(sample.pose[:, 0]))
@@ -109,11 +109,11 @@ def test_poses_against_the_travel_direction_are_driven_backwards():
     assert np.abs(sample.pose[:, 2]).max() < 0.7
 
 
-def test_robot_turns_round_if_reversing_is_not_allowed():
+def test_robot_turns_around_if_reversing_is_forbidden():
     forth = np.column_stack([X / 3, 0 * X, 0 * X])
     poses = np.concatenate([forth, np.column_stack([1 - X[1:] / 3, 0 * X[1:], 0 * X[1:]])])
-    assert check(laid(poses), poses).twist[:, 0].min() < -0.3
-    sample = check(laid(poses, backwards=False), poses)
+    assert check(lay(poses), poses).twist[:, 0].min() < -0.3
+    sample = check(lay(poses, backwards=False), poses)
     assert sample.twist[:, 0].min() > -1e-9
     assert np.ptp(sample.pose[:, 2]) > 3.0
 
@@ -122,17 +122,17 @@ def test_missing_headings_do_not_cause_reversing():
     points = on_grid([(0, 0), (-2, 0.5), (-2, 2)])
     poses = np.column_stack([points, np.zeros(len(points))])
     poses[-1, 2] = 1.0
-    assert check(laid(poses), poses).twist[:, 0].min() > -1e-9
-    # A straight way along the axis says nothing by itself: there the robot's own heading decides.
+    assert check(lay(poses), poses).twist[:, 0].min() > -1e-9
+    # A straight path along the axis has no direction: the robot's heading decides.
     straight = np.column_stack([-X, 0 * X, 0 * X])
-    assert check(laid(straight, (0.0, 0.0, math.pi)), straight).twist[:, 0].min() > -1e-9
-    assert check(laid(straight), straight).twist[:, 0].max() < 1e-9
+    assert check(lay(straight, (0.0, 0.0, math.pi)), straight).twist[:, 0].min() > -1e-9
+    assert check(lay(straight), straight).twist[:, 0].max() < 1e-9
 
 
 @pytest.mark.parametrize("goal", [0.2, 1.0, -2.5, math.pi])
 def test_heading_of_the_goal_is_reached(goal):
-    poses = headed(np.column_stack([X, 0 * X]), goal)
-    sample = check(laid(poses), poses)
+    poses = with_headings(np.column_stack([X, 0 * X]), goal)
+    sample = check(lay(poses), poses)
     turning = np.abs(sample.twist[:, 1]) > 1e-3
     on_the_spot = turning & (np.abs(sample.twist[:, 0]) < 1e-6)
     assert on_the_spot.any() == (goal != 0.2)
@@ -142,24 +142,24 @@ def test_heading_of_the_goal_is_reached(goal):
 def test_poses_that_turn_at_one_place_give_a_turn_on_the_spot():
     turn = [(1.0, 0.0, angle) for angle in np.linspace(0.0, 1.5, 6)]
     poses = [*((x, 0.0, 0.0) for x in X[:20] / X[20]), *turn, *((1.0, y, math.pi / 2) for y in X[1:21])]
-    sample = check(laid(poses), poses)
+    sample = check(lay(poses), poses)
     turning = np.abs(sample.twist[:, 1]) > 0.3
     assert np.hypot(*(sample.pose[turning, :2] - (1.0, 0.0)).T).max() < 0.02
 
 
 def test_resting_robot_that_faces_away_turns_first():
-    poses = headed(np.column_stack([X, 0 * X]))
-    sample = check(laid(poses, (0.0, 0.0, 2.0)), poses)
+    poses = with_headings(np.column_stack([X, 0 * X]))
+    sample = check(lay(poses, (0.0, 0.0, 2.0)), poses)
     assert sample.pose[0, 2] == pytest.approx(2.0) and sample.twist[:, 0].min() > -1e-9
     assert np.abs(sample.twist[0]).max() < 1e-6
-    moving = laid(poses, (0.0, 0.0, 1.0), twist=(0.4, 0.0))
-    assert sampled(moving)[1].twist[0, 0] == pytest.approx(0.4 * math.cos(1.0), abs=0.05)
+    moving = lay(poses, (0.0, 0.0, 1.0), twist=(0.4, 0.0))
+    assert sample_plan(moving)[1].twist[0, 0] == pytest.approx(0.4 * math.cos(1.0), abs=0.05)
 
 
 def test_path_starts_at_the_pose_and_speed_of_the_robot():
-    poses = headed(np.column_stack([X, 0 * X]))
+    poses = with_headings(np.column_stack([X, 0 * X]))
     robot = np.array([0.62, 0.03, 0.1])
-    result = laid(poses, robot, twist=(0.45, 0.0))
+    result = lay(poses, robot, twist=(0.45, 0.0))
     sample = check(result, poses)
     assert np.allclose(sample.pose[0], robot, atol=0.03)
     assert sample.twist[0, 0] == pytest.approx(0.45, abs=0.01)
@@ -170,14 +170,14 @@ def test_path_starts_at_the_pose_and_speed_of_the_robot():
 
 def test_closed_path_is_not_shortened():
     angle = np.linspace(0.0, math.tau, 126)
-    poses = headed(np.column_stack([np.sin(angle), 1.0 - np.cos(angle)]))
-    assert laid(poses).length == pytest.approx(math.tau, rel=0.01)
+    poses = with_headings(np.column_stack([np.sin(angle), 1.0 - np.cos(angle)]))
+    assert lay(poses).length == pytest.approx(math.tau, rel=0.01)
 
 
-def test_path_without_turns_on_the_spot_if_they_are_forbidden():
+def test_path_has_no_turns_on_the_spot_if_they_are_forbidden():
     wide = TrajectoryLimits(0.6, 0.8, 0.5, 1.5, min_turn_radius=0.5)
-    result = laid(headed(np.column_stack([X, 0 * X]), 1.0), (0.0, 0.0, 1.0), wide)
-    sample = sampled(result)[1]
+    result = lay(with_headings(np.column_stack([X, 0 * X]), 1.0), (0.0, 0.0, 1.0), wide)
+    sample = sample_plan(result)[1]
     assert np.abs(sample.twist[np.abs(sample.twist[:, 0]) < 1e-3, 1]).max() < 0.01
 
 
@@ -191,16 +191,16 @@ def test_path_without_turns_on_the_spot_if_they_are_forbidden():
 )
 def test_unusable_poses_raise_error_in_one_line(poses, words):
     with pytest.raises(ConfigError, match=words) as refused:
-        laid(np.array(poses).reshape(-1, 3))
+        lay(np.array(poses).reshape(-1, 3))
     assert "\n" not in str(refused.value)
 
 
 def test_long_zigzag_is_rejected_quickly():
     steps = np.arange(10_000)
-    began = time.process_time()
+    start = time.process_time()
     with pytest.raises(ConfigError, match="turns back 9998 times"):
-        laid(np.column_stack([0.05 * steps, 0.2 * (steps % 2), 0.0 * steps]))
-    assert time.process_time() - began < 3.0
+        lay(np.column_stack([0.05 * steps, 0.2 * (steps % 2), 0.0 * steps]))
+    assert time.process_time() - start < 3.0
 
 
 @given(
@@ -210,9 +210,9 @@ def test_long_zigzag_is_rejected_quickly():
 )
 def test_reference_from_any_cells_keeps_its_limits_or_raises_error(corners, goal, heading):
     points = on_grid([(0.05 * x, 0.05 * y) for x, y in corners])
-    poses = headed(points, goal)
+    poses = with_headings(points, goal)
     try:
-        result = laid(poses, (*points[0], heading))
+        result = lay(poses, (*points[0], heading))
     except ConfigError as error:
         assert "\n" not in str(error)
         return

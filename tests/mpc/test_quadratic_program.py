@@ -1,4 +1,4 @@
-"""The program of a tick as `Controller.quadratic_program` states it, given to other solvers."""
+"""The program of a tick from `Controller.quadratic_program`, solved by other solvers."""
 
 from dataclasses import replace
 
@@ -25,14 +25,14 @@ from oracle.nonlinear import nonlinear_program
 SLOW = {"limits.v_slew": 0.9, "limits.omega_slew": 1.5}
 
 
-def by_osqp(qp):
+def solve_with_osqp(qp):
     solver = osqp.OSQP()
     settings = {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 100_000, "polishing": True, "verbose": False}
     solver.setup(qp.P, qp.q, qp.A, qp.l, qp.u, **settings)
     return np.array(solver.solve(raise_error=True).x)
 
 
-def by_daqp(qp):
+def solve_with_daqp(qp):
     rows = [np.ascontiguousarray(part) for part in (qp.P.toarray(), qp.q, qp.A.toarray(), qp.u, qp.l)]
     plan, _, flag, _ = daqp.solve(*rows, np.zeros(len(qp.l), dtype=np.int32), primal_tol=1e-10, dual_tol=1e-12)
     assert flag == 1
@@ -56,14 +56,14 @@ def ticks(config, path, count, seed=0, terms=()):
     [("circle", {"limits.omega": 0.51, "limits.predicted_v": 0.48}), ("square", {"limits.wheel_speed": 0.45})],
 )
 def test_osqp_daqp_and_the_product_agree_on_the_program_of_a_tick(path, limits):
-    """With soft limits exceeded, too: the slacks are then what the plan exceeds them by."""
+    """Soft limits may be exceeded: the slacks then equal the excess of the plan."""
     config = load_config("ssm", SLOW | limits | {"horizon": 12, "weights.soft": 3.0, "weights.soft_quadratic": 20.0})
     methods = set()
     for qp, step in list(ticks(config, path, 120))[::4]:
         n = 2 * config.horizon
         plan = step.planned_commands.reshape(-1)
-        assert by_osqp(qp)[:n] == pytest.approx(plan, abs=1e-6)
-        assert by_daqp(qp)[:n] == pytest.approx(plan, abs=1e-6)
+        assert solve_with_osqp(qp)[:n] == pytest.approx(plan, abs=1e-6)
+        assert solve_with_daqp(qp)[:n] == pytest.approx(plan, abs=1e-6)
         methods.add(step.solver.method)
     assert "active_set" in methods
 
@@ -84,13 +84,13 @@ def test_rows_and_variables_are_named_by_kind_and_step():
     assert {"soft turn right[0]", "soft near.0[7]", "under soft across[0]"} <= set(qp.rows)
 
 
-# The nonlinear problem in CasADi: against the oracle's, against the compiled plan, and its inputs.
+# The nonlinear problem in CasADi: compared with the oracle's and with the compiled plan; its inputs.
 
 
 CURVED = {"estimator.crab": 0.02, "estimator.veer": 0.05, "estimator.track_growth": 0.1}
 
 
-def driven(config, model=None, ticks=155):
+def drive(config, model=None, ticks=155):
     controller, robot, square = Controller(config, model), make_plant("model:ssm", seed=1), load_trajectory("square")
     robot.reset(square.sample([0.0]).pose[0])
     controller.start(square, robot.time)
@@ -130,9 +130,9 @@ def test_cost_and_limits_equal_those_of_the_oracle(name):
 
 
 @pytest.mark.parametrize(("overrides", "model"), [({}, None), (CURVED, None), ({}, saturating())])
-def test_it_repeats_the_compiled_plan_and_leaves_the_next_tick_alone(overrides, model):
+def test_casadi_problem_repeats_the_compiled_plan_without_effect_on_the_next_tick(overrides, model):
     config = load_config("ssm", {"horizon": 15} | overrides)
-    (controller, robot, step), (twin, *_) = (driven(config, model) for _ in range(2))
+    (controller, robot, step), (twin, *_) = (drive(config, model) for _ in range(2))
     problem, inputs = casadi_problem(config, model), controller.problem_inputs()
     named = {name: inputs[name] for name in problem.horizon.name_in()[1:]}
     outputs = problem.horizon(plan=step.planned_commands.T, **named)
@@ -144,8 +144,8 @@ def test_it_repeats_the_compiled_plan_and_leaves_the_next_tick_alone(overrides, 
     assert (commands[0] == commands[1]).all()
 
 
-def test_a_linearisation_has_the_gradient_of_the_nonlinear_cost():
-    controller, _, step = driven(load_config("ssm", {"horizon": 15}))
+def test_linearisation_has_the_gradient_of_the_nonlinear_cost():
+    controller, _, step = drive(load_config("ssm", {"horizon": 15}))
     plan = step.planned_commands + 0.05 * np.random.default_rng(1).normal(size=(15, 2))
     program, problem = controller.quadratic_program(plan), casadi_problem(controller.config)
     inputs = controller.problem_inputs()
@@ -156,11 +156,11 @@ def test_a_linearisation_has_the_gradient_of_the_nonlinear_cost():
     assert (program.P @ np.append(plan, np.zeros(150)) + program.q)[:30] == pytest.approx(expected, abs=1e-9)
 
 
-def test_a_tick_without_a_plan_and_a_short_plan_are_refused():
+def test_missing_plan_and_short_plan_are_refused():
     controller = Controller("ssm")
     controller.start(load_trajectory("circle"), 0.0)
     controller.step(0.0, Measurement())
     with pytest.raises(RuntimeError, match="call step until its mode is TRACKING"):
         controller.problem_inputs()
     with pytest.raises(ValueError, match="plan: 3 pairs; give one for each of the 30 steps"):
-        driven(load_config("ssm", {"horizon": 30}), ticks=5)[0].quadratic_program(np.zeros((3, 2)))
+        drive(load_config("ssm", {"horizon": 30}), ticks=5)[0].quadratic_program(np.zeros((3, 2)))

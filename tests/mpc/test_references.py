@@ -1,4 +1,4 @@
-"""References: their clock, wrong shapes, and planners that update every second."""
+"""References: their clock, invalid shapes, and planners that update every second."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ rates, delays = st.floats(0.0, FASTEST), st.floats(-4.0, 8.0)
 
 
 @given(rates, delays)
-def test_delay_is_worked_off_exactly_within_the_bounds(rate, delay):
+def test_delay_is_reduced_to_zero_within_the_bounds(rate, delay):
     profile = settling_profile(rate, delay, 2.0 - FASTEST, FASTEST, RAMP)
     times, values = np.array(profile.times), np.array(profile.rates)
     end = times[-1]
@@ -40,22 +40,22 @@ def test_progress_is_the_integral_of_the_rate(rate, delay):
     assert np.abs(profile.progress(fine) - integral).max() < 1e-9
 
 
-def test_delay_is_worked_off_in_minimum_time():
-    """No rate inside bounds and ramp makes up a delay faster: the trapezoid of optimal control, by hand."""
-    # 0.5 s at most 0.25 ahead: 0.25 s up, 0.25 s down give 0.0625 s; the rest takes 0.4375 / 0.25 s.
+def test_delay_is_reduced_in_minimum_time():
+    """The duration equals that of the optimal trapezoid, computed by hand."""
+    # 0.5 s at most 0.25 ahead: 0.25 s up and 0.25 s down give 0.0625 s; the rest takes 0.4375 / 0.25 s.
     assert settling_profile(1.0, 0.5, 0.75, 1.25, 1.0).times[-1] == pytest.approx(0.5 + 1.75)
     # Too short to reach the bound: a triangle of area 0.04 has a peak of 0.2.
     assert max(settling_profile(1.0, 0.04, 0.75, 1.25, 1.0).rates) == pytest.approx(1.2)
 
 
-def run(clock, seconds, most=FASTEST, start=0.0):
-    """Run the clock with a robot that allows the rate `most`; return the reference's times, delays and rates."""
-    out = []
+def run(clock, seconds, max_rate=FASTEST, start=0.0):
+    """Run the clock with a robot that permits the rate `max_rate`; return times of the reference, delays and rates."""
+    rows = []
     for k in range(round(seconds / DT)):
         time = clock.advance(start + k * DT, driving=True)
-        clock.plan(most, catch_up=True)
-        out.append((time, clock.delay, clock.rate))
-    return np.array(out).T
+        clock.plan(max_rate, catch_up=True)
+        rows.append((time, clock.delay, clock.rate))
+    return np.array(rows).T
 
 
 @given(st.floats(0.01, 4.0))
@@ -77,12 +77,12 @@ def test_planned_reference_equals_the_tracked_one(rate, delay):
     clock.set(delay, rate)
     clock.plan(FASTEST, catch_up=True)
     sampled = clock.clocked(reference).sample(5.0 + DT * np.arange(1, 60)).pose
-    came = []
+    expected = []
     for k in range(1, 60):
         time = clock.advance(5.0 + k * DT, driving=True)
         clock.plan(FASTEST, catch_up=True)
-        came.append(reference.sample([time]).pose[0])
-    assert sampled == pytest.approx(np.array(came), abs=1e-7)
+        expected.append(reference.sample([time]).pose[0])
+    assert sampled == pytest.approx(np.array(expected), abs=1e-7)
 
 
 @given(rates, delays)
@@ -97,15 +97,15 @@ def test_twist_matches_the_slowed_motion(rate, delay):
     assert turned == pytest.approx(0.5 * (sample.twist[1:, 1] + sample.twist[:-1, 1]), abs=1e-3)
 
 
-def test_reference_stands_if_the_robot_is_stopped():
+def test_reference_stops_if_the_robot_is_stopped():
     clock = ReferenceClock(FASTEST, RAMP)
     run(clock, 2.0)
-    times, behind, _ = run(clock, 1.0, most=0.0, start=2.0)
+    times, behind, _ = run(clock, 1.0, max_rate=0.0, start=2.0)
     assert np.ptp(times[1:]) == pytest.approx(0.0, abs=1e-9)
     assert behind[-1] == pytest.approx(0.98, abs=1e-9)
 
 
-def test_reference_stands_while_not_driving_but_not_before_the_start():
+def test_reference_waits_while_not_driving_but_not_before_the_start():
     clock = ReferenceClock(FASTEST, RAMP)
     assert clock.advance(-1.0, driving=False) == -1.0
     assert clock.advance(-0.5, driving=False) == -0.5
@@ -117,8 +117,8 @@ def test_reference_stands_while_not_driving_but_not_before_the_start():
 
 def test_rate_rises_no_faster_than_the_ramp_after_a_wait():
     clock = ReferenceClock(FASTEST, RAMP)
-    run(clock, 1.0, most=0.0)
-    _, _, rate = run(clock, 1.0, most=0.5, start=1.0)
+    run(clock, 1.0, max_rate=0.0)
+    _, _, rate = run(clock, 1.0, max_rate=0.5, start=1.0)
     assert rate[0] == 0.0
     assert (np.diff(rate) <= RAMP * DT + 1e-12).all()
     assert rate[-1] == pytest.approx(0.5)
@@ -127,8 +127,8 @@ def test_rate_rises_no_faster_than_the_ramp_after_a_wait():
 SLIPPERY = {"surface": "slippery", "sensors": "default", "seed": 4}
 
 
-def planned(each_second, seconds=8.0, t0_of=lambda reference, t: t, **options):
-    """Return commands, and distances from the path [m], with or without a planner that acts each second."""
+def drive_with_planner(each_second, seconds=8.0, t0_of=lambda reference, t: t, **options):
+    """Return commands and distances from the path [m]; `each_second`, if given, acts once per second."""
     controller = Controller(load_config(overrides=options))
     reference, plant = load_trajectory("circle"), make_plant("mujoco", **SLIPPERY)
     plant.reset(reference.sample([0.0]).pose[0])
@@ -147,12 +147,12 @@ def planned(each_second, seconds=8.0, t0_of=lambda reference, t: t, **options):
 
 
 def test_switched_reference_keeps_the_estimate():
-    """A start every second discards the learned slip every second; a switch does not."""
-    _, plain = planned(None)
-    _, goes_on = planned(lambda controller, reference, t: controller.switch_reference(reference, 0.0))
-    _, anew = planned(lambda controller, reference, t: controller.start(reference, 0.0))
+    """A start every second discards the learned slip; a switch keeps it."""
+    _, plain = drive_with_planner(None)
+    _, switched = drive_with_planner(lambda controller, reference, t: controller.switch_reference(reference, 0.0))
+    _, restarted = drive_with_planner(lambda controller, reference, t: controller.start(reference, 0.0))
     late = slice(len(plain) // 2, None)
-    rms = [np.sqrt(np.mean(errors[late] ** 2)) for errors in (plain, goes_on, anew)]
+    rms = [np.sqrt(np.mean(errors[late] ** 2)) for errors in (plain, switched, restarted)]
     assert rms[1] == rms[0]
     assert rms[2] > 1.5 * rms[1]
 
@@ -181,7 +181,7 @@ def test_core_rejects_references_without_finite_times():
     tick, reference = Controller(load_config())._tick, NativeReference(load_trajectory("s"))
     endless = tick.ffi.new("ddmpc_reference *", reference.struct[0])
     endless.duration = np.inf
-    assert not tick.lib.ddmpc_switch_reference(tick.c, reference.struct, 0.0), "there is none to go on from"
+    assert not tick.lib.ddmpc_switch_reference(tick.c, reference.struct, 0.0), "there is no reference to switch from"
     for refused in ((reference.struct, np.nan), (reference.struct, np.inf), (endless, 0.0)):
         assert not tick.lib.ddmpc_start(tick.c, *refused)
     assert tick.lib.ddmpc_start(tick.c, reference.struct, 0.0) == 1
@@ -193,8 +193,8 @@ def test_core_rejects_references_without_finite_times():
 CONFIG = load_config("ssm")
 
 
-class OwnReference:
-    """The circle by a class of the user, which C cannot sample; `change` acts from its sample number `late` on."""
+class UserReference:
+    """The circle from a user class, which C cannot sample; `change` applies from sample call `late` on."""
 
     def __init__(self, change, late=0):
         self.circle, self.change, self.left = load_trajectory("circle"), change, late
@@ -221,13 +221,13 @@ CHANGES = {
 @pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
 def test_start_error_names_the_expected_shape(change):
     with pytest.raises(ValueError, match=r"reference 'own': (pose|twist) of sample\(times\) has shape .*; expected \("):
-        Controller(CONFIG).start(OwnReference(change), 0.0)
+        Controller(CONFIG).start(UserReference(change), 0.0)
 
 
-def standing(change, late=30, ticks=60):
-    """Return steps of a robot that stands on its first pose; the reference is wrong from its sample `late` on."""
+def steps_at_rest(change, late=30, ticks=60):
+    """Return steps of a robot at rest on its first pose; the reference is wrong from its sample call `late` on."""
     controller = Controller(CONFIG)
-    reference = OwnReference(change, late)
+    reference = UserReference(change, late)
     pose = reference.circle.sample([0.0]).pose[0]
     controller.start(reference, 0.0)
     times = CONFIG.sample_time * np.arange(ticks)
@@ -236,7 +236,7 @@ def standing(change, late=30, ticks=60):
 
 @pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
 def test_faulty_reference_stops_the_robot_without_exception(change):
-    steps = standing(change)
+    steps = steps_at_rest(change)
     assert steps[1].mode is Mode.TRACKING
     assert "there is nothing to track: reference 'own': " in steps[-1].message
     assert steps[-1].mode in (Mode.BRAKING, Mode.STOPPED)

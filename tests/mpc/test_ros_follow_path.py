@@ -60,7 +60,7 @@ def test_grid_path_of_a_planner_is_driven_to_its_goal(parts):
         fault = follow.made.node.parts["follow_path"].server._side.create_timer(0.05, lambda: 1 / 0)
         since = len(follow.base.commands)
         follow.client.send("again", path[-2:])
-        assert follow.ended("again")["status"] == parts.SUCCEEDED
+        assert follow.wait_for_end("again")["status"] == parts.SUCCEEDED
         assert np.abs(commanded(follow, since)[:, 0]).max(initial=0.0) < 0.2
         fault.cancel()
 
@@ -85,18 +85,18 @@ def test_newer_goal_takes_over_without_stop(parts):
         )
         old = follow.client.result("old")
         assert (old["status"], old["code"], old["words"]) == (parts.ABORTED, 0, "a newer goal took over")
-        assert follow.ended("new")["status"] == parts.SUCCEEDED
+        assert follow.wait_for_end("new")["status"] == parts.SUCCEEDED
         assert np.hypot(*(pose(follow) - newer[-1])[:2]) < 0.02
 
 
 def test_cancelled_goal_brakes_at_the_braking_limits(parts):
     with parts.following({"limits.v_braking": 0.8}) as follow:
         follow.client.send("a", STRAIGHT)
-        follow.driven()
+        follow.wait_for_motion()
         follow.until(lambda: follow.base.commands[-1][0] > 0.5, "its speed")
         since = len(follow.base.commands)
-        follow.client.tell(cancel="a")
-        result = follow.ended("a")
+        follow.client.write(cancel="a")
+        result = follow.wait_for_end("a")
         assert (result["status"], result["code"]) == (parts.CANCELED, 0)
         v = commanded(follow, since)[:, 0]
         slopes = np.diff(v)[np.flatnonzero(np.diff(v) < -1e-3)] / parts.DT
@@ -146,8 +146,8 @@ def test_each_goal_of_a_fast_burst_gets_one_answer_and_one_result(parts, goals, 
             lambda: without_result(follow.client, names) in ([], names[-1:]), "all but the last", most=30 * goals
         )
         if without_result(follow.client, names):
-            follow.client.tell(cancel=names[-1])
-        follow.ended(names[-1])
+            follow.client.write(cancel=names[-1])
+        follow.wait_for_end(names[-1])
         ends = {(result["status"], result["words"]) for result in answered_once(follow.client, names).values()}
         # On a slow computer the robot is at the end before the last goal has come.
         assert ends <= {
@@ -188,7 +188,7 @@ def test_robot_brakes_within_the_blind_distance_of_an_ended_client(parts, how, d
 def test_goal_depends_on_its_own_client_only(parts, dead):
     with parts.following() as follow:
         follow.client.send("first", STRAIGHT[:20])
-        follow.ended("first")
+        follow.wait_for_end("first")
         second = parts.Client()
         try:
             follow.until(lambda: second.events, "the second client", pace=parts.DT)
@@ -212,9 +212,9 @@ def test_goal_depends_on_its_own_client_only(parts, dead):
 def test_goal_is_aborted_without_odometry_or_progress(parts):
     with parts.following({"reentry.blocked_after": 0.3}, blocked_timeout=0.6) as follow:
         follow.client.send("a", STRAIGHT)
-        follow.driven()
+        follow.wait_for_motion()
         follow.base.tamper = lambda odometry: None
-        result = follow.ended("a")
+        result = follow.wait_for_end("a")
         assert (result["status"], result["code"]) == (parts.ABORTED, 102)
         assert "odometry is" in result["words"]
         assert not np.any(follow.base.commands[-1])
@@ -224,7 +224,7 @@ def test_goal_is_aborted_without_odometry_or_progress(parts):
         follow.client.send("b", STRAIGHT)
         follow.until(lambda: follow.base.commands[-1][0] > 0.2, "the robot drives")
         follow.base.held = True
-        result = follow.ended("b")
+        result = follow.wait_for_end("b")
         assert (result["status"], result["code"]) == (parts.ABORTED, 105)
         assert "blocked" in result["words"]
         assert not np.any(follow.base.commands[-1])
@@ -244,19 +244,19 @@ def test_goal_that_cannot_be_driven_is_aborted_without_motion(parts):
     with parts.following(follow_most_poses=50, follow_controller_id="FollowPath") as follow:
         for name, (poses, how, code, words) in goals.items():
             follow.client.send(name, poses, **how)
-            result = follow.ended(name)
+            result = follow.wait_for_end(name)
             assert (result["status"], result["code"]) == (parts.ABORTED, code), name
             assert words in result["words"] and "\n" not in result["words"], result["words"]
             # Diagnostics warn of it.
             assert words in follow.made.loop.refusal
         assert not np.any(follow.base.commands)
         follow.client.send("good", STRAIGHT, controller="FollowPath")
-        follow.driven("good")
+        follow.wait_for_motion("good")
         assert not follow.made.loop.refusal
         # One that cannot be used ends the drive that it was to replace: whoever sent it does not mean the old one.
         follow.client.send("bad", STRAIGHT[:1])
-        assert follow.ended("bad")["code"] == 103
-        replaced = follow.ended("good")
+        assert follow.wait_for_end("bad")["code"] == 103
+        replaced = follow.wait_for_end("good")
         assert (replaced["status"], replaced["code"]) == (parts.ABORTED, 0)
         assert not np.any(follow.base.commands[-1]) and pose(follow)[0] < 1.5
 
@@ -267,7 +267,7 @@ def test_goal_survives_hold_and_pause_and_ends_on_deactivation(parts):
     with parts.following(follow_patience=0.2) as follow:
         call = follow.made.call
         follow.client.send("a", STRAIGHT)
-        follow.driven()
+        follow.wait_for_motion()
         for stop, go in (
             ((SetBool, "hold", SetBool.Request(data=True)), (SetBool, "hold", SetBool.Request(data=False))),
             ((Trigger, "pause", Trigger.Request()), (Trigger, "start", Trigger.Request())),

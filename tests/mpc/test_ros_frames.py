@@ -245,9 +245,9 @@ def test_follow_path_goal_in_the_map_is_driven_in_odom(ros_types):
         robot = Localised(f.made, TFMessage, start)
         f.until(lambda: f.made.node._inbox.frames.accepted > 3, "transforms")
         f.client.send("nowhere", [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], frame="nowhere")
-        assert f.ended("nowhere")["code"] == 102
+        assert f.wait_for_end("nowhere")["code"] == 102
         f.client.send("a", [placed(start, (x, 0.0, 0.0)) for x in np.linspace(0.0, 1.0, 41)], frame="map")
-        assert f.ended("a")["status"] == SUCCEEDED
+        assert f.wait_for_end("a")["status"] == SUCCEEDED
         np.testing.assert_allclose(robot.in_map()[:2], placed(start, (1.0, 0.0, 0.0))[:2], atol=0.03)
         np.testing.assert_allclose(f.base.plant.true_pose[:2], [1.0, 0.0], atol=0.03)
 

@@ -134,7 +134,7 @@ def start_driving(s, *, crossed=False):
     base = WheelBase(s, crossed=crossed)
     s.node.trigger_configure()
     s.node.trigger_activate()
-    s.base.until(s.hears, "sensors")
+    s.base.until(s.has_received_inputs, "sensors")
     assert s.trigger("start").success
     return base
 

@@ -23,7 +23,7 @@ from diffdrive_mpc.sim.ros.run_robot import NODE_NAME
 from diffdrive_mpc.sim.ros.simulated_base import SimulatedBase, load_base_settings
 from diffdrive_mpc_monitor.command import monitor
 from diffdrive_mpc_monitor.ros.node import CHECKED, UNCHECKED, MonitorNode, MonitorSettings
-from imports import imported
+from imports import imports_of
 
 ROOT = Path(__file__).parents[2]
 ROS = ROOT / "ros"
@@ -39,7 +39,7 @@ WITHOUT_WHEEL = {"bond", "nav2_msgs", "tf2_msgs"}
 
 
 def packages(paths):
-    return {module.partition(".")[0] for path in paths for module, _ in imported(path)}
+    return {module.partition(".")[0] for path in paths for module, _ in imports_of(path)}
 
 
 def test_manifest_lists_every_imported_ros_package():

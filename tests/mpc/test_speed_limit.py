@@ -1,4 +1,4 @@
-"""A limit of the speed from outside: the true robot keeps it on its path, the reference waits, and it is let go."""
+"""External speed limit: the true robot respects it on its path, the reference waits, and the limit can be removed."""
 
 import math
 import pickle
@@ -18,11 +18,11 @@ SLEW = np.array([CONFIG.limits.v_slew, CONFIG.limits.omega_slew]) * DT + 1e-9
 
 
 def drive(controller, plant, reference, ticks, limits):
-    """Drive with limits (tick: speed); returns commands, true speeds and distances from the path, by tick."""
+    """Drive with limits (tick: speed); return commands, true speeds, distances from the path, and results by tick."""
     path = reference.sample(np.linspace(0.0, reference.duration, 4000)).pose[:, :2]
     plant.reset(reference.sample([0.0]).pose[0])
     controller.start(reference, 0.0)
-    commands, speeds, away, steps = [], [], [], []
+    commands, speeds, distance, steps = [], [], [], []
     for tick in range(ticks):
         if tick in limits:
             controller.limit_speed(limits[tick])
@@ -31,9 +31,9 @@ def drive(controller, plant, reference, ticks, limits):
         plant.advance(step.command)
         commands.append(step.command)
         speeds.append(math.hypot(*(plant.true_pose - before)[:2]) / DT)
-        away.append(np.hypot(*(path - plant.true_pose[:2]).T).min())
+        distance.append(np.hypot(*(path - plant.true_pose[:2]).T).min())
         steps.append(step)
-    return np.array(commands), np.array(speeds), np.array(away), steps
+    return np.array(commands), np.array(speeds), np.array(distance), steps
 
 
 @pytest.mark.parametrize(
@@ -41,23 +41,23 @@ def drive(controller, plant, reference, ticks, limits):
     [("model:ssm+0.005", "perfect", 0.002, 0.01), ("mujoco", "default", 0.01, 0.02)],
 )
 @pytest.mark.parametrize("trajectory", ["circle", "s"])
-def test_the_true_robot_keeps_it_on_a_curve_and_is_let_go(trajectory, plant, sensors, excess, off):
+def test_robot_respects_the_speed_limit_on_a_curve_until_it_is_removed(trajectory, plant, sensors, excess, off):
     limit, reference = 0.25, load_trajectory(trajectory)
     robot = make_plant(plant, surface="ideal" if sensors == "perfect" else "default", sensors=sensors, seed=3)
     controller = Controller(CONFIG)
-    commands, speeds, away, steps = drive(controller, robot, reference, 700, {100: limit, 400: None})
+    commands, speeds, distance, steps = drive(controller, robot, reference, 700, {100: limit, 400: None})
     before = commands[99, 0]
     assert before > 1.5 * limit
     assert (np.abs(np.diff(commands, axis=0)) <= SLEW).all()
-    # No longer on its way than slewing takes, in commands; the robot follows within its lag.
+    # The command reaches the limit as fast as the slew permits; the robot follows within its lag.
     reached = 100 + math.ceil((before - limit) / SLEW[0])
     assert (np.abs(commands[reached:400, 0]) <= limit + 1e-9).all()
     zone = slice(reached + round(0.5 / DT), 400)
     assert speeds[zone].max() <= limit + excess
     assert np.median(speeds[zone]) > 0.85 * limit
-    assert away.max() <= off
+    assert distance.max() <= off
     assert all(step.mode is Mode.TRACKING for step in steps[:400])
-    # The reference waits, so that nothing has to be rejoined.
+    # The reference waits, so that the robot does not have to rejoin it.
     assert not any("rejoining" in step.message for step in steps)
     assert "limited to 0.25 m/s" in steps[300].message
     assert steps[399].reference_delay > 0.3 * (400 - reached) * DT
@@ -65,7 +65,7 @@ def test_the_true_robot_keeps_it_on_a_curve_and_is_let_go(trajectory, plant, sen
     assert "limited" not in steps[-1].message
 
 
-def test_a_reference_that_is_slower_is_left_alone():
+def test_slower_reference_is_not_affected():
     reference = load_trajectory("circle")
     runs = []
     for limits in ({}, {50: 1.0}):
@@ -74,7 +74,7 @@ def test_a_reference_that_is_slower_is_left_alone():
     np.testing.assert_allclose(runs[0], runs[1], atol=1e-9)
 
 
-def test_references_are_judged_by_the_configuration_and_other_changes_keep_the_limit():
+def test_configuration_keeps_its_own_limits_and_updates_keep_the_speed_limit():
     controller = Controller(CONFIG)
     controller.limit_speed(0.2)
     plant = make_plant("model:ssm+0.005", surface="ideal", sensors="perfect")
@@ -92,7 +92,7 @@ def test_references_are_judged_by_the_configuration_and_other_changes_keep_the_l
     assert pickle.loads(pickle.dumps(controller)).speed_limit == 0.2
 
 
-def test_without_reentry_only_the_command_is_limited():
+def test_only_the_command_is_limited_without_reentry():
     config = CONFIG.model_copy(update={"reentry": CONFIG.reentry.model_copy(update={"enabled": False})})
     plant = make_plant("model:ssm+0.005", surface="ideal", sensors="perfect")
     commands, _, _, steps = drive(Controller(config), plant, load_trajectory("circle"), 200, {60: 0.2})
@@ -101,16 +101,16 @@ def test_without_reentry_only_the_command_is_limited():
 
 
 @pytest.mark.parametrize("limit", [0.0, -0.1, math.nan, math.inf])
-def test_what_is_no_limit_is_refused(limit):
+def test_invalid_speed_limit_is_refused(limit):
     controller = Controller(CONFIG)
     with pytest.raises(ValueError, match="give a positive number"):
         controller.limit_speed(limit)
     assert controller.speed_limit is None
 
 
-@given(value=st.floats(0.0, 1e6), percentage=st.booleans(), greatest=st.floats(0.05, 5.0))
-def test_a_stated_limit_is_none_or_between_almost_nothing_and_the_greatest_speed(value, percentage, greatest):
-    result = SpeedLimit(value, percentage).speed(greatest)
+@given(value=st.floats(0.0, 1e6), percentage=st.booleans(), max_speed=st.floats(0.05, 5.0))
+def test_stated_speed_limit_is_none_or_between_the_minimum_and_the_maximum_speed(value, percentage, max_speed):
+    result = SpeedLimit(value, percentage).speed(max_speed)
     if value == 0.0:
         assert result is None
     else:

@@ -21,9 +21,9 @@ CONFIG = load_config("ssm")
 DT, N, LIMITS = CONFIG.sample_time, CONFIG.horizon, CONFIG.limits
 MODEL = load_model("ssm").with_extra_dead_time([CONFIG.extra_dead_time.v, CONFIG.extra_dead_time.omega]).discretise(DT)
 FAR_AWAY = (10.0, 10.0)
-# Re-entry lets the reference wait for a robot that is held up; without, the robot goes round what is in its way.
-# What the shipped estimator expects of the mujoco plant these robots do not do: they slip in no way.
-# The terms below are as dear as they are beside this price of quick turning.
+# With re-entry the reference waits for a blocked robot; without it, the robot drives around the obstacle.
+# These robots have no slip, unlike the mujoco plant for which the shipped estimator is tuned.
+# The weights of the terms below are tuned for this price of fast turning.
 WEIGHTS = {"weights.along": 250.0, "weights.v_increment": 40.0, "weights.omega_increment": 4.0}
 WAITS = WEIGHTS | {"estimator.side_slip": 0.0, "estimator.load_shift": 0.0}
 SWERVES = WAITS | {"reentry.enabled": False}
@@ -33,7 +33,7 @@ import casadi as ca
 
 pose, point = ca.SX.sym("pose", 3), ca.SX.sym("parameters", 2)
 distance = ca.sqrt(ca.sumsqr(pose[:2] - point) + 1e-6)
-# Ten units for a metre: ten times as dear as a shipped soft limit.
+# Ten units per metre: ten times the price of a shipped soft limit.
 keep_off = ca.Function("keep_off", [pose, point], [10 * distance], ["pose", "parameters"], ["distance"])
 push_off = ca.Function("push_off", [pose, point], [45 * ca.fmax(0.45 - distance, 0)], ["pose", "parameters"], ["near"])
 """
@@ -57,15 +57,15 @@ def check_limits(results):
     assert (np.abs(np.diff(sent, axis=0)) <= DT * np.array([LIMITS.v_slew, LIMITS.omega_slew]) + 1e-9).all()
 
 
-# A distance from a point that moves.
+# Distance from a moving point.
 
 
-def standing(t):
+def resting_point(t):
     """Return a point next to the path."""
     return np.stack([2.0 + 0.0 * t, 0.25 + 0.0 * t], axis=-1)
 
 
-def crossing(t):
+def crossing_point(t):
     """Return a point that crosses the path when the robot arrives."""
     return np.stack([2.0 + 0.0 * t, 1.8 - 0.4 * t], axis=-1)
 
@@ -74,31 +74,31 @@ def drive_past(term, point, overrides, *, foreseen=True):
     """Return results of a noisy drive past a point, and the minimum distance; `foreseen` adds predicted positions."""
     controller = Controller(load_config("ssm", overrides), terms=[term] if term else [])
 
-    def tell(k, measurement):
+    def set_point(k, measurement):
         if term:
             ahead = DT * np.arange(N + 1) if foreseen else 0.0 * np.arange(N + 1)
             controller.set_parameters(**{term.name: point(k * DT + ahead)})
         return measurement
 
-    results, poses, times = drive(controller, robot(noise=1.0), LINE, LINE.duration + 1.5, change=tell)
+    results, poses, times = drive(controller, robot(noise=1.0), LINE, LINE.duration + 1.5, change=set_point)
     return results, np.linalg.norm(poses[:, :2] - point(times), axis=1).min()
 
 
 @pytest.mark.parametrize(
     ("term", "point", "way", "clearance"),
     [
-        (KEEP_OFF, crossing, WAITS, 0.39),
-        (PUSH_OFF, crossing, WAITS, 0.41),
-        (KEEP_OFF, crossing, SWERVES, 0.38),
-        (KEEP_OFF, standing, SWERVES, 0.36),
-        (PUSH_OFF, standing, SWERVES, 0.34),
+        (KEEP_OFF, crossing_point, WAITS, 0.39),
+        (PUSH_OFF, crossing_point, WAITS, 0.41),
+        (KEEP_OFF, crossing_point, SWERVES, 0.38),
+        (KEEP_OFF, resting_point, SWERVES, 0.36),
+        (PUSH_OFF, resting_point, SWERVES, 0.34),
     ],
 )
 def test_distance_term_keeps_the_robot_off_a_point(term, point, way, clearance):
     _, without = drive_past(None, point, way)
-    results, least = drive_past(term, point, way)
+    results, distance = drive_past(term, point, way)
     assert without < 0.26
-    assert least > clearance
+    assert distance > clearance
     assert {result.mode for result in results} == {Mode.TRACKING, Mode.FINISHED}
     check_limits(results)
     assert results[-1].estimate.pose == pytest.approx(GOAL, abs=0.02)
@@ -106,8 +106,8 @@ def test_distance_term_keeps_the_robot_off_a_point(term, point, way, clearance):
 
 def test_predicted_positions_of_the_point_increase_the_distance():
     """One parameter row per future sample, compared with the current point at all samples."""
-    _, blind = drive_past(PUSH_OFF, crossing, SWERVES, foreseen=False)
-    _, foreseen = drive_past(PUSH_OFF, crossing, SWERVES)
+    _, blind = drive_past(PUSH_OFF, crossing_point, SWERVES, foreseen=False)
+    _, foreseen = drive_past(PUSH_OFF, crossing_point, SWERVES)
     assert foreseen > blind + 0.01
 
 
@@ -117,12 +117,12 @@ def test_violated_soft_limit_still_acts():
     function = ca.Function("slow", [twist, limit], [20 * (twist[0] - limit)], ["twist", "parameters"], ["excess"])
     controller = Controller(CONFIG, terms=[Term("slow", function, "soft", upper=0.0, defaults=[1.0])])
 
-    def tell(k, measurement):
+    def set_point(k, measurement):
         if k == 100:
             controller.set_parameters(slow=[0.2])
         return measurement
 
-    results, _, _ = drive(controller, robot(noise=1.0), LINE, 6.0, change=tell)
+    results, _, _ = drive(controller, robot(noise=1.0), LINE, 6.0, change=set_point)
     speed = np.array([result.estimate.twist[0] for result in results])
     assert speed[80:100] == pytest.approx(0.5, abs=0.03)
     assert speed[150:] == pytest.approx(0.2, abs=0.03)
@@ -130,7 +130,7 @@ def test_violated_soft_limit_still_acts():
     check_limits(results)
 
 
-# A softer heading near the goal.
+# A lower weight of the heading near the goal.
 
 
 def test_residual_of_constant_weight_equals_the_shipped_cost():
@@ -138,30 +138,30 @@ def test_residual_of_constant_weight_equals_the_shipped_cost():
     pose, reference = ca.SX.sym("pose", 3), ca.SX.sym("reference", 4)
     value = np.sqrt(28.0) * (pose[2] - reference[3])
     term = Term("heading", ca.Function("f", [reference, pose], [value], ["reference", "pose"], ["r"]))
-    # A term knows no end of the horizon, and nothing of the leaning that trades heading against lag.
+    # A term has no terminal weight, and no compensation of side slip that trades heading against lag.
     plain = WEIGHTS | {"weights.terminal": 1.0, "compensation.side_slip": False}
     shipped, user_defined = (
         drive(Controller(load_config("ssm", plain | {"weights.heading": weight}), terms=terms), start, LINE, 6.0)[0]
-        for weight, terms, start in ((28.0, [], aside()), (0.0, [term], aside()))
+        for weight, terms, start in ((28.0, [], displaced_robot()), (0.0, [term], displaced_robot()))
     )
     assert commands(user_defined) == pytest.approx(commands(shipped), abs=1e-9)
     assert np.abs(commands(shipped)[:, 1]).max() > 0.1
 
 
-def aside():
+def displaced_robot():
     return IdealRobot(MODEL, [0.0, 0.03, 0.1])
 
 
-# Beside what ships.
+# Terms together with shipped limits.
 
 
 def test_shipped_soft_limits_hold_together_with_terms():
     corridor = {"limits.corridor": 0.05, "weights.soft": 500.0}
     farthest = []
     for overrides in (SWERVES, SWERVES | corridor):
-        results, least = drive_past(PUSH_OFF, standing, overrides)
+        results, distance = drive_past(PUSH_OFF, resting_point, overrides)
         farthest.append(max(abs(result.estimate.pose[1]) for result in results))
-        assert least > 0.25
+        assert distance > 0.25
     assert farthest[0] > 0.1
     assert farthest[1] < 0.055
 
@@ -191,7 +191,7 @@ def test_controller_with_terms_survives_a_process_pool():
     assert again.step(0.0, FIRST).planned_commands.tolist() == returned.step(0.0, FIRST).planned_commands.tolist()
 
 
-# Where terms are given.
+# Sources of terms.
 
 
 def term_entries(**changes):
@@ -199,7 +199,7 @@ def term_entries(**changes):
     return [{key: value for key, value in (entry | changes).items() if value is not ...}]
 
 
-def configured(folder, text, entries):
+def load_with_terms(folder, text, entries):
     (folder / "mine.py").write_text(text)
     (folder / "config.yaml").write_text(yaml.safe_dump(CONFIG.model_dump() | {"terms": entries}))
     return load_config(folder / "config.yaml")
@@ -208,25 +208,25 @@ def configured(folder, text, entries):
 def test_configured_term_equals_the_term_given_in_python(tmp_path, monkeypatch):
     entries = term_entries() + term_entries(function="push_off", kind=..., lower=..., name="elbow")
     (tmp_path / "elsewhere").mkdir()
-    named = Controller(configured(tmp_path, FILE, entries))
+    named = Controller(load_with_terms(tmp_path, FILE, entries))
     monkeypatch.chdir(tmp_path / "elsewhere")
     named = pickle.loads(pickle.dumps(named))
     in_python = Controller(CONFIG, terms=[KEEP_OFF, Term("elbow", DEFINED["push_off"], defaults=FAR_AWAY)])
-    driven = []
+    drives = []
     for controller in (named, in_python):
         controller.set_parameters(keep_off=[1.0, 0.3], elbow=[1.5, -0.3])
-        driven.append(commands(drive(controller, robot(noise=1.0), LINE, 4.0)[0]))
-    assert (driven[0] == driven[1]).all()
-    assert np.abs(driven[0][:, 1]).max() > 0.1
+        drives.append(commands(drive(controller, robot(noise=1.0), LINE, 4.0)[0]))
+    assert (drives[0] == drives[1]).all()
+    assert np.abs(drives[0][:, 1]).max() > 0.1
 
 
-# What is refused.
+# Rejected definitions.
 
 MINE = "term 'keep_off': "
 HEAD = "import casadi as ca\npose, p = ca.SX.sym('pose', 3), ca.SX.sym('parameters', 2)\n"
 
 
-def taking(inputs, output="pose[0]", names=None):
+def file_of(inputs, output="pose[0]", names=None):
     """Return a file with a function of these inputs."""
     named = names or inputs.split(", ")
     return HEAD + f"x = ca.SX.sym('x', 2)\nkeep_off = ca.Function('f', [{inputs}], [{output}], {named}, ['out'])\n"
@@ -244,10 +244,10 @@ def taking(inputs, output="pose[0]", names=None):
 )
 def test_mistake_in_a_configured_term_is_one_line(tmp_path, text, changes, message):
     with pytest.raises(ConfigError) as refused:
-        Controller(configured(tmp_path, text, term_entries(**changes)))
+        Controller(load_with_terms(tmp_path, text, term_entries(**changes)))
     line = str(refused.value)
     assert message in line
-    assert str(tmp_path) in line, "it names the file"
+    assert str(tmp_path) in line, "the message must name the file"
     assert "\n" not in line
 
 

@@ -1,18 +1,18 @@
-"""One tick's condensed problem with terms of the user against IPOPT on the same nonlinear program."""
+"""Condensed problem of one tick with user terms, against IPOPT on the same nonlinear program."""
 
 import casadi as ca
 import numpy as np
 import pytest
 from ideal_robot import IdealRobot
-from nonlinear_program import EXACT, NO_SLIP, by_ipopt, converged, record
+from nonlinear_program import EXACT, NO_SLIP, iterate_to_convergence, record, solve_with_ipopt
 
 from diffdrive_mpc import Controller, Term, load_config, load_trajectory
 
 CIRCLE = load_trajectory("circle")
 HORIZON = 15
-# Of the point, to the left of the reference: it turns with the robot, so that the plan comes to rest.
-BESIDE = 0.37
-AWAY = (10.0, 10.0)
+# Distance of the point to the left of the reference [m]: it turns with the robot, so that the plan becomes steady.
+LATERAL_OFFSET = 0.37
+FAR = (10.0, 10.0)
 
 
 def distance():
@@ -20,20 +20,20 @@ def distance():
     return pose, point, ca.sqrt(ca.sumsqr(pose[:2] - point) + 1e-6)
 
 
-def at_least(metres, scale=1.0):
+def distance_limit(metres, scale=1.0):
     pose, point, d = distance()
     function = ca.Function("least", [pose, point], [scale * d], ["pose", "parameters"], ["d"])
-    return Term("least", function, "soft", lower=scale * metres, defaults=AWAY)
+    return Term("least", function, "soft", lower=scale * metres, defaults=FAR)
 
 
-def pushed_off(weight):
+def push_residual(weight):
     pose, point, d = distance()
     value = np.sqrt(weight) * ca.fmax(0.4 - d, 0)
-    return Term("pushed", ca.Function("pushed", [point, pose], [value], ["parameters", "pose"], ["r"]), defaults=AWAY)
+    return Term("pushed", ca.Function("pushed", [point, pose], [value], ["parameters", "pose"], ["r"]), defaults=FAR)
 
 
-def everything():
-    """Return a residual of every input, with three rows without physical meaning."""
+def all_inputs_residual():
+    """Return a residual of all inputs, with three rows without physical meaning."""
     sizes = {"command": 2, "twist": 2, "reference": 4, "pose": 3}
     symbols = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
     pose, twist, command, reference = (symbols[name] for name in ("pose", "twist", "command", "reference"))
@@ -41,22 +41,22 @@ def everything():
     return Term("all", ca.Function("all", list(symbols.values()), [ca.vertcat(*rows)], list(symbols), ["r"]))
 
 
-def between(low, high):
+def speed_and_distance_limits(low, high):
     """Return wheel speeds of a command and a distance in one soft term; some rows have no limit."""
     pose, point, d = distance()
     command = ca.SX.sym("command", 2)
     value = ca.vertcat(command[0] + 0.2 * command[1], command[0] - 0.2 * command[1], d)
     function = ca.Function("band", [pose, command, point], [value], ["pose", "command", "parameters"], ["x"])
-    return Term("band", function, "soft", upper=[0.585, None, high], lower=[None, None, low], defaults=AWAY)
+    return Term("band", function, "soft", upper=[0.585, None, high], lower=[None, None, low], defaults=FAR)
 
 
-# Terms, and to what tolerance [m/s, rad/s] the plans agree: exact penalties have kinks, which IPOPT rounds off.
+# Terms, and the tolerance [m/s, rad/s] of the comparison: exact penalties have kinks, which IPOPT smooths.
 CASES = {
     "no terms": ((), 1e-9),
-    "residual": ((pushed_off(500.0),), 1e-8),
-    "soft": ((at_least(0.4, 3.0),), 2e-5),
-    "all inputs": ((everything(),), 1e-8),
-    "several": ((everything(), between(0.41, 0.5), pushed_off(500.0)), 1e-5),
+    "residual": ((push_residual(500.0),), 1e-8),
+    "soft": ((distance_limit(0.4, 3.0),), 2e-5),
+    "all inputs": ((all_inputs_residual(),), 1e-8),
+    "several": ((all_inputs_residual(), speed_and_distance_limits(0.41, 0.5), push_residual(500.0)), 1e-5),
 }
 SHIPPED = {"free": {}, "limited": {"limits.predicted_omega": 0.42}}
 
@@ -70,7 +70,7 @@ def test_real_time_iterations_with_terms_converge_to_ipopts_solution(model, case
 
     def points(t):
         x, y, theta = CIRCLE.sample(t + config.sample_time * np.arange(HORIZON + 1)).pose.T
-        return np.column_stack([x - BESIDE * np.sin(theta), y + BESIDE * np.cos(theta)])
+        return np.column_stack([x - LATERAL_OFFSET * np.sin(theta), y + LATERAL_OFFSET * np.cos(theta)])
 
     def set_points(controller, t):
         controller.set_parameters(**{term.name: points(t) for term in terms if term.parameters})
@@ -80,20 +80,20 @@ def test_real_time_iterations_with_terms_converge_to_ipopts_solution(model, case
 
     controller = make()
     drive = record(controller, IdealRobot(controller._predicted.sampled, np.zeros(3)), CIRCLE, 160, set_points)
-    again, result = converged(make, drive, CIRCLE, set_points)
-    plan, without = by_ipopt(again, terms=terms), by_ipopt(again)
+    again, result = iterate_to_convergence(make, drive, CIRCLE, set_points)
+    plan, without = solve_with_ipopt(again, terms=terms), solve_with_ipopt(again)
     assert result.planned_commands == pytest.approx(plan, abs=tolerance)
     assert result.solver.soft_limits == (shipped == "limited" or any(term.soft for term in terms))
     assert not terms or shipped == "limited" or np.abs(plan - without).max() > 100 * tolerance, "the terms must matter"
-    # In a steady turn a single iteration a tick is as good.
+    # In a steady turn, a single iteration per tick gives the same result.
     assert result.command == pytest.approx(drive.commands[-1], abs=2e-4)
 
 
 @pytest.mark.parametrize(
-    ("limit", "factor", "turned", "ticks"), [("min_commanded_radius", 1.1, 0.0, 60), ("min_turn_radius", 1.0, -0.2, 20)]
+    ("limit", "factor", "turn", "ticks"), [("min_commanded_radius", 1.1, 0.0, 60), ("min_turn_radius", 1.0, -0.2, 20)]
 )
-def test_rows_of_the_least_radius_converge_to_ipopts_solution_while_they_press(limit, factor, turned, ticks):
-    """A circle that turns a tenth tighter than commands may, and a robot that heads out of it."""
+def test_rows_of_the_minimum_radii_converge_to_ipopts_solution_while_active(limit, factor, turn, ticks):
+    """A circle ten percent tighter than commands may be, and a robot that heads out of it."""
     radius = factor * CIRCLE.sample([3.0]).twist[0] @ [1.0, 0.0] / CIRCLE.sample([3.0]).twist[0, 1]
     overrides = {"horizon": HORIZON, "reentry.enabled": False, f"limits.{limit}": radius}
     config = load_config("ssm", overrides | NO_SLIP | EXACT)
@@ -102,10 +102,10 @@ def test_rows_of_the_least_radius_converge_to_ipopts_solution_while_they_press(l
         return Controller(config)
 
     controller = make()
-    robot = IdealRobot(controller._predicted.sampled, CIRCLE.sample([0.0]).pose[0] + [0.0, 0.0, turned])
+    robot = IdealRobot(controller._predicted.sampled, CIRCLE.sample([0.0]).pose[0] + [0.0, 0.0, turn])
     drive = record(controller, robot, CIRCLE, ticks, lambda *_: None)
-    again, result = converged(make, drive, CIRCLE, lambda *_: None)
-    plan, without = by_ipopt(again), by_ipopt(again, load_config(config, {f"limits.{limit}": None}))
-    assert np.abs(plan - without).max() > 1e-2, "the rows must press"
+    again, result = iterate_to_convergence(make, drive, CIRCLE, lambda *_: None)
+    plan, without = solve_with_ipopt(again), solve_with_ipopt(again, load_config(config, {f"limits.{limit}": None}))
+    assert np.abs(plan - without).max() > 1e-2, "the rows must be active"
     assert result.planned_commands == pytest.approx(plan, abs=2e-5)
     assert limit == "min_turn_radius" or (radius * np.abs(plan[:, 1]) <= plan[:, 0] + 1e-6).all()

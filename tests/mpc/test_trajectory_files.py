@@ -1,4 +1,4 @@
-"""Trajectory files: contents, bounds and arrays."""
+"""Trajectory files: contents, limits and arrays."""
 
 from __future__ import annotations
 
@@ -64,10 +64,10 @@ def test_timed_poses_reproduce_their_trajectory(tmp_path: Path, name: str) -> No
     assert copy.duration == pytest.approx(original.duration)
     between = np.linspace(0, original.duration, 3001)
     expected, actual = original.sample(between), copy.sample(between)
-    # A corner of the speed, where the acceleration jumps by up to 2 rad/s^2, is rounded over about a row of 20 ms.
+    # A corner of the speed, where the acceleration jumps by up to 2 rad/s^2, is rounded over about one row of 20 ms.
     np.testing.assert_allclose(actual.pose, expected.pose, rtol=0, atol=2 * 0.02**2 / 8)
     np.testing.assert_allclose(actual.twist, expected.twist, rtol=0, atol=2 * 0.02 / 4)
-    # At each of at most eight starts and stops of 1 m/s^2 that rounding moves the robot to and fro a little.
+    # At each of at most eight starts and stops of 1 m/s^2, rounding moves the robot slightly to and fro.
     np.testing.assert_allclose(actual.arc_length, expected.arc_length, rtol=0, atol=8 * 1 * 0.02**2 / 8)
     assert_holds_its_ends(copy)
 
@@ -115,7 +115,7 @@ def _wave(count: int) -> list[tuple[float, float]]:
 
 
 def test_limits_hold_on_legs_with_few_pieces() -> None:
-    """Speed, yaw rate and accelerations, by differences of the twist between and at the nodes."""
+    """Speed, yaw rate and accelerations from differences of the twist, between and at the nodes."""
     path = lay_waypoints(_wave(12_000), _LIMITS, name="wave")
     times = np.arange(10.0, 40.0, 0.001)
     twist = path.sample(times).twist
@@ -132,7 +132,7 @@ def test_limits_hold_on_legs_with_few_pieces() -> None:
     [
         [Segment(v=0.4, omega=0.1, duration=1e9)],
         [Segment(v=0.0, omega=0.1, duration=1e9)],
-        # A long segment among short ones, which the joints beside it would not show.
+        # A long segment among short ones, which their joints alone would not reveal.
         [
             Segment(v=0.5, omega=-0.5, duration=0.003),
             Segment(v=-0.5, omega=0.001, duration=1e6),
@@ -150,7 +150,7 @@ def test_path_with_too_many_pieces_is_rejected_before_it_is_laid(segments: list[
 
 
 def test_too_many_points_segments_or_joints_raise_error_with_their_number() -> None:
-    """Each is rejected before any work on it."""
+    """Each count is checked before any work on it."""
     settings = load_settings()
     with pytest.raises(ConfigError, match=r"here: 50,001 points, at most 50,000"):
         lay_waypoints(_wave(50_001), _LIMITS, name="x", where="here")
@@ -167,7 +167,7 @@ def test_too_many_points_segments_or_joints_raise_error_with_their_number() -> N
 
 
 def test_reading_of_poses_stops_at_the_maximum_length(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Memory is limited to that of the allowed rows, not of the existing ones."""
+    """Memory is limited to that of the permitted rows, not of the existing ones."""
     fewer = load_settings().model_copy(update={"max_pieces": 2000})
     monkeypatch.setattr("diffdrive_mpc.mpc.trajectories.timed_poses.load_settings", lambda: fewer)
     file = tmp_path / "long.csv"
@@ -180,7 +180,7 @@ def test_reading_of_poses_stops_at_the_maximum_length(tmp_path: Path, monkeypatc
 
 
 def test_path_of_two_millimetres_is_driven_from_rest_to_rest() -> None:
-    """It is one piece long: without an inner node it would never move."""
+    """The path has one piece: without an inner node the robot would never move."""
     path = lay_smooth([Segment(v=1.0, omega=0.0, duration=0.002)], _LIMITS, name="x")
     end = path.sample([path.duration]).pose[0]
     assert end == pytest.approx([0.002, 0.0, 0.0], abs=1e-9)
@@ -191,8 +191,8 @@ TIMES = np.linspace(0.0, 10.0, 101)
 RATE = 0.5
 ANGLE = RATE * TIMES
 X, Y = np.sin(ANGLE), 1.0 - np.cos(ANGLE)
-HALF = np.full(TIMES.size, RATE)
-WELL = {"t": TIMES, "x": X, "y": Y}
+SPEEDS = np.full(TIMES.size, RATE)
+COLUMNS = {"t": TIMES, "x": X, "y": Y}
 
 
 @pytest.mark.parametrize(
@@ -201,8 +201,8 @@ WELL = {"t": TIMES, "x": X, "y": Y}
         ({}, 1e-3),
         ({"theta": ANGLE}, 1e-6),
         ({"theta": (ANGLE + np.pi) % (2 * np.pi) - np.pi}, 1e-6),
-        ({"v": HALF}, 1e-3),
-        ({"theta": ANGLE, "v": HALF, "omega": HALF}, 1e-7),
+        ({"v": SPEEDS}, 1e-3),
+        ({"theta": ANGLE, "v": SPEEDS, "omega": SPEEDS}, 1e-7),
     ],
     ids=["positions", "headings", "wrapped headings", "speeds", "all"],
 )
@@ -217,9 +217,9 @@ def test_arrays_of_a_circle_give_the_circle(more, error):
 
 
 def test_lists_and_pandas_columns_are_accepted_as_arrays():
-    table = pd.DataFrame(WELL)
-    expected = Trajectory.from_arrays(**WELL).sample(TIMES).pose
-    for columns in ({name: table[name] for name in "txy"}, {name: values.tolist() for name, values in WELL.items()}):
+    table = pd.DataFrame(COLUMNS)
+    expected = Trajectory.from_arrays(**COLUMNS).sample(TIMES).pose
+    for columns in ({name: table[name] for name in "txy"}, {name: values.tolist() for name, values in COLUMNS.items()}):
         np.testing.assert_array_equal(Trajectory.from_arrays(**columns).sample(TIMES).pose, expected)
 
 
@@ -246,7 +246,7 @@ def test_waypoints_are_passed_within_the_limits_of_a_configuration():
 
 
 @pytest.mark.parametrize("name", ["circle", "slalom"])
-def test_start_delay_puts_a_rest_before_the_trajectory(name):
+def test_start_delay_inserts_a_rest_before_the_trajectory(name):
     plain, late = (load_trajectory(name, load_config("ssm", {"start_delay": delay})) for delay in (0.0, 0.3))
     assert late.duration == plain.duration + 0.3
     times = np.linspace(-0.5, late.duration + 0.5, 500)

@@ -1,4 +1,4 @@
-"""Trajectories of segments and of waypoints."""
+"""Trajectories from segments and from waypoints."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_arc_length_never_falls_and_ends_hold(segments: list[Segment]) -> None:
         ("cane", 4 + 0.5 + np.pi / 0.7 + 0.5, (2.0, 2 * 0.5 / 0.7, np.pi), 2 + np.pi * 0.5 / 0.7),
     ],
 )
-def test_built_in_trajectories_end_where_exact_arcs_say(
+def test_built_in_trajectories_end_at_the_ends_of_exact_arcs(
     name: str, duration: float, end: tuple[float, float, float], length: float
 ) -> None:
     trajectory = load_trajectory(name)
@@ -112,10 +112,10 @@ def winding_waypoints(draw: st.DrawFn) -> list[tuple[float, float]]:
     return [(0.0, 0.0), *map(tuple, np.cumsum(steps, axis=0).tolist())]
 
 
-def broken_limits(
+def violates_limits(
     square: FloatArray, lengths: FloatArray, bend: FloatArray, bend_change: FloatArray, cruise: float
 ) -> bool:
-    """Return True if squared speeds at the ends of the pieces break a limit by more than rounding."""
+    """Return True if squared speeds at the ends of the pieces violate a limit by more than rounding."""
     faster = np.maximum(square[:-1], square[1:])
     acceleration = np.abs(np.diff(square)) / (2 * lengths)
     yaw_acceleration = bend_change * faster + bend * acceleration
@@ -131,28 +131,28 @@ _piece = st.tuples(st.floats(0.01, 0.5), st.floats(0.0, 20.0), st.floats(0.0, 50
 
 
 @given(st.lists(_piece, min_size=2, max_size=12), st.floats(0.1, 1.5))
-def test_speeds_along_a_path_keep_every_limit_and_none_can_be_raised(
+def test_speeds_along_a_path_satisfy_every_limit_and_none_can_be_raised(
     pieces: list[tuple[float, float, float]], cruise: float
 ) -> None:
     lengths, bend, bend_change = np.array(pieces).T
     square = squared_speeds(lengths, bend, bend_change, LIMITS, cruise)
     assert square[0] == square[-1] == 0
     assert np.all(square[1:-1] > 0)
-    assert not broken_limits(square, lengths, bend, bend_change, cruise)
+    assert not violates_limits(square, lengths, bend, bend_change, cruise)
     for node in range(1, square.size - 1):
         raised = square.copy()
         raised[node] *= 1 + 1e-5
-        assert broken_limits(raised, lengths, bend, bend_change, cruise)
+        assert violates_limits(raised, lengths, bend, bend_change, cruise)
 
 
 @settings(max_examples=25, deadline=None)
 @given(winding_waypoints())
-def test_bounds_of_each_piece_are_those_of_its_curvature(waypoints: list[tuple[float, float]]) -> None:
+def test_bounds_of_each_piece_cover_its_curvature(waypoints: list[tuple[float, float]]) -> None:
     path = smooth_path(np.array(waypoints), "test")
     change = np.abs(np.diff(path.curvature)) / path.lengths
     largest = path.bend_change.max() + 1e-9
     assert np.all(path.bend >= np.abs(path.curvature[1:]))
-    # The curvature is smooth between waypoints, so over one of 400 pieces its mean slope is near its largest.
+    # The curvature is smooth between waypoints: over one of 400 pieces the mean slope is near the maximum slope.
     np.testing.assert_allclose(path.bend_change, change, rtol=0, atol=0.1 * largest)
     middle = (path.curvature[1:] + path.curvature[:-1]) / 2
     np.testing.assert_allclose(np.diff(path.heading) / path.lengths, middle, atol=1e-3 * np.abs(path.bend).max() + 1e-9)

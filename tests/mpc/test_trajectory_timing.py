@@ -1,4 +1,4 @@
-"""Trajectories are timed by limits, and scaled."""
+"""Timing of trajectories by limits, scaling, and speed passports."""
 
 from __future__ import annotations
 
@@ -68,13 +68,13 @@ def drawn_path(segments: list[Segment]) -> FloatArray:
     return np.concatenate(points)
 
 
-# --- commanded
+# --- Commanded timing.
 
 
 @settings(max_examples=40, deadline=None)
 @given(segment_lists())
 def test_commanded_twists_equal_the_segments(segments: list[Segment]) -> None:
-    # A step in front, and one behind, which have the ramps.
+    # The straight segments before and after contain the ramps.
     ends = [segment(0.5, 0.0, 1.0)]
     trajectory = lay_commanded([*ends, *segments, *ends], LIMITS, name="test")
     start = trajectory.duration - 1.25 - sum(piece.duration for piece in segments)
@@ -123,7 +123,7 @@ def test_steps_of_the_twist_are_accepted() -> None:
     check_speeds(stepping, config.limits, config.sample_time)
 
 
-# --- smooth
+# --- Smooth timing.
 
 
 @settings(max_examples=40, deadline=None)
@@ -135,7 +135,7 @@ def test_smooth_path_stays_within_its_reported_distance(segments: list[Segment])
     nearest, _ = cKDTree(drawn_path(segments)).query(points)
     reported = trajectory.drawn_distance(times)
     assert reported.max() <= 0.02
-    # Nearer than told: the path may pass elsewhere; further: the drawn one is sampled every millimetre.
+    # Smaller than reported: the path may pass elsewhere; larger: the drawn path is sampled every millimetre.
     assert np.all(nearest <= reported + 6e-4)
     end = lay_segments(segments, LIMITS, name="test")
     np.testing.assert_allclose(
@@ -169,7 +169,7 @@ def test_smooth_path_has_continuous_curvature_and_uses_its_tolerance() -> None:
         middle = np.linspace(1.5, trajectory.duration - 1.5, 6001)
         sample = trajectory.sample(middle)
         curvature = sample.twist[:, 1] / sample.twist[:, 0]
-        # It goes from one arc's to the other's over most of a metre, not from one sample to the next.
+        # The curvature changes over most of a metre, not from one sample to the next.
         assert np.abs(np.diff(curvature) / np.diff(sample.arc_length)).max() < 6.0
         assert curvature.min() < -0.5 < 0.5 < curvature.max()
         distances.append(trajectory.drawn_distance(instants(trajectory)).max())
@@ -179,13 +179,13 @@ def test_smooth_path_has_continuous_curvature_and_uses_its_tolerance() -> None:
     assert durations[0] < lay_segments(arcs, LIMITS, name="test").duration
 
 
-def test_smooth_timing_stops_at_cusps_and_turns_on_the_spot_only() -> None:
+def test_smooth_timing_stops_only_at_cusps_and_turns_on_the_spot() -> None:
     arcs = [segment(0.5, 0.3, 2.0), segment(0.5, -0.3, 2.0), segment(-0.5, 0.3, 2.0), segment(0.0, 1.0, 1.0)]
     trajectory = lay_smooth([*arcs, *arcs], LIMITS, name="test")
     v = trajectory.sample(instants(trajectory, 40001)).twist[1:-1, 0]
     standing = np.abs(v) < 1e-3
     stops = np.count_nonzero(np.diff(standing.astype(int)) == 1)
-    # Inside: cusp, turn, cusp, and the turn at the very end.
+    # Stops inside the path: cusp, turn, cusp, and the turn at the end.
     assert stops == 4
     square = load_trajectory("square", timing="smooth")
     sample = square.sample(instants(square))
@@ -207,7 +207,7 @@ def test_waypoints_with_smooth_timing_keep_the_lateral_acceleration(legs: list[t
     assert trajectory.drawn_distance(instants(trajectory)).max() <= MAX_DEVIATION
 
 
-# --- files
+# --- Timing in files.
 
 
 def test_duration_of_the_file_and_of_the_drive_are_in_one_line(tmp_path: Path) -> None:
@@ -216,9 +216,9 @@ def test_duration_of_the_file_and_of_the_drive_are_in_one_line(tmp_path: Path) -
     stop, smooth = load_trajectory(path), load_trajectory(path, timing="smooth")
     line = "trajectory 'bends': 6.0 s in the file, driven in {:.1f} s (timing: {})"
     assert stop.remark == line.format(stop.duration, "stop")
-    away = smooth.drawn_distance(instants(smooth)).max()
+    distance = smooth.drawn_distance(instants(smooth)).max()
     assert smooth.remark == line.format(smooth.duration, "smooth") + (
-        f"; its path is up to {away:.3f} m from the drawn path; errors refer to its path"
+        f"; its path is up to {distance:.3f} m from the drawn path; errors refer to its path"
     )
     assert load_trajectory("spline-1").remark == ""
 
@@ -245,7 +245,7 @@ def test_shipped_paths_keep_the_limits_of_shipped_configurations(name: str) -> N
     assert np.all(speeds[: 2 if name == "tight" else 4] <= 1.002)
 
 
-# --- what ships
+# --- Shipped paths.
 
 
 @pytest.mark.parametrize("name", [*FILED, "spline-0", "spline-7"])
@@ -297,7 +297,7 @@ def test_scaled_path_keeps_limits_and_shape_for_any_robot(path, values, gains, l
     assert slope[0] <= share.slew_share * limits.v_slew * (1 + 1e-6)
     assert slope[1] <= share.slew_share * limits.omega_slew * (1 + 1e-6)
 
-    # What a robot with that lag is commanded to follow: the inverse of its model.
+    # The command that a robot with this lag needs, from the inverse of its model.
     ahead = command[:-1] + lag * np.abs(np.diff(command, axis=0)) / dt
     assert ahead[:, 0].max() <= limits.v
     assert ahead[:, 1].max() <= limits.omega
@@ -341,7 +341,7 @@ def write(folder: Path, drawn: str, use: dict[str, object], timing: str = "smoot
     return path
 
 
-def allowed(curvature: float, row: int) -> float:
+def max_speed(curvature: float, row: int) -> float:
     """Return the maximum speed [m/s] for a curvature [1/m], from the table."""
     speeds, curvatures = PASSPORT["rows"][row]["speeds"], PASSPORT["curvatures"]
     index = next(k for k, end in enumerate(curvatures) if curvature <= end + 1e-6)
@@ -358,10 +358,10 @@ def test_speed_stays_below_the_passport_everywhere(
     v, omega = timed.sample(np.linspace(0.0, timed.duration, 3000)).twist.T
     moving = v > 0.05
     shares = [
-        speed / min(allowed(bend, row) for row in rows)
+        speed / min(max_speed(bend, row) for row in rows)
         for speed, bend in zip(v[moving], np.abs(omega[moving] / v[moving]), strict=True)
     ]
-    # The cubics between the nodes of the path go a little beyond.
+    # The cubics between the nodes slightly exceed the passport.
     assert 0.95 < max(shares) < 1.02
 
 

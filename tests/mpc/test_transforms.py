@@ -41,7 +41,7 @@ def test_composition_and_inverse_are_those_of_matrices(first, second):
 
 
 @given(first=rigids(), turn=st.floats(-3.0, 3.0), share=st.floats(0.0, 1.0))
-def test_between_two_attitudes_it_turns_at_a_constant_rate(first, turn, share):
+def test_interpolation_between_two_attitudes_turns_at_a_constant_rate(first, turn, share):
     axis = np.array([0.6, 0.0, 0.8])
     whole, part = (
         Rigid(1.0, 2.0, 3.0, *Rotation.from_rotvec(angle * axis).as_quat().tolist()) for angle in (turn, share * turn)
@@ -58,8 +58,8 @@ def test_between_two_attitudes_it_turns_at_a_constant_rate(first, turn, share):
     ends=st.tuples(st.integers(0, 5), st.integers(0, 5)),
     parents=st.tuples(*(st.integers(0, index) for index in range(5))),
 )
-def test_along_any_tree_it_is_the_product_of_matrices(transforms, ends, parents):
-    """Frames 1 to 5 have an earlier frame as parent: products give each frame in frame 0, and in all frames."""
+def test_transform_along_any_tree_is_the_product_of_matrices(transforms, ends, parents):
+    """Frames 1 to 5 have an earlier frame as parent: products of matrices give each frame in frame 0."""
     buffer, world = TransformBuffer(), [np.eye(4)]
     for child, (parent, transform) in enumerate(zip(parents, transforms, strict=True), start=1):
         buffer.insert(f"f{parent}", f"f{child}", NOW, transform, NOW, static=child % 2 == 0)
@@ -69,7 +69,7 @@ def test_along_any_tree_it_is_the_product_of_matrices(transforms, ends, parents)
     np.testing.assert_allclose(matrix(result.transform), np.linalg.inv(world[target]) @ world[source], atol=1e-8)
 
 
-def moving(count=20):
+def moving_buffer(count=20):
     buffer = TransformBuffer()
     for index in range(count):
         stamp = NOW + index * 10**8
@@ -78,14 +78,14 @@ def moving(count=20):
 
 
 @given(elapsed=st.floats(0.0, 1.9))
-def test_at_a_time_between_two_stamps_it_is_between_them(elapsed):
-    result = moving().lookup("odom", "base_link", NOW, NOW + round(elapsed * 1e9))
+def test_transform_between_two_stamps_is_interpolated(elapsed):
+    result = moving_buffer().lookup("odom", "base_link", NOW, NOW + round(elapsed * 1e9))
     np.testing.assert_allclose(result.transform.planar, [elapsed, 0.0, 0.1 * elapsed], atol=1e-6)
 
 
-def test_without_a_time_it_is_the_newest_that_the_whole_chain_has():
-    """One localisation is slow, another dates its transform ahead."""
-    buffer = moving()
+def test_lookup_without_a_time_uses_the_newest_time_of_the_whole_chain():
+    """One localisation is slow, another has stamps in the future."""
+    buffer = moving_buffer()
     last = NOW + 1_900_000_000
     for stamp, x in ((NOW, 5.0), (NOW + 10**9, 6.0)):
         buffer.insert("map", "odom", stamp, planar(x, 0.0, 0.0), stamp)
@@ -98,8 +98,8 @@ def test_without_a_time_it_is_the_newest_that_the_whole_chain_has():
     assert result.transform.x == pytest.approx(6.0 + 0.9 / 1.9 * 2.0 + 1.9)
 
 
-def test_what_is_static_holds_at_any_time():
-    buffer = moving()
+def test_static_transform_is_valid_at_any_time():
+    buffer = moving_buffer()
     buffer.insert("base_link", "laser", 0, planar(0.2, 0.0, 0.0), NOW, static=True)
     assert buffer.lookup("base_link", "laser", NOW) == (planar(0.2, 0.0, 0.0), None, "")
     assert buffer.lookup("laser", "laser", NOW).transform == IDENTITY
@@ -117,13 +117,13 @@ def test_what_is_static_holds_at_any_time():
         (NOW - 10**9, "1.00 s before the first transform"),
     ],
 )
-def test_nothing_is_guessed_beyond_what_was_heard(time, words):
+def test_lookup_outside_the_received_times_raises_error(time, words):
     with pytest.raises(TransformError, match=words):
-        moving().lookup("odom", "base_link", NOW, time)
+        moving_buffer().lookup("odom", "base_link", NOW, time)
 
 
-def test_frames_that_are_not_connected_are_named():
-    buffer = moving()
+def test_unconnected_frames_are_named():
+    buffer = moving_buffer()
     buffer.insert("map", "robot2/odom", NOW, IDENTITY, NOW)
     with pytest.raises(TransformError, match="no chain of frames leads from one to the other"):
         buffer.lookup("map", "base_link", NOW)
@@ -131,7 +131,7 @@ def test_frames_that_are_not_connected_are_named():
         buffer.lookup("mpa", "base_link", NOW)
 
 
-def test_a_loop_is_named_and_does_not_hang():
+def test_frame_loop_is_named_and_does_not_hang():
     buffer = TransformBuffer()
     for parent, child in (("a", "b"), ("b", "c"), ("c", "a")):
         buffer.insert(parent, child, NOW, IDENTITY, NOW)
@@ -139,8 +139,8 @@ def test_a_loop_is_named_and_does_not_hang():
         buffer.lookup("odom", "c", NOW)
 
 
-def test_two_parents_in_turns_are_a_dispute_and_one_change_is_none():
-    buffer = moving()
+def test_alternating_parents_raise_error_and_a_single_change_does_not():
+    buffer = moving_buffer()
     later = NOW + 2 * 10**9
     buffer.insert("map", "base_link", later, planar(1.0, 0.0, 0.0), later)
     assert buffer.lookup("map", "base_link", later).transform.x == 1.0
@@ -162,15 +162,15 @@ def test_two_parents_in_turns_are_a_dispute_and_one_change_is_none():
         (IDENTITY, NOW, ("odom", "odom"), "names no two frames"),
     ],
 )
-def test_what_cannot_be_used_is_refused_and_changes_nothing(transform, stamp, frames, words):
-    buffer = moving(count=1)
+def test_unusable_transform_is_refused_without_effect(transform, stamp, frames, words):
+    buffer = moving_buffer(count=1)
     with pytest.raises(TransformError, match=words):
         buffer.insert(*frames, stamp, transform, NOW)
     assert buffer.lookup("odom", "base_link", NOW) == (IDENTITY, NOW, "base_link")
     assert len(buffer) == 1
 
 
-def test_memory_is_bounded():
+def test_memory_of_transforms_is_bounded():
     buffer = TransformBuffer()
     for index in range(limits.MAX_TRANSFORMS + 100):
         buffer.insert("odom", "base_link", NOW + index * 1000, IDENTITY, NOW)

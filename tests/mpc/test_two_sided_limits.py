@@ -49,7 +49,7 @@ def test_both_forms_of_a_limit_are_read_kept_and_written():
 
 
 @pytest.mark.parametrize("method", ["auto", "osqp", "daqp"])
-def test_equal_sides_drive_as_one_number_to_the_last_bit(method):
+def test_equal_sides_give_the_same_commands_as_one_number(method):
     runs = []
     for sided in (False, True):
         values = {key: dict.fromkeys(SIDES[key], value) if sided else value for key, value in TIGHT.items()}
@@ -60,12 +60,12 @@ def test_equal_sides_drive_as_one_number_to_the_last_bit(method):
     np.testing.assert_array_equal(*runs)
 
 
-def drawn_slews(draw):
-    """Return slew limits of two sides."""
+def random_slews(draw):
+    """Return two-sided slew limits."""
     return {key: dict(zip(SIDES[key], draw.uniform(0.3, 3.0, 2), strict=True)) for key in SIDES if key.endswith("slew")}
 
 
-def drawn_reference(draw):
+def random_reference(draw):
     """Return steps between twists of any sign, within the ranges of `TWO_SIDED`."""
     segments = [
         Segment(v=draw.uniform(-0.19, 0.7), omega=draw.uniform(-0.9, 0.9), duration=draw.uniform(0.2, 0.8))
@@ -75,14 +75,14 @@ def drawn_reference(draw):
 
 
 @pytest.mark.parametrize("method", ["auto", "osqp", "daqp"])
-def test_no_command_leaves_the_envelope(method):
-    """On drawn drives with changes of direction, failures, holds and limits that are tightened on the way."""
+def test_every_command_stays_inside_the_limits(method):
+    """Random drives with changes of direction, failures, holds and limits that are tightened meanwhile."""
     signs, modes = set(), set()
     for seed in range(6):
         draw = np.random.default_rng(seed)
-        config = load_config("ssm", TWO_SIDED | drawn_slews(draw) | {"solver.method": method, "horizon": 12})
+        config = load_config("ssm", TWO_SIDED | random_slews(draw) | {"solver.method": method, "horizon": 12})
         controller, plant = Controller(config), make_plant("model:ssm", seed=seed)
-        controller.start(drawn_reference(draw), plant.time)
+        controller.start(random_reference(draw), plant.time)
         last = np.zeros(2)
         for tick in range(220):
             measurement = plant.measure()
@@ -101,8 +101,8 @@ def test_no_command_leaves_the_envelope(method):
     assert {"TRACKING", "BRAKING"} <= modes
 
 
-def test_a_command_passes_zero_within_a_tick_by_the_rest_of_its_time():
-    """Half of the tick for braking to zero, so half of it for the way on: exact, not the sum of both rates."""
+def test_command_that_crosses_zero_uses_the_rest_of_the_tick_to_accelerate():
+    """Half of the tick brakes to zero, the other half accelerates: exact, not the sum of both rates."""
     config = load_config("ssm", {"limits.v_slew": {"accelerate": 4.0, "brake": 1.0}, "horizon": 15})
     controller, plant = Controller(config), make_plant("model:ssm", seed=0)
     controller.start(
@@ -114,7 +114,7 @@ def test_a_command_passes_zero_within_a_tick_by_the_rest_of_its_time():
     assert command[0] == pytest.approx(-0.5 * dt * 4.0, abs=1e-12)
 
 
-def test_a_reference_is_compared_with_its_own_side():
+def test_reference_is_compared_with_the_limit_of_its_side():
     config = load_config("ssm", TWO_SIDED)
     controller = Controller(config)
 
@@ -129,8 +129,8 @@ def test_a_reference_is_compared_with_its_own_side():
         controller.checked_reference(reference(0.1, -1.2))
 
 
-def test_robot_is_late_by_the_limit_that_it_reaches_until_it_has_caught_up():
-    """Reverse is capped while it drives: the reference waits, and gets ahead again where it is slow."""
+def test_late_robot_names_its_active_limit_until_it_has_caught_up():
+    """Reverse speed is limited during the drive: the reference waits, and catches up on its slow part."""
     segments = [Segment(v=v, omega=0.0, duration=duration) for v, duration in ((-0.3, 3.0), (0.1, 10.0))]
     reference = lay_commanded(segments, TrajectoryLimits.of_robot(), name="to and fro")
     controller, plant, late = Controller("ssm"), make_plant("model:ssm", seed=1), []
@@ -152,8 +152,8 @@ def test_shipped_models_are_never_late_on_the_shipped_paths(model):
 
 
 @pytest.mark.parametrize(("track", "slew"), [(1.0, 0.9), (1.0, 1.1), (1.3, 0.9)])
-def test_wheel_inside_a_turn_that_begins_at_full_slew_is_not_at_its_end(track, slew):
-    """v shows later than omega: for a while the inner wheel is slower than each of the commands demands."""
+def test_inner_wheel_is_not_reported_as_saturated_in_a_turn_at_full_slew(track, slew):
+    """v responds later than omega: the inner wheel is temporarily slower than each of the commands requires."""
     limits = {"v": 2.0, "predicted_v": 2.4, "omega": 2.5, "predicted_omega": 3.0, "wheel_speed": 3.2, "v_slew": slew}
     config = load_config(
         "ssm", {"wheels.track": track, "wheels.encoder_track": track} | {f"limits.{k}": v for k, v in limits.items()}
@@ -162,17 +162,17 @@ def test_wheel_inside_a_turn_that_begins_at_full_slew_is_not_at_its_end(track, s
     assert not any("no faster" in message for message in run.messages)
 
 
-def test_link_of_a_plant_carries_the_larger_side():
+def test_plant_settings_contain_the_larger_side():
     limits = {"limits": {"v": {"forward": 2.5, "reverse": 0.2}}}
     assert plant_settings(load_config("ssm", limits))["limits"].v == 2.5
 
 
-def test_smooth_timing_keeps_the_speed_of_each_direction_and_both_rates():
+def test_smooth_timing_respects_the_speed_of_each_direction_and_both_rates():
     config = load_config("ssm", TWO_SIDED)
     limits = TrajectoryLimits.of_controller(config.limits)
     segments = [Segment(v=0.8, omega=0.3, duration=4.0), Segment(v=-0.2, omega=0.1, duration=6.0)]
     trajectory = lay_smooth(segments, limits, name="to and fro")
-    assert limits.v_acceleration.sides == (0.5, 0.2)  # half of the slew is left to tracking
+    assert limits.v_acceleration.sides == (0.5, 0.2)  # half of the slew is reserved for tracking
     times = np.linspace(0.0, trajectory.duration, 4000)
     v = trajectory.sample(times).twist[:, 0]
     assert v.max() == pytest.approx(0.8, rel=1e-3) and v.min() == pytest.approx(-0.2, rel=1e-3)
@@ -183,7 +183,7 @@ def test_smooth_timing_keeps_the_speed_of_each_direction_and_both_rates():
 
 
 @pytest.mark.parametrize("timing", ["stop", "smooth"])
-def test_timing_slows_down_what_is_beyond_the_smaller_side(timing):
+def test_timing_reduces_speeds_beyond_the_smaller_side(timing):
     config = load_config("ssm", TWO_SIDED)
     trajectory = load_trajectory("k_turn", limits=config, timing=timing)
     twist = trajectory.sample(np.linspace(0.0, trajectory.duration, 4000)).twist
@@ -203,7 +203,7 @@ def test_timing_slows_down_what_is_beyond_the_smaller_side(timing):
         ),
     ],
 )
-def test_a_base_of_two_sides_is_driven_as_well_as_one_without(tmp_path, base, limits):
+def test_base_with_two_sided_limits_tracks_as_well_as_one_without(tmp_path, base, limits):
     (tmp_path / "robot.yaml").write_text(f"description: a robot\nbase: {{{base}}}\n")
     config = load_config("ssm", limits)
     reference = load_trajectory("k_turn", limits=config, timing="smooth")
@@ -215,18 +215,18 @@ def test_a_base_of_two_sides_is_driven_as_well_as_one_without(tmp_path, base, li
 
 
 def solve(program, lower, upper):
-    """Return commands (2, N) and cost of a tick's program with these bounds; None and infinity if there are none."""
+    """Return commands (2, N) and cost of a tick's program with these bounds; None and infinity if infeasible."""
     sense = np.zeros(len(lower), dtype=np.intc)
     x, cost, flag, _ = daqp.solve(program.P.toarray(), program.q, program.A.toarray(), upper, lower, sense)
     return (x[:16].reshape(8, 2).T, cost) if flag > 0 else (None, np.inf)
 
 
-def least_cost(program, slews):
-    """Return the least cost over all signs of the 2 x 8 commands, by branch and bound on `slews` (2, 2) by side.
+def min_cost(program, slews):
+    """Return the minimum cost over all signs of the 2 x 8 commands, by branch and bound on `slews` (2, 2) by side.
 
-    A branch holds some signs; increments after other commands have the larger of both limits.
+    A branch fixes some signs; increments after other commands have the larger of both limits.
     """
-    least, branches = np.inf, [np.zeros((2, 8), dtype=int)]
+    best, branches = np.inf, [np.zeros((2, 8), dtype=int)]
     while branches:
         signs = branches.pop()
         lower, upper = (bound[:32].reshape(2, 2, 8).copy() for bound in (program.l, program.u))
@@ -235,28 +235,28 @@ def least_cost(program, slews):
             lower[1, channel, 1:], upper[1, channel, 1:] = -sides[-signs[channel, :-1]], sides[signs[channel, :-1]]
         lower[0][signs > 0] = upper[0][signs < 0] = 0.0
         plan, cost = solve(program, np.append(lower, program.l[32:]), np.append(upper, program.u[32:]))
-        if cost >= least - 1e-10:
+        if cost >= best - 1e-10:
             continue
         signed = np.where(np.abs(plan) > 1e-9, np.sign(plan), 0)[:, :-1]
         growth = np.diff(plan) * signed
         excess = np.maximum(growth - slews[:, :1], -slews[:, 1:] - growth) * (signs[:, :-1] == 0)
         if excess.max() < 1e-7:
-            least = cost
+            best = cost
             continue
         for sign in (-1, 1):
             branches.append(signs.copy())
             branches[-1][np.unravel_index(np.argmax(excess), excess.shape)] = sign
-    return least
+    return best
 
 
 @pytest.mark.parametrize("seeds", [range(100, 103), pytest.param(range(200, 220), marks=pytest.mark.long)])
-def test_signs_of_the_shifted_plan_lose_little_against_all_patterns(seeds):
-    """Costs count from the one without limits: 15 ticks of each drive with changes of direction, horizon 8."""
+def test_signs_of_the_shifted_plan_cost_little_compared_with_all_sign_patterns(seeds):
+    """Costs relative to the unconstrained minimum: 15 ticks of each drive with changes of direction, horizon 8."""
     costs, free = [], np.full(16, np.inf)
     for seed in seeds:
         draw = np.random.default_rng(seed)
-        config = load_config("ssm", TWO_SIDED | drawn_slews(draw) | {"horizon": 8})
-        controller, plant, reference = Controller(config), make_plant("model:ssm", seed=seed), drawn_reference(draw)
+        config = load_config("ssm", TWO_SIDED | random_slews(draw) | {"horizon": 8})
+        controller, plant, reference = Controller(config), make_plant("model:ssm", seed=seed), random_reference(draw)
         slews = np.array([config.limits.v_slew.sides, config.limits.omega_slew.sides]) * config.sample_time
         controller.start(reference, plant.time)
         chosen = draw.choice(int(reference.duration / config.sample_time), 15, replace=False)
@@ -266,9 +266,9 @@ def test_signs_of_the_shifted_plan_lose_little_against_all_patterns(seeds):
                 program, plan = controller.quadratic_program(), result.planned_commands.T.ravel()
                 fixed = np.r_[plan, -free, program.l[32:]], np.r_[plan, free, program.u[32:]]
                 unlimited = -0.5 * program.q[:16] @ np.linalg.solve(program.P.toarray()[:16, :16], program.q[:16])
-                costs.append(np.array([solve(program, *fixed)[1], least_cost(program, slews)]) - unlimited)
+                costs.append(np.array([solve(program, *fixed)[1], min_cost(program, slews)]) - unlimited)
             plant.advance(result.command)
-    lost, least = (np.array(costs) @ [[1.0, 0.0], [-1.0, 1.0]]).T
-    print(f"{lost.sum() / least.sum():.2e} of the cost lost, at {(lost > 1e-6).sum()} of {len(lost)} ticks")  # noqa: T201
-    assert lost.sum() < 1e-3 * least.sum()
+    lost, best = (np.array(costs) @ [[1.0, 0.0], [-1.0, 1.0]]).T
+    print(f"{lost.sum() / best.sum():.2e} of the cost lost, at {(lost > 1e-6).sum()} of {len(lost)} ticks")  # noqa: T201
+    assert lost.sum() < 1e-3 * best.sum()
     assert 0.0 < (lost > 1e-6).mean() < 0.1

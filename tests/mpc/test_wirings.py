@@ -1,4 +1,4 @@
-"""Robots that are wired differently: drawn robots that played no part in tuning say which sensor it is, and how."""
+"""Miswired sensors: on random robots that were not used for tuning, messages name the sensor and its fault."""
 
 import re
 from functools import partial
@@ -16,7 +16,7 @@ from diffdrive_mpc.bench.runner import run_tasks
 WIRINGS = yaml.safe_load(Path(__file__).with_name("wirings.yaml").read_text(encoding="utf-8"))
 PATHS = ("circle", "s", "square", "cane", "figure8")
 RESERVED = 9100
-"""First of the seeds of drawn robots that no number was chosen on."""
+"""First seed of random robots on which no threshold was chosen."""
 KINDS = {
     "reversed": r"(times as far as poses: set sensors.yaw_rate.sign: -1|swap the sides, or correct the signs)",
     "scaled": r"(set sensors.yaw_rate.scale|it measures no turn|it repeats itself|correct ticks and radius)",
@@ -26,13 +26,13 @@ KINDS = {
 
 
 def named_sensors(message):
-    """Return the sensors that a message gives up, refuses or calls late."""
+    """Return the sensors that a message disables, refuses or reports as late."""
     named = set(re.findall(r"(wheel speed|yaw rate|pose) not used", message))
     return named | ({"late"} if "later than their stamps" in message else set())
 
 
 def drive(wiring, robot, folder):
-    """Return messages of a drive in which sensors are named, and the largest lateral error before that [m]."""
+    """Return messages of a drive that name sensors, and the maximum lateral error before the first of them [m]."""
     file, path = Path(folder, f"{wiring}.yaml"), PATHS[robot % len(PATHS)]
     run = run_case(Case(model="sm", trajectory=path, plant=f"drawn:{robot}", seed=robot, sensors=str(file)))
     named = [(time, message) for time, message in zip(run.time, run.messages, strict=True) if named_sensors(message)]
@@ -41,11 +41,11 @@ def drive(wiring, robot, folder):
 
 
 def is_right(wiring, messages):
-    """Return whether the faulty sensor alone is named, and at some time how it is wired."""
+    """Return True if only the faulty sensor is named, and at some time its fault."""
     ((sensor, kind),) = WIRINGS[wiring]["answer"].items()
     wanted = "late" if kind == "late" else sensor
-    # A reversed or scaled gyro may look late before it has turned far enough.
-    others = set().union(*map(named_sensors, messages)) - {wanted, "late"} if messages else {"nobody"}
+    # A reversed or scaled gyro may seem late before it has turned far enough.
+    others = set().union(*map(named_sensors, messages)) - {wanted, "late"} if messages else {"none"}
     return not others and any(
         wanted in named_sensors(text) and re.search(KINDS.get(kind, ""), text) for text in messages
     )
@@ -56,8 +56,8 @@ def write_sensor_sets(folder):
         Path(folder, f"{wiring}.yaml").write_text(yaml.safe_dump(stated["sensors"]), encoding="utf-8")
 
 
-def judged(robots, folder, jobs=1):
-    """Return wirings and robots with a wrong answer, and the lateral errors before the answers [m]."""
+def judge_wirings(robots, folder, jobs=1):
+    """Return (wiring, robot) pairs with a wrong message, lateral errors before messages [m], and the case count."""
     write_sensor_sets(folder)
     cases = [(wiring, robot) for wiring in WIRINGS for robot in robots]
     drives = run_tasks([partial(drive, *case, folder) for case in cases], jobs, lambda *_: None)
@@ -66,50 +66,50 @@ def judged(robots, folder, jobs=1):
 
 
 def follows(robot):
-    """Return whether a robot that is wired as configured follows its path."""
+    """Return True if a robot that is wired as configured follows its path."""
     case = Case(model="sm", trajectory=PATHS[robot % len(PATHS)], plant=f"drawn:{robot}", seed=robot)
     metrics = run_case(case).metrics
     return metrics.completed and metrics.position_rmse_m < 0.1
 
 
 def robots_that_follow():
-    """Return the first twenty that follow their path while wired as configured: others slide or stop by themselves."""
+    """Return the first twenty robots that follow their path if wired as configured: others slide or stop anyway."""
     return list(islice(filter(follows, range(RESERVED + 300, RESERVED + 350)), 20))
 
 
 @pytest.mark.system
-def test_wirings_are_named_on_twenty_drawn_robots(tmp_path):
+def test_wirings_are_named_on_twenty_random_robots(tmp_path):
     robots = robots_that_follow()
-    wrong, lateral, count = judged(robots, tmp_path, jobs=2)
+    wrong, lateral, count = judge_wirings(robots, tmp_path, jobs=2)
     assert len(wrong) <= 0.03 * count, wrong
     assert np.median(lateral) < 0.1
 
 
 def named_settings(messages):
-    """Return the settings that the last message with any of them names, by key."""
+    """Return the settings, by key, in the last message that names any."""
     words = [re.findall(r"(sensors\.\w+\.(?:\w+_)?(?:sign|scale|heading)): (-?[\d.]+)", text) for text in messages]
     last = next((pairs for pairs in reversed(words) if pairs), [])
     return tuple((key, int(value) if key.endswith("sign") else float(value)) for key, value in last)
 
 
 def lateral_square(robot, **options):
-    """Return the mean square lateral error from 3 s on, of three seeds [m^2]."""
+    """Return the mean square lateral error after 3 s, over three seeds [m^2]."""
     path, seeds = PATHS[robot % len(PATHS)], (robot, robot + 1000, robot + 2000)
     cases = [Case(model="sm", trajectory=path, plant=f"drawn:{robot}", seed=seed, **options) for seed in seeds]
     runs = [run_case(case) for case in cases]
     return np.mean([np.mean(np.asarray(run.errors.lateral)[run.time > 3.0] ** 2) for run in runs])
 
 
-def remedied(wiring, robot, folder):
-    """Return the mean square lateral error with the settings that messages name; None without one."""
+def lateral_square_with_remedy(wiring, robot, folder):
+    """Return the mean square lateral error with the settings that messages name; None if they name none."""
     settings = named_settings(drive(wiring, robot, folder)[0])
     wired = {"sensors": str(Path(folder, f"{wiring}.yaml")), "overrides": settings}
     return lateral_square(robot, **wired) if settings else None
 
 
 @pytest.mark.long
-def test_the_setting_that_a_message_names_restores_tracking(tmp_path):
-    """Wirings that a setting undoes, on the first twenty robots, over the same robot wired as configured."""
+def test_setting_named_in_a_message_restores_tracking(tmp_path):
+    """Correctable wirings on the first twenty robots, relative to the same robot wired as configured."""
     robots = robots_that_follow()
     wirings = [
         name for name, stated in WIRINGS.items() if set(stated["answer"].values()) & {"reversed", "scaled", "turned"}
@@ -117,7 +117,7 @@ def test_the_setting_that_a_message_names_restores_tracking(tmp_path):
     write_sensor_sets(tmp_path)
     cases = [(name, robot) for name in wirings for robot in robots]
     tasks = [partial(lateral_square, robot) for robot in robots]
-    tasks += [partial(remedied, *case, tmp_path) for case in cases]
+    tasks += [partial(lateral_square_with_remedy, *case, tmp_path) for case in cases]
     squares = run_tasks(tasks, 2, lambda *_: None)
     usual = dict(zip(robots, squares, strict=False))
     pairs = zip(cases, squares[len(robots) :], strict=True)

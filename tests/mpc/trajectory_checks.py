@@ -13,7 +13,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 def largest_integration_gap(trajectory: Trajectory, breaks: FloatArray, pieces: int) -> float:
     """Return the maximum difference between the sampled pose and arc length and the quadrature of the sampled twist.
 
-    Each interval between `breaks`, inside which the trajectory is smooth, is cut into `pieces`.
+    Each interval between `breaks`, within which the trajectory is smooth, is divided into `pieces`.
     """
     share = np.arange(pieces) / pieces
     times = np.append((breaks[:-1, None] + np.diff(breaks)[:, None] * share).ravel(), breaks[-1])
@@ -29,11 +29,11 @@ def largest_integration_gap(trajectory: Trajectory, breaks: FloatArray, pieces: 
 
 
 def largest_shares(trajectory: Trajectory, limits: TrajectoryLimits, step: float = 1e-3) -> FloatArray:
-    """Return maximum speeds and finite-difference accelerations (4,), as shares of their limits; covers both ends."""
+    """Return maximum speeds and finite-difference accelerations (4,), as shares of their limits, with both ends."""
     times = np.arange(-5 * step, trajectory.duration + 5 * step, step)
     twist = trajectory.sample(times).twist
     speed = np.abs(twist).max(axis=0) / (limits.v, limits.omega)
-    # A difference quotient over a step cannot exceed the largest derivative inside it.
+    # A difference quotient over a step cannot exceed the maximum derivative inside it.
     acceleration = np.abs(np.diff(twist, axis=0)).max(axis=0) / step
     return np.concatenate([speed, acceleration / (limits.v_acceleration, limits.omega_acceleration)])
 

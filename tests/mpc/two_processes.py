@@ -16,16 +16,16 @@ from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 
 _COMMAND = (sys.executable, "-c", "from diffdrive_mpc.app.cli import main; main()")
-# More ROS domains than this need ports that systems give to others.
+# More ROS domains than this need ports that systems assign to other programs.
 _DOMAINS = 101
-# How long a process may take to end after it was asked to [s].
-_LAST_WORDS = 20.0
+# Time limit for a process to end after it was interrupted [s].
+_END_TIMEOUT = 20.0
 # Robot time before the start, while the node gets its first measurements, and after the end [s].
 _MARGIN = 2.0
-_LOOKS_EVERY = 0.05
-_WORDS_SHOWN = 1000
-# In lock step, a busy machine may hold up a command [s]; going on without it would change the drive.
-_PATIENCE = 20.0
+_POLL_PERIOD = 0.05
+_MAX_OUTPUT = 1000
+# In lock step, a busy machine may delay a command by this [s]; continuing without it would change the drive.
+_RESPONSE_TIMEOUT = 20.0
 
 
 class DriveFailedError(DiffdriveMpcError, RuntimeError):
@@ -42,31 +42,31 @@ def drive_over_dds(
     settings: Path | None = None,
     parameters: Path | None = None,
 ) -> None:
-    """Let the node drive `case` and record it.
+    """Drive `case` with the node and record it.
 
     Parameters
     ----------
     case
-        Controller "mpc"; model and overrides are passed on to the node.
+        Case with the controller "mpc"; model and overrides are passed to the node.
     duration
-        Of the reference [s].
+        Duration of the reference [s].
     bag
         Folder for the recording.
     lock_step
-        Whether clock and commands take turns; otherwise in real time.
+        True if clock and commands take turns; otherwise the drive runs in real time.
     timeout
-        Longest time that it may take [s].
+        Time limit of the drive [s].
     settings
-        Of the simulated base, in place of the shipped ones.
+        File of the simulated base that replaces the shipped one.
     parameters
-        File of the node's parameters; without one, poses come from the topic.
+        File of the node's parameters; if None, poses come from the topic.
 
     Raises DriveFailedError if a process fails or takes too long.
     """
     robot = [
         *("sim-robot", "--plant", case.plant, "--surface", case.surface, "--sensors", case.sensors),
         *("--scenario", case.scenario, "--seed", str(case.seed), "--trajectory", case.trajectory),
-        *("--answer-timeout", str(_PATIENCE)),
+        *("--answer-timeout", str(_RESPONSE_TIMEOUT)),
         *("--lock-step" if lock_step else "--real-time", "--duration", str(duration + _MARGIN), "--record", str(bag)),
         *(("--base", str(settings)) if settings else ()),
     ]
@@ -100,13 +100,13 @@ class Process:
     Parameters
     ----------
     name
-        For messages.
+        Name in messages.
     words
         Command and options.
     environment
-        Of the process.
+        Environment of the process.
     folder
-        Where its output is kept.
+        Folder for its output.
     """
 
     def __init__(self, name: str, words: Sequence[str], environment: dict[str, str], folder: Path) -> None:
@@ -122,15 +122,15 @@ class Process:
 
     def failure(self, reason: str) -> DriveFailedError:
         """Return an error with the last output of this process."""
-        words = " ".join(self.output.split())[-_WORDS_SHOWN:]
-        return DriveFailedError(f"{self.name}: {reason}; it said: {words or 'nothing'}")
+        words = " ".join(self.output.split())[-_MAX_OUTPUT:]
+        return DriveFailedError(f"{self.name}: {reason}; output: {words or 'nothing'}")
 
     def end(self) -> None:
         """Interrupt the process as Ctrl-C does; kill it if it continues."""
         if self.popen.poll() is None:
             self.popen.send_signal(signal.SIGINT)
             try:
-                self.popen.wait(_LAST_WORDS)
+                self.popen.wait(_END_TIMEOUT)
             except subprocess.TimeoutExpired:
                 self.popen.kill()
                 self.popen.wait()
@@ -154,6 +154,6 @@ def _wait(robot: Process, controller: Process, end: float) -> None:
             raise controller.failure(f"ended with code {controller.popen.returncode} while the robot was driving")
         if time.monotonic() > end:
             raise controller.failure("the drive took too long")
-        time.sleep(_LOOKS_EVERY)
+        time.sleep(_POLL_PERIOD)
     if robot.popen.returncode:
         raise robot.failure(f"ended with code {robot.popen.returncode}")

@@ -1,6 +1,6 @@
-"""The oracle: the whole tick from measurement to command, slow and plain, for the product to be held against.
+"""The oracle: a slow and plain implementation of a whole tick from measurement to command, to verify the product.
 
-It shares with the product the velocity models, the configuration, the references' tables, re-entry and the types of its
-results. Everything else is its own: derivatives come from complex steps, the quadratic program is solved with all its
-limits at every tick and its solution certified, trajectories are sampled in numpy.
+It shares with the product the velocity models, the configuration, the tables of references, re-entry and result types.
+Everything else is independent: derivatives come from complex steps, the quadratic program is solved with all its limits
+at every tick and its solution is certified, trajectories are sampled in NumPy.
 """

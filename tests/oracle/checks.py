@@ -1,4 +1,4 @@
-"""Checks of measurements: stamps, numbers, ranges, single spikes, and poses that jump."""
+"""Checks of measurements: stamps, values, ranges, single spikes, and poses that jump."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
 from diffdrive_mpc.mpc.config.schema import Estimator, PoseResponse, SensorResponses, SpeedResponse
-from oracle.motion import wrapped
+from oracle.motion import wrap
 
-_LARGEST_VARIANCE = 1e6
+_MAX_VARIANCE = 1e6
 _ASYMMETRY = 1e-6
 _FUTURE = 1e-3
-# So many poses in a row that contradict the estimate but agree with each other are no outliers.
+# This many successive poses that contradict the estimate but agree with each other are no outliers.
 _AGREEING = 3
 
 
 def numbers(value: Any, count: int) -> FloatArray | None:
-    """Return `value` as `count` finite numbers, or None if it is anything else."""
+    """Return `value` as `count` finite numbers, or None if it is not."""
     try:
         array = np.asarray(value, dtype=float).ravel()
     except (TypeError, ValueError, OverflowError):
@@ -29,9 +29,9 @@ def numbers(value: Any, count: int) -> FloatArray | None:
 
 
 def covariance(value: Any, size: int) -> FloatArray | None:
-    """Return `value` as a symmetric positive definite (size, size) matrix with possible entries, or None."""
+    """Return `value` as a symmetric positive definite matrix (size, size) with plausible entries, or None."""
     entries = numbers(value, size * size)
-    if entries is None or np.abs(entries).max() > _LARGEST_VARIANCE:
+    if entries is None or np.abs(entries).max() > _MAX_VARIANCE:
         return None
     matrix = entries.reshape(size, size)
     if (np.abs(matrix - matrix.T) > _ASYMMETRY * np.abs(matrix)).any():
@@ -44,7 +44,7 @@ def covariance(value: Any, size: int) -> FloatArray | None:
 
 
 def stamp_fault(stamp: object, t: float, last: float, history: float, delay: float) -> str:
-    """Return the fault of a stamp at tick `t` [s], after one at `last` [s], of a reading `delay` older; or empty."""
+    """Return the fault of a stamp at tick `t` [s] after one at `last` [s], of a reading `delay` older; else ""."""
     time = numbers(stamp, 1)
     if time is None:
         return "its stamp is not a finite number"
@@ -58,7 +58,7 @@ def stamp_fault(stamp: object, t: float, last: float, history: float, delay: flo
 
 
 def sent_command(sent: object, largest: FloatArray) -> FloatArray | None:
-    """Return the command (2,) that the robot reports, or None if it is impossible."""
+    """Return the command (2,) that the robot reports, or None if it is invalid."""
     value = numbers(sent, 2)
     if value is None or (np.abs(value) > largest).any():
         return None
@@ -67,9 +67,9 @@ def sent_command(sent: object, largest: FloatArray) -> FloatArray | None:
 
 @dataclass(frozen=True)
 class CheckedPose:
-    """A pose of finite numbers with a believable stamp: value (3,), covariance (3, 3), stamp [s].
+    """A pose of finite numbers with a plausible stamp: value (3,), covariance (3, 3), stamp [s].
 
-    It was true at `true_at` [s].
+    The robot was there at `true_at` [s].
     """
 
     value: FloatArray
@@ -79,11 +79,11 @@ class CheckedPose:
 
 
 class PoseRate:
-    """Detector of too rare poses: of the last five, it counts those for which the one before had become too old."""
+    """Detector of too rare poses: counts those of the last five that came after the previous one was too old."""
 
     def __init__(self, dt: float, max_pose_age: float, history: float) -> None:
         self.dt, self.max_pose_age, self.history = dt, max_pose_age, history
-        # Nothing is known: the first that is overdue is believed.
+        # Initially, the first overdue pose is enough.
         self.overdue = [True]
         self.interval = self.latency = self.too_old = 0.0
         self.rare = False
@@ -107,7 +107,7 @@ class PoseRate:
         return self.interval + self.latency if self.rare else 0.0
 
     def words(self) -> list[str]:
-        """Describe the error of the rate."""
+        """Return a message if poses are too rare."""
         if not self.rare:
             return []
         latency = self.too_old or self.latency
@@ -118,7 +118,7 @@ class PoseRate:
         ]
 
     def missing(self) -> list[str]:
-        """Describe why there is no pose, where some arrive."""
+        """Return a message if poses arrive but are too old for the history."""
         if not self.too_old:
             return []
         return [
@@ -128,7 +128,7 @@ class PoseRate:
 
 
 class PoseGate:
-    """Gate that checks poses and stores those that jumped."""
+    """Gate that checks poses and stores those that jump."""
 
     def __init__(self, settings: Estimator, rate: PoseRate, known: PoseResponse) -> None:
         self.settings, self.rate, self.now = settings, rate, math.nan
@@ -137,7 +137,7 @@ class PoseGate:
         self.jumped: list[CheckedPose] = []
 
     def check(self, t: float, pose: Stamped | None, rejected: list[str]) -> CheckedPose | None:
-        """Return the pose in checked form; None, and a sentence in `rejected`, if it cannot be used."""
+        """Return the pose in checked form; if it cannot be used, None, and a sentence in `rejected`."""
         if pose is None:
             return None
         s = self.settings
@@ -158,14 +158,14 @@ class PoseGate:
         return CheckedPose(value, matrix, self.last_stamp, self.last_stamp - self.delay)
 
     def passes(self, pose: CheckedPose, expected: FloatArray, rejected: list[str]) -> bool:
-        """Return True if `pose` is near the `expected` one (3,); if not, store it, and name it in `rejected`."""
+        """Return True if `pose` is near the `expected` one (3,); otherwise store it, and name it in `rejected`."""
         if self._near(pose.value, expected):
             self.accept(pose)
             return True
         if self.jumped and not self._near(pose.value, self.jumped[-1].value):
             self.jumped = []
         self.jumped.append(pose)
-        distance, turn = _apart(pose.value, expected)
+        distance, turn = _difference(pose.value, expected)
         rejected.append(f"pose rejected: it jumps by {distance:.2f} m and {turn:.2f} rad")
         return False
 
@@ -180,12 +180,12 @@ class PoseGate:
         return self.jumped[-1] if len(self.jumped) >= _AGREEING else None
 
     def _near(self, value: FloatArray, expected: FloatArray) -> bool:
-        distance, turn = _apart(value, expected)
+        distance, turn = _difference(value, expected)
         return distance <= self.settings.max_position_jump and turn <= self.settings.max_heading_jump
 
 
-def _apart(first: FloatArray, second: FloatArray) -> tuple[float, float]:
-    return float(np.hypot(*(first - second)[:2])), abs(float(wrapped(first[2] - second[2])))
+def _difference(first: FloatArray, second: FloatArray) -> tuple[float, float]:
+    return float(np.hypot(*(first - second)[:2])), abs(float(wrap(first[2] - second[2])))
 
 
 @dataclass(frozen=True)
@@ -200,7 +200,7 @@ class CheckedTwist:
 
 
 class TwistGate:
-    """Gate for a message with one number for each of `sensors`: maximum values, and jumps from the last message."""
+    """Gate for a message with one value for each of `sensors`: maximum values, and jumps from the last message."""
 
     def __init__(
         self, message: str, sensors: dict[str, tuple[float, float, float]], history: float, known: SpeedResponse
@@ -212,7 +212,7 @@ class TwistGate:
         self.stamp, self.last = -np.inf, np.zeros(len(sensors))
 
     def check(self, t: float, stamped: Stamped | None, rejected: list[str]) -> list[CheckedTwist]:
-        """Return the usable reading; add a sentence to `rejected` if there is none."""
+        """Return the usable reading; add a sentence to `rejected` if it cannot be used."""
         if stamped is None:
             return []
         size, last = len(self.sensors), self.last
@@ -232,7 +232,7 @@ class TwistGate:
                 variances = np.diag(matrix) / self.known.scale**2
         if not fault:
             self.stamp, self.last = float(stamped.time), values
-            # A wheel that hits a wall does jump, and stays where it is: the next sample confirms it.
+            # A wheel that hits a wall really jumps, and stays at its value: the next sample confirms it.
             jumps = np.abs(values - last) > self.jump
             if jumps.any():
                 index = int(np.argmax(jumps))

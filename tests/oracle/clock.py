@@ -1,4 +1,4 @@
-"""The times at which the controller is called, and what may be wrong with them."""
+"""Times of the calls of the controller, and their faults."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ class TickKind(Enum):
     """Kind of a call of the controller."""
 
     NEW = auto()
-    """The next tick, perhaps after some that were missed."""
+    """The next tick, perhaps after missed ones."""
     REPEATED = auto()
     """Less than half a sample after the last tick: too soon for a new command."""
     LEAPT = auto()
-    """Long after the last tick: a pause, or a glitch of the clock; the next tick will tell."""
+    """Long after the last tick: a pause, or a glitch of the clock; the next tick decides."""
     PAUSED = auto()
-    """A pause so long that nothing is known any more."""
+    """A pause after which the estimate is lost."""
     FAULTY = auto()
-    """Its time cannot be used."""
+    """A time that cannot be used."""
 
 
 class TickClock:
-    """Judges the time of each call; a pause of up to `longest_pause` [s] can be made up for."""
+    """Classifies the time of each call; a pause of up to `max_pause` [s] can be bridged."""
 
-    def __init__(self, dt: float, longest_pause: float) -> None:
-        self.dt, self.longest_pause = dt, longest_pause
+    def __init__(self, dt: float, max_pause: float) -> None:
+        self.dt, self.max_pause = dt, max_pause
         self.restart()
 
     def restart(self) -> None:
@@ -34,7 +34,7 @@ class TickClock:
         self.leap: float | None = None
 
     def judge(self, t: float) -> tuple[TickKind, str]:
-        """Return the kind of the call at `t` [s], and its error in words."""
+        """Return the kind of the call at `t` [s], and a message if it is faulty."""
         leap, self.leap = self.leap, None
         if not math.isfinite(t):
             return TickKind.FAULTY, f"the time of this tick is {t}; it was not used"
@@ -43,9 +43,9 @@ class TickClock:
             return TickKind.FAULTY, f"time ran backwards by {-gap:.3f} s; call start again if the clock was set"
         if gap < 0.5 * self.dt:
             return TickKind.REPEATED, f"called {1e3 * gap:.1f} ms after the last tick; its command is repeated"
-        if gap > self.longest_pause:
-            # One leap may be a glitch of the clock; a second tick right after it shows that it was none.
-            if leap is None or not 0 < t - leap <= self.longest_pause:
+        if gap > self.max_pause:
+            # One leap may be a glitch of the clock; a second tick right after it shows a real pause.
+            if leap is None or not 0 < t - leap <= self.max_pause:
                 self.leap = t
                 return TickKind.LEAPT, f"no tick for {gap:.2f} s"
             self.last = t

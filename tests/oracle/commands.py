@@ -1,4 +1,4 @@
-"""The commands already sent: what still travels through the dead time."""
+"""Commands that were sent, including those still delayed by the dead time."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from diffdrive_mpc.models.interface import FloatArray
 
 
 class PastCommands:
-    """Past commands, newest last, back to where a history of `oldest` ticks and the dead time need them."""
+    """Past commands, newest last, as far back as a history of `oldest` ticks and the dead time require."""
 
     def __init__(self, model: DiscreteModel, oldest: int, spare: int) -> None:
         self.model, self.oldest, self.spare = model, oldest, spare
         self.clear()
 
     def clear(self) -> None:
-        """Set the commands of a long rest."""
+        """Reset to the commands of a long rest."""
         length = self.memory + self.oldest + 2
         self._sent = deque([np.zeros(2)] * length, maxlen=length)
 
@@ -27,31 +27,31 @@ class PastCommands:
         self._sent.append(np.array(command, dtype=float))
 
     def correct_last(self, sent: FloatArray) -> None:
-        """Replace the newest by what the robot really got (2,)."""
+        """Replace the newest command by the one that the robot received (2,)."""
         self._sent[-1] = np.array(sent, dtype=float)
 
     def overrule(self, sent: FloatArray) -> None:
-        """Replace the newest by those of somebody else (K, 2), oldest first."""
+        """Replace the newest commands by those of another sender (K, 2), oldest first."""
         self._sent.extend([*list(self._sent)[: -len(sent)], *np.array(sent, dtype=float)])
 
     @property
     def memory(self) -> int:
-        """Commands that still act on the future at most, `spare` samples of unknown delay included."""
+        """Number of commands that can still act in the future, including `spare` samples of unknown delay."""
         return self.model.memory + self.spare + 1
 
     @property
     def last(self) -> FloatArray:
-        """(2,) the newest command."""
+        """Newest command (2,)."""
         return self._sent[-1].copy()
 
     @property
     def everything(self) -> FloatArray:
-        """(n, 2) all commands that are remembered, oldest first."""
+        """All stored commands (n, 2), oldest first."""
         return np.array(self._sent)
 
     @property
     def recent(self) -> FloatArray:
-        """(memory, 2) the commands that still act on the future, oldest first."""
+        """Commands (memory, 2) that still act in the future, oldest first."""
         return np.array(self._sent)[-self.memory :]
 
     def acting(self, ticks_ago: int) -> FloatArray:

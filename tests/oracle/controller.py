@@ -1,4 +1,4 @@
-"""The controller: one tick straight down from measurement to command, and the ladder where a part of it fails."""
+"""The oracle's controller: one tick from measurement to command, and the failure modes."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from oracle.clock import TickClock, TickKind
 from oracle.estimate import Estimate
 from oracle.estimator import StateEstimator
 from oracle.fence import FenceWatch
-from oracle.problem import TrackingProblem, command_box, reached
+from oracle.problem import TrackingProblem, command_box, reachable_commands
 from oracle.reach import ASTRAY, BESIDE, WheelReach
 from oracle.solver import solve
 from oracle.tick import FeedForward, begin_tick
-from oracle.trajectories import sampled
+from oracle.trajectories import with_numpy_samples
 
-# As in mpc/config/sensor_test.yaml: [rad], [s].
-_CARRIED, _COMES_BACK = 1.5, 1.0
+# Constants of mpc/config/sensor_test.yaml: [rad], [s].
+_TURN_OF_DISPLACEMENT, _RETURN_TIME = 1.5, 1.0
 _NOT_RUN = SolverReport(SolverStatus.NOT_RUN)
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Commands (N, 2), the poses (N + 1, 3) that they lead to, and those (N + 1, 3) that they track."""
+    """Commands (N, 2), predicted poses (N + 1, 3), and tracked poses (N + 1, 3)."""
 
     commands: FloatArray
     poses: FloatArray
@@ -57,7 +57,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class OracleStep:
-    """Result of one step, as `mpc.StepResult`."""
+    """Result of one step, like `mpc.StepResult`."""
 
     command: FloatArray
     mode: Mode
@@ -81,7 +81,7 @@ class Stray:
 
 
 class OracleController:
-    """Does as `mpc.Controller` does, in its own way; the same constructor, start, reset, step and update."""
+    """Equivalent of `mpc.Controller` with independent code; the same constructor, start, reset, step and update."""
 
     def __init__(self, config: ControllerConfig, model: VelocityModel | str | None = None) -> None:
         extra = config.extra_dead_time
@@ -107,7 +107,7 @@ class OracleController:
         self.upcoming = np.zeros((2, 2))
         self.wanted_pose = np.zeros(3)
         self.pursuit = Pursuit(config, self._stray)
-        self.clock = TickClock(config.sample_time, self.estimator.longest_pause)
+        self.clock = TickClock(config.sample_time, self.estimator.max_pause)
         self.reference: Reference | None = None
         self.pending: ControllerConfig | None = None
         self.guess: FloatArray | None = None
@@ -123,12 +123,12 @@ class OracleController:
     def start(self, reference: Reference, t0: float) -> None:
         """Track `reference` from now on; its time 0 is `t0` [s] on the clock of `step`."""
         self._forget()
-        self.reference, self.t0 = sampled(reference), t0
+        self.reference, self.t0 = with_numpy_samples(reference), t0
         self.fence = FenceWatch(self.config, reference)
         self.pursuit.start(self.reference, native=False)
 
     def reset(self) -> None:
-        """Restore the initial state, for a robot that stands still. The reference stays."""
+        """Restore the initial state, for a robot at rest. The reference is kept."""
         self._forget()
         self.estimator.commands.clear()
         self.last = np.zeros(2)
@@ -149,7 +149,7 @@ class OracleController:
         self.cause = ""
 
     def resume(self) -> None:
-        """Drive on after a failure that left the robot waiting."""
+        """Continue after a failure after which the robot waits."""
         self.latched, self.sound, self.cause = False, self.time, ""
 
     def update(
@@ -162,12 +162,12 @@ class OracleController:
         return self.pending
 
     def set_applied_commands(self, commands: FloatArray) -> None:
-        """Replace the last K commands by those that were applied (K, 2), oldest first."""
+        """Replace the last K commands by the applied ones (K, 2), oldest first."""
         self.estimator.commands.overrule(commands)
         self.last = commands[-1]
 
     def step(self, t: float, measurement: Measurement, hold: Hold | None = None) -> OracleStep:
-        """Decide the command for the tick at `t` [s] from what arrived since the last one."""
+        """Return the result of the tick at `t` [s], from the inputs since the last tick."""
         assert self.reference is not None, "call start first"
         if self.pending is not None:
             self._configure(self.pending)
@@ -187,7 +187,7 @@ class OracleController:
             self.estimator.commands.append(outcome.command)
         else:
             outcome = self._lost_time(kind, notes)
-            # No interval of the model begins here: the command in force since the last tick has changed.
+            # No interval of the model begins here: the active command has changed since the last tick.
             self.estimator.commands.correct_last(outcome.command)
         if not self.in_outage:
             self.sound = self.time
@@ -210,9 +210,9 @@ class OracleController:
         return self.result
 
     def _lost_time(self, kind: TickKind, notes: list[str]) -> Outcome:
-        """Brake: this tick tells nothing. Where the clock leapt, stand: a base without commands has stopped itself."""
-        gap, most = self.gap, self.config.failure.resume_within
-        outcome = self._brake(notes, waits=(kind is TickKind.PAUSED and gap > most) or gap < -most)
+        """Brake in a tick without usable time; send zero after a leap, because a base without commands has stopped."""
+        gap, limit = self.gap, self.config.failure.resume_within
+        outcome = self._brake(notes, waits=(kind is TickKind.PAUSED and gap > limit) or gap < -limit)
         if kind is TickKind.PAUSED:
             self.estimator.forget()
             self.estimator.commands.clear()
@@ -271,30 +271,30 @@ class OracleController:
         settings, estimate = self.config.reentry, self.estimator.estimate
         x, y, theta = estimate.pose - pose
         c, s = np.cos(pose[2]), np.sin(pose[2])
-        along, across, turned = c * x + s * y, c * y - s * x, math.remainder(theta, math.tau)
+        along, across, heading_error = c * x + s * y, c * y - s * x, math.remainder(theta, math.tau)
         v, omega = twist
         ahead = math.copysign(along, along * v)
         near = -BEHIND * settings.wait <= ahead <= AHEAD * settings.wait
-        # What is not known of the pose is no reason to leave the path for.
+        # Uncertainty of the pose must not start re-entry.
         band = self.carried + max(settings.band, 3.0 * math.hypot(*estimate.pose_deviation[:2]))
-        outside = abs(across) > band or abs(turned) > settings.heading_band or not near
+        outside = abs(across) > band or abs(heading_error) > settings.heading_band or not near
         if abs(v) > STANDING:
             return Stray(outside, -ahead / settings.wait)
-        # It stands, or turns on the spot: then the robot has to arrive first.
-        turning = -math.copysign(1.0, omega) * turned if abs(omega) > TURNING else 0.0
-        away = max(math.hypot(along, across) - self.carried, 0.0)
-        return Stray(outside, max(away / settings.wait, turning / settings.heading_wait))
+        # The reference rests or turns on the spot: the robot has to arrive first.
+        turning = -math.copysign(1.0, omega) * heading_error if abs(omega) > TURNING else 0.0
+        distance = max(math.hypot(along, across) - self.carried, 0.0)
+        return Stray(outside, max(distance / settings.wait, turning / settings.heading_wait))
 
     def _carry(self, slip: Slip) -> None:
-        """Update the tolerance after turns on the spot: from the turning point and the slide over 1.5 rad."""
-        self.carried *= 1.0 - self.config.sample_time / _COMES_BACK
+        """Update the tolerance after turns on the spot, from the turning point and the slide over 1.5 rad."""
+        self.carried *= 1.0 - self.config.sample_time / _RETURN_TIME
         v, omega = np.abs(self.passing)
         if v <= STANDING and omega > TURNING:
             moves = math.hypot(slip.turn_ahead, slip.turn_left) + math.hypot(slip.slide_x, slip.slide_y)
-            self.carried = max(self.carried, _CARRIED * moves)
+            self.carried = max(self.carried, _TURN_OF_DISPLACEMENT * moves)
 
     def _is_astray(self) -> bool:
-        """Return True if the robot is behind or beside its present target."""
+        """Return True if the robot is behind its present target or beside the path."""
         pose, twist = self.wanted_pose, self.upcoming[1]
         x, y, _ = self.estimator.estimate.pose - pose
         across = np.cos(pose[2]) * y - np.sin(pose[2]) * x
@@ -302,12 +302,12 @@ class OracleController:
         return bool(stray.late > ASTRAY or abs(across) > BESIDE * self.config.reentry.band or stray.outside)
 
     def _restart(self) -> bool:
-        """Take the robot to be where its rejected poses agree it is, once it has been told to stand."""
+        """Restart the estimate at the place of the agreeing rejected poses, if the robot has been commanded to rest."""
         standing = not self.estimator.commands.recent[-self.sampled_model.memory :].any()
         return standing and self.config.failure.resume and self.estimator.restart_elsewhere()
 
     def _at_the_end(self, estimate: Estimate, time: float, notes: list[str]) -> bool:
-        """Return True if the robot rests at the end of its reference, or had the time to; it then stays finished."""
+        """Return True, from then on, if the robot rests at the end of its reference or its time is over."""
         settings, reference = self.config.finish, self.reference
         assert reference is not None
         if self.finished or time < reference.duration:
@@ -326,7 +326,7 @@ class OracleController:
         report = SolverReport(status)
         if plan is not None:
             self.plan, self.plan_age = plan, 0
-            # A base that is held must not be asked for more and more: let go, it would leap.
+            # Commands to a held base must stay small: on release it would leap.
             share = self.config.reentry.blocked_share if target.blocked_for else 1.0
             command = self._inside(plan.commands[0], limits, share)
             return Outcome(command, Mode.TRACKING, report, plan, target.blocked_for)
@@ -365,7 +365,7 @@ class OracleController:
         self.plan = self.guess = None
         self.in_outage = outage and not waits
         lasting = self.in_outage and self.time - self.sound > self.config.failure.resume_within
-        # Before the first drive and after the end there is nothing to resume.
+        # Before the first drive and after the end, resuming is not possible.
         if self.has_driven and not self.finished:
             self.latched |= waits or lasting or (failure and not self.config.failure.resume)
         if self.latched:
@@ -376,7 +376,7 @@ class OracleController:
         return Outcome(command, Mode.BRAKING if command.any() else Mode.STOPPED)
 
     def _largest(self, sent: object) -> FloatArray:
-        """Return (2,) the largest command that a base can have received in the direction of `sent`, as it rounds it."""
+        """Return the largest command (2,) that a base can have received in the direction of `sent`, with rounding."""
         sides = np.transpose([self.config.limits.v.sides, self.config.limits.omega.sides])
         sent = np.zeros(2) if sent is None else np.asarray(sent, dtype=float)
         return 1.001 * np.maximum(np.where(sent < 0.0, sides[1], sides[0]), np.abs(self.last))
@@ -388,8 +388,8 @@ class OracleController:
         return np.where(np.abs(command) < 1e-13, 0.0, command)
 
     def _inside(self, command: FloatArray, limits: Limits, share: float = 1.0) -> FloatArray:
-        """Return the nearest command inside `share` of the range, and within the slew from the last one."""
-        low, high = reached(limits, self.config.sample_time, self.last)
+        """Return the nearest command within `share` of the range and within the slew from the last command."""
+        low, high = reachable_commands(limits, self.config.sample_time, self.last)
         (forward, reverse), (left, right) = limits.v.sides, limits.omega.sides
         upper = np.clip(share * np.array([forward, left]), low, None)
         lower = np.clip(-share * np.array([reverse, right]), None, high)

@@ -1,4 +1,4 @@
-"""Link, firmware, motor drivers and motors once more, number by number in Python."""
+"""Link, firmware, motor drivers and motors, implemented independently with Python numbers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from diffdrive_mpc.sim.plants.twin_parameters import Firmware, TwinParameters
 
 
 class Drivetrain:
-    """Everything between a command that is sent and the torques of the wheels; each number is a list's of its own."""
+    """Model from sent commands to wheel torques, with scalar operations on lists."""
 
     def __init__(self, firmware: Firmware, twin: TwinParameters, robot: Robot, step: float, phase: list[float]) -> None:
         self.twin, self.step, self.phase = twin, step, phase
@@ -33,18 +33,18 @@ class Drivetrain:
         while self.under_way and self.under_way[0][0] < end:
             arrival, command = self.under_way.popleft()
             arrival = max(arrival, since)
-            total = [sum_ + (arrival - since) * held for sum_, held in zip(total, self.acting, strict=True)]
+            total = [sum_ + (arrival - since) * value for sum_, value in zip(total, self.acting, strict=True)]
             self.acting, since = command, arrival
         if since == start:
             return self.acting
-        return [(sum_ + (end - since) * held) / (end - start) for sum_, held in zip(total, self.acting, strict=True)]
+        return [(sum_ + (end - since) * value) / (end - start) for sum_, value in zip(total, self.acting, strict=True)]
 
     def set_points(self, command: list[float]) -> list[float]:
         self.filtered = [
             now + decay * (before - now) for now, decay, before in zip(command, self.decay, self.filtered, strict=True)
         ]
         v, omega = self.filtered
-        # Half a pulse is rounded to the even one, by Python as by C.
+        # Half a pulse is rounded to even, in Python as in C.
         return [round(self.by_v * v + side * self.by_omega * omega) * self.pulse for side in (-1, 1, -1, 1)]
 
     def counted(self, wheel: int, angle: float) -> float:

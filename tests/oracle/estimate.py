@@ -12,13 +12,13 @@ from diffdrive_mpc.mpc.problem.slip import Slip
 
 
 class Estimate:
-    """One vector of numbers, taken apart where it is looked at.
+    """Vector of all values of an estimate, with properties for its parts.
 
     Parameters
     ----------
     values
         Time, pose age; mean and standard deviations (n + 16,) of the filter's state, see `oracle.kalman`; twist (2,)
-        and its standard deviations (2,); innovations (4,), NaN where there was none.
+        and its standard deviations (2,); innovations (4,), NaN for missing ones.
     order
         Order n of the velocity model.
     """
@@ -40,32 +40,32 @@ class Estimate:
 
     @property
     def mean(self) -> FloatArray:
-        """(n + 16,) mean of the filter's state: states, slip, gyro bias and pose."""
+        """Mean (n + 16,) of the filter's state: states, slip, gyro bias, delays and pose."""
         return self.values[2 : self._order + 18]
 
     @property
     def deviation(self) -> FloatArray:
-        """(n + 16,) standard deviations of the same."""
+        """Standard deviations (n + 16,) of the filter's state."""
         return self.values[self._order + 18 : 2 * self._order + 34]
 
     @property
     def pose(self) -> FloatArray:
-        """(3,) x [m], y [m], theta [rad, unwrapped]."""
+        """Pose (3,): x [m], y [m], theta [rad, unwrapped]."""
         return self.mean[-3:]
 
     @property
     def pose_deviation(self) -> FloatArray:
-        """(3,) its standard deviations."""
+        """Standard deviations (3,) of the pose."""
         return self.deviation[-3:]
 
     @property
     def twist(self) -> FloatArray:
-        """(2,) v [m/s], omega [rad/s] of the body, slip included."""
+        """Twist (2,) of the body with slip: v [m/s], omega [rad/s]."""
         return self.values[-8:-6]
 
     @property
     def twist_deviation(self) -> FloatArray:
-        """(2,) its standard deviations."""
+        """Standard deviations (2,) of the twist."""
         return self.values[-6:-4]
 
     @property
@@ -75,7 +75,7 @@ class Estimate:
 
     @property
     def slip_deviation(self) -> Slip:
-        """Its standard deviations."""
+        """Standard deviations of the slip."""
         return Slip(*self.deviation[self._order : self._order + 10].tolist())
 
     @property
@@ -85,16 +85,16 @@ class Estimate:
 
     @property
     def delays(self) -> FloatArray:
-        """(2,) delays of v and omega that the model lacks [s]."""
+        """Delays (2,) of v and omega that the model lacks [s]."""
         return self.mean[-5:-3]
 
     @property
     def state(self) -> FloatArray:
-        """(n,) states of the velocity model."""
+        """States (n,) of the velocity model."""
         return self.mean[: self._order]
 
     @property
     def innovations(self) -> Mapping[str, float]:
-        """By sensor, the newest squared innovation over its variance: 1 on average where the assumptions hold [-]."""
+        """Newest squared innovation over its variance by sensor: 1 on average if the assumptions hold [-]."""
         pairs = zip(SENSORS, self.values[-4:].tolist(), strict=True)
         return {sensor: value for sensor, value in pairs if not np.isnan(value)}

@@ -1,7 +1,7 @@
 """Estimate pose, twist and slip from measurements that arrive at several rates and late.
 
-A history of beliefs is kept. A late measurement is entered at its stamp and everything after it is computed again, so
-that it counts as if it had come in time.
+A late measurement is inserted into the stored history at its stamp, and all later states are computed again, so that
+it counts as if it had arrived in time.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from oracle.estimate import Estimate
 from oracle.kalman import Belief, build_filter
 
 _TOO_MANY = "more arrived for one sample than is kept"
-# What one tick of the history holds at most: numbers of wheels and gyro, and poses.
-_MOST_TWISTS, _MOST_POSES = 12, 4
+# Capacity of one tick of the history: values of wheels and gyro, and poses.
+_MAX_TWISTS, _MAX_POSES = 12, 4
 
 
 @dataclass
 class _Node:
-    """One tick of the history: the belief before and after its measurements."""
+    """One tick of the history: the state distribution before and after its measurements."""
 
     time: float
     prior: Belief
@@ -56,7 +56,7 @@ class StateEstimator:
         self.forget()
 
     def forget(self) -> None:
-        """Drop the estimate, as before the first pose. Commands on their way stay: they are still on their way."""
+        """Drop the estimate, as before the first pose. Delayed commands are kept, because they still act."""
         self.nodes: list[_Node] = []
         self.innovations = dict.fromkeys(SENSORS, np.nan)
         self.rate = PoseRate(self.model.dt, self.max_pose_age, self.settings.history)
@@ -65,22 +65,22 @@ class StateEstimator:
 
     @property
     def ready(self) -> bool:
-        """Return True if there is an estimate: a pose has been received."""
+        """True if there is an estimate: a pose has been received."""
         return bool(self.nodes)
 
     @property
     def moved(self) -> bool:
-        """Return True if poses agree with each other but not with the estimate: the robot is somewhere else."""
+        """True if poses agree with each other but not with the estimate: the robot is elsewhere."""
         return self.pose_gate.elsewhere is not None
 
     @property
-    def longest_pause(self) -> float:
-        """Time without a tick [s] that the history can make up for."""
+    def max_pause(self) -> float:
+        """Time without a tick [s] that the history can bridge."""
         return self.length * self.model.dt
 
     @property
     def estimate(self) -> Estimate:
-        """The newest estimate; only once `ready`."""
+        """Newest estimate; available once `ready`."""
         node = self.nodes[-1]
         belief = node.posterior
         mean = self.filter.weighed(belief)
@@ -105,7 +105,7 @@ class StateEstimator:
         return []
 
     def advance(self, t: float) -> None:
-        """Predict to the tick at `t` [s]; ticks that were missed are made up for with the last command."""
+        """Predict to the tick at `t` [s]; missed ticks use the last command."""
         if not self.nodes:
             return
         steps = max(1, round((t - self.nodes[-1].time) / self.model.dt))
@@ -117,7 +117,7 @@ class StateEstimator:
         self.nodes = self.nodes[-self.length :]
 
     def update(self, t: float, measurement: Measurement) -> list[str]:
-        """Take in what arrived; returns a sentence for each part that was rejected."""
+        """Process a measurement; return a sentence for each rejected part."""
         rejected: list[str] = []
         self.pose_gate.now = self.nodes[-1].time if self.nodes else t
         pose = self.pose_gate.check(t, measurement.pose, rejected)
@@ -131,8 +131,8 @@ class StateEstimator:
             half = 0.5 * self.model.dt
             index = self._node_before(twist.stamp + half)
             if twist.stamp < self.nodes[index].time - half - 1e-9:
-                continue  # of what was before the history it says nothing
-            if len(self.nodes[index].twists) == _MOST_TWISTS:
+                continue  # older than the history
+            if len(self.nodes[index].twists) == _MAX_TWISTS:
                 rejected.append(f"{twist.message} rejected: {_TOO_MANY}")
             else:
                 self.nodes[index].twists.append(twist)
@@ -140,7 +140,7 @@ class StateEstimator:
         if pose is not None:
             index = self._node_before(pose.true_at)
             node = self.nodes[index]
-            if len(node.poses) == _MOST_POSES:
+            if len(node.poses) == _MAX_POSES:
                 rejected.append(f"pose rejected: {_TOO_MANY}")
             elif self.pose_gate.passes(pose, self.filter.pose(node.posterior.mean, pose.true_at - node.time), rejected):
                 node.poses.append(pose)
@@ -149,7 +149,7 @@ class StateEstimator:
         return rejected
 
     def restart_elsewhere(self) -> bool:
-        """Restart at the place on which the poses that jumped agree. The motion stays as estimated."""
+        """Restart at the place of the agreeing poses that jumped. The estimated motion is kept."""
         pose = self.pose_gate.elsewhere
         if pose is not None:
             self._start(self.nodes[-1].time, pose, self.nodes[-1].posterior)
@@ -161,7 +161,7 @@ class StateEstimator:
         self.pose_gate.accept(pose)
 
     def _node_before(self, time: float) -> int:
-        """Return the index of the last node not after `time`; the first where the history is too short."""
+        """Return the index of the last node not after `time`, or the first if the history is too short."""
         return max((i for i, node in enumerate(self.nodes) if node.time <= time + 1e-9), default=0)
 
     def _filter_from(self, first: int) -> None:

@@ -1,4 +1,4 @@
-"""The fence: whether the way to rest, braking from the next tick on, stays in a rectangle less its margin."""
+"""The fence: the path to rest, braking from the next tick on, must stay inside a rectangle less its margin."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from oracle.estimator import StateEstimator
 
-# As stated in mpc/config/core_thresholds.yaml.
+# Constants of mpc/config/core_thresholds.yaml.
 _PLAY, _AT_REST = 0.02, 0.005
 
 
@@ -34,27 +34,27 @@ class FenceWatch:
         half = 0.5 * np.array([self.fence.length, self.fence.width]) - self.fence.margin
         return float((np.abs([place.real, place.imag]) - half).max())
 
-    def way_to_rest(self, estimator: StateEstimator, last: FloatArray) -> list[FloatArray]:
+    def path_to_rest(self, estimator: StateEstimator, last: FloatArray) -> list[FloatArray]:
         """Predict poses (3,) now and at each sample until rest: the command `last` (2,) once more, then braking."""
         commands, model = copy.deepcopy(estimator.commands), estimator.model
         belief = estimator.nodes[-1].posterior._replace(mean=estimator.estimate.mean)
         command = np.array(last)
         rate = self.dt * np.array([self.limits.v_braking, self.limits.omega_braking])
-        way = [estimator.estimate.pose]
+        path = [estimator.estimate.pose]
         while True:
             commands.append(command)
             belief = estimator.filter.predict(belief, commands.acting(0))
-            way.append(estimator.filter.pose(belief.mean, 0.0))
+            path.append(estimator.filter.pose(belief.mean, 0.0))
             moving = commands.everything[-commands.memory - 1 :].any()
             if not moving and abs((model.C @ belief.mean[: model.order])[0]) < _AT_REST:
-                return way
+                return path
             command = np.sign(command) * np.maximum(np.abs(command) - rate, 0.0)
 
     def holds(self, estimator: StateEstimator, last: FloatArray) -> bool:
-        """Return True if it stayed inside, and would stop inside; outside it may not move further out."""
+        """Return True if the robot stayed inside and can stop inside; from outside it may not move further out."""
         if not self.fence.enabled or self.left:
             return not self.left
-        way = [self.beyond(pose) for pose in self.way_to_rest(estimator, last)]
-        self.allowed = min(self.allowed, max(0.0, way[0]))
-        self.left = max(way) > (self.allowed + _PLAY if self.allowed > 0.0 else 0.0)
+        path = [self.beyond(pose) for pose in self.path_to_rest(estimator, last)]
+        self.allowed = min(self.allowed, max(0.0, path[0]))
+        self.left = max(path) > (self.allowed + _PLAY if self.allowed > 0.0 else 0.0)
         return not self.left

@@ -1,8 +1,8 @@
 """The extended Kalman filter: z = (x, slip, gyro_bias, delays, pose).
 
-x are the n states of the velocity model; then the ten numbers of `mpc.problem.slip`, between its twist and that of
-the body, the gyro's bias [rad/s], the delays of v and omega that the model lacks [s], and x, y [m], theta [rad].
-Functions of z take one state (n + 16,) or many, one to a column. `acting` (m, 2) are the commands that would act
+x are the n states of the velocity model; then the ten slip parameters of `mpc.problem.slip`, between its twist and that
+of the body, the bias of the gyro [rad/s], the delays of v and omega that the model lacks [s], and x, y [m], theta
+[rad]. Functions of z take one state (n + 16,) or several in columns. `acting` (m, 2) are the commands that would act
 without these delays, newest first.
 """
 
@@ -18,13 +18,13 @@ from diffdrive_mpc.mpc.config.schema import Compensation, Estimator, Wheels
 from diffdrive_mpc.mpc.estimate import SENSORS
 from diffdrive_mpc.mpc.problem.slip import FLAT_SLIPS, Slip
 from oracle.commands import PastCommands
-from oracle.motion import arc, jacobian, sideways, slid, wrapped
+from oracle.motion import arc, jacobian, sideways, slid, wrap
 
 
 class Belief(NamedTuple):
-    """Mean (n + 16,), covariance, and for each sensor the samples for which it has contradicted them; 0: it agrees.
+    """Mean (n + 16,), covariance, and per sensor the number of samples since a surprise; 0 without one.
 
-    `rate` (2,) is that of the model's output over the sample before [m/s^2, rad/s^2].
+    `rate` (2,) is the derivative of the model's output over the previous sample [m/s^2, rad/s^2].
     """
 
     mean: FloatArray
@@ -33,7 +33,7 @@ class Belief(NamedTuple):
     rate: FloatArray | float = 0.0
 
 
-def delayed(acting: FloatArray, samples: FloatArray) -> FloatArray:
+def delay_commands(acting: FloatArray, samples: FloatArray) -> FloatArray:
     """Return the commands (2, ...) of `acting` (m, 2), newest first, `samples` (2, ...) before its first."""
     whole = np.minimum(np.floor(np.real(samples)).astype(int), len(acting) - 2)
     near, far = (np.stack([acting[whole[i] + step, i] for i in (0, 1)]) for step in (0, 1))
@@ -43,7 +43,7 @@ def delayed(acting: FloatArray, samples: FloatArray) -> FloatArray:
 class SlipFilter:
     """Prediction and correction over one sample.
 
-    `wheel_yaw_ratio` is the yaw rate by encoders and geometric track over that of the model, where omega_gain is 1.
+    `wheel_yaw_ratio` is the yaw rate from encoders and geometric track over that of the model, at omega_gain = 1.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class SlipFilter:
         self.gains = np.array([n + 1, n + 2, n + 3])
         estimated = np.array([on.v_offset, on.yaw_gain, on.v_offset, on.yaw_gain, *[on.side_slip] * 6, True])
         names = [*FLAT_SLIPS, "gyro_bias"]
-        # One uncertainty for both directions of the slide.
+        # One uncertainty applies to both directions of the slide.
         names = ["slide" if name.startswith("slide") else name for name in names]
         self.uncertainty = estimated * [getattr(s, f"{name}_uncertainty") for name in names]
         self.drift = estimated * [getattr(s, f"{name}_drift") for name in names]
@@ -68,10 +68,10 @@ class SlipFilter:
         self.expected = np.array([*expected.flat, 0.0])
         self.patience = round(s.lasting_surprise / model.dt)
 
-    # What happens to the robot.
+    # Prediction of the robot.
 
     def twist(self, z: FloatArray, output: FloatArray | None = None) -> FloatArray:
-        """Compute (2, ...) v, omega of the body, for the model's `output` (2, ...) or that of the state."""
+        """Compute the body's v, omega (2, ...), for the model's `output` (2, ...) or that of the state."""
         v, omega = self.model.C @ z[: self.model.order] if output is None else output
         v_offset, omega_gain, longitudinal_gain, yaw_gain = z[self.slip_places[:4]]
         turn_left = z[self.slip_places[6]]
@@ -79,9 +79,9 @@ class SlipFilter:
         return np.stack([longitudinal_gain * (v + v_offset) + turn_left * turning, turning])
 
     def process(self, z: FloatArray, acting: FloatArray, acceleration: float) -> FloatArray:
-        """Predict z one sample later: the states by the model, the pose along the arc of the mean twist, slip constant.
+        """Predict z one sample later: states by the model, pose along the arc of the mean twist, constant slip.
 
-        `acceleration` is that of `acceleration` at the mean: the filter takes it for known.
+        `acceleration` is the result of the method `acceleration` at the mean: the filter treats it as known.
         """
         n, x = self.model.order, self._next(z, acting)
         v, omega = self.twist(z, 0.5 * self.model.C @ (z[:n] + x))
@@ -89,13 +89,13 @@ class SlipFilter:
         return np.concatenate([x, z[self.slip_places], z[self.delay_places], moved])
 
     def acceleration(self, z: FloatArray, acting: FloatArray) -> float:
-        """Compute the increase of the body's forward speed over the sample [m/s^2]."""
+        """Compute the acceleration of the body's forward speed over the sample [m/s^2]."""
         after = self.twist(z, self.model.C @ self._next(z, acting))
         return float((after - self.twist(z))[0] / self.model.dt)
 
     def _next(self, z: FloatArray, acting: FloatArray) -> FloatArray:
         model, late = self.model, z[self.delay_places] / self.model.dt
-        recent, older = delayed(acting, late), delayed(acting, late + 1)
+        recent, older = delay_commands(acting, late), delay_commands(acting, late + 1)
         return model.A @ z[: model.order] + model.B0 @ recent + model.B1 @ older
 
     def _moved(self, z: FloatArray, v: FloatArray, omega: FloatArray, acceleration: float, dt: float) -> FloatArray:
@@ -105,31 +105,31 @@ class SlipFilter:
         dx, dy = slid(pose[2], omega, dt, slide)
         return pose + np.stack(arc(pose[2], v, omega, dt, left)) + np.stack([dx, dy, 0.0 * dx])
 
-    # What sensors see of it, the model's output being another by `change` (2,) [m/s, rad/s].
+    # Prediction of the sensors, with `change` (2,) [m/s, rad/s] added to the model's output.
 
     def _output(self, z: FloatArray, change: FloatArray | float) -> FloatArray:
         return np.asarray(((self.model.C @ z[: self.model.order]).T + change).T)
 
     def wheel_speed(self, z: FloatArray, change: FloatArray | float = 0.0) -> FloatArray:
-        """Forward speed of the wheels [m/s]."""
+        """Compute the forward speed of the wheels [m/s]."""
         return self._output(z, change)[0] + z[self.slip_places[0]]
 
     def wheel_yaw_rate(self, z: FloatArray, change: FloatArray | float = 0.0) -> FloatArray:
-        """Compute the yaw rate by encoders and geometric track [rad/s]."""
+        """Compute the yaw rate from encoders and geometric track [rad/s]."""
         return self.wheel_yaw_ratio * z[self.slip_places[1]] * self._output(z, change)[1]
 
     def yaw_rate(self, z: FloatArray, change: FloatArray | float = 0.0) -> FloatArray:
-        """Compute the yaw rate by the gyro [rad/s]."""
+        """Compute the yaw rate of the gyro [rad/s]."""
         return self.twist(z, self._output(z, change))[1] + z[self.slip_places[10]]
 
     def pose(self, z: FloatArray, ahead: float) -> FloatArray:
-        """Compute (3, ...) the pose `ahead` seconds later, at constant twist."""
+        """Compute the pose (3, ...) `ahead` seconds later, at constant twist."""
         return self._moved(z, *self.twist(z), 0.0, ahead)
 
     # The filter.
 
     def moving(self, commands: PastCommands) -> Belief:
-        """Build the belief about a robot that follows the sent commands by the model, at an unknown place."""
+        """Return the state of a robot that follows the sent commands by the model, at an unknown place."""
         model, n = self.model, self.model.order
         x = model.settled_state(commands.acting(commands.oldest)[1])
         for ticks_ago in range(commands.oldest, -1, -1):
@@ -143,7 +143,7 @@ class SlipFilter:
         return Belief(np.concatenate([x, self.expected, np.zeros(5)]), P)
 
     def placed(self, motion: Belief, pose: FloatArray, covariance: FloatArray) -> Belief:
-        """Return the motion of `motion` at another `pose` (3,), with the covariance (3, 3)."""
+        """Return the state of `motion` at another `pose` (3,) with the covariance (3, 3)."""
         mean, P, places = motion.mean.copy(), motion.covariance.copy(), self.pose_places
         mean[places] = pose
         P[places, :] = P[:, places] = 0.0
@@ -155,12 +155,12 @@ class SlipFilter:
         return Slip(*z[self.slip_places[:10]].tolist())
 
     def twist_deviation(self, belief: Belief) -> FloatArray:
-        """Return (2,) standard deviations of v [m/s] and omega [rad/s]."""
+        """Return the standard deviations (2,) of v [m/s] and omega [rad/s]."""
         T = jacobian(self.twist, belief.mean)
         return np.sqrt(np.maximum(np.diag(T @ belief.covariance @ T.T), 0.0))
 
     def weighed(self, belief: Belief) -> FloatArray:
-        """Return the mean (n + 16,) that the controller uses: differences from the prior count beyond noise."""
+        """Return the mean (n + 16,) that the controller uses: differences from the prior count only beyond noise."""
         s, n, mean = self.settings, self.model.order, belief.mean.copy()
         for group, noise, doubt in (
             ([n + 5, n + 6, n + 8, n + 9], s.slide_evidence, 0.0),
@@ -177,7 +177,7 @@ class SlipFilter:
         return self.bounded(mean)
 
     def bounded(self, mean: FloatArray) -> FloatArray:
-        """Limit gains and delays to what is possible."""
+        """Limit gains and delays to their bounds."""
         mean[self.gains] = np.clip(mean[self.gains], self.settings.min_gain, self.settings.max_gain)
         mean[self.delay_places] = np.clip(mean[self.delay_places], 0.0, self.spare * self.model.dt)
         return mean
@@ -191,7 +191,7 @@ class SlipFilter:
         drive = model.B0 + model.B1
         Q = np.zeros_like(F)
         Q[:n, :n] = drive @ np.diag([s.v_input_noise**2, s.omega_input_noise**2]) @ drive.T
-        # A gain shows only while its channel moves: without news its uncertainty must not grow.
+        # A gain is observable only while its channel moves: otherwise its uncertainty must not grow.
         v, omega = np.abs(self.twist(z, 0.5 * model.C @ (z[:n] + after[:n])))
         driving, turning = v >= s.min_speed, omega >= s.min_yaw_rate
         cornering = driving and turning
@@ -209,12 +209,12 @@ class SlipFilter:
     def correct(
         self, belief: Belief, sensor: str, value: float, variance: float, ahead: float = 0.0
     ) -> tuple[Belief, float]:
-        """Take in one number of `ahead` seconds later; returns the squared innovation over its variance too."""
+        """Correct with one value of `ahead` seconds later; return the squared innovation over its variance as well."""
         function = {"wheel_speed": self.wheel_speed, "wheel_yaw_rate": self.wheel_yaw_rate, "yaw_rate": self.yaw_rate}
         h = function[sensor]
         H = jacobian(lambda z: h(z, ahead * belief.rate)[None], belief.mean)
         innovation = np.array([value - float(h(belief.mean, ahead * belief.rate))])
-        # A push is one of the velocity that the sensor sees, with the states that go with it.
+        # A push changes the velocity that the sensor measures, and the corresponding states.
         n, channel = self.model.order, np.eye(2)[0 if sensor == "wheel_speed" else 1]
         push = np.zeros_like(belief.covariance)
         settled = self.model.settled_state(channel)
@@ -224,10 +224,10 @@ class SlipFilter:
     def correct_pose(
         self, belief: Belief, value: FloatArray, covariance: FloatArray, ahead: float
     ) -> tuple[Belief, float]:
-        """Take in a pose (3,) that was true `ahead` seconds after the belief."""
+        """Correct with a pose (3,) of `ahead` seconds after the state."""
         H = jacobian(lambda z: self.pose(z, ahead), belief.mean)
         innovation = value - self.pose(belief.mean, ahead)
-        innovation[2] = wrapped(innovation[2])
+        innovation[2] = wrap(innovation[2])
         push = np.zeros_like(belief.covariance)
         push[self.pose_places, self.pose_places] = innovation**2
         return self._correct(belief, "pose", H, innovation, covariance, push)
@@ -235,7 +235,7 @@ class SlipFilter:
     def _correct(
         self, belief: Belief, sensor: str, H: FloatArray, innovation: FloatArray, R: FloatArray, push: FloatArray
     ) -> tuple[Belief, float]:
-        """Correct the belief; a surprise counts as a push, unless it lasts: it contains no information about slip."""
+        """Correct the state; a surprise counts as a push without information about slip, unless it lasts."""
         s, z, P = self.settings, belief.mean, belief.covariance
         normalised = float(innovation @ np.linalg.solve(H @ P @ H.T + R, innovation)) / len(innovation)
         surprising, index = normalised > s.surprise, SENSORS.index(sensor)
@@ -259,7 +259,7 @@ class SlipFilter:
 def build_filter(
     model: DiscreteModel, settings: Estimator, compensation: Compensation | None = None, wheels: Wheels | None = None
 ) -> SlipFilter:
-    """Build the filter of a robot with these tracks: per unit of omega_ref its wheels turn with their ratio."""
+    """Build the filter of a robot with these tracks: its wheels turn by their ratio per unit of omega_ref."""
     wheels = wheels or Wheels()
     ratio = wheels.track / wheels.encoder_track / float(model.dc_gain[1, 1])
     return SlipFilter(model, settings, compensation or Compensation(), ratio)

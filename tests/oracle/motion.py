@@ -1,4 +1,4 @@
-"""The arc of a constant twist, and derivatives by complex steps. Functions here take real and complex numbers alike."""
+"""The arc of a constant twist, and derivatives by complex steps; functions accept real and complex numbers."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 
-# No difference is taken, so the step may be so small that its square is nothing beside 1.
+# No difference is computed, so the square of the step may be negligible compared with 1.
 _STEP = 1e-30
 _SMALL = 1e-2
 
 
-def wrapped(angle: FloatArray) -> FloatArray:
+def wrap(angle: FloatArray) -> FloatArray:
     """Wrap `angle` [rad] to [-pi, pi)."""
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
 def sinc(x: FloatArray) -> FloatArray:
-    """Compute sin(x) / x; its series where the quotient or its derivative would lose digits."""
+    """Compute sin(x) / x, by its series if the quotient or its derivative would lose digits."""
     small = np.abs(x) < _SMALL
     square = x * x
     series = 1 - square / 6 + square**2 / 120 - square**3 / 5040
@@ -33,8 +33,8 @@ def arc(
 ) -> tuple[FloatArray, ...]:
     """Compute the displacement dx, dy [m], dtheta [rad] over `dt` from the heading `theta`.
 
-    The body goes along the chord of its arc, v dt sinc(omega dt / 2) in the direction of its mean heading, and to the
-    left of that as `sideways` [m/s] is to v.
+    The body moves along the chord of its arc, v dt sinc(omega dt / 2) in the direction of its mean heading, and to the
+    left of that direction by the ratio of `sideways` [m/s] to v.
     """
     mean, chord = theta + 0.5 * omega * dt, dt * sinc(0.5 * omega * dt)
     along, left = v * chord, sideways * chord
@@ -42,7 +42,7 @@ def arc(
 
 
 def sideways(v: FloatArray, omega: FloatArray, side_slip: FloatArray | float, ahead: FloatArray | float) -> FloatArray:
-    """Compute the speed of the origin to the left [m/s]: it circles a point `ahead` of it [m] that slips outward."""
+    """Compute the speed of the origin to the left [m/s]; it circles a point `ahead` of it [m] that slips outward."""
     outward = side_slip * v * omega
     return -omega * ahead - outward
 
@@ -52,16 +52,16 @@ def slid(
 ) -> tuple[FloatArray, FloatArray]:
     """Compute the displacement dx, dy [m] over `dt` of a robot that slides by `slide` [m/rad], x and y, per radian.
 
-    It slides by all of that across its mean heading, and by half of it along; turning slowly it hardly slides.
+    It slides by all of `slide` across its mean heading, and by half along it; at low yaw rates it hardly slides.
     """
     mean, chord = theta + 0.5 * omega * dt, dt * sinc(0.5 * omega * dt)
-    turned = chord * (np.sqrt(omega**2 + 0.05**2) - 0.05)
+    angle = chord * (np.sqrt(omega**2 + 0.05**2) - 0.05)
     left_x, left_y = -np.sin(mean), np.cos(mean)
     across = left_x * slide[0] + left_y * slide[1]
-    return 0.5 * turned * (slide[0] + left_x * across), 0.5 * turned * (slide[1] + left_y * across)
+    return 0.5 * angle * (slide[0] + left_x * across), 0.5 * angle * (slide[1] + left_y * across)
 
 
-def linearised(function: Callable[[FloatArray], FloatArray], point: FloatArray) -> tuple[FloatArray, FloatArray]:
+def linearise(function: Callable[[FloatArray], FloatArray], point: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return value (m,) and derivative (m, n) of `function` at `point` (n,).
 
     `function` maps points (n, k), in columns, to values (m, k).
@@ -74,8 +74,8 @@ def linearised(function: Callable[[FloatArray], FloatArray], point: FloatArray) 
 
 
 def jacobian(function: Callable[[FloatArray], FloatArray], point: FloatArray) -> FloatArray:
-    """Return the derivative alone."""
-    return linearised(function, point)[1]
+    """Return only the derivative."""
+    return linearise(function, point)[1]
 
 
 # sin(x) / x is replaced by a short series below this |x|.

@@ -1,4 +1,4 @@
-"""The whole tracking problem as a CasADi nonlinear program, for IPOPT: nothing is linearised, nothing left out."""
+"""The whole tracking problem as a CasADi nonlinear program for IPOPT, without linearisation or omissions."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from oracle.tick import Tick
 
 def _arc(pose: ca.MX, v: ca.MX, omega: ca.MX, dt: float, lateral: ca.MX, slide: tuple[float, float]) -> ca.MX:
     half = omega * dt / 2
-    # The branch that is not used must be finite too, or its derivative makes NaN of the other.
+    # The unused branch must be finite as well; otherwise its derivative makes the result NaN.
     small = ca.fabs(half) < 1e-2
     safe = ca.if_else(small, 1, half)
     chord = dt * ca.if_else(small, 1 - half**2 / 6 + half**4 / 120, ca.sin(safe) / safe)
@@ -25,19 +25,19 @@ def _arc(pose: ca.MX, v: ca.MX, omega: ca.MX, dt: float, lateral: ca.MX, slide: 
 def nonlinear_program(
     problem: TrackingProblem, tick: Tick, ahead: FloatArray | None = None
 ) -> tuple[dict[str, ca.MX], dict[str, FloatArray]]:
-    """Build the program with x = (U, p, m), p and m >= 0 (5 N each) the excesses upwards and downwards; and its bounds.
+    """Build the program with x = (U, p, m), p and m >= 0 (5 N each) the excesses above and below, and its bounds.
 
-    The first 2 N entries of a solution are the commands, step by step. `ahead` (N,) are the turning points [m] where
-    they are given; else they are those of the plan that is sought.
+    The first 2 N entries of a solution are the commands, step by step. `ahead` (N,) fixes the turning points [m];
+    without it they depend on the plan.
     """
     N, model, w, slip = problem.steps, problem.model, problem.config.weights, tick.slip
     U, p, m = ca.MX.sym("U", 2, N), ca.MX.sym("p", 5, N), ca.MX.sym("m", 5, N)
-    # The model's twists are linear in the commands: what follows without a plan, and what each command adds.
+    # The model's twists are linear in the commands: the free response, and the effect of each command.
     free = roll_out(model, tick.state, tick.past, np.zeros((N, 2, 1)), tick.late)[:, :, 0]
     none = np.zeros(model.order), np.zeros_like(tick.past)
     added = roll_out(model, *none, np.eye(2 * N).reshape(N, 2, 2 * N), tick.late)
-    says = ca.DM(free.T) + ca.reshape(ca.DM(added.reshape(-1, 2 * N)) @ ca.vec(U), 2, N + 1)
-    wheels = says + ca.DM(slip.offset)
+    model_twist = ca.DM(free.T) + ca.reshape(ca.DM(added.reshape(-1, 2 * N)) @ ca.vec(U), 2, N + 1)
+    wheels = model_twist + ca.DM(slip.offset)
     point = ca.diag(slip.gains) @ wheels
     twist = ca.vertcat(point[0, :] + slip.turn_left * point[1, :], point[1, :])
     acceleration = (twist[0, 1:] - twist[0, :-1]) / model.dt

@@ -7,8 +7,8 @@ With U = (u_0, ..., u_{N-1}), u = (v_ref, omega_ref), the cost is half the weigh
 * the deviation of each u_k from its feed-forward, and the increments u_k - u_{k-1} less those of the feed-forward,
   u_{-1} being the last command,
 
-plus an exact penalty on each soft limit that is exceeded. Functions take plans (N, 2, k), k of them at once, and the
-places `ahead` (N,) of the turning point [m] on the N arcs: where they are along a plan counts as given.
+plus an exact penalty on each exceeded soft limit. Functions take k plans at once (N, 2, k), and the distances `ahead`
+(N,) of the turning point [m] on the N arcs, which count as fixed along a plan.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import ControllerConfig, Limits
 from diffdrive_mpc.mpc.problem.margin import with_increments
-from oracle.motion import arc, linearised, sideways, slid
+from oracle.motion import arc, linearise, sideways, slid
 from oracle.tick import Tick
 
 
@@ -29,7 +29,7 @@ from oracle.tick import Tick
 class QuadraticProgram:
     """Minimise x'Hx/2 + g'x + price |excess|_1 + quadratic |excess|^2 / 2 subject to lower <= rows x <= upper.
 
-    The excess is that of soft_rows x over soft_lower and soft_upper. x are the commands of N steps, (2 N,).
+    The excess is that of soft_rows x beyond soft_lower and soft_upper. x (2 N,) are the commands of N steps.
     """
 
     H: FloatArray
@@ -47,9 +47,9 @@ class QuadraticProgram:
 def roll_out(
     model: DiscreteModel, state: FloatArray, past: FloatArray, plan: FloatArray, late: FloatArray | None = None
 ) -> FloatArray:
-    """Predict (N + 1, 2, k) twists of the model at the samples 0 to N, from `state` (n,), `past` (m, 2) and `plan`.
+    """Predict twists (N + 1, 2, k) of the model at the samples 0 to N from `state` (n,), `past` (m, 2) and `plan`.
 
-    Commands act `late` (2,) samples later than the model says.
+    Commands act `late` (2,) samples later than in the model.
     """
     steps, _, k = plan.shape
     sent = np.concatenate([np.repeat(past[:, :, None], k, axis=2), plan])
@@ -71,14 +71,14 @@ def roll_out(
 
 
 def command_box(limits: Limits, dt: float, last_command: FloatArray, steps: int) -> tuple[FloatArray, FloatArray]:
-    """Return bounds (steps, 2): one that was tightened below the last command is reached at the slew limit."""
+    """Return bounds (steps, 2); a bound below the last command is approached at the slew limit."""
     fallen = dt * np.array([min(limits.v_slew.sides), min(limits.omega_slew.sides)]) * np.arange(1, steps + 1)[:, None]
     (forward, reverse), (left, right) = limits.v.sides, limits.omega.sides
     return np.minimum(last_command + fallen, [-reverse, -right]), np.maximum(last_command - fallen, [forward, left])
 
 
-def reached(limits: Limits, dt: float, last: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the least and greatest command (2,) after a tick, counted by the time until the command is zero."""
+def reachable_commands(limits: Limits, dt: float, last: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the minimum and maximum command (2,) after a tick, with the time until the command is zero."""
     bounds = []
     for command, (grows, falls) in zip(last, (limits.v_slew.sides, limits.omega_slew.sides), strict=True):
         size, sign = abs(command), -1.0 if command < 0.0 else 1.0
@@ -90,28 +90,28 @@ def reached(limits: Limits, dt: float, last: FloatArray) -> tuple[FloatArray, Fl
 
 
 class TrackingProblem:
-    """One controller's problem; raises ValueError if the horizon is too short for the dead time."""
+    """Problem of one controller; raises ValueError if the horizon is too short for the dead time."""
 
     def __init__(self, config: ControllerConfig, model: DiscreteModel) -> None:
         if config.horizon < model.memory:
             raise ValueError(f"horizon = {config.horizon}: set horizon to {model.memory} or more")
         self.config, self.model, self.steps = with_increments(config, model), model, config.horizon
-        # What the wheels are known to reach [m/s].
+        # Speed that the wheels are known to reach [m/s].
         self.reach = np.inf
 
     def twists(self, tick: Tick, plan: FloatArray) -> FloatArray:
-        """Return (N + 1, 2, k) twists of the body."""
-        says = roll_out(self.model, tick.state, tick.past, plan, tick.late)
-        point = tick.slip.gains[:, None] * (says + tick.slip.offset[:, None])
+        """Return the twists (N + 1, 2, k) of the body."""
+        model_twist = roll_out(self.model, tick.state, tick.past, plan, tick.late)
+        point = tick.slip.gains[:, None] * (model_twist + tick.slip.offset[:, None])
         return np.stack([point[:, 0] + tick.slip.turn_left * point[:, 1], point[:, 1]], axis=1)
 
     def turning_points(self, tick: Tick, plan: FloatArray) -> FloatArray:
-        """Return (N,) distances of the turning point ahead of the origin [m] on the arcs of a plan (N, 2)."""
+        """Return the distances (N,) of the turning point ahead of the origin [m] on the arcs of a plan (N, 2)."""
         v = self.twists(tick, plan[:, :, None])[:, 0, 0]
         return np.asarray(tick.slip.turn_ahead - tick.slip.load_shift * np.diff(v) / self.model.dt)
 
     def poses(self, tick: Tick, twist: FloatArray, ahead: FloatArray) -> FloatArray:
-        """Compute (N + 1, 3, k) poses for `twist` (N + 1, 2, k): arcs of the mean of the twists at their ends."""
+        """Compute poses (N + 1, 3, k) for `twist` (N + 1, 2, k): arcs of the mean of the twists at their ends."""
         v, omega = (0.5 * (twist[:-1] + twist[1:])).swapaxes(0, 1)
         theta = tick.pose[2] + self.model.dt * np.cumsum(omega, axis=0)
         before = np.concatenate([np.full_like(theta[:1], tick.pose[2]), theta[:-1]])
@@ -122,14 +122,14 @@ class TrackingProblem:
         return np.concatenate([np.broadcast_to(tick.pose[:, None], after[:1].shape), after])
 
     def errors(self, tick: Tick, twist: FloatArray, ahead: FloatArray) -> FloatArray:
-        """Compute (N + 1, 3, k) errors along, across and in heading."""
+        """Compute the errors (N + 1, 3, k) along, across and in heading."""
         poses = self.poses(tick, twist, ahead)
         c, s = np.cos(tick.aim[:, 2, None]), np.sin(tick.aim[:, 2, None])
         dx, dy, _ = (poses - tick.aim[:, :, None]).swapaxes(0, 1)
         return np.stack([c * dx + s * dy, c * dy - s * dx, poses[:, 2] - tick.heading[:, None]], axis=1)
 
     def residuals(self, tick: Tick, plan: FloatArray, errors: FloatArray) -> FloatArray:
-        """Compute (m, k) errors, deviations and increments, each times the root of its weight."""
+        """Compute errors, deviations and increments (m, k), each times the root of its weight."""
         w, before = self.config.weights, np.repeat(tick.last_command[None, :, None], plan.shape[2], axis=2)
         pose_weights = np.tile([w.along, w.across, w.heading], (self.steps, 1))
         pose_weights[-1] *= w.terminal
@@ -141,9 +141,9 @@ class TrackingProblem:
         return np.concatenate([weighted, deviations, increments], axis=1).reshape(-1, plan.shape[2])
 
     def soft_values(self, tick: Tick, twist: FloatArray, errors: FloatArray) -> FloatArray:
-        """Compute (5, N + 1, k) values with soft limits: v, omega, right and left rim speed, distance across the path.
+        """Compute the values (5, N + 1, k) with soft limits: v, omega, right and left wheel speed, lateral distance.
 
-        The wheels do not slip as the body does: their speeds are those of the turning point without the gains of slip.
+        The wheels do not slip as the body does: their speeds are those of the turning point without the slip gains.
         """
         v, omega = twist.swapaxes(0, 1)
         wheels_v, wheels_omega = (v - tick.slip.turn_left * omega) / tick.slip.gains[0], omega / tick.slip.gains[1]
@@ -157,25 +157,25 @@ class TrackingProblem:
         return self.residuals(tick, plan, errors), self.soft_values(tick, twist, errors)
 
     def soft_limits(self, now: FloatArray) -> FloatArray:
-        """Return (5,) limits, where the values are `now` (5,): a value beyond its limit may not get worse."""
+        """Return the limits (5,) for present values `now` (5,): a value beyond its limit may not get worse."""
         lim = self.config.limits
         wheels = min(lim.wheel_speed, self.reach)
         configured = [lim.predicted_v, lim.predicted_omega, wheels, wheels, lim.corridor]
         return np.maximum(configured, np.abs(now))
 
     def hard_limits(self, tick: Tick, plan: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return rows (4 N, 2 N) of commands and increments, with their bounds; signs are those of `plan`."""
+        """Return rows (4 N, 2 N) of commands and increments with their bounds; the signs are those of `plan`."""
         n, limits, dt = 2 * self.steps, self.config.limits, self.model.dt
         box = command_box(limits, dt, tick.last_command, self.steps)
         grows, falls = np.transpose([limits.v_slew.sides, limits.omega_slew.sides]) * dt
-        first = reached(limits, dt, tick.last_command)
+        first = reachable_commands(limits, dt, tick.last_command)
         lower = np.vstack([first[0], -np.where(plan[:-1] > 0.0, falls, grows)])
         upper = np.vstack([first[1], np.where(plan[:-1] < 0.0, falls, grows)])
         rows = np.vstack([np.eye(n), np.eye(n) - np.eye(n, k=-2)])
         return rows, np.concatenate([box[0].ravel(), lower.ravel()]), np.concatenate([box[1].ravel(), upper.ravel()])
 
     def quadratic_program(self, tick: Tick, plan: FloatArray) -> QuadraticProgram:
-        """Build Gauss-Newton along `plan` (N, 2): residuals and soft values to first order in the commands."""
+        """Build the Gauss-Newton program along `plan` (N, 2) from residuals and soft values to first order."""
         ahead = self.turning_points(tick, plan)
 
         def all_values(U: FloatArray) -> FloatArray:
@@ -183,7 +183,7 @@ class TrackingProblem:
             return np.concatenate([soft.reshape(-1, U.shape[1]), residuals])
 
         U, kinds, nodes = plan.ravel(), 5, self.steps + 1
-        values, slopes = linearised(all_values, U)
+        values, slopes = linearise(all_values, U)
         r, J = values[kinds * nodes :], slopes[kinds * nodes :]
         s, S = values[: kinds * nodes].reshape(kinds, nodes), slopes[: kinds * nodes].reshape(kinds, nodes, -1)
         limit = np.repeat(self.soft_limits(s[:, 0]), self.steps)

@@ -1,4 +1,4 @@
-"""Speed that the wheels attain where they fall short of what reference and commands demand of them."""
+"""Speed that the wheels attain if they cannot follow the demand of reference and commands."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from diffdrive_mpc.mpc.problem.slip import Slip
 from oracle.checks import TwistGate
 from oracle.commands import PastCommands
 
-# As in mpc/config/sensor_test.yaml.
+# Constants of mpc/config/sensor_test.yaml.
 _SHORT, _LEAST, _SLOWER, _FOR, _HELD, _SMOOTHED, _STEADY = 0.08, 0.04, 0.25, 0.2, 0.3, 0.2, 0.2
 _ON_SPOT, _FAR_BELOW, _SLOWED, _RETRY, _REGAIN = 0.5, 0.5, 0.75, 0.7, (0.6, 0.2)
-# So much more has to be needed, and less than so much of it gained.
+# The demand has to rise by this share, and the speed by less than this share of it.
 _MORE, _GAINED = 0.03, 0.15
-# Where the robot keeps up with its reference nothing is learned.
+# The limit is not learned while the robot keeps up with its reference.
 ASTRAY, BESIDE = 0.25, 0.25
 
 
 class WheelReach:
-    """Limit of the wheels' rim speed: `attained` as it was learned, `allowed` as it applies [m/s]."""
+    """Limit of the wheel speed: `attained` as learned, `allowed` as applied [m/s]."""
 
     def __init__(self, config: ControllerConfig, gain: FloatArray, lag: int) -> None:
         self.dt, self.gain, self.enabled = config.sample_time, gain, config.monitor.wheel_limits
@@ -32,7 +32,7 @@ class WheelReach:
         self.restart()
 
     def restart(self) -> None:
-        """Forget the limit."""
+        """Reset the learned limit."""
         self.actual, self.short_wheel, self.tried, self.speed_then = np.zeros(2), 0, math.inf, 0.0
         self.slowed, self.on_spot = 0.0, False
         self._drop()
@@ -52,7 +52,7 @@ class WheelReach:
     ) -> None:
         """Compare encoders at the tick `t` [s] with the twists (n, 2) of the reference, of which the second is due.
 
-        `astray` states whether the robot is behind or beside its reference; None while it is not tracking.
+        `astray` is True if the robot is behind or beside its reference, None while it is not tracking.
         """
         read = self._rims(wheels.last / [1.0, self.wheel_yaw_ratio], Slip())
         self.actual = self.actual + _SMOOTHED * (read - self.actual)
@@ -68,21 +68,21 @@ class WheelReach:
             by_reference = self._rims(wanted, slip)
             sign = np.where(by_reference < 0, -1.0, 1.0)[:, None]
             twists = self.gain @ sent[-self.window :].T
-            # Elsewhere a saturated wheel looks like a smaller gain.
+            # During other motion a saturated wheel looks like a smaller gain.
             gain = slip.omega_gain * slip.yaw_gain if self.on_spot else 1.0
             forward = sign * self._rims(twists * [[1.0], [0.0]], Slip())
             turning = sign * self._rims(np.hstack([twists, gain * twists]) * [[0.0], [1.0]], Slip())
-            least, along = forward.min(axis=1) + turning.min(axis=1), sign[:, 0] * self.actual
-            most = forward.max(axis=1) + turning.max(axis=1)
-            demanded = np.minimum(least, sign[:, 0] * by_reference)
+            min_command, along = forward.min(axis=1) + turning.min(axis=1), sign[:, 0] * self.actual
+            max_command = forward.max(axis=1) + turning.max(axis=1)
+            demanded = np.minimum(min_command, sign[:, 0] * by_reference)
             lacks = demanded - along
             slower = math.inf if self.on_spot else np.abs(twists[0]).max() - abs(self.actual.sum()) / 2
             steady = (np.abs(read - self.actual) < _STEADY * demanded) & (slower > _SLOWER * lacks)
             short = steady & (along > _HELD * demanded) & (lacks > np.maximum(_SHORT * demanded, _LEAST))
-            if short.any() and (along <= most + _LEAST).all():
+            if short.any() and (along <= max_command + _LEAST).all():
                 rank = lacks + _LEAST * (np.arange(2) == self.short_wheel)
                 wheel = int(np.argmax(np.where(short, rank, -np.inf)))
-        if wheel is not None and self._gains_nothing(wheel, float(least[wheel])):
+        if wheel is not None and self._gains_nothing(wheel, float(min_command[wheel])):
             self.attained, self.slowed = abs(self.actual[wheel]), 0.0
         elif needed > _SLOWED * self.allowed:
             self.slowed += self.dt
@@ -93,7 +93,7 @@ class WheelReach:
             self._drop()
 
     def _gains_nothing(self, wheel: int, command: float) -> bool:
-        """Return True if the wheel did not get faster at a higher command than when it was first short."""
+        """Return True if the wheel is not faster at a higher command than when it first was too slow."""
         speed = abs(self.actual[wheel])
         more, gained = command - self.tried, speed - self.speed_then
         enough = more > _MORE * command

@@ -1,6 +1,6 @@
-"""The least that an identification has to beat: a second-order lag with dead time for each channel, fitted plainly.
+"""Baseline for an identification: a second-order lag with dead time for each channel, fitted by least squares.
 
-With `clip` the command may have a limit, too.
+With `clip`, the command has a limit as well.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ _LEVELS = np.linspace(0.4, 0.95, 12)
 def response(parameters, command, first, dt):
     """Simulate (K,) from the command (K,) alone, settled at the `first` reading.
 
-    Parameters are gain, two lags [s], dead time [s], offset and, where there is one, the limit of the command.
+    Parameters are gain, two lags [s], dead time [s], offset and, optionally, the limit of the command.
     """
     gain, slow, fast, dead_time, offset, *limit = parameters
     for level in limit:
@@ -30,7 +30,7 @@ def response(parameters, command, first, dt):
 
 
 def fit_second_order(commands, readings, fresh, dt, clip=False):
-    """Fit (5,) or with `clip` (6,) parameters to lists of stretches of one channel: commands, readings, valid ones."""
+    """Fit parameters (5,), or (6,) with `clip`, to lists of stretches of one channel: commands, readings, validity."""
     firsts = [y[np.argmax(f)] for y, f in zip(readings, fresh, strict=True)]
 
     def errors(parameters):

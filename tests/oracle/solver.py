@@ -1,4 +1,4 @@
-"""The quadratic program with all its limits, solved to rounding from nothing, and the proof that it is solved."""
+"""Cold solution of the quadratic program with all its limits to rounding, and its proof of optimality."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 from oracle.problem import QuadraticProgram
 
-# Numbers beyond this are no robot's.
-_LARGEST = 1e15
+# Larger values cannot belong to a robot.
+_MAX_VALUE = 1e15
 _ACCURACY = 1e-9
 _NO_BOUND = 1e30
-# DAQP's flags of a row from which it begins.
+# DAQP's flags of initially active rows.
 _ACTIVE, _LOWER = 1, 2
 
 
 @dataclass(frozen=True)
-class Answer:
-    """Solution: x (n,), multipliers of the hard and of the soft rows, positive at upper bounds."""
+class Solution:
+    """Solution: x (n,), and multipliers of hard and soft rows, positive at upper bounds."""
 
     status: SolverStatus
     x: FloatArray
@@ -29,21 +29,21 @@ class Answer:
     soft: FloatArray
 
 
-def solve(qp: QuadraticProgram) -> Answer:
-    """Return the solution, proven; or the reason for its absence.
+def solve(qp: QuadraticProgram) -> Solution:
+    """Return the proven solution, or the reason for its absence.
 
     Raises
     ------
     AssertionError
-        If what the solver gives is not the solution: nothing may be compared with it then.
+        If the solver's result is not optimal and must not be compared.
     """
-    nothing = Answer(
+    nothing = Solution(
         SolverStatus.NOT_FINITE, np.zeros(len(qp.g)), np.zeros(len(qp.lower)), np.zeros(len(qp.soft_lower))
     )
     data = (qp.H, qp.g, qp.rows, qp.upper, qp.soft_rows, qp.soft_upper)
-    if not all(np.vdot(part, part) < _LARGEST**2 for part in data):
+    if not all(np.vdot(part, part) < _MAX_VALUE**2 for part in data):
         return nothing
-    # Variables (e, x): e >= 0 is what a soft row is beyond its bounds; a bound of e = 0 presses at first.
+    # Variables (e, x): e >= 0 is the excess of a soft row; the bounds e = 0 are initially active.
     n, hard, soft = len(qp.g), len(qp.lower), len(qp.soft_lower)
     scale, unit, none = np.abs(qp.H).max(), np.eye(soft), np.full(soft, _NO_BOUND)
     H = np.zeros((soft + n, soft + n))
@@ -57,32 +57,32 @@ def solve(qp: QuadraticProgram) -> Answer:
     model.setup(H / scale, f / scale, rows, upper, lower, sense)
     model.settings = {"primal_tol": 1e-12, "dual_tol": 1e-13, "zero_tol": 1e-13, "iter_limit": 100_000}
     z, _, flag, info = model.solve()
-    assert flag == 1, f"DAQP says {flag}"
-    _, pressing, over, under = np.split(scale * info["lam"], np.cumsum([soft, hard, soft]))
-    solution = Answer(SolverStatus.SOLVED, z[soft:], pressing, over + under)
+    assert flag == 1, f"DAQP returned {flag}"
+    _, multipliers, over, under = np.split(scale * info["lam"], np.cumsum([soft, hard, soft]))
+    solution = Solution(SolverStatus.SOLVED, z[soft:], multipliers, over + under)
     worst = optimality(qp, solution)
     assert worst < _ACCURACY, f"off the optimum by {worst:.1e}"
     return solution
 
 
-def optimality(qp: QuadraticProgram, solution: Answer) -> float:
+def optimality(qp: QuadraticProgram, solution: Solution) -> float:
     """Compute the residual of the optimality conditions, in units of x [m/s, rad/s, m]; 0 at the solution.
 
-    They are: the cost is stationary, hard limits are kept, a limit presses only where it is reached, and a soft limit
-    with its price and what its excess costs beside it where it is exceeded, with no more than that where it is not.
+    The conditions are: the cost is stationary, hard limits are satisfied, only reached limits have multipliers, and the
+    multiplier of a soft limit equals the marginal cost of its excess if exceeded, and is at most its price otherwise.
     """
     x, soft_values, values = solution.x, qp.soft_rows @ solution.x, qp.rows @ solution.x
     force = qp.H @ x + qp.g + solution.hard @ qp.rows + solution.soft @ qp.soft_rows
     result = [np.linalg.solve(qp.H, force), _beyond(values, qp.lower, qp.upper)]
     result += [_gap(solution.hard, values, qp.lower, qp.upper)]
     over, under = np.maximum(soft_values - qp.soft_upper, 0), np.maximum(qp.soft_lower - soft_values, 0)
-    # With its excess given back, a soft limit is a hard one whose multiplier is bounded by its price.
+    # With its excess removed, a soft limit is a hard limit whose multiplier is bounded by its price.
     result += [_gap(solution.soft, soft_values - over + under, qp.soft_lower, qp.soft_upper)]
     price = qp.price + qp.quadratic * (over + under)
     short = np.where(
         over + under > _ACCURACY, price - np.abs(solution.soft), np.maximum(np.abs(solution.soft) - price, 0)
     )
-    # Within the dead time no command acts on the row, and what it lacks moves nothing.
+    # Within the dead time no command acts on the row, and a missing multiplier has no effect.
     missing = short * np.abs(qp.soft_rows).max(axis=1) / np.abs(qp.H).max()
     return float(max(np.abs(part).max() for part in [*result, missing]))
 
@@ -91,7 +91,7 @@ def _beyond(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatAr
     return np.maximum(np.maximum(values - upper, lower - values), 0)
 
 
-def _gap(pressing: FloatArray, values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Compute the distance from the bound of each active row; 0 where it is inactive."""
-    gap = np.where(pressing > 0, upper - values, values - lower)
-    return np.where(np.abs(pressing) > 1e-9 * (1 + np.abs(pressing).max()), gap, 0.0)
+def _gap(multipliers: FloatArray, values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """Compute the distance from the bound of each active row; 0 if inactive."""
+    gap = np.where(multipliers > 0, upper - values, values - lower)
+    return np.where(np.abs(multipliers) > 1e-9 * (1 + np.abs(multipliers).max()), gap, 0.0)

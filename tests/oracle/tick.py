@@ -1,4 +1,4 @@
-"""Data of one tick's problem: the robot's state, its target, and the commands that would hold it."""
+"""Data of one tick's problem: the robot's state, its target, and the feed-forward commands."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from oracle.estimate import Estimate
 
 @dataclass(frozen=True)
 class Tick:
-    """The data of one optimal control problem over N steps.
+    """Data of one optimal control problem over N steps.
 
     Attributes
     ----------
     pose, state, slip
-        (3,), (n,): the robot now.
+        Present pose (3,), states (n,) and slip of the robot.
     past, last_command
-        (memory, 2) the commands on their way, oldest first, and (2,) the one that slew counts from.
+        Delayed commands (memory, 2), oldest first, and the command (2,) from which slew counts.
     aim, heading
-        (N + 1, 3) poses to be at, and (N + 1,) headings to have there [rad].
+        Target poses (N + 1, 3), and target headings (N + 1,) [rad].
     feed_forward, fed_before
-        (N, 2) commands from which deviations are penalised, and (2,) that of the last tick.
+        Commands (N, 2) from which deviations are penalised, and that of the last tick (2,).
     late
-        (2,) by which commands act later than the model says [samples].
+        Delay (2,) of the commands beyond that of the model [samples].
     """
 
     pose: FloatArray
@@ -43,33 +43,33 @@ class Tick:
 
 
 class FeedForward:
-    """The command that would keep the reference's twist: the model's steady-state gain inverted, one lag ahead."""
+    """Command that keeps the reference's twist: the model's steady-state gain inverted, one lag ahead."""
 
     def __init__(self, model: VelocityModel, dt: float, steps: int, spare: int) -> None:
         self.gain, self.dt = model.dc_gain, dt
-        # A zero close to the origin can make a lag negative: there is no twist before now to answer to.
+        # A zero close to the origin can make a lag negative; twists of the past are not used.
         self.ahead = np.maximum(model.lag, 0.0) / dt
         self.steps = steps
         self.samples = steps + int(np.floor(self.ahead.max())) + 1 + spare
         """Samples of the reference's twist that `commands` needs, from now on."""
 
     def commands(self, twist: FloatArray, slip: Slip, late: FloatArray) -> FloatArray:
-        """Compute (N + 1, 2) commands for reference twists (samples, 2), from the last tick on."""
+        """Compute commands (N + 1, 2) for reference twists (samples, 2), from the last tick on."""
         instants, samples, ahead = np.arange(-1, self.steps), np.arange(len(twist)), self.ahead + late
         later = np.column_stack([np.interp(instants + ahead[j], samples, twist[:, j]) for j in (0, 1)])
-        # Of the point about which the robot turns.
+        # Convert to the speed of the turning point.
         later[:, 0] -= slip.turn_left * later[:, 1]
         return np.linalg.solve(self.gain, (later / slip.gains - slip.offset).T).T
 
 
-def heading_to_hold(poses: FloatArray, twist: FloatArray, acceleration: FloatArray, slip: Slip) -> FloatArray:
-    """Compute (n,) headings [rad] at which a robot travels along reference `poses` (n, 3) with `twist` (n, 2).
+def target_heading(poses: FloatArray, twist: FloatArray, acceleration: FloatArray, slip: Slip) -> FloatArray:
+    """Compute headings (n,) [rad] at which a robot travels along reference `poses` (n, 3) with `twist` (n, 2).
 
-    `acceleration` (n,) [m/s^2] is the forward one.
+    `acceleration` (n,) [m/s^2] is the forward acceleration.
 
-    At a speed u to the left of v it travels atan(u / v) to the left of its heading, so it has to point as far to the
-    right. Two parts of u / v grow as v fades, -turn_ahead omega / v and the slide; instead of 1 / v they are made to
-    bend off below 0.1 m/s, since a robot that turns on the spot cannot make up for them.
+    With a speed u to the left of v, the robot travels at atan(u / v) to the left of its heading, so it has to point as
+    far to the right. Two parts of u / v grow as v vanishes, -turn_ahead omega / v and the slide: instead of 1 / v they
+    use a bounded function below 0.1 m/s, since a robot that turns on the spot cannot compensate them.
     """
     v, omega = twist.T
     share = v / (v * v + 0.01)
@@ -82,15 +82,15 @@ def heading_to_hold(poses: FloatArray, twist: FloatArray, acceleration: FloatArr
 def begin_tick(
     feed_forward: FeedForward, estimate: Estimate, past: FloatArray, last_command: FloatArray, sample: ReferenceSample
 ) -> Tick:
-    """Build the data of the problem, where `sample` is the reference now and at the ticks to come."""
+    """Build the data of the problem; `sample` is the reference now and at the following ticks."""
     nodes = feed_forward.steps + 1
     poses = sample.pose[:nodes].copy()
-    # The estimate counts its turns itself: meet it on the turn it is on.
+    # Heading of the estimate is unwrapped: move the reference to the same turn.
     poses[:, 2] += 2 * np.pi * np.round((estimate.pose[2] - poses[0, 2]) / (2 * np.pi))
     slip = estimate.slip
     growth = np.diff(sample.twist[:, 0]) / feed_forward.dt
-    heading = heading_to_hold(poses, sample.twist[:nodes], np.append(growth, growth[-1])[:nodes], slip)
-    # In whole milliseconds.
+    heading = target_heading(poses, sample.twist[:nodes], np.append(growth, growth[-1])[:nodes], slip)
+    # Delays are rounded to whole milliseconds.
     late = np.round(1e3 * estimate.delays) / 1e3 / feed_forward.dt
     before, *commands = feed_forward.commands(sample.twist, slip, late)
     data = (estimate.pose, estimate.state, slip, past, last_command, poses, heading)

@@ -14,7 +14,7 @@ from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 from oracle.motion import arc
 
 
-class _OfAnother:
+class _Resampled:
     """Trajectory with the name and duration of another one."""
 
     original: ArcTrajectory | SplineTrajectory
@@ -31,7 +31,7 @@ class _OfAnother:
 
 
 @dataclass(frozen=True)
-class Arcs(_OfAnother):
+class Arcs(_Resampled):
     """Arcs with piecewise constant acceleration along them; see `ArcTrajectory`."""
 
     original: ArcTrajectory
@@ -52,13 +52,13 @@ class Arcs(_OfAnother):
 
 
 @dataclass(frozen=True)
-class Splines(_OfAnother):
+class Splines(_Resampled):
     """Cubics of x, y, theta and arc length in time; see `SplineTrajectory`."""
 
     original: SplineTrajectory
 
     def sample(self, times: ArrayLike) -> ReferenceSample:
-        """Evaluate at `times` (n,) [s]; outside the trajectory it rests."""
+        """Evaluate at `times` (n,) [s]; outside the trajectory the robot rests."""
         times = np.atleast_1d(np.asarray(times, dtype=float))
         t = np.clip(times, 0.0, self.duration)
         piece = np.searchsorted(self.original.breaks[1:-1], t, side="right")
@@ -72,10 +72,10 @@ class Splines(_OfAnother):
         return ReferenceSample(np.column_stack([x, y, theta]), twist, arc_length)
 
 
-def sampled(reference: Reference) -> Reference:
-    """Return the reference; if it has a table, samples are computed here."""
+def with_numpy_samples(reference: Reference) -> Reference:
+    """Return the reference; if it has a table, its samples are computed in this module."""
     if isinstance(reference, MovedReference):
-        return replace(reference, original=sampled(reference.original))
+        return replace(reference, original=with_numpy_samples(reference.original))
     if isinstance(reference, ArcTrajectory):
         return Arcs(reference)
     return Splines(reference) if isinstance(reference, SplineTrajectory) else reference

@@ -36,7 +36,7 @@ import pathlib as _pathlib
 for _library in _pathlib.Path(__file__).parent.glob("lib*__rosidl_typesupport_*.so"):
     _ctypes.CDLL(str(_library))
 """
-_PATIENCE = 300.0  # [s] for one step
+_STEP_TIMEOUT = 300.0  # time limit of one step [s]
 
 
 def built_types() -> Path:
@@ -73,7 +73,7 @@ def search_path(folder: Path, known: str = "") -> str:
 
 
 def add_types() -> Path:
-    """Make the types importable in this process and its children; return their folder, or raise as `built_types`."""
+    """Make the types importable in this process and its children; return their folder; errors as in `built_types`."""
     folder = built_types()
     if str(folder) not in sys.path:
         sys.path.insert(0, str(folder))
@@ -81,7 +81,7 @@ def add_types() -> Path:
     return folder
 
 
-def _make(package: str, prefix: Path, sources: Path, made: Path) -> None:
+def _make(package: str, prefix: Path, sources: Path, target_folder: Path) -> None:
     generated = sources / package
     generated.mkdir(parents=True)
     script = Path(__file__).with_name("generate.py")
@@ -104,7 +104,7 @@ def _make(package: str, prefix: Path, sources: Path, made: Path) -> None:
                 objects[-1],
             ]
         )
-    target = made / package
+    target = target_folder / package
     python = generated / "py" / package
     for path in sorted(python.rglob("*.py")):
         (target / path.relative_to(python)).parent.mkdir(parents=True, exist_ok=True)
@@ -114,7 +114,7 @@ def _make(package: str, prefix: Path, sources: Path, made: Path) -> None:
     objects.remove(entry)
     code = f"lib{package}__types.so"
     _link(target / code, [*objects, "-Wl,--as-needed", *_libraries(prefix / "lib")])
-    # All is in one library; it goes by the names that are looked up, too.
+    # All types are in one library, which also needs the names that are looked up.
     for name in (f"lib{package}__{kind}.so" for kind in TYPE_SUPPORTS):
         _link(target / name, ["-Wl,--no-as-needed", target / code])
     _link(target / f"{package}_s__rosidl_typesupport_c.so", [entry, target / code])
@@ -141,15 +141,15 @@ def _run(command: Sequence[str | Path], environment: dict[str, str] | None = Non
             capture_output=True,
             text=True,
             errors="replace",
-            timeout=_PATIENCE,
+            timeout=_STEP_TIMEOUT,
             check=False,
         )
     except FileNotFoundError as error:
         raise RuntimeError(f"{words[0]} was not found: ROS types need GCC (apt-get install g++)") from error
     except subprocess.TimeoutExpired as error:
-        raise RuntimeError(f"{words[0]} did not finish within {_PATIENCE:g} s") from error
+        raise RuntimeError(f"{words[0]} did not finish within {_STEP_TIMEOUT:g} s") from error
     if done.returncode:
-        lines = [line for line in done.stderr.splitlines() if "rror" in line] or done.stderr.splitlines() or ["no word"]
+        lines = [line for line in done.stderr.splitlines() if "rror" in line] or done.stderr.splitlines() or ["none"]
         raise RuntimeError(f"{' '.join(words[:4])} ... failed: {lines[-1].strip()}")
 
 

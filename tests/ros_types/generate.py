@@ -21,18 +21,18 @@ _CONVERT = {".msg": convert_msg_to_idl, ".action": convert_action_to_idl}
 
 
 def generate(package: str, definitions: Path, shares: Path, folder: Path, supports: list[str]) -> None:
-    """Write Python, C and C++ of `package`, defined by the files in `definitions`, to `folder`.
+    """Write Python, C and C++ sources of `package`, defined by the files in `definitions`, to `folder`.
 
     Parameters
     ----------
     package
-        Its name.
+        Name of the package.
     definitions
         Folder with `msg/*.msg` and `action/*.action`, absolute.
     shares
-        Where the definitions of all other packages are, one folder for each.
+        Folder with the definitions of all other packages, one folder per package.
     folder
-        A new folder, absolute: it gets one folder for each generator, `py` for that of Python.
+        New folder, absolute, with one folder per generator; `py` is that of Python.
     supports
         Names of the type supports.
     """
@@ -46,7 +46,7 @@ def generate(package: str, definitions: Path, shares: Path, folder: Path, suppor
     GenerateC("c").generate(package, interfaces, others, folder / "c" / package, described)
     both = {"typesupport_implementations": supports}
     entry = {"typesupport_implementations": ["rosidl_typesupport_c"]}
-    # In folders of their own: two generators give the same name to different files.
+    # Separate folders, because two generators use the same name for different files.
     for name, generator in {
         "fastrtps_c": GenerateFastRTPSCTypesupport("fastrtps_c"),
         "introspection_c": GenerateIntrospectionCTypesupport("introspection_c"),

@@ -1,4 +1,4 @@
-"""Small plants, controllers and references with known answers, for the tests of the loop and its metrics."""
+"""Small plants, controllers and references with known results, for tests of the loop and its metrics."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -47,7 +47,7 @@ class ElbowReference:
 
 
 class KinematicPlant:
-    """A unicycle that does at once what it is told, with exact sensors and Gaussian pose noise from a seed."""
+    """A unicycle that follows commands immediately, with exact sensors and Gaussian pose noise from a seed."""
 
     sample_time = 0.02
 
@@ -88,7 +88,7 @@ class FixedStep:
 
 
 class FeedForward:
-    """Sends the reference's twist; `mode_at` gives other modes to some ticks."""
+    """Sends the twist of the reference; `mode_at` sets other modes at some ticks."""
 
     def __init__(self, mode_at: dict[int, str] | None = None) -> None:
         self._mode_at = mode_at or {}
@@ -103,14 +103,14 @@ class FeedForward:
 
 
 class Slow(FeedForward):
-    """Takes long, by its own account."""
+    """Controller that reports long step times."""
 
     def step(self, t: float, measurement: Measurement) -> FixedStep:
         return FixedStep(super().step(t, measurement).command, step_time=0.03)
 
 
 def trace(plant: Plant, ticks: int) -> list[Any]:
-    """Record all visible data of a drive of some ticks, in comparable form."""
+    """Record all observable data of a drive of `ticks` ticks, in comparable form."""
     rows: list[Any] = []
     for command in random_commands(4, duration=(ticks + 1) * plant.sample_time)[:ticks]:
         measured = plant.measure()
@@ -130,7 +130,7 @@ def run_along(
     times: ArrayLike,
     modes: tuple[str, ...] | None = None,
 ) -> Run:
-    """Build a run whose true motion is given, without measurements."""
+    """Build a run with the given true motion, without measurements."""
     times = np.asarray(times, dtype=float)
     expected = reference.sample(times)
     n = len(times)

@@ -18,9 +18,9 @@ from rosgraph_msgs.msg import Clock
 from diffdrive_mpc.sim.ros.simulated_base import load_base_settings
 
 DOMAIN = own_domain()
-"""Each test process has a domain of its own: nobody else's robot can be driven by mistake."""
+"""ROS domain of this test process, so that it cannot drive the robot of another one."""
 BOUND = 120.0
-"""No test waits for longer [s]; it fails then."""
+"""Time limit of every wait [s]."""
 FIRST_TICK = load_base_settings().lock_step.first_tick
 
 
@@ -31,9 +31,9 @@ def own_domain(monkeypatch, folder):
 
 
 class Driver(threading.Thread):
-    """Answers each tick of /clock with the command of its row, and goes when it has no more.
+    """Responds to each tick of /clock with the command of its row, and leaves after the last row.
 
-    `stamp` maps the time of a tick [ns] to that on the command.
+    `stamp` maps the time of a tick [ns] to the stamp of its command.
     """
 
     def __init__(self, commands, sample_time, *, stamped=True, stamp=lambda now: now):
@@ -84,7 +84,7 @@ class Driver(threading.Thread):
         self.publisher.publish(whole if self.stamped else twist)
 
 
-def recorded(bag, topic):
+def read_messages(bag, topic):
     """Read stamps [ns] and messages of a topic in a bag."""
     store = get_typestore(Stores.ROS2_JAZZY)
     with Reader(bag) as reader:
@@ -93,7 +93,7 @@ def recorded(bag, topic):
     return np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in result]), result
 
 
-def recorded_truth(bag):
+def read_true_poses(bag):
     """Read (n, 3) true x [m], y [m], theta [rad]."""
-    poses = [message.pose for message in recorded(bag, "/ground_truth/pose")[1]]
+    poses = [message.pose for message in read_messages(bag, "/ground_truth/pose")[1]]
     return np.array([[p.position.x, p.position.y, 2 * np.arctan2(p.orientation.z, p.orientation.w)] for p in poses])

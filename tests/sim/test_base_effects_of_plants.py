@@ -1,4 +1,4 @@
-"""Effects of a base on its commands: by themselves, and in its motion."""
+"""Effects of a base on its commands, alone and in the motion of plants."""
 
 import numpy as np
 import pytest
@@ -17,14 +17,14 @@ from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 DT = 0.0202
 
 
-def driven(tmp_path, text, commands, **options):
+def drive_with(tmp_path, text, commands, **options):
     (tmp_path / "robot.yaml").write_text("description: a robot\n" + text)
     plant = make_plant(f"mujoco:{tmp_path / 'robot.yaml'}", **{"sensors": "perfect"} | options)
     return drive_open_loop(plant, commands)
 
 
-def test_levels_are_those_of_the_models_effects():
-    """Ramps end where `TwistSlew.follow` says, and each level is cut to whole steps of the wheels."""
+def test_command_levels_equal_the_effects_of_models():
+    """Ramps end at the values of `TwistSlew.follow`, and each level is rounded to whole steps of the wheels."""
     slew, wheels = TwistSlew(v=2.0, omega=3.0), WheelCommand(track=0.5, resolution=0.01)
     shaping = CommandShaping(BaseCommands(twist_slew=slew, wheel_command=wheels), DT)
     commands = np.repeat([(0.0, 0.0), (0.5, -1.0), (-0.2, 0.7)], 12, axis=0)
@@ -32,25 +32,25 @@ def test_levels_are_those_of_the_models_effects():
     np.testing.assert_allclose(ends, wheels.apply(slew.follow(commands, DT, (0.0, 0.0))), atol=1e-9)
 
 
-def test_a_slew_limit_is_the_slope_of_the_speed(tmp_path):
+def test_slew_limit_is_the_slope_of_the_speed(tmp_path):
     commands = np.tile([0.8, 0.0], (60, 1))
-    speed = driven(tmp_path, "base: {twist_slew: {v: 0.5, omega: 2.0}}", commands).wheel_twist[:, 0]
+    speed = drive_with(tmp_path, "base: {twist_slew: {v: 0.5, omega: 2.0}}", commands).wheel_twist[:, 0]
     slope = (speed[55] - speed[35]) / (20 * DT)
     assert slope == pytest.approx(0.5, rel=0.02)
 
 
-def test_a_base_has_ranges_and_ramps_of_two_sides(tmp_path):
+def test_base_has_two_sided_ranges_and_ramps(tmp_path):
     base = (
         "{twist_range: {v: {forward: 1.0, reverse: 0.2}}, twist_slew: {v: {accelerate: 0.5, brake: 1.0}, omega: 9.0}}"
     )
     commands = np.repeat([(0.5, 0.0), (0.0, 0.0), (-0.6, 0.0)], 70, axis=0)
-    speed = driven(tmp_path, f"base: {base}", commands).wheel_twist[:, 0]
+    speed = drive_with(tmp_path, f"base: {base}", commands).wheel_twist[:, 0]
     assert (speed[45] - speed[25]) / (20 * DT) == pytest.approx(0.5, rel=0.02)
     assert (speed[90] - speed[80]) / (10 * DT) == pytest.approx(-1.0, rel=0.05)
     assert speed[-20:].min() == pytest.approx(-0.2, rel=0.05)
 
 
-def test_shaping_of_two_sides_is_that_of_the_models_effects():
+def test_two_sided_shaping_equals_the_effects_of_models():
     effects = BaseEffects(
         twist_range={"v": {"forward": 0.4, "reverse": 0.1}, "omega": {"left": 0.6, "right": 0.9}},
         twist_slew=TwistSlew(v={"accelerate": 1.0, "brake": 3.0}, omega={"accelerate": 4.0, "brake": 2.0}),
@@ -59,42 +59,42 @@ def test_shaping_of_two_sides_is_that_of_the_models_effects():
     commands = np.repeat([(0.0, 0.0), (0.5, -1.0), (-0.2, 0.7), (0.03, -0.7)], 12, axis=0)
     shaping = CommandShaping(base, DT)
     ends = [list(shaping.levels(k * DT, command))[-1][1] for k, command in enumerate(commands)]
-    # Exact past zero: pieces of a sample end where the whole sample does.
+    # Exact past zero: the parts of a sample end at the value of the whole sample.
     whole = effects.twist_slew.follow(effects.twist_range.apply(commands), DT, (0.0, 0.0))
     np.testing.assert_allclose(ends, whole, atol=1e-12)
 
 
-def test_without_effects_a_base_changes_nothing(tmp_path):
+def test_base_without_effects_changes_no_motion(tmp_path):
     commands = np.tile([0.3, 0.5], (10, 1))
-    plain = driven(tmp_path, "", commands)
-    np.testing.assert_array_equal(driven(tmp_path, "base: {}", commands).true_pose, plain.true_pose)
+    plain = drive_with(tmp_path, "", commands)
+    np.testing.assert_array_equal(drive_with(tmp_path, "base: {}", commands).true_pose, plain.true_pose)
 
 
-def test_unequal_wheels_veer_as_geometry_says(tmp_path):
-    """Larger wheels on the left turn the robot right: by the difference over the track that skidding makes wider."""
+def test_unequal_wheels_veer_as_geometry_predicts(tmp_path):
+    """Larger wheels on the left turn the robot right, by the difference over the track that skidding widens."""
     commands = np.tile([0.5, 0.0], (150, 1))
     difference = 0.02
     text = f"twin: {{chassis: {{rolling_radii: [{1 + difference / 2}, {1 - difference / 2}]}}}}"
-    drive = driven(tmp_path, text, commands)
+    drive = drive_with(tmp_path, text, commands)
     yaw_rate, speed = drive.true_twist[100:, 2].mean(), drive.true_twist[100:, 0].mean()
     skidding = 1.0 + (0.14 / 0.330) ** 2
     assert yaw_rate / speed == pytest.approx(-difference / (0.330 * skidding), rel=0.15)
 
 
-def test_rolling_radius_is_metres_for_what_encoders_count(tmp_path):
-    drive = driven(tmp_path, "twin: {chassis: {rolling_radii: [0.9, 0.9]}}", np.tile([0.5, 0.0], (100, 1)))
+def test_rolling_radius_scales_the_distance_per_encoder_count(tmp_path):
+    drive = drive_with(tmp_path, "twin: {chassis: {rolling_radii: [0.9, 0.9]}}", np.tile([0.5, 0.0], (100, 1)))
     assert drive.true_twist[-1, 0] / drive.wheel_twist[-1, 0] == pytest.approx(0.9, rel=0.01)
 
 
-def test_a_robot_brings_its_own_floor_and_sensors(tmp_path):
-    """Named ones replace them."""
+def test_robot_file_sets_its_surface_and_sensors(tmp_path):
+    """Named surfaces and sensors replace them."""
     fast = np.concatenate([np.tile([1.5, 0.0], (12, 1))])
-    slippery = driven(tmp_path, "friction: 0.05", fast).true_twist[-1, 0]
-    assert driven(tmp_path, "friction: 0.05", fast, surface="grippy").true_twist[-1, 0] > 2 * slippery
+    slippery = drive_with(tmp_path, "friction: 0.05", fast).true_twist[-1, 0]
+    assert drive_with(tmp_path, "friction: 0.05", fast, surface="grippy").true_twist[-1, 0] > 2 * slippery
     quiet = "sensors: {gyro: {noise_sd: 0.0, bias_sd: 0.0}}"
-    still = driven(tmp_path, quiet, np.zeros((5, 2)), sensors="default")
+    still = drive_with(tmp_path, quiet, np.zeros((5, 2)), sensors="default")
     assert not still.yaw_rate.any()
-    assert driven(tmp_path, quiet, np.zeros((5, 2)), sensors="slam").yaw_rate.any()
+    assert drive_with(tmp_path, quiet, np.zeros((5, 2)), sensors="slam").yaw_rate.any()
 
 
 TICK = load_robot().sample_time
@@ -130,7 +130,7 @@ def test_plant_of_a_file_with_effects_is_the_free_run_of_that_file(path):
     np.testing.assert_allclose(twists[:, 1], response.body[:, 1], atol=1e-12)
 
 
-def test_without_effects_and_with_a_pose_mount_alone_the_run_is_the_same_bit_for_bit():
+def test_pose_mount_alone_leaves_twists_and_motion_unchanged():
     commands = random_commands(4, duration=3.0)
     slip, sensors = load_surface("default").slip, load_sensor_set("slam")
     runs = [

@@ -1,4 +1,4 @@
-"""Disturbances: scenario files, commands, readings, and forces in the physics."""
+"""Disturbances: scenario files, commands, sensor readings, and forces in the physics."""
 
 import math
 from pathlib import Path
@@ -35,12 +35,12 @@ def _scenario(**parts: Any) -> Scenario:
     return check(Scenario, {"description": "test", **parts}, "test")
 
 
-def _disturbed(name: str, **parts: Any) -> DisturbedPlant:
+def _disturbed_plant(name: str, **parts: Any) -> DisturbedPlant:
     return DisturbedPlant(make_plant(name, sensors="perfect"), _scenario(**parts), load_robot())
 
 
 @pytest.mark.parametrize("name", ["patches", "push", "blocked", "sensor_dropouts"])
-def test_same_seed_same_disturbed_run_bit_for_bit(name: str) -> None:
+def test_equal_seeds_give_equal_disturbed_runs_bit_for_bit(name: str) -> None:
     plant = make_plant("mujoco", seed=5, scenario=name)
     first = trace(plant, 300)
     assert plant.disturbance is not None
@@ -49,7 +49,7 @@ def test_same_seed_same_disturbed_run_bit_for_bit(name: str) -> None:
     assert trace(plant, 300) == first
 
 
-def test_what_has_not_happened_yet_changes_nothing(tmp_path: Path) -> None:
+def test_future_disturbance_changes_no_motion(tmp_path: Path) -> None:
     path = tmp_path / "later.yaml"
     path.write_text(
         "description: all of it after the drive\n"
@@ -69,8 +69,8 @@ def test_what_has_not_happened_yet_changes_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", PLANTS)
-def test_the_start_offset_is_taken_in_the_frame_of_the_reference(name: str) -> None:
-    plant = _disturbed(name, start_offset={"along": 0.3, "across": 0.2, "heading": -0.4})
+def test_start_offset_is_relative_to_the_start_of_the_reference(name: str) -> None:
+    plant = _disturbed_plant(name, start_offset={"along": 0.3, "across": 0.2, "heading": -0.4})
     plant.reset([1.0, 2.0, np.pi / 2])
     np.testing.assert_allclose(plant.true_pose, [1.0 - 0.2, 2.0 + 0.3, np.pi / 2 - 0.4], atol=1e-12)
     np.testing.assert_allclose(np.asarray(plant.measure().pose.value), plant.true_pose, atol=1e-12)  # type: ignore[union-attr]
@@ -81,8 +81,8 @@ def test_the_start_offset_is_taken_in_the_frame_of_the_reference(name: str) -> N
 @pytest.mark.parametrize(
     ("sensor", "fields"), [("pose", {"pose"}), ("wheels", {"wheel_twist", "wheel_speeds"}), ("gyro", {"yaw_rate"})]
 )
-def test_a_drop_out_empties_its_fields_and_no_others(name: str, sensor: str, fields: set[str]) -> None:
-    plant = _disturbed(name, drop_outs=[{"sensor": sensor, "start": 0.2, "duration": 0.3}])
+def test_drop_out_empties_only_its_fields(name: str, sensor: str, fields: set[str]) -> None:
+    plant = _disturbed_plant(name, drop_outs=[{"sensor": sensor, "start": 0.2, "duration": 0.3}])
     for _ in range(40):
         time, measurement = plant.time, plant.measure()
         for field in ("pose", "wheel_twist", "wheel_speeds", "yaw_rate"):
@@ -92,19 +92,19 @@ def test_a_drop_out_empties_its_fields_and_no_others(name: str, sensor: str, fie
 
 
 @pytest.mark.parametrize("name", PLANTS)
-def test_a_false_command_moves_the_robot_and_nobody_is_told(name: str) -> None:
+def test_false_command_moves_the_robot_and_is_not_reported(name: str) -> None:
     false = {"v": 0.0, "omega": 1.0, "start": 10 * DT - 1e-6, "duration": 0.5}
-    plant, undisturbed = _disturbed(name, false_commands=[false]), make_plant(name, sensors="perfect")
+    plant, undisturbed = _disturbed_plant(name, false_commands=[false]), make_plant(name, sensors="perfect")
     for k in range(60):
-        acts = 10 <= k < 10 + int(np.ceil(0.5 / DT))
+        is_active = 10 <= k < 10 + int(np.ceil(0.5 / DT))
         plant.advance([0.4, 0.0])
-        undisturbed.advance([0.0, 1.0] if acts else [0.4, 0.0])
+        undisturbed.advance([0.0, 1.0] if is_active else [0.4, 0.0])
         np.testing.assert_array_equal(plant.true_pose, undisturbed.true_pose)
         assert plant.measure().sent == (0.4, 0.0)
     assert plant.true_pose[2] > 0.3
 
 
-def test_what_lasts_to_the_end_is_never_over_and_hides_no_other_end() -> None:
+def test_lasting_disturbance_has_no_end_and_hides_no_end_of_another() -> None:
     push = {"force": 20.0, "height": 0.09, "start": 0.2, "duration": 0.1}
     weak = {"wheel": "front_left", "factor": 0.5, "start": 0.1}
     plant = make_plant("mujoco", sensors="perfect")
@@ -119,7 +119,7 @@ def test_what_lasts_to_the_end_is_never_over_and_hides_no_other_end() -> None:
 
 
 @pytest.mark.parametrize("name", DISTURBANCES)
-def test_velocity_models_refuse_what_needs_mass_and_wheels(name: str) -> None:
+def test_velocity_models_refuse_scenarios_that_need_mass_or_wheels(name: str) -> None:
     needs = load_scenario(name).draw(0).physical
     if not needs:
         assert isinstance(make_plant("model:ssm", scenario=name), DisturbedPlant)
@@ -149,7 +149,7 @@ def _drive(plant: MujocoPlant, v: float, omega: float, seconds: float) -> None:
 
 
 @pytest.mark.parametrize("direction", [0.7, 1.5708])
-def test_a_push_on_ice_gives_force_times_time(direction: float) -> None:
+def test_push_on_ice_gives_force_times_time(direction: float) -> None:
     """Start and end of the push fall between physics steps: the momentum matches its exact duration."""
     push = {"force": 20.0, "direction": direction, "height": 0.09, "start": 0.1013, "duration": 0.2507}
     plant = _plant(ICE, pushes=[push])
@@ -163,29 +163,29 @@ def test_a_push_on_ice_gives_force_times_time(direction: float) -> None:
     assert abs(omega) < 0.02
 
 
-def test_a_push_at_yaw_on_ice_gives_torque_times_time() -> None:
+def test_yaw_push_on_ice_gives_torque_times_time() -> None:
     plant = _plant(ICE, pushes=[{"yaw_torque": 0.5, "height": 0.09, "start": 0.1, "duration": 0.3}])
     _drive(plant, 0.0, 0.0, 0.5)
     omega = plant.true_twist[2]
-    # Angular momentum about the vertical, I omega, from the kinetic energy I omega^2 / 2: nothing else moves.
+    # Angular momentum I omega about the vertical, from the kinetic energy I omega^2 / 2 of the pure rotation.
     assert 2 * plant.chassis.energy / omega == pytest.approx(0.5 * 0.3, rel=0.02)
 
 
-def test_the_floor_holds_a_push_that_is_weaker_than_friction() -> None:
+def test_friction_holds_a_robot_against_a_weaker_push() -> None:
     limit = FLOOR * ROBOT.mass * G
-    gone = []
+    distances = []
     for share in (0.8, 1.3):
         push = {"force": share * limit, "direction": 1.5708, "height": 0.05, "start": 0.1, "duration": 0.3}
         plant = _plant(pushes=[push])
         _drive(plant, 0.0, 0.0, 1.0)
-        gone.append(abs(plant.true_pose[1]))
-    # Coulomb: accelerates with (share - 1) mu g while pushed, brakes with mu g after.
+        distances.append(abs(plant.true_pose[1]))
+    # Coulomb friction: (share - 1) mu g of acceleration during the push, mu g of deceleration after it.
     speed = 0.3 * FLOOR * G * 0.3
-    assert gone[1] == pytest.approx(0.5 * speed * 0.3 + speed**2 / (2 * FLOOR * G), rel=0.25)
-    assert gone[0] < 0.2 * gone[1]
+    assert distances[1] == pytest.approx(0.5 * speed * 0.3 + speed**2 / (2 * FLOOR * G), rel=0.25)
+    assert distances[0] < 0.2 * distances[1]
 
 
-def test_a_payload_adds_its_weight_where_it_lies() -> None:
+def test_payload_adds_its_weight_at_its_place() -> None:
     x, y, mass = 0.03, -0.05, 2.5
     load = Payload(mass=mass, x=x, y=y, z=0.1, radius=0.05)
     with_load, without = (Chassis(ROBOT, TWIN, FLOOR, STEP, payload) for payload in (load, None))
@@ -203,13 +203,13 @@ def test_a_payload_adds_its_weight_where_it_lies() -> None:
     assert left == pytest.approx(half + mass * G * y / ROBOT.track, rel=0.02)
 
 
-def test_on_a_gentle_slope_the_robot_stands_across_and_creeps_along_no_faster_than_its_brakes_allow() -> None:
+def test_robot_on_a_gentle_slope_rests_across_it_and_creeps_along_it() -> None:
     across, along = (_plant(slope={"angle": 0.1, "downhill": downhill}) for downhill in (np.pi / 2, 0.0))
     for plant in (across, along):
         _drive(plant, 0.0, 0.0, 2.0)
-    # Tyres creep below the friction limit, as rubber does.
+    # Tyres creep below the friction limit, like rubber.
     assert 0.0 <= across.true_twist[1] < 0.01
-    # At zero set-point the driver shorts the motor: it brakes by back-EMF, in proportion to the speed.
+    # At zero set-point the driver shorts the motor, which brakes by back-EMF in proportion to the speed.
     pull = ROBOT.mass * G * np.sin(0.1)
     damping = 4 * TWIN.motor.stall_torque / TWIN.motor.no_load_speed / ROBOT.wheel_radius**2
     assert 0.0 < along.true_twist[0] < 1.2 * pull / damping
@@ -223,12 +223,12 @@ def test_dead_motors_do_not_drive_and_a_dead_side_turns_the_robot() -> None:
         return plant
 
     assert abs(dead(WHEELS).true_pose[0]) < 1e-3
-    # Towards the side that is dragged along.
+    # The robot turns towards the side that is dragged.
     assert dead(LEFT).true_pose[2] > 0.03
     assert dead(RIGHT).true_pose[2] < -0.03
 
 
-def test_a_weak_motor_gives_its_share_while_it_is_weak() -> None:
+def test_weak_motor_gives_its_share_while_it_is_weak() -> None:
     weak = {"wheel": "rear_left", "factor": 0.3, "start": 1.0, "duration": 2.0}
     disturbances, _ = _disturbances(weak_motors=[weak])
     for time, share in ((0.5, 1.0), (1.0, 0.3), (2.9, 0.3), (3.0, 1.0)):
@@ -244,7 +244,7 @@ def _disturbances(**parts: Any) -> tuple[DisturbedPhysics, VelocityLoops]:
     return DisturbedPhysics(scenario, chassis, loops, FLOOR, base, torque), loops
 
 
-def test_a_slipping_wheel_pushes_no_harder_than_its_friction() -> None:
+def test_slipping_wheel_pushes_no_harder_than_its_friction() -> None:
     """Under full throttle the side with grip pulls ahead: the robot turns towards the slipping wheel."""
     slipping = [{"wheel": wheel, "friction": 0.02, "start": 0.0, "duration": 1.0} for wheel in LEFT]
     plant = _plant(slipping_wheels=slipping)
@@ -271,7 +271,7 @@ def test_sag_lowers_the_stall_torque_in_proportion_and_load_lowers_the_voltage()
     assert loops.supply == pytest.approx(0.5 - 0.1)
 
 
-def test_on_a_patch_the_robot_slips_as_on_a_floor_of_that_kind() -> None:
+def test_robot_on_a_patch_slips_as_on_a_surface_of_that_kind() -> None:
     lateral = {}
     endless = {"start": 0.2, "friction": SLIPPERY}
     for name, plant in {"patch": _plant(patches=[endless]), "slippery": _plant(SLIPPERY), "default": _plant()}.items():
@@ -280,54 +280,54 @@ def test_on_a_patch_the_robot_slips_as_on_a_floor_of_that_kind() -> None:
     assert lateral["patch"] < 2 * lateral["default"] < 0
 
 
-def test_a_patch_begins_and_ends_where_it_lies() -> None:
-    """The front wheels reach it half a wheel base before the centre, the rear wheels leave it as much later."""
+def test_patch_begins_and_ends_at_its_place() -> None:
+    """The front wheels reach the patch half a wheel base before the centre; the rear wheels leave it as much later."""
     half = TWIN.chassis.wheel_base / 2
     plant = _plant(patches=[{"start": 0.5, "length": 0.6, "friction": 0.5}, {"start": 50.0, "friction": 0.5}])
     log = drive_open_loop(plant, np.tile([0.5, 0.0], (200, 1)))
-    ((on, off),) = plant.crossed
-    assert np.isfinite(off)
-    assert np.interp([on, off], log.time, log.true_pose[:, 0]) == pytest.approx([0.5 - half, 1.1 + half], abs=2e-3)
+    ((enter, leave),) = plant.crossed
+    assert np.isfinite(leave)
+    assert np.interp([enter, leave], log.time, log.true_pose[:, 0]) == pytest.approx([0.5 - half, 1.1 + half], abs=2e-3)
 
 
-def test_one_side_on_ice_lets_that_side_slip_only() -> None:
+def test_ice_on_one_side_lets_only_that_side_slip() -> None:
     """A robot that accelerates hard with one side on ice turns towards the ice."""
-    turned = {}
+    turns = {}
     for side in ("left", "right", "both"):
         plant = _plant(patches=[{"start": 0.0, "friction": 0.02, "side": side}])
         _drive(plant, 0.3, 0.0, 0.8)
         before = plant.true_pose
         assert before[0] > TWIN.chassis.wheel_base  # all wheels are on it
         _drive(plant, 1.2, 0.0, 0.5)
-        turned[side] = plant.true_pose[2] - before[2]
-    assert turned["left"] > 0.05
-    assert turned["right"] < -0.05
-    assert abs(turned["both"]) < 0.01
+        turns[side] = plant.true_pose[2] - before[2]
+    assert turns["left"] > 0.05
+    assert turns["right"] < -0.05
+    assert abs(turns["both"]) < 0.01
 
 
-def test_a_blockade_holds_the_robot_and_lets_it_go() -> None:
+def test_blockade_holds_the_robot_and_releases_it() -> None:
     hold = {"height": 0.02, "stiffness": 5e3, "damping": 260.0, "yaw_stiffness": 500.0, "yaw_damping": 11.0}
     plant = _plant(blockades=[{"start": 1.0, "duration": 1.0, **hold}])
     log = drive_open_loop(plant, np.tile([0.5, 0.3], (200, 1)))
     held = (log.time > 1.0) & (log.time < 2.0)
     start = log.true_pose[np.flatnonzero(held)[0]]
-    # All wheels skidding push no harder than friction, against the spring.
-    give = FLOOR * ROBOT.mass * G / 5e3 + 0.5 * np.sqrt(ROBOT.mass / 5e3)
-    assert np.hypot(*(log.true_pose[held] - start)[:, :2].T).max() < give
+    # All wheels skid and push with at most the friction against the spring.
+    max_displacement = FLOOR * ROBOT.mass * G / 5e3 + 0.5 * np.sqrt(ROBOT.mass / 5e3)
+    assert np.hypot(*(log.true_pose[held] - start)[:, :2].T).max() < max_displacement
     assert log.wheel_twist[held, 0][10:].mean() > 0.3
     assert np.abs(log.true_twist[held, 0][10:]).mean() < 0.05
     free = log.true_twist[log.time > 2.5]
     assert free[:, 0].mean() == pytest.approx(0.5, rel=0.03)
 
 
-def test_a_robot_that_tips_over_ends_the_run_with_one_line() -> None:
+def test_tipped_robot_ends_the_run_with_one_line() -> None:
     push = {"force": 200.0, "direction": 1.5708, "height": 0.4, "start": 0.1, "duration": 1.0}
     plant = _plant(pushes=[push])
     with one_line_error(RobotLostError, match=r"t = 0\.\d\d s: the robot has tipped over; lower the force"):
         _drive(plant, 0.0, 0.0, 2.0)
 
 
-def test_a_robot_whose_motion_diverges_is_lost_and_not_back_at_its_start(
+def test_robot_with_diverging_motion_is_lost_and_not_back_at_its_start(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -339,7 +339,7 @@ def test_a_robot_whose_motion_diverges_is_lost_and_not_back_at_its_start(
 
 
 @pytest.mark.parametrize("friction", [FLOOR, SLIPPERY])
-def test_a_patch_by_factor_is_a_share_of_the_floor_it_lies_on(friction: float) -> None:
+def test_patch_factor_scales_the_friction_of_the_surface(friction: float) -> None:
     drives = [
         drive_open_loop(_plant(friction, patches=[{"start": 0.0, **kind}]), np.tile([0.5, 0.5], (100, 1))).true_pose
         for kind in ({"factor": 0.25}, {"friction": 0.25 * friction})
@@ -350,14 +350,14 @@ def test_a_patch_by_factor_is_a_share_of_the_floor_it_lies_on(friction: float) -
 SHIPPED = SCENARIOS.names
 
 
-def _written(folder: Path, text: str) -> Path:
+def _write_scenario(folder: Path, text: str) -> Path:
     path = folder / "mine.yaml"
     path.write_text(f"description: mine\n{text}\n")
     return path
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_every_disturbance_has_begun_or_is_over_well_before_the_shortest_trajectory_ends(name: str) -> None:
+def test_every_disturbance_has_begun_or_ended_well_before_the_end_of_the_shortest_trajectory(name: str) -> None:
     shortest = min((load_trajectory(path) for path in ("circle", "square", "s", "cane")), key=lambda r: r.duration)
     for seed in range(20):
         scenario = load_scenario(name).draw(seed)
@@ -366,19 +366,19 @@ def test_every_disturbance_has_begun_or_is_over_well_before_the_shortest_traject
         assert all(patch.start + (patch.length or 0.0) <= length - 1.0 for patch in scenario.patches)
 
 
-def test_the_start_offset_is_exact_and_the_first_seeds_take_every_sign() -> None:
+def test_start_offset_is_exact_and_the_first_seeds_take_every_sign() -> None:
     drawn = [load_scenario("start_offset").draw(seed).start_offset for seed in range(4)]
     pairs = {(offset.across, round(np.degrees(offset.heading), 3)) for offset in drawn if offset}
     assert pairs == {(across, heading) for across in (-0.2, 0.2) for heading in (-20.0, 20.0)}
 
 
 @given(seed=st.integers(0, 10_000), low=st.floats(0.1, 5.0), width=st.floats(0.0, 5.0))
-def test_drawn_values_lie_in_their_ranges_and_choices(
+def test_random_values_lie_in_their_ranges_and_choices(
     tmp_path_factory: pytest.TempPathFactory, seed: int, low: float, width: float
 ) -> None:
     force, torque = [low, low + width], [[-2.0, -1.0], [1.0, 2.0]]
     text = f"pushes: [{{force: {force}, yaw_torque: {{one_of: {torque}}}, height: 0, start: 1, duration: 1}}]"
-    file = load_scenario(_written(tmp_path_factory.mktemp("scenario"), text))
+    file = load_scenario(_write_scenario(tmp_path_factory.mktemp("scenario"), text))
     (push,) = file.draw(seed).pushes
     assert low <= push.force <= low + width
     assert 1.0 <= abs(push.yaw_torque) <= 2.0

@@ -28,8 +28,8 @@ PULSE = 2 * np.pi / ROBOT.encoder_pulses
     values=st.lists(st.floats(-1, 1), min_size=1, max_size=20),
     substeps=st.integers(1, 12),
 )
-def test_delay_line_passes_on_the_exact_integral(dead_time: float, values: list[float], substeps: int) -> None:
-    """The integral of what arrives up to t is the integral of what was sent up to t - dead time."""
+def test_delay_line_passes_the_exact_integral(dead_time: float, values: list[float], substeps: int) -> None:
+    """The integral of the output up to t is the integral of the input up to t - dead time."""
     line = DelayLine(dead_time)
     step, integral = 0.02 / substeps, 0.0
     for k, value in enumerate(values):
@@ -56,7 +56,7 @@ def test_firmware_step_response_is_a_first_order_lag_to_whole_pulses() -> None:
     np.testing.assert_allclose(pulses, np.round(pulses), atol=1e-9)
 
 
-def test_firmware_divides_by_its_own_track() -> None:
+def test_firmware_uses_its_own_track() -> None:
     firmware = load_firmware()
     shaper = CommandShaper(firmware, ROBOT, STEP)
     for _ in range(2000):
@@ -65,10 +65,10 @@ def test_firmware_divides_by_its_own_track() -> None:
 
 
 @given(speed=st.floats(-30, 30), phase=st.floats(0, 1, exclude_max=True))
-def test_observer_finds_a_constant_speed(speed: float, phase: float) -> None:
+def test_observer_estimates_a_constant_speed(speed: float, phase: float) -> None:
     observer = SpeedObserver(TWIN.driver.observer_bandwidth, PULSE, STEP, np.full(4, phase))
     estimates = np.array([observer.update(np.full(4, speed * STEP * (k + 1))) for k in range(1200)])[200:]
-    # Over 1000 steps the count is at most one pulse off at either end, and so is the observer's angle.
+    # Over 1000 steps the count is wrong by at most one pulse at either end, as is the observer's angle.
     assert np.abs(estimates.mean(axis=0) - speed).max() < 4 * PULSE / (1000 * STEP)
     raw_count = PULSE / STEP
     assert np.abs(estimates - speed).max() < 0.25 * raw_count
@@ -99,11 +99,11 @@ def test_integrator_does_not_wind_up_while_the_duty_is_at_its_limit() -> None:
     fast, slow = np.full(4, 30.0), np.zeros(4)
     for _ in range(500):
         loops.torque(fast, slow, slow)
-    # The first step at the set-point must give nearly what a fresh loop gives.
+    # The first step at the set-point must give nearly the torque of a new loop.
     np.testing.assert_allclose(loops.torque(fast, fast, fast), _loops().torque(fast, fast, fast), atol=1e-9)
 
 
-def test_driver_brakes_without_hunting_at_a_zero_set_point() -> None:
+def test_driver_brakes_without_oscillation_at_a_zero_set_point() -> None:
     torque = _loops().torque(np.zeros(4), np.full(4, 0.1), np.full(4, 0.1))
     motor = TWIN.motor
     np.testing.assert_allclose(torque, -motor.stall_torque * np.array(motor.spread) * 0.1 / motor.no_load_speed)
@@ -112,8 +112,8 @@ def test_driver_brakes_without_hunting_at_a_zero_set_point() -> None:
 @pytest.mark.parametrize(
     ("name", "dead_time"), [("default", 0.0), ("default", 0.04), ("default", 0.7), ("fsu_bot", 0.04)]
 )
-def test_every_bit_of_the_drivetrain_is_that_of_the_oracle(name: str, dead_time: float) -> None:
-    """Rounded product by product: neither compiler nor processor may make it another one. One robot limits torques."""
+def test_drivetrain_equals_the_oracle_bit_for_bit(name: str, dead_time: float) -> None:
+    """Products are rounded one by one, independent of compiler and processor. One robot limits torques."""
     build = load_simulated_robot(name)
     twin = build.twin.model_copy(update={"link": build.twin.link.model_copy(update={"dead_time": dead_time})})
     pulse, step = 2 * np.pi / build.robot.encoder_pulses, build.robot.sample_time / twin.substeps
@@ -123,31 +123,31 @@ def test_every_bit_of_the_drivetrain_is_that_of_the_oracle(name: str, dead_time:
     line, shaper = DelayLine(dead_time), CommandShaper(build.firmware, build.robot, step)
     observer = SpeedObserver(twin.driver.observer_bandwidth, pulse, step, phase)
     loops = VelocityLoops(twin.driver, twin.motor, pulse, step)
-    stall, most = twin.motor.stall_torque * np.array(twin.motor.spread), twin.driver.torque_limit
+    stall, max_torque = twin.motor.stall_torque * np.array(twin.motor.spread), twin.driver.torque_limit
     angles, limits, limited = np.zeros(4), 0, 0
     for k in range(3000):
         start, end = k * step, (k + 1) * step
         if k % 10 == 0:
-            # Rest now and then, and commands at which the motors give all they have.
+            # Occasional rest, and commands at which the motors reach their limits.
             command = rng.choice([0.0, 1.0, 8.0]) * rng.uniform(-1, 1, 2)
             line.send(start, command)
             oracle.send(start, command.tolist())
         if k % 500 == 0:
             loops.supply = oracle.supply = float(rng.uniform(0.5, 1.0))
-        speeds = observer.speed + rng.normal(0, 0.3 if most is None else 2.0, 4)
+        speeds = observer.speed + rng.normal(0, 0.3 if max_torque is None else 2.0, 4)
         torques = loops.torque(shaper.set_points(line.mean(start, end)), observer.speed, speeds)
         assert torques.tolist() == oracle.torques(start, end, speeds.tolist())
         duty = (torques / stall + speeds / twin.motor.no_load_speed) / loops.supply
         limits += int(np.any(np.abs(duty) > 1 - 1e-9))
-        limited += most is not None and np.any(np.abs(torques) == most)
+        limited += max_torque is not None and np.any(np.abs(torques) == max_torque)
         angles = angles + step * 10 * torques
         oracle.observe(angles.tolist())
         assert observer.update(angles).tolist() == oracle.speed
     assert limits > 100
-    assert (limited > 50) == (most is not None)
+    assert (limited > 50) == (max_torque is not None)
 
 
-def test_more_commands_under_way_than_there_was_room_for_keep_their_order() -> None:
+def test_delay_line_keeps_the_order_beyond_its_initial_capacity() -> None:
     line = DelayLine(1.0)
     for k in range(100):
         line.send(0.01 * k, np.array([float(k), -float(k)]))
@@ -158,21 +158,21 @@ def test_more_commands_under_way_than_there_was_room_for_keep_their_order() -> N
         np.testing.assert_allclose(line.mean(start, start + 0.01), [k, -k], atol=1e-9)
 
 
-def _driven() -> tuple[np.ndarray, ...]:
+def _drive_results() -> tuple[np.ndarray, ...]:
     drive = drive_open_loop(make_plant("mujoco", seed=3), random_commands(3, smooth=False)[:150])
     return drive.true_pose, drive.true_twist, drive.wheel_speeds, drive.yaw_rate
 
 
 def test_physics_called_through_python_gives_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
-    """This is the case where MuJoCo's library is not found."""
+    """Physics are called through Python if MuJoCo's library is not found."""
     assert library.physics_step() is not None
-    direct = _driven()
+    direct = _drive_results()
     monkeypatch.setattr(chassis, "physics_step", lambda: None)
-    for first, second in zip(direct, _driven(), strict=True):
+    for first, second in zip(direct, _drive_results(), strict=True):
         np.testing.assert_array_equal(first, second)
 
 
-def test_without_a_compiler_the_wheel_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: object) -> None:
+def test_missing_compiler_error_names_the_wheel(monkeypatch: pytest.MonkeyPatch, tmp_path: object) -> None:
     monkeypatch.setattr(compiler, "_COMPILERS", ("no-such-compiler",))
     monkeypatch.setenv(cache.CACHE_VARIABLE, str(tmp_path))
     for cached in (library.load_twin, compiler.find_compiler):
@@ -197,8 +197,8 @@ def with_driver(build: SimulatedRobot, **values: float | None) -> SimulatedRobot
     return build.model_copy(update={"twin": build.twin.model_copy(update={"driver": driver})})
 
 
-def test_speeding_up_straight_on_the_work_is_in_the_motion() -> None:
-    """No drag, hardly any slip: what the motors gave is kinetic energy."""
+def test_motor_work_on_a_straight_line_is_kinetic_energy() -> None:
+    """Without drag, and with little slip, the work of the motors becomes kinetic energy."""
     robot = make_plant("mujoco", sensors="perfect")
     robot.reset(np.zeros(3))
     work = 0.0
@@ -208,7 +208,7 @@ def test_speeding_up_straight_on_the_work_is_in_the_motion() -> None:
     assert 0 <= work - robot.chassis.energy < 0.03 * work
 
 
-def test_in_a_steady_turn_work_goes_on_and_becomes_heat() -> None:
+def test_motor_work_in_a_steady_turn_becomes_heat() -> None:
     robot = make_plant("mujoco", sensors="perfect")
     robot.reset(np.zeros(3))
     for _ in range(100):
@@ -218,36 +218,36 @@ def test_in_a_steady_turn_work_goes_on_and_becomes_heat() -> None:
         robot.advance([0.3, 0.6])
         work += float(motor_work(robot).power.sum()) * robot.sample_time
     assert abs(robot.chassis.energy - before) < 0.01 * work
-    # No motor can give more than friction times load under its wheel takes while it slides.
-    most = 0.8 * 9.81 * 6.85 * 2.02 * np.hypot(0.6 * 0.5, 0.6 * 0.3)
-    assert 0.1 * most < work < most
+    # The motors cannot deliver more power than friction dissipates while the wheels slide.
+    max_work = 0.8 * 9.81 * 6.85 * 2.02 * np.hypot(0.6 * 0.5, 0.6 * 0.3)
+    assert 0.1 * max_work < work < max_work
 
 
-def test_outer_motors_drive_and_inner_ones_brake() -> None:
+def test_outer_motors_drive_and_inner_motors_brake() -> None:
     drive = drive_open_loop(make_plant("mujoco", sensors="perfect"), np.tile([0.4, 0.8], (150, 1)))
     left, right = (drive.motor_torque[75:, side].sum(axis=1).mean() for side in ([0, 2], [1, 3]))
     assert left < 0 < right
     assert (drive.motor_square >= drive.motor_torque**2 - 1e-12).all()
 
 
-def test_drag_is_what_a_straight_way_costs() -> None:
+def test_straight_drive_needs_the_torque_of_the_drag() -> None:
     build = load_simulated_robot("fsu_bot")
     drive = drive_open_loop(built_plant(build, 0.8), np.tile([0.4, 0.0], (300, 1)))
     assert drive.motor_torque[200:].mean(axis=0) == pytest.approx(build.twin.chassis.wheel_drag, rel=0.05)
 
 
-def test_the_drivers_keep_the_torque_within_their_limit_and_the_turn_gets_wider() -> None:
+def test_drivers_limit_the_torque_which_widens_the_turn() -> None:
     limited = load_simulated_robot("fsu_bot")
     limit = limited.twin.driver.torque_limit
     free = with_driver(limited, torque_limit=None)
     tight = np.tile([0.4, 0.8], (200, 1))
     weak, strong = (drive_open_loop(built_plant(robot, 1.2), tight) for robot in (limited, free))
-    assert np.abs(weak.motor_torque).max() <= limit + 1e-12  # a mean of ten is rounded
+    assert np.abs(weak.motor_torque).max() <= limit + 1e-12  # rounding of a mean of ten
     assert np.abs(strong.motor_torque[100:]).max() > 1.1 * limit
     assert weak.true_twist[150:, 2].mean() < 0.8 * strong.true_twist[150:, 2].mean()
 
 
-def test_a_disturbed_sample_tells_the_weakened_torque() -> None:
+def test_disturbed_sample_reports_the_weakened_torque() -> None:
     healthy = drive_open_loop(make_plant("mujoco", seed=2), random_commands(2)[:200])
     weak = drive_open_loop(make_plant("mujoco", seed=2, scenario="weak_motor"), random_commands(2)[:200])
     assert np.isfinite(weak.motor_torque).all()

@@ -47,27 +47,27 @@ def messages(path):
             yield channel.topic, schema, channel, message
 
 
-def on(path, topic):
+def messages_on(path, topic):
     """Return (log time [ns], message) of one topic."""
     kind = KINDS[topic]
     return [(m.log_time, STORE.deserialize_cdr(m.data, kind)) for name, *_, m in messages(path) if name == topic]
 
 
-def same(first, second):
+def is_same(first, second):
     return np.array_equal(first, second) if first.dtype == object else np.array_equal(first, second, equal_nan=True)
 
 
-def test_the_mcap_library_reads_every_column_back_bit_for_bit(run, file):
+def test_mcap_library_reads_every_column_back_bit_for_bit(run, file):
     rows = [json.loads(message.data) for topic, *_, message in messages(file) if topic == STATE]
     for name, column in run.columns.items():
         missing = "" if column.dtype == object else np.nan
-        assert same(np.array([row.get(name, missing) for row in rows], dtype=column.dtype), column), name
+        assert is_same(np.array([row.get(name, missing) for row in rows], dtype=column.dtype), column), name
 
 
-def test_our_reader_gives_columns_measurements_and_plans(run, file):
+def test_log_reader_returns_columns_measurements_and_plans(run, file):
     log = read_drive_log(file, plans=True)
     columns = log.columns
-    assert all(same(columns[name], column) for name, column in run.columns.items())
+    assert all(is_same(columns[name], column) for name, column in run.columns.items())
     for read, expected in zip(log.measurements, run.measurements, strict=True):
         for name in ("pose", "wheel_twist", "yaw_rate"):
             first, second = getattr(read, name), getattr(expected, name)
@@ -82,7 +82,7 @@ def test_our_reader_gives_columns_measurements_and_plans(run, file):
     assert log.metadata["case"] == {"model": "ssm"} and log.metadata["run"]["trajectory"] == "s"
 
 
-def test_every_row_is_as_its_schema_says_and_every_column_is_in_it(run, file):
+def test_every_row_matches_its_schema_which_contains_every_column(run, file):
     schemas = {topic: schema for topic, schema, *_ in messages(file)}
     stated = json.loads(schemas[STATE].data)
     assert schemas[STATE].encoding == "jsonschema" and stated == tick_schema()
@@ -93,30 +93,30 @@ def test_every_row_is_as_its_schema_says_and_every_column_is_in_it(run, file):
             check.validate(json.loads(message.data))
 
 
-def test_ros_topics_hold_the_same_and_define_themselves(run, file):
+def test_ros_topics_contain_the_same_values_and_their_definitions(run, file):
     for topic, schema, channel, _ in messages(file):
         if topic != STATE:
             assert (schema.name, schema.encoding, channel.message_encoding) == (KINDS[topic], "ros2msg", "cdr")
             assert schema.data.decode() == STORE.generate_msgdef(schema.name, ros_version=2)[0]
-    commands = [(m.twist.linear.x, m.twist.angular.z) for _, m in on(file, "/cmd_vel")]
+    commands = [(m.twist.linear.x, m.twist.angular.z) for _, m in messages_on(file, "/cmd_vel")]
     assert np.array_equal(commands, run.command)
-    seconds = np.array([now for now, _ in on(file, "/cmd_vel")]) * 1e-9
+    seconds = np.array([now for now, _ in messages_on(file, "/cmd_vel")]) * 1e-9
     assert np.allclose(seconds - 1.0, run.time, atol=1e-9)
     known = np.isfinite(run.measured_pose).all(axis=1)
-    poses = [m for _, m in on(file, "/pose")]
+    poses = [m for _, m in messages_on(file, "/pose")]
     assert np.array_equal(
         [(m.pose.pose.position.x, m.pose.pose.position.y) for m in poses], run.measured_pose[known, :2]
     )
     stamps = np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in poses])
     assert np.allclose(stamps - 1.0, run.measured_pose_time[known], atol=1e-9)
-    truth = [m.pose.position.x for _, m in on(file, "/ground_truth/pose")]
+    truth = [m.pose.position.x for _, m in messages_on(file, "/ground_truth/pose")]
     assert np.array_equal(truth, run.true_pose[:, 0])
-    assert next(m.data for _, m in on(file, "/diffdrive_mpc/mode")) == run.modes[0]
-    (path,) = [m for _, m in on(file, "/diffdrive_mpc/reference_path")]
+    assert next(m.data for _, m in messages_on(file, "/diffdrive_mpc/mode")) == run.modes[0]
+    (path,) = [m for _, m in messages_on(file, "/diffdrive_mpc/reference_path")]
     assert np.allclose(path.poses[-1].pose.position.x, run.reference.sample([run.reference.duration]).pose[0, 0])
 
 
-def test_a_log_is_identified_from_as_its_csv_is(run, file, tmp_path):
+def test_identification_reads_the_same_from_mcap_and_csv(run, file, tmp_path):
     log_csv.write_log(run, tmp_path / "s.csv")
     ours, csv = read_log(file), read_log(tmp_path / "s.csv")
     assert [finding.kind for finding in ours.findings] == [finding.kind for finding in csv.findings]
@@ -126,7 +126,7 @@ def test_a_log_is_identified_from_as_its_csv_is(run, file, tmp_path):
             assert np.array_equal(a, b, equal_nan=True) if isinstance(a, np.ndarray) else a == b or field.name == "name"
 
 
-def test_the_same_run_is_the_same_file_but_for_measured_times(run, tmp_path):
+def test_equal_runs_give_equal_files_except_for_measured_times(run, tmp_path):
     timed = replace(run, step_time=np.full(len(run.time), 1e-4), solve_time=np.full(len(run.time), 1e-5))
     again = simulate(
         Controller(load_config("ssm")), make_plant("model:ssm", sensors="slam", seed=2), run.reference, keep_plans=True
@@ -136,7 +136,7 @@ def test_the_same_run_is_the_same_file_but_for_measured_times(run, tmp_path):
     assert (tmp_path / "one.mcap").read_bytes() == (tmp_path / "two.mcap").read_bytes()
 
 
-def test_a_file_that_was_cut_off_is_read_as_far_as_it_goes(run, file, tmp_path):
+def test_truncated_file_is_read_up_to_its_end(run, file, tmp_path):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(file.read_bytes()[: int(0.8 * file.stat().st_size)])
     log = read_drive_log(cut)
@@ -149,7 +149,7 @@ def test_a_file_that_was_cut_off_is_read_as_far_as_it_goes(run, file, tmp_path):
 
 
 @pytest.mark.parametrize("content", [b"", b"t_s,v_ref\n0,1\n", b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" + 100 * b"\x01"])
-def test_what_is_no_mcap_file_is_said_in_one_line(content, tmp_path):
+def test_invalid_mcap_file_is_reported_in_one_line(content, tmp_path):
     path = tmp_path / "other.mcap"
     path.write_bytes(content)
     assert not is_drive_log(path)
@@ -158,7 +158,7 @@ def test_what_is_no_mcap_file_is_said_in_one_line(content, tmp_path):
             read(path)
 
 
-def test_a_bag_of_others_is_not_taken_for_a_drive(tmp_path):
+def test_bag_of_another_recorder_is_not_read_as_a_drive(tmp_path):
     from log_parts import bag_topics, drive, write_bag
 
     bag = write_bag(tmp_path / "bag", bag_topics(drive(seconds=6.0)), "mcap")
@@ -169,21 +169,21 @@ def test_a_bag_of_others_is_not_taken_for_a_drive(tmp_path):
         assert reader.connections
 
 
-def test_what_is_not_finite_is_left_out(run, tmp_path):
+def test_value_that_is_not_finite_is_omitted(run, tmp_path):
     times = run.solve_time.copy()
     times[3] = np.inf
     log_mcap.write_log(replace(run, solve_time=times), tmp_path / "gaps.mcap")
     assert np.isnan(read_drive_log(tmp_path / "gaps.mcap").columns["solve_time_s"][3])
 
 
-def test_every_field_and_topic_is_in_the_documents():
+def test_every_field_and_topic_is_documented():
     page = (Path(__file__).parents[2] / "docs" / "logs.md").read_text(encoding="utf-8")
     fields = [name for name in tick_schema()["properties"] if "_cov_" not in name]
     assert [name for name in (*fields, *KINDS, STATE) if f"`{name}`" not in page] == []
 
 
 class SparsePlant(KinematicPlant):
-    """Poses every fifth tick only, one tick late, and all four wheel speeds."""
+    """Plant with poses only every fifth tick, one tick late, and four wheel speeds."""
 
     def measure(self) -> Measurement:
         full = super().measure()
@@ -197,7 +197,7 @@ def sparse() -> Run:
     return simulate(FeedForward(), SparsePlant(0.01, seed=1), ConstantTwist(0.3, 0.7, 1.0))
 
 
-def test_a_log_reads_back_bit_for_bit(sparse: Run, tmp_path: Path) -> None:
+def test_csv_log_is_read_back_bit_for_bit(sparse: Run, tmp_path: Path) -> None:
     log_csv.write_log(sparse, tmp_path / "run.csv")
     log = read_columns(tmp_path / "run.csv")
     assert tuple(log) == tuple(sparse.columns)
@@ -221,7 +221,7 @@ def test_a_log_reads_back_bit_for_bit(sparse: Run, tmp_path: Path) -> None:
     assert log["solver_status"] == [""] * sparse.time.size
 
 
-def test_a_log_replaces_a_file_and_keeps_its_permissions(sparse: Run, tmp_path: Path) -> None:
+def test_log_replaces_a_file_and_keeps_its_permissions(sparse: Run, tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text("old")
     path.chmod(0o640)
@@ -230,7 +230,7 @@ def test_a_log_replaces_a_file_and_keeps_its_permissions(sparse: Run, tmp_path: 
     assert stat.S_IMODE(path.stat().st_mode) == 0o640
 
 
-def test_a_link_to_a_file_stays_a_link(sparse: Run, tmp_path: Path) -> None:
+def test_link_to_a_file_stays_a_link(sparse: Run, tmp_path: Path) -> None:
     (tmp_path / "link.csv").symlink_to(tmp_path / "real.csv")
     for _ in range(2):  # first the file is missing, then it is replaced
         log_csv.write_log(sparse, tmp_path / "link.csv")
@@ -257,14 +257,14 @@ def test_only_a_regular_file_is_replaced(sparse: Run, tmp_path: Path, make: Call
     assert [entry.name for entry in tmp_path.iterdir()] == ["run.csv"]
 
 
-def test_what_cannot_be_written_is_refused_before_anything_is_made(tmp_path: Path) -> None:
+def test_unwritable_path_is_refused_before_any_file_is_created(tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("a file")
     with pytest.raises(ConfigError, match="cannot be written to"), whole_file(tmp_path / "taken" / "run.csv"):
         pass
     assert (tmp_path / "taken").read_text() == "a file"
 
 
-def test_a_failure_leaves_the_old_file_and_no_new_folder(tmp_path: Path) -> None:
+def test_failure_leaves_the_old_file_and_no_new_folder(tmp_path: Path) -> None:
     (tmp_path / "run.csv").write_text("old")
     for path in (tmp_path / "run.csv", tmp_path / "new" / "folder" / "run.csv"):
         with pytest.raises(ZeroDivisionError), whole_file(path) as draft:

@@ -18,7 +18,7 @@ from diffdrive_mpc.sim.metrics.recovery import Recovery, compute_recovery
 CIRCLE = ConstantTwist(v=0.5, omega=0.5, duration=3.0, start=(1.0, -2.0, 0.4))
 
 
-def test_a_perfect_plant_under_feed_forward_stays_on_the_reference() -> None:
+def test_perfect_plant_with_feed_forward_stays_on_the_reference() -> None:
     run = simulate(FeedForward(), KinematicPlant(), CIRCLE)
     assert run.metrics.position_max_m < 1e-12
     assert run.metrics.heading_max_rad < 1e-12
@@ -26,25 +26,25 @@ def test_a_perfect_plant_under_feed_forward_stays_on_the_reference() -> None:
     assert run.true_pose[0] == pytest.approx([1.0, -2.0, 0.4])
 
 
-class Workshop(KinematicPlant):
-    """User plant with attributes that have the same names as those of the shipped plants in a world."""
+class UserPlant(KinematicPlant):
+    """User plant with attributes of the same names as those of shipped plants in a world."""
 
     world, disturbance = "the workshop", "a draught"
 
 
-def test_a_plant_of_the_user_is_not_taken_for_one_in_a_world() -> None:
-    run = simulate(FeedForward(), Workshop(), CIRCLE)
+def test_plant_of_the_user_is_not_treated_as_one_in_a_world() -> None:
+    run = simulate(FeedForward(), UserPlant(), CIRCLE)
     assert run.metrics.completed and not run.parts and run.disturbance is None
 
 
 @pytest.mark.parametrize(("duration", "ticks"), [(1.0, 51), (1.001, 52), (0.999, 51), (0.02 * 7, 8)])
-def test_the_last_tick_is_the_first_at_or_after_the_end(duration: float, ticks: int) -> None:
+def test_last_tick_is_the_first_at_or_after_the_end(duration: float, ticks: int) -> None:
     run = simulate(FeedForward(), KinematicPlant(), ConstantTwist(0.5, 0.0, duration))
     assert len(run.time) == ticks
     assert run.time == pytest.approx(0.02 * np.arange(ticks))
 
 
-def test_rows_hold_the_state_before_the_command_of_the_tick_acts() -> None:
+def test_rows_contain_the_state_before_the_command_of_the_tick_acts() -> None:
     run = simulate(FeedForward(), KinematicPlant(), CIRCLE)
     assert run.true_twist[0] == pytest.approx([0.0, 0.0, 0.0])
     assert run.true_twist[1, [0, 2]] == pytest.approx(run.command[0])
@@ -54,7 +54,7 @@ def test_rows_hold_the_state_before_the_command_of_the_tick_acts() -> None:
 
 
 @pytest.mark.parametrize("command", [[np.nan, 0.0], [0.0, np.inf], [0.0], [0.0, 0.0, 0.0]])
-def test_a_command_that_is_not_two_finite_numbers_ends_the_run(command: list[float]) -> None:
+def test_command_other_than_two_finite_numbers_ends_the_run(command: list[float]) -> None:
     class Faulty(FeedForward):
         def step(self, t: float, measurement: Measurement) -> FixedStep:
             return FixedStep(np.array(command))
@@ -72,7 +72,7 @@ class Fragile(KinematicPlant):
         super().advance(command)
 
 
-def test_a_lost_robot_ends_the_run_incomplete_with_the_figures_of_what_was_driven() -> None:
+def test_lost_robot_ends_the_run_incomplete_with_metrics_up_to_then() -> None:
     run, whole = (simulate(FeedForward(), plant, CIRCLE) for plant in (Fragile(), KinematicPlant()))
     n = 11
     assert (run.ended, whole.ended) == ("t = 0.20 s: gone", "")
@@ -81,14 +81,14 @@ def test_a_lost_robot_ends_the_run_incomplete_with_the_figures_of_what_was_drive
     for series in ("time", "true_pose", "true_twist", "command", "step_time", "reference_pose", "measured_pose"):
         np.testing.assert_array_equal(getattr(run, series), getattr(whole, series)[:n])
     assert len(run.modes) == len(run.messages) == len(run.measurements) == n
-    # It solves nothing, and this plant has no motors.
+    # This controller solves no problem, and this plant has no motors.
     unknown = ("solve", "iterations", "energy", "motor_work")
     shown = {name: value for name, value in asdict(run.metrics).items() if not name.startswith(unknown)}
     assert all(np.isfinite(value) for value in shown.values())
     assert run.metrics.position_max_m == np.max(whole.errors.position[:n])
 
 
-def test_a_robot_that_is_lost_after_the_end_of_its_reference_has_not_completed_either() -> None:
+def test_robot_lost_after_the_end_of_its_reference_has_not_completed() -> None:
     short = ConstantTwist(0.5, 0.0, 0.1)
     assert simulate(FeedForward(), Fragile(), short).metrics.completed
     assert not simulate(FeedForward(), Fragile(), short, extra_time=1.0).metrics.completed
@@ -111,16 +111,16 @@ def _recovery(
     return compute_recovery(TIME, lateral, command, DT, disturbance, BAND, lost=lost)
 
 
-def _after(start: float, series: FloatArray) -> FloatArray:
+def _from(start: float, series: FloatArray) -> FloatArray:
     return np.where(start <= TIME, series, 0.0)
 
 
 @given(height=st.floats(0.06, 1.0), rate=st.floats(0.5, 5.0), start=st.floats(0.0, 3.0), lasts=st.floats(0.0, 0.5))
-def test_an_exponential_return_recovers_when_it_enters_the_band(
+def test_exponential_return_recovers_when_it_enters_the_band(
     height: float, rate: float, start: float, lasts: float
 ) -> None:
     end = start + lasts
-    figures = _recovery(_after(end, height * np.exp(-rate * (TIME - end))), (start, end))
+    figures = _recovery(_from(end, height * np.exp(-rate * (TIME - end))), (start, end))
     exact = math.log(height / BAND) / rate
     if end + exact < TIME[-1] - DT:
         assert figures.recovery_time_s == pytest.approx(exact, abs=DT + 1e-9)
@@ -131,7 +131,7 @@ def test_an_exponential_return_recovers_when_it_enters_the_band(
 
 
 @given(sign=st.sampled_from([-1.0, 1.0]), height=st.floats(0.1, 0.5), decay=st.floats(0.3, 1.0), w=st.floats(2.0, 5.0))
-def test_a_damped_swing_overshoots_by_its_second_half_wave(sign: float, height: float, decay: float, w: float) -> None:
+def test_damped_swing_overshoots_by_its_second_half_wave(sign: float, height: float, decay: float, w: float) -> None:
     lateral = sign * height * np.exp(-decay * TIME) * np.cos(w * TIME)
     figures = _recovery(lateral, (0.0, 0.0))
     # Extreme of exp(-d t) cos(w t): tan(w t) = -d / w, on the second half wave.
@@ -142,32 +142,32 @@ def test_a_damped_swing_overshoots_by_its_second_half_wave(sign: float, height: 
     assert mirrored == figures
 
 
-def test_recovery_counts_from_the_end_of_the_disturbance_and_a_second_departure_counts() -> None:
+def test_recovery_counts_from_the_end_of_the_disturbance_to_the_last_departure() -> None:
     lateral = np.where((TIME >= 2.0) & (TIME < 3.0), 0.2, 0.0) + np.where((TIME >= 5.0) & (TIME < 5.5), -0.06, 0.0)
     figures = _recovery(lateral, (2.0, 2.5))
     assert figures.recovery_time_s == pytest.approx(3.0)
     assert figures.overshoot_m == pytest.approx(0.06)
 
 
-def test_a_robot_that_never_leaves_the_band_recovers_at_once_and_overshoots_nothing() -> None:
+def test_robot_that_never_leaves_the_band_recovers_at_once_without_overshoot() -> None:
     wobble = 0.99 * BAND * np.sin(20 * TIME)
     figures = _recovery(wobble, (2.0, 3.0))
     assert (figures.recovery_time_s, figures.overshoot_m) == (0.0, 0.0)
 
 
-def test_the_side_of_the_excursion_is_not_that_of_the_wobble_at_its_begin() -> None:
+def test_side_of_the_excursion_is_that_on_which_the_robot_leaves_the_band() -> None:
     """At the end of a push the robot is still inside the band, on either side; it leaves the band to the left."""
-    lateral = _after(2.2, 0.3 * np.exp(-3 * (TIME - 2.2))) + np.where(TIME < 2.2, -0.01, 0.0)
+    lateral = _from(2.2, 0.3 * np.exp(-3 * (TIME - 2.2))) + np.where(TIME < 2.2, -0.01, 0.0)
     assert _recovery(lateral, (2.0, 2.1)).overshoot_m == 0.0
 
 
-def test_an_end_outside_the_band_is_no_recovery() -> None:
-    figures = _recovery(_after(2.0, np.full(len(TIME), 0.1)), (2.0, 2.0))
+def test_end_outside_the_band_is_no_recovery() -> None:
+    figures = _recovery(_from(2.0, np.full(len(TIME), 0.1)), (2.0, 2.0))
     assert figures.recovery_time_s == math.inf
     assert figures.overshoot_m == 0.0
 
 
-def test_without_a_disturbance_or_with_a_lost_robot_there_is_nothing_to_recover_from() -> None:
+def test_recovery_is_undefined_without_a_disturbance_or_with_an_invalid_pose() -> None:
     lost = np.full(len(TIME), 0.1)
     lost[5] = np.nan
     for figures in (_recovery(np.zeros(len(TIME)), None), _recovery(lost, (0.0, 0.0))):
@@ -175,8 +175,8 @@ def test_without_a_disturbance_or_with_a_lost_robot_there_is_nothing_to_recover_
         assert math.isnan(figures.overshoot_m)
 
 
-def test_what_lasts_to_the_end_has_no_recovery_time_but_an_overshoot_and_a_largest_error() -> None:
-    """First 0.2 m to the left, then 0.07 m to the right: outside the band on both sides."""
+def test_lasting_disturbance_has_overshoot_and_max_error_but_no_recovery_time() -> None:
+    """The error is first 0.2 m to the left, then 0.07 m to the right: outside the band on both sides."""
     lateral = np.where((TIME >= 2.0) & (TIME < 3.0), 0.2, 0.0) + np.where((TIME >= 5.0) & (TIME < 5.5), -0.07, 0.0)
     figures = _recovery(lateral, (1.0, math.inf))
     assert math.isnan(figures.recovery_time_s)
@@ -185,7 +185,7 @@ def test_what_lasts_to_the_end_has_no_recovery_time_but_an_overshoot_and_a_large
     assert _recovery(np.zeros(len(TIME)), (1.0, math.inf)).overshoot_m == 0.0
 
 
-def test_a_robot_that_was_lost_has_not_recovered_even_inside_the_band() -> None:
+def test_lost_robot_has_not_recovered_even_inside_the_band() -> None:
     inside = np.full(len(TIME), 0.5 * BAND)
     assert _recovery(inside, (2.0, 3.0)).recovery_time_s == 0.0
     assert _recovery(inside, (2.0, 3.0), lost=True).recovery_time_s == math.inf
@@ -199,7 +199,7 @@ def test_energy_is_the_integral_of_the_squared_command() -> None:
     assert figures.command_energy_omega == pytest.approx(4 * (0.5 * 10 + 0.25 * math.sin(20)), abs=5 * DT)
 
 
-def test_rate_is_that_of_the_command_over_time() -> None:
+def test_command_rate_is_the_rms_of_the_derivative_of_the_command() -> None:
     command = np.column_stack([0.3 * np.sin(2.0 * TIME), np.where(TIME < 5.0, 0.0, 1.0)])
     figures = _recovery(np.zeros(len(TIME)), (0.0, 0.0), command)
     # The mean square of 0.6 cos(2 t) over 10 s.
@@ -208,11 +208,11 @@ def test_rate_is_that_of_the_command_over_time() -> None:
     assert figures.command_rate_omega == pytest.approx(1.0 / DT / math.sqrt(len(TIME) - 1))
 
 
-def test_a_robot_far_behind_its_reference_is_charged_its_distance_from_the_path_only() -> None:
+def test_robot_far_behind_its_reference_has_only_its_distance_from_the_path_as_lateral_error() -> None:
     """1.2 m late and 0.1 m to the left, on a circle: far outside the window around the reference."""
     circle = ConstantTwist(v=0.5, omega=0.5, duration=12.0)
     times = np.arange(0.0, 12.0, 0.02)
-    held = np.clip(times - 3.0, 0.0, 2.4)  # stands still from 3.0 to 5.4 s
+    held = np.clip(times - 3.0, 0.0, 2.4)  # at rest from 3.0 to 5.4 s
     pose = circle.sample(times - held).pose
     left = 0.1 * np.column_stack([-np.sin(pose[:, 2]), np.cos(pose[:, 2]), np.zeros(len(pose))])
     run = run_along(circle, pose + left, [0.5, 0.0, 0.5], times)
@@ -220,7 +220,7 @@ def test_a_robot_far_behind_its_reference_is_charged_its_distance_from_the_path_
     np.testing.assert_allclose(run.errors.lateral, 0.1, atol=4e-6)
 
 
-def test_a_robot_that_is_late_and_then_catches_up_is_found_again() -> None:
+def test_robot_that_catches_up_is_projected_correctly() -> None:
     circle = ConstantTwist(v=0.5, omega=0.5, duration=12.0)
     times = np.arange(0.0, 12.0, 0.02)
     late = np.clip(times - 2.0, 0.0, 1.6) - np.clip(0.5 * (times - 5.0), 0.0, 1.6)

@@ -1,4 +1,4 @@
-"""Metrics against known answers, what they count, and where on its path a robot is."""
+"""Metrics against known results, the ticks that they count, and the projection of a robot onto its path."""
 
 from dataclasses import asdict, dataclass, replace
 
@@ -23,14 +23,14 @@ COARSE = TIMES[::10]
 CIRCLE = ConstantTwist(v=0.5, omega=0.5, duration=10.0)
 
 
-def shifted_left(pose: FloatArray, offset: float) -> FloatArray:
+def shift_left(pose: FloatArray, offset: float) -> FloatArray:
     """Shift poses sideways in their own frame."""
     return pose + offset * np.column_stack([-np.sin(pose[:, 2]), np.cos(pose[:, 2]), np.zeros(len(pose))])
 
 
 @given(offset=st.floats(-0.2, 0.2))
-def test_a_constant_offset_across_a_circle_is_the_lateral_error(offset: float) -> None:
-    run = run_along(CIRCLE, shifted_left(CIRCLE.sample(COARSE).pose, offset), [0.5, 0.0, 0.5], COARSE)
+def test_constant_offset_across_a_circle_is_the_lateral_error(offset: float) -> None:
+    run = run_along(CIRCLE, shift_left(CIRCLE.sample(COARSE).pose, offset), [0.5, 0.0, 0.5], COARSE)
     # The path is a polyline with 5 mm spacing: at most 3.2 um inside the circle of 1 m.
     assert run.errors.lateral == pytest.approx(np.full(len(COARSE), offset), abs=3.2e-6)
     assert run.metrics.lateral_rmse_m == pytest.approx(abs(offset), abs=3.2e-6)
@@ -41,20 +41,20 @@ def test_a_constant_offset_across_a_circle_is_the_lateral_error(offset: float) -
 
 
 @given(delay=st.floats(0.01, 0.5))
-def test_a_delayed_motion_is_off_in_position_and_heading_but_on_the_path(delay: float) -> None:
+def test_delayed_motion_has_position_and_heading_errors_but_no_lateral_error(delay: float) -> None:
     late = ConstantTwist(0.5, 0.5, 20.0, start=tuple(integrate_pose([0, 0, 0], 0.5, 0.5, -delay)))
     run = run_along(CIRCLE, late.sample(COARSE).pose, [0.5, 0.0, 0.5], COARSE)
     chord = 2.0 * np.sin(0.5 * delay / 2)
     assert run.metrics.position_rmse_m == pytest.approx(chord, rel=1e-9)
     assert run.metrics.position_max_m == pytest.approx(chord, rel=1e-9)
     assert run.metrics.heading_mean_rad == pytest.approx(0.5 * delay, rel=1e-9)
-    # Along the tangent, over the speed.
+    # The distance along the tangent, over the speed.
     assert run.metrics.behind_max_s == pytest.approx(np.sin(0.5 * delay) / 0.5, rel=1e-9)
-    on_path = run.time >= delay  # earlier the robot is before the start, where the path goes on straight
+    on_path = run.time >= delay  # before that the robot is ahead of the straight start
     assert np.abs(run.errors.lateral[on_path]).max() < 3.2e-6
 
 
-def test_heading_errors_are_wrapped_whatever_turn_the_angles_are_on() -> None:
+def test_heading_errors_are_wrapped_for_any_number_of_turns() -> None:
     pose = CIRCLE.sample(TIMES).pose
     wrapped = pose.copy()
     wrapped[:, 2] = np.arctan2(np.sin(pose[:, 2] + 0.1), np.cos(pose[:, 2] + 0.1))
@@ -66,24 +66,24 @@ def test_heading_errors_are_wrapped_whatever_turn_the_angles_are_on() -> None:
 
 
 @pytest.mark.parametrize(
-    ("turned", "twist", "course"),
+    ("heading", "twist", "course"),
     [(0.0, (0.5, -0.05), np.arctan2(0.05, 0.5)), (0.08, (0.5 * np.cos(0.08), -0.5 * np.sin(0.08)), 0.0)],
 )
-def test_side_slip_shows_in_the_course_or_in_the_heading_that_makes_up_for_it(turned, twist, course) -> None:
-    run = run_along(CIRCLE, CIRCLE.sample(TIMES).pose + [0.0, 0.0, turned], [*twist, 0.5], TIMES)
-    assert run.errors.heading == pytest.approx(np.full(len(TIMES), turned), rel=1e-12, abs=1e-12)
+def test_side_slip_appears_in_the_course_or_in_the_heading_that_compensates_it(heading, twist, course) -> None:
+    run = run_along(CIRCLE, CIRCLE.sample(TIMES).pose + [0.0, 0.0, heading], [*twist, 0.5], TIMES)
+    assert run.errors.heading == pytest.approx(np.full(len(TIMES), heading), rel=1e-12, abs=1e-12)
     assert run.metrics.course_rmse_rad == pytest.approx(course, rel=1e-12, abs=1e-12)
 
 
-def test_driving_backwards_as_the_reference_does_is_no_course_error() -> None:
+def test_backward_driving_along_the_reference_has_no_course_error() -> None:
     back = ConstantTwist(v=-0.3, omega=0.2, duration=10.0)
     run = run_along(back, back.sample(TIMES).pose, [-0.3, 0.0, 0.2], TIMES)
     assert run.metrics.course_rmse_rad == pytest.approx(0.0, abs=1e-12)
     assert run.metrics.lateral_max_m < 3.2e-6
 
 
-def test_course_error_is_against_the_tangent_where_the_reference_is() -> None:
-    """A robot that keeps to the circle half a second behind differs in course by the turn of half a second."""
+def test_course_error_is_relative_to_the_tangent_at_the_reference() -> None:
+    """A robot half a second behind on a circle differs in course by the turn of half a second."""
     circle = ConstantTwist(v=0.5, omega=0.5, duration=4.0)
     times = np.arange(25, 200) * 0.02
     run = run_along(circle, circle.sample(times - 0.5).pose, [0.5, 0.0, 0.5], times)
@@ -91,7 +91,7 @@ def test_course_error_is_against_the_tangent_where_the_reference_is() -> None:
     assert np.abs(run.errors.lateral).max() < 1e-5
 
 
-def test_no_course_error_is_taken_while_the_robot_or_the_reference_stands() -> None:
+def test_course_error_is_undefined_while_the_robot_or_the_reference_is_at_rest() -> None:
     spot = ConstantTwist(v=0.0, omega=1.0, duration=10.0)
     turning = run_along(spot, spot.sample(TIMES).pose, [0.2, 0.1, 1.0], TIMES)
     standing = run_along(CIRCLE, CIRCLE.sample(TIMES).pose, [0.03, 0.03, 0.5], TIMES)
@@ -99,13 +99,13 @@ def test_no_course_error_is_taken_while_the_robot_or_the_reference_stands() -> N
     assert np.isnan(standing.errors.course).all()
 
 
-def test_turning_on_the_spot_measures_the_distance_across() -> None:
+def test_lateral_error_of_a_turn_on_the_spot_is_the_distance_across() -> None:
     spot = ConstantTwist(v=0.0, omega=1.0, duration=10.0)
     off = run_along(spot, spot.sample(TIMES).pose + np.array([0.0, 0.04, 0.0]), [0.0, 0.0, 1.0], TIMES)
     assert off.metrics.lateral_max_m == pytest.approx(0.04, abs=1e-12)
 
 
-def test_overshooting_a_corner_is_a_lateral_error_and_lying_on_either_leg_is_none() -> None:
+def test_overshoot_of_a_corner_is_a_lateral_error_and_a_point_on_either_leg_has_none() -> None:
     elbow = ElbowReference()
     times = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5])
     pose = elbow.sample(times).pose
@@ -114,7 +114,7 @@ def test_overshooting_a_corner_is_a_lateral_error_and_lying_on_either_leg_is_non
     assert lateral == pytest.approx([0.0, 0.0, -0.03, -0.03, -0.03, 0.0], abs=1e-12)
 
 
-def test_a_path_that_crosses_itself_is_not_mistaken_for_its_other_branch() -> None:
+def test_self_crossing_path_is_not_projected_onto_its_other_branch() -> None:
     """After three quarters of a turn the robot is far off its circle but near the straight start."""
     circle = ConstantTwist(v=0.5, omega=0.5, duration=4 * np.pi)
     times = np.arange(0.0, 4 * np.pi, 0.02)
@@ -125,7 +125,7 @@ def test_a_path_that_crosses_itself_is_not_mistaken_for_its_other_branch() -> No
     assert np.abs(run.errors.lateral[half]).min() > 1.0
 
 
-def test_being_ahead_on_a_straight_line_is_no_lateral_error_even_beyond_its_end() -> None:
+def test_lead_on_a_straight_line_is_no_lateral_error_even_beyond_its_end() -> None:
     line = ConstantTwist(v=0.5, omega=0.0, duration=10.0, start=(1.0, 2.0, 0.3))
     ahead = line.sample(TIMES).pose + 0.1 * np.array([np.cos(0.3), np.sin(0.3), 0.0])
     metrics = run_along(line, ahead, [0.5, 0.0, 0.0], TIMES).metrics
@@ -134,7 +134,7 @@ def test_being_ahead_on_a_straight_line_is_no_lateral_error_even_beyond_its_end(
     assert metrics.behind_max_s == 0.0
 
 
-def test_the_band_counts_the_share_of_ticks_inside_it() -> None:
+def test_band_share_counts_the_ticks_inside_the_band() -> None:
     line = ConstantTwist(v=0.5, omega=0.0, duration=10.0)
     pose = line.sample(TIMES[:400]).pose
     pose[:100, 1] = 0.0501
@@ -145,7 +145,7 @@ def test_the_band_counts_the_share_of_ticks_inside_it() -> None:
 
 
 @given(x=st.floats(-5, 5), y=st.floats(-5, 5), theta=st.floats(-10, 10), seed=st.integers(0, 100))
-def test_moving_the_whole_scene_changes_no_metric(x: float, y: float, theta: float, seed: int) -> None:
+def test_motion_of_the_whole_scene_changes_no_metric(x: float, y: float, theta: float, seed: int) -> None:
     offset = 0.03 * np.random.default_rng(seed).standard_normal((len(COARSE), 3))
     moved_circle = ConstantTwist(0.5, 0.5, 10.0, start=(x, y, theta))
     rotation = np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
@@ -166,12 +166,12 @@ def test_ticks_after_the_end_of_the_reference_are_not_counted() -> None:
     worse = replace(run, true_pose=run.true_pose + end[:, None], solver_iterations=end).with_step_time(end, end)
     plain = replace(plain, solver_iterations=end[:51]).with_step_time(end[:51], end[:51])
     assert (len(run.time), plain.metrics.steps, plain.metrics.completed) == (101, 51, True)
-    # Stops count to the end of the run.
+    # Stops count up to the end of the run.
     assert asdict(worse.metrics) == pytest.approx(asdict(plain.metrics) | {"stopped": True})
 
 
-def test_statistics_of_unequal_errors_are_those_of_their_definitions() -> None:
-    """The squares of 0 to 20, in 0.1 mm to the left and right, and in 0.1 mrad."""
+def test_statistics_of_unequal_errors_match_their_definitions() -> None:
+    """The errors are squares of 0 to 20, in 0.1 mm to the left and right, and in 0.1 mrad."""
     signed = 1e-4 * np.arange(21.0) ** 2 * (-1) ** np.arange(21)
     pose = LINE.sample(SECOND[:21]).pose + np.outer(signed, [0, 1, 1])
     metrics = run_along(LINE, pose, [0.5, 0.0, 0.0], SECOND[:21]).metrics
@@ -188,33 +188,33 @@ def test_fallback_ticks_are_counted_by_mode() -> None:
     run = simulate(FeedForward(modes), KinematicPlant(), LINE)
     assert run.metrics.fallbacks == 3
     assert run.metrics.completed and run.metrics.stopped
-    assert not simulate(FeedForward({0: "STOPPED"}), KinematicPlant(), LINE).metrics.stopped, "it waited to begin"
+    assert not simulate(FeedForward({0: "STOPPED"}), KinematicPlant(), LINE).metrics.stopped, "a late start is no stop"
 
 
-def test_every_mode_of_the_controller_is_a_fallback_or_known_to_be_none() -> None:
+def test_every_mode_of_the_controller_is_classified() -> None:
     assert FALLBACK_MODES | {"TRACKING", "FINISHED"} == {mode.value for mode in Mode}
     assert not FALLBACK_MODES & {"TRACKING", "FINISHED"}
     assert GIVEN_UP_MODES < FALLBACK_MODES
 
 
 @pytest.mark.parametrize("mode", ["BRAKING", "STOPPED"])
-def test_a_run_that_ends_without_tracking_is_not_completed(mode: str) -> None:
+def test_run_that_ends_without_tracking_is_not_completed(mode: str) -> None:
     assert not simulate(FeedForward({50: mode}), KinematicPlant(), LINE).metrics.completed
 
 
-def test_a_run_that_ends_elsewhere_is_not_completed() -> None:
+def test_run_that_ends_elsewhere_is_not_completed() -> None:
     pose = LINE.sample(SECOND).pose
     near = run_along(LINE, pose + np.array([0.2, 0.0, 0.0]), [0.5, 0.0, 0.0], SECOND)
     assert near.metrics.completed and not replace(near, ended="the robot is lost").metrics.completed
     assert not run_along(LINE, pose + np.array([0.3, 0.0, 0.0]), [0.5, 0.0, 0.0], SECOND).metrics.completed
 
 
-def test_a_run_cut_short_is_not_completed() -> None:
+def test_truncated_run_is_not_completed() -> None:
     pose = LINE.sample(SECOND[:40]).pose
     assert not run_along(LINE, pose, [0.5, 0.0, 0.0], SECOND[:40]).metrics.completed
 
 
-def test_a_pose_that_is_not_finite_is_reported_and_not_averaged_away() -> None:
+def test_pose_that_is_not_finite_is_reported_and_not_averaged_away() -> None:
     pose = LINE.sample(SECOND).pose
     pose[20] = np.nan
     metrics = run_along(LINE, pose, [0.5, 0.0, 0.0], SECOND).metrics
@@ -223,14 +223,14 @@ def test_a_pose_that_is_not_finite_is_reported_and_not_averaged_away() -> None:
     assert metrics.in_band_percent == pytest.approx(100 * 50 / 51)
 
 
-def test_a_step_longer_than_the_sample_is_a_missed_deadline() -> None:
+def test_step_longer_than_the_sample_is_a_missed_deadline() -> None:
     assert simulate(FeedForward(), KinematicPlant(), LINE).metrics.deadline_misses == 0
     slow = simulate(Slow(), KinematicPlant(), LINE).metrics
     assert slow.deadline_misses == slow.steps == 51
     assert slow.step_time_p99_s == pytest.approx(0.03)
 
 
-def test_step_times_can_be_exchanged_for_those_of_a_timing_pass() -> None:
+def test_step_times_can_be_replaced_by_those_of_a_timing_pass() -> None:
     run = simulate(Slow(), KinematicPlant(), LINE)
     times = np.linspace(0.0, 0.01, 51)
     retimed = run.with_step_time(times)
@@ -250,27 +250,27 @@ def test_step_times_can_be_exchanged_for_those_of_a_timing_pass() -> None:
 WINDOW = 0.6
 
 
-def one_after_the_other(path, points, arc_length):
-    """Compute (n,) distances [m] without their sides, as `Polyline.lateral` describes them."""
+def sequential_distances(path, points, arc_length):
+    """Compute the unsigned distances (n,) [m] one point after the other, as documented in `Polyline.lateral`."""
     distances, piece = [], None
     for i, point in enumerate(points):
         near = (path.arc_end >= arc_length[i] - WINDOW) & (path.arc_start <= arc_length[i] + WINDOW)
         if piece is not None:
-            # Between there and the place where the point before was nearest, widened by twice the way since.
-            by = min(WINDOW, 2.0 * np.hypot(*(point - points[i - 1])))
-            before = (path.arc_end >= path.arc_start[piece] - by) & (path.arc_start <= path.arc_end[piece] + by)
-            looked_at = np.flatnonzero(near | before)
-            near[looked_at[0] : looked_at[-1] + 1] = True
-        away = point - path.start
-        along = np.clip((away * path.direction).sum(axis=1), 0.0, path.length)
-        gaps = np.where(near, np.hypot(*(away - along[:, None] * path.direction).T), np.inf)
+            # Also search around the last nearest place, widened by twice the distance since then.
+            reach = min(WINDOW, 2.0 * np.hypot(*(point - points[i - 1])))
+            before = (path.arc_end >= path.arc_start[piece] - reach) & (path.arc_start <= path.arc_end[piece] + reach)
+            searched = np.flatnonzero(near | before)
+            near[searched[0] : searched[-1] + 1] = True
+        offset = point - path.start
+        along = np.clip((offset * path.direction).sum(axis=1), 0.0, path.length)
+        gaps = np.where(near, np.hypot(*(offset - along[:, None] * path.direction).T), np.inf)
         piece = int(gaps.argmin())
         distances.append(gaps[piece])
     return distances
 
 
-def test_points_are_projected_as_one_after_the_other():
-    """Along a drawn path, on it, beside it, and far behind, where each search hangs on the one before."""
+def test_points_are_projected_as_if_one_after_the_other():
+    """Points on, next to and far behind a random path, where each search depends on the previous one."""
     draw = np.random.default_rng(0)
     for _ in range(60):
         corners = np.cumsum(draw.normal(0.0, 0.3, (40, 2)) + [0.1, 0.0], axis=0)
@@ -278,12 +278,12 @@ def test_points_are_projected_as_one_after_the_other():
         length = np.hypot(*steps.T)
         arc = np.concatenate([[0.0], np.cumsum(length)])
         path = Polyline(corners[:-1], steps / length[:, None], length, arc[:-1], arc[1:])
-        # The robot falls behind the place where it is expected, by a share that is drawn, and is led away at times.
+        # The robot falls behind its expected place by a random share, and is sometimes displaced.
         expected = np.linspace(0.0, 0.9 * arc[-1], draw.integers(2, 80))
         places = expected * draw.uniform(0.3, 1.0)
         points = np.column_stack([np.interp(places, arc, corners[:, i]) for i in (0, 1)])
         points = points + draw.choice([0.0, 0.02, 0.5]) * draw.normal(size=points.shape)
-        wanted = one_after_the_other(path, points, expected)
+        wanted = sequential_distances(path, points, expected)
         assert np.allclose(np.abs(path.lateral(points, expected, WINDOW)), wanted, rtol=0.0, atol=1e-9)
 
 
@@ -292,7 +292,7 @@ TICK = 0.0202
 
 @dataclass(frozen=True)
 class TwoArcs:
-    """Four seconds to the left, then four to the right, one metre radius, at once from one to the other."""
+    """Four seconds to the left, then four to the right, with one metre radius and no transition between them."""
 
     duration: float = 8.0
     name: str = "two arcs"
@@ -305,7 +305,7 @@ class TwoArcs:
         return ReferenceSample(pose, np.column_stack([np.full(len(t), 0.5), np.where(t < 4, 0.5, -0.5)]), 0.5 * t)
 
 
-def beside(reference, lateral):
+def run_beside(reference, lateral):
     """Build a run that drives `lateral` (n,) to the left of the reference."""
     times = np.arange(0.0, reference.duration, TICK)
     pose = reference.sample(times).pose.copy()
@@ -317,37 +317,37 @@ def beside(reference, lateral):
 
 @pytest.mark.parametrize("side", [0.03, -0.02])
 def test_constant_distance_is_the_bias_of_an_arc(side):
-    run = beside(ConstantTwist(0.5, 0.5, 6.0), side)
+    run = run_beside(ConstantTwist(0.5, 0.5, 6.0), side)
     assert steady_arc_lateral(run) == pytest.approx([side], abs=1e-5)
 
 
-def test_each_arc_has_its_own_bias_and_what_happens_before_it_settles_does_not_count():
+def test_each_arc_has_its_own_bias_without_its_settling_time():
     reference = TwoArcs()
     times = np.arange(0.0, reference.duration, TICK)
     since = np.where(times < 4, times, times - 4)
     settled = np.where(times < 4, -0.010, 0.006)
-    run = beside(reference, np.where(since < 1.5 - 1e-9, 0.1, settled))
+    run = run_beside(reference, np.where(since < 1.5 - 1e-9, 0.1, settled))
     assert steady_arc_lateral(run) == pytest.approx([-0.010, 0.006], abs=1e-5)
 
 
 @pytest.mark.parametrize("twist", [(0.5, 0.0), (0.0, 1.0)])
 def test_straights_and_turns_on_the_spot_are_no_arcs(twist):
-    assert steady_arc_lateral(beside(ConstantTwist(*twist, 6.0), 0.0)).shape == (0,)
+    assert steady_arc_lateral(run_beside(ConstantTwist(*twist, 6.0), 0.0)).shape == (0,)
 
 
-def test_an_arc_that_ends_before_it_settles_does_not_count():
+def test_arc_shorter_than_the_settling_time_does_not_count():
     reference = ConstantTwist(0.5, 0.5, metric_settings().settled_arc - TICK)
-    assert steady_arc_lateral(beside(reference, 0.01)).shape == (0,)
+    assert steady_arc_lateral(run_beside(reference, 0.01)).shape == (0,)
 
 
-def test_backwards_left_of_the_robot_is_right_of_the_path():
-    assert steady_arc_lateral(beside(ConstantTwist(-0.5, 0.5, 6.0), 0.01)) == pytest.approx([-0.01], abs=1e-5)
+def test_left_of_a_backward_robot_is_right_of_the_path():
+    assert steady_arc_lateral(run_beside(ConstantTwist(-0.5, 0.5, 6.0), 0.01)) == pytest.approx([-0.01], abs=1e-5)
 
 
 @pytest.mark.parametrize(("name", "arcs"), [("circle", 1), ("square", 0), ("s", 3), ("cane", 1)])
-def test_the_shipped_trajectories_have_the_arcs_that_their_files_say(name, arcs):
+def test_shipped_trajectories_have_the_arcs_of_their_files(name, arcs):
     reference = load_trajectory(name)
-    run = beside(reference, 0.0)
+    run = run_beside(reference, 0.0)
     result = steady_arcs(run)
     assert len(result) == arcs
     for ticks in result:

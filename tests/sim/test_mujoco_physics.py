@@ -23,7 +23,7 @@ def _twin(surface: str = "default") -> MujocoPlant:
     return MujocoPlant(FRICTION[surface], load_sensor_set("perfect"))
 
 
-def _held(plant: MujocoPlant, v: float, omega: float, samples: int = 200) -> OpenLoopDrive:
+def _steady_drive(plant: MujocoPlant, v: float, omega: float, samples: int = 200) -> OpenLoopDrive:
     """Return the steady part of a drive with a constant command."""
     log = drive_open_loop(plant, np.tile([v, omega], (samples, 1)))
     half = samples // 2
@@ -33,7 +33,7 @@ def _held(plant: MujocoPlant, v: float, omega: float, samples: int = 200) -> Ope
 @pytest.fixture(scope="module")
 def steady() -> dict[str, OpenLoopDrive]:
     """Steady part of the same gentle curve on every surface."""
-    return {surface: _held(_twin(surface), 0.5, 0.5) for surface in FRICTION}
+    return {surface: _steady_drive(_twin(surface), 0.5, 0.5) for surface in FRICTION}
 
 
 def test_resting_robot_stays_where_it_is() -> None:
@@ -46,7 +46,7 @@ def test_resting_robot_stays_where_it_is() -> None:
 
 @pytest.mark.parametrize("v", [0.3, 1.0, -0.4])
 def test_straight_speed_is_the_command(v: float) -> None:
-    log = _held(_twin(), v, 0.0)
+    log = _steady_drive(_twin(), v, 0.0)
     encoders = log.wheel_twist[:, 0].mean()
     # The set-point is a whole number of pulses per second: at most half a pulse off.
     half_pulse = np.pi * load_robot().wheel_radius / load_robot().encoder_pulses
@@ -66,24 +66,24 @@ def test_side_slip_points_outward_and_grows_as_grip_falls(steady: dict[str, Open
     assert lateral["slippery"] < lateral["default"] < lateral["grippy"] < 0
 
 
-def test_left_and_right_mirror_each_other_but_for_the_motors() -> None:
-    left, right = _held(_twin(), 0.5, 0.8), _held(_twin(), 0.5, -0.8)
+def test_left_and_right_mirror_each_other_except_for_the_motors() -> None:
+    left, right = _steady_drive(_twin(), 0.5, 0.8), _steady_drive(_twin(), 0.5, -0.8)
     np.testing.assert_allclose(left.true_twist.mean(axis=0), right.true_twist.mean(axis=0) * [1, -1, -1], atol=0.01)
 
 
-def test_weak_motors_limit_the_speed_and_obey_again_when_less_is_asked() -> None:
+def test_weak_motors_limit_the_speed_and_follow_lower_commands_again() -> None:
     twin = load_twin_parameters()
     weak = twin.model_copy(update={"motor": twin.motor.model_copy(update={"no_load_speed": 15.0})})
     plant = MujocoPlant(FRICTION["default"], load_sensor_set("perfect"), twin=weak)
     reachable = 15.0 * load_robot().wheel_radius
     log = drive_open_loop(plant, np.vstack([np.tile([1.5, 0.0], (150, 1)), np.tile([0.5, 0.0], (100, 1))]))
     v = log.wheel_twist[:, 0]
-    # Without rolling resistance the no-load speed is the asymptote: reached up to the solver's residual, not passed.
+    # Without rolling resistance the no-load speed is the asymptote: reached up to the solver's residual, not exceeded.
     assert v.max() == pytest.approx(reachable, rel=1e-6)
     assert v[-30:].mean() == pytest.approx(0.5 * load_firmware().gain_v, abs=2e-3)
 
 
-def test_a_robot_without_motors_only_loses_energy() -> None:
+def test_robot_without_motor_torque_only_loses_energy() -> None:
     """Friction dissipates energy; only energy stored in the soft tyres may return briefly."""
     robot, twin = load_robot(), load_twin_parameters()
     chassis = Chassis(robot, twin, FRICTION["default"], robot.sample_time / twin.substeps)
@@ -101,7 +101,7 @@ def test_a_robot_without_motors_only_loses_energy() -> None:
     assert abs(chassis.twist[2]) < 1e-2
 
 
-def test_a_robot_without_motors_rolls_straight_on() -> None:
+def test_robot_without_motor_torque_rolls_straight_on() -> None:
     robot, twin = load_robot(), load_twin_parameters()
     step = robot.sample_time / twin.substeps
     chassis = Chassis(robot, twin, FRICTION["default"], step)
@@ -117,7 +117,7 @@ def test_a_robot_without_motors_rolls_straight_on() -> None:
     assert abs(travelled[2]) < 1e-3
 
 
-def test_push_accelerates_the_mass_and_the_turning_parts() -> None:
+def test_push_accelerates_the_mass_and_the_rotating_parts() -> None:
     """Newton: four wheel torques over the radius move mass + (wheel and rotor inertia) / radius^2."""
     robot, twin = load_robot(), load_twin_parameters()
     step = robot.sample_time / twin.substeps
@@ -131,7 +131,7 @@ def test_push_accelerates_the_mass_and_the_turning_parts() -> None:
     assert (speeds[-1] - speeds[50]) / (199 * step) == pytest.approx(expected, rel=0.02)
 
 
-def test_zero_command_stops_the_robot_and_keeps_it_there() -> None:
+def test_zero_command_stops_the_robot_and_keeps_it_at_rest() -> None:
     plant = _twin()
     drive_open_loop(plant, np.tile([1.0, 1.0], (100, 1)))
     for _ in range(75):
@@ -175,7 +175,7 @@ def slope(x, y) -> float:
     return np.dot(x, y) / np.dot(x, x)
 
 
-def test_shipped_slip_of_the_surfaces_is_that_of_the_physics() -> None:
+def test_shipped_slip_of_the_surfaces_matches_mujoco() -> None:
     commands = random_commands(301)
     logs = {surface: drive_open_loop(_twin(surface), commands) for surface in FRICTION}
     for surface, log in logs.items():
@@ -196,8 +196,8 @@ ROBOT, TWIN = load_robot(), load_twin_parameters()
 STEP = ROBOT.sample_time / TWIN.substeps
 
 
-def _braked(chassis: Chassis, seconds: float) -> None:
-    """Let time pass with wheels that hardly turn."""
+def _step_braked(chassis: Chassis, seconds: float) -> None:
+    """Step the physics for `seconds` [s] with braked wheels."""
     for _ in range(round(seconds / STEP)):
         chassis.step(-1.0 * chassis.wheel_speeds)
 
@@ -210,37 +210,37 @@ def _drag(surface: str, direction: float, heading: float = 0.5) -> float:
     floor = load_surface(surface)
     chassis = Chassis(ROBOT, TWIN, floor.friction or 0.0, STEP, sideways=floor.sideways)
     chassis.reset([0.0, 0.0, heading])
-    # Not much more than needed: a robot that is torn away tips over.
+    # The force is little above friction, because a robot that is pulled suddenly tips over.
     expected = (floor.friction or 0.0) * math.hypot(math.cos(direction), floor.sideways * math.sin(direction))
     force = 1.15 * expected * ROBOT.mass * GRAVITY
     chassis.push(force * math.cos(direction), force * math.sin(direction), 0.0, 0.0)
-    _braked(chassis, 0.3)
+    _step_braked(chassis, 0.3)
     before = np.hypot(*chassis.twist[:2])
-    _braked(chassis, 0.2)
+    _step_braked(chassis, 0.2)
     return float(force / ROBOT.mass - (np.hypot(*chassis.twist[:2]) - before) / 0.2) / GRAVITY
 
 
 @pytest.mark.parametrize("surface", ["default", "carpet", "deep_carpet", "ice"])
-def test_the_force_to_drag_it_is_that_of_the_friction_in_each_direction(surface: str) -> None:
+def test_dragging_force_is_the_friction_in_each_direction(surface: str) -> None:
     floor = load_surface(surface)
     along, across = _drag(surface, 0.0), _drag(surface, math.pi / 2)
     assert along == pytest.approx(floor.friction, rel=0.05)
     assert across == pytest.approx(floor.sideways_friction or floor.friction, rel=0.05)
-    # However it stands in the world.
+    # The result is independent of the heading of the robot.
     assert _drag(surface, math.pi / 2, heading=2.0) == pytest.approx(across, rel=0.01)
 
 
 @pytest.mark.parametrize("surface", ["default", "carpet", "deep_carpet"])
-def test_a_carpet_keeps_it_from_turning_as_coulomb_friction_says(surface: str) -> None:
-    """Moment balance of four sliding wheels with elliptic friction: force is friction squared times slip."""
+def test_carpet_reduces_turning_as_coulomb_friction_predicts(surface: str) -> None:
+    """Moment balance of four sliding wheels with elliptic friction: the force is friction squared times slip."""
     ratio = load_surface(surface).sideways * TWIN.chassis.wheel_base / ROBOT.track
     log = drive_open_loop(make_plant("mujoco", surface, "perfect"), np.tile([0.0, 1.0], (150, 1)))
     gain = log.true_twist[75:, 2].mean() / log.wheel_twist[75:, 1].mean()
     assert gain == pytest.approx(1 / (1 + ratio**2), abs=0.01 if surface == "default" else 0.015)
 
 
-def test_two_contact_points_a_wheel_are_as_good_as_one() -> None:
-    """The capsules of a carpet that is nearly isotropic drive like the spheres."""
+def test_two_contact_points_per_wheel_are_equivalent_to_one() -> None:
+    """The capsules of a nearly isotropic carpet behave like spheres."""
     floor = load_surface("default").friction or 0.0
     poses = []
     for sideways in (1.0, 1.0 + 1e-9):
@@ -255,16 +255,16 @@ def test_two_contact_points_a_wheel_are_as_good_as_one() -> None:
     np.testing.assert_allclose(poses[1], poses[0], rtol=0.01, atol=2e-3)
 
 
-@pytest.mark.parametrize(("friction", "holds"), [(0.25, True), (0.1, False)])
-def test_across_a_slope_of_ten_degrees_it_stays_or_slides_as_friction_says(friction: float, holds: bool) -> None:
-    """Tangent of the angle 0.176: below that the acceleration is g (sin - friction cos), downhill."""
+@pytest.mark.parametrize(("friction", "is_held"), [(0.25, True), (0.1, False)])
+def test_robot_across_a_slope_of_ten_degrees_stays_or_slides_by_friction(friction: float, is_held: bool) -> None:
+    """The tangent of the angle is 0.176: with less friction the acceleration is g (sin - friction cos) downhill."""
     angle = math.radians(10.0)
     chassis = Chassis(ROBOT, TWIN, friction, STEP, slope=Slope(angle=angle, downhill=math.pi / 2))
-    _braked(chassis, 0.5)
+    _step_braked(chassis, 0.5)
     early = chassis.twist[1]
-    _braked(chassis, 0.5)
+    _step_braked(chassis, 0.5)
     acceleration = (chassis.twist[1] - early) / 0.5
-    if holds:
+    if is_held:
         # Soft contacts creep; they do not speed up.
         assert abs(acceleration) < 0.01
         assert 0 <= chassis.pose[1] < 0.2
@@ -276,8 +276,8 @@ def test_across_a_slope_of_ten_degrees_it_stays_or_slides_as_friction_says(frict
 @pytest.mark.parametrize(
     ("name", "downhill"), [("slope_10_up", (-1, 0)), ("slope_10_down", (1, 0)), ("slope_10_across", (0, 1))]
 )
-def test_the_steep_slopes_have_ten_degrees_and_fall_where_they_say(name: str, downhill: tuple[int, int]) -> None:
-    """The force of the floor is the weight's part normal to it; a robot without motors moves downhill."""
+def test_steep_slopes_have_ten_degrees_and_their_stated_direction(name: str, downhill: tuple[int, int]) -> None:
+    """The surface carries the normal part of the weight; a robot without motor torque moves downhill."""
     slope = load_scenario(name).draw(0).slope
     chassis = Chassis(ROBOT, TWIN, 0.05, STEP, slope=slope)
     for _ in range(300):
@@ -288,7 +288,7 @@ def test_the_steep_slopes_have_ten_degrees_and_fall_where_they_say(name: str, do
     assert abs(x * downhill[1]) + abs(y * downhill[0]) < 0.02
 
 
-def test_a_patch_on_a_carpet_keeps_the_ratio_of_its_directions() -> None:
+def test_patch_on_a_carpet_keeps_the_ratio_of_its_directions() -> None:
     plant = make_plant("mujoco", "carpet")
     plant.chassis.set_friction(np.full(4, 0.2))
     assert _coefficients(plant) == pytest.approx((0.3, 0.2))

@@ -26,7 +26,7 @@ REFERENCE = ConstantTwist(v=0.4, omega=0.5, duration=1.0)
 
 
 class Walled(PlantAround):
-    """A plant that ends the run 0.3 m after the end of the reference, and counts what it shows."""
+    """Plant that ends the run 0.3 m after the end of the reference, and counts its `show` calls."""
 
     time_limit = 30.0
 
@@ -49,7 +49,7 @@ class Walled(PlantAround):
 
 
 class Kind(RunColumns):
-    """Plants called "walled:NAME"; its columns show how many ticks there were."""
+    """Plants named "walled:NAME"; the added column numbers the ticks."""
 
     def make_plant(self, name: str, plant: str, **options: Any) -> Plant:
         return Walled(make_plant(plant, **options), name)
@@ -88,7 +88,7 @@ def make_counter(sensor: Any, robot: object, seed: int) -> SimulatorPart:
 
 
 @pytest.fixture
-def registered(monkeypatch: pytest.MonkeyPatch) -> None:
+def registered_plug_ins(monkeypatch: pytest.MonkeyPatch) -> None:
     kind, part = Kind(), SimpleNamespace(make_part=make_counter)
     parts = {"plants": {"walled": kind, "counter": part}, "columns": {"walled": kind, "counter": RunColumns()}}
     entries = {
@@ -102,15 +102,15 @@ def registered(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No package is installed."""
+def no_packages(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Environment without installed packages."""
     monkeypatch.setattr(plug_ins, "_entries", lambda group: {})
     plug_ins.plug_in.cache_clear()
     yield
     plug_ins.plug_in.cache_clear()
 
 
-@pytest.mark.usefixtures("alone")
+@pytest.mark.usefixtures("no_packages")
 @pytest.mark.parametrize(
     ("make", "part"),
     [
@@ -124,8 +124,8 @@ def test_missing_package_of_a_plant_or_part_is_named_in_one_line(make: Any, part
         make()
 
 
-@pytest.mark.usefixtures("registered")
-def test_registered_kind_makes_plants_around_others() -> None:
+@pytest.mark.usefixtures("registered_plug_ins")
+def test_registered_kind_creates_plants_around_others() -> None:
     plant = make_plant("walled:path@model:sm+0.04", seed=3)
     assert isinstance(plant, Walled) and isinstance(plant._plant, ModelPlant)
     assert physics_robot("walled:path@mujoco:heavy") == physics_robot("mujoco:heavy")
@@ -133,7 +133,7 @@ def test_registered_kind_makes_plants_around_others() -> None:
         make_plant("counter:3")
 
 
-@pytest.mark.usefixtures("registered")
+@pytest.mark.usefixtures("registered_plug_ins")
 def test_plant_with_surroundings_shows_them_each_tick_and_ends_the_run() -> None:
     run = simulate(FeedForward(), make_plant("walled:a@model:ssm"), REFERENCE)
     assert run.parts["walled"] == len(run.time)
@@ -142,8 +142,8 @@ def test_plant_with_surroundings_shows_them_each_tick_and_ends_the_run() -> None
     assert row_of(Case(), run)["shown"] == len(run.time)
 
 
-@pytest.mark.usefixtures("registered")
-def test_plant_brings_settings_and_a_path() -> None:
+@pytest.mark.usefixtures("registered_plug_ins")
+def test_plant_provides_settings_and_a_path() -> None:
     case = Case(plant="walled:path@model:ssm")
     assert case.trajectory == case.plant and load_reference(case).name == "s"
     assert case_config(case).horizon == 7
@@ -155,7 +155,7 @@ def test_plant_brings_settings_and_a_path() -> None:
     assert load_reference(Case(plant="walled:none", trajectory="cane")).name == "cane"
 
 
-@pytest.mark.usefixtures("registered")
+@pytest.mark.usefixtures("registered_plug_ins")
 @pytest.mark.parametrize("scenario", ["none", "start_offset"])
 def test_simulator_part_of_a_sensor_file_is_recorded(scenario: str, tmp_path: Path) -> None:
     (tmp_path / "mine.yaml").write_text("parts: {counter: {first: 5.0}}\n")

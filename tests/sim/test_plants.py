@@ -25,7 +25,7 @@ PERFECT = load_sensor_set("perfect")
 
 
 @pytest.mark.parametrize("name", PLANTS)
-def test_same_seed_same_run_bit_for_bit(name: str) -> None:
+def test_equal_seeds_give_equal_runs_bit_for_bit(name: str) -> None:
     plant = make_plant(name, sensors="slam", seed=7)
     first = trace(plant, 150)
     assert first == trace(make_plant(name, sensors="slam", seed=7), 150)
@@ -34,7 +34,7 @@ def test_same_seed_same_run_bit_for_bit(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", PLANTS)
-def test_protocol_of_time_and_sent_commands(name: str) -> None:
+def test_plant_reports_its_time_and_the_clipped_sent_command(name: str) -> None:
     plant = make_plant(name)
     assert isinstance(plant.sample_time, float)
     plant.reset([1.0, 2.0, 3.0])
@@ -51,25 +51,25 @@ def test_protocol_of_time_and_sent_commands(name: str) -> None:
 
 @pytest.mark.parametrize("name", PLANTS)
 @pytest.mark.parametrize("command", [[0.1], [0.1, 0.2, 0.3], [np.nan, 0.0], [0.0, np.inf]])
-def test_bad_command_is_refused(name: str, command: list[float]) -> None:
+def test_invalid_command_is_refused(name: str, command: list[float]) -> None:
     plant = make_plant(name)
     with pytest.raises(ValueError, match="give two finite numbers"):
         plant.advance(command)
     assert plant.time == 0.0
 
 
-def _simulated(extra_dead_time: float, commands: np.ndarray) -> np.ndarray:
+def _model_output(extra_dead_time: float, commands: np.ndarray) -> np.ndarray:
     model = load_model("ssm").with_extra_dead_time([extra_dead_time] * 2).discretise(DT)
     return model.simulate(commands)
 
 
 @settings(max_examples=20)
 @given(seed=st.integers(0, 1000), extra_dead_time=st.floats(0.0, 0.1))
-def test_model_plant_without_slip_is_its_model(seed: int, extra_dead_time: float) -> None:
+def test_model_plant_without_slip_equals_its_model(seed: int, extra_dead_time: float) -> None:
     commands = random_commands(seed, duration=2.0)
     slip = load_surface("ideal").slip
     log = drive_open_loop(ModelPlant(load_model("ssm"), slip, PERFECT, extra_dead_time=extra_dead_time), commands)
-    expected = _simulated(extra_dead_time, commands)
+    expected = _model_output(extra_dead_time, commands)
     np.testing.assert_allclose(log.output, expected, atol=1e-12)
     np.testing.assert_allclose(log.wheel_twist, expected, atol=1e-12)
     mean = 0.5 * (expected[1:] + expected[:-1])
@@ -79,20 +79,20 @@ def test_model_plant_without_slip_is_its_model(seed: int, extra_dead_time: float
         np.testing.assert_allclose(log.true_pose[k + 1], pose, atol=1e-12)
 
 
-def _named(name: str, commands: np.ndarray, **options: float) -> OpenLoopDrive:
+def _drive_named(name: str, commands: np.ndarray, **options: float) -> OpenLoopDrive:
     return drive_open_loop(make_plant(name, surface="ideal", sensors="perfect", **options), commands)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("model", ["sm", "mbm", "ssm"])
 def test_dead_time_in_the_name_delays_the_outputs(model: str) -> None:
     commands = random_commands(8, duration=3.0)
-    plain, late = _named(f"model:{model}", commands), _named(f"model:{model}+{2 * DT}", commands)
+    plain, late = _drive_named(f"model:{model}", commands), _drive_named(f"model:{model}+{2 * DT}", commands)
     np.testing.assert_allclose(late.output[2:], plain.output[:-2], atol=1e-12)
     np.testing.assert_allclose(late.output[:2], 0.0, atol=1e-12)
     assert np.abs(plain.output).max() > 0.3
     np.testing.assert_array_equal(
-        _named(f"model:{model}+0.013", commands).output,
-        _named(f"model:{model}", commands, extra_dead_time=0.013).output,
+        _drive_named(f"model:{model}+0.013", commands).output,
+        _drive_named(f"model:{model}", commands, extra_dead_time=0.013).output,
     )
 
 
@@ -101,7 +101,7 @@ def _slipping(**changes: float) -> OpenLoopDrive:
     return drive_open_loop(ModelPlant(load_model("ssm"), slip, PERFECT), random_commands(6, duration=4.0))
 
 
-def test_slip_of_the_model_plant() -> None:
+def test_model_plant_applies_its_slip_to_the_twist_and_the_wheels() -> None:
     plain = _slipping()
     v, omega = plain.output.T
     slipped = _slipping(yaw_gain=0.9, wheel_yaw_gain=0.6, longitudinal_gain=0.95, side_slip=0.05)
@@ -113,7 +113,7 @@ def test_slip_of_the_model_plant() -> None:
 
 
 def test_side_slip_moves_the_body_sideways() -> None:
-    """On a steady circle a side-slip turns the direction of travel outward by atan(side slip * omega)."""
+    """On a steady circle, side slip turns the direction of travel outward by atan(side slip * omega)."""
     slip = BodySlip(yaw_gain=1.0, wheel_yaw_gain=1.0, longitudinal_gain=1.0, side_slip=0.1)
     log = drive_open_loop(ModelPlant(load_model("ssm"), slip, PERFECT), np.tile([0.5, 0.8], (300, 1)))
     step = np.diff(log.true_pose[150:], axis=0)
@@ -138,13 +138,13 @@ def test_delivered_pose_between_ticks_lies_on_the_path() -> None:
     late = np.array([row for row in delivered if row[0] > 0])
     assert len(late) > 50
     for column in (0, 1):
-        # Chord against arc over one sample: v omega dt^2 / 8 = 1.2e-5 m.
+        # The difference of chord and arc over one sample: v omega dt^2 / 8 = 1.2e-5 m.
         np.testing.assert_allclose(late[:, 1 + column], np.interp(late[:, 0], times, xy[:, column]), atol=2e-5)
 
 
 @pytest.mark.parametrize("name", PLANTS)
 @pytest.mark.parametrize("dt", [0.01, 0.05, 0.1])
-def test_how_often_a_command_is_repeated_changes_nothing(name: str, dt: float) -> None:
+def test_sample_time_of_constant_commands_has_no_effect(name: str, dt: float) -> None:
     plants = [make_plant(name, sensors="perfect", sample_time=sample_time) for sample_time in (None, dt)]
     for plant in plants:
         while plant.time < 2.0 - 1e-9:
@@ -156,7 +156,7 @@ def test_how_often_a_command_is_repeated_changes_nothing(name: str, dt: float) -
     np.testing.assert_allclose(resampled.true_pose, off, atol=2e-3)
 
 
-def test_a_model_plant_carries_what_its_robot_is_allowed() -> None:
+def test_model_plant_uses_the_limits_of_its_robot() -> None:
     fast = load_robot().limits.model_copy(update={"v": 3.0})
     plant = make_plant("model:sm", sensors="perfect", limits=fast)
     for _ in range(100):
@@ -199,20 +199,20 @@ def _digests(trajectory: Path, model: str, hash_seed: str) -> list[str]:
     return done.stdout.splitlines()
 
 
-def test_two_processes_command_and_drive_the_same_bit_for_bit(tmp_path: Path) -> None:
+def test_two_processes_give_equal_commands_and_drives_bit_for_bit(tmp_path: Path) -> None:
     trajectory = tmp_path / "short.yaml"
     trajectory.write_text(SEGMENTS)
     first, again = (_digests(trajectory, "ssm", hash_seed) for hash_seed in ("1", "2"))
     assert first == again
     digests = [line.split()[2] for line in first]
-    assert len(set(digests)) == len(digests) == 6  # another seed is another run
+    assert len(set(digests)) == len(digests) == 6  # different seeds give different runs
 
 
 RANDOM = load_command_parameters().random
 
 
 @given(seed=st.integers(0, 10_000))
-def test_random_set_points_stay_in_their_ranges_and_hold_long_enough(seed: int) -> None:
+def test_random_set_points_stay_in_their_ranges_and_hold_times(seed: int) -> None:
     rows = random_commands(seed, smooth=False)
     assert rows.shape == (round(RANDOM.duration / load_robot().sample_time), 2)
     for column, (low, high) in enumerate((RANDOM.v_range, RANDOM.omega_range)):

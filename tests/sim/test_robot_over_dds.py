@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ros_driver import BOUND, Driver, own_domain, recorded, recorded_truth
+from ros_driver import BOUND, Driver, own_domain, read_messages, read_true_poses
 
 from commands import invoke
 from diffdrive_mpc import ConfigError, RobotLostError, make_plant
@@ -43,7 +43,7 @@ def commands(ticks=TICKS, seed=0):
     return np.repeat(rng.uniform([-0.5, -1.0], [0.8, 1.0], (ticks // 10, 2)), 10, axis=0)
 
 
-def driven(bag, rows, *, plant="mujoco", seed=0, base=None, ticks=None, start=(1.0, 2.0, 0.5), storage="mcap", **how):
+def record(bag, rows, *, plant="mujoco", seed=0, base=None, ticks=None, start=(1.0, 2.0, 0.5), storage="mcap", **how):
     """Drive in lock step and record; return the driver."""
     base = base or settings()
     with Driver(rows, DT, stamped=base.stamped, **how) as driver:
@@ -63,22 +63,22 @@ def driven(bag, rows, *, plant="mujoco", seed=0, base=None, ticks=None, start=(1
 def test_lock_step_repeats_the_run_without_ros_bit_for_bit(tmp_path):
     rows = commands()
     for name in ("one", "two"):
-        driven(tmp_path / name, rows, seed=3)
+        record(tmp_path / name, rows, seed=3)
     log = drive_open_loop(make_plant("mujoco", seed=3), rows, (1.0, 2.0, 0.5))
-    truth = recorded_truth(tmp_path / "one")
-    assert np.array_equal(truth, recorded_truth(tmp_path / "two"))
+    truth = read_true_poses(tmp_path / "one")
+    assert np.array_equal(truth, read_true_poses(tmp_path / "two"))
     assert np.array_equal(truth[:, :2], log.true_pose[:, :2])
     assert np.allclose(truth[:, 2], log.true_pose[:, 2], rtol=0, atol=1e-14)
     assert np.ptp(truth[:, 0]) > 0.1
-    stamps, _ = recorded(tmp_path / "one", "/ground_truth/pose")
+    stamps, _ = read_messages(tmp_path / "one", "/ground_truth/pose")
     assert np.array_equal(np.diff(stamps), np.full(TICKS - 1, 20_200_000))
 
 
 @pytest.mark.parametrize(("stamped", "storage"), [(True, "mcap"), (False, "sqlite3")])
-def test_a_recording_is_the_log_of_the_drive(tmp_path, stamped, storage):
-    """Commands, encoders, gyro and poses as `read_log` gives them are those of the same drive without ROS."""
+def test_recording_equals_the_log_of_the_drive(tmp_path, stamped, storage):
+    """`read_log` returns the commands, encoders, gyro and poses of the same drive without ROS."""
     rows = commands(200, seed=1)
-    driven(tmp_path / "bag", rows, seed=2, base=settings(stamped=stamped), storage=storage)
+    record(tmp_path / "bag", rows, seed=2, base=settings(stamped=stamped), storage=storage)
     log = drive_open_loop(make_plant("mujoco", seed=2), rows, (1.0, 2.0, 0.5))
     (drive,) = read_log(tmp_path / "bag", "simulated_robot").records
     assert drive.dt == pytest.approx(DT, abs=1e-12)
@@ -91,14 +91,14 @@ def test_a_recording_is_the_log_of_the_drive(tmp_path, stamped, storage):
     for row in rows:
         sensed.append(plant.measure().pose)
         plant.advance(row)
-    stamps, poses = recorded(tmp_path / "bag", "/pose")
+    stamps, poses = read_messages(tmp_path / "bag", "/pose")
     assert np.array_equal(stamps - stamps[0], [round(1e9 * (p.time - sensed[0].time)) for p in sensed])
     assert [p.pose.pose.position.x for p in poses] == [p.value[0] for p in sensed]
     assert poses[0].pose.covariance[0] == sensed[0].covariance[0][0]
 
 
 def test_commands_of_the_other_type_are_named_with_the_remedy(capfd):
-    """This holds independently of the discovery time on a loaded machine."""
+    """The result does not depend on the discovery time of a loaded machine."""
     plant, warnings = make_plant("model:ssm"), []
     advance = plant.advance
 
@@ -117,57 +117,57 @@ def test_commands_of_the_other_type_are_named_with_the_remedy(capfd):
     assert "--unstamped, or set the node's parameter stamped:=true" in line
 
 
-def test_a_silent_driver_lets_the_robot_stop(tmp_path):
-    """The robot continues for the command timeout, then comes to rest."""
+def test_robot_stops_without_commands(tmp_path):
+    """The robot continues until the command timeout, then comes to rest."""
     rows = np.tile([0.5, 0.0], (30, 1))
-    driven(tmp_path / "bag", rows, ticks=100)
-    speed = np.array([m.twist.linear.x for m in recorded(tmp_path / "bag", "/ground_truth/twist")[1]])
-    last = recorded(tmp_path / "bag", "/cmd_vel")[0][-1]
-    time = 1e-9 * (recorded(tmp_path / "bag", "/ground_truth/twist")[0] - last)
+    record(tmp_path / "bag", rows, ticks=100)
+    speed = np.array([m.twist.linear.x for m in read_messages(tmp_path / "bag", "/ground_truth/twist")[1]])
+    last = read_messages(tmp_path / "bag", "/cmd_vel")[0][-1]
+    time = 1e-9 * (read_messages(tmp_path / "bag", "/ground_truth/twist")[0] - last)
     assert np.all(speed[(time > 0.2) & (time < 0.5)] > 0.45)
     assert np.all(np.abs(speed[time > 1.3]) < 0.01)
     assert time[-1] > 1.3
 
 
-def test_commands_that_cannot_be_meant_do_not_move_it(tmp_path):
+def test_invalid_commands_do_not_move_the_robot(tmp_path):
     """The commands contain NaN, or stamps of another clock."""
     bad, good = np.full((20, 2), np.nan), np.tile([0.5, 0.0], (20, 1))
     base = settings(answer_timeout=0.05)
-    driven(tmp_path / "nan", bad, plant="model:ssm", base=base)
-    driven(tmp_path / "ahead", good, plant="model:ssm", base=base, stamp=lambda now: now + 10**10)
-    driven(tmp_path / "old", good, plant="model:ssm", base=base, stamp=lambda now: now - 10**9)
+    record(tmp_path / "nan", bad, plant="model:ssm", base=base)
+    record(tmp_path / "ahead", good, plant="model:ssm", base=base, stamp=lambda now: now + 10**10)
+    record(tmp_path / "old", good, plant="model:ssm", base=base, stamp=lambda now: now - 10**9)
     for name in ("nan", "ahead", "old"):
-        assert recorded(tmp_path / name, "/cmd_vel")[0].size
-        truth = recorded_truth(tmp_path / name)
+        assert read_messages(tmp_path / name, "/cmd_vel")[0].size
+        truth = read_true_poses(tmp_path / name)
         assert np.array_equal(truth, np.tile(truth[0], (20, 1)))
 
 
-def test_topics_carry_frames_and_rates(tmp_path):
-    driver = driven(tmp_path / "bag", commands(), base=settings(**{"every.imu": 3}))
-    odom, imu = recorded(tmp_path / "bag", "/odom")[1], recorded(tmp_path / "bag", "/imu")[1]
+def test_topics_have_their_frames_and_rates(tmp_path):
+    driver = record(tmp_path / "bag", commands(), base=settings(**{"every.imu": 3}))
+    odom, imu = read_messages(tmp_path / "bag", "/odom")[1], read_messages(tmp_path / "bag", "/imu")[1]
     assert (odom[0].header.frame_id, odom[0].child_frame_id) == ("odom", "base_link")
-    assert recorded(tmp_path / "bag", "/pose")[1][0].header.frame_id == "map"
+    assert read_messages(tmp_path / "bag", "/pose")[1][0].header.frame_id == "map"
     assert len(odom) == TICKS and len(imu) == TICKS / 3
-    assert np.all(np.diff(recorded(tmp_path / "bag", "/imu")[0]) == 3 * 20_200_000)
+    assert np.all(np.diff(read_messages(tmp_path / "bag", "/imu")[0]) == 3 * 20_200_000)
     assert imu[0].orientation_covariance[0] == -1.0
-    # What went over the wire is what was recorded; a start is lost where the reader was not yet connected.
+    # Sent and recorded messages are equal; the reader may miss the first ones before it is connected.
     sent = {message.header.stamp.nanosec: message.twist.twist.linear.x for message in odom}
     assert len(driver.odometry) > TICKS / 2
     assert all(sent[m.header.stamp.nanosec] == m.twist.twist.linear.x for m in driver.odometry)
 
 
 @pytest.mark.parametrize(("source", "bound"), [("dead_reckoning", 0.03), ("pose_sensor", 0.03)])
-def test_the_pose_in_odom_is_where_the_robot_is(tmp_path, source, bound):
-    """Errors are centimetres after a curve of 1.2 s, at the time of the stamp in spite of late poses."""
+def test_pose_in_odom_is_near_the_true_pose(tmp_path, source, bound):
+    """Errors are centimetres after a curve of 1.2 s, at the time of the stamp despite late poses."""
     rows = np.tile([0.8, 0.8], (TICKS, 1))
-    driven(tmp_path / "bag", rows, base=settings(odometry_pose=source))
-    poses = [message.pose.pose.position for message in recorded(tmp_path / "bag", "/odom")[1]]
-    odom, truth = np.array([[p.x, p.y] for p in poses]), recorded_truth(tmp_path / "bag")[:, :2]
+    record(tmp_path / "bag", rows, base=settings(odometry_pose=source))
+    poses = [message.pose.pose.position for message in read_messages(tmp_path / "bag", "/odom")[1]]
+    odom, truth = np.array([[p.x, p.y] for p in poses]), read_true_poses(tmp_path / "bag")[:, :2]
     assert np.abs(odom - truth).max() < bound
     assert np.linalg.norm(truth[-1] - truth[0]) > 0.5
 
 
-def test_a_lost_robot_ends_the_run_and_the_bag_is_whole(tmp_path):
+def test_lost_robot_ends_the_run_with_a_complete_bag(tmp_path):
     plant = make_plant("model:ssm")
     advance, ticks = plant.advance, []
 
@@ -180,7 +180,7 @@ def test_a_lost_robot_ends_the_run_and_the_bag_is_whole(tmp_path):
     plant.advance = lose
     with Driver(commands(), DT), pytest.raises(RobotLostError, match="lost"):
         run_robot(plant, (0, 0, 0), settings(), load_sensor_set("default"), lock_step=True, record=tmp_path / "bag")
-    assert len(recorded_truth(tmp_path / "bag")) == 15
+    assert len(read_true_poses(tmp_path / "bag")) == 15
 
 
 def test_a_bag_is_never_written_over(tmp_path):
@@ -192,13 +192,13 @@ COMMAND = str(Path(sys.executable).with_name("diffdrive-mpc"))
 
 
 @contextmanager
-def started(*words, says):
-    """Yield the process once it has printed these words; it ends with the context or after `BOUND` seconds."""
+def start_robot(*words, output):
+    """Yield the process once it has printed `output`; it ends with the context or after `BOUND` seconds."""
     robot = subprocess.Popen([COMMAND, "sim-robot", "--plant", "model:ssm", *words], stderr=subprocess.PIPE, text=True)
     watchdog = threading.Timer(BOUND, robot.kill)
     watchdog.start()
     try:
-        assert any(says in line for line in robot.stderr), "it ended before it was ready"
+        assert any(output in line for line in robot.stderr), "the process ended before it was ready"
         yield robot
     finally:
         watchdog.cancel()
@@ -208,12 +208,12 @@ def started(*words, says):
 
 
 @pytest.mark.parametrize(
-    ("number", "mode", "says"),
+    ("number", "mode", "output"),
     [(signal.SIGINT, "--real-time", "ready, in real time"), (signal.SIGTERM, "--lock-step", "waiting for")],
 )
-def test_a_signal_ends_it_cleanly(number, mode, says, tmp_path):
-    """This also holds in lock step without a driver, while the robot waits."""
-    with started(mode, "--record", str(tmp_path / "bag"), says=says) as robot:
+def test_signal_ends_the_robot_cleanly(number, mode, output, tmp_path):
+    """In lock step the robot waits without a driver."""
+    with start_robot(mode, "--record", str(tmp_path / "bag"), output=output) as robot:
         robot.send_signal(number)
         _, errors = robot.communicate()
     assert robot.returncode == 0, errors
@@ -221,8 +221,8 @@ def test_a_signal_ends_it_cleanly(number, mode, says, tmp_path):
     assert (tmp_path / "bag" / "metadata.yaml").exists()
 
 
-def test_in_real_time_stamps_stand_on_the_samples(tmp_path):
-    """However late the machine is: this much time is not given up here."""
+def test_real_time_stamps_are_multiples_of_the_sample_time(tmp_path):
+    """The machine may be late: the base permits 60 s of delay in this test."""
     shipped = (Path(__file__).parents[2] / "sim" / "ros" / "base.yaml").read_text()
     base = tmp_path / "base.yaml"
     base.write_text(shipped.replace("most_behind: 0.2", "most_behind: 60"))
@@ -236,14 +236,14 @@ def test_in_real_time_stamps_stand_on_the_samples(tmp_path):
         check=False,
     )
     assert result.returncode == 0, result.stderr
-    stamps, _ = recorded(tmp_path / "bag", "/odom")
+    stamps, _ = read_messages(tmp_path / "bag", "/odom")
     assert np.array_equal(np.diff(stamps), np.full(24, 20_200_000))
     assert before < stamps[0] < stamps[-1] < time.time_ns()
-    assert np.array_equal(recorded_truth(tmp_path / "bag"), np.zeros((25, 3)))
+    assert np.array_equal(read_true_poses(tmp_path / "bag"), np.zeros((25, 3)))
 
 
-def test_it_ticks_at_the_period_of_the_node_s_configuration(tmp_path):
+def test_robot_ticks_at_the_sample_time_of_the_configuration(tmp_path):
     (tmp_path / "slow.yaml").write_text("model: ssm\nsample_time: 0.05\n")
     words = ["--plant", "model:ssm", "--config", str(tmp_path / "slow.yaml"), "--record", str(tmp_path / "bag")]
     invoke(app, "sim-robot", *words, "--duration", "0.4")
-    assert np.array_equal(np.diff(recorded(tmp_path / "bag", "/odom")[0]), np.full(7, 50_000_000))
+    assert np.array_equal(np.diff(read_messages(tmp_path / "bag", "/odom")[0]), np.full(7, 50_000_000))

@@ -1,4 +1,4 @@
-"""A simulated run: what it keeps, and its energy."""
+"""A simulated run: its recorded data, and its energy."""
 
 import copy
 import pickle
@@ -18,7 +18,7 @@ CIRCLE = ConstantTwist(v=0.5, omega=0.5, duration=1.0, name="circle")
 
 
 @dataclass(frozen=True)
-class Belief:
+class Estimate:
     pose: FloatArray
     twist: FloatArray
     pose_deviation: FloatArray
@@ -33,9 +33,9 @@ class Solver:
 
 
 @dataclass(frozen=True)
-class TellingStep:
+class DetailedStep:
     command: FloatArray
-    estimate: Belief | None
+    estimate: Estimate | None
     solver: Solver | None
     mode: str = "TRACKING"
     message: str = ""
@@ -44,14 +44,14 @@ class TellingStep:
     solve_time: float = 4e-4
 
 
-class Telling(FeedForward):
-    """Tells what it believes from the second tick on, and has a solver at every second one."""
+class DetailedController(FeedForward):
+    """Reports an estimate from the second tick on, and a solver result at every second tick."""
 
-    def step(self, t: float, measurement: Measurement) -> TellingStep:  # type: ignore[override]
+    def step(self, t: float, measurement: Measurement) -> DetailedStep:  # type: ignore[override]
         command = super().step(t, measurement).command
         k = self._tick - 1
-        belief = Belief(*(k + np.array(x) for x in ([0.1, 0.2, 0.3], [0.4, 0.5], [0.6, 0.7, 0.8], [0.9, 1.0])))
-        return TellingStep(command, belief if k else None, Solver() if k % 2 else None, plan=plan_of(k))
+        estimate = Estimate(*(k + np.array(x) for x in ([0.1, 0.2, 0.3], [0.4, 0.5], [0.6, 0.7, 0.8], [0.9, 1.0])))
+        return DetailedStep(command, estimate if k else None, Solver() if k % 2 else None, plan=plan_of(k))
 
 
 def plan_of(k: int) -> FloatArray | None:
@@ -60,10 +60,10 @@ def plan_of(k: int) -> FloatArray | None:
 
 @pytest.fixture(scope="module")
 def run() -> Run:
-    return simulate(Telling(), KinematicPlant(), CIRCLE)
+    return simulate(DetailedController(), KinematicPlant(), CIRCLE)
 
 
-def test_the_loop_gathers_what_a_controller_believes_and_how_it_solves(run: Run) -> None:
+def test_run_contains_the_estimates_and_solver_results_of_a_controller(run: Run) -> None:
     assert np.isnan(run.estimates[0]).all() and np.isnan(run.estimate_deviations[0]).all()
     np.testing.assert_array_equal(run.estimates[3], 3 + np.array([0.1, 0.2, 0.3, 0.4, 0.5]))
     np.testing.assert_array_equal(run.estimate_deviations[3], 3 + np.array([0.6, 0.7, 0.8, 0.9, 1.0]))
@@ -75,7 +75,7 @@ def test_the_loop_gathers_what_a_controller_believes_and_how_it_solves(run: Run)
     assert (run.metrics.iterations_mean, run.metrics.iterations_max) == (3.0, 3.0)
 
 
-def test_a_controller_that_tells_nothing_has_empty_rows() -> None:
+def test_run_of_a_controller_without_details_has_empty_rows() -> None:
     for quiet in (simulate(FeedForward(), KinematicPlant(), CIRCLE), run_along(CIRCLE, [0, 0, 0], [0, 0, 0], [0, 1])):
         n = len(quiet.time)
         assert quiet.estimates.shape == quiet.estimate_deviations.shape == (n, 5)
@@ -85,8 +85,8 @@ def test_a_controller_that_tells_nothing_has_empty_rows() -> None:
         assert {len(column) for column in quiet.columns.values()} == {n}
 
 
-def test_errors_are_those_of_the_true_motion_from_the_start_to_the_end_of_the_reference() -> None:
-    """Along the x axis at 1 m/s for 2 s, side slip 0.1 m/s; measurements, estimates and commands are far off."""
+def test_errors_use_the_true_motion_during_the_reference() -> None:
+    """Along the x axis at 1 m/s for 2 s, side slip 0.1 m/s; measurements, estimates and commands differ widely."""
     times = np.arange(7) / 2
     ahead, left = np.array([[0.08, 0.06]] * 2 + [[0.04, -0.03]] * 3 + [[3.0, 4.0]] * 2).T
     truth = np.column_stack([np.minimum(times, 2.0) + ahead, left, np.full(7, 0.2)])
@@ -105,9 +105,9 @@ def test_errors_are_those_of_the_true_motion_from_the_start_to_the_end_of_the_re
     assert replace(run, ended="lost").recovery.recovery_time_s == np.inf
 
 
-def test_plans_are_kept_when_asked_for(run: Run) -> None:
+def test_plans_are_recorded_on_request(run: Run) -> None:
     assert run.plans.shape == (0, 0, 3)
-    with_plans = simulate(Telling(), KinematicPlant(), CIRCLE, keep_plans=True)
+    with_plans = simulate(DetailedController(), KinematicPlant(), CIRCLE, keep_plans=True)
     assert with_plans.plans.shape == (len(run.time), 4, 3)
     np.testing.assert_array_equal(with_plans.plans[1::2], [plan_of(k) for k in range(1, len(run.time), 2)])
     assert np.isnan(with_plans.plans[::2]).all()
@@ -116,21 +116,21 @@ def test_plans_are_kept_when_asked_for(run: Run) -> None:
 
 
 def arrays(run: Run) -> dict[str, FloatArray]:
-    held = {field.name: getattr(run, field.name) for field in fields(run)}
-    held |= {f"errors.{field.name}": getattr(run.errors, field.name) for field in fields(run.errors)}
-    return {name: value for name, value in held.items() if isinstance(value, np.ndarray)}
+    variant = {field.name: getattr(run, field.name) for field in fields(run)}
+    variant |= {f"errors.{field.name}": getattr(run.errors, field.name) for field in fields(run.errors)}
+    return {name: value for name, value in variant.items() if isinstance(value, np.ndarray)}
 
 
-def test_arrays_of_a_run_cannot_be_written_to_nor_after_a_trip_to_another_process(run: Run) -> None:
-    for held in (run, pickle.loads(pickle.dumps(run)), copy.copy(run), run.with_step_time(run.step_time)):
-        assert len(arrays(held)) == 22
-        for name, array in arrays(held).items():
+def test_arrays_of_a_run_and_of_its_copies_are_read_only(run: Run) -> None:
+    for variant in (run, pickle.loads(pickle.dumps(run)), copy.copy(run), run.with_step_time(run.step_time)):
+        assert len(arrays(variant)) == 22
+        for name, array in arrays(variant).items():
             with pytest.raises(ValueError, match="read-only"):
                 array[...] = 0.0
             np.testing.assert_array_equal(array, arrays(run)[name])
 
 
-def test_a_run_becomes_a_dataframe(run: Run) -> None:
+def test_run_is_converted_to_a_dataframe(run: Run) -> None:
     table = run.to_dataframe()
     assert isinstance(table, pd.DataFrame)
     assert list(table.columns) == list(run.columns)
@@ -141,7 +141,7 @@ def test_a_run_becomes_a_dataframe(run: Run) -> None:
     assert table["t_s"].dtype == float
 
 
-def test_a_run_is_drawn_with_its_path_errors_and_commands(run: Run) -> None:
+def test_run_is_drawn_with_its_path_errors_and_commands(run: Run) -> None:
     figure = run.plot()
     labels = {axes.get_ylabel() for axes in figure.axes}
     assert labels == {"y [m]", "error [mm]", "error [rad]", "v [m/s]", "omega [rad/s]"}
@@ -150,7 +150,7 @@ def test_a_run_is_drawn_with_its_path_errors_and_commands(run: Run) -> None:
     plt.close(figure)
 
 
-def test_a_run_prints_as_a_table() -> None:
+def test_run_prints_as_a_table() -> None:
     offset = np.column_stack([np.arange(4.0), np.full(4, 0.05), np.full(4, -0.01)])
     twist = np.tile([1.0, 0.0, 0.0], (4, 1))
     run = run_along(ConstantTwist(1.0, 0.0, 3.0, name="line"), offset, twist, np.arange(4.0))
@@ -169,7 +169,7 @@ def test_a_run_prints_as_a_table() -> None:
     assert repr(run) == "Run along 'line': 4 ticks of 1 s"
 
 
-def test_columns_hold_the_true_torques_of_motors_only_if_the_plant_has_some() -> None:
+def test_columns_contain_motor_torques_only_if_the_plant_has_motors() -> None:
     reference = ConstantTwist(v=0.4, omega=1.2, duration=1.0)
     run = simulate(FeedForward(), make_plant("mujoco", sensors="perfect"), reference)
     names = [f"true_torque_{wheel}_n_m" for wheel in ("fl", "fr", "rl", "rr")]

@@ -45,7 +45,7 @@ def test_poses_arrive_at_the_first_tick_after_their_latency(period: float | None
     assert measurements[0].pose is not None
     newest = -np.inf
     for k, measurement in enumerate(measurements):
-        # The newest sample that has had its latency; it is delivered once.
+        # The newest sample whose latency has passed is delivered once.
         expected = np.floor((k * DT - latency + 2e-9) / interval) * interval
         if measurement.pose is None:
             assert expected <= newest + 1e-6
@@ -56,7 +56,7 @@ def test_poses_arrive_at_the_first_tick_after_their_latency(period: float | None
             assert np.asarray(measurement.pose.value)[0] == pytest.approx(max(newest, 0.0), abs=1e-9)
 
 
-def test_a_set_says_how_sensors_are_wired() -> None:
+def test_sensor_set_defines_the_wiring_of_sensors() -> None:
     wired = load_sensor_set("perfect").model_dump()
     wired["pose"] |= {"turned": 0.5, "mirrored": True, "theta_sign": -1}
     wired["gyro"] |= {"scale": -2.0, "largest": 1.0}
@@ -110,7 +110,7 @@ def test_gyro_bias_is_constant_in_a_run_and_differs_between_seeds() -> None:
     assert np.std(biases) == pytest.approx(0.01, rel=0.25)
 
 
-def test_changing_one_sensor_leaves_the_noise_of_the_others() -> None:
+def test_change_of_one_sensor_does_not_change_the_noise_of_others() -> None:
     default, slam = (_run(load_sensor_set(name), 30, seed=3) for name in ("default", "slam"))
     for usual, changed in zip(default, slam, strict=True):
         assert usual.yaw_rate.value == changed.yaw_rate.value
@@ -127,7 +127,7 @@ def test_reported_heading_is_wrapped(theta: float) -> None:
     assert np.cos(reported - theta) == pytest.approx(1.0, abs=1e-9)
 
 
-def test_nothing_is_delivered_twice() -> None:
+def test_measurement_is_delivered_once() -> None:
     sensors = Sensors(load_sensor_set("default"), KINEMATICS, DT, seed=0, noisy_encoders=True)
     sensors.collect(0.0, None)
     assert sensors.collect(0.0, (0.1, 0.2)) == Measurement(sent=(0.1, 0.2))
@@ -163,8 +163,8 @@ def _value(stamped: Stamped | None) -> list[float] | None:
         ("poses_100ms_arrival", 1 / TICK, 0.0),
     ],
 )
-def test_poor_poses_arrive_as_often_and_as_old_as_their_name_says(name: str, rate: float, age: float) -> None:
-    """Ages follow from the stamps; the value of a pose shows its true age: the robot was there at that time."""
+def test_poor_poses_have_the_rate_and_age_of_their_name(name: str, rate: float, age: float) -> None:
+    """Stamps give the ages; the value of a pose shows its true age from the robot's position at that time."""
     latency = load_sensor_set(name).pose.latency
     samples = _drive(make_plant("mujoco", sensors=name), 300)[1:]
     arrived = [(time, m.pose) for time, m, _ in samples if m.pose is not None]
@@ -174,7 +174,7 @@ def test_poor_poses_arrive_as_often_and_as_old_as_their_name_says(name: str, rat
     assert ages.max() < age + TICK + 1e-9
     times, truth = np.array([time for time, _, _ in samples]), np.array([pose for _, _, pose in samples])
     late = [(time, np.asarray(pose.value)) for time, pose in arrived if time > latency + 0.1]
-    # The instant that a pose shows, by where it is along the way: of the noise the mean over many.
+    # Nearest true position on the path; the mean over many poses averages out the noise.
     then = [np.argmin(np.hypot(*(truth[:, :2] - pose[:2]).T)) for _, pose in late]
     assert np.mean([time - times[k] for (time, _), k in zip(late, then, strict=True)]) == pytest.approx(
         latency + TICK / 2, abs=TICK
@@ -182,7 +182,7 @@ def test_poor_poses_arrive_as_often_and_as_old_as_their_name_says(name: str, rat
 
 
 @pytest.mark.parametrize(("name", "noise"), [("noise_2cm", 0.02), ("noise_5cm", 0.05)])
-def test_noise_that_is_not_stated(name: str, noise: float) -> None:
+def test_unstated_noise_is_not_in_the_covariance(name: str, noise: float) -> None:
     samples = [
         (np.asarray(m.pose.value), m.pose, truth)
         for _, m, truth in _drive(make_plant("mujoco", sensors=name), 400)
@@ -195,7 +195,7 @@ def test_noise_that_is_not_stated(name: str, noise: float) -> None:
     np.testing.assert_allclose(stated, [usual.position_sd, usual.position_sd, usual.heading_sd])
 
 
-def test_a_sensor_set_says_only_what_differs_from_the_default_one(tmp_path: Path) -> None:
+def test_sensor_set_states_only_differences_from_the_default_set(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text("gyro: {bias_sd: 0.02}\n")
     mine, usual = load_sensor_set(path), load_sensor_set("default")
@@ -205,7 +205,7 @@ def test_a_sensor_set_says_only_what_differs_from_the_default_one(tmp_path: Path
 
 
 def _both(name: str, **faults: Any) -> list[tuple[float, Measurement, Measurement]]:
-    """Return time, sound and faulty measurement of each tick; the robots' states are bitwise equal."""
+    """Return time, intact and faulty measurement of each tick; the states of both robots are bitwise equal."""
     for fault in (fault for kind in faults.values() for fault in kind):
         fault |= {"start": START, "duration": END - START}
     scenario = check(Scenario, {"description": "test", **faults}, "test")
@@ -218,7 +218,7 @@ def _both(name: str, **faults: Any) -> list[tuple[float, Measurement, Measuremen
 def _check_only(
     ticks: list[tuple[float, Measurement, Measurement]], fields: set[str]
 ) -> list[tuple[float, Measurement, Measurement]]:
-    """Return the ticks of the fault; check that only these fields differ, only then, and that no stamp differs."""
+    """Check that only these fields differ, only during the fault, with equal stamps; return the ticks of the fault."""
     during = [tick for tick in ticks if START <= tick[0] < END]
     assert 20 < len(during) < len(ticks)
     for time, sound, faulty in ticks:
@@ -241,7 +241,7 @@ def _check_only(
 @pytest.mark.parametrize(
     ("sensor", "fields"), [("pose", {"pose"}), ("wheels", {"wheel_twist", "wheel_speeds"}), ("gyro", {"yaw_rate"})]
 )
-def test_a_stuck_sensor_repeats_its_last_value_with_fresh_stamps(plant: str, sensor: str, fields: set[str]) -> None:
+def test_stuck_sensor_repeats_its_last_value_with_new_stamps(plant: str, sensor: str, fields: set[str]) -> None:
     ticks = _both(plant, stuck_sensors=[{"sensor": sensor}])
     during = _check_only(ticks, fields)
     last = [sound for time, sound, _ in ticks if time < START][-1]
@@ -253,7 +253,7 @@ def test_a_stuck_sensor_repeats_its_last_value_with_fresh_stamps(plant: str, sen
         assert stamps == sorted(set(stamps))
 
 
-def test_a_dead_encoder_spoils_the_twist_of_its_side() -> None:
+def test_dead_encoder_corrupts_the_twist_of_its_side() -> None:
     during = _check_only(_both("mujoco", dead_encoders=[{"wheels": ["rear_left"]}]), {"wheel_twist", "wheel_speeds"})
     robot = load_robot()
     for _, sound, faulty in during:
@@ -263,12 +263,12 @@ def test_a_dead_encoder_spoils_the_twist_of_its_side() -> None:
         np.testing.assert_allclose(_value(faulty.wheel_twist), [(left + right) / 2, (right - left) / robot.track])
 
 
-def test_a_biased_gyro_is_off_by_a_constant() -> None:
+def test_biased_gyro_has_a_constant_error() -> None:
     for _, sound, faulty in _check_only(_both("mujoco", gyro_biases=[{"bias": 0.05}]), {"yaw_rate"}):
         assert _value(faulty.yaw_rate)[0] - _value(sound.yaw_rate)[0] == pytest.approx(0.05)  # type: ignore[index]
 
 
-def test_a_pose_jumps_and_drifts_from_then_on_and_its_heading_stays_wrapped() -> None:
+def test_pose_error_jumps_and_drifts_from_its_start_and_the_heading_stays_wrapped() -> None:
     error = {"x": 0.3, "y": -0.2, "heading": 6.0, "x_rate": 0.1, "heading_rate": -0.5}
     for time, sound, faulty in _check_only(_both("mujoco", pose_errors=[error]), {"pose"}):
         off = np.subtract(_value(faulty.pose), _value(sound.pose))  # type: ignore[arg-type]
@@ -278,7 +278,7 @@ def test_a_pose_jumps_and_drifts_from_then_on_and_its_heading_stays_wrapped() ->
         assert -np.pi < _value(faulty.pose)[2] <= np.pi  # type: ignore[index]
 
 
-def test_a_sensor_that_is_lost_and_then_stuck_repeats_what_came_last(tmp_path: Path) -> None:
+def test_sensor_lost_and_then_stuck_repeats_its_last_reading(tmp_path: Path) -> None:
     scenario = check(
         Scenario,
         {

@@ -1,4 +1,4 @@
-"""Robots of the simulation: shipped, drawn at random, and assembled from parts."""
+"""Robots of the simulation: shipped, random, and assembled from parts."""
 
 import math
 from pathlib import Path
@@ -49,20 +49,20 @@ def _resting_loads(name: str) -> FloatArray:
 
 
 @pytest.mark.parametrize("name", [name for name in SHIPPED if not load_simulated_robot(name).twin.chassis.castors])
-def test_the_floor_carries_its_weight_where_its_centre_of_mass_is(name: str) -> None:
+def test_wheel_loads_balance_the_weight_at_the_centre_of_mass(name: str) -> None:
     """Balance of forces and moments: front left, front right, rear left, rear right."""
     build = load_simulated_robot(name)
     loads = _resting_loads(name)
     assert loads.sum() == pytest.approx(build.robot.mass * GRAVITY, rel=1e-3)
     ahead = build.twin.chassis.wheel_base / 2 * np.array([1, 1, -1, -1])
     left = build.robot.track / 2 * np.array([1, -1, 1, -1])
-    # It leans by the deflection of its tyres, which moves the mass above by less than a millimetre.
+    # The robot leans on its tyres, which moves its centre of mass by less than a millimetre.
     np.testing.assert_allclose(
         [loads @ ahead / loads.sum(), loads @ left / loads.sum()], build.twin.chassis.centre_of_mass, atol=1e-3
     )
 
 
-def test_a_file_that_changes_nothing_is_the_twin_bit_for_bit(tmp_path: Path) -> None:
+def test_file_without_changes_gives_the_default_robot_bit_for_bit(tmp_path: Path) -> None:
     path = tmp_path / "same.yaml"
     path.write_text("description: the same\n")
     commands = random_commands(7, duration=2.0)
@@ -72,7 +72,7 @@ def test_a_file_that_changes_nothing_is_the_twin_bit_for_bit(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("name", ["default", *(name for name in SHIPPED if name.startswith("dead_time"))])
-def test_nothing_moves_before_the_dead_time(name: str) -> None:
+def test_robot_rests_until_the_dead_time_has_passed(name: str) -> None:
     dead_time = load_simulated_robot(name).twin.link.dead_time
     assert name in ("default", f"dead_time_{1e3 * dead_time:.0f}")
     log = _hold(name, 0.6, 0.0, 15)
@@ -82,21 +82,21 @@ def test_nothing_moves_before_the_dead_time(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["long", "long_naive", "wide", "wide_naive"])
-def test_another_build_turns_on_the_spot_as_coulomb_friction_and_its_firmware_say(name: str) -> None:
+def test_robot_of_another_build_turns_as_coulomb_friction_and_its_firmware_predict(name: str) -> None:
     """Wheels turn at firmware track / track of the command, the body at track^2 / (track^2 + wheel base^2) of that."""
     build = load_simulated_robot(name)
     track, base = build.robot.track, build.twin.chassis.wheel_base
     expected = build.firmware.track / track * track**2 / (track**2 + base**2)
-    turned = _hold(name, 0.0, 0.8).true_twist[75:, 2].mean() / 0.8
-    assert turned == pytest.approx(expected, abs=0.03)
-    assert (abs(turned - 1.0) < 0.03) == (not name.endswith("naive"))
+    ratio = _hold(name, 0.0, 0.8).true_twist[75:, 2].mean() / 0.8
+    assert ratio == pytest.approx(expected, abs=0.03)
+    assert (abs(ratio - 1.0) < 0.03) == (not name.endswith("naive"))
 
 
 CASTORS = (4, 10, 15, 20, 27, 28, 29, 39, 50, 52, 54, 57, 69, 110, 143, 152, 173, 182, 233, 249, 276)
 """Robots with castors that grip, slope and motors let drive the benchmark paths."""
 
 
-def test_a_seed_draws_the_same_robot_and_run():
+def test_equal_seeds_draw_equal_robots_and_runs():
     assert draw_robot(7) == draw_robot(7)
     first, second = (
         simulate(
@@ -134,7 +134,7 @@ def test_castors_turn_the_robot_about_its_driven_axle():
     assert np.hypot(x, y) < 0.05 * theta
 
 
-def test_lost_poses_are_lost_and_the_others_keep_their_noise():
+def test_lost_poses_are_missing_at_the_stated_share():
     whole, lossy = (
         simulate(Controller("ssm"), make_plant("mujoco", seed=3, sensors=sensors), load_trajectory("s"))
         for sensors in ("default", "half_lost")
@@ -149,14 +149,14 @@ DT = 0.02
 
 
 @given(st.floats(-2, 2), st.floats(-2, 2), st.integers(1, 5 * SECOND), st.integers(0, 3 * SECOND))
-def test_a_command_holds_for_the_timeout_and_not_longer(v, omega, start, later):
+def test_command_holds_until_the_timeout(v, omega, start, later):
     inbox = CommandInbox(SECOND // 2, SECOND // 100)
     assert inbox.put(v, omega, 0, start) == ""
     assert inbox.command(start + later) == ((v, omega) if later <= SECOND // 2 else STOP)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_a_command_that_is_not_finite_is_refused_and_the_last_one_holds_until_it_lapses(bad):
+def test_command_that_is_not_finite_is_refused_and_the_last_one_holds_until_the_timeout(bad):
     inbox = CommandInbox(SECOND // 2, 0)
     inbox.put(0.5, 0.1, 0, SECOND)
     assert "not finite" in inbox.put(bad, 0.0, 0, SECOND) and "not finite" in inbox.put(0.0, bad, 0, SECOND)
@@ -164,7 +164,7 @@ def test_a_command_that_is_not_finite_is_refused_and_the_last_one_holds_until_it
     assert inbox.command(2 * SECOND) == STOP
 
 
-def test_an_answer_is_known_by_its_stamp_or_else_by_its_receipt():
+def test_response_is_identified_by_its_stamp_or_else_by_its_receipt():
     inbox = CommandInbox(SECOND, SECOND // 100)
     assert not inbox.answers(SECOND)
     inbox.put(0.1, 0.0, SECOND - SECOND // 50, SECOND)
@@ -180,22 +180,22 @@ def ramp(k):
     return 0.01 * k, 0.02 * k
 
 
-def sensed(k, pose=None):
+def measurement_at(k, pose=None):
     v, omega = ramp(k)
     return Measurement(pose=pose, wheel_twist=Stamped((v, 1.6 * omega), k * DT), yaw_rate=Stamped(omega, k * DT))
 
 
-def test_odometry_takes_speed_from_the_wheels_and_turning_from_the_gyro():
+def test_odometry_uses_speed_from_the_wheels_and_turning_from_the_gyro():
     start = np.array([1.0, -2.0, 0.3])
     odometry, truth = Odometry(start, 1, use_pose_sensor=False), start
     for k in range(80):
         if k:
             mean = 0.5 * (np.array(ramp(k - 1)) + np.array(ramp(k)))
             truth = integrate_pose(truth, mean[0], mean[1], DT)
-        assert np.allclose(odometry.update(k * DT, sensed(k)), truth, rtol=0, atol=1e-12)
+        assert np.allclose(odometry.update(k * DT, measurement_at(k)), truth, rtol=0, atol=1e-12)
 
 
-def test_a_silent_sensor_keeps_its_last_value():
+def test_odometry_keeps_the_last_value_of_a_silent_sensor():
     odometry = Odometry(np.zeros(3), 1, use_pose_sensor=False)
     straight = Measurement(wheel_twist=Stamped((0.5, 0.0), 0.0), yaw_rate=Stamped(0.0, 0.0))
     odometry.update(0.0, straight)
@@ -203,7 +203,7 @@ def test_a_silent_sensor_keeps_its_last_value():
 
 
 @pytest.mark.parametrize("latency", [0, 1, 4])
-def test_a_late_pose_is_carried_on_by_the_motion_since(latency):
+def test_late_pose_is_propagated_by_the_motion_since(latency):
     """Odometry is off by a metre and a radian; one exact pose corrects it, however late it arrives."""
     truth = [np.array([0.0, 0.0, 0.0])]
     odometry = Odometry([1.0, 0.0, 1.0], latency, use_pose_sensor=True)
@@ -212,7 +212,7 @@ def test_a_late_pose_is_carried_on_by_the_motion_since(latency):
             mean = 0.5 * (np.array(ramp(k - 1)) + np.array(ramp(k)))
             truth.append(integrate_pose(truth[-1], mean[0], mean[1], DT))
         pose = Stamped(truth[k - latency], (k - latency) * DT) if k == 50 else None
-        estimate = odometry.update(k * DT, sensed(k, pose))
+        estimate = odometry.update(k * DT, measurement_at(k, pose))
         if k >= 50:
             assert np.allclose(estimate, truth[k], rtol=0, atol=1e-12)
         else:
@@ -220,7 +220,7 @@ def test_a_late_pose_is_carried_on_by_the_motion_since(latency):
 
 
 @given(st.floats(-10, 10), st.floats(-10, 10), st.floats(-30, 30))
-def test_a_pose_message_is_a_unit_turn_about_the_vertical(x, y, theta):
+def test_pose_message_is_a_unit_turn_about_the_vertical(x, y, theta):
     pose = messages.pose_message((x, y, theta))
     q = pose.orientation
     assert (pose.position.x, pose.position.y, q.x, q.y) == (x, y, 0.0, 0.0)
@@ -233,8 +233,8 @@ def test_times_keep_every_nanosecond(now):
     assert messages.nanoseconds(messages.time_message(now)) == now
 
 
-def test_covariances_stand_where_ros_has_them():
-    """Row by row over x, y, z, roll, pitch, yaw."""
+def test_covariances_have_the_layout_of_ros():
+    """Rows and columns are x, y, z, roll, pitch, yaw."""
     known = np.array([[1.0, 2.0, 3.0], [2.0, 4.0, 5.0], [3.0, 5.0, 6.0]])
     covariance = np.reshape(messages.sensed_pose(0, Stamped((0, 0, 0), 0.0, known)).pose.covariance, (6, 6))
     assert np.array_equal(covariance[np.ix_([0, 1, 5], [0, 1, 5])], known)

@@ -19,7 +19,7 @@ from studies.reproduce.virtual_track import check_virtual_track
 NAMES = ("circle", "square", "s", "cane")
 
 
-def pose_error(size: float) -> PathError:
+def path_error(size: float) -> PathError:
     return PathError(Spread.of_errors([0.5 * size, size]), Spread.of_errors([0.5 * size, size]))
 
 
@@ -31,7 +31,7 @@ def mbm_sm(repetition: int = 1, *, mbm: float = 0.1, tracks: float = 0.2, sm: fl
         "motor_fit": dict.fromkeys(DATA, (95.0, 94.0, 93.0, 92.0)),
         "sm_fit": dict.fromkeys(DATA, (97.0, 88.0)),
         "errors": {
-            model: {name: pose_error(size / (k + 1)) for k, name in enumerate(NAMES)} for model, size in sizes.items()
+            model: {name: path_error(size / (k + 1)) for k, name in enumerate(NAMES)} for model, size in sizes.items()
         },
         "paths": {name: dict.fromkeys(("driven", *COMPARED), path) for name in NAMES},
         "responses": {"front left": path[:, :2], "v": path[:, :2]},
@@ -42,7 +42,7 @@ def mbm_sm(repetition: int = 1, *, mbm: float = 0.1, tracks: float = 0.2, sm: fl
 
 
 def ssm(repetition: int = 1, *, omega: tuple[float, ...] = (0.0, 90.0, 90.1, 90.4, 80.0), chosen: int = 2) -> SsmResult:
-    """Test FIT of omega by order; v is the same for all orders."""
+    """Return a result with these test FITs of omega by order; v is the same for all orders."""
     orders = tuple(
         OrderResult(
             order,
@@ -53,14 +53,14 @@ def ssm(repetition: int = 1, *, omega: tuple[float, ...] = (0.0, 90.0, 90.1, 90.
         )
         for order, fit in enumerate(omega, start=1)
     )
-    drives = (FreeDrive(VelocityFit((95.0, 92.0), (0.01, 0.05)), pose_error(0.5)),) * 2
+    drives = (FreeDrive(VelocityFit((95.0, 92.0), (0.01, 0.05)), path_error(0.5)),) * 2
     return SsmResult(repetition, orders, chosen, "the lowest", *[{IDENTIFIED: drives, PRINTED: drives}] * 2)
 
 
 def lstm(repetition: int = 1, *, ssm: float = 95.0, lstm: float = 93.0) -> NetworkResult:
-    """Return a result with this FIT [%] per model; errors of odometry grow as FIT falls."""
+    """Return a result with this FIT [%] per model; odometry errors grow as FIT falls."""
     drives = {
-        name: (FreeDrive(VelocityFit((fit, fit - 2.0), (0.01, 0.05)), pose_error(0.1 * (100.0 - fit))),)
+        name: (FreeDrive(VelocityFit((fit, fit - 2.0), (0.01, 0.05)), path_error(0.1 * (100.0 - fit))),)
         for name, fit in ((networks.SSM, ssm), (networks.LSTM, lstm), (networks.LONGER, lstm))
     }
     return NetworkResult(repetition, drives)
@@ -85,7 +85,7 @@ def cost(mbm: float = 4e-6, sm: float = 3e-6, ssm: float = 2e-7) -> dict[str, Co
     }
 
 
-def made_up(repetitions: int = 2) -> ReproduceResults:
+def artificial_results(repetitions: int = 2) -> ReproduceResults:
     return ReproduceResults(
         mbm_sm=tuple(mbm_sm(k) for k in range(1, repetitions + 1)),
         ssm=tuple(ssm(k) for k in range(1, repetitions + 1)),
@@ -100,6 +100,6 @@ def report_of(results: ReproduceResults) -> Report:
     return ReproduceStudy(load_study(quick=True)).report(results, 1.0)
 
 
-def write_made_up(results: ReproduceResults, folder: Path) -> None:
+def write_artificial_report(results: ReproduceResults, folder: Path) -> None:
     report = report_of(results)
     write_report(ReproduceStudy(load_study(quick=True)), report, META | report.meta, folder)

@@ -1,4 +1,4 @@
-"""The bound is one: it tracks its own model to nearly nothing, and nobody tracks better on the physics."""
+"""The clairvoyant bound: nearly zero error on its own model, and no controller is better on mujoco."""
 
 import numpy as np
 import pytest
@@ -35,8 +35,8 @@ CHEAP = {"weights.v": 0.0, "weights.omega": 0.0, "weights.v_increment": 1e-3, "w
 
 
 @pytest.mark.parametrize("plant", ["model:ssm", "model:sm"])
-def test_on_the_plant_of_its_own_model_nothing_is_left_where_commands_cost_nothing(plant, short):
-    """Slip included, which it knows. But no robot with a dead time is on a reference that sets off at once."""
+def test_bound_tracks_its_own_model_without_error_if_commands_are_free(plant, short):
+    """Slip is known. With a dead time a sudden start cannot be followed: errors count after the first second."""
     run = drive(plant, "default", short, weights=CHEAP)
     assert run.metrics.completed
     later = run.counted & (run.time > 1.0)
@@ -44,14 +44,14 @@ def test_on_the_plant_of_its_own_model_nothing_is_left_where_commands_cost_nothi
     assert np.abs(run.errors.lateral).max() < 1e-3
 
 
-def test_with_the_shipped_weights_steady_arcs_are_exact(short):
+def test_steady_arcs_are_exact_with_the_shipped_weights(short):
     run = drive("model:sm", "default", short)
     assert np.abs(steady_arc_lateral(run)).max() < 2e-4
     assert run.metrics.lateral_rmse_m < 1e-3
 
 
 @pytest.mark.long
-def test_on_the_physics_it_is_better_than_ours():
+def test_bound_is_better_than_the_mpc_on_mujoco():
     bound = drive("mujoco", "slippery", "cane")
     ours = simulate(make_controller(Case()), make_plant("mujoco", "slippery", "perfect"), load_trajectory("cane"))
     assert bound.metrics.completed
@@ -64,13 +64,13 @@ def test_a_plant_that_is_a_model_is_known_exactly():
     plant = make_plant("model:ssm", "slippery", "perfect")
     for _ in range(200):
         plant.advance([0.5, 0.4])
-    assert known.model.dc_gain @ [0.5, 0.4] == pytest.approx(plant.true_twist[[0, 2]], rel=1e-6)
+    assert plant_model.model.dc_gain @ [0.5, 0.4] == pytest.approx(plant.true_twist[[0, 2]], rel=1e-6)
     v, lateral, omega = plant.true_twist
-    assert lateral == pytest.approx(-known.side_slip * v * omega, rel=1e-9)
+    assert lateral == pytest.approx(-plant_model.side_slip * v * omega, rel=1e-9)
 
 
-def test_floor_is_the_scatter_of_simulated_linear_robots():
-    """Gains here by recursion; 400 robots on an arc, the errors of 400 ticks after the first ones."""
+def test_position_floor_is_the_scatter_of_simulated_linear_robots():
+    """Gains are computed here by recursion; 400 robots on an arc, the errors of 400 ticks after the first 400."""
     loop = linear_loop(load_config("sm"), load_model("sm"), (0.5, 0.6), load_sensor_set("default"), (0.02, 0.05))
     A, B, C, value, predicted = loop.A, loop.B, loop.C, loop.Q, loop.disturbance
     for _ in range(1000):
@@ -81,16 +81,16 @@ def test_floor_is_the_scatter_of_simulated_linear_robots():
     random, squares = np.random.default_rng(0), []
     state = estimate = np.zeros((400, len(A)))
     for _ in range(800):
-        moved = random.multivariate_normal(np.zeros(len(A)), loop.disturbance, 400, method="eigh")
-        read, command = random.normal(size=(400, 6)) * np.sqrt(np.diag(loop.noise)), -estimate @ gain.T
-        state, estimate = state @ A.T + command @ B.T + moved, estimate @ A.T + command @ B.T
-        estimate = estimate + (state @ C.T + read - estimate @ C.T) @ correction.T
+        disturbance = random.multivariate_normal(np.zeros(len(A)), loop.disturbance, 400, method="eigh")
+        noise, command = random.normal(size=(400, 6)) * np.sqrt(np.diag(loop.noise)), -estimate @ gain.T
+        state, estimate = state @ A.T + command @ B.T + disturbance, estimate @ A.T + command @ B.T
+        estimate = estimate + (state @ C.T + noise - estimate @ C.T) @ correction.T
         squares.append([np.mean(rows[:, loop.place] ** 2, axis=0) for rows in (state - estimate, state)])
     stated = [np.diag(covariance)[loop.place] for covariance in stationary_covariances(loop)]
     assert np.mean(squares[400:], axis=0) == pytest.approx(np.array(stated), rel=0.05)
 
 
-def test_floor_falls_with_the_noise_of_the_poses_and_keeps_the_disturbance_without_any():
+def test_position_floor_falls_with_the_pose_noise_down_to_that_of_the_disturbance():
     perfect, default, noisy = (
         position_floor("sm", "circle", sensors) for sensors in ("perfect", "default", "noise_2cm")
     )

@@ -1,4 +1,4 @@
-"""Tables that come from declarations are current and complete."""
+"""Tables generated from declarations are current and complete."""
 
 import os
 import subprocess
@@ -18,15 +18,15 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 
 @pytest.mark.parametrize("name", declared_tables.PAGES)
-def test_a_page_shows_what_is_declared(name):
+def test_page_shows_the_declared_tables(name):
     page = (DOCS / name).read_text(encoding="utf-8")
     assert declared_tables.with_tables(name, page) == page, "run: python -m studies.documents.declared_tables"
 
 
-def test_every_parameter_has_its_row_with_unit_default_and_advice():
+def test_every_parameter_has_a_row_with_unit_default_and_advice():
     lines = [line for line in declared_tables.parameter_tables().splitlines() if line.startswith("| `")]
     every = [row for row in (*schema_rows(), *feature_rows()) if not row.key.startswith("terms")]
-    # Lists come by file only, in the last table.
+    # Lists, which come only from files, are in the last table.
     controller = sorted(every, key=lambda row: row.default.startswith("["))
     rows = [*declared_tables.node_rows(), *chain(*declared_tables.part_rows().values()), *controller]
     assert [line.split("`")[1] for line in lines] == [row.key for row in rows]

@@ -1,4 +1,4 @@
-"""The monitor behind real controllers on the simulated robot: some faults, some sound drives, and the report."""
+"""The monitor behind real controllers on the simulated robot: some faults, some fault-free drives, and the report."""
 
 import json
 
@@ -15,32 +15,32 @@ pytestmark = pytest.mark.system
 
 RULES = load_rules()
 SEED = 90_000
-"""Seed that no other drive uses."""
+"""Seed that is not used elsewhere."""
 
 
 @pytest.mark.parametrize("fault", ["wrong sign", "never stops", "sees the past", "miswired", "frozen pose"])
-def test_what_keeps_all_limits_is_caught_by_what_the_robot_does(fault):
-    """The rule trips before harm and within the stated time; commands never leave range and slew."""
+def test_fault_within_all_limits_is_detected_by_the_motion_of_the_robot(fault):
+    """A rule trips before harm and within the stated time; commands stay within range and slew."""
     trial = faulty_trial(fault, SEED, RULES)
     assert trial.rule in rule_names() and trial.rule not in ("", "speed", "slew")
     assert 0.0 <= trial.after <= FAULTS[fault].stated
     assert trial.farthest <= HARM and trial.at_rest
 
 
-def test_a_robot_that_does_not_obey_is_told_of():
+def test_disobedient_robot_is_reported():
     """Commands cannot stop the robot: a person has to be notified."""
     trial = faulty_trial("runaway", SEED, RULES)
     assert trial.rule == "answer_v" and trial.after <= FAULTS["runaway"].stated and not trial.at_rest
 
 
 @pytest.mark.parametrize("seed", [SEED, SEED + 1])
-def test_sound_drives_pass(seed):
+def test_fault_free_drive_passes(seed):
     trial = nominal_trial(seed, RULES)
     assert not trial.rule and trial.at_rest and trial.driven > 5.0
 
 
-def test_the_study_says_what_was_missed(monkeypatch, tmp_path):
-    """With rules that allow any position, the wrong sign is missed: exit code 1, and the report is written."""
+def test_study_reports_missed_faults(monkeypatch, tmp_path):
+    """With rules that permit any position, the wrong sign is missed: exit code 1, and the report is written."""
     rules = tmp_path / "blind.yaml"
     values = RULES.model_dump()
     values["path"] |= {"distance": 900.0, "far": 900.0, "heading": 9.0}

@@ -1,4 +1,4 @@
-"""The search that tunes the peers: it finds a known minimum, keeps to its budget and its ranges, and repeats itself."""
+"""The search that tunes the peers: it finds a known minimum, keeps its budget and ranges, and is reproducible."""
 
 import numpy as np
 import pytest
@@ -17,14 +17,14 @@ def run_search(evaluations: int) -> GainSearch:
     return search
 
 
-def test_it_finds_the_minimum_inside_the_ranges() -> None:
+def test_search_finds_the_minimum_inside_the_ranges() -> None:
     values, _ = run_search(80).best
     assert values["a"] == pytest.approx(3.0, rel=0.03)
     assert values["b"] == pytest.approx(1000.0)
 
 
 @pytest.mark.parametrize("evaluations", [8, 20])
-def test_it_keeps_to_its_budget_and_repeats_itself(evaluations: int) -> None:
+def test_search_keeps_its_budget_and_is_reproducible(evaluations: int) -> None:
     tried = run_search(evaluations).tried
     assert len(tried) == evaluations
     assert tried == run_search(evaluations).tried

@@ -1,4 +1,4 @@
-"""The study of the predicted error: calibration that covers further drives, and repeatable drives."""
+"""The study of the predicted error: calibration that covers further drives, and reproducible drives."""
 
 import numpy as np
 import pytest
@@ -11,43 +11,43 @@ from diffdrive_mpc.models.checked_yaml import check
 from diffdrive_mpc_extras.predicted_error.calibration import FEATURES, ErrorCalibration, load_calibration
 
 TRUE = {"floor": 0.002, "turning": 0.01, "yaw_acceleration": 0.05}
-"""Coefficients of made-up drives; an error is their sum times the drive's own factor and noise."""
+"""Coefficients of artificial drives; an error is their weighted sum times a factor of the drive and noise."""
 
 
-def made_up(count, seed, wider=1.0):
-    stream, driven = np.random.default_rng(seed), []
+def artificial_drives(count, seed, wider=1.0):
+    stream, drives = np.random.default_rng(seed), []
     row = np.array([TRUE.get(name, 0.0) for name in FEATURES])
     for _ in range(count):
         features = np.abs(np.cumsum(stream.normal(size=(80, len(FEATURES))), axis=0)) / 5.0
         features[:, 0] = 1.0
         scale = wider * stream.lognormal(sigma=0.3) * (features @ row)
         errors = {name: np.abs(stream.normal(size=80)) * scale for name in ("lateral", "along")}
-        driven.append(DrivenPath(features, errors, float(stream.uniform(0.2, 0.8)), float(stream.uniform(0.2, 1.0))))
-    return driven
+        drives.append(DrivenPath(features, errors, float(stream.uniform(0.2, 0.8)), float(stream.uniform(0.2, 1.0))))
+    return drives
 
 
 @pytest.fixture(scope="module")
 def scale():
-    return calibrated(made_up(60, 1), made_up(400, 2), "lateral", 0.95)
+    return calibrated(artificial_drives(60, 1), artificial_drives(400, 2), "lateral", 0.95)
 
 
-def test_the_calibration_covers_other_drives(scale):
-    covered = coverage(made_up(1000, 3), scale, "lateral")
+def test_calibration_covers_other_drives(scale):
+    covered = coverage(artificial_drives(1000, 3), scale, "lateral")
     assert 0.93 < covered.at_each_place < 0.97
     assert 0.92 < covered.everywhere.share < 0.98
     assert covered.width < covered.width_everywhere
 
 
-def test_the_scale_is_made_of_what_made_the_error(scale):
+def test_scale_depends_on_the_features_that_cause_the_error(scale):
     assert set(TRUE) <= scale.coefficients.keys()
-    features = made_up(20, 5)[0].features
+    features = artificial_drives(20, 5)[0].features
     true = features @ np.array([TRUE.get(name, 0.0) for name in FEATURES])
     assert np.corrcoef(features @ scale.row, true)[0, 1] > 0.98
 
 
-def test_a_report_says_coverage_and_writes_a_calibration_that_is_read():
+def test_report_states_coverage_and_writes_a_readable_calibration():
     study = load_study(None)
-    sets = {name: made_up(30, k) for k, name in enumerate(planned_names(study))}
+    sets = {name: artificial_drives(30, k) for k, name in enumerate(planned_names(study))}
     report = PredictedErrorStudy(study).report(sets, 1.0)
     assert [len(table.rows) > 0 for table in report.tables] == [True] * 4
     written = check(ErrorCalibration, yaml.safe_load(report.files["calibration.yaml"]), "calibration.yaml")
@@ -60,7 +60,7 @@ def planned_names(study):
     return [*parts, *study.others, *oracles]
 
 
-def test_a_drive_repeats_and_is_kept_as_it_was(tmp_path):
+def test_drive_is_reproducible_and_stored_unchanged(tmp_path):
     study = load_study(None, quick=True)
     drawn = study.populations["drawn"]
     plan = planned(drawn.fit, drawn.factors)[0]

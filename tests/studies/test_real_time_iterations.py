@@ -1,4 +1,4 @@
-"""One iteration a tick against iterations to convergence: over whole drives, and tick by tick against IPOPT."""
+"""One iteration per tick against iterations to convergence over whole drives, and against IPOPT tick by tick."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -16,9 +16,9 @@ TIGHT = {"limits.v_slew": 0.6, "limits.omega_slew": 2.5, "limits.v": 0.6, "limit
 
 
 def solve_quickly(qp):
-    """Find the oracle's solution with the soft limits that matter; all others are checked to be met."""
+    """Find the oracle's solution with the soft limits that matter; the others are checked to be satisfied."""
     chosen = np.zeros(len(qp.soft_lower), dtype=bool)
-    # Its proof wants one at least.
+    # The oracle's proof needs at least one limit.
     chosen[0] = True
     while True:
         rows = {name: getattr(qp, name)[chosen] for name in ("soft_rows", "soft_lower", "soft_upper")}
@@ -31,7 +31,7 @@ def solve_quickly(qp):
 
 
 class Converged(OracleController):
-    """The oracle, but it repeats its iteration until the plan stands still."""
+    """Oracle that repeats its iteration until the plan no longer changes."""
 
     iterations = 0
 
@@ -49,13 +49,13 @@ class Converged(OracleController):
 
 
 @pytest.fixture
-def converged(monkeypatch):
+def converged_controller(monkeypatch):
     monkeypatch.setattr("oracle.controller.solve", solve_quickly)
     return Converged
 
 
 def drive(trajectory, make, on_tick=None, seconds=np.inf, **overrides):
-    """Return truth and commands of each tick along the trajectory, or its first seconds, with default sensors."""
+    """Return commands and cost of a drive along the trajectory, or its first seconds, with default sensors."""
     controller = make(load_config("ssm", {"horizon": 12} | overrides))
     plant, reference = make_plant("model:ssm", sensors="default", seed=1), load_trajectory(trajectory)
     plant.reset(reference.sample([0.0]).pose[0])
@@ -74,22 +74,22 @@ def drive(trajectory, make, on_tick=None, seconds=np.inf, **overrides):
 
 @pytest.mark.long
 @pytest.mark.parametrize("trajectory", ["cane"])
-def test_a_drive_costs_what_it_costs_with_iterations_to_convergence(trajectory, converged):
-    run, best = (drive(trajectory, make) for make in (Controller, converged))
-    assert best.controller.iterations > 2 * len(best.command), "it must iterate"
+def test_cost_of_a_drive_equals_that_of_iterations_to_convergence(trajectory, converged_controller):
+    run, best = (drive(trajectory, make) for make in (Controller, converged_controller))
+    assert best.controller.iterations > 2 * len(best.command), "the oracle must iterate"
     assert run.cost == pytest.approx(best.cost, rel=0.01)
 
 
 @pytest.mark.long
-def test_that_holds_where_limits_are_active(converged):
-    run, best = (drive("s", make, seconds=6.0, **TIGHT) for make in (Controller, converged))
+def test_cost_with_active_limits_equals_that_of_iterations_to_convergence(converged_controller):
+    run, best = (drive("s", make, seconds=6.0, **TIGHT) for make in (Controller, converged_controller))
     increments = np.abs(np.diff(run.command, axis=0))
     assert (increments[:, 0] > 0.6 * run.controller.config.sample_time * 0.999).mean() > 0.02, "limits must be active"
     assert run.cost == pytest.approx(best.cost, rel=0.01)
 
 
 @pytest.mark.parametrize("trajectory", ["s"])
-def test_in_steady_tracking_commands_are_those_of_ipopt(trajectory):
+def test_steady_commands_equal_those_of_ipopt(trajectory):
     ticks = []
 
     def remember(controller, result):

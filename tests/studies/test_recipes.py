@@ -16,7 +16,7 @@ def code(start):
     return textwrap.dedent(block[0])
 
 
-def test_the_study_is_carried_out(tmp_path, one_process):
+def test_recipe_of_a_study_runs(tmp_path, one_process):
     (tmp_path / "noise.yaml").write_text(code("title: Noise").replace("[0, 1, 2, 3, 4]", "[0]"))
     rows = carry_out(SpecStudy(load_experiment(tmp_path / "noise.yaml")), tmp_path / "noise")
     assert list(rows["part"]) == ["shipped"] * 2 + ["short"] * 4
@@ -25,7 +25,7 @@ def test_the_study_is_carried_out(tmp_path, one_process):
     assert "| mean |" in report
 
 
-def test_the_peer_drives():
+def test_recipe_of_a_peer_drives():
     from diffdrive_mpc import load_trajectory, make_plant, simulate
 
     namespace = {"__name__": "recipe"}
@@ -34,7 +34,7 @@ def test_the_peer_drives():
     assert run.metrics.steps > 100
 
 
-def test_the_backend_is_asked(monkeypatch):
+def test_recipe_of_a_backend_is_called(monkeypatch):
     import numpy as np
 
     from diffdrive_mpc import Controller, load_config, load_trajectory, make_plant, simulate
@@ -45,6 +45,6 @@ def test_the_backend_is_asked(monkeypatch):
     namespace = {"__name__": "recipe", "np": np, "Solved": Solved, "SolverStatus": SolverStatus}
     exec(code("class ClippingBackend:"), namespace)
     monkeypatch.setattr(controller, "load_backend", lambda name: namespace["ClippingBackend"])
-    driven = Controller(load_config("sm", {"solver.method": "daqp"}))
-    run = simulate(driven, make_plant("model:sm"), load_trajectory("s"))
+    driver = Controller(load_config("sm", {"solver.method": "daqp"}))
+    run = simulate(driver, make_plant("model:sm"), load_trajectory("s"))
     assert run.metrics.completed and run.solver_methods.count("daqp") > 100

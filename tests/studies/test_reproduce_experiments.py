@@ -1,4 +1,4 @@
-"""The experiments of `reproduce`: kinematics, drives, lines and values from the papers."""
+"""Experiments of `reproduce`: kinematics, drives, lines, and values from the papers."""
 
 from itertools import pairwise
 
@@ -27,7 +27,7 @@ twists = arrays(float, st.tuples(st.integers(2, 30), st.just(2)), elements=st.fl
 
 
 @given(twists)
-def test_dead_reckoning_goes_arc_by_arc(twist):
+def test_dead_reckoning_integrates_arcs(twist):
     pose = np.array([0.3, -0.2, 2.0])
     one_by_one = [pose]
     for before, after in pairwise(twist):
@@ -37,7 +37,7 @@ def test_dead_reckoning_goes_arc_by_arc(twist):
 
 @pytest.mark.parametrize("name", ["circle", "square", "s", "cane"])
 def test_open_loop_commands_trace_the_reference(name):
-    """A robot without lag would end where the reference ends, except for part of a sample at each jump."""
+    """A robot without lag ends where the reference ends, except for part of a sample at each jump."""
     commands = trajectory_commands(name)
     pose = np.zeros(3)
     for v, omega in commands:
@@ -46,7 +46,7 @@ def test_open_loop_commands_trace_the_reference(name):
     assert pose == pytest.approx(reference.sample([reference.duration]).pose[0], abs=0.05)
 
 
-def test_every_drive_has_noise_of_its_own_and_every_repetition_repeats():
+def test_drives_have_different_noise_and_repetitions_are_reproducible():
     logs, repeated = RobotLogs(31), RobotLogs(31)
     first, second = logs.free(2, 2.0)
     again = repeated.free(1, 2.0)[0]
@@ -58,15 +58,15 @@ def test_every_drive_has_noise_of_its_own_and_every_repetition_repeats():
     assert not np.array_equal(steps[0].yaw_rate[:20], steps[1].yaw_rate[:20])
 
 
-def test_a_line_is_found_whatever_the_sign_of_the_yaw_rate():
+def test_line_is_fitted_for_any_sign_of_the_yaw_rate():
     rates = np.array([-1.0, 0.3, -0.5, 0.9])
     line = fit_line(np.column_stack([rates, 0.05 * np.abs(rates) + 0.3]))
     assert (line.p1, line.p0) == pytest.approx((0.05, 0.3))
     assert line.misfit(np.column_stack([np.abs(rates), 0.05 * np.abs(rates) + 0.3])) < 1e-12
 
 
-def test_the_papers_statistics_are_copied_without_slips():
-    """In every printed set RMSE, mean and standard deviation belong together, and averages are those of the rows."""
+def test_statistics_of_the_papers_are_consistent():
+    """In every printed set RMSE, mean and standard deviation agree, and averages are those of the rows."""
     published = load_published()
     printed = [errors for rows in published.odometry.values() for errors in rows.values()]
     printed += [drive.odometry for drive in published.free_drives]
@@ -96,19 +96,19 @@ FEW = STUDY.model_copy(
 
 
 @pytest.fixture(scope="module")
-def floors() -> list[DrivenTrack]:
+def driven_tracks() -> list[DrivenTrack]:
     return [drive_tests(FEW, surface) for surface in ("default", "slippery")]
 
 
-def test_friction_and_wheel_base_give_the_track_on_the_spot(floors):
-    """Coulomb friction under four wheels: track (1 + (wheel base / track)^2), on any floor, at any yaw rate."""
-    for floor in floors:
-        (spot, *_) = floor.alone.values()
+def test_friction_and_wheel_base_give_the_track_of_a_turn_on_the_spot(driven_tracks):
+    """Coulomb friction under four wheels: track (1 + (wheel base / track)^2), on any surface, at any yaw rate."""
+    for driven in driven_tracks:
+        (spot, *_) = driven.alone.values()
         assert spot[:, 2] == pytest.approx(0.33 * (1 + (0.14 / 0.33) ** 2), rel=0.02)
 
 
 @pytest.mark.long
-def test_both_drive_models_beat_no_model_on_a_short_drive():
+def test_both_drive_models_are_better_than_no_model_on_a_short_drive():
     study = load_study(quick=True).drive_models.model_copy(update={"drives": 2, "duration": 15.0})
     result = compare_on_twin(study, 77)
     for name in (PHYSICAL, EXPERIMENTAL):

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from reproduce_parts import made_up, mbm_sm, report_of, ssm, write_made_up
+from reproduce_parts import artificial_results, mbm_sm, report_of, ssm, write_artificial_report
 
 from commands import invoke
 from diffdrive_mpc.bench.report_folder import CONTENTS
@@ -24,9 +24,9 @@ def verdict(results, *words):
     return result
 
 
-def test_the_paper_s_own_numbers_hold():
-    """Artificial results like the papers': claims hold unless the papers' own tables contradict or omit them."""
-    exceptions = {claim: value for claim, value in verdicts(made_up()).items() if value != "yes"}
+def test_results_of_the_papers_confirm_their_claims():
+    """Artificial results like those of the papers: claims hold unless the papers' tables contradict or omit them."""
+    exceptions = {claim: value for claim, value in verdicts(artificial_results()).items() if value != "yes"}
     assert exceptions == {
         "the printed tests give the printed p1 within 2 standard deviations": "no",
         "tracks exchanged by mistake (tests 1, 2 with 7, 8; ours) explain the printed p1 within 2 standard "
@@ -34,8 +34,8 @@ def test_the_paper_s_own_numbers_hold():
     }
 
 
-def test_who_beats_whom_is_counted_by_repetition():
-    results = made_up()
+def test_comparison_of_models_is_counted_by_repetition():
+    results = artificial_results()
     better, worse = mbm_sm(1, mbm=0.1, sm=0.3), mbm_sm(2, mbm=0.4, sm=0.3)
     for pair, expected in (((better, better), "yes"), ((better, worse), "1 of 2"), ((worse, worse), "no")):
         assert verdict(replace(results, mbm_sm=pair), "MBM predicts the position") == expected
@@ -53,7 +53,7 @@ def test_who_beats_whom_is_counted_by_repetition():
     ],
 )
 def test_orders_are_judged_by_their_test_fit(omega, words, expected):
-    assert verdict(replace(made_up(), ssm=(ssm(1, omega=omega),)), words) == expected
+    assert verdict(replace(artificial_results(), ssm=(ssm(1, omega=omega),)), words) == expected
 
 
 @pytest.mark.parametrize(
@@ -64,8 +64,8 @@ def test_orders_are_judged_by_their_test_fit(omega, words, expected):
         ({"fitting": 1, "by_radius_exchanged": 0.9}, "yes"),
     ],
 )
-def test_an_exchange_explains_what_few_others_do_and_what_the_radii_side_with(changes, expected):
-    results = made_up()
+def test_exchange_of_tracks_is_confirmed_only_if_rare_and_supported_by_the_radii(changes, expected):
+    results = artificial_results()
     track = replace(results.virtual_track, **changes)
     assert verdict(replace(results, virtual_track=track), "exchanged by mistake") == expected
     not_given = replace(track, fitted_exchanged=track.fitted)
@@ -78,12 +78,12 @@ FIGURES = ("odometry.png", "error-maps.png", "responses.png", "orders.png", "ssm
 @pytest.fixture(scope="module")
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("report")
-    write_made_up(made_up(), folder)
+    write_artificial_report(artificial_results(), folder)
     return folder
 
 
-def test_every_table_is_filled_and_published_numbers_stand_beside_ours():
-    tables = {table.title: table for table in report_of(made_up()).tables}
+def test_every_table_is_filled_with_published_and_own_values():
+    tables = {table.title: table for table in report_of(artificial_results()).tables}
     for table in tables.values():
         assert table.rows
         assert all(cell for cells in table.rows for cell in cells)
@@ -95,7 +95,7 @@ def test_every_table_is_filled_and_published_numbers_stand_beside_ours():
     assert order_5[5:7] == ("97.00", "80.00")
 
 
-def test_the_report_has_every_figure_and_the_verdicts(report: Path):
+def test_report_has_every_figure_and_the_verdicts(report: Path):
     data = json.loads((report / "reproduce.json").read_text())
     verdicts = {finding["claim"]: finding["verdict"] for finding in data["findings"]}
     assert verdicts["the printed tests give the printed p1 within 2 standard deviations"] == "no"
@@ -107,14 +107,14 @@ def test_the_report_has_every_figure_and_the_verdicts(report: Path):
         assert f"](figures/{name})" in text
 
 
-def test_what_the_page_shows_is_in_the_report(report: Path):
+def test_tables_of_the_page_are_in_the_report(report: Path):
     parts = sections(REPRODUCE, (report / "reproduce.md").read_text())
     page = (Path(__file__).parents[2] / "docs" / "reproduce.md").read_text(encoding="utf-8")
     shown = re.findall(r"<!-- (reproduce-[a-z-]+):begin -->", page)
     assert {"reproduce-runs", "reproduce-findings"} <= set(shown) <= set(parts)
 
 
-def test_the_command_writes_its_report(tmp_path: Path):
+def test_command_writes_its_report(tmp_path: Path):
     out = tmp_path / "out"
     result = invoke(app, "reproduce", "--out", out, "--quick", "--only", "virtual_track")
     files = {"figures", "report.html", "reproduce.json", "reproduce.md", CONTENTS}

@@ -1,4 +1,4 @@
-"""The robustness study: conditions that can all be run, ratios and tables from made-up rows, and a small real study."""
+"""The robustness study: conditions that can be run, ratios and tables of artificial rows, and a small real study."""
 
 import json
 from dataclasses import replace
@@ -22,7 +22,7 @@ CONDITIONS = load_conditions()
 
 
 @pytest.mark.parametrize("name", CONDITIONS.conditions)
-def test_every_condition_has_a_plant_and_settings_that_exist(name: str) -> None:
+def test_every_condition_has_an_existing_plant_and_settings(name: str) -> None:
     case = CONDITIONS.conditions[name].case("mpc", "ssm", "circle", 1)
     config = controller_config(case.model, case.config, case.overrides)
     plant = make_plant(case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario)
@@ -33,7 +33,7 @@ def test_every_condition_has_a_plant_and_settings_that_exist(name: str) -> None:
     assert plant.time == plant.sample_time
 
 
-def test_robots_of_the_market_are_the_reserved_ones_that_can_drive_the_path() -> None:
+def test_robots_of_the_market_are_reserved_ones_that_can_drive_the_path() -> None:
     cases = market_cases(3, "mpc", "ssm", "square", spot_turns=True)
     seeds = [case.seed for case in cases]
     assert [case.plant for case in cases] == [f"drawn:{seed}" for seed in seeds]
@@ -55,7 +55,7 @@ def short_path(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_study_of_the_market_repeats_and_drives_at_every_rate(tmp_path: Path, short_path: Path) -> None:
+def test_study_of_the_market_is_reproducible_and_drives_at_every_rate(tmp_path: Path, short_path: Path) -> None:
     runs = []
     for out in (tmp_path / "1", tmp_path / "2"):
         words = ["--robots", "1", "--rates", "10,100", "--controllers", "mpc", "--jobs", "1"]
@@ -67,31 +67,31 @@ def test_a_study_of_the_market_repeats_and_drives_at_every_rate(tmp_path: Path, 
 
 
 @pytest.mark.long
-def test_no_sensor_of_honest_robots_of_the_market_is_given_up() -> None:
-    """Slopes, loads aside, patches, wrong tracks and poor poses are no fault of a sensor."""
+def test_no_sensor_of_fault_free_robots_of_the_market_is_disabled() -> None:
+    """Slopes, displaced loads, patches, wrong tracks and poor poses are no fault of a sensor."""
     cases = [case for path in ("circle", "s") for case in market_cases(6, "mpc", "ssm", path, spot_turns=False)]
-    given_up = [case.plant for case in cases if any(" not used: " in message for message in run_case(case).messages)]
-    assert given_up == []
+    disabled = [case.plant for case in cases if any(" not used: " in message for message in run_case(case).messages)]
+    assert disabled == []
 
 
 @pytest.mark.parametrize("seed", [712, 1009, 2289, 4536])
-def test_turning_the_other_way_is_no_fault_of_a_sensor(seed: int) -> None:
-    """In an S slip changes sides; its two turns add up to nothing, what they moved and slipped does not."""
+def test_change_of_turning_direction_is_no_fault_of_a_sensor(seed: int) -> None:
+    """In an S slip changes sides: its two turns cancel, but the displacement and slip of them do not."""
     run = run_case(Case(trajectory="s", plant=f"drawn:{seed}", seed=seed))
     assert run.metrics.completed
     assert not [message for message in run.messages if " not used: " in message]
 
 
 @pytest.mark.parametrize("trajectory", ["circle", "s", "k_turn"])
-def test_poses_late_from_the_first_metre_on_are_no_fault_of_a_sensor(trajectory: str) -> None:
-    """Before the first reading the robot was at rest, so that their delay can be told from the first turn on."""
+def test_late_poses_from_the_start_are_no_fault_of_a_sensor(trajectory: str) -> None:
+    """The robot is at rest before the first reading, so that the delay is observable from the first turn on."""
     run = run_case(Case(trajectory=trajectory, sensors="poses_200ms_arrival"))
     assert run.metrics.completed
     assert not [message for message in run.messages if " not used: " in message]
 
 
 @pytest.mark.parametrize("name", ["default", "biased_gyro"])
-def test_the_estimate_knows_how_good_its_heading_is(name: str) -> None:
+def test_heading_variance_of_the_estimate_is_consistent(name: str) -> None:
     condition = CONDITIONS.conditions[name]
     paths = ("circle", "square", "s", "cane")
     cases = [condition.case("mpc", "ssm", path, 50) for path in paths]
@@ -99,7 +99,7 @@ def test_the_estimate_knows_how_good_its_heading_is(name: str) -> None:
     assert 0.3 < sum(result) / len(result) <= 2.0  # type: ignore[arg-type]
 
 
-def test_poses_ten_times_noisier_than_stated_do_not_lead_astray() -> None:
+def test_poses_ten_times_noisier_than_stated_keep_the_error_small() -> None:
     errors = []
     for seed in (50, 52, 54):
         case = CONDITIONS.conditions["noise_5cm"].case("mpc", "sm", "circle", seed)
@@ -109,12 +109,12 @@ def test_poses_ten_times_noisier_than_stated_do_not_lead_astray() -> None:
         assert isinstance(late, float)
         assert late < 0.05
         errors.append(run.metrics.position_rmse_m)
-    # Twice what is left once the scatter is known; 0.03 m where it is learned too late.
+    # Twice the error once the scatter is known; 0.03 m if it is learned too late.
     assert np.mean(errors) < 0.03
 
 
 @pytest.mark.long
-def test_a_small_study_runs_and_repeats(tmp_path: Path, short_path: Path) -> None:
+def test_small_study_is_reproducible(tmp_path: Path, short_path: Path) -> None:
     runs = []
     for jobs in ("1", "2"):
         out = tmp_path / jobs

@@ -1,4 +1,4 @@
-"""Shipped values reproduced: the firmware's calibration, and identification of known true parameters."""
+"""Shipped values are reproduced: calibration of the firmware, and identification of known parameters."""
 
 from pathlib import Path
 
@@ -35,7 +35,7 @@ def test_published_model_predicts_the_plant_on_held_out_drives(fits: list[Predic
         assert fit.omega >= required.omega
 
 
-def test_file_states_the_fit_that_the_plant_has(fits: list[PredictionFit]) -> None:
+def test_firmware_file_states_the_fit_of_the_plant(fits: list[PredictionFit]) -> None:
     stated = load_firmware().provenance["held_out_fit_percent"]
     for row, fit in zip(stated, fits, strict=True):
         assert (row["seed"], row["smooth"]) == (fit.seed, fit.smooth)
@@ -57,19 +57,19 @@ def test_stated_encoder_noise_is_that_of_the_counting_encoders() -> None:
 
 @pytest.fixture
 def drives(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Seeds of short drives with a velocity model instead of the physics."""
-    driven: list[int] = []
+    """Seeds of short drives with a velocity model in place of mujoco."""
+    seeds_driven: list[int] = []
 
     def drive(firmware: Firmware, seed: int, smooth: bool) -> OpenLoopDrive:
-        driven.append(seed)
+        seeds_driven.append(seed)
         plant = make_plant(f"model:ssm+{firmware.lag_v}", surface="ideal", sensors="perfect")
         return drive_open_loop(plant, random_commands(seed, smooth, duration=1.0))
 
     monkeypatch.setattr("studies.shipped_models.calibration._drive", drive)
-    return driven
+    return seeds_driven
 
 
-def test_a_calibration_writes_what_it_returns_and_announces_each_evaluation(drives: list[int], tmp_path: Path) -> None:
+def test_calibration_writes_its_result_and_announces_each_evaluation(drives: list[int], tmp_path: Path) -> None:
     announced: list[int] = []
     firmware = calibrate(tmp_path / "firmware.yaml", on_evaluation=lambda: announced.append(len(drives)))
     seeds = load_calibration_parameters().seeds
@@ -77,22 +77,22 @@ def test_a_calibration_writes_what_it_returns_and_announces_each_evaluation(driv
     assert len(announced) > 10
     assert load_firmware(tmp_path / "firmware.yaml") == firmware
     assert [path.name for path in tmp_path.iterdir()] == ["firmware.yaml"]
-    # The stand-in is delayed by one parameter, the target is not: the least delay is best.
+    # The lag delays this plant but not the target: the smallest lag is best.
     assert firmware.lag_v == pytest.approx(load_calibration_parameters().bounds.lag_v[0], abs=2e-3)
 
 
 @pytest.mark.long
-def test_truths_lie_within_four_standard_deviations():
+def test_true_parameters_lie_within_four_standard_deviations():
     done = []
     recoveries = recover_all(6, lambda count, total: done.append((count, total)))
     assert done == [(i, 6) for i in range(1, 7)]
     scores = np.concatenate([recovery.standardised for recovery in recoveries])
     assert np.abs(scores).max() < 4.0
-    # Deviations that were far too large would pass the line above.
+    # Much too large deviations would satisfy the line above.
     assert 0.6 < np.sqrt(np.mean(scores**2)) < 1.5
 
 
-# `models fit` and `models calibrate`: checked before the long work, counted while it goes on.
+# `models fit` and `models calibrate`: inputs are checked before the long work, and progress is counted.
 
 
 FITTING = "studies.shipped_models.model_fitting"
@@ -113,7 +113,7 @@ def quick_parts(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("quick_parts")
-def test_every_identification_is_announced_against_the_right_total(tmp_path: Path) -> None:
+def test_every_identification_is_announced_with_the_correct_total(tmp_path: Path) -> None:
     counts: list[tuple[int, int]] = []
     fit_models(tmp_path, on_progress=lambda done, total: counts.append((done, total)))
     assert IDENTIFICATIONS == 10

@@ -1,4 +1,4 @@
-"""The documents as a site: links, formulas, generated pages, and builds that fail on errors."""
+"""Documents as a site: links, formulas, generated pages, and builds that fail on errors."""
 
 import re
 import shutil
@@ -35,11 +35,11 @@ DOCUMENTS = {f"docs/{path.name}": path.read_text(encoding="utf-8") for path in (
         ("docs/why.md", "#here", "#here"),
     ],
 )
-def test_links_of_the_repository_become_links_of_the_site(document, link, on_site):
+def test_repository_links_become_site_links(document, link, on_site):
     assert with_site_links(f"see [it]({link}), too", document) == f"see [it]({on_site}), too"
 
 
-def test_formulas_become_mathml_and_code_stays():
+def test_formulas_become_mathml_and_code_is_unchanged():
     marked = "with $a < b_{k+1}$, `$HOME` and `a$b`\n\n$$\n\\sqrt{2}\n$$\n\n```sh\necho $A $B\n```\n"
     page = with_mathml(marked)
     assert "`$HOME` and `a$b`" in page
@@ -68,7 +68,7 @@ def commands(group, prefix=""):
             yield prefix + name, command
 
 
-def test_every_public_name_is_in_the_reference_and_imports_as_it_says():
+def test_every_public_name_is_in_the_reference_and_can_be_imported_as_shown():
     page = api_page()
     names = re.findall(r"^::: (\S+)$", page, re.MULTILINE)
     assert {name.rpartition(".")[2] for name in names} >= set(diffdrive_mpc.__all__)
@@ -95,7 +95,7 @@ def test_every_key_and_topic_is_in_the_reference():
         section(DOCUMENTS["docs/robot.md"], "Nothing")
 
 
-def test_a_dead_link_a_dead_anchor_and_a_lost_page_fail_the_build(tmp_path):
+def test_dead_link_dead_anchor_and_unlisted_page_fail_the_build(tmp_path):
     for name in ("mkdocs.yml", "README.md", "CONTRIBUTING.md", "CHANGELOG.md", "CITATION.cff"):
         shutil.copy(ROOT / name, tmp_path)
     shutil.copytree(ROOT / "docs", tmp_path / "docs")
@@ -108,8 +108,8 @@ def test_a_dead_link_a_dead_anchor_and_a_lost_page_fail_the_build(tmp_path):
         [sys.executable, "-m", "mkdocs", "build"], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert built.returncode == 1
-    complaints = [line for line in built.stderr.splitlines() if "lost.md" in line or "nowhere" in line]
-    assert len(complaints) == 4, built.stderr
+    errors = [line for line in built.stderr.splitlines() if "lost.md" in line or "nowhere" in line]
+    assert len(errors) == 4, built.stderr
 
 
 # The robot in pictures of MuJoCo.
@@ -125,7 +125,7 @@ def test_scene_has_the_robot_at_its_pose(plant: str) -> None:
     wheels = scene.data.xpos[2:6]
     lowest_point = wheels[:, 2] - scene.model.geom_size[-2, 0]
     assert lowest_point == pytest.approx(0.0, abs=1e-9)
-    # The first two wheels are in front, which is +y here.
+    # The first two wheels are in front, which is +y for this pose.
     assert (wheels[:2, 1] > wheels[2:, 1]).all()
 
 

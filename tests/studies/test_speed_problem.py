@@ -1,4 +1,4 @@
-"""Peers solve the controller's problem: each stage has the same predictions, cost, limits and solution."""
+"""Peers solve the controller's problem: every stage has the same predictions, cost, limits and solution."""
 
 from dataclasses import asdict
 from types import SimpleNamespace
@@ -22,34 +22,34 @@ SOFT = {
     "none": {},
     "twist": {"limits.predicted_v": 0.46, "limits.predicted_omega": 0.45},
     "wheels": {"limits.wheel_speed": 0.55},
-    # A heading that is held more than the path leads the plan to the corridor's side.
+    # A high weight of the heading moves the plan to the limit of the corridor.
     "corridor": {
         **{"limits.corridor": 0.030, "weights.along": 150.0, "weights.across": 500.0},
         **{"weights.heading": 28.0, "weights.v": 20.0, "weights.omega": 2.0},
     },
 }
 KINDS = {"none": set(), "twist": {0, 1}, "wheels": {2, 3}, "corridor": {4}}
-"""The kinds of soft limit that each case is about, in the order of the problem."""
+"""Kinds of soft limit that each case exercises, in the order of the problem."""
 
 
 def setting(name, horizon, soft="none", seed=0):
-    """Return a tick of a simulated drive: the controller's step, the oracle's problem, and the same for peers."""
-    # On its way back the robot would track something gentler than its reference; a stage has no learned delay.
+    """Return a tick of a simulated drive: the controller's step, the oracle's problem, and the data for peers."""
+    # Re-entry would replace the reference, and a stage has no learned delay.
     calm = {"horizon": horizon, "reentry.enabled": False, "compensation.delay": False, "weights.v_increment": 20.0}
     config = load_config("ssm", calm | SOFT[soft])
     model = load_model(name).with_extra_dead_time((0.011, 0.033))
     sampled, controller = model.discretise(config.sample_time), Controller(config, model)
     plant, reference = make_plant("model:ssm", seed=seed), load_trajectory("circle")
-    # Heading outwards where the corridor is to matter, and while it still does.
-    turned, ticks = (-0.8, 13) if soft == "corridor" else (0.0, 60 + seed % 40)
-    plant.reset(reference.sample([0.0]).pose[0] + [0.0, 0.0, turned])
+    # For the corridor the robot heads outwards, and the tick is before its return.
+    turn, ticks = (-0.8, 13) if soft == "corridor" else (0.0, 60 + seed % 40)
+    plant.reset(reference.sample([0.0]).pose[0] + [0.0, 0.0, turn])
     controller.start(reference, plant.time)
     sent = [np.zeros(2)] * sampled.memory
     for _ in range(ticks):
         result = controller.step(plant.time, plant.measure())
         plant.advance(result.command)
         sent.append(result.command)
-    # Without the command that the last tick decided.
+    # Exclude the command that the last tick decided.
     past = np.array(sent[-1 - sampled.memory : -1])
     return SimpleNamespace(
         controller=controller,
@@ -63,10 +63,10 @@ def setting(name, horizon, soft="none", seed=0):
     )
 
 
-def pressing(it, plan):
+def active_limits(case, plan):
     """Return the kinds of soft limit that `plan` (N, 2) reaches."""
-    _, values = it.problem.outcome(it.tick, plan[:, :, None], it.ahead)
-    limits = it.problem.soft_limits(values[:, 0, 0])
+    _, values = case.problem.outcome(case.tick, plan[:, :, None], case.ahead)
+    limits = case.problem.soft_limits(values[:, 0, 0])
     return set(np.flatnonzero(np.abs(values[:, 1:, 0]).max(axis=1) > limits - 1e-6).tolist())
 
 
@@ -77,15 +77,15 @@ def functions(stages):
 @pytest.mark.parametrize("name", ["ssm", "sm", "mbm"])
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=15, deadline=None)
-def test_stages_lead_to_the_predicted_twists_and_poses(name, seed):
-    it = setting(name, 8, seed=seed)
-    z, parameters = it.data
+def test_stages_predict_the_same_twists_and_poses(name, seed):
+    case = setting(name, 8, seed=seed)
+    z, parameters = case.data
     plan = np.random.default_rng(seed).uniform(-1, 1, (8, 2))
-    twist = it.problem.twists(it.tick, plan[:, :, None])
-    poses = it.problem.poses(it.tick, twist, it.ahead)[:, :, 0]
-    _, soft = it.problem.outcome(it.tick, plan[:, :, None], it.ahead)
-    step, *_, soft_values = functions(it.stages)
-    n = it.problem.model.order
+    twist = case.problem.twists(case.tick, plan[:, :, None])
+    poses = case.problem.poses(case.tick, twist, case.ahead)[:, :, 0]
+    _, soft = case.problem.outcome(case.tick, plan[:, :, None], case.ahead)
+    step, *_, soft_values = functions(case.stages)
+    n = case.problem.model.order
     for k, u in enumerate(plan):
         z = np.array(step(z, u, parameters[k])).ravel()
         np.testing.assert_allclose(z[n : n + 3], poses[k + 1], atol=1e-12)
@@ -97,10 +97,10 @@ def test_stages_lead_to_the_predicted_twists_and_poses(name, seed):
 
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=10, deadline=None)
-def test_the_cost_of_any_plan_is_that_of_the_controllers_problem(seed):
-    it = setting("sm", 6, "wheels", seed)
-    z, parameters = it.data
-    stages, plan = it.stages, np.random.default_rng(seed).uniform(-1, 1, (6, 2))
+def test_cost_of_any_plan_equals_that_of_the_controllers_problem(seed):
+    case = setting("sm", 6, "wheels", seed)
+    z, parameters = case.data
+    stages, plan = case.stages, np.random.default_rng(seed).uniform(-1, 1, (6, 2))
     step, tracking, effort, soft_values = functions(stages)
     cost = 0.0
     for k, u in enumerate(plan):
@@ -110,9 +110,9 @@ def test_the_cost_of_any_plan_is_that_of_the_controllers_problem(seed):
         cost += (stages.terminal if k == 5 else 1.0) * stages.tracking_weights @ error**2 / 2
         over = np.maximum(np.abs(np.array(soft_values(z, parameters[k + 1])).ravel()) - parameters[k + 1, 17:], 0)
         cost += stages.soft * over.sum() + stages.soft_quadratic * (over**2).sum() / 2
-    program, bounds = nonlinear_program(it.problem, it.tick, it.ahead)
+    program, bounds = nonlinear_program(case.problem, case.tick, case.ahead)
     evaluate = ca.Function("program", [program["x"]], [program["f"], program["g"]])
-    # After the increments.
+    # Skip the rows of the increments.
     soft_rows = slice(12, None)
     g = np.array(evaluate(np.concatenate([plan.ravel(), np.zeros(60)]))[1]).ravel()[soft_rows]
     over = np.maximum(g - bounds["ubg"][soft_rows], 0)
@@ -130,29 +130,29 @@ def test_the_cost_of_any_plan_is_that_of_the_controllers_problem(seed):
         ("fatrop", {"fatrop.print_level": 0, "fatrop.tol": 1e-9}),
     ],
 )
-def test_a_peers_solution_is_that_of_the_controllers_problem(plugin, options, name, soft):
-    it = setting(name, 12, soft)
-    program, bounds = nonlinear_program(it.problem, it.tick, it.ahead)
+def test_peer_solution_equals_that_of_the_controllers_problem(plugin, options, name, soft):
+    case = setting(name, 12, soft)
+    program, bounds = nonlinear_program(case.problem, case.tick, case.ahead)
     reference = ca.nlpsol(
         "reference", "ipopt", program, {"ipopt.print_level": 0, "print_time": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
     )
-    start = np.concatenate([it.tick.feed_forward.ravel(), np.zeros(120)])
+    start = np.concatenate([case.tick.feed_forward.ravel(), np.zeros(120)])
     solution = np.array(reference(x0=start, **bounds)["x"]).ravel()
     assert reference.stats()["success"]
-    assert pressing(it, solution[:24].reshape(-1, 2)) <= KINDS[soft], "nothing else may press"
-    assert bool(pressing(it, solution[:24].reshape(-1, 2))) == (soft != "none"), "the case must exercise its limits"
-    peer = NlpPeer(asdict(it.stages), {"plugin": plugin, "options": options}, None)
-    peer.reset(*it.data)
-    command = peer.solve(*it.data)
+    assert active_limits(case, solution[:24].reshape(-1, 2)) <= KINDS[soft], "no other limit may be active"
+    assert bool(active_limits(case, solution[:24].reshape(-1, 2))) == (soft != "none"), "limits must be active"
+    peer = NlpPeer(asdict(case.stages), {"plugin": plugin, "options": options}, None)
+    peer.reset(*case.data)
+    command = peer.solve(*case.data)
     assert peer.report().solved
     np.testing.assert_allclose(command, solution[:2], atol=1e-5)
 
 
-# Ticks of a real drive, as the oracle and as peers are told them.
+# A tick of a real drive, as data for the oracle and for peers.
 
 
 def oracle_tick(program, estimate, past):
-    """Return a copy of the oracle's tick for `program` and `estimate`; `past` (memory, 2) is in flight."""
+    """Return the oracle's tick, as a copy, for `program` and `estimate`; `past` (memory, 2) are delayed commands."""
     return Tick(
         pose=estimate.pose.copy(),
         state=estimate.state.copy(),

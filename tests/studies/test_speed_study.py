@@ -1,4 +1,4 @@
-"""The speed study: what it measures, the cost of its closed loops, its report, and runs of it."""
+"""The speed study: its measured times, the cost of its closed loops, its report, and runs of it."""
 
 import json
 from types import SimpleNamespace
@@ -19,14 +19,14 @@ from studies.speed.study import SpeedStudy
 
 
 @given(st.floats(0.2, 3.0), st.floats(1e-6, 1.0))
-def test_the_exponent_of_a_power_law_is_found(exponent, scale):
+def test_exponent_of_a_power_law_is_estimated(exponent, scale):
     horizons = np.array([20.0, 30.0, 50.0, 100.0])
     assert growth_exponent(horizons, scale * horizons**exponent) == pytest.approx(exponent, abs=1e-9)
 
 
-def test_what_happens_once_counts_among_all_steps_but_not_among_ticks():
+def test_single_disturbance_counts_among_all_steps_but_not_among_ticks():
     whole = np.full((3, 200), 1e-3)
-    whole[0, 7] = 1.0  # the machine was elsewhere
+    whole[0, 7] = 1.0  # another process ran
     whole[:, 9] = 5e-3  # a hard tick, every time
     statistics = time_statistics(whole, whole / 2)
     assert statistics["step_max_s"] == 1.0
@@ -44,13 +44,13 @@ def small():
 @pytest.fixture(scope="module")
 def report(small, tmp_path_factory):
     out = tmp_path_factory.mktemp("speed")
-    broken = SubjectSettings(kind="nlpsol", settings={"plugin": "nobody", "options": {}})
+    broken = SubjectSettings(kind="nlpsol", settings={"plugin": "missing", "options": {}})
     carry_out(SpeedStudy(small.model_copy(update={"subjects": {**small.subjects, "broken": broken}})), out)
     return json.loads((out / "speed.json").read_text())
 
 
 @pytest.mark.long
-def test_everyone_solves_the_same_problem(report):
+def test_all_solvers_solve_the_same_problem(report):
     ours, peer = report["records"]
     assert (ours["solver"], peer["solver"]) == ("ours/daqp", "casadi/sqpmethod")
     assert ours["unsolved"] == peer["unsolved"] == 0
@@ -61,10 +61,10 @@ def test_everyone_solves_the_same_problem(report):
     assert ours["closed_loop_cost"] == pytest.approx(peer["closed_loop_cost"], rel=0.01)
 
 
-def test_a_subject_that_cannot_be_built_is_named_and_the_others_go_on(report):
+def test_subject_that_cannot_be_built_is_named_and_the_others_run(report):
     (missing,) = report["missing"]
     assert missing["solver"] == "broken"
-    assert "nobody" in missing["reason"]
+    assert "missing" in missing["reason"]
 
 
 MODEL = load_model("ssm")
@@ -73,7 +73,7 @@ TICKS = 40
 
 
 def straight(times):
-    """Return a reference at 0.4 m/s along x, without end."""
+    """Return samples of an endless reference at 0.4 m/s along x."""
     times = np.asarray(times)
     pose = np.column_stack([0.4 * times, 0 * times, 0 * times])
     return ReferenceSample(pose, np.tile([0.4, 0.0], (len(times), 1)), 0.4 * times)
@@ -82,28 +82,28 @@ def straight(times):
 REFERENCE = SimpleNamespace(sample=straight)
 
 
-def cost(across=0.0, along=0.0, turned=0.0, v=0.4, omega=0.0, steady=True, config=CONFIG):
-    """Compute the cost of a drive with a constant error, with the commands that hold the reference's twist."""
-    pose = straight(CONFIG.sample_time * np.arange(TICKS)).pose + [along, across, turned]
+def cost(across=0.0, along=0.0, turn=0.0, v=0.4, omega=0.0, steady=True, config=CONFIG):
+    """Compute the cost of a drive with a constant error, with the commands that keep the reference's twist."""
+    pose = straight(CONFIG.sample_time * np.arange(TICKS)).pose + [along, across, turn]
     command = np.tile(np.linalg.solve(MODEL.dc_gain, [0.4, 0.0]), (TICKS, 1))
     value = closed_loop_cost(pose, np.tile([v, omega], (TICKS, 1)), command, REFERENCE, config, MODEL)
     first = command[0] ** 2 @ [config.weights.v_increment, config.weights.omega_increment] / 2 / TICKS
     return value - first
 
 
-def test_errors_cost_half_their_weighted_squares():
+def test_cost_of_an_error_is_half_its_weighted_square():
     w = CONFIG.weights
     assert cost(along=0.02) == pytest.approx(w.along * 0.02**2 / 2)
     assert cost(across=-0.03) == pytest.approx(w.across * 0.03**2 / 2)
-    assert cost(turned=0.1 + 2 * np.pi) == pytest.approx(w.heading * 0.1**2 / 2)
+    assert cost(turn=0.1 + 2 * np.pi) == pytest.approx(w.heading * 0.1**2 / 2)
 
 
-def test_exceeded_soft_limits_cost_their_exact_and_quadratic_penalty():
+def test_exceeded_soft_limit_costs_its_exact_and_quadratic_penalty():
     w, lim = CONFIG.weights, CONFIG.limits
     over = 0.1
     expected = w.soft * over + w.soft_quadratic * over**2 / 2
     assert cost(omega=lim.predicted_omega + over, v=0.0) == pytest.approx(expected)
-    # One side turns too fast while v and omega alone are inside their limits.
+    # The wheels of one side turn too fast while v and omega are within their limits.
     narrow = CONFIG.model_copy(update={"limits": CONFIG.limits.model_copy(update={"wheel_speed": 0.55})})
     v = 0.55 - 0.5 * CONFIG.wheels.track * 1.0 + over
     assert cost(v=v, omega=1.0, config=narrow) == pytest.approx(expected)

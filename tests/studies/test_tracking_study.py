@@ -9,7 +9,7 @@ import pytest
 from bench_parts import Arc, DisplacedUnicycle
 from hypothesis import given
 from hypothesis import strategies as st
-from tracking_parts import TINY, case, made_up, recovery, row, tiny_study, write_made_up
+from tracking_parts import TINY, artificial_results, case, recovery, row, tiny_study, write_artificial_report
 
 from commands import invoke
 from diffdrive_mpc import ConfigError
@@ -34,7 +34,7 @@ from studies.tracking.study import TrackingStudy, evaluate_targets, load_study, 
         ),
     ],
 )
-def test_a_mistake_in_a_study_is_one_line_before_anything_is_driven(old: str, new: str, message: str, tmp_path: Path):
+def test_mistake_in_a_study_gives_one_line_before_any_drive(old: str, new: str, message: str, tmp_path: Path):
     assert old in TINY
     (tmp_path / "mine.yaml").write_text(TINY.replace(old, new, 1))
     with one_line_error(ConfigError, message):
@@ -54,13 +54,13 @@ def test_along_and_across_are_the_position_error_in_the_frame_of_the_reference(r
     assert len(series["time"]) == run.metrics.steps
 
 
-def test_a_repeated_error_is_bias_in_the_arc_and_transient_outside_and_noise_is_neither():
+def test_repeated_error_is_bias_in_the_arc_and_transient_outside_and_noise_is_neither():
     wave = 0.002 * (-1.0) ** np.arange(100)
     steady = np.arange(100) >= 50
     bias, entry = np.where(steady, 0.003, 0.0), np.where(steady, 0.0, 0.005)
     rows = [row(case(seed=seed), across=bias + entry + sign * wave) for seed, sign in ((20, 1), (21, -1))]
     parts = decompose(frame(rows))
-    # The variance of two opposite values, estimated without bias, is twice their square.
+    # The unbiased variance of two opposite values is twice their square.
     assert parts.noise == pytest.approx(2 * 0.002**2)
     assert parts.bias == pytest.approx(0.5 * (0.003**2 - 0.002**2))
     assert parts.transient == pytest.approx(0.5 * (0.005**2 - 0.002**2))
@@ -68,7 +68,7 @@ def test_a_repeated_error_is_bias_in_the_arc_and_transient_outside_and_noise_is_
 
 
 @given(st.integers(1, 6), st.integers(0, 1000))
-def test_the_parts_add_up_to_the_mean_square_whatever_the_errors(seeds, key):
+def test_parts_add_up_to_the_mean_square_for_any_errors(seeds, key):
     random = np.random.default_rng(key)
     rows = [row(case(seed=k), across=random.normal(size=100), along=random.normal(size=100)) for k in range(seeds)]
     total = np.mean([parts["across"] ** 2 + parts["along"] ** 2 for parts in rows])
@@ -83,7 +83,7 @@ def verdicts(change=lambda case: {}):
     return {(v.quantity, v.where): v for v in evaluate_targets(frame(row(case, **change(case)) for case in CASES))}
 
 
-def only(**conditions):
+def cases_with(**conditions):
     """Return a predicate that is true for cases that meet the conditions."""
     return lambda case: all(getattr(case, name) == value for name, value in conditions.items())
 
@@ -117,8 +117,8 @@ PLAIN = {"scenario": "none", "sensors": "default"}
         ),
     ],
 )
-def test_one_model_beyond_a_limit_is_a_no_for_it_alone(where, changes, claim, place):
-    results = verdicts(lambda case: changes if only(model="sm", **where)(case) else {})
+def test_model_beyond_a_limit_fails_only_its_own_target(where, changes, claim, place):
+    results = verdicts(lambda case: changes if cases_with(model="sm", **where)(case) else {})
     verdict = results[claim, place]
     assert not verdict.met
     assert not verdict.met_by("SM")
@@ -135,28 +135,28 @@ def test_one_model_beyond_a_limit_is_a_no_for_it_alone(where, changes, claim, pl
 @pytest.fixture(scope="module")
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("report")
-    write_made_up(made_up(), folder)
+    write_artificial_report(artificial_results(), folder)
     return folder
 
 
 def tables(results=None):
-    shown = TrackingStudy(load_study(quick=True)).tables(made_up() if results is None else results)
+    shown = TrackingStudy(load_study(quick=True)).tables(artificial_results() if results is None else results)
     return {table.title: table for table in shown}
 
 
-def test_a_variant_is_told_by_its_values():
-    """Each variant has a different error; the table must show it under the right name."""
+def test_variants_are_distinguished_by_their_values():
+    """Each variant has a different error; the table must show it under the correct name."""
     study = load_study(quick=True)
     errors = {name: 0.010 + 0.001 * k for k, name in enumerate(study.variants)}
-    rows = made_up()
+    rows = artificial_results()
     rows = rows.assign(position_rmse_m=rows["variant"].map(errors).fillna(rows["position_rmse_m"]))
     ablation = {cells[1]: float(cells[3]) for cells in tables(rows)["Ablation"].rows}
     assert ablation == pytest.approx({name: 1e3 * error for name, error in errors.items()} | {"clairvoyant bound": 2.0})
 
 
-def test_the_report_has_figures_and_every_run_once(report: Path):
+def test_report_has_figures_and_every_run_once(report: Path):
     data = json.loads((report / "tracking.json").read_text())
-    assert len(data["runs"]) == made_up()["case"].nunique()
+    assert len(data["runs"]) == artificial_results()["case"].nunique()
     assert data["meta"]["revision"] == "abc"
     text = (report / "tracking.md").read_text()
     for name in ("ablation.png", "error-sources.png"):
@@ -165,7 +165,7 @@ def test_the_report_has_figures_and_every_run_once(report: Path):
 
 
 @pytest.fixture(scope="module")
-def driven(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+def small_study(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """Folder of a small study, and the output of the command."""
     folder = tmp_path_factory.mktemp("driven")
     words = ["--study", str(tiny_study(folder)), "--only", "ablation,cross,bound", "--jobs", "1"]
@@ -173,8 +173,8 @@ def driven(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return folder / "out", result.stdout
 
 
-def test_the_command_drives_a_small_study_and_writes_its_report(driven: tuple[Path, str]):
-    out, printed = driven
+def test_command_runs_a_small_study_and_writes_its_report(small_study: tuple[Path, str]):
+    out, output = small_study
     files = {"figures", "report.html", "tracking.json", "tracking.md", CONTENTS}
     assert {path.name for path in out.iterdir()} == files
     runs = json.loads((out / "tracking.json").read_text())["runs"]
@@ -182,4 +182,4 @@ def test_the_command_drives_a_small_study_and_writes_its_report(driven: tuple[Pa
     assert all(run["completed"] for run in runs)
     error = {(run["controller"], run["plant"], bool(run["set"])): run["position_rmse_m"] for run in runs}
     assert error["clairvoyant", "mujoco", False] < error["mpc", "mujoco", False] < error["mpc", "mujoco", True]
-    assert "Cross table" in printed
+    assert "Cross table" in output

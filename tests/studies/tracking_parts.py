@@ -1,4 +1,4 @@
-"""Rows of a tracking study that were never driven, and a study small enough to drive in a test."""
+"""Artificial rows of a tracking study, and a study small enough to run in a test."""
 
 import math
 from dataclasses import fields
@@ -43,7 +43,7 @@ def case(**changes: object) -> Case:
 
 
 def statistics(**changes: object) -> dict[str, object]:
-    """Return statistics with every error well inside every target."""
+    """Return statistics with every error well within every target."""
     values: dict[str, object] = {field.name: 0.001 for field in fields(Metrics)}
     values |= {
         "steps": 100,
@@ -60,7 +60,7 @@ def statistics(**changes: object) -> dict[str, object]:
 def recovery(
     time: float = math.nan, overshoot: float = math.nan, energy_v: float = math.nan, energy_omega: float = math.nan
 ) -> dict[str, float]:
-    """Return columns of the recovery."""
+    """Return the recovery columns of a row."""
     values = Recovery(time, overshoot, 0.001, energy_v, energy_omega, 0.0, 0.0)
     return {
         f"recovery_{field.name.removeprefix('recovery_')}": getattr(values, field.name) for field in fields(Recovery)
@@ -68,9 +68,9 @@ def recovery(
 
 
 def row(case: Case, *, arcs: tuple[float, ...] = (0.001,), across: np.ndarray | None = None, **changes: object) -> dict:
-    """Build a row of 100 ticks, of which the second half is a steady arc; 1 mm to the left by default."""
+    """Build a row of 100 ticks whose second half is a steady arc; by default 1 mm to the left."""
     n = 100
-    made = {
+    values = {
         "case": case,
         "driver": driver_name(case),
         **case.as_row(),
@@ -87,18 +87,18 @@ def row(case: Case, *, arcs: tuple[float, ...] = (0.001,), across: np.ndarray | 
         "steady": np.arange(n) >= n // 2,
         "series": None,
     } | changes
-    return made | {"lost": not made["completed"]}
+    return values | {"lost": not values["completed"]}
 
 
-def made_up() -> DataFrame:
-    """Build a whole study of rows that were never driven: 8 mm, 2 mm for the bound."""
+def artificial_results() -> DataFrame:
+    """Build a whole study of artificial rows: 8 mm, and 2 mm for the bound."""
     plan = load_study(quick=True).drives()
     cases = dict.fromkeys(drive.case for drives in plan.values() for drive in drives)
     rows = [row(case, position_rmse_m=0.002 if case.controller == BOUND else 0.008) for case in cases]
     return in_parts(frame(rows), plan)
 
 
-def write_made_up(results: DataFrame, folder: Path) -> None:
+def write_artificial_report(results: DataFrame, folder: Path) -> None:
     study = TrackingStudy(load_study(quick=True))
     report = study.report(results, 1.0)
     write_report(study, report, META | report.meta, folder)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ideal_robot import IdealRobot
 from identification_parts import differences
-from nonlinear_program import EXACT, NO_SLIP, by_ipopt, converged, record
+from nonlinear_program import EXACT, NO_SLIP, iterate_to_convergence, record, solve_with_ipopt
 
 from diffdrive_mpc import ConfigError, Controller, load_config, load_trajectory
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
@@ -76,8 +76,8 @@ def test_real_time_iterations_with_it_converge_to_ipopts_solution(floor, weight)
     controller = make()
     robot = IdealRobot(controller._predicted.sampled, np.zeros(3))
     drive = record(controller, robot, GENTLE, 120, lambda *_: None)
-    again, result = converged(make, drive, GENTLE, lambda *_: None)
-    plan, without = by_ipopt(again), by_ipopt(again, load_config(config, {"energy.weight": 0.0}))
+    again, result = iterate_to_convergence(make, drive, GENTLE, lambda *_: None)
+    plan, without = solve_with_ipopt(again), solve_with_ipopt(again, load_config(config, {"energy.weight": 0.0}))
     assert np.abs(plan - without).max() > 1e-3, "the term must matter"
     assert result.planned_commands == pytest.approx(plan, abs=1e-6)
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from ideal_robot import IdealRobot
-from nonlinear_program import EXACT, NO_SLIP, by_ipopt, converged, record
+from nonlinear_program import EXACT, NO_SLIP, iterate_to_convergence, record, solve_with_ipopt
 
 from diffdrive_mpc import Controller, ControllerConfig, load_config, load_trajectory, make_plant
 from diffdrive_mpc.models.interface import ReferenceSample
@@ -350,8 +350,11 @@ def test_half_spaces_under_pressure_converge_to_the_solution_of_ipopt():
         table = again._tick.parameters
         again.feature("free_space")._keeper._set_rows = lambda *_: table.__setitem__(slice(None), tables[time])
 
-    again, result = converged(make, drive, CIRCLE, keep_rows)
-    plan, without = by_ipopt(again), by_ipopt(again, load_config(again.config, {"free_space.enabled": False}))
+    again, result = iterate_to_convergence(make, drive, CIRCLE, keep_rows)
+    plan, without = (
+        solve_with_ipopt(again),
+        solve_with_ipopt(again, load_config(again.config, {"free_space.enabled": False})),
+    )
     assert result.solver.soft_limits
     assert np.abs(plan - without).max() > 1e-3, "the planes must press"
     assert result.planned_commands == pytest.approx(plan, abs=2e-5)

@@ -158,7 +158,7 @@ def test_a_path_whose_predicted_error_exceeds_the_limit_is_refused_or_driven_slo
     settings = {"follow_error_limit": limit, "follow_error_response": response}
     with following(**{f"parts.predicted_error.{key}": value for key, value in settings.items()}) as follow:
         follow.client.send("a", BEND)
-        result = follow.ended("a", pace=0.2 * DT)
+        result = follow.wait_for_end("a", pace=0.2 * DT)
         if response == "refuse":
             assert (result["status"], result["code"]) == (ABORTED, 103)
             assert f"follow_error_limit is {1e3 * limit:.1f} mm (lateral: worst after" in result["words"]

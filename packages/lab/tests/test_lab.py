@@ -15,7 +15,7 @@ import pytest
 from firefox import opened_firefox
 from typer.testing import CliRunner
 
-from browser import opened_browser
+from browser import open_browser
 from commands import invoke
 from diffdrive_mpc import Controller, integrate_pose, load_trajectory
 from diffdrive_mpc.app.cli import app
@@ -64,7 +64,7 @@ def laboratory(page_file: Path, link: str = "", **options: Any) -> Iterator[Any]
     """Open the page from the file system without a network; at the end there must be no errors and no requests."""
     complaints: list[str] = []
     requests: list[str] = []
-    with opened_browser() as browser:
+    with open_browser() as browser:
         settings = {"viewport": {"width": 1280, "height": 900}, "offline": True, "accept_downloads": True} | options
         page = browser.new_context(**settings).new_page()
         page.on("console", lambda message: complaints.append(message.text))

@@ -28,7 +28,7 @@ from diffdrive_mpc.models.logs.mapping import Topic
 from diffdrive_mpc_monitor.judge import Judge
 from diffdrive_mpc_monitor.ros.node import MonitorNode, MonitorSettings, planar, seconds
 from diffdrive_mpc_monitor.rules import load_rules
-from imports import imported
+from imports import imports_of
 
 PACKAGE = Path(diffdrive_mpc_monitor.__file__).parent
 SHARED = {
@@ -62,7 +62,7 @@ PROGRAMS = {
 
 @pytest.mark.parametrize("part", ["judge.py", "rules.py", "senders.py", "ros/node.py"])
 def test_modules_import_nothing_of_the_controller(part):
-    modules = {module for module, _ in imported(PACKAGE / part) if module.startswith("diffdrive_mpc.")}
+    modules = {module for module, _ in imports_of(PACKAGE / part) if module.startswith("diffdrive_mpc.")}
     assert {module.split(".")[1] for module in modules} <= {"models"}
     assert {module.split(".")[2] for module in modules} <= SHARED
 
