@@ -136,7 +136,7 @@ def hand_written():
 def test_hand_written_documents_are_short():
     """Pages are those of the site, except for the tables of parameters; words of other documents count, too."""
     texts = hand_written()
-    words = {named(path): len(re.findall(r"\S*\w\S*", text)) for path, text in texts.items()}
+    words = {name_of(path): len(re.findall(r"\S*\w\S*", text)) for path, text in texts.items()}
     pages = {*texts} & {*DOCUMENTS, *PAGES} - {ROOT / "docs" / "parameters.md"}
     print(f"{sum(words.values())} words on {len(pages)} pages and in {len(texts) - len(pages)} other documents")  # noqa: T201
     longest = sorted(words, key=words.__getitem__, reverse=True)[:5]
@@ -144,7 +144,7 @@ def test_hand_written_documents_are_short():
     assert len(pages) <= MAX_PAGES, "merge pages"
 
 
-@pytest.mark.parametrize("document", PAGES, ids=named)
+@pytest.mark.parametrize("document", PAGES, ids=name_of)
 def test_a_page_is_named_by_its_question_and_begins_with_the_answer(document):
     title, opening = document.read_text(encoding="utf-8").split("\n\n")[:2]
     assert re.fullmatch(r"# .*\?", title)

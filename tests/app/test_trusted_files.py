@@ -13,12 +13,12 @@ def untrusted(tmp_path):
 
 
 @pytest.mark.parametrize("error", ["SystemExit", "SystemExit(0)", "GeneratorExit", "type('Own', (BaseException,), {})"])
-def test_term_that_exits_is_refused_with_one_line(error, stranger):
-    (stranger / "term.py").write_text(f"raise {error}\n")
-    code, printed, _ = call("simulate", "--config", stranger / "config.yaml", "--plant", "model:ssm")
-    assert code == 2 and f"{stranger}/term.py: running it fails with" in printed, printed
+def test_term_that_exits_is_refused_with_one_line(error, untrusted):
+    (untrusted / "term.py").write_text(f"raise {error}\n")
+    code, printed, _ = call("simulate", "--config", untrusted / "config.yaml", "--plant", "model:ssm")
+    assert code == 2 and f"{untrusted}/term.py: running it fails with" in printed, printed
     with pytest.raises(ConfigError, match="running it fails with"):
-        Controller(load_config(stranger / "config.yaml"))
+        Controller(load_config(untrusted / "config.yaml"))
 
 
 def test_config_check_names_the_python_of_terms_and_does_not_run_it(untrusted):

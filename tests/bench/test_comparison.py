@@ -183,7 +183,7 @@ def test_order_states_which_controllers_differ_significantly(outcome: RunOutcome
     assert places[0].rmse == pytest.approx(base.mean())
     unknown = rows.assign(position_rmse_m=[np.nan, *rows["position_rmse_m"][1:]])
     assert [place.name for place in order(unknown)] == ["SM", "SSM"]
-    assert ranks[0].spread == pytest.approx(np.std(base.reshape(3, 2).mean(axis=1)))
+    assert places[0].spread == pytest.approx(np.std(base.reshape(3, 2).mean(axis=1)))
 
 
 def test_reversed_order_is_named_with_its_significance(outcome: RunOutcome) -> None:

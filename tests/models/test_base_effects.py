@@ -278,9 +278,9 @@ def test_limit_of_the_plain_model_is_kept():
 def test_effects_are_kept_only_if_they_predict_better_than_the_plain_model(fit_result):
     records = [record_of(TRUE, 7, 150.0, yaw_ratio=RATIO)]
     plain = identify_sm(records, limits=False)
-    assert explain_rejection(fitted, plain, records) is None
+    assert explain_rejection(fit_result, plain, records) is None
     spoilt = replace(
-        fitted, points=tuple({**point, "gain.omega": 0.5 * point["gain.omega"]} for point in fitted.points)
+        fit_result, points=tuple({**point, "gain.omega": 0.5 * point["gain.omega"]} for point in fit_result.points)
     )
     assert "no better than the plain model" in explain_rejection(spoilt, plain, records)
 

@@ -82,10 +82,10 @@ def test_limits_of_the_log_are_kept_within_those_of_the_maker(identification):
 
 def test_model_is_identified_from_the_log_alone(identification, husky_bag):
     plain = identify(husky_bag, load_mapping_of_husky(husky_bag))
-    assert identified.content.channels == plain.content.channels
-    assert identified.content.provenance.origin == "identified"
+    assert identification.content.channels == plain.content.channels
+    assert identification.content.provenance.origin == "identified"
     # The track is the maker's; without a robot nobody states it.
-    assert not any("determines the track" in warning for warning in identified.report.warnings)
+    assert not any("determines the track" in warning for warning in identification.report.warnings)
     assert any("determines the track" in warning for warning in plain.report.warnings)
 
 

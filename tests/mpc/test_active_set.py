@@ -124,12 +124,12 @@ def solve(p, warm=None, number="double", slack=1e-6, max_iterations=2000, max_ac
         array = np.ascontiguousarray(array, dtype=kind)
         return array, ffi.cast("real *", array.ctypes.data)
 
-    held = [given_as(a) for a in (factor, minimiser, p.A, p.lower, p.upper, [p.price, p.slope, slack, late, bounded])]
-    # Garbage, which nobody may read.
-    _reals, at_reals = given_as(np.full(functions.ddmpc_limited_reals(n, m, max_active), np.nan))
+    held = [as_c_array(a) for a in (factor, minimiser, p.A, p.lower, p.upper, [p.price, p.slope, slack, late, bounded])]
+    # Garbage that must not be read.
+    _reals, at_reals = as_c_array(np.full(functions.ddmpc_limited_reals(n, m, max_active), np.nan))
     ints = np.full(functions.ddmpc_limited_ints(n, m, max_active), 2**30, dtype=np.intc)
-    multipliers, at_multipliers = given_as(np.zeros(m) if warm is None else warm.copy())
-    plan, at_plan = given_as(np.zeros(n))
+    multipliers, at_multipliers = as_c_array(np.zeros(m) if warm is None else warm.copy())
+    plan, at_plan = as_c_array(np.zeros(n))
     result = functions.solve_dense(
         n, m, p.hard, *(pointer for _, pointer in held), max_iterations, max_active, at_reals,
         ffi.cast("int *", ints.ctypes.data), at_multipliers, at_plan,
@@ -361,7 +361,7 @@ def test_wrong_start_costs_only_iterations(seed, size):
 def test_stopped_solve_returns_the_plan_of_its_multipliers_and_can_be_continued(seed):
     p, result = constrained_problem(seed)
     needed = result.iterations
-    for stopped, most in [(solve(p, max_iterations=most), most) for most in (1, needed - 1)] + [
+    for stopped, limit in [(solve(p, max_iterations=limit), limit) for limit in (1, needed - 1)] + [
         (solve(p, late=True), 1)
     ]:
         assert (stopped.status, stopped.iterations) == (UNFINISHED, limit)
@@ -382,11 +382,13 @@ def test_operations_stay_below_the_bound_from_any_start():
         p = robot_problem(rng, steps, tight=tight)
         p = with_two_sided_limits(p, rng, steps, tight) if number % 2 else p
         m, n = p.A.shape
-        slack = int(rng.integers(n, n + m))
+        max_active = int(rng.integers(n, n + m))
         start = 10 ** rng.uniform(-3, 3) * rng.normal(size=m) * (rng.random(m) < rng.random())
-        result = solve(p, start, max_active=room, bounded=True)
-        shares.append(result.operations / functions.ddmpc_limited_bound(n, m, room))
-        stopped += result.status == UNFINISHED and result.operations >= functions.ddmpc_limited_allowance(n, m, room)
+        result = solve(p, start, max_active=max_active, bounded=True)
+        shares.append(result.operations / functions.ddmpc_limited_bound(n, m, max_active))
+        stopped += result.status == UNFINISHED and result.operations >= functions.ddmpc_limited_allowance(
+            n, m, max_active
+        )
         if result.status == PROVEN:
             assert_optimal(p, result)
     assert max(shares) < 1.0
@@ -395,7 +397,7 @@ def test_operations_stay_below_the_bound_from_any_start():
 
 
 def test_without_room_for_all_rows_it_is_stopped():
-    p, solution = pressing_problem(0)
+    p, solution = constrained_problem(0)
     stopped = solve(p, max_active=solution.active - 2)
     assert stopped.status == UNFINISHED
     assert 0 < stopped.active <= solution.active - 2

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from failing_solver import BACKENDS, FailingSolver, SpoiltReference
+from failing_solver import BACKENDS, CorruptedReference, FailingSolver
 from ideal_robot import IdealRobot, drive
 
 from diffdrive_mpc.models import Measurement, Stamped, load_model

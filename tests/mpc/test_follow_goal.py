@@ -75,7 +75,7 @@ def test_goal_waits_for_its_path_and_then_for_the_loop(parts):
     following.take(goal)
     following.update(standing())
     assert loop.calls == [] and goal.end is None
-    beside.respond()
+    side.respond()
     assert loop.calls == ["follow"] and goal.path.length == pytest.approx(1.0)
 
 
@@ -89,8 +89,8 @@ def test_goal_waits_for_its_path_and_then_for_the_loop(parts):
         ((1.0, 0.01, 0.0), np.array([[1.0, 0.01, 0.0], [1.0, 0.0, 0.0]])),
     ],
 )
-def test_a_robot_that_stands_at_the_end_has_arrived(made, robot, poses):
-    loop, beside, following = made
+def test_goal_at_the_position_of_the_robot_succeeds(parts, robot, poses):
+    loop, side, following = parts
     loop.pose_and_twist = lambda: (np.array(robot), (0.0, 0.0))
     following.take(goal := FollowGoal(poses, "odom"))
     side.respond()
@@ -99,14 +99,14 @@ def test_a_robot_that_stands_at_the_end_has_arrived(made, robot, poses):
 
 
 @pytest.mark.parametrize("state", [((1.0, 0.0, 0.0), (0.1, 0.0)), ((1.2, 0.0, 0.0), (0.0, 0.0)), None])
-def test_nothing_left_to_drive_is_no_arrival_where_the_robot_moves_or_is_elsewhere(made, state):
-    loop, beside, following = made
+def test_nothing_left_to_drive_is_no_arrival_where_the_robot_moves_or_is_elsewhere(parts, state):
+    loop, side, following = parts
     following.take(old := FollowGoal(STRAIGHT, "odom"))
-    beside.respond()
+    side.respond()
     loop.pose_and_twist = lambda: (np.array([1.0, 0.0, 0.0]), (0.0, 0.0) if state is None else state[1])
     following.take(goal := FollowGoal(STRAIGHT, "odom"))
     loop.pose_and_twist = lambda: state and (np.array(state[0]), state[1])
-    beside.respond()
+    side.respond()
     code = Code.TF_ERROR if state is None else Code.INVALID_PATH
     assert (goal.end.outcome, goal.end.code) == (GoalOutcome.ABORTED, code)
     # The drive that it was to replace ends, too.
@@ -158,7 +158,7 @@ def test_fault_of_the_loop_ends_the_goal(parts):
     _, side, following = parts
     goal = FollowGoal(STRAIGHT, "odom")
     following.take(goal)
-    beside.respond()
+    side.respond()
     following.update(LoopTick(np.zeros(2), LoopState.FAULT, "ValueError: nothing"))
     assert (goal.end.code, goal.end.words) == (Code.UNKNOWN, "ValueError: nothing")
 
@@ -188,7 +188,7 @@ def test_robot_waits_for_a_silent_client_continues_and_finally_aborts(parts, mon
     loop, side, following = parts
     goal = FollowGoal(STRAIGHT, "odom")
     following.take(goal)
-    beside.respond()
+    side.respond()
     start = goal.alive_at
     drives = LoopTick(np.array([0.6, 0.0]), LoopState.DRIVING, "")
     distance = 0.0

@@ -113,7 +113,7 @@ def connect(name, time, across, turn, v=0.0, omega=0.0):
     reference = REFERENCES[name]
     pose = reference.sample([time]).pose[0]
     pose[:2] += across * np.array([-np.sin(pose[2]), np.cos(pose[2])])
-    pose[2] += turned
+    pose[2] += turn
     window = PathWindow.sample_around(reference, time, 6.0, 0.05)
     nearest = window.nearest(pose, time)
     return (

@@ -114,6 +114,6 @@ def test_stated_speed_limit_is_none_or_between_the_minimum_and_the_maximum_speed
     if value == 0.0:
         assert result is None
     else:
-        assert MIN_SPEED_LIMIT <= result <= greatest
-        stated = value * greatest / 100 if percentage else value
-        assert result == pytest.approx(min(max(stated, MIN_SPEED_LIMIT), greatest))
+        assert MIN_SPEED_LIMIT <= result <= max_speed
+        stated = value * max_speed / 100 if percentage else value
+        assert result == pytest.approx(min(max(stated, MIN_SPEED_LIMIT), max_speed))

@@ -236,8 +236,8 @@ def file_of(inputs, output="pose[0]", names=None):
     ("text", "changes", "message"),
     [
         (FILE, {"file": "none.py"}, "none.py: no such Python file; give the path of the term"),
-        (taking("pose, x", names=["pose", "twst"]), {}, MINE + "unknown input 'twst'; name it twist"),
-        (taking("pose", "pose[0] + x[0]").replace("['out'])", "['out'], {'allow_free': True})"), {}, "depends on x_0"),
+        (file_of("pose, x", names=["pose", "twst"]), {}, MINE + "unknown input 'twst'; name it twist"),
+        (file_of("pose", "pose[0] + x[0]").replace("['out'])", "['out'], {'allow_free': True})"), {}, "depends on x_0"),
         (FILE, {"lower": ...}, MINE + "kind soft, but no limit; give upper or lower, or make it a residual"),
         (FILE, {"uper": [1.0]}, "unknown key 'terms.0.uper'; did you mean"),
     ],

@@ -26,8 +26,8 @@ def short(tmp_path_factory):
 
 def drive(plant, surface, trajectory, sensors="perfect", horizon=30, weights=None):
     settings = load_clairvoyant_settings().model_copy(update={"horizon": horizon})
-    known = identify_plant(plant, surface, (trajectory,))
-    controller = ClairvoyantController(known, load_config("ssm", weights), settings)
+    plant_model = identify_plant(plant, surface, (trajectory,))
+    controller = ClairvoyantController(plant_model, load_config("ssm", weights), settings)
     return simulate(controller, make_plant(plant, surface, sensors), load_trajectory(trajectory))
 
 
@@ -60,7 +60,7 @@ def test_bound_is_better_than_the_mpc_on_mujoco():
 
 
 def test_a_plant_that_is_a_model_is_known_exactly():
-    known = identify_plant("model:ssm", "slippery", ("cane",))
+    plant_model = identify_plant("model:ssm", "slippery", ("cane",))
     plant = make_plant("model:ssm", "slippery", "perfect")
     for _ in range(200):
         plant.advance([0.5, 0.4])
