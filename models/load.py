@@ -53,22 +53,22 @@ def load_model(name: str | Path) -> VelocityModel | NonlinearModel:
     data = read_yaml(path)
     try:
         function = _function(data)
-        return build_model(_checked(path, data)) if function is None else function.load(path, data)
+        return build_model(_check_file(path, data)) if function is None else function.load(path, data)
     except ModelError as error:
         raise ModelError(f"{path.name}: {error}") from error
 
 
 def model_names() -> tuple[str, ...]:
     """List the shipped models: one for each structure that ships a model, and the kinematic model for comparison."""
-    return tuple(_shipped())
+    return tuple(_shipped_files())
 
 
 def is_shipped(name: str | Path) -> bool:
     """Return True if `name` is one of `model_names`."""
-    return str(name) in _LINEAR or str(name) in _shipped()
+    return str(name) in _LINEAR or str(name) in _shipped_files()
 
 
-def _shipped() -> dict[str, Path]:
+def _shipped_files() -> dict[str, Path]:
     """Return the shipped parameter files by name; names of `_LINEAR` need no plug-ins."""
     functions = {structure.name: structure.shipped for structure in function_structures().values() if structure.shipped}
     linear = {name: path for name, path in _LINEAR.items() if name != _PLAIN}
@@ -87,7 +87,7 @@ def load_base_effects(name: str | Path) -> BaseEffects:
     """Load the base effects from a model file; raise ConfigError as `load_model`."""
     path = model_path(name)
     data = read_yaml(path)
-    return BaseEffects() if _function(data) else _checked(path, data).base_effects
+    return BaseEffects() if _function(data) else _check_file(path, data).base_effects
 
 
 def model_path(name: str | Path) -> Path:
@@ -99,7 +99,7 @@ def model_path(name: str | Path) -> Path:
         return ROBOTS / f"{name}.yaml"
     if str(name) in _LINEAR:
         return _LINEAR[str(name)]
-    shipped = _shipped()
+    shipped = _shipped_files()
     robots = {path.stem: path for kind in function_structures().values() for path in kind.robots}
     if path := (shipped | robots).get(str(name)):
         return path
@@ -109,7 +109,7 @@ def model_path(name: str | Path) -> Path:
 
 def read_model_file(path: str | Path) -> ModelFile:
     """Read and check the parameter file of a linear model without building the model."""
-    return _checked(path, read_yaml(path))
+    return _check_file(path, read_yaml(path))
 
 
 def _function(data: object) -> FunctionStructure | None:
@@ -124,7 +124,7 @@ def _structure(data: object) -> str:
     return structure if isinstance(structure, str) else ""
 
 
-def _checked(path: str | Path, data: object) -> ModelFile:
+def _check_file(path: str | Path, data: object) -> ModelFile:
     structure = STRUCTURES.get(_structure(data))
     if structure is None:
         check_package("structures", _structure(data))

@@ -78,7 +78,7 @@ def simulate(
             surrounded.show(controller)
             is_over = plant.time > end and surrounded.is_over(goal)
         step = controller.step(plant.time, measurement)
-        command = _checked(step.command, plant.time)
+        command = _check_command(step.command, plant.time)
         record.record_step(step, command)
         try:
             plant.advance(command)
@@ -104,7 +104,7 @@ def _check_arguments(controller: TrackingController, plant: Plant, extra_time: f
         )
 
 
-def _checked(command: FloatArray, t: float) -> FloatArray:
+def _check_command(command: FloatArray, t: float) -> FloatArray:
     """Return the command as an array; raise ValueError if it is not two finite numbers."""
     command = np.asarray(command, dtype=float)
     if command.shape != (2,) or not all(map(math.isfinite, command.tolist())):

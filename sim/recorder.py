@@ -16,7 +16,7 @@ from diffdrive_mpc.models.interface import (
     solver_method,
 )
 from diffdrive_mpc.models.step_scalars import scalar_row
-from diffdrive_mpc.sim.plants.drivetrain import NOTHING, MotorWork, motor_work, stacked
+from diffdrive_mpc.sim.plants.drivetrain import NOTHING, MotorWork, motor_work, stack
 from diffdrive_mpc.sim.plants.plant import Plant, PlantAround
 from diffdrive_mpc.sim.run import NO_SOLVER, Run
 
@@ -78,7 +78,7 @@ class Recorder:
         driven = slice(len(self._reports))
         time = self._time[driven]
         expected = reference.sample(time)
-        torque, wheel_speed, mechanical, square = stacked(self._work)
+        torque, wheel_speed, mechanical, square = stack(self._work)
         return Run(
             reference=reference,
             sample_time=plant.sample_time,

@@ -205,13 +205,13 @@ class Run(ReadOnlyArrays):
             (wheels, self.wheel_speeds),
             (("omega_gyro_rad_s",), self.gyro),
             (("pose_t_s",), self.measured_pose_time),
-            (_named("pose", body), self.measured_pose),
-            (_named("true", body), self.true_pose),
-            (_named("true", ("v_m_s", "lateral_m_s", "omega_rad_s")), self.true_twist),
-            (_named("reference", body), self.reference_pose),
-            (_named("reference", motion), self.reference_twist),
-            (_named("estimate", (*body, *motion)), self.estimates),
-            (_named("estimate", uncertain), self.estimate_deviations),
+            (_column_names("pose", body), self.measured_pose),
+            (_column_names("true", body), self.true_pose),
+            (_column_names("true", ("v_m_s", "lateral_m_s", "omega_rad_s")), self.true_twist),
+            (_column_names("reference", body), self.reference_pose),
+            (_column_names("reference", motion), self.reference_twist),
+            (_column_names("estimate", (*body, *motion)), self.estimates),
+            (_column_names("estimate", uncertain), self.estimate_deviations),
             (("step_time_s", "solve_time_s"), np.column_stack([self.step_time, self.solve_time])),
             (("solver_iterations",), self.solver_iterations),
         ]
@@ -298,7 +298,7 @@ class Run(ReadOnlyArrays):
         return np.array(rows or [empty] * len(self.time)).reshape(-1, width)
 
 
-def _named(quantity: str, parts: tuple[str, ...]) -> tuple[str, ...]:
+def _column_names(quantity: str, parts: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(f"{quantity}_{part}" for part in parts)
 
 

@@ -163,8 +163,8 @@ def _start(
     Forward motion determines the parameters of all motors and the limits of v, turning motion the track, and `yaw` the
     limits of omega.
     """
-    forward = [_combined(experiment, np.full(len(sides), radius / len(sides)), 0) for experiment in experiments]
-    turning = [_combined(experiment, np.array(sides) * 2 * radius / len(sides), 1) for experiment in experiments]
+    forward = [_combine(experiment, np.full(len(sides), radius / len(sides)), 0) for experiment in experiments]
+    turning = [_combine(experiment, np.array(sides) * 2 * radius / len(sides), 1) for experiment in experiments]
     v = identify_channel(forward, "wheels", limit=limits)
     omega = identify_channel(turning, "wheels' difference", limit=False)
     motor = TWO_POLES.parameters(np.array(list(v.content.values())))
@@ -175,7 +175,7 @@ def _start(
     return layout, np.concatenate([np.tile(motor, len(sides)), [track, v.parameters.value("dead_time")], levels])
 
 
-def _combined(experiment: SampledExperiment, weights: FloatArray, column: int) -> SampledExperiment:
+def _combine(experiment: SampledExperiment, weights: FloatArray, column: int) -> SampledExperiment:
     """Build an experiment from one command to a weighted sum of the wheel speeds."""
     return SampledExperiment(
         experiment.name,

@@ -12,7 +12,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 _ONE_OF = "one_of"
 
 
-def drawn(data: object, stream: np.random.Generator) -> Any:  # noqa: ANN401 - plain YAML data, checked by a schema
+def draw_values(data: object, stream: np.random.Generator) -> Any:  # noqa: ANN401 - plain YAML data, checked by a schema
     """Replace every range (uniform) and choice in `data` by a value drawn from `stream`, in the order of the file."""
     return _replace(data, lambda ends: float(stream.uniform(ends[0], ends[1])), lambda size: int(stream.integers(size)))
 

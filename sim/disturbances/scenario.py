@@ -32,7 +32,7 @@ from diffdrive_mpc.sim.disturbances.disturbance_types import (
     WeakMotor,
     Window,
 )
-from diffdrive_mpc.sim.disturbances.drawn_values import check_drawn, drawn, extremes
+from diffdrive_mpc.sim.disturbances.drawn_values import check_drawn, draw_values, extremes
 
 SCENARIOS = EntryFile("scenario", Path(__file__).with_name("scenarios.yaml"))
 _SENSOR_FAULTS = ("drop_outs", "stuck_sensors", "dead_encoders", "gyro_biases", "pose_errors")
@@ -111,7 +111,7 @@ class ScenarioFile:
     def draw(self, seed: int) -> Scenario:
         """Draw the scenario of the run with `seed` (not negative); the result depends on the seed only."""
         stream = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_SPAWN_KEY,)))
-        return check(Scenario, drawn(self.data, stream), self.where)
+        return check(Scenario, draw_values(self.data, stream), self.where)
 
 
 def combine(scenario: Scenario, second: Scenario) -> Scenario:

@@ -185,7 +185,7 @@ def compute_metrics(run: ScoredRun) -> Metrics:
     iterations = iterations[np.isfinite(iterations)]
     return Metrics(
         steps=int(np.count_nonzero(counted)),
-        completed=_completed(run),
+        completed=_is_completed(run),
         position_rmse_m=_rms(position),
         position_mean_m=float(np.mean(position)),
         position_std_m=float(np.std(position)),
@@ -206,7 +206,7 @@ def compute_metrics(run: ScoredRun) -> Metrics:
         iterations_max=float(np.max(iterations)) if iterations.size else math.nan,
         deadline_misses=int(np.count_nonzero(step_time > run.sample_time)),
         fallbacks=sum(mode in FALLBACK_MODES for mode, used in zip(run.modes, counted, strict=True) if used),
-        stopped=_stopped(run),
+        stopped=_has_stopped(run),
         behind_max_s=_max_delay(run, counted),
     )
 
@@ -234,12 +234,12 @@ def _max_delay(run: ScoredRun, counted: NDArray[np.bool_]) -> float:
     return max(0.0, float(np.max(along / speed[moving])))
 
 
-def _stopped(run: ScoredRun) -> bool:
+def _has_stopped(run: ScoredRun) -> bool:
     start = run.modes.index("TRACKING") if "TRACKING" in run.modes else len(run.modes)
     return not GIVEN_UP_MODES.isdisjoint(run.modes[start:])
 
 
-def _completed(run: ScoredRun) -> bool:
+def _is_completed(run: ScoredRun) -> bool:
     """Return True if the run tracked its reference to the end, ended near it, and has only finite values."""
     last = int(np.flatnonzero(run.counted)[-1])
     return bool(

@@ -99,7 +99,7 @@ class Chassis:
         self._resting_height = float(self._position[2])
         if slope is not None:
             # Tilt after settling, as no motors hold the robot while it settles.
-            self._model.opt.gravity[:] = _tilted(self._model.opt.gravity, slope)
+            self._model.opt.gravity[:] = _tilted_gravity(self._model.opt.gravity, slope)
         self.reset(np.zeros(3))
 
     def reset(self, pose: ArrayLike) -> None:
@@ -232,7 +232,7 @@ def _ignore(_warning: str) -> None:
     pass
 
 
-def _tilted(gravity: FloatArray, slope: Slope) -> FloatArray:
+def _tilted_gravity(gravity: FloatArray, slope: Slope) -> FloatArray:
     """Compute gravity (3,) [m/s^2] in the frame of a surface tilted by `slope`."""
     down, along = math.cos(slope.angle), math.sin(slope.angle)
     direction = np.array([along * math.cos(slope.downhill), along * math.sin(slope.downhill), -down])

@@ -24,13 +24,13 @@ from diffdrive_mpc.sim.plants.simulated_robot import SimulatedRobot, digital_twi
 _FILE = Path(__file__).with_name("market.yaml")
 
 
-def _sorted(ends: tuple[float, float]) -> tuple[float, float]:
+def _check_range(ends: tuple[float, float]) -> tuple[float, float]:
     if ends[0] > ends[1]:
         raise ValueError(f"the range [{ends[0]:g}, {ends[1]:g}] must not decrease")
     return ends
 
 
-Range = Annotated[tuple[float, float], AfterValidator(_sorted)]
+Range = Annotated[tuple[float, float], AfterValidator(_check_range)]
 Span = tuple[Positive, Positive]
 """Range from the best to the worst value, interpolated logarithmically."""
 Share = Annotated[float, Field(ge=0.0, le=1.0)]

@@ -281,6 +281,6 @@ def motor_work(plant: Plant) -> MotorWork:
     return MotorWork(mean_torque, mean_speed, power, square)
 
 
-def stacked(rows: Sequence[MotorWork]) -> FloatArray:
+def stack(rows: Sequence[MotorWork]) -> FloatArray:
     """Stack the fields of n samples as (4, n, 4)."""
     return np.array(rows, dtype=float).reshape(len(rows), len(MotorWork._fields), WHEELS).swapaxes(0, 1)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray, ReadOnlyArrays
 from diffdrive_mpc.models.robot import NotNegative, Positive, Robot, load_robot
-from diffdrive_mpc.sim.plants.drivetrain import MotorWork, motor_work, stacked
+from diffdrive_mpc.sim.plants.drivetrain import MotorWork, motor_work, stack
 from diffdrive_mpc.sim.plants.plant import Plant
 from diffdrive_mpc.sim.plants.twin_parameters import PARAMETERS
 
@@ -171,4 +171,4 @@ def drive_open_loop(plant: Plant, commands: ArrayLike, pose: ArrayLike = (0.0, 0
         yaw_rate[k] = measurement.yaw_rate.value
         plant.advance(command)
         work.append(motor_work(plant))
-    return OpenLoopDrive(time, rows.copy(), wheel_speeds, wheel_twist, yaw_rate, true_pose, true_twist, *stacked(work))
+    return OpenLoopDrive(time, rows.copy(), wheel_speeds, wheel_twist, yaw_rate, true_pose, true_twist, *stack(work))

@@ -349,7 +349,7 @@ def configure(
     wheels: list[Setting] = []
     track = base.track if base else firmware_track(train, geometry, identified.model.dc_gain) if geometry else None
     width = track or load_robot().track
-    reached = _reached(identified, train, geometry.track if geometry else width)
+    reached = _max_side_speed(identified, train, geometry.track if geometry else width)
     limits.append(_wheel_speed(np.minimum(commanded, limit), width, base, float(gain[0]), reached))
     if geometry is not None and track is not None:
         wheels = [
@@ -475,7 +475,7 @@ def _slew(identified: IdentifiedModel) -> list[Setting]:
     return slews
 
 
-def _reached(identified: IdentifiedModel, train: Sequence[Record], track: float) -> float:
+def _max_side_speed(identified: IdentifiedModel, train: Sequence[Record], track: float) -> float:
     """Return the maximum observed speed of a side [m/s] if the robot limits v; otherwise infinity."""
     if "v" not in identified.limits:
         return np.inf
@@ -528,7 +528,7 @@ def within_stated(configuration: IdentifiedConfiguration, robot: MakersRobot) ->
         for setting in configuration.limits
         if setting.name == channel
     }
-    bounded = [_bounded(setting, keys, shares, robot.name) for setting in configuration.limits]
+    bounded = [_reduce_to_stated(setting, keys, shares, robot.name) for setting in configuration.limits]
     groups = {"limits": bounded, "wheels": list(configuration.wheels), "free_space": list(configuration.free_space)}
     for key, stated in keys.items():
         group, _, name = key.partition(".")
@@ -539,7 +539,7 @@ def within_stated(configuration: IdentifiedConfiguration, robot: MakersRobot) ->
     return replace(configuration, limits=limits, wheels=wheels, free_space=free_space)
 
 
-def _bounded(setting: Setting, keys: dict[str, StatedKey], shares: dict[str, float], robot: str) -> Setting:
+def _reduce_to_stated(setting: Setting, keys: dict[str, StatedKey], shares: dict[str, float], robot: str) -> Setting:
     """Reduce a limit to the stated one; reduce predicted limits by the same share."""
     unit, value = setting.reason.partition(", ")[0], _largest(setting.value)
     stated, share = keys.get(f"limits.{setting.name}"), shares.get(setting.name.removeprefix("predicted_"), 1.0)

@@ -228,7 +228,7 @@ def select_effects(
         if not selected:
             effects.remove(effect)
             model, data = candidate, weight_readings(experiments, candidate.fit.point)
-    return Selection(_settled(model.fit, data), tuple(effects), tuple(trials), data, model.points)
+    return Selection(_fit_to_convergence(model.fit, data), tuple(effects), tuple(trials), data, model.points)
 
 
 def _possible(*, gyro: bool, track: bool, clipped: bool) -> list[str]:
@@ -293,7 +293,7 @@ def _initial_top_speed(experiments: Sequence[SampledExperiment]) -> float:
     return 0.9 * max(float(np.abs(experiment.inputs[:, 0]).max()) for experiment in experiments)
 
 
-def _settled(fit: EffectFit, data: Weighted) -> EffectFit:
+def _fit_to_convergence(fit: EffectFit, data: Weighted) -> EffectFit:
     """Fit to convergence; parameters at a bound are fixed there.
 
     A pole too fast to be determined is fixed at the minimum time constant.

@@ -122,7 +122,7 @@ def fit(
     seconds = perf_counter() - started
     identified = identification.identified
     _ = identified.model  # raises ModelError for parameters of no robot
-    simulated = [_simulated(identified, base, records) for records in (data.train, data.validation)]
+    simulated = [_simulate(identified, base, records) for records in (data.train, data.validation)]
     scores = score_sets(simulated, data, identified.yaw)
     return Fitted(identified, identification.orders, base, geometry, *scores, tuple(simulated[1]), seconds)
 
@@ -146,7 +146,7 @@ def _with_effects(
     return StructureFit(warned, plain.orders), None
 
 
-def _simulated(identified: IdentifiedModel, base: IdentifiedBase | None, records: Sequence[Record]) -> list[FloatArray]:
+def _simulate(identified: IdentifiedModel, base: IdentifiedBase | None, records: Sequence[Record]) -> list[FloatArray]:
     """Simulate v and omega (K, 2), as the model's sensors measure them, in one free run over each record."""
     if base is None:
         return simulate_records(identified.system, records, identified.yaw)

@@ -14,7 +14,7 @@ from diffdrive_mpc.models.logs.record import Record
 _SHARE, _WITHIN = 0.9, 1.645
 # Standard deviation of x[k-1] - 2 x[k] + x[k+1] over that of x: linear changes cancel.
 SECOND_DIFFERENCE = np.sqrt(6.0)
-FEWEST = 50
+MIN_READINGS = 50
 
 
 def sensor_noise(records: Sequence[Record]) -> dict[str, float]:
@@ -37,7 +37,7 @@ def sensor_noise(records: Sequence[Record]) -> dict[str, float]:
     return {
         name: float(np.quantile(np.abs(second), _SHARE) / (_WITHIN * SECOND_DIFFERENCE))
         for name, second in joined.items()
-        if second.size >= FEWEST
+        if second.size >= MIN_READINGS
     }
 
 

@@ -20,7 +20,7 @@ from diffdrive_mpc.models.identification.effects.free_run import Point, sensor_e
 from diffdrive_mpc.models.identification.effects.pose_sensor import pose_sensor
 from diffdrive_mpc.models.identification.effects.selection import select_effects
 from diffdrive_mpc.models.identification.effects.settings import effect_settings
-from diffdrive_mpc.models.identification.fit.noise import FEWEST, SECOND_DIFFERENCE, second_differences
+from diffdrive_mpc.models.identification.fit.noise import MIN_READINGS, SECOND_DIFFERENCE, second_differences
 from diffdrive_mpc.models.identification.fit.pose_calibration import (
     ConstantTrack,
     at_the_rim,
@@ -351,7 +351,7 @@ def _scatter_by_block(records: Sequence[Record], signal: str, column: int) -> Fl
         span = max(1, round(identification_settings().block_time / record.dt))
         for first in range(0, len(record.command), span):
             second = second_differences(record.part(first, min(first + span, len(record.command))), signal, [column])
-            if second.size >= FEWEST:
+            if second.size >= MIN_READINGS:
                 variances.append(float(np.mean(second**2)) / SECOND_DIFFERENCE**2)
     return np.array(variances)
 
