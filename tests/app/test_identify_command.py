@@ -94,7 +94,7 @@ def test_report_page_is_drawn_in_a_browser(identified_robot):
 
 
 def test_configuration_drives_the_plant(identified_robot, logs):
-    """It passes `config check`, and tracks as well as the configuration shipped for the plant."""
+    """The configuration passes `config check`, and tracks as well as the configuration shipped for the plant."""
     config = identified_robot[0] / "config.yaml"
     assert "valid" in run("config", "check", config)
     loaded = load_config(config)

@@ -112,7 +112,7 @@ def test_registry_uses_the_names_of_the_files(name):
 
 
 def test_kinematic_model_is_sm_without_lag():
-    """It has the gains of SM and an assumed origin, and its response ends after one sample."""
+    """The model has the gains of SM and an assumed origin; its response ends after one sample."""
     kinematic, sm = load_model("kinematic"), load_model("sm")
     assert kinematic.provenance["origin"] == "assumed"
     np.testing.assert_allclose(kinematic.dc_gain, sm.dc_gain, rtol=1e-12)

@@ -69,11 +69,11 @@ def test_drive_along_its_limits_agrees(limits, chosen, accuracy):
 # Events of a drive: each receives tick, time, measurement and the pair, and returns time, measurement and hold.
 
 
-def displaced(k, t, m, both):
+def displace(k, t, m, both):
     return t, shift_pose(m, [0.15, 0.13, 0.1]) if k >= 30 else m, None
 
 
-def displaced_far(k, t, m, both):
+def displace_far(k, t, m, both):
     return t, shift_pose(m, [0.0, 0.8, 0.3]) if k >= 30 else m, None
 
 
@@ -220,17 +220,17 @@ def shift_stamps(m, by):
 FENCE = {"fence.enabled": True, "fence.length": 1.7, "fence.width": 1.2}
 LEFT_FENCE = (["TRACKING", "BRAKING", "STOPPED", "TRACKING"], "leaves the fence of 1.7 by 1.2 m")
 EVENTS = {
-    "carried": (displaced, {}, ["TRACKING"], "rejoining"),
-    "carried far": (displaced_far, {}, ["TRACKING", "BRAKING", "STOPPED", "TRACKING"], "robot is somewhere else"),
+    "carried": (displace, {}, ["TRACKING"], "rejoining"),
+    "carried far": (displace_far, {}, ["TRACKING", "BRAKING", "STOPPED", "TRACKING"], "robot is somewhere else"),
     "carried far, no resuming": (
-        displaced_far,
+        displace_far,
         {"failure.resume": False},
         ["TRACKING", "BRAKING", "STOPPED"],
         "robot is somewhere else",
     ),
-    "chased": (displaced, {"reentry.enabled": False}, ["TRACKING"], ""),
+    "chased": (displace, {"reentry.enabled": False}, ["TRACKING"], ""),
     "carried too far": (
-        displaced_far,
+        displace_far,
         {"failure.max_position_error": 0.5},
         ["TRACKING", "BRAKING", "STOPPED"],
         "stopped after a failure",
@@ -266,11 +266,11 @@ EVENTS = {
     "silent": (no_odometry, {}, ["TRACKING", "BRAKING", "TRACKING"], "call start or resume"),
     "blocked": (Blocked(), {}, ["TRACKING"], "blocked for"),
     "no compensation of dead time": (Late(), {"compensation.dead_time": False}, ["TRACKING"], ""),
-    "no v offset": (displaced, {"compensation.v_offset": False}, ["TRACKING"], ""),
-    "no yaw gain": (displaced, {"compensation.yaw_gain": False}, ["TRACKING"], ""),
-    "no side-slip": (displaced, {"compensation.side_slip": False}, ["TRACKING"], ""),
-    "a horizon of the dead time": (displaced, {"horizon": 4}, ["TRACKING"], ""),
-    "a long horizon": (displaced, {"horizon": 50}, ["TRACKING"], ""),
+    "no v offset": (displace, {"compensation.v_offset": False}, ["TRACKING"], ""),
+    "no yaw gain": (displace, {"compensation.yaw_gain": False}, ["TRACKING"], ""),
+    "no side-slip": (displace, {"compensation.side_slip": False}, ["TRACKING"], ""),
+    "a horizon of the dead time": (displace, {"horizon": 4}, ["TRACKING"], ""),
+    "a long horizon": (displace, {"horizon": 50}, ["TRACKING"], ""),
     "fenced": (second_start, FENCE | {"fence.y": 0.1, "fence.heading": 0.2}, *LEFT_FENCE),
     "fenced in the frame of poses": (second_start, FENCE | {"fence.frame": "poses", "fence.x": -0.1}, *LEFT_FENCE),
     "along its limits": (displaced, HARD | SOFT, ["TRACKING"], "rejoining"),

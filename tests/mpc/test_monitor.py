@@ -85,7 +85,7 @@ def stuck(field):
     return change
 
 
-def corrupted(field, value):
+def corrupt_sensor(field, value):
     """Return a change after which the sensor reads value(correct reading, seconds since the fault)."""
 
     def change(k, m):
@@ -125,12 +125,12 @@ def first(results, name):
 
 # Fault, trajectory, faulty sensor, and time limit of detection [s]. Slow faults take longer.
 FAULTS = {
-    "wheels at zero": (corrupted("wheel_twist", lambda v, _: 0.0 * v), "s", "wheel speed", 1.0),
-    "wheels at zero, straight on": (corrupted("wheel_twist", lambda v, _: 0.0 * v), "cane", "wheel speed", 1.0),
+    "wheels at zero": (corrupt_sensor("wheel_twist", lambda v, _: 0.0 * v), "s", "wheel speed", 1.0),
+    "wheels at zero, straight on": (corrupt_sensor("wheel_twist", lambda v, _: 0.0 * v), "cane", "wheel speed", 1.0),
     "wheels stuck": (stuck("wheel_twist"), "s", "wheel speed", 1.0),
-    "an encoder dead": (corrupted("wheel_twist", dead_encoder), "s", "wheel speed", 1.5),
+    "an encoder dead": (corrupt_sensor("wheel_twist", dead_encoder), "s", "wheel speed", 1.5),
     "gyro stuck": (stuck("yaw_rate"), "s", "yaw rate", 1.0),
-    "gyro at zero": (corrupted("yaw_rate", lambda rate, _: 0.0 * rate), "circle", "yaw rate", 1.0),
+    "gyro at zero": (corrupt_sensor("yaw_rate", lambda rate, _: 0.0 * rate), "circle", "yaw rate", 1.0),
 }
 
 
@@ -165,8 +165,8 @@ def test_upside_down_gyro_is_detected_and_no_pose_is_blamed(trajectory, model):
 POSE_FAULTS = {
     "frozen": (stuck("pose"), "s", 0.5),
     "frozen, straight on": (stuck("pose"), "cane", 0.5),
-    "drifting": (corrupted("pose", lambda pose, t: pose + [0.05 * t, 0.05 * t, 0.0]), "straight", 5.0),
-    "turning": (corrupted("pose", lambda pose, t: pose + [0.0, 0.0, 0.3 * t]), "s", 1.0),
+    "drifting": (corrupt_sensor("pose", lambda pose, t: pose + [0.05 * t, 0.05 * t, 0.0]), "straight", 5.0),
+    "turning": (corrupt_sensor("pose", lambda pose, t: pose + [0.0, 0.0, 0.3 * t]), "s", 1.0),
 }
 
 
@@ -184,7 +184,7 @@ def test_robot_brakes_if_poses_are_faulty(fault, model):
 
 def test_biased_gyro_is_not_accused():
     """The bias is estimated, as slip is."""
-    results, apart = run(corrupted("yaw_rate", lambda rate, _: rate + 0.05))
+    results, apart = run(corrupt_sensor("yaw_rate", lambda rate, _: rate + 0.05))
     assert unused_sensors(results) == set()
     assert not any("later than their stamps" in result.message for result in results)
     assert {result.mode for result in results} == {Mode.TRACKING}
@@ -224,7 +224,7 @@ def test_command_stays_small_for_a_held_robot_with_quiet_encoders(every):
 @pytest.mark.parametrize(("field", "name", "channel"), [("wheel_twist", "wheel speed", 0), ("yaw_rate", "yaw rate", 1)])
 def test_zero_readings_mislead_the_estimate_for_less_than_200_ms(field, name, channel):
     """A reading that repeats for too long is dropped, well before poses reveal the faulty sensor."""
-    results, _ = run(corrupted(field, lambda value, _: 0.0 * value), "circle", seconds=3.6)
+    results, _ = run(corrupt_sensor(field, lambda value, _: 0.0 * value), "circle", seconds=3.6)
     twists = np.array([result.estimate.twist[channel] for result in results[FAULT:]])
     assert (np.abs(twists[:5]) < 0.1).all()
     assert (twists[10:] > 0.3).all()
@@ -248,7 +248,7 @@ def test_monitor_without_findings_changes_no_command():
     ("name", "field"), [("wheel speed", "wheel_twist"), ("yaw rate", "yaw_rate"), ("pose", "pose")]
 )
 def test_recovered_sensor_is_used_again(name, field):
-    broken = stuck(field) if field == "pose" else corrupted(field, lambda value, _: 0.0 * value)
+    broken = stuck(field) if field == "pose" else corrupt_sensor(field, lambda value, _: 0.0 * value)
     # Long enough for the detection, and for the robot to stop.
     results, apart = run(lambda k, m: broken(k, m) if k < FAULT + 75 else m, "circle")
     assert first(results, name) < 1.0
