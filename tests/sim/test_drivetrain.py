@@ -179,7 +179,7 @@ def test_missing_compiler_error_names_the_wheel(monkeypatch: pytest.MonkeyPatch,
         cached.cache_clear()
     try:
         with pytest.raises(
-            NotCompiledError, match=r"drivetrain is not compiled: no C compiler.*install gcc, or .*wheel"
+            NotCompiledError, match=r"simulated robot is not compiled: no C compiler.*install gcc, or .*wheel"
         ):
             make_plant("mujoco")
     finally:
