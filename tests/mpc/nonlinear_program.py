@@ -137,7 +137,7 @@ def saturating(max_rate=(0.9, 1.8), delay=2, dt=DT):
     return NonlinearModel("saturating", step, ca.Function("output", [x], [x], ["x"], ["y"]), dt, memory=delay)
 
 
-def window_model(taps=6):
+def windowed(taps=6):
     """Return a model without states: the next twist is a saturated function of the last commands."""
     x, window = ca.SX.sym("x", 2), ca.SX.sym("window", 2 * (taps + 1))
     weights = np.exp(-0.5 * np.arange(taps)[::-1])

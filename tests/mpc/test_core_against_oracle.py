@@ -273,8 +273,8 @@ EVENTS = {
     "a long horizon": (displace, {"horizon": 50}, ["TRACKING"], ""),
     "fenced": (second_start, FENCE | {"fence.y": 0.1, "fence.heading": 0.2}, *LEFT_FENCE),
     "fenced in the frame of poses": (second_start, FENCE | {"fence.frame": "poses", "fence.x": -0.1}, *LEFT_FENCE),
-    "along its limits": (displaced, HARD | SOFT, ["TRACKING"], "rejoining"),
-    "along limits with two sides": (displaced, TWO_SIDED | SOFT, ["TRACKING"], "catches up"),
+    "along its limits": (displace, HARD | SOFT, ["TRACKING"], "rejoining"),
+    "along limits with two sides": (displace, TWO_SIDED | SOFT, ["TRACKING"], "catches up"),
     "held with limits of two sides": (
         hold,
         TWO_SIDED | {"limits.v_braking": 0.7},

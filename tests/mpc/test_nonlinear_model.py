@@ -12,7 +12,7 @@ from nonlinear_program import (
     record,
     saturating,
     solve_with_ipopt,
-    window_model,
+    windowed,
 )
 from scipy.integrate import solve_ivp
 
@@ -35,7 +35,7 @@ from diffdrive_mpc import (
 CIRCLE = load_trajectory("circle")
 
 
-MODELS = {"states": saturating(), "window": window_model()}
+MODELS = {"states": saturating(), "window": windowed()}
 
 
 class ExactRobot:
@@ -180,7 +180,7 @@ def test_invalid_model_functions_are_refused_in_one_line():
 
 def test_feed_forward_keeps_a_speed_at_which_the_gain_differs_from_rest():
     """For a robot at the speed of the reference, the plan is the command that keeps it: no cost, no deviation."""
-    model = window_model()
+    model = windowed()
     config = load_config("ssm", {"reentry.enabled": False} | NO_SLIP | EXACT)
     controller, robot = Controller(config, model=model), ExactRobot(model)
     drive = record(controller, robot, CIRCLE, 250, lambda controller, t: None)
