@@ -3,17 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
-from nonlinear_program import (
-    DT,
-    EXACT,
-    LAG,
-    NO_SLIP,
-    by_ipopt,
-    converged,
-    record,
-    saturating,
-    windowed,
-)
+from nonlinear_program import DT, EXACT, LAG, NO_SLIP, by_ipopt, converged, record, saturating, windowed
 from scipy.integrate import solve_ivp
 
 from diffdrive_mpc import (

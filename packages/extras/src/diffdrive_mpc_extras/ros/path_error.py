@@ -25,12 +25,7 @@ from diffdrive_mpc.mpc.ros.settings import NotNegative, PartSettings
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.planned.lay import Laid
 from diffdrive_mpc_extras.predicted_error.calibration import ErrorCalibration, load_calibration
-from diffdrive_mpc_extras.predicted_error.predicted_error import (
-    ErrorTube,
-    PredictedError,
-    check_origin,
-    predict_tubes,
-)
+from diffdrive_mpc_extras.predicted_error.predicted_error import ErrorTube, PredictedError, check_origin, predict_tubes
 
 _SLOWER = (0.8, 0.6, 0.4, 0.2)
 """Shares of speed and acceleration at which a path is tried that has too wide a tube at full speed [-]."""
