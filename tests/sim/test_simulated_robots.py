@@ -8,15 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffdrive_mpc import (
-    Controller,
-    Measurement,
-    Stamped,
-    integrate_pose,
-    load_config,
-    load_trajectory,
-    make_plant,
-)
+from diffdrive_mpc import Controller, Measurement, Stamped, integrate_pose, load_config, load_trajectory, make_plant
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.models.robot import load_robot

@@ -27,12 +27,7 @@ from diffdrive_mpc.mpc.trajectories.planned.lay import PlannedPath
 from diffdrive_mpc_extras.campaign.own_plant import own_plant
 from diffdrive_mpc_extras.predicted_error.calibration import ErrorCalibration, load_calibration
 from diffdrive_mpc_extras.predicted_error.drives import predict_reference
-from diffdrive_mpc_extras.predicted_error.predicted_error import (
-    ErrorTube,
-    PredictedError,
-    check_origin,
-    predict_tubes,
-)
+from diffdrive_mpc_extras.predicted_error.predicted_error import ErrorTube, PredictedError, check_origin, predict_tubes
 
 OWN = "own"
 """Population of the plant that belongs to the configuration."""
