@@ -141,7 +141,7 @@ class Case:
     Fields that are no dimensions: `config` is the controller's configuration file, None for the model's shipped
     configuration. `overrides` replace configuration values. `top_speed` rebuilds the trajectory's segments so that the
     fastest one has this speed [m/s]. `scaled` fits the segments to size and limits of the configuration's robot.
-    `excess_delay` is the plant's dead time minus the controller's [ticks]: if positive, it is added to the plant's dead
+    `late` is the plant's dead time minus the controller's [ticks]: if positive, it is added to the plant's dead
     time; if negative, `overrides` configure a longer dead time. `gains` replace the gains of a peer.
     """
 
@@ -193,7 +193,7 @@ class Case:
     overrides: Overrides = ()
     top_speed: float | None = None
     scaled: bool = False
-    excess_delay: int = 0
+    late: int = 0
     gains: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:

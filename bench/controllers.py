@@ -80,7 +80,7 @@ def build_plant(case: Case) -> Plant:
     if case.controller not in PEERS:
         options = plant_settings(controller_config(case.model, case.config, settings_of(case)))
     plant = make_plant(case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario, **options)
-    return LatePlant(plant, case.excess_delay) if case.excess_delay > 0 else plant
+    return LatePlant(plant, case.late) if case.late > 0 else plant
 
 
 def run_case(case: Case) -> Run:

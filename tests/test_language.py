@@ -113,8 +113,8 @@ def test_new_violation_fails_with_its_line(tree, capsys):
     (tree / "a.py").write_text("one = 1\nown = 2\n")
     assert language.main(tree, []) == 1
     assert capsys.readouterr().out.splitlines() == [
-        "a.py:1: 'one' is no name; use a noun of the field",
-        "a.py:2: 'own' is no name; use a noun of the field",
+        "a.py:1: 'one' must not be used as a name; use a noun of the field",
+        "a.py:2: 'own' must not be used as a name; use a noun of the field",
         "a.py: 1 violations of rule 'name' are listed; correct 1 of those above",
     ]
 

@@ -64,7 +64,7 @@ def charts(results: ComparisonResults) -> dict[str, list[Chart]]:
         axis = f"top speed [m/s] of {' and '.join(by(results.speed, 'trajectory'))}"
         files["speed.png"] = _sweep(results.speed, speeds, axis, _errors("Error against speed"), names)
     if len(results.dead_time):
-        delays = [round(1e3 * sample * case.excess_delay, 6) for case in results.dead_time["case"]]
+        delays = [round(1e3 * sample * case.late, 6) for case in results.dead_time["case"]]
         axis, title = "dead time beyond the configured one [ms]", "Error against an unknown dead time"
         files["dead-time.png"] = _sweep(results.dead_time, delays, axis, _errors(title), names)
     if len(results.horizon):

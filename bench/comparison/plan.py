@@ -248,12 +248,12 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
 def _with_excess_delay(case: Case, ticks: int) -> Case:
     """Return the case with `ticks` more dead time in the plant, or -`ticks` more in the configuration if negative."""
     if ticks >= 0:
-        return replace(case, excess_delay=ticks)
+        return replace(case, late=ticks)
     known = controller_config(case.model, case.config, case.overrides)
     for channel in ("v", "omega"):
         stated = getattr(known.extra_dead_time, channel) - ticks * known.sample_time
         case = case.with_override(f"extra_dead_time.{channel}", round(stated, 6))
-    return replace(case, excess_delay=ticks)
+    return replace(case, late=ticks)
 
 
 def _at_horizon(case: Case, steps: int) -> Case:

@@ -130,7 +130,7 @@ def beyond_row(row: Row, silent: Container[str]) -> Row:
     """Convert a run without timing to plain values; `late_s` is the plant's delay beyond the configured one."""
     case = row["case"]
     sample_time = controller_config(Case().model).sample_time
-    values = case.as_row(silent) | {"top_speed_m_s": case.top_speed, "late_s": case.excess_delay * sample_time}
+    values = case.as_row(silent) | {"top_speed_m_s": case.top_speed, "late_s": case.late * sample_time}
     statistics = {name: row[name] for name in _STATISTICS if not name.startswith(CLOCK)}
     return dict(plain(values | statistics))
 

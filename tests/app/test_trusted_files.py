@@ -24,7 +24,7 @@ def test_term_that_exits_is_refused_with_one_line(error, untrusted):
 def test_config_check_names_the_python_of_terms_and_does_not_run_it(untrusted):
     code, output, _ = call("config", "check", untrusted / "config.yaml")
     assert (code, (untrusted / "marker").exists()) == (0, False)
-    assert f"not run here: {untrusted / 'term.py'}" in output
+    assert f"not run: {untrusted / 'term.py'}" in output
     (untrusted / "term.py").unlink()
     code, output, _ = call("config", "check", untrusted / "config.yaml")
     assert code == 2 and "no such Python file" in output

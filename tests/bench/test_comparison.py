@@ -109,8 +109,8 @@ def test_bench_compares_the_declared_pairs() -> None:
     assert (by_osqp.model, dict(by_osqp.overrides)) == ("ssm", {"solver.method": "osqp"})
     assert {case.top_speed for case in plan.speed} == set(SPEEDS)
     assert {case.seed for case in plan.other_seeds} == set(OTHER_SEEDS)
-    ours = [case.excess_delay for case in plan.dead_time if case.model == "ssm"]
-    peer = [case.excess_delay for case in plan.dead_time if case.controller == COMPARED[0][0]]
+    ours = [case.late for case in plan.dead_time if case.model == "ssm"]
+    peer = [case.late for case in plan.dead_time if case.controller == COMPARED[0][0]]
     assert ours == list(LATE_TICKS)
     assert peer == [ticks for ticks in LATE_TICKS if ticks >= 0]
     assert not set(plan.beyond) & set(plan.all)
@@ -148,11 +148,11 @@ def test_late_plant_repeats_the_motion_after_its_delay() -> None:
 
 def test_plant_that_responds_early_gets_a_model_with_more_dead_time() -> None:
     settings = default_settings().model_copy(update={"trajectories": ("s",), "seeds": (0,), "beyond": True})
-    (case,) = (case for case in plan_cases(settings).dead_time if (case.model, case.excess_delay) == ("ssm", -2))
+    (case,) = (case for case in plan_cases(settings).dead_time if (case.model, case.late) == ("ssm", -2))
     adjusted, shipped = controller_config("ssm", None, case.overrides), controller_config("ssm")
     assert adjusted.extra_dead_time.omega == pytest.approx(shipped.extra_dead_time.omega + 2 * shipped.sample_time)
     assert not isinstance(build(case)[1], LatePlant)
-    assert isinstance(build(replace(case, overrides=(), excess_delay=2))[1], LatePlant)
+    assert isinstance(build(replace(case, overrides=(), late=2))[1], LatePlant)
 
 
 @pytest.fixture(scope="module")

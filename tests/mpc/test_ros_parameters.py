@@ -119,7 +119,7 @@ def started_with(*words):
         ("expert.reentry.heading_wait:=9.0", "is the constant reentry.heading_wait"),
         ("online_dead_time.enabled:=false", "online_dead_time.enabled was removed: the filter learns unknown delays"),
         ("expert.online_dead_time.apply:=true", "online_dead_time.apply was removed: the filter learns unknown delays"),
-        ("estimator.crab:=[0.1, 0.0, 0.0]", "state expert.estimator.crab in the file"),
+        ("estimator.crab:=[0.1, 0.0, 0.0]", "set expert.estimator.crab in the file"),
     ],
 )
 def test_unknown_parameter_refuses_the_start_and_is_named(word, message):

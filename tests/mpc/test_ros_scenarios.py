@@ -125,7 +125,7 @@ class Scenario:
         ]
 
     def sensors(self, _):
-        self.base.until(self.s.hears, "sensors")
+        self.base.until(self.s.has_received_inputs, "sensors")
 
     def parameters(self, values):
         self.s.node.set_parameters([Parameter(name, value=value) for name, value in values.items()])

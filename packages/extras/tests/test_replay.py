@@ -41,7 +41,7 @@ CASES = {
     "blocked": Case(scenario="blocked"),
     "late poses": Case(sensors="slam"),
     "rare poses": Case(sensors="poses_2hz"),
-    "late commands": Case(excess_delay=3),
+    "late commands": Case(late=3),
     "start after a rest": Case(overrides=(("start_delay", 0.2),)),
 }
 
