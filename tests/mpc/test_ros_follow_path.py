@@ -143,7 +143,7 @@ def test_each_goal_of_a_fast_burst_gets_one_answer_and_one_result(parts, goals, 
     with parts.following() as follow:
         names = follow.client.burst("a", [{"poses": path}], times=goals, rate=rate)
         follow.until(
-            lambda: without_result(follow.client, names) in ([], names[-1:]), "all but the last", most=30 * goals
+            lambda: without_result(follow.client, names) in ([], names[-1:]), "all but the last", max_ticks=30 * goals
         )
         if without_result(follow.client, names):
             follow.client.write(cancel=names[-1])
