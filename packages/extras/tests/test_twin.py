@@ -240,7 +240,7 @@ def test_a_log_becomes_a_plant(log):
     ("words", "line"),
     [
         (["--seconds", "1"], "error: --seconds 1: give 5 or more of the log to fit"),
-        (["--model", "lstm"], "error: model 'lstm' is a function"),
+        (["--model", "lstm"], "error: model 'lstm' is nonlinear"),
     ],
 )
 def test_a_mistake_is_one_line(log, words, line):

@@ -163,7 +163,7 @@ class Watch:
 @pytest.mark.parametrize(("stop", "is_updated"), [("hold", True), ("pause", True), ("pause", False)])
 def test_robot_drives_on_after_a_stop_only_with_the_delayed_reference(stop, is_updated, monkeypatch):
     if not is_updated:
-        monkeypatch.setattr("diffdrive_mpc.mpc.ros.control_loop._TELL_DELAY", math.inf)
+        monkeypatch.setattr("diffdrive_mpc.mpc.ros.control_loop._MIN_SHIFT", math.inf)
     with stack(drive=True) as s:
 
         def hold(*, active):
