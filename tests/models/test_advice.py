@@ -233,7 +233,12 @@ DRAWN = [*(case for _, case in drawn_cases()), *(drawn_case("sound", 7200 + k, k
 
 @pytest.mark.parametrize(
     "case",
-    [pytest.param(case, id=case.name, marks=[pytest.mark.system] if row % 7 else []) for row, case in enumerate(DRAWN)],
+    [
+        pytest.param(
+            case, id=case.name, marks=[] if row % 7 == 0 else [pytest.mark.long if row % 3 else pytest.mark.system]
+        )
+        for row, case in enumerate(DRAWN)
+    ],
 )
 def test_fault_of_a_drawn_robot_is_named(case, tmp_path):
     paths, mapping = logs_of(case, tmp_path)
