@@ -30,7 +30,7 @@ from diffdrive_mpc_extras.rehearsal.rehearsal import LapLearner
 class LapParts(NamedTuple):
     """Root mean squares of the position error of laps [m]; their squares add up to that of all laps."""
 
-    repeat_arguments: float
+    repeating: float
     """Part that repeats at the same time of every lap."""
     varying: float
     """Rest, which no correction learned from other laps can remove."""
@@ -52,8 +52,8 @@ def lap_parts(runs: Sequence[Run]) -> LapParts:
     errors = np.array([(run.true_pose - run.reference_pose)[run.counted, :2] for run in runs])
     mean = errors.mean(axis=0)
     varying = np.sum((errors - mean) ** 2) / (len(runs) - 1) / mean.shape[0]
-    repeat_arguments = np.sum(mean**2) / mean.shape[0] - varying / len(runs)
-    return LapParts(float(np.sqrt(max(repeat_arguments, 0.0))), float(np.sqrt(varying)))
+    repeating = np.sum(mean**2) / mean.shape[0] - varying / len(runs)
+    return LapParts(float(np.sqrt(max(repeating, 0.0))), float(np.sqrt(varying)))
 
 
 _ENABLED = "expert.rehearsal.enabled"
@@ -187,11 +187,11 @@ def lap_table(learned: Laps, plain: Laps) -> Table:
     rows = []
     for lap, (run, without) in enumerate(zip(learned.runs, plain.runs, strict=True), start=1):
         position = run.metrics.position_rmse_m
-        repeat_arguments = float(np.sqrt(max(position**2 - parts.varying**2, 0.0)))
-        shown = position, repeat_arguments, run.metrics.lateral_rmse_m, without.metrics.position_rmse_m
+        repeating = float(np.sqrt(max(position**2 - parts.varying**2, 0.0)))
+        shown = position, repeating, run.metrics.lateral_rmse_m, without.metrics.position_rmse_m
         rows.append((str(lap), *(number(1e3 * value, 2) for value in shown)))
-    heads = ("lap", "position RMSE [mm]", "repeat_arguments part [mm]", "lateral RMSE [mm]", "without rehearsal [mm]")
-    repeats, varying = 1e3 * parts.repeat_arguments, 1e3 * parts.varying
+    heads = ("lap", "position RMSE [mm]", "repeating part [mm]", "lateral RMSE [mm]", "without rehearsal [mm]")
+    repeats, varying = 1e3 * parts.repeating, 1e3 * parts.varying
     note = f"Without rehearsal {repeats:.2f} mm repeat and {varying:.2f} mm do not: the lower bound."
     return Table("Laps", heads, tuple(rows), note=note)
 
