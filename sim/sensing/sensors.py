@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Iterator
 
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
+from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.models.wheels import WheelKinematics
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 
@@ -90,8 +90,7 @@ class Sensors:
         """Measure the true `pose` (3,) at `time` [s] with the pose sensor."""
         wired = self._parameters.pose
         value = (np.asarray(pose, dtype=float) + next(self._pose_noise)) * self._pose_signs
-        heading = float(value[2]) + wired.turned
-        value[2] = -((math.pi - heading) % (2 * math.pi) - math.pi)  # into (-pi, pi], as SLAM reports it
+        value[2] = -wrap_angle(-(value[2] + wired.turned))  # into (-pi, pi], as SLAM reports it
         loss = self._parameters.pose.loss
         if loss > 0 and self._losses.random() < loss:
             return
