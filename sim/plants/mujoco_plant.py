@@ -12,7 +12,7 @@ from diffdrive_mpc.models.robot import Robot, load_robot
 from diffdrive_mpc.models.wheels import WheelKinematics
 from diffdrive_mpc.sim.disturbances.disturbance_types import Span
 from diffdrive_mpc.sim.disturbances.scenario import Scenario
-from diffdrive_mpc.sim.plants.base_motion import BaseCommands, CommandShaping
+from diffdrive_mpc.sim.plants.base_commands import BaseCommands, CommandShaping
 from diffdrive_mpc.sim.plants.chassis import Chassis
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPhysics
 from diffdrive_mpc.sim.plants.drivetrain import CommandShaper, DelayLine, SpeedObserver, VelocityLoops, clip_command

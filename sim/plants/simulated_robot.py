@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from diffdrive_mpc.models.checked_yaml import StrictModel, merge_mappings
 from diffdrive_mpc.models.named_file import EntryFile
 from diffdrive_mpc.models.robot import Positive, Robot, load_robot
-from diffdrive_mpc.sim.plants.base_motion import BaseCommands
+from diffdrive_mpc.sim.plants.base_commands import BaseCommands
 from diffdrive_mpc.sim.plants.twin_parameters import Firmware, TwinParameters, load_firmware, load_twin_parameters
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
 

@@ -8,7 +8,7 @@ from diffdrive_mpc import load_model, make_plant
 from diffdrive_mpc.models.base_effects import BaseEffects, PoseMount, TwistSlew, WheelCommand, respond
 from diffdrive_mpc.models.load import load_base_effects
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.sim.plants.base_motion import BaseCommands, CommandShaping
+from diffdrive_mpc.sim.plants.base_commands import BaseCommands, CommandShaping
 from diffdrive_mpc.sim.plants.model_plant import ModelPlant
 from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.surface import load_surface

@@ -1,4 +1,4 @@
-"""Effects of a base on commands before they become set-points: slope limits, steps and coasting of the wheels."""
+"""Effects of a base on commands before they become set-points: rate limits, steps and coasting of the wheels."""
 
 from __future__ import annotations
 
