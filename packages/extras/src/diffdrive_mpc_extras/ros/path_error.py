@@ -1,6 +1,7 @@
 """Part of the node that predicts errors: for the limit of paths of `follow_path`, and for `~/predict_error`.
 
-A prediction takes about a millisecond for a path of a minute, so the side process makes it.
+A prediction takes about a millisecond for a path of a minute, and some seconds of simulated drives for the robot's own
+plant, so the side process makes it.
 """
 
 from __future__ import annotations
