@@ -154,7 +154,7 @@ def _block_fits(models: Sequence[IdentifiedModel], experiments: Sequence[Sampled
 def _criteria(models: Sequence[IdentifiedModel]) -> list[tuple[float, float]]:
     """Compute AIC and BIC relative to their minima, with residual scale and correlation of the highest order."""
     reference = models[-1].fits[0]
-    samples = reference.effective_samples
+    samples = reference.sandwich.effective_samples
     criteria = []
     for model in models:
         fit = model.fits[0]
