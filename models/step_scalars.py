@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 from functools import cache
 from operator import attrgetter
-from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -39,21 +38,13 @@ def step_scalars() -> Mapping[str, StepScalar]:
 
 def scalar_row(step: object) -> list[float]:
     """Return the scalars of `step` in the order of `step_scalars`; NaN if missing."""
-    try:
-        return [*map(float, _attributes()(step))]  # the fast path for a step with all scalars
-    except (AttributeError, TypeError):
-        return [_read(step, get) for get in _getters()]
+    return [_read(step, get) for get in _getters()]
 
 
 def scalars_of(step: object) -> dict[str, float]:
     """Return the scalars of `step` that are not missing, by column name."""
     values = zip(step_scalars(), scalar_row(step), strict=True)
     return {name: value for name, value in values if not math.isnan(value)}
-
-
-@cache
-def _attributes() -> attrgetter[tuple[Any, ...]]:
-    return attrgetter(*(scalar.attribute for scalar in step_scalars().values()))
 
 
 @cache
