@@ -34,7 +34,7 @@ def answer_delays(fit: OutputErrorFit, names: Sequence[str], inputs: Sequence[in
         system = fit.layout.system(parameters)
         return mean_delay(system.A, system.B, system.C, system.dead_time, inputs)
 
-    return fit.estimate.derived(names, delays)
+    return fit.derived(names, delays)
 
 
 def late_answers(delays: ParameterEstimate) -> list[Doubt]:
@@ -106,9 +106,9 @@ def at_bounds(fit: OutputErrorFit, label: str, kinds: Mapping[str, str] | None =
 
 def hardly_identifiable(fit: OutputErrorFit, label: str) -> list[Doubt]:
     """List one doubt if the data hardly determine a combination of parameters."""
-    if fit.condition < estimator_settings().warn.condition:
+    if fit.sandwich.condition < estimator_settings().warn.condition:
         return []
-    words = f"condition number {fit.condition:.1e}: some parameters can only be told together; lower the order"
+    words = f"condition number {fit.sandwich.condition:.1e}: some parameters can only be told together; lower the order"
     return [Doubt("told together", words).about(label)]
 
 

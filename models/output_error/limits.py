@@ -116,7 +116,7 @@ def _extended(best: OutputErrorFit, drives: _Drives, quick: FloatArray, robust: 
 
 def _criterion(fit: OutputErrorFit, before: float, after: float, more: int) -> float:
     """Return the fall of the information criterion from one loss to another, with `more` parameters."""
-    samples = float(fit.effective_samples.sum())
+    samples = float(fit.sandwich.effective_samples.sum())
     return float(samples * np.log(before / after) - more * np.log(samples))
 
 
@@ -149,7 +149,7 @@ def _removed(
         # A limit that is reached in one block only is unknown to the model without this block.
         required = 0.0 if evidence > settings.strong_evidence else settings.held_out_evidence
         fall = np.log(without.powers.sum(axis=0) / blocks.powers.sum(axis=0))
-        is_worse = bool(plain.effective_samples @ fall > required)
+        is_worse = bool(plain.sandwich.effective_samples @ fall > required)
     return _Removal(plain, without, is_worse)
 
 
@@ -177,8 +177,8 @@ def _confirmed(best: OutputErrorFit, free: OutputErrorFit, drives: _Drives, robu
     # Few commands are beyond a limit, so its deviation is not taken below that between blocks.
     wider = np.ones(len(fit.parameters))
     if blocks is not None:
-        wider[first:] = np.maximum(1.0, blocks.deviation[first:] / np.sqrt(np.diag(fit.covariance)[first:]))
-    return replace(fit, covariance=fit.covariance * np.outer(wider, wider))
+        wider[first:] = np.maximum(1.0, blocks.deviation[first:] / fit.estimate.standard_deviation[first:])
+    return replace(fit, sandwich=fit.sandwich.derived(np.diag(wider)))
 
 
 def _held_out(fit: OutputErrorFit, drives: _Drives, robust: bool) -> HeldOut | None:
@@ -191,7 +191,7 @@ def _held_out(fit: OutputErrorFit, drives: _Drives, robust: bool) -> HeldOut | N
 
 def _is_certain(fit: OutputErrorFit, kind: int, drives: _Drives) -> bool:
     place = fit.layout.names.index(f"{KINDS[kind]}_0")
-    value, deviation = fit.parameters[place], np.sqrt(fit.covariance[place, place])
+    value, deviation = fit.parameters[place], fit.estimate.standard_deviation[place]
     without = np.where(np.arange(len(KINDS)) == kind, np.inf, limits_of(fit))
     if _share(drives.limited(fit, limits_of(fit)), drives.limited(fit, without)) < estimator_settings().limits.share:
         return False

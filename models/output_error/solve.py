@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -44,33 +44,36 @@ class OutputErrorFit:
     ----------
     layout, parameters
         What was estimated, and its values (q,).
-    covariance
-        (q, q), residual correlation taken into account.
+    sandwich
+        Covariance (q, q), residual correlation taken into account, and the information in the data.
     scale
         (p,) scale of the residuals, units of the outputs.
     residuals
         For each experiment (K, p) measured minus simulated, from the best initial state; NaN where it does not count.
     trust
         For each experiment (K, p) weights of the residuals: 1, and less for outliers.
-    effective_samples
-        (p,) how many independent readings the correlated residuals are worth.
-    condition
-        Condition number of the information matrix, each parameter scaled to unit information.
     """
 
     layout: Layout
     parameters: FloatArray
-    covariance: FloatArray
+    sandwich: Sandwich
     scale: FloatArray
     residuals: list[FloatArray]
     trust: list[FloatArray]
-    effective_samples: FloatArray
-    condition: float
 
     @property
     def estimate(self) -> ParameterEstimate:
         """The parameters by name, with their covariance."""
-        return ParameterEstimate(self.layout.names, self.parameters, self.covariance)
+        return ParameterEstimate(self.layout.names, self.parameters, self.sandwich.covariance)
+
+    def derived(self, names: Sequence[str], function: Callable[[FloatArray], FloatArray]) -> ParameterEstimate:
+        """Apply a function (q,) to (r,) to the parameters; find the scatter of blocks in its values.
+
+        Local coordinates of a state space are correlated, and widened one by one they would lose what they determine
+        together.
+        """
+        covariance = self.sandwich.derived(self.estimate.slope(function)).covariance
+        return ParameterEstimate(tuple(names), np.asarray(function(self.parameters)), covariance)
 
     @property
     def system(self) -> LinearSystem:
@@ -148,12 +151,10 @@ def fit_output_error(
     return OutputErrorFit(
         layout,
         parameters,
-        covariance.covariance,
+        covariance,
         scale,
         parted(residuals, pieces),
         parted(weights, pieces),
-        covariance.effective_samples,
-        covariance.condition,
     )
 
 
@@ -263,6 +264,4 @@ def _covariance(layout: Layout, parameters: FloatArray, data: _Data) -> Sandwich
     error = np.where(np.concatenate(data.weights) > 0, error.reshape(-1, layout.outputs), np.nan)
     cuts = np.cumsum([experiment.samples for experiment in data.experiments])[:-1]
     estimate = sandwich(np.split(jacobian.reshape(*error.shape, -1)[..., free], cuts), np.split(error, cuts))
-    covariance = np.zeros((len(parameters),) * 2)
-    covariance[np.ix_(free, free)] = estimate.covariance
-    return estimate._replace(covariance=covariance)
+    return estimate.derived(np.eye(len(parameters))[:, free])
