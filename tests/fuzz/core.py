@@ -147,6 +147,7 @@ def main(core: str, seed: str, count: str) -> None:
     for index in range(int(count)):
         case = fuzzer.draw(random)
         case["overrides"] |= SIZES[index % len(SIZES)]
+        print(f"case {index} of seed {seed}", file=sys.stderr, flush=True)
         fuzzer.check(case)
     print(fuzzer.steps)
 
