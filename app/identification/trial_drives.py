@@ -36,7 +36,7 @@ from diffdrive_mpc.sim.plants.surface import BodySlip, Polynomial, Surface
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
 
 PATHS = ("circle", "square", "s", "cane")
-ITSELF, HELD_OUT = "the model itself", "a model of the data held out"
+ITSELF, HELD_OUT = "model itself", "model of held-out data"
 UNEXPLAINED = "the model with the motion that it left unexplained"
 _TITLE = "Driving with it"
 Share = Annotated[float, Field(gt=0, le=1)]
