@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from diffdrive_mpc.models.interface import AnyArray, FloatArray
-from diffdrive_mpc.models.logs.record import Finding, Record
+from diffdrive_mpc.models.logs.record import Finding, MappingChange, Record
 
 _WINDOWS = (2.0, 6.0)
 """Duration of the windows of the first search and of the fit [s]: a poor gain turns long windows too far."""
@@ -23,7 +23,11 @@ _LOW = np.array([0.05, -0.3, 1e-3, 1e-3, -3.0, -0.3, 1e-3, 1e-3, -2.0, -2.0])
 _HIGH = np.array([3.0, 0.8, 1.0, 1.0, 3.0, 0.8, 1.0, 1.0, 2.0, 2.0])
 _SIZE = np.array([1.0, 0.1, 0.1, 0.1, 1.0, 0.1, 0.1, 0.1, 0.1, 0.1])
 _STARTS = [np.array([0.9, 0.1, 0.15, 0.02, gain, 0.1, 0.15, 0.02, 0.0, 0.0]) for gain in (0.5, 0.9, -0.9)]
-_EVALUATIONS = (6, 20)
+_TURN = 4
+"""Index of the gain of omega; negative where positions are mirrored."""
+_EVALUATIONS = (10, 20)
+_SETTLED = 1e-5
+"""Relative decrease of the cost below which the search stops."""
 _DISTURBANCES = (0.05, 0.3)
 """Standard deviations of travel [m] and heading [rad] around the prediction after 1 s."""
 _STEPS = 4
@@ -41,38 +45,44 @@ class _Positions(NamedTuple):
 
 
 def with_headings(log: str, records: Sequence[Record]) -> tuple[list[Record], list[Finding]]:
-    """Return records whose poses have headings that follow from their positions, and a finding.
+    """Return records whose poses have headings that follow from their positions, and findings.
 
     Parameters
     ----------
     log
         Name of the log.
     records
-        Records whose poses have x and y; their theta is replaced. Those with few positions lose their poses.
+        Records whose poses have x and y; theta is replaced, and mirrored positions are mirrored back. Records with few
+        positions lose their poses.
     """
     data = [_positions(record) for record in records]
-    used = [part for part in data if part is not None]
-    sensors = [name for name, field in (("gyro", "yaw_rate"), ("encoders", "twist")) if _have(records, field)]
-    words = f"the poses have no heading: it is computed from positions and {' and '.join(sensors) or 'commands'}"
-    if not used:
-        bare = [replace(record, pose=None, fresh_pose=None) for record in records]
-        return bare, [Finding("no heading", "warning", log, "too few positions to compute a heading; left out")]
-    parameters = _fit(used)
-    headings = [None if part is None else _smoothed(part, parameters) for part in data]
-    posed = [
-        replace(record, pose=None, fresh_pose=None)
-        if heading is None or record.pose is None
-        else replace(record, pose=np.column_stack([record.pose[:, :2], heading]))
-        for record, heading in zip(records, headings, strict=True)
+    sensors = [
+        name
+        for name, field in (("gyro", "yaw_rate"), ("encoders", "twist"))
+        if all(getattr(record, field) is not None for record in records)
     ]
-    if sensors:
-        return posed, [Finding("computed heading", "note", log, words)]
-    words += "; forwards is taken from the command, and a controller needs a gyro or encoders beside such poses"
-    return posed, [Finding("no heading", "warning", log, words)]
-
-
-def _have(records: Sequence[Record], field: str) -> bool:
-    return all(getattr(record, field) is not None for record in records)
+    source = " and ".join(sensors) or "commands"
+    words = f"the poses have no heading: it is computed from positions and {source}"
+    used = [part for part in data if part is not None]
+    findings = [Finding("computed heading", "note", log, words)]
+    if not sensors:
+        words += "; forwards is taken from the command, and a controller needs a gyro or encoders beside such poses"
+        findings = [Finding("no heading", "warning", log, words)]
+    parameters = _fit(used) if used else _STARTS[0]
+    side = float(np.sign(parameters[_TURN]))
+    if side < 0:
+        words = f"the positions turn against the {source}: they are mirrored, or x and y are exchanged"
+        findings.append(Finding("mirrored pose", "error", log, words, changes=(MappingChange("pose", "y.sign", -1),)))
+        parameters = parameters * np.where(np.isin(np.arange(len(parameters)), (_TURN, len(parameters) - 1)), -1.0, 1.0)
+    posed: list[Record] = []
+    for record, part in zip(records, data, strict=True):
+        if part is None or record.pose is None:
+            posed.append(replace(record, pose=None, fresh_pose=None))
+            continue
+        upright = part._replace(measured=part.measured.real + 1j * side * part.measured.imag)
+        pose = np.column_stack([record.pose[:, :2] * [1.0, side], _smoothed(upright, parameters)])
+        posed.append(replace(record, pose=pose))
+    return posed, findings
 
 
 def _positions(record: Record) -> _Positions | None:
@@ -95,19 +105,19 @@ def _fit(data: Sequence[_Positions]) -> FloatArray:
 
     parts = [part for i, part in enumerate(data) if not i or sum(len(p.inputs) for p in data[:i]) < _MOST_ROWS]
 
-    def search(start: FloatArray, window: float, evaluations: int) -> tuple[float, FloatArray]:
-        def residuals(parameters: FloatArray) -> FloatArray:
-            errors = []
-            for part in parts:
-                b, a, turn = _aligned(part, _motion(part, parameters)[1], window)
-                errors.append(b - a * turn)
-            return np.concatenate(errors).view(float)
+    def residuals(parameters: FloatArray, window: float) -> FloatArray:
+        errors = []
+        for part in parts:
+            measured, predicted, turn = _aligned(part, _motion(part, parameters)[1], window)
+            errors.append(measured - predicted * turn)
+        return np.concatenate(errors).view(float)
 
-        result = least_squares(residuals, start, bounds=(_LOW, _HIGH), x_scale=_SIZE, max_nfev=evaluations)
-        return float(result.cost), np.asarray(result.x)
-
-    _, best = min((search(start, _WINDOWS[0], _EVALUATIONS[0]) for start in _STARTS), key=lambda found: found[0])
-    return search(best, _WINDOWS[1], _EVALUATIONS[1])[1]
+    best = min(_STARTS, key=lambda start: float(np.sum(residuals(start, _WINDOWS[0]) ** 2)))
+    for window, evaluations in zip(_WINDOWS, _EVALUATIONS, strict=True):
+        best = least_squares(
+            residuals, best, bounds=(_LOW, _HIGH), x_scale=_SIZE, max_nfev=evaluations, ftol=_SETTLED, args=(window,)
+        ).x
+    return np.asarray(best)
 
 
 def _motion(part: _Positions, parameters: FloatArray) -> tuple[FloatArray, AnyArray]:
