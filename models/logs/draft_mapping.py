@@ -271,7 +271,8 @@ def _roles(columns: list[_Column]) -> _Used:
         used["command"] |= {quantity: command} if command else {}
         used["encoders"] |= {quantity: measured} if measured else {}
     used["gyro"] = _named(columns, ("gyro",), {"yaw_rate": "omega"})
-    used["pose"] = _named(columns, ("pose", ""), {"x": "x", "y": "y", "theta": "theta"})
+    sources, places = ("pose", ""), {"x": "x", "y": "y"}
+    used["pose"] = _named(columns, sources, {**places, "theta": "theta"}) or _named(columns, sources, places)
     if not used["gyro"] and "omega" in used["encoders"] and "v" not in used["encoders"]:
         used["gyro"] = {"yaw_rate": used["encoders"]["omega"]}
         used["gyro"]["yaw_rate"].reasons.append("a yaw rate without a forward speed beside it, so hardly of the wheels")

@@ -210,7 +210,7 @@ class PoseColumns(SensorColumns):
 
     x: LengthColumn
     y: LengthColumn
-    theta: AngleColumn
+    theta: AngleColumn | None = Field(None, description="heading; without it, computed from x and y")
     heading_offset: float = Field(0.0, description="by how much theta is ahead of where the robot heads [rad]")
 
 
