@@ -172,7 +172,7 @@ def unknown_parameter(node: Node, config: ControllerConfig, name: str) -> str:
         return f"parameter {removed_message(key)}"
     place = present_place(name.removeprefix(f"{EXPERT}."))
     if key in fixed_values():
-        return f"{name!r} is {place} now, with the value {fixed_values()[key]}; leave it out"
+        return f"{name!r} is {place} now, with the value {fixed_values()[key]}; remove it"
     if key in dict(_lists(config)) or place:
         return f"{name!r} is no parameter: set {place or shown_key(key)} in the file given by the parameter config"
     near = difflib.get_close_matches(name, list(node.list_parameters([], 0).names), n=1, cutoff=0.75)

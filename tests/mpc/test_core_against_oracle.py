@@ -221,12 +221,12 @@ FENCE = {"fence.enabled": True, "fence.length": 1.7, "fence.width": 1.2}
 LEFT_FENCE = (["TRACKING", "BRAKING", "STOPPED", "TRACKING"], "leaves the fence of 1.7 by 1.2 m")
 EVENTS = {
     "carried": (displace, {}, ["TRACKING"], "rejoining"),
-    "carried far": (displace_far, {}, ["TRACKING", "BRAKING", "STOPPED", "TRACKING"], "robot is somewhere else"),
+    "carried far": (displace_far, {}, ["TRACKING", "BRAKING", "STOPPED", "TRACKING"], "agree on a different position"),
     "carried far, no resuming": (
         displace_far,
         {"failure.resume": False},
         ["TRACKING", "BRAKING", "STOPPED"],
-        "robot is somewhere else",
+        "agree on a different position",
     ),
     "chased": (displace, {"reentry.enabled": False}, ["TRACKING"], ""),
     "carried too far": (
@@ -253,7 +253,7 @@ EVENTS = {
         "no pose was accepted",
     ),
     "clock astray": (wrong_times, {}, None, "time ran backwards"),
-    "paused": (pause, {"failure.max_position_error": 9.0}, ["TRACKING", "STOPPED", "TRACKING"], "starts anew"),
+    "paused": (pause, {"failure.max_position_error": 9.0}, ["TRACKING", "STOPPED", "TRACKING"], "estimate restarts"),
     "set back": (clock_set_back, {}, ["TRACKING", "BRAKING", "STOPPED"], "time ran backwards"),
     "no pose for long": (no_pose_for_long, {}, ["TRACKING", "BRAKING", "STOPPED", "TRACKING"], "call start or resume"),
     "held by a short failure": (short_failure, {}, ["TRACKING", "BRAKING", "TRACKING"], "bumper"),
@@ -498,6 +498,6 @@ def test_measurements_beyond_the_capacity_of_a_sample_are_rejected_and_named():
         twist, rate = Stamped([0.5, 0.1], stamp), Stamped(0.3, stamp)
         drive.both.step(now + 0.005, Measurement(Stamped(drive.queue[-1].value, stamp), twist, rate))
     for name in ("pose", "wheel speed", "yaw rate"):
-        assert f"{name} rejected: more arrived for one sample than is kept" in drive.both.words
+        assert f"{name} rejected: too many arrived for one sample" in drive.both.words
     for _ in range(5):
         drive.tick("in time")

@@ -194,7 +194,7 @@ def test_yaw_is_the_direction_of_the_x_axis_in_the_plane(yaw, pitch, roll):
 
 @pytest.mark.parametrize("q", [Quaternion(w=0.0), Quaternion(w=2.0), Quaternion(w=math.nan), Quaternion(x=1e200)])
 def test_invalid_quaternion_raises_error(q):
-    with pytest.raises(MessageError, match="no unit quaternion"):
+    with pytest.raises(MessageError, match="not a unit quaternion"):
         yaw_of(q)
 
 

@@ -157,7 +157,7 @@ def test_alternating_parents_raise_error_and_a_single_change_does_not():
     ("transform", "stamp", "frames", "words"),
     [
         (planar(math.nan, 0.0, 0.0), NOW, ("odom", "base_link"), "not finite"),
-        (Rigid(0, 0, 0, 0, 0, 0, 0), NOW, ("odom", "base_link"), "no unit quaternion"),
+        (Rigid(0, 0, 0, 0, 0, 0, 0), NOW, ("odom", "base_link"), "not a unit quaternion"),
         (IDENTITY, NOW + limits.MAX_FUTURE + 1, ("odom", "base_link"), "in the future: are the clocks in step"),
         (IDENTITY, NOW, ("odom", "odom"), "names no two frames"),
     ],

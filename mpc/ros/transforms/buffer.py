@@ -96,7 +96,7 @@ class TransformBuffer:
             raise TransformError(f"{link} names no two frames")
         norm = math.hypot(*transform[3:])
         if not (all(map(math.isfinite, transform)) and abs(norm - 1.0) <= _NORM_TOLERANCE):
-            raise TransformError(f"{link} is not finite, or its rotation no unit quaternion")
+            raise TransformError(f"{link} is not finite, or its rotation is not a unit quaternion")
         if not static and stamp - now > MAX_FUTURE:
             raise TransformError(f"{link} is {(stamp - now) / _SECOND:.1f} s in the future: are the clocks in step?")
         placed = self._frames.get(child)
