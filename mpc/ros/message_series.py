@@ -87,7 +87,7 @@ class MessageSeries:
         # The list is in the order of the last messages; the most recent of equally close series is used.
         series = min(reversed(matches), key=lambda series: abs(number - series.newest), default=_Series())
         series.append(number, sent, arrival)
-        self._series = [*(other for other in self._series if other is not series), series]
+        self._series = [*(entry for entry in self._series if entry is not series), series]
         if not self._changes or self._changes[-1] is not series:
             self._changes.append(series)
             self.is_shared = self.is_shared or sum(self._changes.count(entry) > 1 for entry in self._series) > 1

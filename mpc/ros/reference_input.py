@@ -48,7 +48,7 @@ class StatedReference(NamedTuple):
 
 
 def preload() -> None:
-    """Do nothing; a call in the side process loads this module before the first reference arrives."""
+    """Load this module in the side process before the first reference arrives; the body is empty."""
 
 
 def read_path(raw: bytes, limits: Limits) -> StatedReference:
