@@ -445,6 +445,6 @@ def test_measurements_beyond_the_capacity_of_a_sample_are_rejected_and_named():
         twist, rate = Stamped([0.5, 0.1], stamp), Stamped(0.3, stamp)
         drive.both.step(now + 0.005, Measurement(Stamped(drive.queue[-1].value, stamp), twist, rate))
     for name in ("pose", "wheel speed", "yaw rate"):
-        assert f"{name} rejected: more arrived for one sample than is kept" in drive.both.words
+        assert f"{name} rejected: too many arrived for one sample" in drive.both.words
     for _ in range(5):
         drive.tick("in time")

@@ -29,7 +29,7 @@ RANGES = {
     "pose": [(-5, 5), (-5, 5), (-7, 7)],
     "twist": [(-2, 2), (-3, 3)],
     "command": [(-2, 2), (-3, 3)],
-    "wanted": [(-2, 2), (-3, 3)],
+    "target_twist": [(-2, 2), (-3, 3)],
     "reference": [(-5, 5), (-5, 5), (-7, 7), (-7, 7)],
     "theta": [(-7, 7)],
     "dt": [(1e-3, 0.5)],
@@ -376,8 +376,8 @@ def test_function_with_external_calls_raises_error():
 @pytest.mark.parametrize(
     ("names", "sizes", "message"),
     [
-        (["x", "u"], [2, 2], "name them x and window"),
-        (["x", "window"], [2, 3], "give it two for each command"),
+        (["x", "u"], [2, 2], "they must be x and window"),
+        (["x", "window"], [2, 3], "it needs two per command"),
         (["x", "window"], [2, 2], "has 4 entries, x has 2"),
     ],
 )

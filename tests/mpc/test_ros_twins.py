@@ -14,7 +14,7 @@ from sensor_driver import KINDS, driver, message_of
 from diffdrive_mpc.mpc.ros.conversions import time_message
 
 INPUTS = list(KINDS)
-SHARED = "two publishers of /fake_base publish on /{}, and it is not known which messages are right; stop all but one"
+SHARED = "two publishers of /fake_base publish on /{}, and their messages cannot be distinguished; stop all but one"
 
 
 class Twin:
@@ -103,6 +103,6 @@ def test_publisher_of_commands_under_the_name_of_the_node_is_reported():
     with stack(drive=True, exclusive_cmd_vel=True) as s:
         s.base.run(20)
         twin = Twin(TwistStamped, "cmd_vel", "diffdrive_mpc")
-        s.base.until(lambda: s.loop.objection.startswith("/diffdrive_mpc publishes on /cmd_vel too"), "the objection")
+        s.base.until(lambda: s.loop.objection.startswith("/diffdrive_mpc also publishes on /cmd_vel"), "the objection")
         assert not s.base.run(60)[-1].any()
         twin.close()
