@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from diffdrive_mpc.models.errors import load_pandas
 from diffdrive_mpc.models.interface import FloatArray, Measurement, ReadOnlyArrays, Reference, ReferenceSample, Stamped
-from diffdrive_mpc.models.logs.drive_log.tick import TOLD, measured_cells
+from diffdrive_mpc.models.logs.drive_log.tick import INPUT_NAMES, measured_cells
 from diffdrive_mpc.models.step_scalars import step_scalars
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE, Metrics, compute_metrics
 from diffdrive_mpc.sim.metrics.recovery import Recovery, compute_recovery
@@ -303,6 +303,6 @@ def _column_names(quantity: str, parts: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def reported_columns(measurements: Sequence[Measurement], count: int) -> dict[str, FloatArray]:
-    """Return the columns (count,) named in `TOLD`, NaN for missing values; `measurements` may be empty."""
+    """Return the columns (count,) named in `INPUT_NAMES`, NaN for missing values; `measurements` may be empty."""
     rows = [measured_cells(measurement) for measurement in measurements] or [{}] * count
-    return {name: np.array([row.get(name, np.nan) for row in rows], dtype=float) for name in TOLD}
+    return {name: np.array([row.get(name, np.nan) for row in rows], dtype=float) for name in INPUT_NAMES}

@@ -1,4 +1,4 @@
-"""Logs of robots as evenly sampled records: CSV files and ROS 2 bags, checked and never silently repaired."""
+"""Reading and checking of robot logs from CSV files and ROS 2 bags as evenly sampled records."""
 
 from typing import TYPE_CHECKING
 

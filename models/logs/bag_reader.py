@@ -1,4 +1,4 @@
-"""Topics and messages of a bag of ROS 2, read from its files in order."""
+"""Reader of the topics and messages of a ROS 2 bag, file by file."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ZSTD = b"\x28\xb5\x2f\xfd"
 
 
 class Connection(NamedTuple):
-    """A topic, with the type and number of its messages."""
+    """A topic with its message type and number of messages."""
 
     topic: str
     msgtype: str
@@ -29,7 +29,7 @@ class Connection(NamedTuple):
 
 
 class Bag:
-    """A bag: its folder, or one .mcap or .db3 file.
+    """A bag, opened by its folder or by one .mcap or .db3 file.
 
     Parameters
     ----------
@@ -39,16 +39,16 @@ class Bag:
     Attributes
     ----------
     connections
-        Topics of the bag; the number of messages is that of metadata.yaml where it is larger.
+        Topics of the bag. The number of messages is the maximum of the counted number and that of metadata.yaml.
     duration
-        From the first message to the last [ns].
+        Time from the first message to the last [ns].
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        On entering, if a file holds more than is read, is named twice, or is a bag of ROS 1.
+        Raised on entry if a file exceeds a limit, is named twice, or is a ROS 1 bag.
     OSError, ValueError
-        On entering or reading, if a file is damaged or missing.
+        Raised on entry or while reading if a file is damaged or missing.
     """
 
     def __init__(self, path: Path) -> None:
@@ -58,7 +58,7 @@ class Bag:
 
     def __enter__(self) -> Self:
         """Count the messages of each topic."""
-        promised = self._read_metadata() if self._path.is_dir() else {}
+        stated_counts = self._read_metadata() if self._path.is_dir() else {}
         counts: Counter[tuple[str, str]] = Counter()
         first, last = None, 0
         for topic, kind, time, _ in self._messages(()):
@@ -66,16 +66,16 @@ class Bag:
             if time is not None:
                 first, last = min(time, time if first is None else first), max(time, last)
         self.connections = [
-            Connection(topic, kind, max(count, promised.get(topic, 0))) for (topic, kind), count in counts.items()
+            Connection(topic, kind, max(count, stated_counts.get(topic, 0))) for (topic, kind), count in counts.items()
         ]
         self.duration = 0 if first is None else last - first
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close nothing: no file is held open."""
+        """Do nothing, because no file stays open."""
 
     def messages(self, connections: Collection[Connection]) -> Iterator[tuple[str, int, bytes]]:
-        """Yield topic, time of receipt [ns] and bytes of the messages of some topics, in the order of the files."""
+        """Yield topic, time of receipt [ns] and bytes of the messages of `connections`, in the order of the files."""
         wanted = {(known.topic, known.msgtype) for known in connections}
         budget = Budget(self._path, sum(file.stat().st_size for file in self._files))
         for topic, kind, time, data in self._messages(wanted):
@@ -100,50 +100,50 @@ class Bag:
                     elif isinstance(content, McapChannel) and content.encoding == "cdr":
                         yield content.topic, content.kind, None, b""
             elif head.startswith(_ZSTD):
-                raise ConfigError(f"{file}: compressed as a whole; unpack it: `zstd -d {file.name}`")
+                raise ConfigError(f"{file}: the whole file is compressed; unpack it: `zstd -d {file.name}`")
             elif head.startswith(_ROS1):
                 raise ConfigError(
-                    f"{file}: a bag of ROS 1; convert it: `rosbags-convert --src {file.name} --dst {file.stem}`"
+                    f"{file}: this is a ROS 1 bag; convert it: `rosbags-convert --src {file.name} --dst {file.stem}`"
                 )
             else:
-                raise ValueError(f"'{file.name}' does not begin as a bag" if head else f"'{file.name}' is empty")
+                raise ValueError(f"'{file.name}' is not a bag" if head else f"'{file.name}' is empty")
 
     def _read_metadata(self) -> dict[str, int]:
-        """Read which files the bag has, how they are compressed, and the number of messages by topic."""
+        """Read the files of the bag and their compression; return the number of messages of each topic."""
         path = self._path / _METADATA
         if not os.path.lexists(path):
             raise ConfigError(f"{self._path}: the folder has no {_METADATA}; give the bag, or one of its files")
         try:
-            stated = read_yaml(path)
+            content = read_yaml(path)
         except ConfigError as error:
             raise ConfigError(f"{self._path}: cannot be read as a ROS 2 bag ({error})") from error
-        bag = stated.get("rosbag2_bagfile_information") if isinstance(stated, Mapping) else None
-        named = bag.get("relative_file_paths") if isinstance(bag, Mapping) else None
-        if not isinstance(bag, Mapping) or not isinstance(named, list) or not named:
+        bag = content.get("rosbag2_bagfile_information") if isinstance(content, Mapping) else None
+        paths = bag.get("relative_file_paths") if isinstance(bag, Mapping) else None
+        if not isinstance(bag, Mapping) or not isinstance(paths, list) or not paths:
             raise ValueError(f"{_METADATA} names no files under 'relative_file_paths'")
-        names = Counter(PurePath(str(name)).name for name in named)
+        names = Counter(PurePath(str(name)).name for name in paths)
         name, count = names.most_common(1)[0]
         if count > 1:
-            raise ConfigError(f"{path}: names the file '{name}' {count:,} times; name each file once")
+            raise ConfigError(f"{path}: names the file '{name}' {count:,} times; name it once")
         if len(names) > file_limits().bag_files:
             raise ConfigError(
-                f"{path}: names {len(names):,} files, at most {file_limits().bag_files:,} are read; merge them "
+                f"{path}: names {len(names):,} files, the limit is {file_limits().bag_files:,}; merge them "
                 "(`ros2 bag convert`)"
             )
         self._files = [self._path / name for name in names]
-        places = {(state.st_dev, state.st_ino) for state in (file.stat() for file in self._files)}
-        if len(places) < len(names):
-            raise ConfigError(f"{path}: names one file under several names; name each file once")
+        inodes = {(state.st_dev, state.st_ino) for state in (file.stat() for file in self._files)}
+        if len(inodes) < len(names):
+            raise ConfigError(f"{path}: gives several names for one file; name each file once")
         mode = str(bag.get("compression_mode") or "").lower()
         self._is_packed = mode == "message"
         if mode == "file":
-            raise ConfigError(f"{path}: its files are compressed as a whole; unpack the bag (`ros2 bag convert`)")
+            raise ConfigError(f"{path}: its whole files are compressed; unpack the bag (`ros2 bag convert`)")
         if self._is_packed and bag.get("compression_format") != "zstd":
-            raise ValueError(f"it is packed by '{bag.get('compression_format')}'; only zstd is read")
-        return _counts(bag.get("topics_with_message_count"))
+            raise ValueError(f"compression '{bag.get('compression_format')}' is not supported; use zstd")
+        return _message_counts(bag.get("topics_with_message_count"))
 
 
-def _counts(topics: Any) -> dict[str, int]:  # noqa: ANN401 - from a file
+def _message_counts(topics: Any) -> dict[str, int]:  # noqa: ANN401 - from a file
     """Return the stated number of messages by topic."""
     entries = [entry for entry in topics if isinstance(entry, Mapping)] if isinstance(topics, list) else []
     return {

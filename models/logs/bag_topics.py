@@ -1,4 +1,4 @@
-"""One topic of a bag of ROS 2 as rows of numbers. Nothing in a bag is ever run."""
+"""Topics of a ROS 2 bag as arrays of numbers. No code of a bag is executed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from diffdrive_mpc.models.logs.record import BoolArray
 Reading = tuple[float, ...]
 
 
-def _twist(message: Any) -> Reading:  # noqa: ANN401 - the types are made by rosbags
+def _twist(message: Any) -> Reading:  # noqa: ANN401 - rosbags creates the types
     return float(message.linear.x), float(message.angular.z)
 
 
@@ -44,7 +44,7 @@ COMMANDS: dict[str, Callable[[Any], Reading]] = {
 ODOMETRY: dict[str, Callable[[Any], Reading]] = {
     "nav_msgs/msg/Odometry": lambda message: _twist(message.twist.twist),
 }
-"""v [m/s], omega [rad/s]; an odometry's pose is its own sum and contains no further information."""
+"""v [m/s], omega [rad/s]. The pose of an odometry is the integral of its twist and contains no further information."""
 
 IMU: dict[str, Callable[[Any], Reading]] = {
     "sensor_msgs/msg/Imu": lambda message: (float(message.angular_velocity.z),),
@@ -64,27 +64,27 @@ BATTERIES: dict[str, Callable[[Any], Reading]] = {
     # REP 147: a discharging current is negative; in a record the output of the battery is positive.
     "sensor_msgs/msg/BatteryState": lambda message: (float(message.voltage), -float(message.current)),
 }
-"""Voltage [V], current that the battery gives [A]."""
+"""Voltage [V], output current of the battery [A]."""
 
 _NUMBER: Callable[[Any], Reading] = lambda message: (float(message.data),)  # noqa: E731
 
 
 def motor_readers(topic: MotorTopic) -> dict[str, Callable[[Any], Reading]]:
-    """Read the currents of the motors of a side from messages without `fields`."""
+    """Return decoders of the motor currents of one side for message types that need no `fields`."""
     joints = topic.joints
     if joints is None:
         return {"std_msgs/msg/Float32": _NUMBER, "std_msgs/msg/Float64": _NUMBER}
 
     def efforts(message: Any) -> Reading:  # noqa: ANN401
         named = dict(zip(message.name, message.effort, strict=False))
-        # A message that holds other joints only is left out with those that are not finite.
+        # NaN for absent joints; messages that are not finite are left out later.
         return tuple(float(named.get(joint, math.nan)) for joint in joints)
 
     return {"sensor_msgs/msg/JointState": efforts}
 
 
 def stamp(message: Any) -> int:  # noqa: ANN401
-    """Time in a message's header [ns]; 0 if it is missing or unset."""
+    """Return the time in a message's header [ns]; 0 if it is missing or unset."""
     header = getattr(message, "header", None)
     return 0 if header is None else int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
 
@@ -94,20 +94,20 @@ Decoders = Mapping[str, Callable[[Any], Reading]]
 
 @dataclass(frozen=True)
 class TopicRows:
-    """The n messages of one topic, in the order of their receipt.
+    """The n messages of one topic, in order of receipt.
 
     Attributes
     ----------
     topic
         Name.
     received, stamped
-        (n,) times of receipt and of the messages' headers [ns]; 0 where a header has none.
+        (n,) times of receipt and of the message headers [ns]; 0 if a header has no time.
     value
-        (n, width), not checked for finiteness.
+        (n, width) values, not checked for finiteness.
     stride
-        One in how many messages was read.
+        Step between the messages that were read; 1 for all.
     kind
-        Type of its messages.
+        Message type.
     """
 
     topic: str
@@ -125,19 +125,19 @@ class TopicRows:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Bag]:
-    """Open a rosbag2, its folder or one .mcap or .db3 file.
+    """Open a rosbag2 by its folder or by one .mcap or .db3 file.
 
     Raises
     ------
     ConfigError
-        If it cannot be read, here or while the context reads on.
+        If the bag cannot be read, also inside the context.
     """
     try:
         with Bag(path) as reader:
             yield reader
     except ConfigError:
         raise
-    except Exception as error:  # a damaged file fails in as many ways as there are bytes
+    except Exception as error:  # damaged files raise many types
         reason = " ".join(str(error).split()) or type(error).__name__
         raise ConfigError(
             f"{path}: cannot be read as a ROS 2 bag ({reason}); is it complete? `ros2 bag reindex` may save it"
@@ -145,13 +145,16 @@ def opened(path: Path) -> Iterator[Bag]:
 
 
 def connections_of(reader: Bag, topic: Topic, decoders: Decoders) -> list[Connection]:
-    """Return the connections of a topic, one for each type, that to read last: the decoded one with most messages."""
+    """Return the connections of a topic, one per message type; the last is to be read.
+
+    It is the connection with the most messages among the types with a decoder.
+    """
     named = [known for known in reader.connections if known.topic == topic.topic]
     return sorted(named, key=lambda known: (known.msgtype in decoders, known.msgcount, known.msgtype))
 
 
 def require_topics(reader: Bag, path: Path, wanted: Iterable[tuple[Topic, Decoders]]) -> None:
-    """Raise ConfigError with all topics that the bag lacks, or that are of a type without a decoder."""
+    """Raise ConfigError with all topics that are missing from the bag or have a type without a decoder."""
     sentences, missing = [], []
     for topic, decoders in wanted:
         kinds = [connection.msgtype for connection in connections_of(reader, topic, decoders)]
@@ -159,8 +162,8 @@ def require_topics(reader: Bag, path: Path, wanted: Iterable[tuple[Topic, Decode
             missing.append(f"'{topic.topic}'")
         elif kinds[-1] not in decoders if topic.fields is None else len(kinds) > 1:
             sentences.append(
-                f"topic '{topic.topic}' is of type {', '.join(kinds)}; expected {' or '.join(decoders)}; of another "
-                "type name 'fields', where its numbers stand, and a file for it under 'definitions'"
+                f"topic '{topic.topic}' is of type {', '.join(kinds)}; expected {' or '.join(decoders)}; for another "
+                "type give 'fields' with the values, and its file under 'definitions'"
             )
     if missing:
         known_topics = ", ".join(sorted({f"{known.topic} ({known.msgtype})" for known in reader.connections})) or "none"
@@ -171,7 +174,7 @@ def require_topics(reader: Bag, path: Path, wanted: Iterable[tuple[Topic, Decode
 
 
 class TopicRequest(NamedTuple):
-    """Topic to read, the decoders of its message types, and one in how many messages is read."""
+    """Topic to read, decoders of its message types, and step between the messages to read."""
 
     topic: Topic
     decoders: Decoders
@@ -181,10 +184,10 @@ class TopicRequest(NamedTuple):
 def read_topics(
     reader: Bag, path: Path, requests: Mapping[str, TopicRequest], definitions: Mapping[str, str] = MappingProxyType({})
 ) -> dict[str, TopicRows]:
-    """Read the requested topics in one pass over the bag; of a message no more is kept than its numbers.
+    """Read the requested topics in one pass over the bag, and keep only the numbers of each message.
 
-    Message types are the library's own and those of `definitions`, files that the user names, by type; never the
-    definitions inside the bag, from which it would generate code.
+    Message types come from the library and from the user's files `definitions`. Definitions inside the bag are not
+    used, because the library would generate code from them.
 
     Parameters
     ----------
@@ -193,16 +196,21 @@ def read_topics(
     path
         Path of the bag, for messages.
     requests
-        By the names under which the rows are returned.
+        Requests by role.
+
+    Returns
+    -------
+    dict
+        Rows by role.
     definitions
         Files of message definitions by type.
 
     Raises
     ------
     ConfigError
-        If the bag has no such topic, a topic has another type, or it holds no message.
+        If a topic is missing, has another type, or holds no message.
     ValueError
-        If messages have been lost.
+        If the bag has fewer messages than its metadata states.
     """
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
 
@@ -224,18 +232,18 @@ def read_topics(
 
 
 class _Columns:
-    """Numbers of the messages of one request so far."""
+    """Accumulated numbers of the messages of one request."""
 
     def __init__(self, path: Path, request: TopicRequest, connection: Connection) -> None:
         self.connection = connection
         self._path, self._stride, self._messages = path, request.stride, 0
         topic = request.topic
-        self._decode = request.decoders[connection.msgtype] if topic.fields is None else _reader_of(path, topic)
-        # Bytes of numbers in a row: a list of Python's own takes ten times as much memory.
+        self._decode = request.decoders[connection.msgtype] if topic.fields is None else _field_decoder(path, topic)
+        # Packed arrays: a Python list takes ten times as much memory.
         self._times, self._values = array("q"), array("d")
 
     def is_due(self) -> bool:
-        """Count a message; return True if it is one of those to take."""
+        """Count a message; return True if it is to be read."""
         self._messages += 1
         return (self._messages - 1) % self._stride == 0
 
@@ -244,9 +252,9 @@ class _Columns:
         self._values.extend(self._decode(message))
 
     def rows(self) -> TopicRows:
-        name, kind, promised = self.connection
-        if self._messages < promised:
-            raise ValueError(f"topic '{name}' holds {self._messages} of {promised} messages")
+        name, kind, stated_count = self.connection
+        if self._messages < stated_count:
+            raise ValueError(f"topic '{name}' holds {self._messages} of {stated_count} messages")
         if not self._messages:
             raise ConfigError(f"{self._path}: topic '{name}' holds no message")
         received, stamped = (np.array(self._times[first::2]) for first in (0, 1))
@@ -256,26 +264,26 @@ class _Columns:
 
 
 def _register(path: Path, store: Any, kind: str, definitions: Mapping[str, str]) -> None:  # noqa: ANN401
-    """Register the types that the user defines; raise ConfigError if one of `kind` is still unknown."""
+    """Register the message types that the user defines; raise ConfigError if the type `kind` is still unknown."""
     from rosbags.typesys import get_types_from_msg  # noqa: PLC0415
 
     for name, file in definitions.items():
         try:
             text = read_input(Path(file), MEGABYTE).decode("utf-8")
             store.register(get_types_from_msg(text, name))
-        except Exception as error:  # the library's own, and those of reading
+        except Exception as error:  # errors of the library and of reading
             raise ConfigError(f"{file}: cannot be read as the definition of {name} ({error})") from error
     if kind not in store.fielddefs:
         raise ConfigError(f"{path}: messages of type {kind} are unknown; give their .msg file under 'definitions'")
 
 
 def _entry(message: Any, name: str) -> Any:  # noqa: ANN401
-    """Return a field by its name, or an entry of an array by its number."""
+    """Return a field by name, or an entry of an array by index."""
     return message[int(name)] if name.isdigit() else getattr(message, name)
 
 
-def _reader_of(path: Path, topic: Topic) -> Callable[[Any], Reading]:
-    """Return a function that extracts the mapped numbers from a message."""
+def _field_decoder(path: Path, topic: Topic) -> Callable[[Any], Reading]:
+    """Return a decoder of the mapped fields of a message."""
     fields = [field.split(".") for field in topic.fields or ()]
 
     def decode(message: Any) -> Reading:  # noqa: ANN401

@@ -1,4 +1,4 @@
-"""A bag of ROS 2 as a log: its topics on one clock."""
+"""Reader of ROS 2 bags as logs: topics on a common clock."""
 
 from __future__ import annotations
 
@@ -52,24 +52,24 @@ _DECODERS: dict[str, Decoders] = {
 }
 _FIELDS = {"odometry": "twist", "imu": "yaw_rate", "pose": "pose"}
 _SIDES = ("left motors", "right motors")
-# Motors of a side that are read one by one.
-_OF_A_SIDE = 2
+# Number of motors per side if each motor is read separately.
+_MOTORS_PER_SIDE = 2
 
 
 def is_bag(path: Path) -> bool:
-    """Return True if the path is that of a bag: a folder, or a file with the ending of one."""
+    """Return True if the path is a folder or has the extension of a bag."""
     return path.is_dir() or path.suffix in (".mcap", ".db3", ".bag", ".zst", ".zstd")
 
 
 def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
-    """Read a ROS 2 bag. Its clock starts at 0 with the first message used.
+    """Read a ROS 2 bag. Time 0 is the first message used.
 
     Parameters
     ----------
     path
         Folder of the bag, or one of its .mcap or .db3 files.
     mapping
-        Mapping of the topics; None for /cmd_vel, with /odom and /imu as far as they are there.
+        Mapping of the topics; None for /cmd_vel, with /odom and /imu if present.
 
     Raises
     ------
@@ -83,9 +83,9 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
         if topics is None:
             raise ConfigError(f"{path}: the mapping has no 'topics', which a bag needs")
         topics = topics.named(recorded)
-        requested = _requested(path, topics, recorded)
+        requested = _requested_topics(path, topics, recorded)
         readers = dict(_DECODERS)
-        if topics.imu is not None and topics.imu.sign > 0:  # as in the node, a stated sign replaces the transforms
+        if topics.imu is not None and topics.imu.sign > 0:  # as in the node, sign: -1 replaces the transforms
             readers["imu"] = imu_decoders(reader)
         if topics.motors is not None:
             for role, side in zip(_SIDES, (topics.motors.left, topics.motors.right), strict=True):
@@ -95,8 +95,8 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
         for role, topic in requested.items():
             types = [known.msgtype for known in connections_of(reader, topic, readers[role])]
             if len(types) > 1:
-                words = f"of {', '.join(sorted(types))} only {types[-1]} is read, of which there are most messages"
-                findings.append(Finding("two types", "warning", f"{path.name}, {topic.topic}", words))
+                message = f"of {', '.join(sorted(types))} only {types[-1]}, with the most messages, is read"
+                findings.append(Finding("two types", "warning", f"{path.name}, {topic.topic}", message))
         requests = {
             role: TopicRequest(topic, readers[role], _stride(reader, path, topic, role, findings))
             for role, topic in requested.items()
@@ -112,30 +112,30 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
     power = _power(signals, mapping.wheels if mapping else None)
     response = next(measured[field] for field in _FIELDS.values() if field in measured)
     if topics.command.on_change:
-        command = _repeated(command, response.time)
+        command = _repeat_commands(command, response.time)
     stretch = _stretch(path, command, measured)
-    # Commands on change come when they come; whether time runs evenly the sensor shows.
+    # Commands on change are irregular; the sensor shows whether the clock is even.
     clock = response.time[response.time >= command.time[0]] if topics.command.on_change else stretch.clock
     stretch = RawStretch(clock, stretch.command, {**stretch.measured, **power})
-    stretches = _most_driven(path, stretch, findings)
-    # The faster of the two, so that neither the commands' times nor the readings are blurred.
+    stretches = _most_driven_parts(path, stretch, findings)
+    # The shorter step preserves the times of both commands and readings.
     sample_time = usual_step([response.time])
-    quiet = None if topics.command.on_change else silences(stretch.command, check_settings())
-    if quiet is not None:
-        findings += check_bursts(f"{path.name}, {topics.command.topic}", quiet, measured, check_settings())
+    silence = None if topics.command.on_change else silences(stretch.command, check_settings())
+    if silence is not None:
+        findings += check_bursts(f"{path.name}, {topics.command.topic}", silence, measured, check_settings())
     elif not topics.command.on_change:
         sample_time = float(np.fmin(usual_step([stretch.command.time]), sample_time))
     kinds = {role: (rows_of_topic.topic, rows_of_topic.kind) for role, rows_of_topic in rows.items()}
     return RawLog(path.name, stretches, tuple(findings), float(sample_time), kinds)
 
 
-def _requested(path: Path, topics: Topics, recorded: set[str]) -> dict[str, Topic]:
+def _requested_topics(path: Path, topics: Topics, recorded: set[str]) -> dict[str, Topic]:
     """Select topics of command and sensors by role; raise ConfigError for missing or miscounted fields."""
     requested: dict[str, Topic] = {role: topic for role in _DECODERS if (topic := getattr(topics, role)) is not None}
     if not set(requested) & set(_FIELDS):
         missing = "" if topics.command.topic in recorded else f", nor is the command {topics.command.topic}"
         raise ConfigError(
-            f"{path}: neither /odom nor /imu is there{missing}; give a mapping file that names the topics, "
+            f"{path}: neither /odom nor /imu is in the bag{missing}; give a mapping file that names the topics, "
             f"{draft_command(path)}; the bag has {', '.join(sorted(recorded)) or 'none'}"
         )
     for role, topic in requested.items():
@@ -146,14 +146,14 @@ def _requested(path: Path, topics: Topics, recorded: set[str]) -> dict[str, Topi
 
 
 def _power(signals: dict[str, Signal], wheels: MappedWheels | None) -> dict[str, Signal]:
-    """Combine battery and motors, and convert the odometry's twist to wheel speeds; return nothing if unused."""
+    """Return signals of battery and motors and, with either, wheel speeds from the odometry; {} without both."""
     power_signals: dict[str, Signal] = {}
     if "battery" in signals:
         power_signals["battery"] = signals["battery"]
     sides = [signals[role] for role in _SIDES if role in signals]
     if sides:
         left, right = sides
-        # The right side at the times of the left: two topics are not read at the same instants.
+        # The two topics have different times; interpolate the right side at the times of the left.
         overlap = (left.time >= right.time[0]) & (left.time <= right.time[-1])
         time = left.time[overlap]
         right_values = np.stack([np.interp(time, right.time, column) for column in right.value.T], axis=-1)
@@ -162,7 +162,7 @@ def _power(signals: dict[str, Signal], wheels: MappedWheels | None) -> dict[str,
             if left.value.shape[1] == right.value.shape[1]
             else None
         )
-        if both is not None and both.shape[1] == _OF_A_SIDE:
+        if both is not None and both.shape[1] == _MOTORS_PER_SIDE:
             values = both.reshape(len(time), -1)  # front left, front right, rear left, rear right
         else:
             values = np.stack([left.value[overlap].sum(axis=1), right_values.sum(axis=1)], axis=-1)
@@ -176,7 +176,7 @@ def _power(signals: dict[str, Signal], wheels: MappedWheels | None) -> dict[str,
 
 
 def _stride(reader: Bag, path: Path, topic: Topic, role: str, findings: list[Finding]) -> int:
-    """Choose how many messages of a sensor to skip; every command is read."""
+    """Return n to read every n-th message of a topic; 1 for commands."""
     count = sum(connection.msgcount for connection in reader.connections if connection.topic == topic.topic)
     if role == "command" or count < 2:
         return 1
@@ -187,57 +187,58 @@ def _stride(reader: Bag, path: Path, topic: Topic, role: str, findings: list[Fin
     return stride
 
 
-def _most_driven(path: Path, stretch: RawStretch, findings: list[Finding]) -> tuple[RawStretch, ...]:
-    """Cut a bag with too many commands into the parts in which they change most."""
-    command, most = stretch.command, check_settings().most_rows
-    if len(command.time) <= most:
+def _most_driven_parts(path: Path, stretch: RawStretch, findings: list[Finding]) -> tuple[RawStretch, ...]:
+    """Reduce a bag with too many commands to the parts with the largest changes of commands."""
+    command, max_rows = stretch.command, check_settings().most_rows
+    if len(command.time) <= max_rows:
         return (stretch,)
-    taken = most_driven(list(command.value.T), most)
-    findings.append(subset(path.name, "commands", len(taken), len(command.time)))
-    spans = np.split(taken, np.flatnonzero(np.diff(taken) > 1) + 1)
+    rows = most_driven(list(command.value.T), max_rows)
+    findings.append(subset(path.name, "commands", len(rows), len(command.time)))
+    spans = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
     return tuple(stretch.between(command.time[span[0]], command.time[span[-1]]) for span in spans)
 
 
-def _repeated(command: Signal, clock: FloatArray) -> Signal:
-    """Repeat commands that are sent on change at every time of `clock` (n,) [s] from the first on."""
+def _repeat_commands(command: Signal, clock: FloatArray) -> Signal:
+    """Repeat commands that are sent on change at the times `clock` (n,) [s], from the first command on."""
     time = np.union1d(command.time, clock[clock >= command.time[0]])
     return Signal(time, command.value[np.searchsorted(command.time, time, side="right") - 1])
 
 
 def _times(path: Path, rows: dict[str, TopicRows], topics: Topics, findings: list[Finding]) -> dict[str, FloatArray]:
-    """Return the times of each topic's messages [ns]: their stamps, or else the times of receipt."""
+    """Return the times of each topic's messages [ns]: stamps if available, else times of receipt."""
     if topics.clock == "receive":
         return {role: topic.received for role, topic in rows.items()}
-    late = {
+    delays = {
         topic.topic: 1e-9 * (topic.received - topic.stamped) if topic.has_stamps else np.zeros(1)
         for topic in rows.values()
     }
-    require_one_clock(str(path), late, "set `clock: receive` under 'topics' to use the times of receipt")
-    findings += drifting_clocks(path.name, late)
+    require_one_clock(str(path), delays, "set `clock: receive` under 'topics' to use the times of receipt")
+    findings += drifting_clocks(path.name, delays)
     for role, topic in rows.items():
         if not topic.has_stamps and role != "command":
-            words = "not every message has a stamp; the times of receipt are used"
-            findings.append(Finding("no stamps", "note", f"{path.name}, {topic.topic}", words))
+            message = "not every message has a stamp; the times of receipt are used"
+            findings.append(Finding("no stamps", "note", f"{path.name}, {topic.topic}", message))
     return {role: topic.stamped if topic.has_stamps else topic.received for role, topic in rows.items()}
 
 
 def _signal(path: Path, rows: TopicRows, time: FloatArray, topic: Topic, role: str, findings: list[Finding]) -> Signal:
-    """Build the signal of one topic in order of time, without invalid or late messages."""
-    where = f"{path.name}, {rows.topic}, message "
+    """Build the signal of one topic in order of time, without invalid or out-of-order messages."""
+    prefix = f"{path.name}, {rows.topic}, message "
     finite = (np.abs(rows.value) < ABSURD).all(axis=1)
     ordered = increasing(time)
-    for good, kind, words in (
+    for is_good, kind, reason in (
         (finite, "NaN rows", "messages are not finite"),
-        (ordered, "time backwards", "messages are not later than one before them"),
+        (ordered, "time backwards", "messages are not later than an earlier message"),
     ):
-        if not good.all():
-            lost = f"{(~good).sum()} {words}; they are left out"
-            findings.append(Finding(kind, "warning", where + ranges(rows.stride * np.flatnonzero(~good) + 1), lost))
+        if not is_good.all():
+            message = f"{(~is_good).sum()} {reason} and are left out"
+            place = prefix + ranges(rows.stride * np.flatnonzero(~is_good) + 1)
+            findings.append(Finding(kind, "warning", place, message))
     keep = finite & ordered
     value = rows.value[keep]
     if not keep.any() and role in ("battery", *_SIDES):
         joints = getattr(topic, "joints", None)
-        remedy = f"is one of the joints {', '.join(joints)} in it?" if joints else "leave it out of the mapping"
+        remedy = f"check the joints {', '.join(joints)}" if joints else "leave it out of the mapping"
         raise ConfigError(f"{path}: topic '{rows.topic}' holds no usable number; {remedy}")
     if role == "pose":
         value = unwrapped(value * np.array([1.0, 1.0, topic.sign])[: value.shape[1]])
@@ -250,7 +251,7 @@ def _signal(path: Path, rows: TopicRows, time: FloatArray, topic: Topic, role: s
 
 
 def _stretch(path: Path, command: Signal, measured: dict[str, Signal]) -> RawStretch:
-    """Cut the time in which both the command and at least one sensor are present."""
+    """Build the stretch in which the command and at least one sensor are present."""
     first = min(signal.time[0] for signal in measured.values())
     last = max(signal.time[-1] for signal in measured.values())
     clock = command.time[(command.time >= first) & (command.time <= last)]

@@ -1,4 +1,4 @@
-"""Commands that come in bursts with silence between, as while a key is pressed: their rate is no rate of the log."""
+"""Detection of commands in bursts, as from a pressed key, whose rate is not the sample rate of the log."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from diffdrive_mpc.models.logs.record import Finding, MappingChange
 from diffdrive_mpc.models.logs.sampling import Signal, usual_step
 
 _CHANNELS = {"twist": (0, 1), "yaw_rate": (1,)}
-"""Channels of the command that a sensor answers to at once."""
+"""Command channels to which each sensor responds directly."""
 
 
 class Silences(NamedTuple):
-    """The times between bursts of commands.
+    """Silences between bursts of commands.
 
     Attributes
     ----------
     start, end
-        (n,) last command before and first one after each [s].
+        (n,) times of the last command before and the first command after each silence [s].
     command
-        (n, 2) the last command before it.
+        (n, 2) last command before each silence.
     """
 
     start: FloatArray
@@ -33,39 +33,45 @@ class Silences(NamedTuple):
 
 
 def silences(command: Signal, settings: CheckSettings) -> Silences | None:
-    """Find the silences of commands that come in bursts; None for steady commands with rare pauses."""
+    """Return the silences of commands in bursts; None for steady commands with rare pauses."""
     steps = np.diff(command.time)
-    silent = np.flatnonzero(steps > settings.longest_step(usual_step([command.time])))
-    share = float(steps[silent].sum() / steps.sum()) if len(steps) else 0.0
-    if len(silent) < settings.fewest_silences or share < settings.silent_share:
+    indices = np.flatnonzero(steps > settings.longest_step(usual_step([command.time])))
+    share = float(steps[indices].sum() / steps.sum()) if len(steps) else 0.0
+    if len(indices) < settings.fewest_silences or share < settings.silent_share:
         return None
-    return Silences(command.time[silent], command.time[silent + 1], command.value[silent])
+    return Silences(command.time[indices], command.time[indices + 1], command.value[indices])
 
 
-def check_bursts(place: str, quiet: Silences, measured: Mapping[str, Signal], settings: CheckSettings) -> list[Finding]:
-    """Return a finding if the robot continues its last command while none arrives."""
-    if not _goes_on(quiet, measured, settings):
+def check_bursts(
+    place: str, silence: Silences, measured: Mapping[str, Signal], settings: CheckSettings
+) -> list[Finding]:
+    """Return a finding if the robot continues its last command during silences."""
+    if not _continues(silence, measured, settings):
         return []
-    words = (
-        f"commands come in bursts, with {len(quiet.start)} silences of {np.median(quiet.end - quiet.start):.2g} s "
-        "between that are left out, although the robot goes on with its last command"
+    message = (
+        f"commands come in bursts with {len(silence.start)} silences of {np.median(silence.end - silence.start):.2g} s "
+        "that are left out, although the robot continues its last command"
     )
-    return [Finding("silent commands", "warning", place, words, changes=(MappingChange("command", "on_change", True),))]
+    return [
+        Finding("silent commands", "warning", place, message, changes=(MappingChange("command", "on_change", True),))
+    ]
 
 
-def _goes_on(quiet: Silences, measured: Mapping[str, Signal], settings: CheckSettings) -> bool:
-    """Return True if readings late in silences follow the last command more than those of a robot that stops."""
-    answered = commanded = 0.0
+def _continues(silence: Silences, measured: Mapping[str, Signal], settings: CheckSettings) -> bool:
+    """Return True if readings in the second half of silences follow the last command, without a time-out."""
+    response = commanded = 0.0
     for name, channels in _CHANNELS.items():
         if name not in measured:
             continue
         signal = measured[name]
-        index = np.searchsorted(quiet.start, signal.time, side="right") - 1
-        late = (
-            (index >= 0) & (signal.time < quiet.end[index]) & (2 * signal.time > quiet.start[index] + quiet.end[index])
+        index = np.searchsorted(silence.start, signal.time, side="right") - 1
+        is_late = (
+            (index >= 0)
+            & (signal.time < silence.end[index])
+            & (2 * signal.time > silence.start[index] + silence.end[index])
         )
-        last = quiet.command[index[late]][:, channels]
-        scale = np.maximum(np.abs(quiet.command[:, channels]).max(axis=0), np.finfo(float).tiny)
-        answered += float((signal.value[late] * last / scale**2).sum())
+        last = silence.command[index[is_late]][:, channels]
+        scale = np.maximum(np.abs(silence.command[:, channels]).max(axis=0), np.finfo(float).tiny)
+        response += float((signal.value[is_late] * last / scale**2).sum())
         commanded += float(((last / scale) ** 2).sum())
-    return commanded > 0.0 and answered > settings.silent_answer * commanded
+    return commanded > 0.0 and response > settings.silent_answer * commanded

@@ -14,24 +14,24 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.input_file import open_input
 
 _SEPARATORS = ",;\t"
-_LONGEST_LINE, _MOST_COLUMNS = 1 << 20, 10_000
+_MAX_LINE, _MAX_COLUMNS = 1 << 20, 10_000
 _COMMA_IN_NUMBER = re.compile(r"(?<=\d),(?=\d)")
 _EXCEL = "sep="
-"""Before a separator, alone in the first line: Excel's note to itself."""
+"""Prefix of the separator in the optional first line that Excel reads and writes."""
 
 
 @dataclass(frozen=True)
 class CsvLayout:
-    """Layout of a CSV file by its first lines.
+    """Layout of a CSV file.
 
     Attributes
     ----------
     names
-        Names of the columns, without those at the end that have none.
+        Names of the columns, without trailing empty names.
     separator
-        Between two cells.
+        Separator of the cells.
     first_row
-        Line on which its rows begin, from 1.
+        Number of the line with the first row, from 1.
     """
 
     names: list[str]
@@ -39,46 +39,46 @@ class CsvLayout:
     first_row: int
 
 
-class _Recoded(io.RawIOBase):
-    """A file in UTF-16, read as UTF-8."""
+class _RecodedStream(io.RawIOBase):
+    """Raw stream that recodes a UTF-16 file to UTF-8."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._text = io.TextIOWrapper(file, encoding="utf-16", newline="")
 
     def readable(self) -> bool:
-        """Return True: the file is readable."""
+        """Return True, because the file is readable."""
         return True
 
     def readinto(self, buffer: memoryview, /) -> int:  # type: ignore[override]
-        """Fill in the fitting fields; of UTF-8 no character takes more than four bytes."""
+        """Fill the buffer with as many characters as fit, at four bytes or less per character of UTF-8."""
         block = self._text.read(len(buffer) // 4).encode()
         buffer[: len(block)] = block
         return len(block)
 
     def close(self) -> None:
-        """Close the file, too."""
+        """Close the stream and the file."""
         self._text.close()
         super().close()
 
 
 def open_csv(path: Path) -> io.BufferedReader:
-    """Open a CSV file as UTF-8, or by its byte order mark; raise ConfigError if it cannot be opened."""
+    """Open a CSV file as UTF-8, or as UTF-16 with a byte order mark; raise ConfigError if it cannot be opened."""
     try:
         file = open_input(path)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read as CSV ({error.strerror or error})") from error
     if file.peek(2)[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
-        return io.BufferedReader(_Recoded(file))
+        return io.BufferedReader(_RecodedStream(file))
     return file
 
 
 def read_layout(path: Path, file: BinaryIO) -> CsvLayout:
-    """Read up to the first row of a file from `open_csv`.
+    """Read the lines before the first row of a file from `open_csv`.
 
     Raises
     ------
     ConfigError
-        If it is no text, has too many columns, or its first line holds numbers in place of names.
+        If the file is not text, has too many columns, or its first line holds numbers instead of names.
     """
     try:
         first, first_row = rest_of_line(path, file).decode("utf-8-sig"), 2
@@ -86,13 +86,13 @@ def read_layout(path: Path, file: BinaryIO) -> CsvLayout:
         if separator in tuple(_SEPARATORS):
             first, first_row = rest_of_line(path, file).decode("utf-8"), 3
         else:
-            # A comma inside a number separates nothing, unless there is no other separator.
+            # A comma inside a number is a separator only if the line has no other separator.
             separator = max(_SEPARATORS, key=_COMMA_IN_NUMBER.sub(".", first).count)
         if "\0" in first:
-            raise ConfigError(f"{path}: cannot be read as CSV (it holds bytes that are no text)")
-        if first.count(separator) >= _MOST_COLUMNS:
+            raise ConfigError(f"{path}: cannot be read as CSV (it contains zero bytes)")
+        if first.count(separator) >= _MAX_COLUMNS:
             raise ConfigError(
-                f"{path}: {first.count(separator) + 1:,} columns, at most {_MOST_COLUMNS:,}; is it a log?"
+                f"{path}: {first.count(separator) + 1:,} columns, the limit is {_MAX_COLUMNS:,}; is it a log?"
             )
         names = [name.strip() for name in next(csv.reader([first], delimiter=separator), [])]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
@@ -108,24 +108,24 @@ def read_layout(path: Path, file: BinaryIO) -> CsvLayout:
 
 
 def plain_separator(separator: str) -> str:
-    """Convert a separator to printable text."""
+    """Return the printable name of a separator."""
     return "tab" if separator == "\t" else separator
 
 
 def _are_numbers(names: list[str], separator: str) -> bool:
-    """Return True if the names are readings; names that count the columns from 0 or 1 are names."""
-    filled = [name for name in names if name]
-    if not filled or any(filled == [str(i + start) for i in range(len(filled))] for start in (0, 1)):
+    """Return True if the names are readings; consecutive column numbers from 0 or 1 are names."""
+    non_empty = [name for name in names if name]
+    if not non_empty or any(non_empty == [str(i + start) for i in range(len(non_empty))] for start in (0, 1)):
         return False
     try:
-        return bool([float(name if separator == "," else name.replace(",", ".")) for name in filled])
+        return bool([float(name if separator == "," else name.replace(",", ".")) for name in non_empty])
     except ValueError:
         return False
 
 
 def rest_of_line(path: Path, file: BinaryIO) -> bytes:
-    """Read the rest of a line; raise ConfigError if it does not end."""
-    line = file.readline(_LONGEST_LINE)
-    if len(line) == _LONGEST_LINE:
-        raise ConfigError(f"{path}: a line of more than {_LONGEST_LINE:,} bytes; is it a log?")
+    """Read the rest of a line; raise ConfigError if it is too long."""
+    line = file.readline(_MAX_LINE)
+    if len(line) == _MAX_LINE:
+        raise ConfigError(f"{path}: a line has more than {_MAX_LINE:,} bytes; is it a log?")
     return line

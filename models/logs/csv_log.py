@@ -1,4 +1,4 @@
-"""A CSV file as a log: its columns as signals in SI units, its rows in stretches in which time runs forward."""
+"""Reader of CSV logs: columns become signals in SI units, rows are split into stretches of increasing time."""
 
 from __future__ import annotations
 
@@ -37,23 +37,23 @@ from diffdrive_mpc.models.wheels import WheelKinematics
 
 Rows = NDArray[np.intp]
 OWN_FORMAT = "simulate"
-"""The mapping of the logs that `diffdrive-mpc simulate --log` writes; they are recognised by their columns."""
+"""Mapping of logs written by `diffdrive-mpc simulate --log`, which are recognised by their columns."""
 
 
 @dataclass(frozen=True)
 class RowSignal:
-    """A signal with a value, or none, in each of the n rows of a table.
+    """A signal over the n rows of a table, with missing values.
 
     Attributes
     ----------
     time
-        (n,) times that the values are valid for [s].
+        (n,) times of the values [s].
     value
         (n, width) in SI units; NaN where the row has no reading.
     fresh
-        (n,) False where the row repeats the reading of the row before.
+        (n,) False where the row repeats the reading of the previous row.
     counts
-        Whether the values are running counts, whose rate is the signal.
+        True if the values are running counts; the signal is their rate.
     """
 
     time: FloatArray
@@ -62,25 +62,25 @@ class RowSignal:
     counts: bool = False
 
     def signal(self, rows: Rows) -> Signal:
-        """Return the readings in these rows, which must be in order of time."""
+        """Return the readings in `rows`, which must be in order of time."""
         rows = rows[self.fresh[rows] & np.isfinite(self.time[rows]) & np.isfinite(self.value[rows]).all(axis=1)]
         rows = rows[increasing(self.time[rows])]
         time, value = self.time[rows], self.value[rows]
         if self.counts:
-            # A difference of counts is the mean speed between them, so it is valid for the middle.
+            # A difference of counts yields the mean speed of the interval, valid at its centre.
             return Signal(0.5 * (time[1:] + time[:-1]), np.diff(value, axis=0) / np.diff(time)[:, None])
         return Signal(time, value)
 
 
 class RowReader:
-    """Reads columns of one table in SI units and notes the cells that are not finite.
+    """Reader of the columns of one table in SI units; records findings about cells that are not finite.
 
     Parameters
     ----------
     table
         The table.
     wheels
-        Lengths of the mapping; None where it gives none.
+        Parameters of the wheels from the mapping; None if the mapping has none.
     """
 
     def __init__(self, table: CsvTable, wheels: MappedWheels | None) -> None:
@@ -101,17 +101,17 @@ class RowReader:
         bad = np.isnan(values) & ~empty
         if bad.all():
             raise ConfigError(
-                f"{self.table.path}: column '{column.column}' holds no usable number in any row; name the right one, "
-                "or leave it out of the mapping"
+                f"{self.table.path}: column '{column.column}' holds no usable number in any row; name the right "
+                "column, or leave it out of the mapping"
             )
         if bad.any():
             place = f"{self.table.path.name}, line {ranges(self.table.lines[bad])}"
-            words = f"column '{column.column}' is not finite in {bad.sum()} rows; they are left out"
-            self.findings.append(Finding("NaN rows", "warning", place, words))
+            message = f"column '{column.column}' is not finite in {bad.sum()} rows; these rows are left out"
+            self.findings.append(Finding("NaN rows", "warning", place, message))
         return column.sign * self._factor(column) * values, bad
 
     def command(self, command: CommandColumns) -> tuple[FloatArray, FloatArray | None, BoolArray]:
-        """Return commands (n, 2) v, omega; (n, 2) left, right or None; (n,) True for commands that are not finite."""
+        """Return commands (n, 2) as v, omega; (n, 2) as left, right, or None; and (n,) True for non-finite commands."""
         names = ("v", "omega") if command.has("v") else SIDES
         values, bad = self._columns(command, names)
         if command.has("v"):
@@ -119,7 +119,7 @@ class RowReader:
         return self._twist(values, "command"), values, bad
 
     def encoders(self, encoders: EncoderColumns) -> tuple[dict[str, FloatArray], bool]:
-        """Return the fields of a record from the encoders, and True for running counts."""
+        """Return the fields of a record from the encoders, and True if they are running counts."""
         fields: dict[str, FloatArray] = {}
         if encoders.has(*FOUR_WHEELS):
             fields["wheel_speeds"] = self._columns(encoders, FOUR_WHEELS)[0]
@@ -132,15 +132,15 @@ class RowReader:
             fields["twist"] = self._twist(fields["wheels"], "encoders")
         units = {column.unit for name in (*SIDES, *FOUR_WHEELS) if (column := getattr(encoders, name)) is not None}
         if "ticks" in units and (len(units) > 1 or encoders.has("v")):
-            raise ConfigError(f"{self.table.path}: encoders: give all columns in ticks, or none")
+            raise ConfigError(f"{self.table.path}: encoders: give all columns in ticks, or no column in ticks")
         return fields, "ticks" in units
 
     def _columns(self, group: CommandColumns | EncoderColumns, names: tuple[str, ...]) -> tuple[FloatArray, BoolArray]:
         columns = [self.column(getattr(group, name)) for name in names]
         return np.column_stack([values for values, _ in columns]), np.any([bad for _, bad in columns], axis=0)
 
-    def _twist(self, sides: FloatArray, whose: str) -> FloatArray:
-        wheels = self._lengths(f"turns the wheel speeds of the {whose} into v and omega")
+    def _twist(self, sides: FloatArray, source: str) -> FloatArray:
+        wheels = self._lengths(f"to convert the wheel speeds of the {source} to v and omega")
         return WheelKinematics(*wheels).twist(np.hstack([sides, sides]))
 
     def _factor(self, column: SignalColumn) -> float:
@@ -150,21 +150,21 @@ class RowReader:
                 raise ConfigError(f"{self.table.path}: the mapping needs 'wheels.ticks_per_turn' for '{column.column}'")
             return 2.0 * np.pi / ticks
         if isinstance(column, WheelColumn) and column.unit == "m/s":
-            return 1.0 / self._lengths(f"turns the rim speed '{column.column}' into a wheel speed")[0]
+            return 1.0 / self._lengths(f"to convert the rim speed '{column.column}' to a wheel speed")[0]
         return FACTORS[column.unit]
 
     def _lengths(self, purpose: str) -> tuple[float, float]:
         """Return radius and track [m]."""
         if self.wheels is None or self.wheels.radius is None:
-            raise ConfigError(f"{self.table.path}: the mapping needs 'wheels' with radius and track [m]: it {purpose}")
+            raise ConfigError(f"{self.table.path}: the mapping needs 'wheels' with radius and track [m] {purpose}")
         return self.wheels.radius, self.wheels.track
 
 
 def fresh_rows(value: FloatArray) -> BoolArray:
-    """Mark rows (n,) of held values (n, width) with a new reading: one per period, even if it repeats.
+    """Mark rows (n,) of held values (n, width) that contain a new reading: one per period, even if it is equal.
 
-    A changed value is new. So is one that stays for a period, or, without a clear period, for longer than 95 % of the
-    readings do: a robot at rest or at one speed is read too.
+    A changed value is a new reading. A value that stays the same counts as a new reading after each period. Without a
+    clear period, the 95th percentile of the hold times replaces it. Repeated values occur at rest or constant speed.
     """
     changed = np.concatenate([[True], (np.diff(value, axis=0) != 0).any(axis=1)])
     rows = np.flatnonzero(changed)
@@ -188,8 +188,8 @@ def read_csv(path: Path, mapping: LogMapping | None) -> RawLog:
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the file or a column is missing, a cell is no number, no row has a time and a command, the mapping lacks
-        something that a unit needs, or a sensor's times are on another clock than the rows'.
+        If the file or a column is missing, a cell is not a number, no row has a time and a command, the mapping lacks
+        an entry that a unit needs, or the times of a sensor and of the rows come from different clocks.
     """
     columns, wheels = (mapping or _own_mapping(path)).columns, mapping.wheels if mapping else None
     if columns is None:
@@ -198,11 +198,11 @@ def read_csv(path: Path, mapping: LogMapping | None) -> RawLog:
     columns = columns.found_in(header)
     table = read_table(path, columns.names())
     require_columns(path, header, columns.names())
-    return log_of_table(_where(table, columns), columns, wheels)
+    return log_of_table(_selected_rows(table, columns), columns, wheels)
 
 
 def log_of_table(whole: CsvTable, columns: Columns, wheels: MappedWheels | None = None) -> RawLog:
-    """Convert the rows of a table to a log; raise as `read_csv`.
+    """Convert the rows of a table to a log; raise ConfigError as `read_csv` does.
 
     Parameters
     ----------
@@ -211,7 +211,7 @@ def log_of_table(whole: CsvTable, columns: Columns, wheels: MappedWheels | None 
     columns
         Mapping of the columns.
     wheels
-        Lengths of the mapping, where it gives some.
+        Parameters of the wheels from the mapping; None if it has none.
     """
     settings, path = check_settings(), whole.path
     table, findings = chosen_rows(whole, columns, settings)
@@ -219,19 +219,19 @@ def log_of_table(whole: CsvTable, columns: Columns, wheels: MappedWheels | None 
     del whole
     reader = RowReader(table, wheels)
     time = _times(table, columns)
-    commands, wheel_commands, broken = reader.command(columns.command)
-    always = np.ones(len(time), dtype=bool)
+    commands, wheel_commands, is_invalid = reader.command(columns.command)
+    all_rows = np.ones(len(time), dtype=bool)
     sent = time - columns.command.delay
-    command = RowSignal(sent, commands, always)
-    wheel_command = None if wheel_commands is None else RowSignal(sent, wheel_commands, always)
+    command = RowSignal(sent, commands, all_rows)
+    wheel_command = None if wheel_commands is None else RowSignal(sent, wheel_commands, all_rows)
     measured = _measured(reader, columns, time)
     findings += reader.findings
-    known = np.isfinite(time)
-    smooth = next(iter(measured.values())).value[known, -1]
-    if columns.time is not None and (odd := check_stamps(path.name, time[known], smooth, settings)):
-        refuse([odd])
+    is_timed = np.isfinite(time)
+    reference = next(iter(measured.values())).value[is_timed, -1]
+    if columns.time is not None and (finding := check_stamps(path.name, time[is_timed], reference, settings)):
+        refuse([finding])
     stretches = []
-    for rows in _forward(table, columns, time, broken, findings):
+    for rows in _split_stretches(table, columns, time, is_invalid, findings):
         signal = command.signal(rows)
         if len(signal.time):
             parts = {field: row_signal.signal(rows) for field, row_signal in measured.items()}
@@ -248,19 +248,19 @@ def _own_mapping(path: Path) -> LogMapping:
     mapping, header = load_mapping(OWN_FORMAT), read_header(path)
     assert mapping.columns is not None
     if header and not mapping.columns.found_in(header).names() <= set(header):
-        words = f"Give a mapping file, {draft_command(path)}"
-        raise ConfigError(f"{path}: which column has which signal? {words}; the columns are {', '.join(header)}")
+        remedy = f"Give a mapping file, {draft_command(path)}"
+        raise ConfigError(f"{path}: the columns {', '.join(header)} are unknown without a mapping. {remedy}")
     return mapping
 
 
-def _where(table: CsvTable, columns: Columns) -> CsvTable:
-    """Select the rows by the mapping's 'where'."""
+def _selected_rows(table: CsvTable, columns: Columns) -> CsvTable:
+    """Select the rows that satisfy 'where' of the mapping."""
     keep = np.ones(len(table.row), dtype=bool)
     for name, wanted in columns.where.items():
         values = wanted if isinstance(wanted, tuple) else (wanted,)
         keep &= np.isin(table.cells(name), [table.cell(value) for value in values])
     if not keep.any():
-        raise ConfigError(f"{table.path}: no row has {columns.where}, as 'where' in the mapping asks")
+        raise ConfigError(f"{table.path}: no row satisfies 'where' in the mapping: {columns.where}")
     return table if keep.all() else table.part(keep)
 
 
@@ -273,31 +273,31 @@ def _times(table: CsvTable, columns: Columns) -> FloatArray:
 
 
 def _seconds(table: CsvTable, time: TimeColumn) -> FloatArray:
-    """Return a column of times (n,) [s], its nanoseconds included."""
+    """Return a column of times (n,) [s], with the nanoseconds added."""
     seconds = FACTORS[time.unit] * table.numbers(time.column)[0]
     return seconds if time.nanosec is None else seconds + 1e-9 * table.numbers(time.nanosec)[0]
 
 
 def _measured(reader: RowReader, columns: Columns, time: FloatArray) -> dict[str, RowSignal]:
-    """Return the measured signals by the field of `Record`."""
+    """Return the measured signals, keyed by field of `Record`."""
     signals: dict[str, RowSignal] = {}
 
     def add(name: str, sensor: SensorColumns, values: dict[str, FloatArray], counts: bool = False) -> None:
         sensor_time = time
         if sensor.time is not None:
             sensor_time = _seconds(reader.table, sensor.time)
-            late = {"the rows": np.zeros(1), f"column '{sensor.time.column}'": time - sensor_time}
+            delays = {"the rows": np.zeros(1), f"column '{sensor.time.column}'": time - sensor_time}
             require_one_clock(
-                str(reader.table.path), late, "log both on one clock, or leave its time out of the mapping"
+                str(reader.table.path), delays, "log both on one clock, or leave its time out of the mapping"
             )
-        together = np.column_stack(list(values.values()))
-        fresh = fresh_rows(together) if sensor.held else np.ones(len(time), dtype=bool)
+        readings = np.column_stack(list(values.values()))
+        fresh = fresh_rows(readings) if sensor.held else np.ones(len(time), dtype=bool)
         if not (sensor.held or counts):
-            reader.findings += _seems_held(reader.table, name, together)
-        if name == "pose" and in_degrees(together[:, 2:]):
-            words = "the heading of the pose steps as degrees do, not radians"
+            reader.findings += _held_finding(reader.table, name, readings)
+        if name == "pose" and in_degrees(readings[:, 2:]):
+            message = "the steps of the pose's heading are those of degrees, not radians"
             remedy = (MappingChange("pose", "theta.unit", "deg"),)
-            reader.findings.append(Finding("wrong unit", "error", reader.table.path.name, words, changes=remedy))
+            reader.findings.append(Finding("wrong unit", "error", reader.table.path.name, message, changes=remedy))
             value = values["pose"] * [1.0, 1.0, FACTORS["deg"]]
             values = {"pose": value}
         for field, value in values.items():
@@ -327,45 +327,45 @@ def motor_fields(currents: FloatArray) -> dict[str, FloatArray]:
     return {"motor_current": currents[:, :2] + currents[:, 2:], "motor_currents": currents}
 
 
-def _seems_held(table: CsvTable, sensor: str, readings: FloatArray) -> list[Finding]:
-    """Return a finding if rows clearly repeat the readings (n, width) of others for a period."""
+def _held_finding(table: CsvTable, sensor: str, readings: FloatArray) -> list[Finding]:
+    """Return a finding if rows clearly hold each of the readings (n, width) for a period."""
     period = hold_period(readings, check_settings())
     if period is None or period == 1:
         return []
-    words = (
-        f"the readings of the {sensor} change only every {period} rows or a multiple of it: they are held from row to "
-        "row"
+    message = (
+        f"the readings of the {sensor} change only every {period} rows or a multiple of that: rows repeat the last "
+        "reading"
     )
     change = MappingChange(sensor, "held", True)
-    return [Finding("held readings", "note", table.path.name, words, changes=(change,))]
+    return [Finding("held readings", "note", table.path.name, message, changes=(change,))]
 
 
-def _forward(
-    table: CsvTable, columns: Columns, time: FloatArray, broken: BoolArray, findings: list[Finding]
+def _split_stretches(
+    table: CsvTable, columns: Columns, time: FloatArray, is_invalid: BoolArray, findings: list[Finding]
 ) -> list[Rows]:
-    """Split the rows into parts of one segment in which time increases and every command is known."""
+    """Split the rows into parts of one segment with increasing times and finite commands."""
     where = f"{table.path.name}, line "
     if np.isnan(time).any():
         lines = ranges(table.lines[np.isnan(time)])
-        findings.append(Finding("NaN rows", "warning", where + lines, "the row has no time; it is left out"))
+        findings.append(Finding("NaN rows", "warning", where + lines, "the row has no time and is left out"))
     rows = np.flatnonzero(np.isfinite(time))
     steps = np.diff(time[rows])
-    again = rows[1:][steps == 0]
-    if len(again):
-        words = f"{len(again)} rows have the time of the row before; the last of each counts"
-        findings.append(Finding("time stands still", "warning", where + ranges(table.lines[again]), words))
-    cut = steps < 0
-    for row, step in zip(rows[1:][cut], steps[cut], strict=True):
-        words = f"time goes backwards by {-step:.3f} s, to {time[row]:.3f} s; a new stretch begins"
-        findings.append(Finding("time backwards", "warning", f"{where}{table.lines[row]}", words))
+    repeated = rows[1:][steps == 0]
+    if len(repeated):
+        message = f"{len(repeated)} rows have the time of the row before; the last row of each time is used"
+        findings.append(Finding("time stands still", "warning", where + ranges(table.lines[repeated]), message))
+    is_cut = steps < 0
+    for row, step in zip(rows[1:][is_cut], steps[is_cut], strict=True):
+        message = f"time goes backwards by {-step:.3f} s, to {time[row]:.3f} s; a new stretch starts"
+        findings.append(Finding("time backwards", "warning", f"{where}{table.lines[row]}", message))
     if columns.segment is not None:
         segment = table.cells(columns.segment)[rows]
-        cut |= segment[1:] != segment[:-1]
+        is_cut |= segment[1:] != segment[:-1]
     if table.row[-1] - table.row[0] >= len(table.row):
         steps_of_rows = np.diff(table.row)
-        left_out = np.concatenate([[False], steps_of_rows > np.median(steps_of_rows)])
-        cut |= np.diff(np.cumsum(left_out)[rows]) > 0
-    cut |= broken[rows[1:]]
-    parts = np.split(rows, np.flatnonzero(cut) + 1)
-    parts = [part[~broken[part]] for part in parts]
+        is_after_omission = np.concatenate([[False], steps_of_rows > np.median(steps_of_rows)])
+        is_cut |= np.diff(np.cumsum(is_after_omission)[rows]) > 0
+    is_cut |= is_invalid[rows[1:]]
+    parts = np.split(rows, np.flatnonzero(is_cut) + 1)
+    parts = [part[~is_invalid[part]] for part in parts]
     return [part[np.append(np.diff(time[part]) > 0, True)] for part in parts if len(part)]

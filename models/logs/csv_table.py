@@ -1,4 +1,4 @@
-"""The columns of a CSV file that a mapping names, as numbers, read block by block; every fault is named by its line."""
+"""Block-by-block reader of the mapped columns of a CSV file as numbers; errors name the line."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from diffdrive_mpc.models.logs.csv_layout import open_csv, read_layout, rest_of_
 from diffdrive_mpc.models.logs.record import BoolArray, Finding
 from diffdrive_mpc.models.table import plain_line
 
-# A row of numbers that grows while a long log is read, with hardly more memory than it takes in the end.
+# Growing array of numbers for long logs; its peak memory is little more than its final size.
 
 
 _Scalar = TypeVar("_Scalar", bound=np.generic)
-_ROOM = 8
-"""Room for the eighth part more is made at a time, so that copying stays rare."""
+_GROWTH = 8
+"""Divisor of the size by which the array grows at a time, so that it is rarely copied."""
 
 
 class Growing(Generic[_Scalar]):
-    """Values of one kind, in the order in which they came.
+    """Growing array of values of one type.
 
     Parameters
     ----------
     dtype
-        Kind of the values.
+        Type of the values.
     zeros
-        Zeros to begin with.
+        Number of initial zeros.
     """
 
     def __init__(self, dtype: type[_Scalar], zeros: int = 0) -> None:
@@ -47,37 +47,37 @@ class Growing(Generic[_Scalar]):
         self._count = zeros
 
     def __len__(self) -> int:
-        """Count the rows so far."""
+        """Return the number of values."""
         return self._count
 
     def extend(self, block: NDArray[_Scalar]) -> None:
-        """Append a block."""
+        """Append a block of values."""
         end = self._count + len(block)
         if end > len(self._values):
-            # Memory pages are moved if possible, without a second copy.
-            self._values.resize(end + end // _ROOM, refcheck=False)
+            # resize moves memory pages if possible and avoids a second copy.
+            self._values.resize(end + end // _GROWTH, refcheck=False)
         self._values[self._count : end] = block
         self._count = end
 
     def array(self) -> NDArray[_Scalar]:
-        """Return all values, (n,), and accept no more."""
+        """Return all values (n,); do not extend afterwards."""
         self._values.resize(self._count, refcheck=False)
         return self._values
 
 
 _BLOCK = 1 << 24
-"""Bytes that are parsed at a time."""
-# Characters of a cell that is no number.
-_SHOWN = 60
+"""Number of bytes parsed at a time."""
+# Maximum number of characters of an invalid cell in a message.
+_MAX_CELL = 60
 _MISSING = frozenset(("na", "n/a", "#n/a", "#na", "null", "none", "missing", "-", "--"))
-"""Words, in lower case, with the meaning of an empty cell: no reading. NaN is a number, and marks a failed reading."""
+"""Words in lower case that mean a missing reading, as an empty cell does. NaN is a number: a failed reading."""
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 
 
 @dataclass
 class CsvTable:
-    """Columns of a CSV file with a header in its first line.
+    """Columns of a CSV file with a header line.
 
     Attributes
     ----------
@@ -86,15 +86,15 @@ class CsvTable:
     header
         Names of all its columns.
     row, lines
-        (n,) number of each row in the file, from 0, and its line.
+        (n,) index of each row in the file, from 0, and its line number.
     values
-        (n,) cells of each column that was read; a word is represented by a number below `_WORDS`.
+        (n,) cells of each column that was read; numbers at or below `_FIRST_WORD` represent words.
     empty
-        (n,) True for empty cells; only of columns that have any.
+        (n,) True for empty cells; only for columns with empty cells.
     words
-        The words, by their number.
+        Number that represents each word.
     findings
-        Findings about the file as a table.
+        Findings from parsing the file.
     """
 
     path: Path
@@ -112,40 +112,44 @@ class CsvTable:
         Raises
         ------
         ConfigError
-            If there is no such column, or a cell holds something else than a number.
+            If there is no such column, or a cell is not a number.
         """
         values = self.cells(name)
         empty = self.empty.get(name, np.zeros(len(values), dtype=bool))
-        wrong = np.isin(values, list(self.words.values())) if self.words else np.zeros(len(values), dtype=bool)
-        if wrong.any():
-            absent = np.isin(values, [number for word, number in self.words.items() if word.lower() in _MISSING])
-            values, empty, wrong = np.where(absent, np.nan, values), empty | absent, wrong & ~absent
-        if wrong.any():
-            index = int(np.argmax(wrong))
+        is_invalid = np.isin(values, list(self.words.values())) if self.words else np.zeros(len(values), dtype=bool)
+        if is_invalid.any():
+            is_missing = np.isin(values, [number for word, number in self.words.items() if word.lower() in _MISSING])
+            values, empty, is_invalid = (
+                np.where(is_missing, np.nan, values),
+                empty | is_missing,
+                is_invalid & ~is_missing,
+            )
+        if is_invalid.any():
+            index = int(np.argmax(is_invalid))
             cell = next(word for word, number in self.words.items() if number == values[index])
-            remedy = "leave the cell empty where a reading is missing"
+            remedy = "leave the cell empty if a reading is missing"
             if _DECIMAL_COMMA.fullmatch(cell):
                 remedy = "write decimals with a point, or with a comma throughout and semicolons between the cells"
             raise ConfigError(
-                f"{self.path}, line {self.lines[index]}, column '{name}': '{plain_line(cell, _SHOWN)}' is no number; "
-                f"{remedy}"
+                f"{self.path}, line {self.lines[index]}, column '{name}': '{plain_line(cell, _MAX_CELL)}' is not a "
+                f"number; {remedy}"
             )
         return np.where(np.isfinite(values), values, np.nan), empty
 
     def cells(self, name: str) -> FloatArray:
-        """Return the cells (n,) of a column, with words as their numbers; raise ConfigError without such a column."""
+        """Return the cells (n,) of a column, words as numbers; raise ConfigError if the column is missing."""
         require_columns(self.path, self.header, [name])
         return self.values[name]
 
     def cell(self, text: str | float) -> float:
-        """Return the number of a text in `cells`: its own, or that of the word; NaN if no cell holds it."""
+        """Return the value that represents a number or word in `cells`; NaN if no cell holds the word."""
         try:
-            return _plain(str(text))
+            return _parse_number(str(text))
         except ValueError:
             return self.words.get(str(text).strip(), float("nan"))
 
     def part(self, rows: NDArray[np.intp] | BoolArray) -> CsvTable:
-        """Return the table of some rows."""
+        """Return a table with the selected rows."""
         values = {name: cells[rows] for name, cells in self.values.items()}
         empty = {name: cells[rows] for name, cells in self.empty.items()}
         return CsvTable(
@@ -153,18 +157,18 @@ class CsvTable:
         )
 
 
-_WORDS = -1e300
-"""Words in a column of words are numbered downwards from here."""
+_FIRST_WORD = -1e300
+"""Number of the first word; further words have smaller numbers."""
 
 
 def read_header(path: Path) -> list[str]:
-    """Read the names of the columns; raise ConfigError as `read_table`."""
+    """Read the names of the columns; raise ConfigError as `read_table` does."""
     with open_csv(path) as file:
         return read_layout(path, file).names
 
 
 def require_columns(path: Path, header: Sequence[str], names: Collection[str]) -> None:
-    """Raise ConfigError with all of the columns `names` that are not in the header, and the nearest to each."""
+    """Raise ConfigError with all of `names` that are not in the header, and a similar name for each."""
     sentences = []
     for name in sorted(set(names) - set(header)):
         near = difflib.get_close_matches(name, header, n=1, cutoff=0.5)
@@ -175,17 +179,16 @@ def require_columns(path: Path, header: Sequence[str], names: Collection[str]) -
 
 
 def read_table(path: Path, names: Collection[str]) -> CsvTable:
-    """Read columns of a CSV file; its separator is a comma, a semicolon or a tab.
+    """Read columns of a CSV file with comma, semicolon or tab as separator.
 
-    If it is no comma, decimals may use one.
-
-    Memory holds one block of text at a time, eight bytes for each cell of the columns named, and as much again for two.
+    Files with semicolons or tabs may have decimal commas. Memory holds one block of text, eight bytes for each cell of
+    the columns `names`, and temporary copies of two columns.
 
     Raises
     ------
     ConfigError
-        If the file cannot be read, is empty, names a column twice, or a line has too few or too many cells. Only the
-        last line may be cut off: it is left out, with a finding.
+        If the file cannot be read or is empty, a column name occurs twice, or a line has too few or too many cells.
+        A truncated last line is left out, with a finding.
     """
     lines: Growing[np.int64] = Growing(np.int64)
     words: dict[str, float] = {}
@@ -193,18 +196,20 @@ def read_table(path: Path, names: Collection[str]) -> CsvTable:
     with open_csv(path) as file:
         layout = read_layout(path, file)
         header, separator = layout.names, layout.separator
-        twice, count = Counter(filter(None, header)).most_common(1)[0] if any(header) else ("", 0)
+        duplicate, count = Counter(filter(None, header)).most_common(1)[0] if any(header) else ("", 0)
         if count > 1:
-            raise ConfigError(f"{path}: column '{twice}' is there twice; rename one")
+            raise ConfigError(f"{path}: column '{duplicate}' occurs twice; rename one")
         wanted = list(dict.fromkeys(name for name in header if name in names))
         values: dict[str, Growing[np.float64]] = {name: Growing(np.float64) for name in wanted}
         missing: dict[str, Growing[np.bool_]] = {}
         line = layout.first_row
         try:
             for text, last in _blocks(path, file):
-                parsed = _quick(text, separator, header, wanted)
+                parsed = _parse_quickly(text, separator, header, wanted)
                 if parsed is None:
-                    parsed = _careful(path, text, separator, header, wanted, line, words, findings if last else None)
+                    parsed = _parse_cells(
+                        path, text, separator, header, wanted, line, words, findings if last else None
+                    )
                 parsed_cells, empty, numbers = parsed
                 for name in wanted:
                     values[name].extend(parsed_cells[name])
@@ -217,7 +222,7 @@ def read_table(path: Path, names: Collection[str]) -> CsvTable:
         except (OSError, UnicodeDecodeError, csv.Error) as error:
             raise ConfigError(f"{path}: cannot be read as CSV ({getattr(error, 'strerror', None) or error})") from error
     if not len(lines):
-        raise ConfigError(f"{path}: no rows; a log has a header line and a row of numbers per sample")
+        raise ConfigError(f"{path}: the file has no rows; a log has a header line and a row of numbers per sample")
     cells = {name: column.array() for name, column in values.items()}
     empty_cells = {name: column.array() for name, column in missing.items()}
     return CsvTable(path, header, np.arange(len(lines)), lines.array(), cells, empty_cells, words, tuple(findings))
@@ -236,8 +241,8 @@ def _blocks(path: Path, file: BinaryIO) -> Iterator[tuple[str, bool]]:
 _Parsed = tuple[dict[str, FloatArray], dict[str, BoolArray], NDArray[np.int64]]
 
 
-def _quick(text: str, separator: str, header: list[str], wanted: list[str]) -> _Parsed | None:
-    """Parse a block of numbers and empty cells; None for anything else, such as quotes, words, shorter lines."""
+def _parse_quickly(text: str, separator: str, header: list[str], wanted: list[str]) -> _Parsed | None:
+    """Parse a block of numbers and empty cells; return None if it has quotes, words or short lines."""
     count = text.count("\n") + (not text.endswith("\n"))
     if '"' in text or "\n\n" in text or not wanted or not _is_even(text, separator, len(header), count):
         return None
@@ -245,8 +250,8 @@ def _quick(text: str, separator: str, header: list[str], wanted: list[str]) -> _
         if "." in text:
             return None
         text = text.replace(",", ".")
-    filled = _filled(text, separator)
-    # Other text in such a block must be an empty cell.
+    filled = _fill_empty_cells(text, separator)
+    # With filled cells, NaN must mean an empty cell only.
     if filled is not text and "nan" in text.lower():
         return None
     columns = [header.index(name) for name in wanted]
@@ -263,28 +268,28 @@ def _quick(text: str, separator: str, header: list[str], wanted: list[str]) -> _
 
 
 def _is_even(text: str, separator: str, columns: int, count: int) -> bool:
-    """Return True if `count` lines have one cell per column, apart from equal numbers of empty ones."""
-    tail, left = divmod(text.count(separator) - count * (columns - 1), count)
-    if tail <= 0 or left:
-        return tail == left == 0
+    """Return True if each of `count` lines has one cell per column; equal numbers of empty cells may follow."""
+    tail, remainder = divmod(text.count(separator) - count * (columns - 1), count)
+    if tail <= 0 or remainder:
+        return tail == remainder == 0
     end = tail * separator
     return text.count(f"{end}\n") + text.endswith(end) == count
 
 
-def _filled(text: str, separator: str) -> str:
+def _fill_empty_cells(text: str, separator: str) -> str:
     """Fill empty cells of the text with "nan"."""
-    twice, first, last = 2 * separator, f"\n{separator}", f"{separator}\n"
-    if not (twice in text or first in text or last in text or text[0] == separator or text[-1] == separator):
+    duplicate, first, last = 2 * separator, f"\n{separator}", f"{separator}\n"
+    if not (duplicate in text or first in text or last in text or text[0] == separator or text[-1] == separator):
         return text
-    # Twice, as the cells of one replacement share a separator with the next.
+    # Replace twice, because adjacent empty cells share a separator.
     for _ in range(2):
-        text = text.replace(twice, f"{separator}nan{separator}")
+        text = text.replace(duplicate, f"{separator}nan{separator}")
     text = text.replace(last, f"{separator}nan\n").replace(first, f"\nnan{separator}")
     text = f"nan{text}" if text[0] == separator else text
     return f"{text}nan" if text[-1] == separator else text
 
 
-def _careful(
+def _parse_cells(
     path: Path,
     text: str,
     separator: str,
@@ -294,18 +299,18 @@ def _careful(
     words: dict[str, float],
     findings: list[Finding] | None,
 ) -> _Parsed:
-    """Parse a block cell by cell, its first on `line`; `findings` belong to the last block, which may be cut off."""
+    """Parse a block that starts at `line` by cells; `findings` is set for the last block, which may be truncated."""
     reader = csv.reader(io.StringIO(text), delimiter=separator)
     numbered = [(reader.line_num - 1, row) for row in reader if row]
     if findings is not None and numbered and len(numbered[-1][1]) < len(header):
         place = f"{path.name}, line {line + numbered[-1][0]}"
-        findings.append(Finding("incomplete line", "note", place, "cut off; it is left out"))
+        findings.append(Finding("incomplete line", "note", place, "the line is truncated and left out"))
         numbered.pop()
     for offset, row in numbered:
         if len(row) < len(header) or any(row[len(header) :]):
             hint = ""
             if separator == "," and all(cell.strip().lstrip("+-").isdigit() for cell in row):
-                hint = "; where decimals are written with a comma, put semicolons between the cells"
+                hint = "; if decimals have a comma, put semicolons between the cells"
             raise ConfigError(
                 f"{path}, line {line + offset}: {len(row)} cells, expected {len(header)} as in the header{hint}"
             )
@@ -321,9 +326,9 @@ def _careful(
 
 
 def as_numbers(cells: list[str], words: dict[str, float], *, decimal_comma: bool = False) -> FloatArray:
-    """Convert cells (n,) to numbers, NaN for empty ones; add other texts to `words`.
+    """Convert cells (n,) to numbers, with NaN for empty cells; add other texts to `words`.
 
-    With `decimal_comma` a comma may be the decimal point of a column without points.
+    If `decimal_comma`, a column without points may have decimal commas.
     """
     texts = cells
     if decimal_comma and not any("." in cell for cell in cells):
@@ -334,8 +339,8 @@ def as_numbers(cells: list[str], words: dict[str, float], *, decimal_comma: bool
         return np.array([_number(text, cell, words) for text, cell in zip(texts, cells, strict=True)])
 
 
-def _plain(text: str) -> float:
-    """Return a number, or seconds since 1970 of a date and time in ISO 8601, in UTC if it names no zone."""
+def _parse_number(text: str) -> float:
+    """Parse a number, or a date and time in ISO 8601 (UTC by default) as seconds since 1970."""
     try:
         return float(text)
     except ValueError:
@@ -347,11 +352,12 @@ def _plain(text: str) -> float:
 
 def _number(text: str, cell: str, words: dict[str, float]) -> float:
     try:
-        return _plain(text or "nan")
+        return _parse_number(text or "nan")
     except ValueError:
         if len(words) >= file_limits().csv_words and cell not in words:
             raise ConfigError(
-                f"a cell holds '{plain_line(cell, _SHOWN)}', after {len(words):,} other words; name columns of numbers"
+                f"a cell holds '{plain_line(cell, _MAX_CELL)}', after {len(words):,} other words; name columns of "
+                "numbers"
             ) from None
-        # Doubles near the largest are far apart: each word is a power of two further down.
-        return words.setdefault(cell, _WORDS * (1 + len(words) / 1e6))
+        # Doubles of this size are widely spaced; a step of 1e294 separates the words.
+        return words.setdefault(cell, _FIRST_WORD * (1 + len(words) / 1e6))

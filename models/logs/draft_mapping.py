@@ -1,4 +1,4 @@
-"""A first mapping of an unknown log: guesses from names and values, each with its reason, to be corrected by hand."""
+"""Draft of a mapping for an unknown log: guesses from names and values with reasons, for correction by hand."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from diffdrive_mpc.models.table import plain_line
 
 
 class _Table(StrictModel):
-    """Table of words and plausible ranges of values, see `draft_words.yaml`."""
+    """Words and plausible ranges of values; see `draft_words.yaml`."""
 
     sources: dict[str, str]
     quantities: dict[str, str]
@@ -56,16 +56,16 @@ def _table() -> _Table:
     return load_checked(_Table, Path(__file__).with_name("draft_words.yaml"))
 
 
-def _shared(words: set[str], known: str) -> set[str]:
+def _common_words(words: set[str], known: str) -> set[str]:
     return words & set(known.split())
 
 
 _TWIST = ("v", "omega")
 _NANOSECONDS = re.compile("nano|nsec")
-_STEADY = 0.5
-"""Steps of a column of times differ by at most this share of the usual one."""
+_MAX_STEP_SPREAD = 0.5
+"""Maximum range of the steps of a column of times, as a share of their median."""
 _WHEELS = (*SIDES, *FOUR_WHEELS)
-_FITTING: dict[str, tuple[str, ...]] = {
+_UNITS: dict[str, tuple[str, ...]] = {
     "time": get_args(TimeUnit),
     "v": get_args(SpeedUnit),
     "omega": get_args(RateUnit),
@@ -78,7 +78,7 @@ _FITTING: dict[str, tuple[str, ...]] = {
 
 @dataclass
 class _Column:
-    """Column with the meaning of its name: quantity, and source and unit ("" where not named)."""
+    """Column with quantity, source and unit as inferred from its name; source and unit are "" if unknown."""
 
     name: str
     quantity: str
@@ -91,14 +91,14 @@ class _Column:
     def entry(self) -> str:
         """Format the column for the mapping, with the reasons as a comment."""
         fields = {"column": self.name, "unit": self.unit} | ({"nanosec": self.nanosec} if self.nanosec else {})
-        return f"{_flow(fields)}    # {plain_line('; '.join(self.reasons))}"
+        return f"{_format_flow(fields)}    # {plain_line('; '.join(self.reasons))}"
 
 
-_Used = dict[str, dict[str, _Column]]
+_Assignment = dict[str, dict[str, _Column]]
 
 
 def draft_mapping(log: Path) -> str:
-    """Guess the text of a mapping file for a CSV log or a bag.
+    """Draft the text of a mapping file for a CSV log or a bag.
 
     Raises
     ------
@@ -107,60 +107,60 @@ def draft_mapping(log: Path) -> str:
     """
     if not log.exists():
         raise ConfigError(f"{log}: there is no such file or folder")
-    lines = _draft_of_bag(log) if is_bag(log) else _draft_of_table(log)
-    source = _flow({"source": f"{log.name}, drafted from names and values"})[1:-1]
+    lines = _draft_from_bag(log) if is_bag(log) else _draft_from_table(log)
+    source = _format_flow({"source": f"{log.name}, drafted from names and values"})[1:-1]
     return "\n".join(["# Guesses, each with its reason: correct them, then delete this line.", source, *lines, ""])
 
 
-def _flow(value: object) -> str:
+def _format_flow(value: object) -> str:
     return yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=1_000_000).strip()
 
 
-def _draft_of_table(log: Path) -> list[str]:
+def _draft_from_table(log: Path) -> list[str]:
     table = read_table(log, read_header(log))
     columns = [column for name in table.header if (column := _column(table, name)) is not None]
-    times = {column.source: column for column in reversed(columns) if column.quantity == "time" and _runs(column)}
+    times = {
+        column.source: column for column in reversed(columns) if column.quantity == "time" and _is_increasing(column)
+    }
     parts = {bool(_NANOSECONDS.search(part.name.lower())): part for part in columns if part.quantity == "time"}
     if len(parts) == len({True, False}) and 0.0 <= np.nanmax(parts[True].values) < 1e9:
-        reasons = [f"'{parts[True].name}' beside it holds the nanoseconds"]
+        reasons = [f"column '{parts[True].name}' holds the nanoseconds"]
         times = {"": replace(parts[False], unit="s", nanosec=parts[True].name, reasons=reasons)}
-    used = _roles([column for column in columns if column.quantity != "time"])
-    time = times.pop("", None) or (times.pop(next(iter(times))) if times else _steady(table))
-    lines = [*_wheels(used), "columns:"]
+    used = _assign_roles([column for column in columns if column.quantity != "time"])
+    time = times.pop("", None) or (times.pop(next(iter(times))) if times else _evenly_spaced_column(table))
+    lines = [*_format_wheels(used), "columns:"]
     if time is None:
-        lines.append(
-            "  sample_time:    # fill in the time between rows [s]: no column that only rises is named as a time"
-        )
+        lines.append("  sample_time:    # fill in the time between rows [s]: no increasing column is named as a time")
     else:
         lines.append(f"  time: {time.entry()}")
     for role, fields in used.items():
         if not fields:
-            lines.append(f"  # {role}: no whole group of columns{', but it is needed' if role == 'command' else ''}")
+            lines.append(f"  # {role}: no complete group of columns{', but it is needed' if role == 'command' else ''}")
             continue
         lines += [f"  {role}:", *(f"    {field}: {column.entry()}" for field, column in fields.items())]
         if role in times:
             lines.append(f"    time: {times[role].entry()}")
     text = "\n".join(lines)
-    used_names = {name for name in table.header if re.search(rf": {re.escape(_flow([name])[1:-1])}[,}}]", text)}
-    return [*lines, *_not_used(name for name in table.header if name not in used_names)]
+    used_names = {name for name in table.header if re.search(rf": {re.escape(_format_flow([name])[1:-1])}[,}}]", text)}
+    return [*lines, *_format_unused(name for name in table.header if name not in used_names)]
 
 
-def _wheels(used: _Used) -> list[str]:
-    """Format the lengths to be filled in, if the mapping needs them."""
+def _format_wheels(used: _Assignment) -> list[str]:
+    """Format the entry of the wheels for the user to fill in; return an empty list if the mapping does not need it."""
     units = {column.unit for fields in used.values() for column in fields.values() if column.quantity in _WHEELS}
     sides_alone = bool(units) and not ("v" in used["command"] and used["encoders"].keys() >= {"v"})
     if not (sides_alone or units & {"ticks", "ticks/s", "m/s"}):
         return []
     ticks = ", ticks_per_turn: " if units & {"ticks", "ticks/s"} else ""
-    return [f"wheels: {{radius: , track: {ticks}}}    # fill in, radius and track in m: speeds of wheels need them"]
+    return [f"wheels: {{radius: , track: {ticks}}}    # fill in, radius and track in m: needed for speeds of wheels"]
 
 
-def _not_used(names: Iterable[str]) -> list[str]:
+def _format_unused(names: Iterable[str]) -> list[str]:
     return [f"# Not used: {plain_line(', '.join(names)) or 'none'}"]
 
 
 def _column(table: CsvTable, name: str) -> _Column | None:
-    """Interpret the name of a column; None without a use in a mapping, or if a cell is no number."""
+    """Interpret the name of a column; return None if a mapping cannot use it or a cell is not a number."""
     text = re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower().rstrip(" ])")
     known, unit, reasons = _table(), "", []
     for candidate, pattern in known.units.items():
@@ -171,16 +171,17 @@ def _column(table: CsvTable, name: str) -> _Column | None:
     words = set(re.findall("[a-z]+", text))
     if words & {"front", "rear", "back"} and (side := words & {"left", "right"}):
         words = {*words, ("front" if "front" in words else "rear") + side.pop()}
-    if _shared(words, known.ignored):
+    if _common_words(words, known.ignored):
         return None
-    quantity = next((key for key, meaning in known.quantities.items() if _shared(words, meaning)), "")
-    if _shared(words, known.quantities["theta"]) and _shared(words, known.rates):
+    quantity = next((key for key, meaning in known.quantities.items() if _common_words(words, meaning)), "")
+    if _common_words(words, known.quantities["theta"]) and _common_words(words, known.rates):
         quantity = "omega"
     sideways = {"v": {"y", "z"}, "omega": {"x", "y"}}.get(quantity, set())
     if not quantity or words & sideways:
         return None
     source, word = next(
-        ((key, min(shared)) for key, meaning in known.sources.items() if (shared := _shared(words, meaning))), ("", "")
+        ((key, min(shared)) for key, meaning in known.sources.items() if (shared := _common_words(words, meaning))),
+        ("", ""),
     )
     if not source and unit in ("ticks", "ticks/s"):
         source = "encoders"
@@ -190,7 +191,7 @@ def _column(table: CsvTable, name: str) -> _Column | None:
         return None
     if np.isfinite(values).sum() < 2:
         return None
-    column = _Column(name, quantity, source, unit if unit in _FITTING[quantity] else "", values, reasons)
+    column = _Column(name, quantity, source, unit if unit in _UNITS[quantity] else "", values, reasons)
     if word:
         column.reasons.insert(0, f"'{word}' in its name")
     _guess_unit(column)
@@ -198,25 +199,25 @@ def _column(table: CsvTable, name: str) -> _Column | None:
 
 
 def _guess_unit(column: _Column) -> None:
-    """Fill in a missing unit by the range of the values, with the reason."""
+    """Infer a missing unit from the range of the values, and add the reason."""
     values = column.values[np.isfinite(column.values)]
     largest = float(np.percentile(np.abs(values), 99))
     if column.quantity == "time":
         steps, (low, high) = np.diff(values), check_settings().sample_times
         step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-        epochs = [unit for unit, least in reversed(_table().epochs.items()) if values[0] >= least][:1]
+        epochs = [unit for unit, minimum in reversed(_table().epochs.items()) if values[0] >= minimum][:1]
         candidates = [*epochs, *([column.unit] if column.unit else []), *_table().epochs]
         column.unit = next((unit for unit in candidates if low <= step * FACTORS[unit] <= high), column.unit or "s")
-        since = ", since 1970" if epochs == [column.unit] else ""
-        column.reasons.append(f"steps by {step:.6g}, {step * FACTORS[column.unit]:.3g} s in this unit{since}")
+        epoch = ", since 1970" if epochs == [column.unit] else ""
+        column.reasons.append(f"steps by {step:.6g}, {step * FACTORS[column.unit]:.3g} s in this unit{epoch}")
     elif not column.unit:
         unit, (limit, alternative) = (
-            _FITTING[column.quantity][0],
+            _UNITS[column.quantity][0],
             _table().largest.get("wheel" if column.quantity in _WHEELS else column.quantity, (np.inf, "")),
         )
         if column.quantity == "theta":
             unit = "deg" if largest > 2 * np.pi and in_degrees(values) else unit
-        elif column.quantity in _WHEELS and _counts(values):
+        elif column.quantity in _WHEELS and _are_counts(values):
             unit = "ticks"
         elif (np.ptp(values) if column.quantity in ("x", "y") else largest) > limit:
             unit = alternative
@@ -224,45 +225,49 @@ def _guess_unit(column: _Column) -> None:
         column.reasons.append(f"no unit in its name, but values up to {largest:.3g}")
 
 
-def _counts(values: FloatArray) -> bool:
-    """Return True if values (n,) are increasing whole numbers, like counts of an encoder."""
+def _are_counts(values: FloatArray) -> bool:
+    """Return True if values (n,) are whole numbers that run up or down over a wide range, like encoder counts."""
     typical = float(np.mean(np.abs(np.diff(values))))
     return bool((values == np.round(values)).all()) and float(np.ptp(values)) > 20 * max(typical, 1.0)
 
 
-def _runs(column: _Column) -> bool:
-    """Return True if the values never fall and mostly rise, like times."""
+def _is_increasing(column: _Column) -> bool:
+    """Return True if the values never decrease and often increase, like times."""
     steps = np.diff(column.values[np.isfinite(column.values)])
     return bool((steps >= 0).all() and np.mean(steps > 0) > 0.05)
 
 
-def _steady(table: CsvTable) -> _Column | None:
-    """Find the first column that rises in equal steps, like times of any name; None without one."""
-    taken = {"command", "encoders", "gyro", "pose"}
+def _evenly_spaced_column(table: CsvTable) -> _Column | None:
+    """Return the first column that increases in nearly equal steps, like times; None if there is no such column."""
+    sources = {"command", "encoders", "gyro", "pose"}
     for name in table.header:
         column = _column(table, name)
-        if column and (column.quantity in _WHEELS or column.source in taken):
+        if column and (column.quantity in _WHEELS or column.source in sources):
             continue
         try:
             values = table.numbers(name)[0]
         except ConfigError:
             continue
         steps = np.diff(values)
-        # Steps of exactly 1 are those of a row counter.
-        if bool((steps > 0).all()) and bool((steps != 1).any()) and np.ptp(steps) < _STEADY * float(np.median(steps)):
+        # Steps of exactly 1 indicate a row counter.
+        if (
+            bool((steps > 0).all())
+            and bool((steps != 1).any())
+            and np.ptp(steps) < _MAX_STEP_SPREAD * float(np.median(steps))
+        ):
             unit = column.unit if column and column.quantity == "time" else ""
-            time = _Column(name, "time", "", unit, values, ["not named as a time, but it rises by steps of one size"])
+            time = _Column(name, "time", "", unit, values, ["not named as a time, but it increases in equal steps"])
             _guess_unit(time)
             return time
     return None
 
 
-def _roles(columns: list[_Column]) -> _Used:
-    """Assign columns to roles and fields; leave out incomplete groups."""
+def _assign_roles(columns: list[_Column]) -> _Assignment:
+    """Assign columns to roles and fields, without incomplete groups."""
     commanded = {column.quantity for column in columns if column.source == "command"}
     quantities = {column.quantity for column in columns if column.source in ("", "command", "encoders")}
     is_twist = commanded.issuperset(_TWIST) or (quantities.issuperset(_TWIST) and not commanded.issuperset(SIDES))
-    used: _Used = {"command": {}, "encoders": {}, "gyro": {}, "pose": {}}
+    used: _Assignment = {"command": {}, "encoders": {}, "gyro": {}, "pose": {}}
     for quantity in (*_TWIST, *_WHEELS):
         alike = [
             column for column in columns if column.quantity == quantity and column.source in ("", "command", "encoders")
@@ -270,22 +275,24 @@ def _roles(columns: list[_Column]) -> _Used:
         command, measured = _command_and_measured(alike, quantity in (_TWIST if is_twist else SIDES))
         used["command"] |= {quantity: command} if command else {}
         used["encoders"] |= {quantity: measured} if measured else {}
-    used["gyro"] = _named(columns, ("gyro",), {"yaw_rate": "omega"})
-    sources, places = ("pose", ""), {"x": "x", "y": "y"}
-    used["pose"] = _named(columns, sources, {**places, "theta": "theta"}) or _named(columns, sources, places)
+    used["gyro"] = _select_columns(columns, ("gyro",), {"yaw_rate": "omega"})
+    sources, positions = ("pose", ""), {"x": "x", "y": "y"}
+    used["pose"] = _select_columns(columns, sources, {**positions, "theta": "theta"}) or _select_columns(
+        columns, sources, positions
+    )
     if not used["gyro"] and "omega" in used["encoders"] and "v" not in used["encoders"]:
         used["gyro"] = {"yaw_rate": used["encoders"]["omega"]}
-        used["gyro"]["yaw_rate"].reasons.append("a yaw rate without a forward speed beside it, so hardly of the wheels")
-    used["command"] = _whole(used["command"], [_TWIST if is_twist else SIDES])
-    used["encoders"] = _whole(used["encoders"], [_TWIST, SIDES, FOUR_WHEELS])
+        used["gyro"]["yaw_rate"].reasons.append("a yaw rate without a forward speed, so probably not of the wheels")
+    used["command"] = _complete_groups(used["command"], [_TWIST if is_twist else SIDES])
+    used["encoders"] = _complete_groups(used["encoders"], [_TWIST, SIDES, FOUR_WHEELS])
     for role in ("encoders", "gyro"):
         for column in used[role].values():
-            _compare(used["command"].get(column.quantity), column)
+            _add_comparison(used["command"].get(column.quantity), column)
     return used
 
 
-def _named(columns: list[_Column], sources: tuple[str, ...], fields: dict[str, str]) -> dict[str, _Column]:
-    """Select for each field a column of its quantity, of the first source that has one; nothing if one is missing."""
+def _select_columns(columns: list[_Column], sources: tuple[str, ...], fields: dict[str, str]) -> dict[str, _Column]:
+    """Select a column of each field's quantity, from the first possible source; return {} if any column is missing."""
     group = {}
     for field, quantity in fields.items():
         alike = [column for column in columns if column.quantity == quantity and column.source in sources]
@@ -294,33 +301,33 @@ def _named(columns: list[_Column], sources: tuple[str, ...], fields: dict[str, s
     return group if len(group) == len(fields) else {}
 
 
-def _whole(group: dict[str, _Column], kinds: Sequence[tuple[str, ...]]) -> dict[str, _Column]:
-    """Return the fields of complete kinds."""
+def _complete_groups(group: dict[str, _Column], kinds: Sequence[tuple[str, ...]]) -> dict[str, _Column]:
+    """Return the fields of those `kinds` that are complete."""
     return {field: group[field] for kind in kinds if set(kind) <= set(group) for field in kind}
 
 
 def _command_and_measured(alike: list[_Column], may_command: bool) -> tuple[_Column | None, _Column | None]:
-    """Distinguish command and measurement among columns of one quantity; by the delay if names are unclear."""
+    """Select command and measurement among columns of one quantity; use the delay if the names are ambiguous."""
     command = next((column for column in alike if column.source == "command" and may_command), None)
     measured = next((column for column in alike if column.source == "encoders"), None)
     plain = [column for column in alike if not column.source]
     if command is None and may_command and plain:
-        if len(plain) > 1 and measured is None and _behind(plain[0].values, plain[1].values)[0] < 0:
+        if len(plain) > 1 and measured is None and _delay_and_correlation(plain[0].values, plain[1].values)[0] < 0:
             plain[:2] = plain[1::-1]
         command = plain.pop(0)
-        command.reasons.append("nothing else is named as its command")
+        command.reasons.append("no other column is named as a command")
     if measured is None and plain:
         measured = plain[0]
-        measured.reasons.append("nothing in its name says where it comes from")
+        measured.reasons.append("no source in its name")
     return command, measured
 
 
-def _compare(command: _Column | None, measured: _Column) -> None:
-    """Add to the reasons how the measured column follows its command."""
+def _add_comparison(command: _Column | None, measured: _Column) -> None:
+    """Add the correlation or delay of the measured column to its reasons."""
     if command is None:
         return
-    rows, likeness = _behind(command.values, measured.values)
-    if abs(likeness) < _table().least_likeness:
+    rows, correlation = _delay_and_correlation(command.values, measured.values)
+    if abs(correlation) < _table().least_likeness:
         measured.reasons.append(f"CHECK: hardly follows '{command.name}'")
     elif rows < 0:
         measured.reasons.append(f"CHECK: moves {-rows} rows before '{command.name}'; are the two swapped?")
@@ -328,18 +335,18 @@ def _compare(command: _Column | None, measured: _Column) -> None:
         measured.reasons.append(f"follows '{command.name}' by {rows} rows")
 
 
-def _behind(first: FloatArray, second: FloatArray) -> tuple[int, float]:
-    """Compute the rows by which changes of `second` (n,) follow those of `first` (n,), and the correlation [-]."""
-    u, y = (np.diff(_filled(values)) for values in (first, second))
-    most = min(_table().largest_lag, len(u) // 4)
-    lags = range(-most, most + 1)
+def _delay_and_correlation(first: FloatArray, second: FloatArray) -> tuple[int, float]:
+    """Compute the delay [rows] of changes of `second` (n,) after changes of `first` (n,), and the correlation [-]."""
+    u, y = (np.diff(_interpolate_missing(values)) for values in (first, second))
+    max_lag = min(_table().largest_lag, len(u) // 4)
+    lags = range(-max_lag, max_lag + 1)
     size = max(float(np.linalg.norm(u) * np.linalg.norm(y)), 1e-300)
     products = [float(u[max(-lag, 0) : len(u) - max(lag, 0)] @ y[max(lag, 0) : len(y) + min(lag, 0)]) for lag in lags]
     best = int(np.argmax(np.abs(products)))
     return lags[best], products[best] / size
 
 
-def _filled(values: FloatArray) -> FloatArray:
+def _interpolate_missing(values: FloatArray) -> FloatArray:
     """Interpolate missing values (n,)."""
     rows = np.flatnonzero(np.isfinite(values))
     return np.interp(np.arange(len(values)), rows, values[rows])
@@ -348,18 +355,21 @@ def _filled(values: FloatArray) -> FloatArray:
 _TYPES = {"command": COMMANDS, "odometry": ODOMETRY, "imu": IMU, "pose": POSES, "battery": BATTERIES}
 
 
-def _draft_of_bag(log: Path) -> list[str]:
+def _draft_from_bag(log: Path) -> list[str]:
     counts: Counter[tuple[str, str]] = Counter()
     with opened(log) as reader:
         for connection in reader.connections:
             counts[connection.topic, connection.msgtype] += connection.msgcount
-    lines, taken = ["topics:"], set()
+    lines, used = ["topics:"], set()
     for role, types in _TYPES.items():
         ranked = sorted(
             (
-                (points, count, topic, kind)
+                (score, count, topic, kind)
                 for (topic, kind), count in counts.items()
-                if count and kind in types and topic not in taken and (points := _points(role, topic, kind)) is not None
+                if count
+                and kind in types
+                and topic not in used
+                and (score := _topic_score(role, topic, kind)) is not None
             ),
             reverse=True,
         )
@@ -367,24 +377,26 @@ def _draft_of_bag(log: Path) -> list[str]:
             needed = ", but it is needed: name its topic" if role == "command" else ""
             lines.append(f"  # {role}: no topic of type {' or '.join(types)}{needed}")
             continue
-        points, count, topic, kind = ranked[0]
-        taken.add(topic)
+        score, count, topic, kind = ranked[0]
+        used.add(topic)
         others = f"; it could also be {', '.join(row[2] for row in ranked[1:])}" if ranked[1:] else ""
-        why = ", and its name fits" if points > 0 else ""
-        lines.append(f"  {role}: {_flow({'topic': topic})}    # {plain_line(f'{kind}, {count} messages{why}{others}')}")
+        why = ", and its name fits" if score > 0 else ""
+        lines.append(
+            f"  {role}: {_format_flow({'topic': topic})}    # {plain_line(f'{kind}, {count} messages{why}{others}')}"
+        )
     lines.append("# wheels: {track: }    # in m, of the odometry: fill it in for `--structure mbm` and `--for`")
-    return [*lines, *_not_used(sorted(topic for topic, _ in counts if topic not in taken))]
+    return [*lines, *_format_unused(sorted(topic for topic, _ in counts if topic not in used))]
 
 
-def _points(role: str, topic: str, kind: str) -> int | None:
-    """Score the name of a topic of a fitting type for a role; None if the name rules the role out.
+def _topic_score(role: str, topic: str, kind: str) -> int | None:
+    """Score the name of a topic of a suitable type for a role; return None if the name excludes the role.
 
-    An odometry counts as a localisation's pose only if its name indicates it, and a goal is no measured pose.
+    An Odometry topic is a pose of a localisation only if its name indicates it. A goal is not a measured pose.
     """
     words = set(re.findall("[a-z]+", topic.lower()))
-    localised = bool(_shared(words, _table().localised))
-    is_goal = role == "pose" and bool(_shared(words, _table().goals))
+    localised = bool(_common_words(words, _table().localised))
+    is_goal = role == "pose" and bool(_common_words(words, _table().goals))
     if is_goal or (kind in ODOMETRY and localised != (role == "pose")):
         return None
-    spoken = _table().topics.get(role, {"for": "", "against": ""})
-    return len(_shared(words, spoken["for"])) - 2 * len(_shared(words, spoken["against"]))
+    known = _table().topics.get(role, {"for": "", "against": ""})
+    return len(_common_words(words, known["for"])) - 2 * len(_common_words(words, known["against"]))

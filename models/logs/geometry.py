@@ -1,4 +1,4 @@
-"""The wheel radius and the tracks behind logs and models, from wheel speeds, twists and gyro."""
+"""Wheel radius and tracks of logs and models from wheel speeds, twists and gyro."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from diffdrive_mpc.models.logs.record import Record
 
 
 class WheelGeometry(NamedTuple):
-    """By which a log's wheel speeds become its v and omega."""
+    """Geometry that converts a log's wheel speeds to v and omega."""
 
     radius: float
     """Wheel radius [m]."""
@@ -21,7 +21,7 @@ class WheelGeometry(NamedTuple):
 
 
 def wheel_geometry(records: Sequence[Record]) -> WheelGeometry | None:
-    """Fit radius and track by least squares over all records with wheels and twist; None without any.
+    """Fit radius and track by least squares over all records with wheels and twist; return None without such records.
 
     v = radius (right + left) / 2, omega = radius (right - left) / track.
     """
@@ -35,15 +35,15 @@ def wheel_geometry(records: Sequence[Record]) -> WheelGeometry | None:
 
 
 def firmware_track(records: Sequence[Record], geometry: WheelGeometry, dc_gain: FloatArray) -> float | None:
-    """Track [m] by which the robot turned omega_ref into wheel speeds; None where the records do not tell.
+    """Estimate the track [m] by which the firmware converts omega to wheel speeds; return None if it is undetermined.
 
-    The wheels turn the body with an effective track, difference of rim speeds over the gyro's yaw rate. A model's
-    steady yaw gain times that track over its forward gain is the firmware's.
+    The effective track of the body is the difference of rim speeds over the yaw rate of the gyro. The track of the
+    firmware is the effective track times the steady yaw gain of the model over its steady forward gain.
 
     Parameters
     ----------
     records
-        Records with wheels and gyro; without a gyro the model's omega is that of the wheels already.
+        Records with wheels and gyro; without a gyro, omega of the model is that of the wheels.
     geometry
         Geometry of the log's robot.
     dc_gain
@@ -59,10 +59,10 @@ def firmware_track(records: Sequence[Record], geometry: WheelGeometry, dc_gain: 
         both = np.concatenate(pairs)
         both = both[np.isfinite(both).all(axis=1)]
         wheel_rate, yaw_rate = (both - both.mean(axis=0)).T if len(both) else both.T
-        shared = float(wheel_rate @ yaw_rate)
-        if shared <= 0:
+        product = float(wheel_rate @ yaw_rate)
+        if product <= 0:
             return None
-        effective *= float(wheel_rate @ wheel_rate) / shared
+        effective *= float(wheel_rate @ wheel_rate) / product
     return float(effective * dc_gain[1, 1] / dc_gain[0, 0])
 
 

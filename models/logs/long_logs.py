@@ -1,4 +1,4 @@
-"""Reduction of long logs: fewer samples per second, and the most informative parts."""
+"""Reduction of long logs to fewer samples per second and to the most informative parts."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from diffdrive_mpc.models.logs.mapping import FACTORS, Column, Columns
 from diffdrive_mpc.models.logs.record import Finding
 
 _PART = 20_000
-"""Rows that are taken or left together."""
+"""Number of rows that are selected together."""
 
 
 def chosen_rows(table: CsvTable, columns: Columns, settings: CheckSettings) -> tuple[CsvTable, list[Finding]]:
-    """Remove rows that no base is fast enough to need, and the least informative parts, from the table.
+    """Reduce a table to the rate that the fastest base needs, and to its most informative parts.
 
     Parameters
     ----------
@@ -41,50 +41,53 @@ def chosen_rows(table: CsvTable, columns: Columns, settings: CheckSettings) -> t
     if len(table.row) <= settings.most_rows:
         return table, findings
     names = [part.column for _, part in columns.command if isinstance(part, Column)]
-    # Words for a missing reading are huge among the cells; without any the cells are not copied, they are many.
+    # Cells with words need conversion; otherwise a copy is avoided, because the columns are long.
     commands = [table.numbers(name)[0] if table.words else table.cells(name) for name in names]
-    taken = most_driven(commands, settings.most_rows)
-    findings.append(subset(table.path.name, "rows", len(taken), len(table.row)))
-    return table.part(taken), findings
+    selected = most_driven(commands, settings.most_rows)
+    findings.append(subset(table.path.name, "rows", len(selected), len(table.row)))
+    return table.part(selected), findings
 
 
 def needed_stride(period: float, settings: CheckSettings) -> int:
-    """Compute the largest stride of readings `period` [s] apart that no base is too fast for."""
-    # A clock faster than the sample time of any robot is a wrong unit or a burst, and reported as such.
-    quick = settings.sample_times[0] <= period < settings.shortest_step
-    return round(settings.needed_step / period) if quick else 1
+    """Return the maximum stride of readings `period` [s] apart that is short enough for all bases."""
+    # A shorter step than that of any robot is a wrong unit or a burst, which is reported separately.
+    is_too_fast = settings.sample_times[0] <= period < settings.shortest_step
+    return round(settings.needed_step / period) if is_too_fast else 1
 
 
 def decimated(place: str, noun: str, stride: int, period: float) -> Finding:
-    """Return the note that one `noun` in `stride`, which are `period` [s] apart, is used."""
-    words = (
-        f"one {noun} in {stride} is used, {stride * period:.3g} s apart: a base does not move in less, and no "
-        "controller is run faster"
+    """Return the note that only one `noun` in `stride` is used; all are `period` [s] apart."""
+    message = (
+        f"one {noun} in {stride} is used, every {stride * period:.3g} s: no base responds faster, and no controller "
+        "runs faster"
     )
-    return Finding("decimated", "note", place, words)
+    return Finding("decimated", "note", place, message)
 
 
-def subset(place: str, noun: str, taken: int, count: int) -> Finding:
-    """Return the note that `taken` of `count` rows or commands are used."""
-    words = (
-        f"{taken} of {count} {noun} are used, the parts in which the command changes most; cut the log by "
-        "'times' or 'where' in the mapping to choose others"
+def subset(place: str, noun: str, selected: int, count: int) -> Finding:
+    """Return the note that `selected` of `count` rows or commands are used."""
+    message = (
+        f"{selected} of {count} {noun} are used, the parts with the largest changes of commands; to select other "
+        "parts, set 'times' or 'where' in the mapping"
     )
-    return Finding("subset", "note", place, words)
+    return Finding("subset", "note", place, message)
 
 
-def most_driven(commands: list[FloatArray], most: int, part: int = _PART) -> NDArray[np.intp]:
-    """Select at most `most` rows, in order, of the parts of `part` rows in which the commands (n,) change most."""
+def most_driven(commands: list[FloatArray], max_rows: int, part: int = _PART) -> NDArray[np.intp]:
+    """Select at most `max_rows` rows in order, from the parts of `part` rows with the largest changes of commands (n,).
+
+    A single part is selected even if it is longer.
+    """
     count = -(-len(commands[0]) // part)
     score = np.zeros(count)
     for command in commands:
         scale = float(np.nanstd(command))
         if scale > 0:
-            # Part by part, each from the last row of the one before: copies of all rows would be half of the memory.
+            # Each part starts with the last row of the previous part; copies of all rows would take half the memory.
             score += [
                 np.abs(np.diff(np.nan_to_num(command[max(0, i * part - 1) : (i + 1) * part]))).sum() / scale
                 for i in range(count)
             ]
-    best = np.sort(np.argsort(-score, kind="stable")[: max(1, most // part)])
+    best = np.sort(np.argsort(-score, kind="stable")[: max(1, max_rows // part)])
     rows = np.concatenate([np.arange(i * part, min((i + 1) * part, len(commands[0]))) for i in best])
     return np.asarray(rows)

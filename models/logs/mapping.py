@@ -47,11 +47,11 @@ FACTORS: dict[str, float] = {
     "A": 1.0,
     "mA": 1e-3,
 }
-"""SI value of one of each unit. A wheel's ticks and rim speeds also need its ticks per turn or its radius."""
+"""Factor from each unit to SI. Ticks also need the ticks per turn, and rim speeds the wheel radius."""
 
 
 def draft_command(log: Path) -> str:
-    """Return the words that name the command which drafts a mapping for a log."""
+    """Return the part of a message that names the command to draft a mapping for a log."""
     return f"drafted by `{shlex.join(['diffdrive-mpc', 'identify', str(log), '--draft-mapping'])}`"
 
 
@@ -63,22 +63,22 @@ SIDES = ("left", "right")
 FOUR_WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 
 
-class _NameOrMore(StrictModel):
-    """A plain name is a value of the first field, with defaults for all others."""
+class _NameOrFields(StrictModel):
+    """Model that accepts a plain string as the value of its first field."""
 
     @model_validator(mode="before")
     @classmethod
-    def _plain_name(cls, data: Any) -> Any:  # noqa: ANN401 - whatever the file holds
+    def _plain_name(cls, data: Any) -> Any:  # noqa: ANN401 - content of the file, not yet checked
         return {next(iter(cls.model_fields)): data} if isinstance(data, str) else data
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        """Return the schema of a name, or the one of the fields."""
+        """Return the schema: a string, or a mapping of the fields."""
         return {"anyOf": [{"type": "string", "minLength": 1}, handler(core)]}
 
 
-class Column(_NameOrMore):
-    """One column; a plain name is a column in SI units."""
+class Column(_NameOrFields):
+    """One column; a plain name means a column in SI units."""
 
     column: str = Field(min_length=1, description="name in the header")
 
@@ -87,7 +87,7 @@ class TimeColumn(Column):
     """A column of times."""
 
     unit: TimeUnit = "s"
-    nanosec: str | None = Field(None, min_length=1, description="column of the nanoseconds to be added")
+    nanosec: str | None = Field(None, min_length=1, description="column of nanoseconds, which are added")
 
 
 class _SignedColumn(Column):
@@ -104,7 +104,7 @@ class LengthColumn(_SignedColumn):
 
 
 class AngleColumn(_SignedColumn):
-    """A column of headings, wrapped or not."""
+    """A column of headings, wrapped or unwrapped."""
 
     unit: AngleUnit = "rad"
 
@@ -122,7 +122,7 @@ class RateColumn(_SignedColumn):
 
 
 class WheelColumn(_SignedColumn):
-    """A column of one wheel, or one side: its speed, forward positive after `sign`, or its running count of ticks."""
+    """A column of one wheel or side: speed (forward is positive after `sign`) or running count of ticks."""
 
     unit: WheelUnit = "rad/s"
 
@@ -134,7 +134,7 @@ class VoltageColumn(_SignedColumn):
 
 
 class CurrentColumn(_SignedColumn):
-    """A column of currents; positive after `sign` where it drives the robot forward, or discharges the battery."""
+    """A column of currents; positive after `sign` if the current drives the robot forward or discharges the battery."""
 
     unit: CurrentUnit = "A"
 
@@ -143,7 +143,7 @@ SignalColumn = LengthColumn | AngleColumn | SpeedColumn | RateColumn | WheelColu
 
 
 class _TwistOrWheels(StrictModel):
-    """(v, omega), or the wheels of the two sides."""
+    """Columns of (v, omega), or of the wheels of both sides."""
 
     v: SpeedColumn | None = None
     omega: RateColumn | None = None
@@ -151,7 +151,7 @@ class _TwistOrWheels(StrictModel):
     right: WheelColumn | None = None
 
     def has(self, *names: str) -> bool:
-        """Return True if the mapping names all of these."""
+        """Return True if the mapping names all fields `names`."""
         return all(getattr(self, name) is not None for name in names)
 
     @model_validator(mode="after")
@@ -161,16 +161,16 @@ class _TwistOrWheels(StrictModel):
             named = [name for name in group if self.has(name)]
             if named and len(named) < len(group):
                 absent = next(name for name in group if name not in named)
-                raise ValueError(f"'{named[0]}' needs '{absent}' beside it")
+                raise ValueError(f"'{named[0]}' also needs '{absent}'")
         if not any(self.has(*group) for group in groups):
             raise ValueError(f"name the columns of {' or of '.join(', '.join(group) for group in groups)}")
         return self
 
 
 class CommandColumns(_TwistOrWheels):
-    """Columns of the command: (v, omega), or wheel speeds left and right. In an empty cell the last command holds."""
+    """Columns of the command: (v, omega), or wheel speeds left and right. An empty cell keeps the last command."""
 
-    delay: float = Field(0.0, description="how long after the robot took it a command appears in the log [s]")
+    delay: float = Field(0.0, description="delay of the logged time of a command after the robot received it [s]")
 
     @model_validator(mode="after")
     def _no_counts(self) -> Self:
@@ -185,9 +185,11 @@ class CommandColumns(_TwistOrWheels):
 class SensorColumns(StrictModel):
     """Columns of a sensor, with its delay and time."""
 
-    time: TimeColumn | None = Field(None, description="times of its readings where they are not those of the rows")
+    time: TimeColumn | None = Field(
+        None, description="times of the readings, if they differ from the times of the rows"
+    )
     held: bool = Field(False, description="rows repeat the last reading until the next one arrives")
-    delay: float = Field(0.0, description="how long after the fact a reading appears in the log [s]")
+    delay: float = Field(0.0, description="delay of the logged time of a reading after the measurement [s]")
 
 
 class EncoderColumns(_TwistOrWheels, SensorColumns):
@@ -206,18 +208,18 @@ class GyroColumns(SensorColumns):
 
 
 class PoseColumns(SensorColumns):
-    """Columns of the robot's pose from a source better than its encoders, in one frame within a segment."""
+    """Columns of the robot's pose from a source that is more accurate than the encoders, in one frame per segment."""
 
     x: LengthColumn
     y: LengthColumn
     theta: AngleColumn | None = Field(None, description="heading; without it, computed from x and y")
-    heading_offset: float = Field(0.0, description="by how much theta is ahead of where the robot heads [rad]")
+    heading_offset: float = Field(0.0, description="offset of theta from the robot's heading, counter-clockwise [rad]")
 
 
 class PowerColumns(SensorColumns):
     """Columns of battery or motors."""
 
-    optional: bool = Field(False, description="whether logs without these columns are read, too, as if not mapped")
+    optional: bool = Field(False, description="accept logs that lack these columns, and ignore the entry")
 
 
 class BatteryColumns(PowerColumns):
@@ -228,7 +230,7 @@ class BatteryColumns(PowerColumns):
 
 
 class MotorColumns(PowerColumns):
-    """Currents of the motors: of a side together, or of each of four."""
+    """Columns of the motor currents: one total per side, or one of each of four motors."""
 
     left: CurrentColumn | None = None
     right: CurrentColumn | None = None
@@ -239,7 +241,7 @@ class MotorColumns(PowerColumns):
 
     @property
     def named_columns(self) -> tuple[str, ...]:
-        """Names of the columns that are named."""
+        """Names of the fields that are set."""
         return tuple(name for name in (*SIDES, *FOUR_WHEELS) if getattr(self, name) is not None)
 
     @model_validator(mode="after")
@@ -254,27 +256,29 @@ class Columns(StrictModel):
 
     time: TimeColumn | None = Field(None, description="times of the rows")
     sample_time: Positive | None = Field(None, description="time between rows [s], for a log without time stamps")
-    segment: str | None = Field(None, description="column whose change begins a new stretch")
+    segment: str | None = Field(None, description="column; each change of its value starts a new stretch")
     where: dict[str, str | float | tuple[str | float, ...]] = Field(
-        default_factory=dict, description="value, or values, that a column must have for a row to be used"
+        default_factory=dict, description="required value, or allowed values, by column; other rows are skipped"
     )
     command: CommandColumns
     encoders: EncoderColumns | None = None
     gyro: GyroColumns | None = None
     pose: PoseColumns | None = None
-    battery: BatteryColumns | None = Field(None, description="for what the robot's energy is; nothing else needs it")
-    motors: MotorColumns | None = Field(None, description="for torques; nothing else needs it")
+    battery: BatteryColumns | None = Field(None, description="columns of the battery; used for the energy model only")
+    motors: MotorColumns | None = Field(None, description="columns of the motor currents; used for torques only")
 
     @model_validator(mode="after")
     def _timed_and_measured(self) -> Self:
         if (self.time is None) == (self.sample_time is None):
-            raise ValueError("give either 'time', the column of times, or 'sample_time' [s] for a log without one")
+            raise ValueError(
+                "give either 'time', the column of times, or 'sample_time' [s] for a log without time stamps"
+            )
         if self.encoders is None and self.gyro is None and self.pose is None:
-            raise ValueError("nothing measured: name the columns of 'encoders', 'gyro' or 'pose'")
+            raise ValueError("no sensor is mapped: name the columns of 'encoders', 'gyro' or 'pose'")
         return self
 
     def found_in(self, recorded: Collection[str]) -> Self:
-        """Remove optional sensors whose columns are not all among those `recorded`."""
+        """Remove optional sensors unless all their columns are in `recorded`."""
         absent = [
             key
             for key, group in (("battery", self.battery), ("motors", self.motors))
@@ -294,23 +298,28 @@ class Columns(StrictModel):
         return names | set(self.where) | ({self.segment} if self.segment else set())
 
 
-class Topic(_NameOrMore):
-    """One topic of a bag; a plain name is a topic without sign or delay."""
+class Topic(_NameOrFields):
+    """One topic of a bag; a plain name means a topic without sign and delay."""
 
     topic: str = Field(min_length=1)
-    sign: Sign = Field(1, description="of yaw rates, headings and currents; -1 for a sensor mounted upside down")
-    delay: float = Field(0.0, description="how long after the fact its stamps are [s]")
+    sign: Sign = Field(1, description="factor of yaw rates, headings and currents; -1 for a sensor mounted upside down")
+    delay: float = Field(0.0, description="delay of the stamps after the measurement [s]")
     fields: tuple[str, ...] | None = Field(
-        None, description="where its numbers stand in a message of another type, such as twist.linear.x or data.0"
+        None, description="fields with the values in a message of another type, such as twist.linear.x or data.0"
     )
-    on_change: bool = Field(False, description="of commands: sent when they change, and in force until the next")
+    on_change: bool = Field(
+        False, description="true for commands that are sent only when they change; each holds until the next"
+    )
 
 
 class MotorTopic(Topic):
-    """Currents of the motors of one side; several numbers are added up, and a plain name is one of std_msgs Float32."""
+    """Topic of the motor currents of one side.
+
+    Several values are added up. A plain name means a topic of std_msgs Float32 or Float64.
+    """
 
     joints: tuple[str, ...] | None = Field(
-        None, description="of sensor_msgs JointState: whose `effort` is the current of a motor of this side"
+        None, description="joints of sensor_msgs JointState with the motor currents of this side in `effort`"
     )
     unit: CurrentUnit = "A"
 
@@ -322,7 +331,7 @@ class MotorTopic(Topic):
 
 
 class MotorTopics(StrictModel):
-    """Topics of the currents of the two sides, perhaps the same one."""
+    """Topics of the motor currents of both sides; both may be on the same topic."""
 
     left: MotorTopic
     right: MotorTopic
@@ -338,47 +347,47 @@ class Topics(StrictModel):
         None, description="PoseStamped, PoseWithCovarianceStamped or Odometry of a localisation, not of the encoders"
     )
     battery: Topic | None = Field(
-        None, description="sensor_msgs BatteryState, whose current is negative where it discharges; else give sign: -1"
+        None, description="sensor_msgs BatteryState with negative current while discharging; else give sign: -1"
     )
-    motors: MotorTopics | None = Field(None, description="currents of the motors, positive where they drive forward")
+    motors: MotorTopics | None = Field(None, description="currents of the motors, positive when they drive forward")
     clock: Literal["stamp", "receive"] = Field(
-        "stamp", description="whose times count: the messages' or the recorder's"
+        "stamp", description="source of the times: stamps of the messages, or receive times of the recorder"
     )
     definitions: dict[str, str] = Field(
-        default_factory=dict, description="files of message definitions, beside the mapping, by type: pkg/msg/Name"
+        default_factory=dict, description="files of message definitions, relative to the mapping, by type: pkg/msg/Name"
     )
 
     def named(self, recorded: Collection[str]) -> Self:
-        """Add the usual sensors among the topics `recorded`, if none is named, in their namespace."""
+        """Add /odom and /imu if they are in `recorded` and no sensor is named; resolve namespaces otherwise."""
         if self.odometry or self.imu or self.pose:
             return self._in_namespace(recorded)
         usual = {"odometry": "/odom", "imu": "/imu"}
         return self.model_copy(update={role: Topic(topic=name) for role, name in usual.items() if name in recorded})
 
     def _in_namespace(self, recorded: Collection[str]) -> Self:
-        """Resolve relative names in the one namespace of `recorded` that has the odometry; other names stay."""
+        """Resolve relative names in the only namespace of `recorded` with the odometry; keep absolute names."""
         if self.odometry is None or self.odometry.topic.startswith("/"):
             return self
         ending = f"/{self.odometry.topic}"
         spaces = sorted(name.removesuffix(ending) for name in recorded if name.endswith(ending))
         if len(spaces) != 1:
-            several = f"several namespaces have it: {', '.join(spaces)}" if spaces else "no namespace has it"
-            raise ConfigError(f"topic '{self.odometry.topic}' of the robot: {several}; give a mapping file")
+            reason = f"several namespaces have it: {', '.join(spaces)}" if spaces else "no namespace has it"
+            raise ConfigError(f"topic '{self.odometry.topic}' of the robot: {reason}; give a mapping file")
         named: dict[str, Topic | None] = {}
         for role in ("command", "odometry", "imu"):
             topic: Topic | None = getattr(self, role)
             if topic is not None and not topic.topic.startswith("/"):
                 name = f"{spaces[0]}/{topic.topic}"
-                # A bag need not have the gyro.
+                # The gyro is optional in a bag.
                 absent = role == "imu" and name not in recorded
                 named[role] = None if absent else topic.model_copy(update={"topic": name})
         return self.model_copy(update=named)
 
 
 class MappedWheels(StrictModel):
-    """The lengths by which the mapping turns wheel speeds into (v, omega)."""
+    """Parameters of the wheels that convert wheel speeds to (v, omega)."""
 
-    radius: Positive | None = Field(None, description="wheel radius [m]; for columns of wheels")
+    radius: Positive | None = Field(None, description="wheel radius [m]; needed for columns of wheels")
     track: Positive = Field(description="track [m]")
     ticks_per_turn: Positive | None = Field(None, description="encoder ticks per turn of the wheel")
 
@@ -386,23 +395,23 @@ class MappedWheels(StrictModel):
 class LogMapping(StrictModel):
     """A mapping file."""
 
-    source: str = Field("", description="where the log comes from, and on what the signs and delays are based")
+    source: str = Field("", description="origin of the log, and basis of the signs and delays")
     columns: Columns | None = None
     topics: Topics | None = None
     wheels: MappedWheels | None = None
     times: tuple[tuple[float, float], ...] = Field(
-        (), description="from and to of the parts to be used, on the log's clock [s]; without any, all of it"
+        (), description="start and end of each part to use, on the log's clock [s]; empty for the whole log"
     )
     gap: Positive | None = Field(None, description="longest time between two commands or rows of one stretch [s]")
 
     def unused(self) -> list[str]:
-        """List unusable statements, a sentence each."""
+        """List entries of the mapping that have no effect, one sentence each."""
         groups = (self.columns.command, self.columns.encoders) if self.columns else ()
         columns = [part for group in groups if group is not None for _, part in group if isinstance(part, WheelColumn)]
         motors = self.topics is not None and self.topics.motors is not None
         lines = []
         if self.wheels is not None and self.wheels.radius is not None and not (columns or motors):
-            lines.append("wheels.radius is not used: nothing in the mapping is the speed of a wheel")
+            lines.append("wheels.radius is not used: no column in the mapping is the speed of a wheel")
         if (
             self.wheels is not None
             and self.wheels.ticks_per_turn
@@ -411,13 +420,13 @@ class LogMapping(StrictModel):
             lines.append("wheels.ticks_per_turn is not used: no column has the unit ticks or ticks/s")
         for role, topic in self.topics or ():
             if isinstance(topic, Topic) and topic.on_change and role != "command":
-                lines.append(f"topics.{role}.on_change is not used: it is for commands")
+                lines.append(f"topics.{role}.on_change is not used: only commands can have it")
         if self.topics is not None and self.topics.command.sign != 1:
-            lines.append("topics.command.sign is not used: a command has no sign; it is for yaw rates and headings")
+            lines.append("topics.command.sign is not used: only yaw rates, headings and currents can have a sign")
         return lines
 
     def sources(self) -> dict[str, str]:
-        """Return names of columns or topics by stream: "command", "encoders", "gyro", "pose", "battery"."""
+        """Return the columns or topics of each stream: "command", "encoders", "gyro", "pose", "battery"."""
         sources: dict[str, str] = {}
         for group in (self.columns, self.topics):
             for role, part in group or ():
@@ -445,6 +454,6 @@ def load_mapping(name: str | Path) -> LogMapping:
     path = named_file("mapping", MAPPINGS, name)
     mapping = load_checked(LogMapping, path)
     if mapping.topics is not None and mapping.topics.definitions:
-        beside = {kind: str(path.parent / file) for kind, file in mapping.topics.definitions.items()}
-        return mapping.model_copy(update={"topics": mapping.topics.model_copy(update={"definitions": beside})})
+        paths = {kind: str(path.parent / file) for kind, file in mapping.topics.definitions.items()}
+        return mapping.model_copy(update={"topics": mapping.topics.model_copy(update={"definitions": paths})})
     return mapping

@@ -1,4 +1,4 @@
-"""Application of the proposals of findings to a mapping, and its YAML text."""
+"""Application of proposed changes to a mapping, and export of a mapping as YAML."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _SIDES = (("left", "right"), ("front_left", "front_right"), ("rear_left", "rear_
 
 
 def base_mapping(path: Path, mapping: str | Path | LogMapping | None) -> LogMapping:
-    """Return the mapping that a log is read with."""
+    """Return the mapping to read a log with."""
     if isinstance(mapping, LogMapping):
         return mapping
     if mapping is not None:
@@ -39,8 +39,8 @@ def base_mapping(path: Path, mapping: str | Path | LogMapping | None) -> LogMapp
         return LogMapping(topics=Topics().named({known.topic for known in reader.connections}))
 
 
-def of_topics(changes: Iterable[MappingChange]) -> tuple[MappingChange, ...]:
-    """Convert changes to the keys of a mapping of topics, whose readings share one sign."""
+def to_topic_keys(changes: Iterable[MappingChange]) -> tuple[MappingChange, ...]:
+    """Convert changes from the keys of columns to those of topics, where all readings share one sign."""
     return tuple(
         replace(change, stream=_TOPICS.get(change.stream, change.stream), key=_SIGNS.get(change.key, change.key))
         for change in changes
@@ -48,15 +48,15 @@ def of_topics(changes: Iterable[MappingChange]) -> tuple[MappingChange, ...]:
 
 
 def changed(mapping: LogMapping, changes: Iterable[MappingChange]) -> LogMapping:
-    """Apply all changes to the mapping.
+    """Return the mapping with all changes applied.
 
-    Signs are inverted and delays added, so that a finding does not need the present values. v and omega of wheels are
-    turned by the signs of the wheels and by exchanging their sides.
+    Signs are inverted and delays added, so a finding does not need the current values. For wheels, v is inverted by the
+    signs and an exchange of the sides, and omega by the exchange alone.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If no such mapping can be written.
+        If the mapping does not permit a change.
     """
     data = mapping.model_dump(mode="json", exclude_defaults=True)
     for change in changes:
@@ -65,7 +65,7 @@ def changed(mapping: LogMapping, changes: Iterable[MappingChange]) -> LogMapping
 
 
 def mapping_text(mapping: LogMapping) -> str:
-    """Format a mapping as the text of a file that reads the same from every folder."""
+    """Format a mapping as YAML with absolute paths."""
     data = mapping.model_dump(mode="json", exclude_defaults=True)
     if definitions := data.get("topics", {}).get("definitions"):
         data["topics"]["definitions"] = {kind: str(Path(file).resolve()) for kind, file in definitions.items()}
@@ -76,24 +76,24 @@ def _apply(data: dict[str, Any], change: MappingChange) -> None:
     if change.stream == "log" and change.key == "times":
         data["times"] = [[float(part) for part in str(change.value).split(" to ")]]
         return
-    of_columns = data.get("columns") is not None
-    group: dict[str, Any] = data["columns"] if of_columns else data.setdefault("topics", {})
-    if change.stream == "time" and of_columns:
+    has_columns = data.get("columns") is not None
+    group: dict[str, Any] = data["columns"] if has_columns else data.setdefault("topics", {})
+    if change.stream == "time" and has_columns:
         _set_time(group, change)
         return
-    if group.get(change.stream) is None and not (change.stream == "command" and not of_columns):
-        raise ConfigError(f"the mapping has no '{change.stream}' to be changed")
-    stream = group[change.stream] = _whole(group.get(change.stream, "/cmd_vel"), "topic")
+    if group.get(change.stream) is None and not (change.stream == "command" and not has_columns):
+        raise ConfigError(f"the mapping has no '{change.stream}' to change")
+    stream = group[change.stream] = _expand_name(group.get(change.stream, "/cmd_vel"), "topic")
     if change.key == "delay":
         stream["delay"] = round(stream.get("delay", 0.0) + float(change.value), 4)
-    elif change.key == "heading_offset" and of_columns:
+    elif change.key == "heading_offset" and has_columns:
         stream["heading_offset"] = round(stream.get("heading_offset", 0.0) + float(change.value), 4)
     elif change.key in ("held", "on_change"):
         stream[change.key] = change.value
-    elif not of_columns:
+    elif not has_columns:
         if change.key != "sign":
             raise ConfigError(f"topics have no '{change.key}'")
-        _turn(stream)
+        _invert_sign(stream)
     else:
         _change_columns(stream, change)
 
@@ -103,7 +103,7 @@ def _set_time(columns: dict[str, Any], change: MappingChange) -> None:
         columns.pop("time", None)
         columns["sample_time"] = change.value
     else:
-        columns["time"] = _whole(columns.get("time"), "column") | {change.key: change.value}
+        columns["time"] = _expand_name(columns.get("time"), "column") | {change.key: change.value}
 
 
 def _change_columns(stream: dict[str, Any], change: MappingChange) -> None:
@@ -118,28 +118,28 @@ def _change_columns(stream: dict[str, Any], change: MappingChange) -> None:
     named = [name] if name in stream else []
     wheels = [side for pair in _SIDES for side in pair if side in stream]
     if name in ("v", "omega"):
-        # Wheels have no v and omega: both turned, they run the other way; omega alone, the sides are exchanged.
+        # Wheels have no v and omega: to invert v, change the signs and exchange the sides; for omega, only exchange.
         named += wheels if name == "v" else []
         if key == "sign":
             _exchange(stream, _SIDES)
         elif name == "omega" and not named:
             raise ConfigError("wheels have no unit of omega")
     if not named and not (name == "omega" and wheels):
-        raise ConfigError(f"the mapping has no column '{name}' to be changed")
+        raise ConfigError(f"the mapping has no column '{name}' to change")
     for column_name in named:
-        column = stream[column_name] = _whole(stream[column_name], "column")
+        column = stream[column_name] = _expand_name(stream[column_name], "column")
         if key == "sign":
-            _turn(column)
+            _invert_sign(column)
         else:
             column[key] = change.value
 
 
-def _whole(value: Any, first: str) -> dict[str, Any]:  # noqa: ANN401 - whatever the mapping holds
-    """Expand a column or topic, which may be a plain name, to a group."""
+def _expand_name(value: Any, first: str) -> dict[str, Any]:  # noqa: ANN401 - content of the mapping
+    """Expand a column or topic that is given as a plain name to a group."""
     return {first: value} if isinstance(value, str) else value
 
 
-def _turn(part: dict[str, Any]) -> None:
+def _invert_sign(part: dict[str, Any]) -> None:
     part["sign"] = -part.get("sign", 1)
 
 

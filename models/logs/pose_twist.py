@@ -1,4 +1,4 @@
-"""Twist of a robot of which only poses are known, by differences over arcs."""
+"""Twist of a robot from poses by differences over arcs."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 
-# A difference spans at least this long [s]: shorter ones hold more noise, longer ones blur the answer to a command.
-_SPAN = 0.1
+# Minimum span of a difference [s]: shorter spans have more noise, longer spans blur the response to a command.
+_MIN_SPAN = 0.1
 
 
 def with_twist_of_poses(records: Sequence[Record]) -> tuple[Record, ...]:
-    """Return records whose `twist` follows from their poses; those without two poses are as they were.
+    """Return records with `twist` computed from the poses; records with fewer than two poses are unchanged.
 
-    Between two poses the robot drives an arc, so chord and change of heading give the mean of v and omega. Each mean
-    stands in the row halfway, which adds no delay. A reading is fresh in such rows only.
+    Between two poses the robot is assumed to drive an arc, so chord and change of heading give mean v and omega. Each
+    mean is assigned to the sample halfway between the poses, which adds no delay. Only these samples are fresh.
     """
     return tuple(_with_twist(record) for record in records)
 
@@ -29,24 +29,24 @@ def _with_twist(record: Record) -> Record:
         return record
     rows = np.flatnonzero(fresh)
     steps = np.diff(rows)
-    # Halfway between two poses there is a row only if their distance is even.
-    least = max(2, int(np.ceil(_SPAN / record.dt - 1e-9)))
-    longest = 2 * max(least, 2 * int(np.median(steps)))
-    twist, heard = np.full((len(pose), 2), np.nan), np.zeros(len(pose), dtype=bool)
-    for place, first in enumerate(rows):
-        later = rows[place + 1 :][: longest + 1] - first
-        fitting = later[(later >= least) & (later % 2 == 0) & (later <= longest)]
-        if len(fitting):
-            span = int(fitting[0])
+    # A sample halfway between two poses exists only if their distance is even.
+    min_span = max(2, int(np.ceil(_MIN_SPAN / record.dt - 1e-9)))
+    max_span = 2 * max(min_span, 2 * int(np.median(steps)))
+    twist, is_fresh = np.full((len(pose), 2), np.nan), np.zeros(len(pose), dtype=bool)
+    for index, first in enumerate(rows):
+        spans = rows[index + 1 :][: max_span + 1] - first
+        usable = spans[(spans >= min_span) & (spans % 2 == 0) & (spans <= max_span)]
+        if len(usable):
+            span = int(usable[0])
             middle = first + span // 2
-            twist[middle], heard[middle] = _mean_twist(pose[first], pose[first + span], span * record.dt), True
-    known = np.flatnonzero(heard)
+            twist[middle], is_fresh[middle] = _mean_twist(pose[first], pose[first + span], span * record.dt), True
+    known = np.flatnonzero(is_fresh)
     if len(known) < 2:
         return record
     inside = np.arange(known[0], known[-1] + 1)
     for column in twist.T:
         column[inside] = np.interp(inside, known, column[known])
-    return replace(record, twist=twist, fresh_twist=heard)
+    return replace(record, twist=twist, fresh_twist=is_fresh)
 
 
 def _mean_twist(before: FloatArray, after: FloatArray, duration: float) -> tuple[float, float]:

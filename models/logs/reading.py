@@ -1,4 +1,4 @@
-"""A log from a file: read, cut into stretches, sampled evenly and checked."""
+"""Reading of a log from a file: stretches, even sampling and checks."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from diffdrive_mpc.models.logs.diagnosis.streams import streams_of
 from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log, read_drive
 from diffdrive_mpc.models.logs.headings import with_headings
 from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
-from diffdrive_mpc.models.logs.mapping_changes import of_topics
+from diffdrive_mpc.models.logs.mapping_changes import to_topic_keys
 from diffdrive_mpc.models.logs.record import Finding, Log, Record, refuse
 from diffdrive_mpc.models.logs.record_checks import check_commands, check_sensors, check_timing, gap_finding
 from diffdrive_mpc.models.logs.sampling import RawLog, pieces, resample, usual_step
@@ -41,28 +41,27 @@ def read_log(
     Parameters
     ----------
     path
-        A CSV file, or a ROS 2 bag: its folder, or one .mcap or .db3 file.
+        A CSV file, or a ROS 2 bag as a folder or as one .mcap or .db3 file.
     mapping
-        Name of a shipped mapping, the path of a file that maps the columns or topics, or the content of such a file.
-        None for a log of `diffdrive-mpc simulate --log` or of a node that recorded, and for a bag with /cmd_vel and
-        /odom or /imu.
+        Name of a shipped mapping, path of a mapping file, or its content. None for a log of
+        `diffdrive-mpc simulate --log`, a recording of the node, and a bag with /cmd_vel and /odom or /imu.
     sample_time
-        Step of the records [s]; None for that of the log.
+        Sample time of the records [s]; None for that of the log.
     diagnosed
-        Whether commands and sensors are compared with each other, which takes most of the time.
+        Whether to compare commands and sensors with each other, which takes most of the time.
 
     Returns
     -------
     Log
-        The stretches that can be used, with everything found wrong. Nothing is repaired: omitted data and ends of
-        stretches are reported in findings.
+        The usable stretches and all findings. Data are never repaired: omitted data and ends of stretches are reported
+        in findings.
 
     Raises
     ------
     models.checked_yaml.ConfigError
         If the file or the mapping cannot be read, names are missing, the times come from two clocks, no stretch is long
-        enough, or pauses make the log too long to be sampled. Commands that excite nothing, wrong signs and wrong units
-        are findings of severity "error".
+        enough, or pauses make the sampled log too long. Constant commands, wrong signs and wrong units are findings of
+        severity "error".
     """
     path = Path(path)
     if sample_time is not None and not (np.isfinite(sample_time) and sample_time > 0):
@@ -75,13 +74,13 @@ def read_log(
     period = usual_step([stretch.clock for stretch in raw.stretches])
     dt = sample_time or raw.sample_time or period
     if not (np.isfinite(dt) and np.isfinite(period)):
-        raise ConfigError(f"{path}: no two rows follow each other in time; is the column of times the right one?")
-    if odd := check_period(raw.name, period, settings):
-        refuse([odd])
+        raise ConfigError(f"{path}: no two rows have increasing times; check the column of times")
+    if finding := check_period(raw.name, period, settings):
+        refuse([finding])
     longest_step = (loaded.gap if loaded else None) or settings.longest_step(period)
     records, findings = _records(raw, dt, longest_step, loaded.times if loaded else (), settings)
-    stated = "mapping" if isinstance(mapping, LogMapping) else Path(mapping or "").name
-    unused = [Finding("unused value", "note", stated, words) for words in (loaded.unused() if loaded else ())]
+    source = "mapping" if isinstance(mapping, LogMapping) else Path(mapping or "").name
+    unused = [Finding("unused value", "note", source, message) for message in (loaded.unused() if loaded else ())]
     findings = [*unused, *raw.findings, *check_timing(raw, period, settings), *findings]
     records, stuck = check_sensors(records, settings)
     poses = [part.measured["pose"] for part in raw.stretches if "pose" in part.measured]
@@ -93,7 +92,7 @@ def read_log(
     if diagnosed:
         hidden = [*check_publishers(raw, settings), *check_dead_readings(raw, settings)]
         faults = [*hidden, *diagnose(raw.name, streams, settings)]
-        findings += [replace(fault, changes=of_topics(fault.changes)) for fault in faults] if raw.topics else faults
+        findings += [replace(fault, changes=to_topic_keys(fault.changes)) for fault in faults] if raw.topics else faults
     return Log(raw.name, tuple(records), tuple(findings), streams, loaded.sources() if loaded else {}, raw.topics)
 
 
@@ -111,17 +110,17 @@ def _records(
     times: Sequence[tuple[float, float]],
     settings: CheckSettings,
 ) -> tuple[list[Record], list[Finding]]:
-    """Build records of the stretches that are long enough, with findings about gaps and shorter stretches."""
+    """Build records of stretches of sufficient length, with findings about gaps and shorter stretches."""
     records: list[Record] = []
     findings: list[Finding] = []
-    longest, end, left = 0, np.inf, settings.most_samples
+    max_count, end, remaining = 0, np.inf, settings.most_samples
     for stretch in raw.stretches:
         for first, last in pieces(stretch, longest_step, times):
             if not times and first - end > longest_step:
                 findings.append(gap_finding(raw.name, end, first, settings))
             end = last
-            left -= int(min((last - first) / dt + 1, 2 * settings.most_samples))
-            if left < 0:
+            remaining -= int(min((last - first) / dt + 1, 2 * settings.most_samples))
+            if remaining < 0:
                 raise ConfigError(
                     f"{raw.name}, {first:.1f} to {last:.1f} s: sampled every {dt:.3g} s, the log is more than "
                     f"{settings.most_samples:,} samples; give a shorter 'gap' in the mapping "
@@ -129,7 +128,7 @@ def _records(
                 )
             record = resample(raw.name, stretch, first, last, dt, settings)
             count = 0 if record is None else len(record.command)
-            longest = max(longest, count)
+            max_count = max(max_count, count)
             if record is not None and count >= settings.fewest_samples:
                 records.append(record)
             else:
@@ -138,9 +137,9 @@ def _records(
                 findings.append(Finding("short stretch", "note", place, words, (first, last)))
     if not records:
         bursts = [finding.words for finding in raw.findings if finding.kind == "silent commands"]
-        silent = f"; {bursts[0]}: say `on_change: true` for this topic" if bursts else ""
+        silent = f"; {bursts[0]}: set `on_change: true` for this topic" if bursts else ""
         raise ConfigError(
-            f"{raw.name}: {longest} samples in the longest stretch, at least {settings.fewest_samples} are needed; "
+            f"{raw.name}: {max_count} samples in the longest stretch, at least {settings.fewest_samples} are needed; "
             f"record for longer, or give a longer 'gap' in the mapping (now {longest_step:.3g} s){silent}"
         )
     return records, findings

@@ -1,4 +1,4 @@
-"""Common form of all logs: evenly sampled stretches in SI units, and findings from reading."""
+"""Common representation of logs: evenly sampled stretches in SI units, and findings."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ _MASKS = {
 
 @dataclass(frozen=True)
 class Record:
-    """One contiguous, evenly sampled stretch of a log, K samples. Sample k belongs to the time `start + k dt`.
+    """One contiguous, evenly sampled stretch of a log with K samples. Sample k is at time `start + k dt`.
 
-    Between two readings a measured signal is interpolated, and NaN where the log has nothing near; only samples that
-    the `fresh` masks mark are separate readings. A mask left out marks every finite sample.
+    Measured signals are interpolated between readings, and NaN if the log has no reading nearby. The `fresh` masks mark
+    the samples that are separate readings. If a mask is None, every finite sample is marked.
 
     Attributes
     ----------
@@ -47,27 +47,27 @@ class Record:
     dt
         Sample time [s].
     command
-        (K, 2) v [m/s], omega [rad/s] as commanded: the command in force from sample k on.
+        (K, 2) commanded v [m/s], omega [rad/s], which apply from sample k on.
     twist
         (K, 2) v [m/s], omega [rad/s] from the encoders; None without encoders.
     yaw_rate
-        (K,) of the gyro [rad/s]; None without a gyro.
+        (K,) yaw rate of the gyro [rad/s]; None without a gyro.
     pose
-        (K, 3) x [m], y [m], theta [rad, unwrapped], in one frame throughout; None without poses.
+        (K, 3) x [m], y [m], theta [rad, unwrapped] in one fixed frame; None without poses.
     wheels
-        (K, 2) measured wheel speeds left, right [rad/s], of four wheels the mean of each side; None if not logged.
+        (K, 2) measured wheel speeds left, right [rad/s], averaged per side for four wheels; None if not logged.
     wheel_speeds
-        (K, 4) front left, front right, rear left, rear right [rad/s]; None where the log has not all four.
+        (K, 4) wheel speeds front left, front right, rear left, rear right [rad/s]; None unless all four are logged.
     wheel_commands
-        (K, 2) commanded wheel speeds left, right [rad/s]; None where the log commands (v, omega).
+        (K, 2) commanded wheel speeds left, right [rad/s]; None if the log commands (v, omega).
     battery
-        (K, 2) voltage [V], current [A] of the battery, NaN without a reading near; None where it is not logged.
+        (K, 2) voltage [V], current [A] of the battery, NaN without a nearby reading; None if not logged.
     motor_current
-        (K, 2) current of the motors left, right [A], of a side together, NaN without one near; None if not logged.
+        (K, 2) total motor current left, right [A], NaN without a nearby reading; None if not logged.
     motor_currents
-        (K, 4) front left, front right, rear left, rear right [A]; None where the log has not all four.
+        (K, 4) motor currents front left, front right, rear left, rear right [A]; None unless all four are logged.
     fresh_twist, fresh_yaw_rate, fresh_pose
-        (K,) True where a reading of the encoders (twist and wheels), the gyro, the pose falls on the sample.
+        (K,) True for samples with a reading of the encoders (twist and wheels), the gyro or the pose.
 
     Raises
     ------
@@ -93,7 +93,7 @@ class Record:
     fresh_pose: BoolArray | None = None
 
     def __post_init__(self) -> None:
-        """Fill in the masks and check."""
+        """Fill in missing masks and check all fields."""
         if not (np.isfinite(self.dt) and self.dt > 0):
             raise ValueError(f"record '{self.name}': sample time {self.dt} s; it must be positive and finite")
         count = len(self.command)
@@ -116,7 +116,9 @@ class Record:
                     object.__setattr__(self, _MASKS[name], finite)
                 checked = getattr(self, _MASKS[name])
             if not finite[checked].all():
-                raise ValueError(f"record '{self.name}': {name} holds a value that is not finite; cut the record there")
+                raise ValueError(
+                    f"record '{self.name}': {name} holds a value that is not finite; split the record there"
+                )
 
     @property
     def time(self) -> FloatArray:
@@ -129,11 +131,11 @@ class Record:
         return self.start + self.dt * (len(self.command) - 1)
 
     def fresh(self, name: str) -> BoolArray | None:
-        """Mark samples (K,) of a signal with new readings; None without the signal, or without such a mask."""
+        """Return the mask (K,) of samples with new readings of a signal; None if it has no mask or is not logged."""
         return getattr(self, _MASKS[name]) if name in _MASKS and getattr(self, name) is not None else None
 
     def pose_windows(self, steps: int, known: BoolArray) -> list[int]:
-        """Find first samples of windows of `steps` steps with fresh poses at both ends, `known` (K,) and no overlap."""
+        """Return first samples of disjoint windows of `steps` steps inside `known` with fresh poses at both ends."""
         starts, k = [], 0
         while self.fresh_pose is not None and k + steps < len(self.fresh_pose):
             usable = self.fresh_pose[k] and self.fresh_pose[k + steps] and known[k : k + steps].all()
@@ -143,10 +145,10 @@ class Record:
         return starts
 
     def part(self, first: int, stop: int) -> Record:
-        """Return the samples from `first` up to, and without, `stop`, as a record."""
+        """Return the samples from `first` (inclusive) to `stop` (exclusive) as a record."""
         count = len(self.command)
         if not 0 <= first < stop <= count:
-            raise ValueError(f"record '{self.name}': no samples {first} to {stop} among its {count}")
+            raise ValueError(f"record '{self.name}': samples {first} to {stop} are outside its {count} samples")
         start = self.start + first * self.dt
         end = self.start + (stop - 1) * self.dt
         cut: dict[str, Any] = {
@@ -154,28 +156,28 @@ class Record:
             for entry in fields(self)
             if isinstance(value := getattr(self, entry.name), np.ndarray)
         }
-        return replace(self, name=f"{self.name} (of it {start:.1f} to {end:.1f} s)", start=start, **cut)
+        return replace(self, name=f"{self.name} (part {start:.1f} to {end:.1f} s)", start=start, **cut)
 
 
 Topics = Mapping[str, tuple[str, str]]
-"""Topic and type of message by stream: "command", "odometry", "imu", "pose"."""
+"""Topic and message type of each stream: "command", "odometry", "imu", "pose"."""
 
 
 @dataclass(frozen=True)
 class MappingChange:
-    """A change of the mapping that may repair a finding; whether it does is tried before it is advised.
+    """A change of the mapping that may correct a finding; it is tested before it is recommended.
 
     Attributes
     ----------
     stream
-        "command", "encoders", "gyro", "pose"; "time" for the clock of the log, "log" for changes of no stream.
+        "command", "encoders", "gyro", "pose"; "time" for the clock of the log; "log" for the whole log.
     key
-        Key in the mapping of that stream, with dots: "delay", "held", "on_change", "yaw_rate.sign", "left.unit";
-        "heading_offset"; "sides" or "axes", which are exchanged; of the log "times". "v" and "omega" also where wheels
-        are mapped.
+        Dotted key in the mapping of the stream: "delay", "held", "on_change", "yaw_rate.sign", "left.unit",
+        "heading_offset". "sides" and "axes" are exchanged; "times" belongs to "log". "v" and "omega" are also valid if
+        wheels are mapped.
     value
-        Value after the change; for "delay" and "heading_offset" the increment [s, rad], for "sign" -1, which inverts
-        it; for "times" from and to [s], as "0.0 to 61.5".
+        New value. For "delay" and "heading_offset" the increment [s, rad]; for "sign" -1, which inverts the sign; for
+        "times" start and end [s], as "0.0 to 61.5".
     """
 
     stream: str
@@ -190,23 +192,22 @@ class MappingChange:
 
 @dataclass(frozen=True)
 class Finding:
-    """Something in a log that its user should know.
+    """A result of a check of a log, for the user.
 
     Attributes
     ----------
     kind
-        Kind of the finding, in a word or two, the same for all of its kind: "gap", "wrong sign"; a key of
-        `models.doubt.VERDICTS` where it is more than a note.
+        Kind of the finding: "gap", "wrong sign"; a key of `models.doubt.VERDICTS` unless the severity is "note".
     severity
-        "note": it is so; "warning": the model may suffer; "error": a model from this log would be wrong.
+        "note": information only; "warning": the model may be less accurate; "error": the model would be wrong.
     place
-        Place in the log, in words: times, and rows or messages.
+        Place in the log as text: times, and rows or messages.
     words
-        One sentence with the finding and with the remedy, unless `changes` are the remedy.
+        One sentence with the finding and, unless `changes` hold it, the remedy.
     span
-        From and to [s] on the log's clock, where the finding has a place in time.
+        Start and end [s] on the log's clock; None if the finding has no time.
     changes
-        Changes of the mapping, all together, that may repair it; empty where no mapping can.
+        Changes of the mapping that together may correct the finding; empty if no mapping can.
     """
 
     kind: str
@@ -222,7 +223,7 @@ class Finding:
         return None if self.severity == "note" else VERDICTS[self.kind]
 
     def __str__(self) -> str:
-        """Format one line."""
+        """Format the finding as one line."""
         remedy = f"; in the mapping: {', '.join(map(str, self.changes))}" if self.changes else ""
         return escaped(f"{self.place}: {self.words}{remedy}")
 
@@ -236,15 +237,15 @@ class Log:
     name
         Name of the file or bag.
     records
-        The stretches that can be used, all with the same sample time, in the order of the log.
+        Usable stretches in the order of the log, all with the same sample time.
     findings
-        Errors, warnings and notes in the order found.
+        Errors, warnings and notes in order of detection.
     streams
-        Signals of the records, side by side, for the diagnosis.
+        Signals of all records, for the diagnosis.
     sources
-        Columns or topics by stream: "command", "encoders", "gyro", "pose".
+        Columns or topics of each stream: "command", "encoders", "gyro", "pose".
     topics
-        Topics of a bag, with the types of their messages.
+        Topics of a bag with their message types.
     """
 
     name: str
@@ -256,21 +257,21 @@ class Log:
 
     @property
     def errors(self) -> tuple[Finding, ...]:
-        """The findings that would make a model wrong."""
+        """Findings of severity "error"."""
         return tuple(finding for finding in self.findings if finding.severity == "error")
 
     def require_sound(self) -> None:
-        """Raise ConfigError with the line of the first finding that is an error; do nothing where there is none."""
+        """Raise UnsoundLogError with the first error, if there is any."""
         refuse(self.findings)
 
 
 class UnsoundLogError(ConfigError):
-    """A log would give a wrong model.
+    """Raised if a model from a log would be wrong.
 
     Attributes
     ----------
     findings
-        All that are known of it; at least one is an error.
+        All findings of the log; at least one is an error.
     """
 
     def __init__(self, findings: Sequence[Finding]) -> None:
@@ -281,32 +282,32 @@ class UnsoundLogError(ConfigError):
 
 
 def refuse(findings: Sequence[Finding]) -> None:
-    """Raise UnsoundLogError with the line of the first error among findings; do nothing where there is none."""
+    """Raise UnsoundLogError with the first error among findings, if there is any."""
     if any(finding.severity == "error" for finding in findings):
         raise UnsoundLogError(findings)
 
 
-def counted(findings: Sequence[Finding], most: int = 2) -> list[str]:
-    """Format one line per finding, relevance included; for each kind the first `most`, and the number of the rest."""
+def counted(findings: Sequence[Finding], max_per_kind: int = 2) -> list[str]:
+    """Format the first `max_per_kind` findings of each kind as lines, with relevance and the number of the others."""
     lines, by_kind = [], Counter(finding.kind for finding in findings)
     shown: Counter[str] = Counter()
     for finding in findings:
         shown[finding.kind] += 1
-        if shown[finding.kind] <= most:
-            left = by_kind[finding.kind] - most if shown[finding.kind] == most else 0
-            more = f" (and {left} more like it)" if left > 0 else ""
+        if shown[finding.kind] <= max_per_kind:
+            rest = by_kind[finding.kind] - max_per_kind if shown[finding.kind] == max_per_kind else 0
+            more = f" (and {rest} more like it)" if rest > 0 else ""
             lines.append(f"{finding}{more}" + (f" ({finding.verdict})" if finding.verdict else ""))
     return lines
 
 
-def ranges(numbers: Iterable[int], most: int = 5) -> str:
-    """Format numbers in ascending order as words: "3, 7 to 9 and 4 more places"."""
+def ranges(numbers: Iterable[int], max_runs: int = 5) -> str:
+    """Format ascending numbers as ranges: "3, 7 to 9 and 4 more places"."""
     runs: list[list[int]] = []
     for number in numbers:
         if runs and number == runs[-1][1] + 1:
             runs[-1][1] = number
         else:
             runs.append([number, number])
-    shown = [f"{a}" if a == b else f"{a} to {b}" for a, b in runs[:most]]
-    more = f" and {len(runs) - most} more places" if len(runs) > most else ""
+    shown = [f"{a}" if a == b else f"{a} to {b}" for a, b in runs[:max_runs]]
+    more = f" and {len(runs) - max_runs} more places" if len(runs) > max_runs else ""
     return ", ".join(shown) + more

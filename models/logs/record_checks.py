@@ -1,4 +1,4 @@
-"""Checks of the information in records: exciting commands, and working sensors."""
+"""Checks of records: excitation by the commands, stuck sensors, clocks and timing."""
 
 from __future__ import annotations
 
@@ -21,96 +21,99 @@ _SENSORS = {
     "gyro": ("yaw_rate", "fresh_yaw_rate", (1,)),
     "pose": ("pose", "fresh_pose", (0, 1)),
 }
-"""Field, mask, and the channels of the command that the sensor should answer to."""
+"""Field, mask, and command channels to which each sensor responds."""
 
 
 def check_commands(log: str, records: Sequence[Record], settings: CheckSettings) -> list[Finding]:
-    """Return findings about commands that hardly change, change together, or stay at a limit."""
+    """Return findings about commands with few changes, correlated channels, or saturation."""
     commands = np.concatenate([record.command for record in records])
-    still = [bool(np.ptp(column) < settings.least_command) for column in commands.T]
-    if all(still):
+    is_constant = [bool(np.ptp(column) < settings.least_command) for column in commands.T]
+    if all(is_constant):
         v, omega = commands[0]
-        words = f"the command never changes (v {v:g} m/s, omega {omega:g} rad/s), so it excites nothing; {_REMEDY}"
-        return [Finding("constant input", "error", log, words)]
+        message = (
+            f"the command never changes (v {v:g} m/s, omega {omega:g} rad/s), so there is no excitation; {_REMEDY}"
+        )
+        return [Finding("constant input", "error", log, message)]
     findings = []
     for j, channel in enumerate(CHANNELS):
-        if still[j]:
+        if is_constant[j]:
             level = commands[0, j] if abs(commands[0, j]) > settings.least_command else 0.0
-            words = f"{channel} is always commanded {level:g} {UNITS[channel]}: nothing can be learned about it"
-            findings.append(Finding("constant input", "warning", log, f"{words}; {_REMEDY}"))
+            message = f"{channel} is always commanded {level:g} {UNITS[channel]}: its response cannot be identified"
+            findings.append(Finding("constant input", "warning", log, f"{message}; {_REMEDY}"))
             continue
         changes = command_changes(records, j, settings)
         if changes < settings.fewest_changes:
-            words = (
-                f"the command of {channel} changes {changes} times, too few to tell gain, lag and dead time; {_REMEDY}"
+            message = (
+                f"the command of {channel} changes {changes} times, too few to separate gain, lag and dead time; "
+                f"{_REMEDY}"
             )
-            findings.append(Finding("little excitation", "warning", log, words))
+            findings.append(Finding("little excitation", "warning", log, message))
         findings += _saturated(log, records, j, settings)
-    if not any(still):
-        together = float(np.corrcoef(commands.T)[0, 1])
-        if abs(together) > settings.collinear:
-            words = (
-                f"v and omega are commanded in step (correlation {together:.2f}), so their effects cannot be told apart"
+    if not any(is_constant):
+        correlation = float(np.corrcoef(commands.T)[0, 1])
+        if abs(correlation) > settings.collinear:
+            message = (
+                f"the commands of v and omega are correlated ({correlation:.2f}), so their effects cannot be separated"
             )
-            findings.append(Finding("little excitation", "warning", log, f"{words}; {_REMEDY}"))
+            findings.append(Finding("little excitation", "warning", log, f"{message}; {_REMEDY}"))
     return findings
 
 
 def command_changes(records: Sequence[Record], channel: int, settings: CheckSettings) -> int:
-    """Count visible changes of a channel's command, inside stretches and from one to the next."""
+    """Count significant changes of a channel's command, inside and between stretches."""
     commands = np.concatenate([record.command[:, channel] for record in records])
-    largest = float(np.abs(commands).max())
+    maximum = float(np.abs(commands).max())
     return (
-        int(np.count_nonzero(np.diff(np.round(commands / (settings.significant_change * largest)))))
-        if largest > settings.least_command
+        int(np.count_nonzero(np.diff(np.round(commands / (settings.significant_change * maximum)))))
+        if maximum > settings.least_command
         else 0
     )
 
 
 def check_excitation(logs: str, records: Sequence[Record], settings: CheckSettings) -> list[Finding]:
-    """Return errors about channels that hardly any drive excites: a model of them would be arbitrary."""
+    """Return errors about channels with too little excitation in all drives: their model would be arbitrary."""
     findings = []
     for j, channel in enumerate(CHANNELS):
         changes = command_changes(records, j, settings)
         if changes < settings.refused_changes:
-            driven = f"its command changes {changes} times" if changes else "its command never changes"
-            words = (
-                f"{channel} was {'hardly' if changes else 'never'} driven ({driven}): nothing about it "
-                f"can be identified; {_REMEDY}"
+            reason = f"its command changes {changes} times" if changes else "its command never changes"
+            message = (
+                f"{channel} was {'hardly' if changes else 'never'} driven ({reason}): its response cannot be "
+                f"identified; {_REMEDY}"
             )
-            findings.append(Finding("little excitation" if changes else "constant input", "error", logs, words))
+            findings.append(Finding("little excitation" if changes else "constant input", "error", logs, message))
     return findings
 
 
 def _saturated(log: str, records: Sequence[Record], j: int, settings: CheckSettings) -> list[Finding]:
-    """Return a finding if channel `j` is at its maximum for much of the time, though it takes many other values."""
+    """Return a finding if channel `j` has many levels and is at its maximum for much of the time."""
     size = np.abs(np.concatenate([record.command[:, j] for record in records]))
-    largest = float(size.max())
-    share = float(np.mean(size >= 0.999 * largest))
+    maximum = float(size.max())
+    share = float(np.mean(size >= 0.999 * maximum))
     if share <= settings.saturated_share or len(np.unique(size)) < settings.saturated_levels:
         return []
     time = np.concatenate([record.time for record in records])
-    place = f"{log}, first at {time[np.argmax(size >= 0.999 * largest)]:.1f} s"
-    words = (
-        f"the command of {CHANNELS[j]} rests at its limit of {largest:.3g} {UNITS[CHANNELS[j]]} in "
-        f"{100 * share:.0f} % of the samples; make sure that the log holds what was sent after limiting"
+    place = f"{log}, first at {time[np.argmax(size >= 0.999 * maximum)]:.1f} s"
+    message = (
+        f"the command of {CHANNELS[j]} rests at its limit of {maximum:.3g} {UNITS[CHANNELS[j]]} in "
+        f"{100 * share:.0f} % of the samples; make sure that the log holds the commands after limiting"
     )
-    return [Finding("saturation", "warning", place, words)]
+    return [Finding("saturation", "warning", place, message)]
 
 
 def largest_command(records: Sequence[Record]) -> FloatArray:
-    """Return the largest commanded |v| [m/s] and |omega| [rad/s], (2,)."""
+    """Return the maximum commanded |v| [m/s] and |omega| [rad/s], (2,)."""
     return np.asarray(np.max([np.abs(record.command).max(axis=0) for record in records], axis=0))
 
 
 def check_sensors(records: Sequence[Record], settings: CheckSettings) -> tuple[list[Record], list[Finding]]:
     """Find readings that repeat bit for bit although commands change, and mark them as not fresh.
 
-    A reading is stuck if the command changed and, `stuck_time` later, it still had not; or if a robot that should
-    move reads zero, or one and the same pose, for `stuck_time`. A robot that was held (an emergency stop, a blocked
-    wheel) looks the same, and is no less useless for a model.
+    A reading is stuck if it has not changed `stuck_time` after a change of the command, or if it stays zero, or the
+    same pose, for `stuck_time` under commands to move. A robot that was held (emergency stop, blocked wheel) produces
+    the same readings, which are also unusable for a model.
     """
-    largest = largest_command(records)
+    maximum = largest_command(records)
     checked, findings = [], []
     for record in records:
         changes: dict[str, BoolArray] = {}
@@ -118,13 +121,16 @@ def check_sensors(records: Sequence[Record], settings: CheckSettings) -> tuple[l
             values, fresh = getattr(record, field), getattr(record, mask)
             if values is None:
                 continue
-            share = np.divide(record.command, largest, out=np.zeros_like(record.command), where=largest > 0)
+            share = np.divide(record.command, maximum, out=np.zeros_like(record.command), where=maximum > 0)
             for first, last in _stuck(values, fresh, share[:, channels], sensor == "pose", record.dt, settings):
                 changes.setdefault(mask, fresh.copy())[first + 1 : last + 1] = False
                 start, end = float(record.time[first]), float(record.time[last])
-                words = f"the {sensor} read the same for {end - start:.1f} s while the robot should move; left out"
+                message = (
+                    f"the {sensor} read the same for {end - start:.1f} s while the robot should move; these readings "
+                    "are left out"
+                )
                 place = f"{record.name.split(',')[0]}, {start:.1f} to {end:.1f} s"
-                findings.append(Finding("stuck sensor", "warning", place, words, (start, end)))
+                findings.append(Finding("stuck sensor", "warning", place, message, (start, end)))
         checked.append(replace(record, **changes))  # type: ignore[arg-type]  # masks only
     return checked, findings
 
@@ -132,19 +138,22 @@ def check_sensors(records: Sequence[Record], settings: CheckSettings) -> tuple[l
 def _stuck(
     values: FloatArray, fresh: BoolArray, share: FloatArray, is_pose: bool, dt: float, settings: CheckSettings
 ) -> list[tuple[int, int]]:
-    """Find first and last samples of runs of equal readings that the commands, as shares of the largest, contradict."""
+    """Return first and last samples of runs of equal readings that contradict the commands.
+
+    `share` holds the commands as shares of their maximum.
+    """
     samples = np.flatnonzero(fresh)
     if not len(samples):
         return []
     readings = values[samples].reshape(len(samples), -1)
     edges = np.flatnonzero((np.diff(readings, axis=0) != 0).any(axis=1))
-    patience = int(np.ceil(settings.stuck_time / dt))
+    min_samples = int(np.ceil(settings.stuck_time / dt))
     runs = []
     for a, b in zip([0, *(edges + 1)], [*edges, len(samples) - 1], strict=True):
         first, last = int(samples[a]), int(samples[b])
-        if last - first < patience:
+        if last - first < min_samples:
             continue
-        commands = share[first : last - patience + 1]
+        commands = share[first : last - min_samples + 1]
         at_rest = is_pose or not readings[a].any()
         moving = (np.abs(share[first : last + 1]) > settings.stuck_command).any(axis=1).all()
         changed = np.ptp(commands, axis=0).max() > settings.stuck_command
@@ -153,44 +162,43 @@ def _stuck(
     return runs
 
 
-# Check for a common clock of all times of a log, and for even ticks.
+# Checks that all times of a log come from one clock, and that the clock is even.
 
 
-def require_one_clock(log: str, late: Mapping[str, FloatArray], remedy: str) -> None:
+def require_one_clock(log: str, delays: Mapping[str, FloatArray], remedy: str) -> None:
     """Raise ConfigError if two sources of a log have different clocks.
 
     Parameters
     ----------
     log
         Name of the log.
-    late
-        Delay of each reading's receipt or record after its stamp [s], (n,) by the name of its source; NaN where
-        unknown.
+    delays
+        Delay of receipt or recording of each reading after its stamp [s], (n,) for each source; NaN if unknown.
     remedy
         Remedy for the user.
     """
-    offsets = {source: float(np.nanmedian(values)) for source, values in late.items() if np.isfinite(values).any()}
+    offsets = {source: float(np.nanmedian(values)) for source, values in delays.items() if np.isfinite(values).any()}
     if not offsets:
         return
     first, last = min(offsets, key=offsets.__getitem__), max(offsets, key=offsets.__getitem__)
-    apart = offsets[last] - offsets[first]
-    if apart > check_settings().clock_offset:
+    difference = offsets[last] - offsets[first]
+    if difference > check_settings().clock_offset:
         raise ConfigError(
-            f"{log}: two clocks: the times of {first} are {apart:.3f} s ahead of those of {last}; {remedy}"
+            f"{log}: two clocks: the times of {first} are {difference:.3f} s ahead of those of {last}; {remedy}"
         )
 
 
-def drifting_clocks(log: str, late: Mapping[str, FloatArray]) -> list[Finding]:
-    """Return findings for sources whose stamps drift against the time of receipt; `late` as for `require_one_clock`."""
+def drifting_clocks(log: str, delays: Mapping[str, FloatArray]) -> list[Finding]:
+    """Return findings for sources whose stamps drift against the receive times; `delays` as in `require_one_clock`."""
     findings = []
-    for source, values in late.items():
+    for source, values in delays.items():
         spread = float(np.ptp(np.percentile(values, [5, 95])))
         if spread > check_settings().clock_spread:
-            words = (
-                f"stamps wander by {spread:.3f} s against the time of receipt: a clock drifts, or messages queue up; "
-                "dead times will be smeared by as much"
+            message = (
+                f"stamps drift by {spread:.3f} s against the time of receipt: a clock drifts, or messages queue up; "
+                "dead times are uncertain by as much"
             )
-            findings.append(Finding("clock drift", "warning", f"{log}, {source}", words))
+            findings.append(Finding("clock drift", "warning", f"{log}, {source}", message))
     return findings
 
 
@@ -198,13 +206,13 @@ def gap_finding(log: str, end: float, start: float, settings: CheckSettings) -> 
     """Return the finding for a pause of the log from `end` to `start` [s]."""
     place = f"{log}, {end:.1f} to {start:.1f} s"
     if start - end > settings.clock_jump:
-        words = f"time jumps by {start - end:.0f} s: were two clocks written into one column? A new stretch begins"
-        return Finding("two clocks", "warning", place, words, (end, start))
-    return Finding("gap", "note", place, f"no data for {start - end:.3f} s; a new stretch begins", (end, start))
+        message = f"time jumps by {start - end:.0f} s: were two clocks written into one column? A new stretch starts"
+        return Finding("two clocks", "warning", place, message, (end, start))
+    return Finding("gap", "note", place, f"no data for {start - end:.3f} s; a new stretch starts", (end, start))
 
 
 def check_timing(raw: RawLog, period: float, settings: CheckSettings) -> list[Finding]:
-    """Return a finding if the log's clock, of `period` [s], ticks unevenly."""
+    """Return a finding if the steps of the log's clock, of `period` [s], are uneven."""
     steps = np.concatenate([np.diff(stretch.clock) for stretch in raw.stretches])
     starts = np.concatenate([stretch.clock[:-1] for stretch in raw.stretches])
     inside = steps <= settings.longest_step(period)
@@ -214,9 +222,9 @@ def check_timing(raw: RawLog, period: float, settings: CheckSettings) -> list[Fi
     typical = float(np.percentile(deviation, 95))
     if typical <= settings.jitter * period:
         return []
-    worst = float(starts[inside][np.argmax(deviation)])
-    words = (
-        f"steps of the clock deviate by up to {typical:.4f} s (95 %) from {period:.4g} s, most at {worst:.1f} s; "
-        "dead times will be smeared by as much"
+    worst_time = float(starts[inside][np.argmax(deviation)])
+    message = (
+        f"steps of the clock deviate by up to {typical:.4f} s (95 %) from {period:.4g} s, with the maximum at "
+        f"{worst_time:.1f} s; dead times are uncertain by as much"
     )
-    return [Finding("jitter", "warning", raw.name, words, (worst, worst))]
+    return [Finding("jitter", "warning", raw.name, message, (worst_time, worst_time))]

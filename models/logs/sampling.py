@@ -1,4 +1,4 @@
-"""From signals with their own times to evenly sampled records."""
+"""Resampling of signals with separate times to evenly sampled records."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from diffdrive_mpc.models.logs.check_settings import CheckSettings
 from diffdrive_mpc.models.logs.record import BoolArray, Finding, Record, Topics
 
 ABSURD = 1e20
-"""No reading is as large in any unit, counts of ticks included; larger values would overflow when squared."""
+"""Limit of plausible readings in any unit, tick counts included; the square of much larger values overflows."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Signal:
     Attributes
     ----------
     time
-        (n,) strictly increasing times that the values are valid for [s].
+        (n,) strictly increasing times of the values [s].
     value
         (n, width) finite values.
     """
@@ -32,7 +32,7 @@ class Signal:
     value: FloatArray
 
     def later(self, shift: float) -> Signal:
-        """Return the same values, valid `shift` seconds later."""
+        """Return the signal delayed by `shift` [s]."""
         return Signal(self.time + shift, self.value)
 
     def between(self, first: float, last: float) -> Signal:
@@ -43,18 +43,18 @@ class Signal:
 
 @dataclass(frozen=True)
 class RawStretch:
-    """A part of a log in which time runs forward.
+    """A part of a log with increasing times.
 
     Attributes
     ----------
     clock
-        (n,) times at which the log was seen to be alive [s]: its rows or its commands.
+        (n,) times at which the log was recorded [s]: its rows or its commands.
     command
-        (v [m/s], omega [rad/s]), in force until the next.
+        v [m/s], omega [rad/s]; each command holds until the next.
     measured
-        Signals by the name of the field of `Record` that they will fill.
+        Signals, keyed by field of `Record`.
     wheel_commands
-        Left, right [rad/s], where the log commands wheels.
+        Left, right [rad/s]; None if the log does not command wheels.
     """
 
     clock: FloatArray
@@ -74,20 +74,20 @@ class RawStretch:
 
 @dataclass(frozen=True)
 class RawLog:
-    """A log as its reader hands it over.
+    """Output of the reader of a log, before resampling.
 
     Attributes
     ----------
     name
         Name of the file or bag, for messages.
     stretches
-        In the order of the log.
+        Stretches in the order of the log.
     findings
         Findings of the reader.
     sample_time
-        The log's own [s]; None to determine it from the times.
+        Sample time of the log [s]; None to determine it from the times.
     topics
-        Topics of a bag, with the types of their messages.
+        Topics of a bag with their message types.
     """
 
     name: str
@@ -103,16 +103,16 @@ def unwrapped(pose: FloatArray) -> FloatArray:
 
 
 def increasing(time: FloatArray) -> BoolArray:
-    """Mark times (n,) later than every one before."""
+    """Mark times (n,) that are later than all times before them."""
     before = np.concatenate([[-np.inf], np.maximum.accumulate(time)[:-1]])
     return np.asarray(time > before)
 
 
 def usual_step(times: list[FloatArray]) -> float:
-    """Compute the usual step of rows of times [s]; NaN without two consecutive times.
+    """Compute the typical step of arrays of times [s]; NaN without two consecutive times.
 
-    The median, unless rounded or uneven stamps put the mean elsewhere. Rows missed count for as many steps; gaps do not
-    count.
+    The result is the median, or the mean if rounded or uneven stamps make both differ. Up to two missing rows count as
+    further steps; longer gaps are ignored.
     """
     steps = np.concatenate([np.diff(time) for time in times]) if times else np.empty(0)
     if not len(steps):
@@ -121,18 +121,17 @@ def usual_step(times: list[FloatArray]) -> float:
     rows = np.rint(steps / median)
     near = rows <= 3
     mean = float(steps[near].sum() / rows[near].sum())
-    # A sample time has at most six digits; the rest is rounding of the stamps.
+    # Six digits suffice for a sample time; further digits are rounding of the stamps.
     return float(f"{median if np.isclose(median, mean, rtol=1e-4) else mean:.6g}")
 
 
 def hold(signal: Signal, grid: FloatArray, dt: float, tolerance: float) -> FloatArray:
     """Resample values (K, width) by a zero-order hold over samples of `dt` [s] that start at `grid` (K,) [s].
 
-    Where a value changes within a sample it is their mean: a command that comes late in its sample acts for less of it.
-    A value within `tolerance` [s] of a grid point belongs to that point. The first value must not be later than the
-    grid.
+    If a value changes within a sample, the result is the time average over the sample. A value within `tolerance` [s]
+    of a grid point is assigned to that point. The first value must not be later than the first grid point.
     """
-    # Only changes count, so that a value that is sent again leaves the rest to the bit.
+    # Only changes count, so that repeated values do not alter a bit of the result.
     changes = np.concatenate([[True], (np.diff(signal.value, axis=0) != 0).any(axis=1)])
     value, place = signal.value[changes], (signal.time[changes] - grid[0]) / dt
     place = np.where(np.abs(place - np.rint(place)) <= tolerance / dt, np.rint(place), place)
@@ -147,16 +146,18 @@ def hold(signal: Signal, grid: FloatArray, dt: float, tolerance: float) -> Float
     return np.asarray(np.where((first == last)[:, None], value[first], held))
 
 
-def sample(signal: Signal, grid: FloatArray, dt: float, tolerance: float, reach: float) -> tuple[FloatArray, BoolArray]:
+def sample(
+    signal: Signal, grid: FloatArray, dt: float, tolerance: float, max_gap: float
+) -> tuple[FloatArray, BoolArray]:
     """Sample readings at the times `grid` (K,) [s] with step `dt` [s].
 
-    A reading within `tolerance` [s] of a grid point is used unchanged; elsewhere the value is interpolated between two
-    readings at most `reach` [s] apart, or NaN.
+    A reading within `tolerance` [s] of a grid point is used unchanged. Other values are interpolated between two
+    readings at most `max_gap` [s] apart; without such readings they are NaN.
 
     Returns
     -------
     tuple
-        Values (K, width), and (K,) True where a reading falls on the sample, nearer to it than to any other.
+        Values (K, width), and (K,) True for samples that are the nearest to a reading.
     """
     width = signal.value.shape[1]
     values = np.full((len(grid), width), np.nan)
@@ -165,7 +166,7 @@ def sample(signal: Signal, grid: FloatArray, dt: float, tolerance: float, reach:
         return values, fresh
     right = np.searchsorted(signal.time, grid)
     before, after = np.clip(right - 1, 0, None), np.clip(right, None, len(signal.time) - 1)
-    inside = (right > 0) & (right < len(signal.time)) & (signal.time[after] - signal.time[before] <= reach)
+    inside = (right > 0) & (right < len(signal.time)) & (signal.time[after] - signal.time[before] <= max_gap)
     for j in range(width):
         values[inside, j] = np.interp(grid[inside], signal.time, signal.value[:, j])
     nearest = np.where(np.abs(signal.time[after] - grid) <= np.abs(grid - signal.time[before]), after, before)
@@ -181,7 +182,7 @@ def sample(signal: Signal, grid: FloatArray, dt: float, tolerance: float, reach:
 def pieces(
     stretch: RawStretch, longest_step: float, times: Sequence[tuple[float, float]] = ()
 ) -> Iterator[tuple[float, float]]:
-    """Yield first and last times [s] of a stretch's parts between long pauses, inside `times` [s]."""
+    """Yield start and end [s] of the parts of a stretch between long pauses, within `times` [s]."""
     for start, end in times or [(-np.inf, np.inf)]:
         clock = stretch.clock[(stretch.clock >= start) & (stretch.clock <= end)]
         if not len(clock):
@@ -194,10 +195,10 @@ def pieces(
 def resample(
     name: str, stretch: RawStretch, first: float, last: float, dt: float, settings: CheckSettings
 ) -> Record | None:
-    """Sample the part of `stretch` from `first` to `last` [s] evenly, `dt` [s] apart; None where nothing is left.
+    """Sample the part of `stretch` from `first` to `last` [s] with step `dt` [s]; return None if no sample is left.
 
-    The record begins with the first command in the part. Commands and readings outside the part are not used, so
-    nothing is held or interpolated across its ends. Readings slower or faster than `dt` are not filtered.
+    The record starts with the first command in the part. Commands and readings outside the part are not used, so no
+    value is held or interpolated across its ends. Readings slower or faster than `dt` are not filtered.
     """
     tolerance = settings.grid_tolerance * dt
     command = stretch.command.between(first - tolerance, last + tolerance)
@@ -212,9 +213,9 @@ def resample(
     if stretch.wheel_commands is not None:
         sampled["wheel_commands"] = hold(stretch.wheel_commands, grid, dt, tolerance)
     for key, signal in stretch.measured.items():
-        reach = settings.longest_step(usual_step([signal.time]))
+        max_gap = settings.longest_step(usual_step([signal.time]))
         part = signal.between(first - tolerance, last + tolerance)
-        values, fresh = sample(part, grid, dt, tolerance, reach)
+        values, fresh = sample(part, grid, dt, tolerance, max_gap)
         if key == "pose" and values.shape[1] == len("xy"):
             values = np.column_stack([values, np.zeros(len(values))])  # `with_headings` fills it
         sampled[key] = values[:, 0] if key == "yaw_rate" else values

@@ -1,7 +1,7 @@
-"""Record of a tick as one line of JSON, which is enough to repeat the controller's step bit for bit.
+"""Record of a tick as one line of JSON, sufficient to reproduce the controller's step bit-exactly.
 
-The node publishes these lines, so that any message recorder stores them. Numbers are written so that reading gives back
-the same bits; times are seconds on the controller's clock.
+The node publishes these lines, so any message recorder can store them. Numbers are written without loss of precision;
+times are on the controller's clock [s].
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
 
 FORMAT = 1
-"""Version of both kinds of line."""
+"""Version of the format of both types of lines."""
 _SENSORS = ("pose", "wheel_twist", "yaw_rate")
 
 
 class TickRecordError(DiffdriveMpcError, ValueError):
-    """A line is no record that this release reads; says why."""
+    """Raised if a line is not a record that this release can read."""
 
 
 @dataclass(frozen=True)
@@ -33,23 +33,23 @@ class TickRecord:
     Attributes
     ----------
     number
-        Number of controller steps, this one included, since the node is active: one more each time.
+        Number of controller steps since activation of the node, including this step.
     time
         Time of the tick [s].
     drive
-        Number of the drive that it belongs to, see `DriveRecord`.
+        Number of the drive of this tick, see `DriveRecord`.
     measurement
-        Measurement that the controller got.
+        Input of the controller.
     hold
-        Reason of a hold, and whether that counts as a failure; None where it was allowed to drive.
+        Reason of a hold, and whether it is a failure; None without a hold.
     command
-        (2,) v [m/s], omega [rad/s] as decided.
+        (2,) command v [m/s], omega [rad/s].
     mode, message, solver_path
-        Mode, message and solver of the controller.
+        Mode, message and solver method of the controller.
     step_time
-        Duration of its step [s].
+        Duration of the step [s].
     stopped_after
-        Iterations after which the clock ended its solve; None where it did not.
+        Number of iterations after which the time limit ended the solve; None if it did not.
     """
 
     number: int
@@ -66,7 +66,7 @@ class TickRecord:
 
     def line(self) -> str:
         """Format the record as a line."""
-        sensors = {name: _stamped_words(getattr(self.measurement, name)) for name in _SENSORS}
+        sensors = {name: _stamped_fields(getattr(self.measurement, name)) for name in _SENSORS}
         return json.dumps(
             {
                 "format": FORMAT,
@@ -86,8 +86,8 @@ class TickRecord:
 
     @classmethod
     def read(cls, line: str) -> TickRecord:
-        """Parse the record of a line; raise TickRecordError if it is none."""
-        data = _parsed(line)
+        """Parse the record of a tick; raise TickRecordError if the line is invalid."""
+        data = _parse(line)
         try:
             hold = data["hold"]
             return cls(
@@ -104,31 +104,31 @@ class TickRecord:
                 int(data["stopped_after"]) if "stopped_after" in data else None,
             )
         except (KeyError, TypeError, ValueError, IndexError) as error:
-            raise TickRecordError(f"no record of a tick ({error})") from error
+            raise TickRecordError(f"not a record of a tick ({error})") from error
 
 
 @dataclass(frozen=True)
 class DriveRecord:
-    """Common data of ticks, written when the controller starts and when its configuration changes.
+    """Common data of the ticks of a drive, written at the start and at changes of the configuration.
 
     Attributes
     ----------
     number
-        Counted from 1 since the node is active; a new one with every record.
+        Number of the record since activation of the node, from 1.
     starts
-        Whether the controller was started; otherwise its weights and limits have changed.
+        True if the controller was started; False if its weights and limits changed.
     reset
-        Whether it was reset before.
+        True if the controller was reset before.
     t0
-        Time of the controller's clock at the reference's time 0 [s].
+        Time of the controller's clock at time 0 of the reference [s].
     reference
-        Name, duration, breaks, table and motion of the reference in closed form; None where it has none.
+        Name, duration, breaks, table and motion of the reference; None if it has no closed form.
     config
-        The whole configuration, keys and values as in its file.
+        Complete configuration with the keys and values of its file.
     model
-        Text of the model's file where the model is not a shipped one; empty otherwise.
+        Text of the model file; empty for a shipped model.
     goes_on
-        Whether a start replaced another reference during the drive, and nothing was forgotten.
+        True if a start replaced the reference during the drive and the state was kept.
     """
 
     number: int
@@ -146,27 +146,27 @@ class DriveRecord:
 
     @classmethod
     def read(cls, line: str) -> DriveRecord:
-        """Parse the record of a line; raise TickRecordError if it is none."""
-        data = _parsed(line)
+        """Parse the record of a drive; raise TickRecordError if the line is invalid."""
+        data = _parse(line)
         try:
             names = ("number", "starts", "reset", "t0", "reference", "config", "model")
             return cls(**{name: data[name] for name in names}, goes_on=bool(data.get("goes_on", False)))
         except (KeyError, TypeError) as error:
-            raise TickRecordError(f"no record of a drive ({error})") from error
+            raise TickRecordError(f"not a record of a drive ({error})") from error
 
 
-def _parsed(line: str) -> dict[str, Any]:
+def _parse(line: str) -> dict[str, Any]:
     try:
         data = parse_json(line)
     except ValueError as error:
-        raise TickRecordError(f"no JSON ({error})") from error
+        raise TickRecordError(f"not valid JSON ({error})") from error
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         version = data.get("format") if isinstance(data, dict) else None
-        raise TickRecordError(f"its format is {version}, this release reads {FORMAT}")
+        raise TickRecordError(f"the format is {version}, this release reads {FORMAT}")
     return data
 
 
-def _stamped_words(stamped: Stamped | None) -> dict[str, Any] | None:
+def _stamped_fields(stamped: Stamped | None) -> dict[str, Any] | None:
     if stamped is None:
         return None
     covariance = None if stamped.covariance is None else np.asarray(stamped.covariance, dtype=float).tolist()

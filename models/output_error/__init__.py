@@ -1,1 +1,1 @@
-"""Output-error estimation of linear systems with dead time: from experiments to parameters with their covariance."""
+"""Output-error estimation of linear systems with dead time: parameters and covariance from sampled experiments."""

@@ -1,4 +1,4 @@
-"""Data of the estimator: inputs and outputs of a record, and a mask of the samples that count."""
+"""Data of the estimator: inputs and outputs of records, with masks of the samples that count."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import BoolArray, Record
 
-_FEWEST_IN_ALL = 20
-# A stretch has a past of its own, three numbers for each channel; below this it says nothing else.
-_FEWEST_SAMPLES = 5
-# A jump is a change between neighbouring readings that is beyond so many times what next to all of them stay below [%].
-_USUAL = 99.0
-_JUMP = 2.0
+_MIN_TOTAL_READINGS = 20
+# A stretch has an unknown past with three values per channel; fewer readings hold no further information.
+_MIN_READINGS = 5
+# A jump is a change between adjacent readings that exceeds this multiple of the percentile [%] of all changes.
+_PERCENTILE = 99.0
+_JUMP_FACTOR = 2.0
 
 
 @dataclass(frozen=True)
@@ -27,22 +27,22 @@ class SampledExperiment:
     Attributes
     ----------
     name
-        For messages.
+        Name for messages.
     dt
         Sample time [s].
     inputs
-        (K, m), each row in force until the next sample.
+        (K, m) inputs; each row holds until the next sample.
     outputs
-        (K, p).
+        (K, p) outputs.
     counts
-        (K, p) which outputs are readings of their own; the others may hold anything.
+        (K, p) True for outputs that are separate readings; other values are ignored.
     follows
-        Whether the experiment goes on where the one before it ended.
+        True if the experiment continues the previous one.
 
     Raises
     ------
     ValueError
-        If shapes do not agree, too few samples count, or a value that counts is not finite.
+        If shapes do not match, too few samples count, or a value that counts is not finite.
     """
 
     name: str
@@ -53,14 +53,14 @@ class SampledExperiment:
     follows: bool = False
 
     def __post_init__(self) -> None:
-        """Check, and put zero where an output does not count."""
+        """Check the data, and set outputs that do not count to zero."""
         if not self.inputs.shape[0] == self.outputs.shape[0] or self.outputs.shape != self.counts.shape:
             raise ValueError(f"{self.name}: inputs, outputs and their masks must have the same number of samples")
         for row in self.counts.T:
-            if row.sum() < _FEWEST_SAMPLES:
-                raise ValueError(f"{self.name}: {row.sum()} readings; a stretch needs at least {_FEWEST_SAMPLES}")
+            if row.sum() < _MIN_READINGS:
+                raise ValueError(f"{self.name}: {row.sum()} readings; a stretch needs at least {_MIN_READINGS}")
         if not (np.isfinite(self.inputs).all() and np.isfinite(self.outputs[self.counts]).all()):
-            raise ValueError(f"{self.name}: a sample is not finite; cut the record there")
+            raise ValueError(f"{self.name}: a sample is not finite; split the record there")
         object.__setattr__(self, "outputs", np.where(self.counts, self.outputs, 0.0))
 
     @property
@@ -70,12 +70,12 @@ class SampledExperiment:
 
     @property
     def readings(self) -> FloatArray:
-        """(K, p) the outputs, NaN where there is no reading."""
+        """(K, p) outputs; NaN without a reading."""
         return np.where(self.counts, self.outputs, np.nan)
 
     @property
     def first_readings(self) -> FloatArray:
-        """(p,) the first reading of each output."""
+        """(p,) first reading of each output."""
         return np.array([self.outputs[np.argmax(counts), row] for row, counts in enumerate(self.counts.T)])
 
     def channel(self, inputs: int, outputs: int) -> SampledExperiment:
@@ -86,30 +86,30 @@ class SampledExperiment:
         )
 
 
-def joined(experiments: Sequence[SampledExperiment]) -> list[SampledExperiment]:
-    """Join experiments that follow each other: the response to a command may continue in the next one."""
+def join_experiments(experiments: Sequence[SampledExperiment]) -> list[SampledExperiment]:
+    """Concatenate consecutive experiments, because the response to a command may continue in the next one."""
     runs: list[list[SampledExperiment]] = []
     for experiment in experiments:
         if runs and experiment.follows:
             runs[-1].append(experiment)
         else:
             runs.append([experiment])
-    return [run[0] if len(run) == 1 else _one(run) for run in runs]
+    return [run[0] if len(run) == 1 else _concatenate(run) for run in runs]
 
 
-def _one(run: Sequence[SampledExperiment]) -> SampledExperiment:
+def _concatenate(run: Sequence[SampledExperiment]) -> SampledExperiment:
     inputs, outputs = (np.concatenate([getattr(part, name) for part in run]) for name in ("inputs", "outputs"))
     return SampledExperiment(run[0].name, run[0].dt, inputs, outputs, np.concatenate([part.counts for part in run]))
 
 
-def parted(rows: Sequence[FloatArray], experiments: Sequence[SampledExperiment]) -> list[FloatArray]:
-    """Split rows (K, ...) of `joined(experiments)` into pieces as long as the experiments."""
+def split_rows(rows: Sequence[FloatArray], experiments: Sequence[SampledExperiment]) -> list[FloatArray]:
+    """Split rows (K, ...) of `joined(experiments)` into arrays with the lengths of the experiments."""
     cuts = np.cumsum([experiment.samples for experiment in experiments])[:-1]
     return list(np.split(np.concatenate(rows), cuts))
 
 
 YawSource = Literal["gyro", "encoders", "poses"]
-"""Source of omega: the true yaw rate, the wheels' over the geometric track, or the twist from poses alone."""
+"""Source of omega: yaw rate of the gyro, encoders with the geometric track, or twist from poses alone."""
 
 
 def twist_experiments(records: Sequence[Record], yaw: YawSource = "gyro") -> list[SampledExperiment]:
@@ -118,7 +118,7 @@ def twist_experiments(records: Sequence[Record], yaw: YawSource = "gyro") -> lis
     Raises
     ------
     ValueError
-        If a record lacks a signal, has too few readings, or is not finite.
+        If a record lacks a signal, has too few readings, or contains values that are not finite.
     """
     experiments = []
     for record in records:
@@ -129,16 +129,16 @@ def twist_experiments(records: Sequence[Record], yaw: YawSource = "gyro") -> lis
             omega, fresh_omega = twist[:, 1], fresh_twist
         outputs, counts = np.column_stack([twist[:, 0], omega]), np.column_stack([fresh_twist, fresh_omega])
         experiments.append(SampledExperiment(record.name, record.dt, record.command, outputs, counts))
-    return _chained(experiments, records)
+    return _mark_consecutive(experiments, records)
 
 
 def wheel_experiments(records: Sequence[Record]) -> list[SampledExperiment]:
-    """Pair commands (v_ref, omega_ref) with wheel speeds [rad/s]: four if every record has them, else two.
+    """Pair commands (v_ref, omega_ref) with wheel speeds [rad/s]: four if all records have them, else two.
 
     Raises
     ------
     ValueError
-        If a record lacks wheel speeds, has too few readings, or is not finite.
+        If a record lacks wheel speeds, has too few readings, or contains values that are not finite.
     """
     name = "wheel_speeds" if all(record.wheel_speeds is not None for record in records) else "wheels"
     experiments = []
@@ -146,35 +146,39 @@ def wheel_experiments(records: Sequence[Record]) -> list[SampledExperiment]:
         speeds, fresh = _signal(record, name)
         counts = np.tile(fresh[:, None], (1, speeds.shape[1]))
         experiments.append(SampledExperiment(record.name, record.dt, record.command, speeds, counts))
-    return _chained(experiments, records)
+    return _mark_consecutive(experiments, records)
 
 
-def _chained(experiments: Sequence[SampledExperiment], records: Sequence[Record]) -> list[SampledExperiment]:
-    """Mark experiments that follow the previous one: adjacent in time, and without a jump of any reading.
+def _mark_consecutive(experiments: Sequence[SampledExperiment], records: Sequence[Record]) -> list[SampledExperiment]:
+    """Mark experiments that continue the previous one: adjacent in time and without a jump of readings.
 
-    A log may be cut anywhere, and a log without times may have lost rows between two segments.
+    A log may be split anywhere, and a log without times may lack rows between two segments.
     """
     if not experiments:
         return []
     readings = int(np.sum([experiment.counts.sum(axis=0) for experiment in experiments], axis=0).min())
-    if readings < _FEWEST_IN_ALL:
-        raise ValueError(f"{experiments[0].name}: {readings} readings; at least {_FEWEST_IN_ALL} are needed")
+    if readings < _MIN_TOTAL_READINGS:
+        raise ValueError(f"{experiments[0].name}: {readings} readings; at least {_MIN_TOTAL_READINGS} are needed")
     steps = [[np.abs(np.diff(y[c])) for y, c in zip(s.outputs.T, s.counts.T, strict=True)] for s in experiments]
-    usual = [np.percentile(np.concatenate(rows), _USUAL) for rows in zip(*steps, strict=True)]
-    chained = list(experiments[:1])
+    typical = [np.percentile(np.concatenate(rows), _PERCENTILE) for rows in zip(*steps, strict=True)]
+    marked = list(experiments[:1])
     for (previous, earlier), (current, later) in pairwise(zip(experiments, records, strict=True)):
-        near = earlier.dt == later.dt and abs(later.start - earlier.end - later.dt) < 0.5 * later.dt
+        is_adjacent = earlier.dt == later.dt and abs(later.start - earlier.end - later.dt) < 0.5 * later.dt
         last = np.array([previous.outputs[np.flatnonzero(c)[-1], i] for i, c in enumerate(previous.counts.T)])
-        chained.append(
+        marked.append(
             replace(
-                current, follows=near and bool(np.all(np.abs(current.first_readings - last) <= _JUMP * np.array(usual)))
+                current,
+                follows=is_adjacent
+                and bool(np.all(np.abs(current.first_readings - last) <= _JUMP_FACTOR * np.array(typical))),
             )
         )
-    return chained
+    return marked
 
 
 def _signal(record: Record, name: str) -> tuple[FloatArray, BoolArray]:
     value, fresh = getattr(record, name), record.fresh(name)
     if fresh is None:
-        raise ValueError(f"record '{record.name}': no {name}, which this model is identified from: map its column")
+        raise ValueError(
+            f"record '{record.name}': no {name}, which the identification of this model needs: map its column"
+        )
     return value, np.asarray(fresh & np.isfinite(value).reshape(len(value), -1).all(axis=1))

@@ -1,4 +1,4 @@
-"""Blocks of the records held out in turn, and their prediction by models fitted without them."""
+"""Cross-validation on blocks of the records."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_e
 from diffdrive_mpc.models.output_error.validation import simulate_experiment
 
 Pieces = list[tuple[int, int, int]]
-"""Number of an experiment, its samples from and up to."""
+"""Index of an experiment, and its samples from (inclusive) and to (exclusive)."""
 
 
 def blocks(experiments: Sequence[SampledExperiment]) -> list[tuple[Pieces, Pieces]]:
-    """Return for each block, in the order of time, the data without it and the block; omit short rests.
+    """Return for each block, in order of time, the other data and the block; parts with few readings are omitted.
 
     Raises
     ------
     ValueError
-        If the experiments are too short for it.
+        If the experiments are too short.
     """
     settings = estimator_settings().held_out
     ends = np.cumsum([experiment.samples for experiment in experiments])
@@ -36,43 +36,41 @@ def blocks(experiments: Sequence[SampledExperiment]) -> list[tuple[Pieces, Piece
         for i, (experiment, end) in enumerate(zip(experiments, ends, strict=True)):
             count = experiment.samples
             a, b = np.clip([low - end + count, high - end + count], 0, count).tolist()
-            for first, stop, into in ((0, a, rest), (a, b, block), (b, count, rest)):
+            for first, stop, pieces in ((0, a, rest), (a, b, block), (b, count, rest)):
                 if (experiment.counts[first:stop].sum(axis=0) >= settings.fewest_readings).all():
-                    into.append((i, first, stop))
+                    pieces.append((i, first, stop))
         if not (rest and block):
-            raise ValueError(
-                f"the records are too short to hold any of {settings.blocks} blocks out; give a longer log"
-            )
+            raise ValueError(f"the records are too short for {settings.blocks} held-out blocks; give a longer log")
         folds.append((rest, block))
     return folds
 
 
-def cut(experiments: Sequence[SampledExperiment], pieces: Pieces) -> list[SampledExperiment]:
+def extract(experiments: Sequence[SampledExperiment], pieces: Pieces) -> list[SampledExperiment]:
     """Extract pieces of the data."""
     parts = []
     for i, first, stop in pieces:
-        whole, rows = experiments[i], slice(first, stop)
+        source, rows = experiments[i], slice(first, stop)
         parts.append(
-            SampledExperiment(whole.name, whole.dt, whole.inputs[rows], whole.outputs[rows], whole.counts[rows])
+            SampledExperiment(source.name, source.dt, source.inputs[rows], source.outputs[rows], source.counts[rows])
         )
     return parts
 
 
 class HeldOut(NamedTuple):
-    """Errors on held-out blocks, and spread of the parameters, of models fitted without one block each."""
+    """Errors on held-out blocks, and parameters, of fits without each block."""
 
     powers: FloatArray
-    """(blocks, p) mean square error of each output in each block"""
+    """(blocks, p) mean square error of each output in each block."""
     parameters: FloatArray
-    """(blocks, q)"""
+    """(blocks, q) parameters of each fit."""
 
     @property
     def deviation(self) -> FloatArray:
-        """(q,) standard deviation of the fit's parameters from their scatter (jackknife by blocks).
+        """(q,) standard deviation of the parameters by the block jackknife.
 
-        Student's distribution corrects for the small number of blocks.
+        Student's t distribution corrects for the small number of blocks.
         """
-        from scipy import stats  # noqa: PLC0415 - loads slowly, and loading a model does not need it
+        from scipy import stats  # noqa: PLC0415 - slow import, not needed to load a model
 
         count = len(self.parameters)
         scatter = np.sqrt((count - 1) ** 2 / count * self.parameters.var(axis=0, ddof=1))
@@ -82,18 +80,18 @@ class HeldOut(NamedTuple):
 def hold_out(
     fit: OutputErrorFit, experiments: Sequence[SampledExperiment], robust: bool = True, *, brief: bool = False
 ) -> HeldOut:
-    """Search anew, from `fit`, without each block in turn; `robust` and `brief` as `fit_output_error`.
+    """Fit again without each block, starting from `fit`; `robust` and `brief` are options of `fit_output_error`.
 
     Raises
     ------
     ValueError
-        As `blocks`; or if an output never changes without some block.
+        If the experiments are too short, or an output never changes without some block.
     """
     powers, parameters = [], []
     for rest, block in blocks(experiments):
         start = [(fit.layout, fit.parameters)]
-        refit = fit_output_error(start, cut(experiments, rest), robust, scale=fit.scale, brief=brief)
-        errors = [part.readings - simulate_experiment(refit.system, part) for part in cut(experiments, block)]
+        refit = fit_output_error(start, extract(experiments, rest), robust, scale=fit.scale, brief=brief)
+        errors = [part.readings - simulate_experiment(refit.system, part) for part in extract(experiments, block)]
         powers.append(np.nanmean(np.concatenate(errors) ** 2, axis=0))
         parameters.append(refit.parameters)
     return HeldOut(np.array(powers), np.array(parameters))

@@ -1,4 +1,4 @@
-"""Named numbers with their covariance."""
+"""Parameters of the estimator: named estimates with covariance, and layouts of parameter vectors."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from diffdrive_mpc.models.interface import AnyArray, FloatArray
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.state_space import LinearSystem
 
-# Central differences of smooth functions: the cube root of the machine precision balances cut-off and rounding.
+# Relative step of central differences: the cube root of the machine precision balances truncation and rounding.
 _STEP = 6e-6
-# Commands and rates of no robot; a limit that the data do not show moves off to here.
-_FASTEST = 1e3
+# Upper bound of limits of commands and rates, above those of all robots; undetermined limits move towards it.
+_MAX_LIMIT = 1e3
 
 
 @dataclass(frozen=True)
 class ParameterEstimate:
-    """Parameters as an estimator found them.
+    """Estimated parameters.
 
     Attributes
     ----------
     names
-        (q,) such as "v.gain".
+        (q,) names, such as "v.gain".
     values
-        (q,).
+        (q,) values.
     covariance
-        (q, q).
+        (q, q) covariance.
     """
 
     names: tuple[str, ...]
@@ -41,7 +41,7 @@ class ParameterEstimate:
 
     @property
     def standard_deviation(self) -> FloatArray:
-        """(q,)."""
+        """(q,) standard deviations."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
     @property
@@ -50,15 +50,15 @@ class ParameterEstimate:
         return list(zip(self.names, self.values.tolist(), self.standard_deviation.tolist(), strict=True))
 
     def value(self, name: str) -> float:
-        """Return one parameter; raise KeyError if none has that name."""
+        """Return one parameter; raise KeyError if it does not exist."""
         return float(self.values[self._index(name)])
 
     def deviation(self, name: str) -> float:
-        """Return the standard deviation of one parameter; raise KeyError if none has that name."""
+        """Return the standard deviation of one parameter; raise KeyError if it does not exist."""
         return float(self.standard_deviation[self._index(name)])
 
     def slope(self, function: Callable[[FloatArray], FloatArray]) -> FloatArray:
-        """Return the derivatives (r, q) of a function (q,) to (r,) at the parameters."""
+        """Return the derivatives (r, q) of a function from (q,) to (r,) at the parameters."""
         slopes = []
         for i, value in enumerate(self.values):
             step = _STEP * max(abs(value), 1e-3) * np.eye(len(self.values))[i]
@@ -71,21 +71,21 @@ class ParameterEstimate:
         return ParameterEstimate(tuple(names), np.asarray(function(self.values)), slope @ self.covariance @ slope.T)
 
     def part(self, names: Sequence[str]) -> ParameterEstimate:
-        """Return some of the parameters; raise KeyError if a name does not exist."""
+        """Return the parameters `names`; raise KeyError if a name does not exist."""
         rows = [self._index(name) for name in names]
         return ParameterEstimate(tuple(names), self.values[rows], self.covariance[np.ix_(rows, rows)])
 
     def renamed(self, prefix: str) -> ParameterEstimate:
-        """Return the same parameters with `prefix` and a dot before their names."""
+        """Return the parameters with `prefix` and a dot before their names."""
         return ParameterEstimate(tuple(f"{prefix}.{name}" for name in self.names), self.values, self.covariance)
 
     def _index(self, name: str) -> int:
         if name not in self.names:
-            raise KeyError(f"no parameter '{name}': there are {', '.join(self.names)}")
+            raise KeyError(f"no parameter '{name}'; the parameters are {', '.join(self.names)}")
         return self.names.index(name)
 
 
-def joined(estimates: Sequence[ParameterEstimate]) -> ParameterEstimate:
+def join_estimates(estimates: Sequence[ParameterEstimate]) -> ParameterEstimate:
     """Concatenate independent estimates."""
     return ParameterEstimate(
         tuple(name for estimate in estimates for name in estimate.names),
@@ -94,11 +94,11 @@ def joined(estimates: Sequence[ParameterEstimate]) -> ParameterEstimate:
     )
 
 
-# Which numbers the estimator may move: a parametrisation's, dead times, sensor offsets, input limits, in one row.
+# Parameter vectors: parametrisation of the matrices, dead times, sensor offsets and input limits.
 
 
 class Parametrisation(Protocol):
-    """A way to fill A, B and C from parameters."""
+    """Map from parameters (s,) to the matrices A, B and C."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -111,32 +111,32 @@ class Parametrisation(Protocol):
         ...
 
     def matrices(self, parameters: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
-        """Return A (n, n), B (n, m), C (p, n) of parameters (s,); analytic, for complex-step differentiation."""
+        """Return A (n, n), B (n, m), C (p, n) for parameters (s,), analytic for complex-step differentiation."""
         ...
 
     def recentred(self, parameters: FloatArray) -> tuple[Parametrisation, FloatArray]:
-        """Return a parametrisation with coordinates around `parameters`, and `parameters` in these coordinates."""
+        """Return a parametrisation with its origin near `parameters`, and `parameters` in its coordinates."""
         ...
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Parameters (q,): the parametrisation's, dead times [s], offsets of outputs, limits of inputs, in this order.
+    """Layout of parameters (q,) in the order parametrisation, dead times [s], output offsets, input limits.
 
     Attributes
     ----------
     parametrisation
-        What fills A, B and C.
+        Parametrisation of A, B and C.
     inputs, outputs
-        m and p.
+        Numbers m and p of inputs and outputs.
     shared_dead_time
-        One dead time for all inputs instead of one each.
+        True for one dead time of all inputs; False for one of each input.
     known_dead_time
-        That of every input [s], where it is known and not to be found.
+        Fixed dead time of all inputs [s]; None to estimate it.
     offset
-        (p,) which outputs have a constant sensor bias.
+        (p,) True for outputs with a constant sensor bias.
     limited
-        (m, 4) which limits of each input are to be found, in the order of `input_limits.KINDS`.
+        (m, 4) True for limits of inputs that are estimated, in the order of `input_limits.KINDS`.
     """
 
     parametrisation: Parametrisation
@@ -148,18 +148,18 @@ class Layout:
     limited: tuple[tuple[bool, ...], ...] = ()
 
     def __post_init__(self) -> None:
-        """Set the default masks: no channel."""
+        """Set the default masks without offsets and limits."""
         object.__setattr__(self, "offset", self.offset or (False,) * self.outputs)
         object.__setattr__(self, "limited", self.limited or ((False,) * len(KINDS),) * self.inputs)
 
     @property
     def counts(self) -> tuple[int, int, int, int]:
-        """Number of parameters of each kind."""
+        """Numbers of parameters of the parametrisation, dead times, offsets and limits."""
         return len(self.parametrisation.names), len(self._dead_times), sum(self.offset), sum(map(sum, self.limited))
 
     @property
     def names(self) -> tuple[str, ...]:
-        """(q,) names: dead_time, offset and limits carry the number of their input or output."""
+        """(q,) names; dead times, offsets and limits have the index of their input or output."""
         offsets = [f"offset_{i}" for i, free in enumerate(self.offset) if free]
         limits = [f"{kind}_{j}" for j, free in enumerate(self.limited) for kind in compress(KINDS, free)]
         return (*self.parametrisation.names, *self._dead_times, *offsets, *limits)
@@ -175,22 +175,24 @@ class Layout:
         """(q,) lower and upper bounds."""
         _, dead_times, offsets, limits = self.counts
         low, high = self.parametrisation.bounds
-        longest = estimator_settings().longest_dead_time
+        max_dead_time = estimator_settings().longest_dead_time
         return (
             np.concatenate([low, np.zeros(dead_times), np.full(offsets, -np.inf), np.full(limits, 1e-6)]),
-            np.concatenate([high, np.full(dead_times, longest), np.full(offsets, np.inf), np.full(limits, _FASTEST)]),
+            np.concatenate(
+                [high, np.full(dead_times, max_dead_time), np.full(offsets, np.inf), np.full(limits, _MAX_LIMIT)]
+            ),
         )
 
     def around(self, parametrisation: Parametrisation) -> Layout:
-        """Return the same layout with different coordinates of its parametrisation."""
+        """Return the layout with another parametrisation."""
         return replace(self, parametrisation=parametrisation)
 
     def split(self, parameters: AnyArray) -> list[AnyArray]:
-        """Split `parameters` (q,) into those of the parametrisation, dead times, offsets and limits."""
+        """Split `parameters` (q,) into parametrisation, dead times, offsets and limits."""
         return list(np.split(parameters, np.cumsum(self.counts)[:-1]))
 
     def system(self, parameters: AnyArray) -> LinearSystem:
-        """Return the system that `parameters` (q,) describe."""
+        """Return the system with `parameters` (q,)."""
         coordinates, dead_time, offsets, limits = self.split(parameters)
         if self.known_dead_time is not None:
             dead_time = np.array([self.known_dead_time])

@@ -1,10 +1,10 @@
-"""Output error: measured outputs minus a simulation from the inputs alone, and its derivatives.
+"""Output errors (measured outputs minus a simulation from the inputs) and their derivatives.
 
-Each experiment has a past of its own: a command before it, in whose settled state the robot was, and a deviation from
-that state, which a prior keeps small (else it would explain the transient, and dynamics and dead time would not be seen
-where stretches begin at a step). Both enter linearly, so they are solved for exactly inside every evaluation and
-projected out of the derivatives (variable projection, Golub and Pereyra 1973, with Kaufman's 1975 simplification, whose
-gradient is exact): any number of experiments costs no parameter.
+Each experiment has an unknown past: a previous command with its steady state, and a deviation from that state. A prior
+keeps the deviation small; otherwise it would explain the transient, and dynamics and dead time would not be
+identifiable from stretches that start with a step. Both enter linearly, so each evaluation solves for them exactly and
+projects them out of the derivatives (variable projection, Golub and Pereyra 1973, with Kaufman's simplification of
+1975, whose gradient is exact). The number of parameters therefore does not depend on the number of experiments.
 """
 
 from __future__ import annotations
@@ -17,51 +17,51 @@ from scipy import linalg
 
 from diffdrive_mpc.models.interface import AnyArray, FloatArray
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
-from diffdrive_mpc.models.output_error.input_limits import slopes, taken
+from diffdrive_mpc.models.output_error.input_limits import limit_derivatives, limited_inputs
 from diffdrive_mpc.models.output_error.parameters import Layout
 from diffdrive_mpc.models.output_error.state_space import (
     LinearSystem,
     SampledSystem,
     StateResponse,
-    delayed,
+    delay_inputs,
     sample,
 )
 
-# Any step this small is exact in complex arithmetic.
+# Steps of this size cause no truncation error in complex-step differentiation.
 _COMPLEX_STEP = 1e-30
-# Directions of the past that the outputs show less than this, relative to the best seen, are left at zero.
-_SEEN = 1e-9
-# Directions of the state that the commands move less than this, relative to the one moved most, count as moved so much.
-_MOVED = 1e-4
-# What is left of an initial state counts no more once its slowest part has decayed to this.
+# Relative singular value below which a direction of the past is unobservable and set to zero.
+_MIN_SINGULAR_VALUE = 1e-9
+# Minimum relative excitation of a direction of the state in the prior.
+_MIN_EXCITATION = 1e-4
+# Relative size at which the decaying effect of an initial state is neglected.
 _DECAYED = 1e-12
 
 
 _Drive = tuple[FloatArray, FloatArray]
-"""Limited inputs as B0 and B1 see them (m, K)."""
+"""Limited and delayed inputs of B0 and of B1, each (m, K)."""
 
 
 class _Model(NamedTuple):
-    """A system sampled at one rate, with the quantities shared by all experiments of that rate."""
+    """A sampled system, with the quantities shared by all experiments of one sample time."""
 
     system: LinearSystem
     sampled: SampledSystem
     respond: StateResponse
-    hold: FloatArray
-    """(n, m) settled states of unit inputs"""
+    steady_states: FloatArray
+    """(n, m) steady states of unit inputs."""
     past: FloatArray
-    """(n, m + n, E) states from each unit command before, and each unit deviation, until they have decayed."""
+    """(n, m + n, E) states after each unit previous command and each unit deviation, until they have decayed."""
 
 
 class _Past(NamedTuple):
-    """Effect of the unknown past on the first E samples; r directions."""
+    """Effect of the unknown past on the first E samples, in r directions."""
 
     outputs: FloatArray
-    """(E p, r) output rows of an orthonormal basis of the effect of pasts on the outputs and on their prior"""
+    """(E p, r) output rows of an orthonormal basis of the effects of pasts on outputs and prior."""
     prior: FloatArray
-    """(m + n, r) prior rows of this basis"""
+    """(m + n, r) prior rows of this basis."""
     recover: FloatArray
-    """(m + n, r) from components along the basis to the command before and the deviation"""
+    """(m + n, r) map from components along the basis to previous command and deviation."""
 
 
 class OutputErrorProblem:
@@ -70,14 +70,14 @@ class OutputErrorProblem:
     Parameters
     ----------
     layout
-        Which parameters there are.
+        Layout of the parameters.
     experiments
         The data.
     weights
-        For each experiment (K, p) factors of the residuals, not negative; zero where a sample does not count.
+        (K, p) non-negative factors of the residuals of each experiment; zero for samples that do not count.
     prior
-        For each experiment (m + n, m + n) one over the standard deviation of its past, the command before it first: the
-        past's part of the residuals is this times it. See `past_prior`. By default all zero: any past will do.
+        (m + n, m + n) inverse standard deviations of the past of each experiment, previous command first; the product
+        with the past is part of the residuals. See `past_prior`. By default zero: no prior.
     """
 
     def __init__(
@@ -90,12 +90,12 @@ class OutputErrorProblem:
         self._layout, self._experiments, self._weights = layout, list(experiments), list(weights)
         self._rows = sum(weight.size for weight in weights)
         self._prior = [None] * len(weights) if prior is None else list(prior)
-        self._longest = {experiment.dt: 0 for experiment in experiments}
+        self._max_samples = {experiment.dt: 0 for experiment in experiments}
         for experiment in experiments:
-            self._longest[experiment.dt] = max(self._longest[experiment.dt], experiment.samples)
+            self._max_samples[experiment.dt] = max(self._max_samples[experiment.dt], experiment.samples)
 
     def residuals(self, parameters: FloatArray) -> FloatArray:
-        """Return (rows,) weighted residuals by experiment and sample, then of the pasts; infinite where unstable."""
+        """Return weighted residuals (rows,) of experiments and samples, then of the pasts; inf for unstable systems."""
         system = self._layout.system(parameters)
         if np.linalg.eigvals(system.A).real.max() >= 0:
             return np.full(self._rows + len(self._experiments) * (system.B.shape[1] + len(system.A)), np.inf)
@@ -103,7 +103,7 @@ class OutputErrorProblem:
         parts, pasts = [], []
         for experiment, weight, prior in zip(self._experiments, self._weights, self._prior, strict=True):
             model = models[experiment.dt]
-            states = _forced(model, taken(system, experiment))
+            states = _simulate_from_rest(model, limited_inputs(system, experiment))
             error = (weight * (experiment.outputs - system.offset - states.T @ system.C.T)).ravel()
             pasts.append(_project(error, _past(model, weight, prior)))
             parts.append(error)
@@ -123,7 +123,7 @@ class OutputErrorProblem:
         return np.concatenate(parts + pasts)
 
     def simulations(self, parameters: FloatArray) -> list[FloatArray]:
-        """Simulate the outputs (K, p) of each experiment, sensor offset included, from the best past."""
+        """Simulate the outputs (K, p) of each experiment from the best past, including sensor offsets."""
         system = self._layout.system(parameters)
         models = self._models(system)
         return [
@@ -132,25 +132,27 @@ class OutputErrorProblem:
         ]
 
     def _models(self, system: LinearSystem) -> dict[float, _Model]:
-        """Sample the system at each sample time of the data."""
+        """Discretise the system for each sample time of the data."""
         n, slowest = len(system.A), np.linalg.eigvals(system.A).real.max()
-        hold = -np.linalg.solve(system.A, system.B)
+        steady_states = -np.linalg.solve(system.A, system.B)
         models = {}
-        for dt, longest in self._longest.items():
+        for dt, max_samples in self._max_samples.items():
             sampled = sample(system, dt)
             respond = StateResponse(sampled.A)
-            early = int(min(longest, n + 2 + sampled.delay.max() + np.log(_DECAYED) / (slowest * dt)))
-            acting = np.arange(early)
+            early = int(min(max_samples, n + 2 + sampled.delay.max() + np.log(_DECAYED) / (slowest * dt)))
+            steps = np.arange(early)
             before = [
-                sampled.B0[:, [j]] * (acting < delay) + sampled.B1[:, [j]] * (acting < delay + 1)
+                sampled.B0[:, [j]] * (steps < delay) + sampled.B1[:, [j]] * (steps < delay + 1)
                 for j, delay in enumerate(sampled.delay)
             ]
             drive = np.stack([*before, *np.zeros((n, n, early))], axis=1)
-            models[dt] = _Model(system, sampled, respond, hold, respond(drive, np.hstack([hold, np.eye(n)])))
+            models[dt] = _Model(
+                system, sampled, respond, steady_states, respond(drive, np.hstack([steady_states, np.eye(n)]))
+            )
         return models
 
     def _derivatives(self, parameters: FloatArray, dt: float) -> tuple[LinearSystem, SampledSystem]:
-        """Differentiate the continuous and the sampled system by each parameter, (q, ...)."""
+        """Return the derivatives of the continuous and the sampled system with respect to each parameter, (q, ...)."""
         stepped = parameters + 1j * _COMPLEX_STEP * np.eye(len(parameters))
         systems = LinearSystem(*map(np.array, zip(*map(self._layout.system, stepped), strict=True)))
         sampled = sample(systems, dt)
@@ -164,28 +166,30 @@ class OutputErrorProblem:
 
 
 def _past(model: _Model, weight: FloatArray, prior: FloatArray | None) -> _Past:
-    free = model.past[..., : len(weight)]
-    count = free.shape[1]
-    rows = weight[: free.shape[-1], :, None] * np.moveaxis(np.tensordot(model.system.C, free, 1), 2, 0)
-    known = np.zeros((count, count)) if prior is None else prior
-    left, values, right = np.linalg.svd(np.vstack([rows.reshape(-1, count), known]), full_matrices=False)
-    keep = values > _SEEN * max(values[0], np.finfo(float).tiny)
-    return _Past(left[:-count, keep], left[-count:, keep], right[keep].T / values[keep])
+    states = model.past[..., : len(weight)]
+    count = states.shape[1]
+    rows = weight[: states.shape[-1], :, None] * np.moveaxis(np.tensordot(model.system.C, states, 1), 2, 0)
+    prior_rows = np.zeros((count, count)) if prior is None else prior
+    left, values, right = np.linalg.svd(np.vstack([rows.reshape(-1, count), prior_rows]), full_matrices=False)
+    is_observable = values > _MIN_SINGULAR_VALUE * max(values[0], np.finfo(float).tiny)
+    return _Past(
+        left[:-count, is_observable], left[-count:, is_observable], right[is_observable].T / values[is_observable]
+    )
 
 
 def _simulate(
     model: _Model, experiment: SampledExperiment, weight: FloatArray, prior: FloatArray | None
 ) -> tuple[FloatArray, _Drive, FloatArray, _Past]:
-    """Return states (n, K) from the best past, their drive, the command before, and the effect of the past."""
+    """Return states (n, K) from the best past, the drive, the previous command, and the effect of the past."""
     system, past = model.system, _past(model, weight, prior)
-    inputs = taken(system, experiment)
-    states = _forced(model, inputs)
+    inputs = limited_inputs(system, experiment)
+    states = _simulate_from_rest(model, inputs)
     early = len(past.outputs) // experiment.outputs.shape[1]
     error = weight * (experiment.outputs - system.offset - states.T @ system.C.T)
     recovered = past.recover @ (past.outputs.T @ error[:early].ravel())
     states[:, :early] += np.tensordot(model.past[..., :early], recovered, (1, 0))
     before = recovered[: inputs.shape[1]]
-    return states, delayed(inputs, model.sampled.delay, before), before, past
+    return states, delay_inputs(inputs, model.sampled.delay, before), before, past
 
 
 def _experiment_jacobian(
@@ -196,16 +200,16 @@ def _experiment_jacobian(
     weight: FloatArray,
     prior: FloatArray | None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return (K p, q) derivatives of an experiment's weighted residuals, and (m + n, q) of its past's."""
+    """Return the derivatives of an experiment's weighted residuals (K p, q) and of those of its past (m + n, q)."""
     states, (recent, older), before, past = _simulate(model, experiment, weight, prior)
     forcing = sampled_slope.A @ states + sampled_slope.B0 @ recent + sampled_slope.B1 @ older
     if slope.limit.any():
-        changes = taken(model.system, experiment, slopes)
-        for rates, by in zip(np.moveaxis(slope.limit, -1, 0)[:, :, None, :], changes, strict=True):
-            recent, older = delayed(by, model.sampled.delay, np.zeros(by.shape[1]))
+        changes = limited_inputs(model.system, experiment, limit_derivatives)
+        for rates, derivative in zip(np.moveaxis(slope.limit, -1, 0)[:, :, None, :], changes, strict=True):
+            recent, older = delay_inputs(derivative, model.sampled.delay, np.zeros(derivative.shape[1]))
             forcing += (model.sampled.B0 * rates) @ recent + (model.sampled.B1 * rates) @ older
-    settled = np.asarray(-np.linalg.solve(model.system.A, ((slope.A @ model.hold + slope.B) @ before).T))
-    sensitivity = model.respond(np.moveaxis(forcing, 0, 1), settled)
+    steady_slope = np.asarray(-np.linalg.solve(model.system.A, ((slope.A @ model.steady_states + slope.B) @ before).T))
+    sensitivity = model.respond(np.moveaxis(forcing, 0, 1), steady_slope)
     change = np.tensordot(model.system.C, sensitivity, 1) + np.moveaxis(slope.C @ states, 0, 1)
     change += slope.offset.T[:, :, None]
     rows = -(weight[:, :, None] * np.moveaxis(change, 2, 0)).reshape(weight.size, -1)
@@ -213,36 +217,40 @@ def _experiment_jacobian(
 
 
 def past_prior(system: LinearSystem, experiments: Sequence[SampledExperiment], deviation: float) -> FloatArray:
-    """Return the inverse standard deviations of a past, (m + n, m + n), as `OutputErrorProblem` takes them.
+    """Return the inverse standard deviations of a past, (m + n, m + n), for `OutputErrorProblem`.
 
-    Commands before an experiment are as large as those in it. A state deviates from the settled one `deviation` times
-    as far as the states of the experiments, from rest, deviate from those that their commands settle in.
+    The previous command has the rms size of the commands in the experiments. The deviation from its steady state is
+    `deviation` times the rms deviation of the states in the experiments, simulated from rest, from the steady states of
+    their commands.
     """
-    hold, total, count = -np.linalg.solve(system.A, system.B), np.zeros(system.A.shape), 0
+    steady_states, total, count = -np.linalg.solve(system.A, system.B), np.zeros(system.A.shape), 0
     sampled = {dt: sample(system, dt) for dt in {experiment.dt for experiment in experiments}}
     respond = {dt: StateResponse(model.A) for dt, model in sampled.items()}
     for experiment in experiments:
         discrete = sampled[experiment.dt]
-        inputs = taken(system, experiment)
-        recent, older = delayed(inputs, discrete.delay, np.zeros(inputs.shape[1]))
-        off = respond[experiment.dt]((discrete.B0 @ recent + discrete.B1 @ older)[:, None, :])[:, 0] - hold @ inputs.T
-        total, count = total + off @ off.T, count + len(inputs)
+        inputs = limited_inputs(system, experiment)
+        recent, older = delay_inputs(inputs, discrete.delay, np.zeros(inputs.shape[1]))
+        difference = (
+            respond[experiment.dt]((discrete.B0 @ recent + discrete.B1 @ older)[:, None, :])[:, 0]
+            - steady_states @ inputs.T
+        )
+        total, count = total + difference @ difference.T, count + len(inputs)
     sizes, axes = np.linalg.eigh(total / count)
-    sizes = deviation * np.sqrt(np.maximum(sizes, _MOVED**2 * max(sizes.max(), np.finfo(float).tiny)))
-    usual = np.sqrt(np.mean(np.concatenate([e.inputs for e in experiments]) ** 2, axis=0))
-    commands = np.diag(1.0 / np.maximum(usual, np.finfo(float).tiny ** 0.25))
+    sizes = deviation * np.sqrt(np.maximum(sizes, _MIN_EXCITATION**2 * max(sizes.max(), np.finfo(float).tiny)))
+    rms = np.sqrt(np.mean(np.concatenate([e.inputs for e in experiments]) ** 2, axis=0))
+    commands = np.diag(1.0 / np.maximum(rms, np.finfo(float).tiny ** 0.25))
     return np.asarray(linalg.block_diag(commands, axes.T / sizes[:, None]))
 
 
-def _forced(model: _Model, inputs: FloatArray) -> FloatArray:
-    """Simulate (n, K) states from rest under limited inputs (K, m)."""
-    recent, older = delayed(inputs, model.sampled.delay, np.zeros(inputs.shape[1]))
+def _simulate_from_rest(model: _Model, inputs: FloatArray) -> FloatArray:
+    """Simulate the states (n, K) from rest with limited inputs (K, m)."""
+    recent, older = delay_inputs(inputs, model.sampled.delay, np.zeros(inputs.shape[1]))
     return model.respond((model.sampled.B0 @ recent + model.sampled.B1 @ older)[:, None, :])[:, 0]
 
 
 def _project(rows: FloatArray, past: _Past) -> FloatArray:
-    """Remove the effect of the past from `rows` (K p, ...) in place; return the rows of the prior (m + n, ...)."""
+    """Remove the effect of the past from `rows` (K p, ...) in place; return the prior rows (m + n, ...)."""
     early = rows[: len(past.outputs)]
-    along = past.outputs.T @ early
-    early -= past.outputs @ along
-    return -past.prior @ along
+    components = past.outputs.T @ early
+    early -= past.outputs @ components
+    return -past.prior @ components

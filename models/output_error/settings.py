@@ -17,60 +17,64 @@ Range = tuple[Positive, Positive]
 class LimitSettings(StrictModel):
     """Settings of the search for limits of the base."""
 
-    levels: tuple[Positive, ...] = Field(description="that are tried, parts of the largest command [-]")
-    durations: tuple[Positive, ...] = Field(description="that are tried, of ramps from zero to the largest command [s]")
-    evaluations: int = Field(ge=2, description="of the model for each of them")
-    share: Positive = Field(lt=1, description="least share of samples that a limit changes [-]")
-    evidence: Positive = Field(description="least fall of the information criterion [-]")
-    strong_evidence: Positive = Field(description="decrease above which blocks only have to agree [-]")
+    levels: tuple[Positive, ...] = Field(description="candidate limits as shares of the maximum command [-]")
+    durations: tuple[Positive, ...] = Field(
+        description="candidate durations of ramps from 0 to the maximum command [s]"
+    )
+    evaluations: int = Field(ge=2, description="model evaluations per candidate")
+    share: Positive = Field(lt=1, description="minimum share of samples that a limit changes [-]")
+    evidence: Positive = Field(description="minimum decrease of the information criterion [-]")
+    strong_evidence: Positive = Field(description="decrease above which held-out blocks only need to agree [-]")
     held_out_evidence: Positive = Field(
-        description="least fall of the log of the mean square error on blocks held out, times effective samples [-]"
+        description="minimum decrease of the log mean square error on held-out blocks, times effective samples [-]"
     )
 
 
 class ScatterSettings(StrictModel):
-    """When parts of a log are said to differ."""
+    """Settings of the test for differences between parts of a log."""
 
     blocks: tuple[Annotated[int, Field(ge=3)], ...] = Field(description="numbers of blocks of equal length")
-    certain: Positive = Field(lt=1, description="quantile of a variance between blocks, up to which it is chance [-]")
+    certain: Positive = Field(lt=1, description="quantile of a variance between blocks, below which it is chance [-]")
 
 
 class HeldOutSettings(StrictModel):
     """Settings of the held-out blocks of the records."""
 
-    blocks: int = Field(ge=2, description="of equal length")
-    fewest_readings: int = Field(ge=5, description="of each output in a part of a record")
+    blocks: int = Field(ge=2, description="number of blocks of equal length")
+    fewest_readings: int = Field(ge=5, description="minimum readings of each output in a part of a record")
 
 
 class WarningSettings(StrictModel):
-    """When a parameter is said to be badly known."""
+    """Thresholds for warnings about uncertain parameters."""
 
-    relative_deviation: Positive = Field(description="standard deviation over value [-]")
-    delay_deviation: Positive = Field(description="standard deviation of dead time and lag together over both [-]")
-    least_delay_deviation: Positive = Field(description="below which they are known well enough [s]")
-    condition: Positive = Field(description="condition number of the scaled information matrix [-]")
+    relative_deviation: Positive = Field(description="maximum ratio of standard deviation to value [-]")
+    delay_deviation: Positive = Field(description="maximum relative standard deviation of dead time plus lag [-]")
+    least_delay_deviation: Positive = Field(description="standard deviation of dead time plus lag without warning [s]")
+    condition: Positive = Field(description="maximum condition number of the scaled information matrix [-]")
 
 
 class EstimatorSettings(StrictModel):
-    """Bounds, first guesses and thresholds of the estimator."""
+    """Bounds, initial guesses and thresholds of the estimator."""
 
-    longest_dead_time: Positive = Field(description="[s]")
+    longest_dead_time: Positive = Field(description="maximum dead time [s]")
     lag: Range = Field(description="sum of both time constants [s]")
     short: Range = Field(description="product of both time constants over their sum [s]")
-    gain: Range = Field(description="[-]")
-    track: Range = Field(description="[m]")
-    start_dead_times: tuple[float, ...] = Field(description="grid of first guesses [s]")
-    start_frequencies: tuple[Positive, ...] = Field(description="grid of first guesses [rad/s]")
-    start_deviation: Positive = Field(description="of a stretch from a settled state, part of the usual deviation [-]")
-    impulse_response: Positive = Field(description="length of the impulse response an SSM starts from [s]")
+    gain: Range = Field(description="steady-state gain [-]")
+    track: Range = Field(description="track of the firmware [m]")
+    start_dead_times: tuple[float, ...] = Field(description="grid of initial dead times [s]")
+    start_frequencies: tuple[Positive, ...] = Field(description="grid of initial frequencies [rad/s]")
+    start_deviation: Positive = Field(
+        description="prior deviation of an initial state from steady state, relative to its rms deviation [-]"
+    )
+    impulse_response: Positive = Field(description="length of the impulse response for the initial SSM [s]")
     limits: LimitSettings
     held_out: HeldOutSettings
     scatter: ScatterSettings
     warn: WarningSettings
-    residual_lag: Positive = Field(description="longest lag of the residuals' correlations [s]")
+    residual_lag: Positive = Field(description="maximum lag of the residual correlations [s]")
 
 
 @cache
 def estimator_settings() -> EstimatorSettings:
-    """Read `settings.yaml`; raises ConfigError on a mistake in it."""
+    """Read `settings.yaml`; raise ConfigError if it is invalid."""
     return load_checked(EstimatorSettings, Path(__file__).parent / "settings.yaml")

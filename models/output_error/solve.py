@@ -1,4 +1,4 @@
-"""From data and a first guess to parameters with their covariance."""
+"""Output-error fit: parameters and covariance from data and initial guesses."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.output_error.experiment import SampledExperiment, joined, parted
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment, join_experiments, split_rows
 from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate
 from diffdrive_mpc.models.output_error.problem import OutputErrorProblem, past_prior
 from diffdrive_mpc.models.output_error.settings import estimator_settings
@@ -24,34 +24,35 @@ from diffdrive_mpc.models.output_error.statistics import (
     spike_weights,
 )
 
-# Reweighting ends when a round lowers the cost by less than this part of it, or after so many rounds. A round goes on
-# where the last one stopped, so few evaluations in each are enough.
-_SETTLED = 1e-5
-_ROUNDS = 5
+# Reweighting ends if a round reduces the cost by less than this share, or after the maximum number of rounds. Each
+# round continues from the previous one, so few evaluations per round are sufficient.
+_COST_TOLERANCE = 1e-5
+_MAX_ROUNDS = 5
 _EVALUATIONS = 25
-_BRIEF = 8
-# Size of a past, in standard deviations of its prior, up to which it is taken for what the prior means.
-_TIED = 3.0
-# A first reading counts as at most so many.
-_MOST_FIRST = 10.0
+_BRIEF_EVALUATIONS = 8
+# Size of a past, in standard deviations of its prior, above which the prior is relaxed.
+_PRIOR_THRESHOLD = 3.0
+# Maximum additional weight factor of a first reading.
+_MAX_FIRST_WEIGHT = 10.0
 
 
 @dataclass(frozen=True)
 class OutputErrorFit:
-    """An estimate.
+    """Result of an output-error fit.
 
     Attributes
     ----------
     layout, parameters
-        What was estimated, and its values (q,).
+        Layout of the parameters and their values (q,).
     sandwich
-        Covariance (q, q), residual correlation taken into account, and the information in the data.
+        Covariance (q, q) with correlation of the residuals, and the information in the data.
     scale
-        (p,) scale of the residuals, units of the outputs.
+        (p,) scale of the residuals [units of the outputs].
     residuals
-        For each experiment (K, p) measured minus simulated, from the best initial state; NaN where it does not count.
+        (K, p) measured minus simulated outputs of each experiment, from the best past; NaN for samples that do not
+        count.
     trust
-        For each experiment (K, p) weights of the residuals: 1, and less for outliers.
+        (K, p) weights of the residuals of each experiment: 1, or less for outliers.
     """
 
     layout: Layout
@@ -63,14 +64,14 @@ class OutputErrorFit:
 
     @property
     def estimate(self) -> ParameterEstimate:
-        """The parameters by name, with their covariance."""
+        """Parameters by name, with their covariance."""
         return ParameterEstimate(self.layout.names, self.parameters, self.sandwich.covariance)
 
     def derived(self, names: Sequence[str], function: Callable[[FloatArray], FloatArray]) -> ParameterEstimate:
-        """Apply a function (q,) to (r,) to the parameters; find the scatter of blocks in its values.
+        """Apply a function from (q,) to (r,) to the parameters; the scatter of blocks is that of its values.
 
-        Local coordinates of a state space are correlated, and widened one by one they would lose what they determine
-        together.
+        Local coordinates of a state space are correlated. If the variance of each were increased separately, the
+        information in their combinations would be lost.
         """
         covariance = self.sandwich.derived(self.estimate.slope(function)).covariance
         return ParameterEstimate(tuple(names), np.asarray(function(self.parameters)), covariance)
@@ -81,7 +82,7 @@ class OutputErrorFit:
         return self.layout.system(self.parameters)
 
     def loss(self, scale: FloatArray) -> FloatArray:
-        """Return the (p,) weighted sum of squares of each output's residuals divided by `scale` (p,)."""
+        """Return the weighted sum of squares (p,) of each output's residuals divided by `scale` (p,)."""
         parts = [np.nansum(w * (r / scale) ** 2, axis=0) for w, r in zip(self.trust, self.residuals, strict=True)]
         return np.asarray(np.sum(parts, axis=0))
 
@@ -95,56 +96,58 @@ def fit_output_error(
     trust: Sequence[FloatArray] | None = None,
     evaluations: int | None = None,
 ) -> OutputErrorFit:
-    """Fit every candidate, go on with the best, and find its covariance.
+    """Fit all candidates, refine the best, and estimate its covariance.
 
-    Weighted least squares with a trust region (scipy), reweighted until it settles: outputs by the scale of their
-    residuals, single readings by whether their neighbours agree. Experiments that follow each other are one run; a run
-    begins near the settled state of an unknown command (see `past_prior`).
+    The method is weighted least squares with a trust region (scipy) and iterative reweighting: outputs by the scale of
+    their residuals, single readings by their deviation from neighbours. Consecutive experiments form one run; a run
+    starts near the steady state of an unknown command (see `past_prior`).
 
     Parameters
     ----------
     candidates
-        Layouts, each with a first guess of its parameters.
+        Layouts with initial guesses of their parameters.
     experiments
         The data.
     robust
-        Whether single outliers are held back.
+        Whether to reduce the weights of single outliers.
     brief
-        Whether the best is near, so that one round of few evaluations is enough.
+        Whether to stop after one round of few evaluations, for initial guesses close to the optimum.
     scale
-        (p,) scale of the residuals to begin with; by default the spread of the outputs.
+        (p,) initial scale of the residuals; by default the standard deviation of the outputs.
     trust
-        For each experiment (K, p) weights of the readings. With them the weights are fixed, and `scale` is too.
+        (K, p) fixed weights of the readings of each experiment; `scale` is then also fixed.
     evaluations
-        Of the model for each candidate; one keeps the first guess. None for the usual number.
+        Number of model evaluations per candidate; 1 keeps the initial guess. None for the default.
 
     Raises
     ------
     ValueError
-        If there is no data, or an output never changes.
+        If there are no data, or an output never changes.
     """
     if not experiments:
         raise ValueError("no data: give at least one record in which the robot moves")
-    pieces, experiments = experiments, joined(experiments)
+    unjoined, experiments = experiments, join_experiments(experiments)
     spread = output_spread(experiments)
     noise = reading_noise([experiment.readings for experiment in experiments])
     scale = spread if scale is None else scale
-    evaluations = evaluations or (_BRIEF if brief else _EVALUATIONS)
-    weights = parted(trust, experiments) if trust is not None else [np.ones_like(part.outputs) for part in experiments]
-    with threadpool_limits(1):  # the matrices are small: threads only get in each other's way
+    evaluations = evaluations or (_BRIEF_EVALUATIONS if brief else _EVALUATIONS)
+    weights = (
+        split_rows(trust, experiments) if trust is not None else [np.ones_like(part.outputs) for part in experiments]
+    )
+    with threadpool_limits(1):  # the matrices are small, so threads would only add overhead
         data = _Data(experiments, _weights(experiments, scale, noise, weights), np.ones(len(experiments)))
         fits = [_solve(layout, start, data, evaluations) for layout, start in candidates]
         layout, parameters, _ = min(fits, key=lambda fit: fit[2])
-        for _ in range(1 if brief or evaluations == 1 else _ROUNDS):
+        for _ in range(1 if brief or evaluations == 1 else _MAX_ROUNDS):
             residuals = data.residuals(layout, parameters)
             if trust is None:
                 weights = spike_weights(residuals) if robust else [np.ones_like(rows) for rows in residuals]
                 scale = residual_scale(residuals, weights, spread)
                 data = data._replace(weights=_weights(experiments, scale, noise, weights))
-            data = data._replace(ties=_ties(layout, parameters, data))
+            data = data._replace(prior_factors=_prior_factors(layout, parameters, data))
             before = data.cost(layout, parameters)
             layout, parameters, cost = _solve(layout, parameters, data, evaluations)
-            if before - cost < _SETTLED * cost:
+            if before - cost < _COST_TOLERANCE * cost:
                 break
         residuals = data.residuals(layout, parameters)
         covariance = _covariance(layout, parameters, data)
@@ -153,19 +156,19 @@ def fit_output_error(
         parameters,
         covariance,
         scale,
-        parted(residuals, pieces),
-        parted(weights, pieces),
+        split_rows(residuals, unjoined),
+        split_rows(weights, unjoined),
     )
 
 
 def brief_cost(
-    layout: Layout, starts: Sequence[FloatArray], experiments: Sequence[SampledExperiment], like: OutputErrorFit
+    layout: Layout, starts: Sequence[FloatArray], experiments: Sequence[SampledExperiment], fit: OutputErrorFit
 ) -> tuple[float, FloatArray]:
-    """Return cost and parameters (q,) after few evaluations from the best of `starts`, weighted as the fit `like`."""
+    """Return cost and parameters (q,) after few evaluations from the best of `starts`, with the weights of `fit`."""
     noise = reading_noise([experiment.readings for experiment in experiments])
     data = _Data(
         experiments,
-        _weights(experiments, like.scale, noise, parted(like.trust, experiments)),
+        _weights(experiments, fit.scale, noise, split_rows(fit.trust, experiments)),
         np.ones(len(experiments)),
     )
     start = min(starts, key=lambda start: data.cost(layout, start))
@@ -174,24 +177,26 @@ def brief_cost(
 
 
 class _Data(NamedTuple):
-    """Experiments, and how much of them counts."""
+    """Experiments with their weights."""
 
     experiments: Sequence[SampledExperiment]
     weights: list[FloatArray]
-    """For each experiment (K, p) factors of the residuals."""
-    ties: FloatArray
+    """(K, p) factors of the residuals of each experiment."""
+    prior_factors: FloatArray
     """(experiments,) factors of the prior of each past."""
 
     def problem(self, layout: Layout, near: FloatArray) -> OutputErrorProblem:
-        """Build the problem with the prior of the pasts that follows from the system `near` (q,)."""
+        """Build the problem with the prior of the pasts for the system at the parameters `near` (q,)."""
         prior = past_prior(layout.system(near), self.experiments, estimator_settings().start_deviation)
-        return OutputErrorProblem(layout, self.experiments, self.weights, [tie * prior for tie in self.ties])
+        return OutputErrorProblem(
+            layout, self.experiments, self.weights, [factor * prior for factor in self.prior_factors]
+        )
 
     def cost(self, layout: Layout, parameters: FloatArray) -> float:
         return 0.5 * float(np.sum(self.problem(layout, parameters).residuals(parameters) ** 2))
 
     def residuals(self, layout: Layout, parameters: FloatArray) -> list[FloatArray]:
-        """Return measured minus simulated outputs (K, p) of each experiment, NaN where samples do not count."""
+        """Return measured minus simulated outputs (K, p) of each experiment; NaN for samples that do not count."""
         simulated = self.problem(layout, parameters).simulations(parameters)
         return [
             np.where(weight > 0, experiment.outputs - outputs, np.nan)
@@ -200,7 +205,7 @@ class _Data(NamedTuple):
 
 
 def _solve(layout: Layout, start: FloatArray, data: _Data, evaluations: int) -> tuple[Layout, FloatArray, float]:
-    from scipy.optimize import least_squares  # noqa: PLC0415 - loads slowly, and loading a model does not need it
+    from scipy.optimize import least_squares  # noqa: PLC0415 - slow import, not needed to load a model
 
     parametrisation, coordinates = layout.parametrisation.recentred(start[: layout.counts[0]])
     layout = layout.around(parametrisation)
@@ -221,11 +226,14 @@ def _solve(layout: Layout, start: FloatArray, data: _Data, evaluations: int) -> 
     return layout, np.asarray(result.x), float(result.cost)
 
 
-def _ties(layout: Layout, parameters: FloatArray, data: _Data) -> FloatArray:
-    """Return (experiments,) factors of the prior of each past: 1, less where readings contradict it (Huber)."""
+def _prior_factors(layout: Layout, parameters: FloatArray, data: _Data) -> FloatArray:
+    """Return the factors (experiments,) of the prior of each past: 1, or less if readings contradict it (Huber)."""
     residuals = data.problem(layout, parameters).residuals(parameters)
-    size = np.linalg.norm(residuals[sum(map(np.size, data.weights)) :].reshape(len(data.ties), -1), axis=1) / data.ties
-    return np.asarray(np.sqrt(_TIED / np.maximum(size, _TIED)))
+    size = (
+        np.linalg.norm(residuals[sum(map(np.size, data.weights)) :].reshape(len(data.prior_factors), -1), axis=1)
+        / data.prior_factors
+    )
+    return np.asarray(np.sqrt(_PRIOR_THRESHOLD / np.maximum(size, _PRIOR_THRESHOLD)))
 
 
 def _weights(
@@ -236,31 +244,32 @@ def _weights(
 ) -> list[FloatArray]:
     """Return the square roots of the weights divided by the scale.
 
-    A first reading depends on the past alone, not on the model, so its weight follows from its noise. Otherwise a model
-    with a wrong fast response would start ahead of it.
+    The first reading depends on the past alone and not on the model, so its weight follows from its noise. Otherwise a
+    model with a wrong fast response could start away from it.
     """
     weights = [experiment.counts / scale for experiment in experiments]
-    more = np.clip(scale / np.maximum(noise, np.finfo(float).tiny), 1.0, _MOST_FIRST)
+    factor = np.clip(scale / np.maximum(noise, np.finfo(float).tiny), 1.0, _MAX_FIRST_WEIGHT)
     for weight, experiment in zip(weights, experiments, strict=True):
-        weight[experiment.counts.argmax(axis=0), np.arange(len(more))] *= more
+        weight[experiment.counts.argmax(axis=0), np.arange(len(factor))] *= factor
     if trust is None:
         return weights
     return [weight * np.sqrt(part) for weight, part in zip(weights, trust, strict=True)]
 
 
-_UNSEEN = 1e-9
+_MIN_SENSITIVITY = 1e-9
+"""Relative norm of a column of the Jacobian below which its parameter has no effect."""
 AT_BOUND = 1e-3
-"""A parameter that is nearer to an end of its range lies at it."""
+"""Distance from a bound below which a parameter counts as at the bound."""
 
 
 def _covariance(layout: Layout, parameters: FloatArray, data: _Data) -> Sandwich:
     problem, rows = data.problem(layout, parameters), sum(map(np.size, data.weights))
     jacobian, error = problem.jacobian(parameters)[:rows], problem.residuals(parameters)[:rows]
-    # A time constant at the end of its range counts as known: the data say nothing of it.
-    at_end = np.minimum(parameters - layout.bounds[0], layout.bounds[1] - parameters) < AT_BOUND
-    # A rate that no command needs moves nothing.
-    moves = np.linalg.norm(jacobian, axis=0) > _UNSEEN * np.linalg.norm(jacobian)
-    free = np.flatnonzero(moves & ~(at_end & [name.startswith("log_") for name in layout.names]))
+    # A time constant at a bound counts as known, because the data do not determine it.
+    is_at_bound = np.minimum(parameters - layout.bounds[0], layout.bounds[1] - parameters) < AT_BOUND
+    # A rate limit that no command reaches has no effect.
+    has_effect = np.linalg.norm(jacobian, axis=0) > _MIN_SENSITIVITY * np.linalg.norm(jacobian)
+    free = np.flatnonzero(has_effect & ~(is_at_bound & [name.startswith("log_") for name in layout.names]))
     error = np.where(np.concatenate(data.weights) > 0, error.reshape(-1, layout.outputs), np.nan)
     cuts = np.cumsum([experiment.samples for experiment in data.experiments])[:-1]
     estimate = sandwich(np.split(jacobian.reshape(*error.shape, -1)[..., free], cuts), np.split(error, cuts))

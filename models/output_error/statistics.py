@@ -1,13 +1,13 @@
-"""Weights that keep outliers from deciding, and how well parameters are known when residuals are correlated in time.
+"""Robust weights, and covariance of parameters with residuals that are correlated in time.
 
-In a log an outlier is a reading that its neighbours contradict. What a model cannot explain lasts longer than that, and
-is no outlier: holding it back would fit the quiet parts of a log and give up the rest. Source of the weights: Huber,
-Robust Statistics, Wiley 1981: min(1, c / |z|) of residuals z over their scale.
+An outlier is a reading that its neighbours contradict. Errors of a model last longer and are not outliers: reducing
+their weight would fit only the steady parts of a log. Source of the weights min(1, c / |z|) for scaled residuals z:
+Huber, Robust Statistics, Wiley 1981.
 
 Covariance H^-1 S H^-1 ("sandwich"): H is the information that white residuals would give, S the long-run covariance of
 the scores. Sources: Ljung, System Identification, 2nd edition, 1999, section 9.4 (output error with coloured noise);
 Lazarus, Lewis, Stock, Watson, Journal of Business & Economic Statistics 2018, 36(4), 541-559 (equally weighted cosines,
-and Student's distribution). Where parts of a log differ by more than S says, their scatter stands in for it.
+and Student's distribution). If parts of a log differ by more than S predicts, their variance is used instead.
 """
 
 from __future__ import annotations
@@ -22,72 +22,72 @@ from diffdrive_mpc.models.output_error.experiment import SampledExperiment
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 
 _SPIKE = 5.0
-"""c for single readings: on normal noise next to none is held back."""
+"""Constant c for single readings: with normal noise hardly any weight is reduced."""
 _NEIGHBOURS = 5
-# The median size of a normal variable is this part of its standard deviation.
-_MEDIAN = 0.6745
-# The scale of spikes is not taken below this part of the residuals.
-_LEAST_SHARE = 0.1
-# Cosines per K^(2/3) of K rows, as in the source.
+# Ratio of the median absolute value of a normal variable to its standard deviation.
+_MEDIAN_RATIO = 0.6745
+# Minimum scale of spikes relative to the rms residual.
+_MIN_SCALE = 0.1
+# Number of cosines divided by K^(2/3) for K rows, as in the source.
 _COSINES = 0.41
 
 
 def spike_weights(residuals: Sequence[FloatArray]) -> list[FloatArray]:
-    """Return weights of residuals (K, p) of each experiment, NaN where they do not count: 1, and less for spikes.
+    """Return the weights (K, p) of the residuals of each experiment: 1, or less for spikes. NaN residuals do not count.
 
-    A spike is the difference from the median of five neighbours; its scale is the median of all non-zero differences.
-    (Differences of quantised readings are zero at standstill and carry no information about noise.)
+    The size of a spike is the difference from the median of five neighbours, and its scale the median of all non-zero
+    differences. Differences of quantised readings are zero at standstill and hold no information about noise.
     """
-    spikes = _from_neighbours(residuals)
-    scale = np.maximum(_size(spikes), _LEAST_SHARE * _root_mean_square(np.concatenate(residuals)))
+    spikes = _neighbour_differences(residuals)
+    scale = np.maximum(_scale_of_differences(spikes), _MIN_SCALE * _root_mean_square(np.concatenate(residuals)))
     scale += np.finfo(float).tiny
     return [_SPIKE / np.maximum(np.nan_to_num(np.abs(spike / scale)), _SPIKE) for spike in spikes]
 
 
 def reading_noise(readings: Sequence[FloatArray]) -> FloatArray:
-    """Estimate the (p,) noise of readings (K, p), NaN if not counted, from the distance to their neighbours."""
-    return _size(_from_neighbours(readings))
+    """Estimate the noise (p,) of readings (K, p) from their distance to neighbours; NaN readings do not count."""
+    return _scale_of_differences(_neighbour_differences(readings))
 
 
-def _from_neighbours(rows: Sequence[FloatArray]) -> list[FloatArray]:
+def _neighbour_differences(rows: Sequence[FloatArray]) -> list[FloatArray]:
     """Subtract the median of five neighbours from the rows (K, p) of each experiment."""
-    from scipy import ndimage  # noqa: PLC0415 - loads slowly, and loading a model does not need it
+    from scipy import ndimage  # noqa: PLC0415 - slow import, not needed to load a model
 
-    away = [np.full_like(part, np.nan) for part in rows]
-    for difference, part in zip(away, rows, strict=True):
+    differences = [np.full_like(part, np.nan) for part in rows]
+    for difference, part in zip(differences, rows, strict=True):
         for column in range(part.shape[1]):
-            known = np.isfinite(part[:, column])
-            reading = part[known, column]
-            difference[known, column] = reading - ndimage.median_filter(reading, _NEIGHBOURS, mode="nearest")
-    return away
+            is_reading = np.isfinite(part[:, column])
+            reading = part[is_reading, column]
+            difference[is_reading, column] = reading - ndimage.median_filter(reading, _NEIGHBOURS, mode="nearest")
+    return differences
 
 
-def _size(spikes: Sequence[FloatArray]) -> FloatArray:
+def _scale_of_differences(spikes: Sequence[FloatArray]) -> FloatArray:
     size = np.abs(np.concatenate(spikes))
-    return np.array([_median(column[column > 0]) for column in size.T]) / _MEDIAN
+    return np.array([_median(column[column > 0]) for column in size.T]) / _MEDIAN_RATIO
 
 
 def residual_scale(residuals: Sequence[FloatArray], weights: Sequence[FloatArray], spread: FloatArray) -> FloatArray:
-    """Return the (p,) root mean square of weighted residuals (K, p), NaN where they do not count.
+    """Return the root mean square (p,) of weighted residuals (K, p); NaN residuals do not count.
 
-    Never below a tiny part of the outputs' `spread` (p,), which keeps noise-free data from dividing by zero.
+    The minimum is a tiny share of the outputs' `spread` (p,), which avoids division by zero for noise-free data.
     """
     weighted = np.concatenate([weight * rows for weight, rows in zip(weights, residuals, strict=True)])
     return np.asarray(np.maximum(_root_mean_square(weighted), 1e-9 * spread))
 
 
 def _root_mean_square(rows: FloatArray) -> FloatArray:
-    """Return (p,) of rows (K, p), NaN where they do not count; 0 without readings, as in a short stretch."""
+    """Return the root mean square (p,) of rows (K, p) without NaN; 0 without readings, as in a short stretch."""
     return np.asarray(np.sqrt(np.nansum(rows**2, axis=0) / np.maximum((~np.isnan(rows)).sum(axis=0), 1)))
 
 
 def output_spread(experiments: Sequence[SampledExperiment]) -> FloatArray:
-    """Return the (p,) standard deviation of each output; raise ValueError if an output never changes."""
+    """Return the standard deviation (p,) of each output; raise ValueError if an output never changes."""
     spread = []
     for row in range(experiments[0].outputs.shape[1]):
         spread.append(np.std(np.concatenate([s.outputs[s.counts[:, row], row] for s in experiments])))
     if min(spread) == 0.0:
-        raise ValueError("the outputs never change: is the sensor connected, and did the robot move?")
+        raise ValueError("an output never changes: check that the sensor is connected and that the robot moves")
     return np.array(spread)
 
 
@@ -103,14 +103,14 @@ class Sandwich(NamedTuple):
     blocks: dict[int, FloatArray]
     """(q, q) from the scatter of blocks of equal length, by their number"""
     effective_samples: FloatArray
-    """(p,) independent readings that the residuals are worth"""
+    """(p,) number of independent readings with the information of the residuals."""
     condition: float
-    """condition number of the information matrix, scaled to unit diagonal"""
+    """Condition number of the information matrix, scaled to unit diagonal."""
 
     @property
     def covariance(self) -> FloatArray:
         """(q, q) with the variance of blocks where it is larger than by chance."""
-        return _widened(self.white, self.blocks)
+        return _with_block_variance(self.white, self.blocks)
 
     def derived(self, slope: FloatArray) -> Sandwich:
         """Return the covariance of functions of the parameters with derivatives `slope` (r, q)."""
@@ -124,9 +124,9 @@ def sandwich(jacobians: Sequence[FloatArray], errors: Sequence[FloatArray]) -> S
     Parameters
     ----------
     jacobians
-        For each experiment (K, p, q) derivatives of the weighted residuals, initial states projected out.
+        (K, p, q) derivatives of the weighted residuals of each experiment, with initial states projected out.
     errors
-        For each experiment (K, p) weighted residuals, NaN where they do not count.
+        (K, p) weighted residuals of each experiment; NaN for samples that do not count.
     """
     count = jacobians[0].shape[2]
     rows = [jacobian.reshape(-1, count) for jacobian in jacobians]
@@ -135,22 +135,23 @@ def sandwich(jacobians: Sequence[FloatArray], errors: Sequence[FloatArray]) -> S
         np.einsum("kpq,kp->kq", j, np.nan_to_num(e), optimize=True) for j, e in zip(jacobians, errors, strict=True)
     ]
     spread = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
-    shaped = information / np.outer(spread, spread)
-    bread = np.linalg.pinv(shaped, rcond=1e-14, hermitian=True) / np.outer(spread, spread)
-    used = sum(int(np.isfinite(error).sum()) for error in errors)
+    scaled = information / np.outer(spread, spread)
+    bread = np.linalg.pinv(scaled, rcond=1e-14, hermitian=True) / np.outer(spread, spread)
+    reading_count = sum(int(np.isfinite(error).sum()) for error in errors)
     long_run, freedom = long_run_covariance(scores)
-    white = student_factor(freedom) ** 2 * bread @ long_run @ bread * used / max(used - count, 1)
+    white = student_factor(freedom) ** 2 * bread @ long_run @ bread * reading_count / max(reading_count - count, 1)
     counts = estimator_settings().scatter.blocks
     blocks = {number: bread @ block_covariance(scores, number) @ bread for number in counts}
-    return Sandwich(white, blocks, effective_samples(errors), float(np.linalg.cond(shaped)))
+    return Sandwich(white, blocks, effective_samples(errors), float(np.linalg.cond(scaled)))
 
 
 def long_run_covariance(scores: Sequence[FloatArray]) -> tuple[FloatArray, int]:
-    """Estimate the (q, q) covariance of the scores' (K, q) sum, and its degrees of freedom: equal-weighted cosines.
+    """Estimate the covariance (q, q) of the sum of scores (K, q) with equal-weighted cosines, and its freedom.
 
-    Rows without a reading are omitted: they would hide the correlation of readings. Experiments are concatenated.
+    Rows without a reading are omitted, because they would hide the correlation of readings. Experiments are
+    concatenated.
     """
-    from scipy import fft  # noqa: PLC0415 - loads slowly, and loading a model does not need it
+    from scipy import fft  # noqa: PLC0415 - slow import, not needed to load a model
 
     rows = np.concatenate(scores)
     rows = rows[rows.any(axis=1)]
@@ -162,48 +163,48 @@ def long_run_covariance(scores: Sequence[FloatArray]) -> tuple[FloatArray, int]:
 
 
 def student_factor(freedom: int) -> float:
-    """Return the ratio of the 95 % intervals of Student's and the normal distribution."""
-    from scipy import special  # noqa: PLC0415 - loads slowly, and loading a model does not need it
+    """Return the ratio of the 95 % intervals of Student's t and the normal distribution."""
+    from scipy import special  # noqa: PLC0415 - slow import, not needed to load a model
 
     return float(special.stdtrit(freedom, 0.975) / special.ndtri(0.975))
 
 
 def block_covariance(scores: Sequence[FloatArray], count: int) -> FloatArray:
-    """Estimate the (q, q) covariance of the scores' (K, q) sum from `count` blocks of equal length in time.
+    """Estimate the covariance (q, q) of the sum of scores (K, q) from `count` blocks of equal length in time.
 
-    Model errors may last longer than any window: a gain that differs between commands, a change of surface.
+    Model errors may last longer than any window, such as a gain that depends on the command, or a change of surface.
     Source: Liang, Zeger, Biometrika 1986, 73(1), 13-22 (scores summed by cluster).
     """
     sums = np.array([block.sum(axis=0) for block in np.array_split(np.concatenate(scores), count)])
     return np.asarray(count / (count - 1) * sums.T @ sums)
 
 
-def _widened(covariance: FloatArray, blocks: Mapping[int, FloatArray]) -> FloatArray:
-    """Increase `covariance` to the variances of `blocks` of several lengths, if they are larger than by chance.
+def _with_block_variance(covariance: FloatArray, blocks: Mapping[int, FloatArray]) -> FloatArray:
+    """Increase `covariance` to the variances between blocks of several lengths, if these are significantly larger.
 
-    Slow drift shows between few long blocks, fast changes between many short ones. Chance is the chi-square
-    distribution with as many blocks; Student's distribution corrects for their small number.
+    Slow drift is visible between few long blocks, fast changes between many short blocks. The significance follows from
+    the chi-square distribution, and Student's t distribution corrects for the small number of blocks.
     """
-    from scipy import stats  # noqa: PLC0415 - loads slowly, and loading a model does not need it
+    from scipy import stats  # noqa: PLC0415 - slow import, not needed to load a model
 
     variance = np.maximum(np.diag(covariance), np.finfo(float).tiny)
     wider, certain = np.ones(len(variance)), estimator_settings().scatter.certain
     for count, block in blocks.items():
         ratio = np.diag(block) / variance
         student = student_factor(count - 1)
-        # Rounding may leave a variance of nothing below zero.
-        shown = ratio > stats.chi2.ppf(certain, count - 1) / (count - 1)
-        wider = np.where(shown, np.maximum(wider, student * np.sqrt(np.maximum(ratio, 0.0))), wider)
+        # Rounding may make a zero variance negative.
+        is_significant = ratio > stats.chi2.ppf(certain, count - 1) / (count - 1)
+        wider = np.where(is_significant, np.maximum(wider, student * np.sqrt(np.maximum(ratio, 0.0))), wider)
     return np.asarray(covariance * np.outer(wider, wider))
 
 
 def effective_samples(errors: Sequence[FloatArray]) -> FloatArray:
-    """Divide (p,) readings by the integrated autocorrelation of residuals (K, p), NaN where they do not count."""
-    worth = []
+    """Return the number of readings (p,) divided by the integrated autocorrelation of residuals (K, p) without NaN."""
+    counts = []
     for row in range(errors[0].shape[1]):
         column = [np.nan_to_num(error[:, row : row + 1]) for error in errors]
-        used = sum(int(np.isfinite(error[:, row]).sum()) for error in errors)
+        reading_count = sum(int(np.isfinite(error[:, row]).sum()) for error in errors)
         power = sum(float((c**2).sum()) for c in column)
         inflation = float(long_run_covariance(column)[0][0, 0]) / power if power else 1.0
-        worth.append(used / max(inflation, 1.0))
-    return np.array(worth)
+        counts.append(reading_count / max(inflation, 1.0))
+    return np.array(counts)

@@ -1,7 +1,7 @@
 """Validation of a model on records: FIT and RMSE of a free simulation, and whiteness of its residuals.
 
-Protocol: each record is simulated from its commands once, started at the first measured output and never restarted, and
-records that follow each other are joined; FIT is pooled over records.
+Protocol: each record is simulated once from its commands, from the steady state of the first measured output and
+without restarts. Consecutive records are joined. FIT is pooled over records.
 
 Sources: Guffanti et al., Sensors 2025, 25(11), 3553 (FIT); Ljung, Box, Biometrika 1978, 65(2), 297-303 (portmanteau
 statistic); Ljung, System Identification, 2nd edition, 1999, section 16.6 (bounds); Bartlett's formula for the variance
@@ -18,26 +18,38 @@ import numpy as np
 from diffdrive_mpc.models.base_effects import limited
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.output_error.experiment import SampledExperiment, YawSource, joined, parted, twist_experiments
+from diffdrive_mpc.models.output_error.experiment import (
+    SampledExperiment,
+    YawSource,
+    join_experiments,
+    split_rows,
+    twist_experiments,
+)
 from diffdrive_mpc.models.output_error.settings import estimator_settings
-from diffdrive_mpc.models.output_error.state_space import LinearSystem, StateResponse, delayed, sample, settled_start
+from diffdrive_mpc.models.output_error.state_space import (
+    LinearSystem,
+    StateResponse,
+    delay_inputs,
+    sample,
+    steady_start,
+)
 
 
 def fit_percent(measured: FloatArray, simulated: FloatArray) -> float:
     """Compute FIT = 100 (1 - |y - yhat| / |y - mean(y)|) [%] of one signal (K,).
 
-    Source: Guffanti et al., Sensors 2025, 25(11), 3553. 100 is a perfect simulation, 0 no better than the mean.
+    Source: Guffanti et al., Sensors 2025, 25(11), 3553. 100 is a perfect simulation, 0 is as good as the mean.
 
     Raises
     ------
     ValueError
-        If the measured signal is constant: FIT is not defined then.
+        If the measured signal is constant, for which FIT is undefined.
     """
     return pooled_fit_percent([measured], [simulated])
 
 
 def pooled_fit_percent(measured: Sequence[FloatArray], simulated: Sequence[FloatArray]) -> float:
-    """Return the FIT [%] of several stretches of one signal around their common mean; raise as `fit_percent`."""
+    """Compute the FIT [%] of several stretches of one signal with a common mean; raise as `fit_percent` does."""
     y, yhat = np.concatenate(measured), np.concatenate(simulated)
     spread = float(np.linalg.norm(y - y.mean()))
     if spread == 0.0:
@@ -51,23 +63,23 @@ _BOUND = 1.959963984540054
 
 @dataclass(frozen=True)
 class ResidualCheck:
-    """Correlations of residuals, L lags of `lag_step` seconds.
+    """Correlations of residuals at L lags.
 
     Attributes
     ----------
     lag_step
-        Time between lags [s].
+        Step between lags [s].
     autocorrelation
-        (2, L + 1) of the residuals of v and omega, normalised; lag 0 first.
+        (2, L + 1) normalised autocorrelation of the residuals of v and omega, from lag 0.
     whiteness_bound
-        95 % of the autocorrelations of white residuals lie within plus or minus this.
+        95 % bound of the autocorrelations of white residuals.
     ljung_box_p
-        (2,) probability of a statistic this large if residuals were white.
+        (2,) p-values of the Ljung-Box test for white residuals.
     cross_correlation
-        (2, 2, 2 L + 1) of residual i with command j, normalised; lag k means the command k steps before the residual,
-        negative lags first.
+        (2, 2, 2 L + 1) normalised cross-correlation of residual i and command j, from lag -L; at lag k the command is k
+        steps before the residual.
     cross_bound
-        (2, 2) 95 % bound of these if residuals were independent of the commands.
+        (2, 2) 95 % bound of the cross-correlations for residuals that are independent of the commands.
     """
 
     lag_step: float
@@ -79,35 +91,38 @@ class ResidualCheck:
 
     @property
     def unexplained(self) -> FloatArray:
-        """(2, 2) largest correlation of residual i with a past command j, over its bound; beyond about 1.5 is news."""
+        """(2, 2) maximum ratio of the correlation of residual i with a past command j to its bound.
+
+        Values above about 1.5 are relevant.
+        """
         past = self.cross_correlation[:, :, self.cross_correlation.shape[2] // 2 :]
         return np.asarray(np.abs(past).max(axis=2) / self.cross_bound)
 
 
 def check_residuals(errors: Sequence[FloatArray], experiments: Sequence[SampledExperiment]) -> ResidualCheck:
-    """Correlate residuals (K, 2), NaN where there is no reading, with themselves and with the commands.
+    """Correlate residuals (K, 2), NaN without a reading, with themselves and with the commands.
 
-    Nothing is correlated across experiments. Where the sensors are slower than the log, lags between two readings have
-    no pairs and count as zero.
+    Correlations do not cross experiments. If sensors are slower than the log, lags without pairs of readings have zero
+    correlation.
     """
-    from scipy import stats  # noqa: PLC0415 - loads slowly, and loading a model does not need it
+    from scipy import stats  # noqa: PLC0415 - slow import, not needed to load a model
 
     dt = experiments[0].dt
     lags = min(round(estimator_settings().residual_lag / dt), min(map(len, errors)) - 1)
     outputs, inputs = errors[0].shape[1], experiments[0].inputs.shape[1]
     centred = [_centred(rows) for rows in _columns(errors)]
-    driven = [_centred(rows) for rows in _columns([experiment.inputs for experiment in experiments])]
+    commands = [_centred(rows) for rows in _columns([experiment.inputs for experiment in experiments])]
     auto = [_correlation(rows, rows, lags) for rows in centred]
     readings = np.array([sum(int(np.isfinite(r).sum()) for r in rows) for rows in centred])
     probabilities = []
     for (values, pairs), count in zip(auto, readings, strict=True):
-        counted = pairs[1:] > 0
-        statistic = count * (count + 2) * np.sum(values[1:][counted] ** 2 / pairs[1:][counted])
-        probabilities.append(stats.chi2.sf(statistic, int(counted.sum())))
+        has_pairs = pairs[1:] > 0
+        statistic = count * (count + 2) * np.sum(values[1:][has_pairs] ** 2 / pairs[1:][has_pairs])
+        probabilities.append(stats.chi2.sf(statistic, int(has_pairs.sum())))
     cross = np.zeros((outputs, inputs, 2 * lags + 1))
     bound = np.zeros((outputs, inputs))
     for i, rows in enumerate(centred):
-        for j, columns in enumerate(driven):
+        for j, columns in enumerate(commands):
             after, pairs = _correlation(rows, columns, lags)
             cross[i, j] = np.concatenate([_correlation(columns, rows, lags)[0][:0:-1], after])
             autocorrelation = _correlation(columns, columns, lags)[0]
@@ -133,7 +148,7 @@ def _centred(rows: list[FloatArray]) -> list[FloatArray]:
 
 
 def _correlation(late: list[FloatArray], early: list[FloatArray], lags: int) -> tuple[FloatArray, FloatArray]:
-    """Correlate late[k] with early[k - lag], lags 0 to `lags`; return also the number of pairs per lag."""
+    """Return the correlations of late[k] and early[k - lag] for lags from 0 to `lags`, and the numbers of pairs."""
     power = np.sqrt(np.nanmean(np.concatenate(late) ** 2) * np.nanmean(np.concatenate(early) ** 2))
     values, pairs = np.zeros(lags + 1), np.zeros(lags + 1)
     for lag in range(lags + 1):
@@ -155,7 +170,7 @@ class Validation:
     rmse
         (2,) root mean square error of v [m/s] and omega [rad/s].
     residuals
-        Whiteness and correlation with the commands.
+        Correlations of the residuals.
     """
 
     fit_percent: FloatArray
@@ -164,16 +179,16 @@ class Validation:
 
 
 def validate(system: LinearSystem, records: Sequence[Record], yaw: YawSource = "gyro") -> Validation:
-    """Hold a model with two inputs and outputs against records.
+    """Validate a model with two inputs and two outputs on records.
 
     Parameters
     ----------
     system
-        The model, with sensor offsets and command limits; see `IdentifiedModel.system`.
+        Model with sensor offsets and command limits; see `IdentifiedModel.system`.
     records
-        Records that it was not identified from.
+        Records that were not used for identification.
     yaw
-        Which sensor's omega the model predicts.
+        Sensor whose omega the model predicts.
 
     Raises
     ------
@@ -184,34 +199,34 @@ def validate(system: LinearSystem, records: Sequence[Record], yaw: YawSource = "
 
 
 def score(simulated: Sequence[FloatArray], experiments: Sequence[SampledExperiment]) -> Validation:
-    """Hold simulated outputs (K, 2), one array for each experiment, against its readings; raises as `validate`."""
+    """Compare simulated outputs (K, 2) of each experiment with its readings; raise as `validate` does."""
     errors = [experiment.readings - outputs for experiment, outputs in zip(experiments, simulated, strict=True)]
     rmse = np.sqrt(np.nanmean(np.concatenate(errors) ** 2, axis=0))
     return Validation(fit_percents(simulated, experiments), rmse, check_residuals(errors, experiments))
 
 
 def fit_percents(simulated: Sequence[FloatArray], experiments: Sequence[SampledExperiment]) -> FloatArray:
-    """Return the (p,) pooled FIT [%] of simulated outputs (K, p), one array per experiment; raise as `fit_percent`."""
+    """Return the pooled FIT (p,) [%] of simulated outputs (K, p) of each experiment; raise as `fit_percent` does."""
     fits = []
     for row in range(experiments[0].outputs.shape[1]):
         rows = [experiment.counts[:, row] for experiment in experiments]
-        measured = [experiment.outputs[keep, row] for experiment, keep in zip(experiments, rows, strict=True)]
-        fits.append(pooled_fit_percent(measured, [y[keep, row] for y, keep in zip(simulated, rows, strict=True)]))
+        measured = [experiment.outputs[counts, row] for experiment, counts in zip(experiments, rows, strict=True)]
+        fits.append(pooled_fit_percent(measured, [y[counts, row] for y, counts in zip(simulated, rows, strict=True)]))
     return np.array(fits)
 
 
 def simulate_records(system: LinearSystem, records: Sequence[Record], yaw: YawSource = "gyro") -> list[FloatArray]:
-    """Simulate v [m/s], omega [rad/s] (K, 2) of each record, sensor offsets included; raise as `validate`."""
+    """Simulate v [m/s], omega [rad/s] (K, 2) of each record with sensor offsets; raise as `validate` does."""
     experiments = twist_experiments(records, yaw)
-    return parted([simulate_experiment(system, run) for run in joined(experiments)], experiments)
+    return split_rows([simulate_experiment(system, run) for run in join_experiments(experiments)], experiments)
 
 
 def simulate_experiment(system: LinearSystem, experiment: SampledExperiment) -> FloatArray:
-    """Simulate outputs (K, p) from the inputs, from the settled state of each output's first reading."""
+    """Simulate outputs (K, p) from the inputs, starting in the steady state of the first readings."""
     sampled = sample(system, experiment.dt)
-    start, before = settled_start(system, experiment.first_readings)
-    taken = limited(experiment.inputs, system.limit, experiment.dt, before)
-    recent, older = delayed(taken, sampled.delay, before)
+    start, before = steady_start(system, experiment.first_readings)
+    limited_inputs = limited(experiment.inputs, system.limit, experiment.dt, before)
+    recent, older = delay_inputs(limited_inputs, sampled.delay, before)
     drive = sampled.B0 @ recent + sampled.B1 @ older
     states = StateResponse(sampled.A)(drive[:, None, :], start[:, None])[:, 0]
     return np.asarray(states.T @ system.C.T + system.offset)

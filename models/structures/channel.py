@@ -12,7 +12,7 @@ from diffdrive_mpc.models.base_effects import KINDS
 from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.interface import AnyArray, FloatArray
 from diffdrive_mpc.models.output_error import doubts
-from diffdrive_mpc.models.output_error.experiment import SampledExperiment, joined
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment, join_experiments
 from diffdrive_mpc.models.output_error.input_limits import side_name
 from diffdrive_mpc.models.output_error.limits import find_limits
 from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate, Parametrisation
@@ -146,9 +146,9 @@ def pole_estimate(parameters: ParameterEstimate, file: type[TransferFunction]) -
 
 
 def _warnings(form: ChannelForm, parameters: ParameterEstimate, fit: OutputErrorFit, label: str) -> tuple[Doubt, ...]:
-    bounds = doubts.at_bounds(fit, label, form.kinds)
+    bounds = doubts.parameters_at_bounds(fit, label, form.kinds)
     kinds = {doubt.kind for doubt in bounds}
-    delays = doubts.answer_delays(fit, [""], [0])
+    delays = doubts.response_delays(fit, [""], [0])
     excluded = ("dead_time", "offset", *form.may_be_zero)
     poles = pole_estimate(parameters.part(list(form.file.model_fields)), form.file)
     return (
@@ -156,14 +156,14 @@ def _warnings(form: ChannelForm, parameters: ParameterEstimate, fit: OutputError
         # With an unidentifiably short second lag, natural frequency and damping are redundant.
         *(
             doubt.about(label)
-            for doubt in doubts.badly_known(
+            for doubt in doubts.uncertain_parameters(
                 parameters.part([name for name in parameters.names if name not in excluded]), delays=delays
             )
             if doubt.kind not in kinds and not ("second lag" in kinds and doubt.kind == "divided lag")
         ),
-        *(doubt.about(label) for doubt in doubts.late_answers(delays)),
+        *(doubt.about(label) for doubt in doubts.uncertain_delays(delays)),
         *doubts.merged_poles(poles.part(real_pole_names(poles.names)), label),
-        *doubts.hardly_identifiable(fit, label),
+        *doubts.poorly_determined(fit, label),
     )
 
 
@@ -177,7 +177,7 @@ def _first_guesses(
         raise ValueError(f"{label}: the command never changes; it excites nothing")
     spread = output_spread(experiments)
     gain = float(np.clip(spread[0] / commanded, *settings.gain))
-    experiments = joined(experiments)
+    experiments = join_experiments(experiments)
     weights = [experiment.counts / spread for experiment in experiments]
     _, dead_times, *others = layout.counts
     rest = np.zeros(sum(others))

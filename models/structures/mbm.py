@@ -14,7 +14,7 @@ from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error import doubts
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment, twist_experiments, wheel_experiments
 from diffdrive_mpc.models.output_error.input_limits import effects_of, limit_names
-from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate, joined
+from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate, join_estimates
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
 from diffdrive_mpc.models.structures.channel import IdentifiedChannel, identify_channel
@@ -114,7 +114,7 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, limits: bool
     sides = _SIDES[: experiments[0].outputs.shape[1]]
     fit = fit_output_error([_start(experiments, sides, wheel_radius, yaw, limits)], experiments)
     turning = yaw.parameters.part(["gain", "offset"]).renamed("omega")
-    parameters = _with_effective_track(joined([_physical(fit, len(sides)), turning]), len(sides))
+    parameters = _with_effective_track(join_estimates([_physical(fit, len(sides)), turning]), len(sides))
     motors = {
         name: {key: parameters.value(f"{_MOTORS[i % len(sides)]}.{key}") for key in TwoPoles.model_fields}
         for i, name in enumerate(_MOTORS)
@@ -140,14 +140,14 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, limits: bool
 
 
 def _warnings(fit: OutputErrorFit, parameters: ParameterEstimate, motors: int) -> tuple[Doubt, ...]:
-    delays = doubts.answer_delays(fit, _MOTORS[:motors], [0] * motors)
+    delays = doubts.response_delays(fit, _MOTORS[:motors], [0] * motors)
     # Offset and dead time may be near zero, so that a large relative deviation is no doubt about the model.
     nonzero = [name for name in parameters.names if name not in ("omega.offset", "dead_time")]
-    unknown = [*doubts.badly_known(parameters.part(nonzero), delays=delays), *doubts.late_answers(delays)]
+    unknown = [*doubts.uncertain_parameters(parameters.part(nonzero), delays=delays), *doubts.uncertain_delays(delays)]
     return (
-        *doubts.at_bounds(fit, "motors"),
+        *doubts.parameters_at_bounds(fit, "motors"),
         *(doubt.about("motors") for doubt in unknown),
-        *doubts.hardly_identifiable(fit, "motors"),
+        *doubts.poorly_determined(fit, "motors"),
     )
 
 

@@ -12,7 +12,12 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.output_error.experiment import SampledExperiment, YawSource, joined, twist_experiments
+from diffdrive_mpc.models.output_error.experiment import (
+    SampledExperiment,
+    YawSource,
+    join_experiments,
+    twist_experiments,
+)
 from diffdrive_mpc.models.output_error.held_out import hold_out
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.statistics import output_spread
@@ -101,7 +106,9 @@ def compare_orders(
         If no order gives a usable model.
     """
     criteria = _criteria(models)
-    held_out = [None] * len(models) if requested else _block_fits(models, joined(twist_experiments(train, yaw)))
+    held_out = (
+        [None] * len(models) if requested else _block_fits(models, join_experiments(twist_experiments(train, yaw)))
+    )
     rows = tuple(
         OrderRow(
             identified,

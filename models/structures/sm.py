@@ -9,7 +9,7 @@ import numpy as np
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import YawSource, twist_experiments
 from diffdrive_mpc.models.output_error.input_limits import effects_of
-from diffdrive_mpc.models.output_error.parameters import joined
+from diffdrive_mpc.models.output_error.parameters import join_estimates
 from diffdrive_mpc.models.structures.channel import ChannelForm, IdentifiedChannel, identify_channel
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
 from diffdrive_mpc.models.structures.model_file import ModelFile, SmFile
@@ -62,7 +62,7 @@ def identify_sm(
             "channels": rounded({name: fit.content for name, fit in fits.items()}),
             "base_effects": rounded(effects_of(np.concatenate([fit.fit.system.limit for fit in channels]))),
         },
-        parameters=joined([fit.parameters.renamed(name) for name, fit in fits.items()]),
+        parameters=join_estimates([fit.parameters.renamed(name) for name, fit in fits.items()]),
         offset=np.concatenate([fit.fit.system.offset for fit in channels]),
         yaw=yaw,
         method=METHOD.format(form.words),

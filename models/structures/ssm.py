@@ -19,11 +19,11 @@ from diffdrive_mpc.models.output_error.state_space import (
     LinearSystem,
     LocalStateSpace,
     Realisation,
-    balanced,
-    beside,
+    balance,
     distinct_poles,
     from_impulse_response,
     impulse_response,
+    parallel,
     pole_names,
     pole_numbers,
     real_pole_names,
@@ -183,7 +183,7 @@ def _fit(
         ]
         added = from_impulse_response(impulse_response(unexplained, system.dead_time, length), 1, dt)
         lower = (system.A, system.B, system.C)
-        candidates.append(candidate(beside(lower, added or spare_state(*lower)), system.dead_time))
+        candidates.append(candidate(parallel(lower, added or spare_state(*lower)), system.dead_time))
     if not candidates:
         candidates.append(candidate(_common_pole(channels), dead_time))
     return fit_output_error(candidates, experiments, scale=scale, trust=trust, evaluations=_EVALUATIONS)
@@ -208,7 +208,7 @@ def _side_by_side(channels: _Channels, poles: int) -> Realisation:
         B_part, C_part = np.zeros((len(A), 2)), np.zeros((2, len(A)))
         B_part[:, row], C_part[row] = B[:, 0], C[0]
         parts.append((A, B_part, C_part))
-    return balanced(*beside(*parts))
+    return balance(*parallel(*parts))
 
 
 def _common_pole(channels: _Channels) -> Realisation:
@@ -219,7 +219,7 @@ def _common_pole(channels: _Channels) -> Realisation:
 
 def _build_model(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
     system = fit.system
-    A, B, C = balanced(system.A, system.B, system.C)
+    A, B, C = balance(system.A, system.B, system.C)
     order = len(A)
     label = f"SSM order {order}"
     gain_count, _, offsets, _ = fit.layout.counts
@@ -236,7 +236,7 @@ def _build_model(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
 
     parameters = fit.derived((*gains, *named_poles, *rest), physical)
     main = parameters.part([gains[0], gains[3], *(name for name in named_poles if not name.endswith("imag"))])
-    delays = doubts.answer_delays(fit, CHANNELS, [0, 1])
+    delays = doubts.response_delays(fit, CHANNELS, [0, 1])
     return IdentifiedModel(
         schema=SsmFile,
         content={
@@ -252,8 +252,11 @@ def _build_model(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
         method=f"{METHOD}; order {order}",
         fits=(fit,),
         warnings=(
-            *doubts.at_bounds(fit, label),
-            *(doubt.about(label) for doubt in (*doubts.badly_known(main, delays=delays), *doubts.late_answers(delays))),
+            *doubts.parameters_at_bounds(fit, label),
+            *(
+                doubt.about(label)
+                for doubt in (*doubts.uncertain_parameters(main, delays=delays), *doubts.uncertain_delays(delays))
+            ),
             *doubts.merged_poles(parameters.part(real_pole_names(named_poles)), label),
         ),
     )

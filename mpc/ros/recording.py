@@ -17,7 +17,7 @@ from std_msgs.msg import String
 
 from diffdrive_mpc.models.load import is_shipped, model_path
 from diffdrive_mpc.models.logs.drive_log.recorder import DriveRecorder, Metadata
-from diffdrive_mpc.models.logs.drive_log.tick import Cell, decided_cells
+from diffdrive_mpc.models.logs.drive_log.tick import Cell, step_cells
 from diffdrive_mpc.models.logs.drive_log.topics import DIAGNOSTICS, DRIVE, TICK, path_times
 from diffdrive_mpc.models.logs.tick_record import DriveRecord, TickRecord
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
@@ -70,7 +70,7 @@ class ActivationRecording:
         self._recorder = DriveRecorder(
             path,
             _metadata(settings, config),
-            patience=_TIMEOUT,
+            timeout=_TIMEOUT,
             frame=frame,
             pose_topic=settings.poses_from != "odometry",
         )
@@ -95,20 +95,20 @@ class ActivationRecording:
         """Record the path of a drive that starts at `time` [ns]."""
         times = path_times(drive.reference.duration)
         stamps = (time + np.round(times * 1e9).astype(np.int64)).tolist()
-        self._recorder.hand("reference", time, stamps, drive.reference.sample(times).pose)
+        self._recorder.send("reference", time, stamps, drive.reference.sample(times).pose)
 
     @_end_recording_on_error
     def tick(self, tick: LoopTick, time: int, inbox: Inbox, columns: Mapping[str, Cell]) -> None:
         """Record the tick that started at `time` [ns], with additional `columns` of its row."""
         request, result = tick.request, tick.result
         row: dict[str, Cell] = {
-            **(_uncontrolled_cells(tick) if result is None else decided_cells(result)),
+            **(_uncontrolled_cells(tick) if result is None else step_cells(result)),
             "t_s": inbox.now if request is None else request.time,
             **columns,
         }
         if result is not None and result.reference is not None:
             row |= zip(_REFERENCE, result.reference[0].tolist(), strict=True)
-        self._recorder.hand(
+        self._recorder.send(
             "tick",
             time,
             row,
@@ -128,7 +128,7 @@ class ActivationRecording:
     @_end_recording_on_error
     def diagnostics(self, message: DiagnosticArray, time: int) -> None:
         """Record the node's diagnostics, and update the state of the recording."""
-        self._recorder.hand("serialized", time, DIAGNOSTICS, serialize_message(message))
+        self._recorder.send("serialized", time, DIAGNOSTICS, serialize_message(message))
         self._recorder.poll()
         self._warn()
 

@@ -61,7 +61,7 @@ def folder(tmp_path_factory):
             "slow.csv --mapping no_pose.yaml",
             "slow.csv: sample_time: Input should be less than or equal to 0.5 (found 1.0)",
         ),
-        ("good.csv", "which column has which signal? Give a mapping file"),
+        ("good.csv", "are unknown without a mapping. Give a mapping file"),
         ("good.csv --mapping evil.yaml", "evil.yaml"),
         ("evil.csv", "evil.csv"),
         ("good.csv --mapping map.yaml --structure smm", "--structure 'smm': give one of mbm, sm, ssm"),
@@ -125,7 +125,7 @@ def test_draft_mapping_is_written_to_the_working_folder_and_never_replaced(tmp_p
     shown = draft("log.csv").stdout
     written = tmp_path / "mapping.yaml"
     assert written.read_text() in shown
-    assert "omega of the gyro runs against the command" in shown
+    assert "omega of the gyro has the opposite sign of the command" in shown
     assert shown.endswith("Next: correct mapping.yaml, then diffdrive-mpc identify log.csv --mapping mapping.yaml\n")
     written.write_text("corrected by hand")
     refused = draft("log.csv", code=2).stderr

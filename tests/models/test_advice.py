@@ -36,7 +36,7 @@ from diffdrive_mpc.models.identification.fit.sensors import find_corrections
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.logs.diagnosis import compare_logs
 from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
-from diffdrive_mpc.models.logs.mapping_changes import changed, mapping_text, of_topics
+from diffdrive_mpc.models.logs.mapping_changes import changed, mapping_text, to_topic_keys
 from diffdrive_mpc.models.logs.record import Finding, MappingChange, UnsoundLogError
 
 SKIDS = {"seed": 61, "seconds": 60.0, "skid": 0.35, "lag": 0.2}
@@ -187,12 +187,12 @@ def test_topic_changes_are_applied_if_the_mapping_of_topics_supports_them():
 
     bag = LogMapping.model_validate({"topics": {"odometry": "/odom", "imu": {"topic": "/imu", "sign": -1}}})
     changes = [MappingChange("gyro", "yaw_rate.sign", -1), MappingChange("command", "on_change", True)]
-    new = changed(bag, of_topics(changes))
+    new = changed(bag, to_topic_keys(changes))
     assert new.topics.imu.sign == 1
     assert new.topics.command.on_change
     assert "/cmd_vel" in mapping_text(new)
     with pytest.raises(ConfigError, match=r"left\.unit"):
-        changed(bag, of_topics([MappingChange("encoders", "left.unit", "rpm")]))
+        changed(bag, to_topic_keys([MappingChange("encoders", "left.unit", "rpm")]))
 
 
 UNDETECTED = {"asphalt: command +0.3 s"}

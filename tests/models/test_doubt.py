@@ -9,7 +9,7 @@ from identification_parts import noisy_drive, two_channels
 
 from diffdrive_mpc import models
 from diffdrive_mpc.models.doubt import VERDICTS
-from diffdrive_mpc.models.output_error.doubts import answer_delays, badly_known, late_answers
+from diffdrive_mpc.models.output_error.doubts import response_delays, uncertain_delays, uncertain_parameters
 from diffdrive_mpc.models.output_error.experiment import twist_experiments
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.structures.channel import identify_channel
@@ -45,15 +45,15 @@ def test_only_the_total_delay_matters(deviation, expected):
     names = ("v.gain", "v.natural_frequency", "v.damping")
     estimate = ParameterEstimate(names, np.array([1.0, 100.0, 2.0]), np.diag([0.01, 80.0, 1.6]) ** 2)
     delays = ParameterEstimate(("v",), np.array([0.07]), np.array([[deviation**2]]))
-    assert [doubt.kind for doubt in badly_known(estimate, delays=delays)] == ["divided lag", "divided lag"]
-    assert [doubt.kind for doubt in late_answers(delays)] == expected
+    assert [doubt.kind for doubt in uncertain_parameters(estimate, delays=delays)] == ["divided lag", "divided lag"]
+    assert [doubt.kind for doubt in uncertain_delays(delays)] == expected
 
 
 def test_delay_of_a_fit_is_known_better_than_its_parts():
     """One lag of 20 ms after 50 ms of dead time: steps at 50 Hz determine the sum, hardly the parts."""
     lag = two_channels((1.0, 140.0, 1.4), (1.0, 7.0, 0.7), dead_time=(0.05, 0.03))
     fit = identify_channel(_channel(noisy_drive(lag, 8, count=400, noise=(0.03, 0.03))), "v", limit=False).fit
-    delay = answer_delays(fit, ["v"], [0])
+    delay = response_delays(fit, ["v"], [0])
     assert delay.value("v") == pytest.approx(0.07, abs=3 * delay.deviation("v"))
     dead_time = fit.estimate.deviation("dead_time_0")
     assert delay.deviation("v") < dead_time / 2

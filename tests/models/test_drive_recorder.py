@@ -31,7 +31,7 @@ def row(k):
 def record_tick(recorder, k):
     speed = Stamped(np.array([0.1 * (k % 7), 0.0]), 0.02 * k - 0.003)
     plan = np.full((31, 3), float(k))
-    recorder.hand(
+    recorder.send(
         "tick", 10**9 + k * PERIOD, row(k), measurement=Measurement(wheel_twist=speed), plan=plan, period=PERIOD
     )
 
@@ -48,7 +48,7 @@ def largest_file(size):
 
 
 def recorder_in(folder, **options):
-    result = DriveRecorder(folder / "drive.mcap", {"case": {"model": "sm"}}, patience=PATIENCE, **options)
+    result = DriveRecorder(folder / "drive.mcap", {"case": {"model": "sm"}}, timeout=PATIENCE, **options)
     assert not result.fault
     return result
 
@@ -94,7 +94,7 @@ def test_full_disk_ends_only_the_recording_and_keeps_the_written_part(tmp_path):
 
 def test_folder_that_cannot_be_created_is_a_fault_without_exception(tmp_path):
     (tmp_path / "file").touch()
-    recorder = DriveRecorder(tmp_path / "file" / "drive.mcap", {}, patience=PATIENCE)
+    recorder = DriveRecorder(tmp_path / "file" / "drive.mcap", {}, timeout=PATIENCE)
     assert recorder.fault in ("Not a directory", "File exists")
     record_tick(recorder, 0)
     recorder.close(PATIENCE)
@@ -151,7 +151,7 @@ def test_file_of_a_killed_writer_is_read_up_to_its_end(tmp_path):
     recorder._process.kill()
     recorder._process.wait()
     record_tick(recorder, k)
-    assert recorder.fault == "the process that writes has ended"
+    assert recorder.fault == "the writing process has ended"
     recorder.close(PATIENCE)
     log = read_drive_log(recorder.path)
     assert log.cut and 0 < len(log.rows) <= k

@@ -23,7 +23,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from diffdrive_mpc import ConfigError
 from diffdrive_mpc.models.file_limits import file_limits
 from diffdrive_mpc.models.logs import read_log, sqlite_file
-from diffdrive_mpc.models.logs.bag_bounds import MOST_UNPACKED, unpacked
+from diffdrive_mpc.models.logs.bag_bounds import MAX_UNPACKED, unpacked
 from diffdrive_mpc.models.logs.bag_topics import opened
 from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log, read_drive_log
 from diffdrive_mpc.models.logs.record import MappingChange
@@ -142,8 +142,8 @@ def test_messages_out_of_order_and_not_finite_are_left_out(tmp_path):
 
     log = read_log(altered_bag(tmp_path, "/imu", spoil))
     assert [str(finding) for finding in log.findings] == [
-        "bag, /imu, message 71: 1 messages are not finite; they are left out",
-        "bag, /imu, message 51: 1 messages are not later than one before them; they are left out",
+        "bag, /imu, message 71: 1 messages are not finite and are left out",
+        "bag, /imu, message 51: 1 messages are not later than an earlier message and are left out",
     ]
     assert list(np.flatnonzero(~log.records[0].fresh_yaw_rate)) == [50, 70]
 
@@ -240,7 +240,7 @@ def test_commands_in_bursts_give_no_sample_time_and_the_mapping_that_uses_all_of
     path = write_bag(tmp_path / "bag", teleoperated(seconds=40.0, seed=seed, sensor_dt=sensor_dt))
     log = read_log(path)
     (finding,) = [finding for finding in log.findings if finding.kind == "silent commands"]
-    assert "bag, /cmd_vel: commands come in bursts, with 23 silences" in str(finding)
+    assert "bag, /cmd_vel: commands come in bursts with 23 silences" in str(finding)
     assert finding.changes == (MappingChange("command", "on_change", True),)
     assert log.records[0].dt == pytest.approx(sensor_dt, rel=1e-4)
     assert sum(record.end - record.start for record in log.records) < 20.0
@@ -345,7 +345,7 @@ def _refused(path: Path) -> str:
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert peak < 2.2 * MOST_UNPACKED, peak
+    assert peak < 2.2 * MAX_UNPACKED, peak
     return str(error.value)
 
 
@@ -464,7 +464,7 @@ def test_a_bag_whose_files_are_compressed_as_a_whole_is_refused(tmp_path: Path) 
 def test_file_that_is_compressed_as_a_whole_is_named(tmp_path: Path) -> None:
     path = tmp_path / "bag.mcap.zst"
     path.write_bytes(zstandard.ZstdCompressor().compress(b"anything"))
-    assert "bag.mcap.zst: compressed as a whole; unpack it: `zstd -d bag.mcap.zst`" in _refused(path)
+    assert "bag.mcap.zst: the whole file is compressed; unpack it: `zstd -d bag.mcap.zst`" in _refused(path)
 
 
 def test_more_frequent_of_two_types_on_a_topic_is_read(tmp_path: Path) -> None:
@@ -478,7 +478,7 @@ def test_more_frequent_of_two_types_on_a_topic_is_read(tmp_path: Path) -> None:
 
 def test_a_missing_command_is_named_with_missing_sensors(tmp_path: Path) -> None:
     words = _refused(write_bag(tmp_path / "bag", only(bag_topics(COLUMNS), "/pose")))
-    assert "neither /odom nor /imu is there, nor is the command /cmd_vel" in words
+    assert "neither /odom nor /imu is in the bag, nor is the command /cmd_vel" in words
     assert "--draft-mapping`; the bag has /pose" in words
 
 
@@ -489,7 +489,7 @@ def test_file_that_is_named_again_is_refused_at_once(tmp_path: Path, count: int)
     stated = yaml.safe_load(metadata.read_text(encoding="utf-8"))
     stated["rosbag2_bagfile_information"]["relative_file_paths"] = ["bag.db3"] * count
     metadata.write_text(yaml.safe_dump(stated), encoding="utf-8")
-    with pytest.raises(ConfigError, match=f"'bag.db3' {count:,} times; name each file once"):
+    with pytest.raises(ConfigError, match=f"'bag.db3' {count:,} times; name it once"):
         read_log(bag)
     (bag / "linked.db3").symlink_to("bag.db3")
     stated["rosbag2_bagfile_information"]["relative_file_paths"] = ["bag.db3", "linked.db3"]
@@ -522,7 +522,7 @@ def test_interrupt_of_a_statement_without_rows_is_raised(tmp_path: Path, monkeyp
     def interrupted(_: object) -> bool:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(sqlite_file._Watch, "look", interrupted)
+    monkeypatch.setattr(sqlite_file._Watchdog, "check", interrupted)
     monkeypatch.setattr(sqlite_file, "_STEPS", 1)
     with pytest.raises(KeyboardInterrupt):
         read_log(_data_base(tmp_path / "bag.db3", ""))

@@ -37,7 +37,7 @@ def test_a_sound_log_has_no_findings(tmp_path):
 def test_a_gap_ends_a_stretch(tmp_path):
     keep = (COLUMNS["t"] < 5.0) | (COLUMNS["t"] > 7.0)
     log = read(tmp_path, {}, keep)
-    assert lines(log, "gap") == ["log.csv, 5.0 to 7.0 s: no data for 2.040 s; a new stretch begins"]
+    assert lines(log, "gap") == ["log.csv, 5.0 to 7.0 s: no data for 2.040 s; a new stretch starts"]
     assert [round(record.start, 2) for record in log.records] == [0.0, 7.02]
     assert sum(len(record.command) for record in log.records) == keep.sum()
 
@@ -59,14 +59,14 @@ def test_no_command_is_held_across_a_gap(tmp_path):
 def test_jitter_is_measured(tmp_path):
     rng = np.random.default_rng(1)
     log = read(tmp_path, {"t": COLUMNS["t"] + rng.uniform(0, 0.012, 1000)})
-    assert "dead times will be smeared" in lines(log, "jitter")[0]
+    assert "dead times are uncertain" in lines(log, "jitter")[0]
     assert lines(read(tmp_path, {"t": COLUMNS["t"] + rng.uniform(0, 0.003, 1000)}), "jitter") == []
 
 
 def test_time_that_goes_backwards_begins_a_new_stretch(tmp_path):
     log = read(tmp_path, {"t": np.where(np.arange(1000) < 600, COLUMNS["t"], COLUMNS["t"] - 12.0)})
     assert lines(log, "time backwards") == [
-        "log.csv, line 602: time goes backwards by 11.980 s, to 0.000 s; a new stretch begins"
+        "log.csv, line 602: time goes backwards by 11.980 s, to 0.000 s; a new stretch starts"
     ]
     assert [len(record.command) for record in log.records] == [600, 400]
 
@@ -74,14 +74,14 @@ def test_time_that_goes_backwards_begins_a_new_stretch(tmp_path):
 def test_time_that_stands_still_is_said(tmp_path):
     log = read(tmp_path, changed("t", 500, COLUMNS["t"][499]))
     assert lines(log, "time stands still") == [
-        "log.csv, line 502: 1 rows have the time of the row before; the last of each counts"
+        "log.csv, line 502: 1 rows have the time of the row before; the last row of each time is used"
     ]
 
 
 def test_nan_rows_of_a_sensor_are_left_out(tmp_path):
     log = read(tmp_path, changed("gyro", [100, 101, 300], np.nan))
     assert lines(log, "NaN rows") == [
-        "log.csv, line 102 to 103, 302: column 'gyro' is not finite in 3 rows; they are left out"
+        "log.csv, line 102 to 103, 302: column 'gyro' is not finite in 3 rows; these rows are left out"
     ]
     (record,) = log.records
     assert list(np.flatnonzero(~record.fresh_yaw_rate)) == [100, 101, 300]
@@ -118,7 +118,7 @@ def test_a_stuck_sensor_is_left_out_from_where_it_stuck(tmp_path, name, sensor, 
     if sensor == "encoders":
         changes |= changed("omega_wheels", rows, COLUMNS["omega_wheels"][300])
     log = read(tmp_path, changes)
-    words = f"the {sensor} read the same for 4.0 s while the robot should move; left out"
+    words = f"the {sensor} read the same for 4.0 s while the robot should move; these readings are left out"
     assert lines(log, "stuck sensor") == [f"log.csv, 6.0 to 10.0 s: {words}"]
     fresh = getattr(log.records[0], mask)
     assert not fresh[301:500].any() and fresh[:301].all() and fresh[500:].all()
@@ -149,7 +149,7 @@ def test_wheels_that_stand_still_are_stuck_only_under_a_large_command(tmp_path, 
 def test_a_wrong_sign_is_an_error(tmp_path, name, reading):
     log = read(tmp_path, {name: -COLUMNS[name]})
     (line,) = lines(log, "wrong sign")
-    assert line.startswith(f"log.csv: {reading} runs against the command (correlation -")
+    assert line.startswith(f"log.csv: {reading} has the opposite sign of the command (correlation -")
     with pytest.raises(ConfigError, match="sign: -1"):
         log.require_sound()
 

@@ -229,7 +229,7 @@ def test_empty_cells_read_the_same_in_a_block_as_cell_by_cell(tmp_path, monkeypa
             for k, off in enumerate(silent)]  # fmt: skip
     path.write_text("\n".join([",".join(names), *rows]) + "\n")
     quick = read_table(path, names)
-    monkeypatch.setattr(csv_table, "_quick", lambda *_: None)
+    monkeypatch.setattr(csv_table, "_parse_quickly", lambda *_: None)
     careful = read_table(path, names)
     assert np.array_equal(quick.empty["gyro"], silent)
     for name in names:
@@ -240,10 +240,10 @@ def test_empty_cells_read_the_same_in_a_block_as_cell_by_cell(tmp_path, monkeypa
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (",".join(f"c{i}" for i in range(20_000)) + "\n", "20,000 columns, at most 10,000"),
-        ("t,v\n0,1\n1," + "1" * 20_000_000, "a line of more than 1,048,576 bytes"),
-        ("x" * 2_000_000, "a line of more than 1,048,576 bytes"),
-        ("a,b," * 2000 + "a\n1\n", "column 'a' is there twice"),
+        (",".join(f"c{i}" for i in range(20_000)) + "\n", "20,000 columns, the limit is 10,000"),
+        ("t,v\n0,1\n1," + "1" * 20_000_000, "a line has more than 1,048,576 bytes"),
+        ("x" * 2_000_000, "a line has more than 1,048,576 bytes"),
+        ("a,b," * 2000 + "a\n1\n", "column 'a' occurs twice"),
     ],
 )
 def test_file_without_a_table_is_refused_before_parsing(tmp_path, text, words):
@@ -270,7 +270,7 @@ def line_of(tmp_path, columns=SHORT, mapping=MAPPING, text=None):
 
 def test_a_word_among_the_numbers_is_named_by_its_line(tmp_path):
     columns = SHORT | {"gyro": [*SHORT["gyro"][:50], "broken", *SHORT["gyro"][51:]]}
-    assert "log.csv, line 52, column 'gyro': 'broken' is no number" in line_of(tmp_path, columns)
+    assert "log.csv, line 52, column 'gyro': 'broken' is not a number" in line_of(tmp_path, columns)
 
 
 @pytest.mark.parametrize(
@@ -278,7 +278,7 @@ def test_a_word_among_the_numbers_is_named_by_its_line(tmp_path):
     [
         ("", "no rows; a log has a header line and a row of numbers per sample"),
         ("t,v\n", "no rows; a log has a header line and a row of numbers per sample"),
-        ("t,v,v\n1,2,3\n", "column 'v' is there twice; rename one"),
+        ("t,v,v\n1,2,3\n", "column 'v' occurs twice; rename one"),
         ("t,v\n1,2\n1,2,3\n1,2\n", "log.csv, line 3: 3 cells, expected 2 as in the header"),
     ],
 )
@@ -296,7 +296,7 @@ def test_a_row_cut_off_at_the_end_is_left_out(tmp_path):
     path = write_csv(tmp_path / "log.csv", SHORT)
     path.write_text(path.read_text() + "4.0,0.5")
     log = read_log(path, write_mapping(tmp_path / "map.yaml"))
-    assert [str(finding) for finding in log.findings] == ["log.csv, line 202: cut off; it is left out"]
+    assert [str(finding) for finding in log.findings] == ["log.csv, line 202: the line is truncated and left out"]
     assert len(log.records[0].command) == 200
 
 

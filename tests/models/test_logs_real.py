@@ -18,7 +18,7 @@ from diffdrive_mpc.models.identification.log_data import divide, read_data
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.logs.mapping import MAPPINGS, load_mapping
-from diffdrive_mpc.models.output_error.experiment import joined, twist_experiments
+from diffdrive_mpc.models.output_error.experiment import join_experiments, twist_experiments
 from diffdrive_mpc.models.output_error.validation import pooled_fit_percent, validate
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.structures.sm import identify_sm
@@ -194,7 +194,7 @@ def baseline_fit(train, held_out, clip=False):
     fits = []
     for row in (0, 1):
         training, validation = (
-            [s.channel(row, row) for s in joined(twist_experiments(part))] for part in (train, held_out)
+            [s.channel(row, row) for s in join_experiments(twist_experiments(part))] for part in (train, held_out)
         )
         u, y, c = zip(*((s.inputs[:, 0], s.outputs[:, 0], s.counts[:, 0]) for s in training), strict=True)
         baseline = fit_second_order(u, y, c, training[0].dt, clip)

@@ -125,7 +125,7 @@ def test_a_part_of_a_record_keeps_its_times():
     assert np.allclose(part.time, record.time[10:30])
     assert np.array_equal(part.yaw_rate, record.yaw_rate[10:30])
     assert len(part.fresh_yaw_rate) == 20
-    with pytest.raises(ValueError, match="no samples 40 to 60 among its 50"):
+    with pytest.raises(ValueError, match="samples 40 to 60 are outside its 50 samples"):
         record.part(40, 60)
 
 

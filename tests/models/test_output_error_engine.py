@@ -13,12 +13,12 @@ from diffdrive_mpc.models.output_error.problem import OutputErrorProblem, past_p
 from diffdrive_mpc.models.output_error.state_space import (
     LocalStateSpace,
     StateResponse,
-    balanced,
-    delayed,
+    balance,
+    delay_inputs,
     from_impulse_response,
     impulse_response,
     sample,
-    settled_start,
+    steady_start,
 )
 from diffdrive_mpc.models.output_error.statistics import residual_scale, sandwich, spike_weights
 from diffdrive_mpc.models.output_error.validation import simulate_experiment
@@ -54,7 +54,7 @@ def test_sampling_equals_that_of_control(name, dead_time):
     model = load_model(name).with_extra_dead_time(dead_time)
     ours, theirs = sample(system(model), DT), model.discretise(DT)
     commands = set_points(0, 200, (0.5, 1.0))
-    recent, older = delayed(commands, ours.delay)
+    recent, older = delay_inputs(commands, ours.delay)
     states = StateResponse(ours.A)((ours.B0 @ recent + ours.B1 @ older)[:, None])[:, 0]
     past = np.tile(commands[0], (theirs.memory, 1))
     assert pytest.approx(theirs.simulate(commands, past=past), abs=1e-9) == states.T @ model.C.T
@@ -70,7 +70,7 @@ STRUCTURES = {
         [np.log(0.9), np.log(0.2), np.log(0.05), 0.043, 0.7, 0.5, 1.1, 2.3],
     ),
     "state space": (
-        Layout(LocalStateSpace(*balanced(*(getattr(load_model("ssm"), x) for x in "ABC"))), 2, 2, offset=(False, True)),
+        Layout(LocalStateSpace(*balance(*(getattr(load_model("ssm"), x) for x in "ABC"))), 2, 2, offset=(False, True)),
         [*(0.1 * np.cos(np.arange(8.0))), 0.043, 0.09, 0.1],
     ),
     "motors": (
@@ -141,7 +141,7 @@ def test_balancing_does_not_change_the_output(seed, n):
     stream = np.random.default_rng(seed)
     A, B, C = stream.normal(size=(n, n)), stream.normal(size=(n, 2)), stream.normal(size=(2, n))
     A -= (np.linalg.eigvals(A).real.max() + 1.0) * np.eye(n)
-    balanced_system = balanced(A, B, C)
+    balanced_system = balance(A, B, C)
     for s in (0.0, 1.0j, 5.0j):
         plain, transformed = (c @ np.linalg.solve(s * np.eye(n) - a, b) for a, b, c in ((A, B, C), balanced_system))
         assert np.abs(transformed - plain).max() < 1e-6 * (1 + np.abs(plain).max())
@@ -163,7 +163,7 @@ def test_simulation_starts_at_the_first_reading():
     outputs = np.tile([0.3, -0.2], (50, 1))
     settled_command = outputs[:1] / np.diag(model.dc_gain)
     experiment = single(np.tile(settled_command, (50, 1)), outputs)
-    assert settled_start(system(model), outputs[0])[0] @ model.C.T == pytest.approx(outputs[0])
+    assert steady_start(system(model), outputs[0])[0] @ model.C.T == pytest.approx(outputs[0])
     assert simulate_experiment(system(model), experiment) == pytest.approx(outputs, abs=1e-12)
 
 

@@ -96,9 +96,7 @@ def test_commands_and_poses_alone_identify_a_robot(tmp_path, with_gyro, heading,
 
 @pytest.mark.parametrize("with_gyro", [False, True])
 def test_heading_from_positions_is_true_heading(tmp_path, with_gyro):
-    (true,), (computed,) = (
-        read_log(*write_log(tmp_path, with_gyro, heading)).records for heading in (True, False)
-    )
+    (true,), (computed,) = (read_log(*write_log(tmp_path, with_gyro, heading)).records for heading in (True, False))
     off = np.angle(np.exp(1j * (computed.pose[:, 2] - true.pose[:, 2])))
     assert np.sqrt(np.mean(off**2)) < 0.05
 

@@ -90,7 +90,7 @@ REFUSED = {
     ),
     "points and commas": (
         text_of(NAMES, [*rows(with_comma), *rows()], delimiter=";"),
-        "is no number; write decimals with a point, or with a comma throughout",
+        "is not a number; write decimals with a point, or with a comma throughout",
     ),
     "a pointer of Git LFS": (
         "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n",

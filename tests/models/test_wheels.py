@@ -100,7 +100,7 @@ def test_readings_that_are_no_numbers_are_skipped_with_a_finding(tmp_path):
         ("  motors: {left: /left_a}\n", "right"),
         (
             "  motors: {left: {topic: /joints, joints: [middle]}, right: /right_a}\n",
-            "is one of the joints middle in it",
+            "check the joints middle",
         ),
     ],
 )

@@ -26,7 +26,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.geometry import wheel_geometry
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error import doubts
-from diffdrive_mpc.models.output_error.experiment import YawSource, joined, parted
+from diffdrive_mpc.models.output_error.experiment import YawSource, join_experiments, split_rows
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.validation import fit_percents
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
@@ -107,14 +107,14 @@ class IdentifiedBase:
         linear = LINEAR if self.identified.yaw == "gyro" else BY_ENCODERS
         selected = [name for effect in self.effects for name in EFFECTS[effect]]
         free = [name for name in (*linear, *selected) if name in self.point and name in effect_settings().parameters]
-        data = weight_readings(joined(sensor_experiments(records, self.identified.yaw)), self.point)
+        data = weight_readings(join_experiments(sensor_experiments(records, self.identified.yaw)), self.point)
         point = fit_effects(self.point, free, data, near=True).point
         content = {**_linear(point), "base_effects": rounded_effects(_effects(point, None))}
         return replace(self.identified, content=content)
 
     def _runs(self, point: Point, records: Sequence[Record]) -> list[FloatArray]:
         experiments = sensor_experiments(records, self.identified.yaw)
-        return parted([free_run(point, run) for run in joined(experiments)], experiments)
+        return split_rows([free_run(point, run) for run in join_experiments(experiments)], experiments)
 
 
 def identify_with_effects(
@@ -152,7 +152,7 @@ def identify_with_effects(
     """
     geometry = wheel_geometry(records)
     track = encoder_track or (geometry.track if geometry else None)
-    selection = select_effects(joined(sensor_experiments(records, yaw)), track, on_trial, limits)
+    selection = select_effects(join_experiments(sensor_experiments(records, yaw)), track, on_trial, limits)
     fit = selection.fit
     pose = pose_sensor(records, fit.point) if yaw == "gyro" else None
     effects = _effects(fit.point, pose)
@@ -257,7 +257,7 @@ def _delays(fit: EffectFit, parameters: ParameterEstimate) -> ParameterEstimate:
 def _doubts(fit: EffectFit, parameters: ParameterEstimate) -> list[Doubt]:
     nonzero = [name for name in parameters.names if not any(part in name for part in _MAY_BE_ZERO)]
     delays = _delays(fit, parameters)
-    verdicts = [*doubts.badly_known(parameters.part(nonzero), delays=delays), *doubts.late_answers(delays)]
+    verdicts = [*doubts.uncertain_parameters(parameters.part(nonzero), delays=delays), *doubts.uncertain_delays(delays)]
     for name, (low, high, _) in effect_settings().parameters.items():
         # Zero is a valid result for an effect; a value at any other bound is not.
         if name in fit.point and fit.point[name] in (low, high) and fit.point[name] != 0.0:

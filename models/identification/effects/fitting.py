@@ -12,7 +12,7 @@ from diffdrive_mpc.models.identification.effects.free_run import Point, free_run
 from diffdrive_mpc.models.identification.effects.settings import effect_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
-from diffdrive_mpc.models.output_error.held_out import Pieces, cut
+from diffdrive_mpc.models.output_error.held_out import Pieces, extract
 from diffdrive_mpc.models.output_error.statistics import output_spread, residual_scale, sandwich, spike_weights
 
 
@@ -37,7 +37,7 @@ class Weighted:
     def part(self, pieces: Pieces) -> Weighted:
         """Return the pieces of the data, each given by index of the experiment, first sample and end (exclusive)."""
         weights = [self.weights[i][first:stop] for i, first, stop in pieces]
-        return Weighted(cut(self.experiments, pieces), weights, self.scale)
+        return Weighted(extract(self.experiments, pieces), weights, self.scale)
 
     def errors(self, point: Point, *, smooth: bool = False) -> list[FloatArray]:
         """Compute weighted errors (K, p) of a free run for each experiment; NaN if there is no reading."""

@@ -10,7 +10,7 @@ import numpy as np
 from diffdrive_mpc.models.identification.effects.settings import effect_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.output_error.parameters import ParameterEstimate, joined
+from diffdrive_mpc.models.output_error.parameters import ParameterEstimate, join_estimates
 from diffdrive_mpc.models.output_error.statistics import sandwich
 
 _MIN_WINDOWS = 20
@@ -65,7 +65,7 @@ def pose_sensor(records: Sequence[Record], point: Mapping[str, float]) -> Parame
     )
     # The standard deviation of the delay is that of the grid.
     grid = _DELAY_STEP * used[0].dt / np.sqrt(12.0)
-    return joined([ParameterEstimate(("pose.delay",), np.array([delay]), np.array([[grid**2]])), place])
+    return join_estimates([ParameterEstimate(("pose.delay",), np.array([delay]), np.array([[grid**2]])), place])
 
 
 def _delay(records: Sequence[Record], point: Mapping[str, float]) -> float | None:

@@ -18,8 +18,8 @@ from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Record
 from diffdrive_mpc.models.logs.geometry import WheelGeometry, wheel_geometry
-from diffdrive_mpc.models.output_error.experiment import YawSource, joined, twist_experiments
-from diffdrive_mpc.models.output_error.held_out import blocks, cut, hold_out
+from diffdrive_mpc.models.output_error.experiment import YawSource, join_experiments, twist_experiments
+from diffdrive_mpc.models.output_error.held_out import blocks, extract, hold_out
 from diffdrive_mpc.models.output_error.statistics import output_spread
 from diffdrive_mpc.models.output_error.validation import Validation, score, simulate_records
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
@@ -184,15 +184,15 @@ def explain_rejection(base: IdentifiedBase, plain: IdentifiedModel, records: Seq
     ValueError
         If the records are too short for held-out blocks.
     """
-    experiments, settings = joined(twist_experiments(records, plain.yaw)), effect_settings()
-    measured = joined(sensor_experiments(records, plain.yaw))
+    experiments, settings = join_experiments(twist_experiments(records, plain.yaw)), effect_settings()
+    measured = join_experiments(sensor_experiments(records, plain.yaw))
     powers: list[FloatArray] = []
     for row in range(2):
         channel = [experiment.channel(row, row) for experiment in experiments]
         powers.append(hold_out(plain.fits[row], channel).powers[:, 0])
     with_effects = []
     for (_, block), point in zip(blocks(measured), base.points, strict=True):
-        errors = [(free_run(point, part) - part.readings)[:, [0, -1]] for part in cut(measured, block)]
+        errors = [(free_run(point, part) - part.readings)[:, [0, -1]] for part in extract(measured, block)]
         with_effects.append(np.nanmean(np.concatenate(errors) ** 2, axis=0))
     rms = np.sqrt([np.mean(powers, axis=1), np.mean(with_effects, axis=0)])
     fits = 100.0 * (1.0 - rms / output_spread(experiments))

@@ -17,8 +17,8 @@ from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.output_error.doubts import badly_known
-from diffdrive_mpc.models.output_error.parameters import ParameterEstimate, joined
+from diffdrive_mpc.models.output_error.doubts import uncertain_parameters
+from diffdrive_mpc.models.output_error.parameters import ParameterEstimate, join_estimates
 from diffdrive_mpc.models.output_error.statistics import residual_scale, sandwich, spike_weights
 from diffdrive_mpc.models.pose import ahead_and_left, wrap_angle
 from diffdrive_mpc.models.slip_laws import POLYNOMIAL, polynomial_twist, virtual_track_yaw_rate
@@ -314,7 +314,7 @@ def calibrate_lags(records: Sequence[Record]) -> ParameterEstimate:
         return encoders
     gyro = pose_windows(records, "yaw_rate", share=_LAG_WINDOW)
     turned = [part.displacement[:, 2] for part in gyro]
-    return joined(
+    return join_estimates(
         [encoders, _lag(gyro, turned, [np.ones_like(turn) for turn in turned]).renamed("gyro").part(["gyro.lag"])]
     )
 
@@ -393,7 +393,7 @@ def _solve(errors: Callable[[FloatArray], FloatArray], start: FloatArray, names:
         parameters, residuals = result.x, errors(result.x)
     rows = result.jac.reshape(*residuals.shape, len(start))
     estimate = ParameterEstimate(names, parameters, sandwich([rows], [weight * residuals]).covariance)
-    warnings = badly_known(estimate.part(_nonzero_names(names)), "pose calibration")
+    warnings = uncertain_parameters(estimate.part(_nonzero_names(names)), "pose calibration")
     return PoseCalibration(estimate, np.sqrt(np.mean(residuals**2, axis=0)), len(residuals), tuple(warnings))
 
 

@@ -27,7 +27,7 @@ from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.geometry import WheelGeometry
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.output_error.parameters import ParameterEstimate, joined
+from diffdrive_mpc.models.output_error.parameters import ParameterEstimate, join_estimates
 from diffdrive_mpc.models.pose import integrate_pose, wrap_angle
 
 _NEAR = 0.2
@@ -231,7 +231,7 @@ def from_poses(data: LogData, fitted: Fitted) -> PoseResults:
     parts = [calibration.parameters for _, calibration in calibrations]
     if parts and laws and fitted.geometry is None:
         parts[0] = _as_gains(parts[0])
-    parameters = joined(parts) if parts else NO_POSES.parameters
+    parameters = join_estimates(parts) if parts else NO_POSES.parameters
     drift = _drift(*_predict_with_model(data, fitted, laws[0][1].parameters if laws else None, gyro), warnings)
     return PoseResults(parameters, laws, drift, tuple(warnings))
 

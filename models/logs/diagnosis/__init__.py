@@ -1,6 +1,6 @@
-"""Diagnosis of faults of a whole log before a fit: one cause, one sentence, one remedy.
+"""Diagnosis of a whole log before a fit: one finding with one remedy for each cause.
 
-Every rule examines the streams after the corrections of earlier rules, so that one fault is reported once.
+Each rule checks the streams after the corrections of earlier rules, so each fault is reported once.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ __all__ = ["compare_logs", "diagnose", "summary"]
 
 
 def diagnose(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """Diagnose the relations between commands and sensors of one log.
+    """Return findings about the relations between commands and sensors of one log.
 
     Parameters
     ----------
@@ -40,11 +40,11 @@ def diagnose(log: str, streams: Streams, settings: CheckSettings) -> list[Findin
     """
     streams = replace(streams)  # rules replace them
     findings = check_presence(log, streams)
-    if not _long_enough(streams, settings):
+    if not _is_long_enough(streams, settings):
         return findings
     findings += check_counts(log, streams, settings)
     if changed := check_order(log, streams, settings) or check_jumps(log, streams, settings):
-        return [*findings, *changed]  # nothing holds for both parts
+        return [*findings, *changed]  # no other check is valid for both parts
     if echo := check_echo(log, streams, settings):
         return [*findings, *echo]
     findings += check_rectified(log, streams, settings)
@@ -64,14 +64,14 @@ def diagnose(log: str, streams: Streams, settings: CheckSettings) -> list[Findin
     return findings
 
 
-def _long_enough(streams: Streams, settings: CheckSettings) -> bool:
-    """Return True if commands change often enough, over a long enough time, to distinguish responses from chance."""
+def _is_long_enough(streams: Streams, settings: CheckSettings) -> bool:
+    """Return True if the commands cover enough time to distinguish responses from chance."""
     samples = int(np.isfinite(streams.command[:, 0]).sum())
     return samples * streams.dt >= settings.shortest_drive
 
 
 def compare_logs(logs: Sequence[Log]) -> list[Finding]:
-    """Compare logs to be used together: commands missing in all of them, and different robots."""
+    """Compare logs that are used together; report insufficient excitation and different robots."""
     settings = check_settings()
     findings = check_excitation(", ".join(log.name for log in logs), [r for log in logs for r in log.records], settings)
     sound = [log for log in logs if not log.errors]
@@ -82,7 +82,7 @@ def compare_logs(logs: Sequence[Log]) -> list[Finding]:
 
 
 def summary(log: Log) -> list[str]:
-    """Summarise a log in five lines: streams, times, commands, and the causes of v and omega."""
+    """Summarise a log in five lines: streams, times, commands, and responses of v and omega."""
     settings = check_settings()
     records = log.records
     dt = records[0].dt
@@ -96,27 +96,27 @@ def summary(log: Log) -> list[str]:
         f"{name} {rate:.3g} Hz" + (f" ({log.sources[name]})" if name in log.sources else "")
         for name, rate in rates.items()
     ]
-    driven = sum(len(record.command) for record in records) * dt
+    duration = sum(len(record.command) for record in records) * dt
     stretches = "1 stretch" if len(records) == 1 else f"{len(records)} stretches"
     lines = [
         f"streams   {', '.join(entries)}",
-        f"time      {records[0].start:.1f} to {records[-1].end:.1f} s, {driven:.0f} s of it in {stretches}, "
+        f"time      {records[0].start:.1f} to {records[-1].end:.1f} s, with {duration:.0f} s in {stretches}, "
         f"one sample every {dt:.4g} s",
-        "commands  " + "; ".join(_commanded(records, channel, settings) for channel in (0, 1)),
+        "commands  " + "; ".join(_command_summary(records, channel, settings) for channel in (0, 1)),
     ]
-    return [*lines, *(f"{CHANNELS[channel]:10}" + _driven(streams, channel, settings) for channel in (0, 1))]
+    return [*lines, *(f"{CHANNELS[channel]:10}" + _response_summary(streams, channel, settings) for channel in (0, 1))]
 
 
-def _commanded(records: Sequence[Record], channel: int, settings: CheckSettings) -> str:
+def _command_summary(records: Sequence[Record], channel: int, settings: CheckSettings) -> str:
     values = np.concatenate([record.command[:, channel] for record in records])
     changes = command_changes(records, channel, settings)
     return f"{CHANNELS[channel]} {values.min():.3g} to {values.max():.3g} {UNITS[CHANNELS[channel]]}, {changes} changes"
 
 
-def _driven(streams: Streams, channel: int, settings: CheckSettings) -> str:
+def _response_summary(streams: Streams, channel: int, settings: CheckSettings) -> str:
     """Describe the response of a channel's sensors to its command."""
     lines = []
-    for name in streams.present(channel):
+    for name in streams.sensors(channel):
         response = fit_response(streams, *streams.pair(COMMAND, name, channel), settings)
         if response is None:
             lines.append(f"{name} not driven")

@@ -1,4 +1,4 @@
-"""Detection of recorded commands that differ from the robot's: odometry, skipped commands, rounded ones."""
+"""Detection of logged commands that differ from those of the robot: odometry, skipped, curved and rounded commands."""
 
 from __future__ import annotations
 
@@ -16,124 +16,128 @@ _UNITS = ("m/s", "rad/s")
 
 
 def check_echo(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """Return at most one finding: commands that repeat the encoder readings, at the same time or later.
+    """Return at most one finding: the commands are a copy of the encoder readings, possibly delayed.
 
-    A robot lags behind its real commands; a copy of its odometry is merely later.
+    A robot lags behind its commands; a copy of the odometry is only delayed.
     """
     if streams.twist is None:
         return []
-    lates = []
+    delays = []
     for channel in (0, 1):
         command, values = streams.pair(COMMAND, ENCODERS, channel)
-        changed = np.diff(command[np.isfinite(command)]) != 0
+        is_changed = np.diff(command[np.isfinite(command)]) != 0
         shift = fit_response(streams, command, values, settings, both_measured=True)
         lag = fit_response(streams, command, values, settings)
-        if shift is None or lag is None or not changed.any():
+        if shift is None or lag is None or not is_changed.any():
             return []
-        rest, less = (1 - float(response.correlation[0]) ** 2 for response in (shift, lag))
+        shift_residual, lag_residual = (1 - float(response.correlation[0]) ** 2 for response in (shift, lag))
         is_echo = shift.correlation[0] > settings.echo and shift.dead_time < 0.2 * streams.dt
-        # Set-points stay for a while, readings do not; a lag would explain more.
-        if not is_echo or changed.mean() < settings.echo_changes or settings.shape * rest > less + settings.echo_noise:
+        # Set-points stay constant for some time, readings do not; for real commands a lag explains more.
+        lag_explains = settings.shape * shift_residual > lag_residual + settings.echo_noise
+        if not is_echo or is_changed.mean() < settings.echo_changes or lag_explains:
             return []
-        lates.append(-shift.dead_time)
-    words = (
-        f"the command is what the encoders read {max(0.0, float(np.mean(lates))):.2f} s before, lag and noise "
-        "included: odometry was logged as command, from which nothing can be predicted; name the column or topic "
-        "of what was sent to the robot"
+        delays.append(-shift.dead_time)
+    message = (
+        f"the command equals the encoder readings {max(0.0, float(np.mean(delays))):.2f} s before, including lag and "
+        "noise: odometry was logged as the command; give the column or topic of the commands that were sent to the "
+        "robot"
     )
-    return [Finding("echoed command", "error", log, words)]
+    return [Finding("echoed command", "error", log, message)]
 
 
 def check_latch(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """Return at most one finding: commands that a logger sampled only now and then, while the robot got all."""
+    """Return at most one finding: the log has only some of the commands that the robot received."""
     leads = [part for part in (_crossings(streams, channel, settings) for channel in (0, 1)) if len(part)]
     if not leads:
         return []
     ends = np.array([np.percentile(part, [10, 90]) for part in leads])
-    # A shift leads by the same time at each change, a latch by anything up to its period.
+    # A shift has the same lead at each change; with a latch the lead varies up to its period.
     if ends[:, 0].max() > -settings.sensor_shift or np.ptp(ends, axis=1).min() < settings.latch_spread:
         return []
-    words = (
-        f"the robot moves up to {-ends[:, 0].min():.2f} s before changes of the command, and by no time that stays the "
-        "same: one command in many was logged, and no delay mends it; record each command when it is sent"
+    message = (
+        f"the robot responds up to {-ends[:, 0].min():.2f} s before changes of the command, with varying leads: only "
+        "some commands were logged, which a delay does not correct; record each command when it is sent"
     )
-    return [Finding("latched command", "error", log, words)]
+    return [Finding("latched command", "error", log, message)]
 
 
 def _crossings(streams: Streams, channel: int, settings: CheckSettings) -> FloatArray:
-    """Find times [s] after clear changes of the command at which the response last passed the middle; empty for few."""
-    names = streams.moving(channel)
+    """Return times [s], relative to clear changes of the command, of the last crossing of the response's midpoint.
+
+    The result is empty if there are too few changes.
+    """
+    names = streams.speed_sensors(channel)
     if not names:
         return np.empty(0)
     command, values = streams.pair(COMMAND, names[0], channel)
-    both = np.isfinite(command) & np.isfinite(values)
-    if both.sum() < 2 or np.ptp(command[both]) == 0 or np.ptp(values[both]) == 0:
+    is_finite = np.isfinite(command) & np.isfinite(values)
+    if is_finite.sum() < 2 or np.ptp(command[is_finite]) == 0 or np.ptp(values[is_finite]) == 0:
         return np.empty(0)
-    # By their sizes: hidden commands make a regression too flat.
-    sign = np.sign(np.corrcoef(command[both], values[both])[0, 1])
-    moved = values * sign * np.std(command[both]) / np.std(values[both])
-    least = 0.3 * float(np.ptp(np.percentile(command[both], [5, 95])))
+    # Scale by standard deviations, because missing commands reduce the slope of a regression.
+    sign = np.sign(np.corrcoef(command[is_finite], values[is_finite])[0, 1])
+    response = values * sign * np.std(command[is_finite]) / np.std(values[is_finite])
+    min_step = 0.3 * float(np.ptp(np.percentile(command[is_finite], [5, 95])))
     reach, after = (round(seconds / streams.dt) for seconds in (settings.longest_latch, settings.longest_lag))
     steps = np.diff(command, prepend=np.nan)
-    changes = np.flatnonzero(np.abs(np.nan_to_num(steps)) > least)
+    changes = np.flatnonzero(np.abs(np.nan_to_num(steps)) > min_step)
     times = []
     for before, index in pairwise(changes):
-        first, last = max(before, index - reach), min(index + after, len(moved))
-        beyond = (moved[first:last] - command[index] + 0.5 * steps[index]) * np.sign(steps[index]) > 0
-        crossed = np.flatnonzero(~beyond[:-1] & beyond[1:])
-        if len(crossed):
-            times.append((first + 1 + crossed[-1] - index) * streams.dt)
+        first, last = max(before, index - reach), min(index + after, len(response))
+        is_past = (response[first:last] - command[index] + 0.5 * steps[index]) * np.sign(steps[index]) > 0
+        crossings = np.flatnonzero(~is_past[:-1] & is_past[1:])
+        if len(crossings):
+            times.append((first + 1 + crossings[-1] - index) * streams.dt)
     return np.array(times) if len(times) >= settings.refused_changes + settings.fewest_changes else np.empty(0)
 
 
 def check_curve(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """Return at most one finding: small commands are obeyed less than large ones, as behind an expo curve."""
+    """Return at most one finding: the gain is lower for small commands, as with an expo curve."""
     curved = []
     for channel in (0, 1):
-        for name in streams.moving(channel)[:1]:
+        for name in streams.speed_sensors(channel)[:1]:
             command, values = streams.pair(COMMAND, name, channel)
             share = command / max(float(np.nanmax(np.abs(command))), settings.least_command)
             trials = [command, *(command * (1 - expo + expo * share**2) for expo in (0.25, 0.5, 0.75))]
             responses = [fit_response(streams, trial, values, settings) for trial in trials]
-            rests = [1.0 if how is None else 1 - float(how.correlation[0]) ** 2 for how in responses]
-            best = int(np.argmin(rests))
-            if best and settings.curve_least < rests[0] < 1.0 and rests[best] < settings.shape * rests[0]:
-                curved.append(f"{CHANNELS[channel]} of a third of the largest by {100 * (best / 4) * 8 / 9:.0f} %")
+            residuals = [1.0 if fit is None else 1 - float(fit.correlation[0]) ** 2 for fit in responses]
+            best = int(np.argmin(residuals))
+            if best and settings.curve_least < residuals[0] < 1.0 and residuals[best] < settings.shape * residuals[0]:
+                curved.append(f"{CHANNELS[channel]} at a third of the maximum by {100 * (best / 4) * 8 / 9:.0f} %")
     if not curved:
         return []
-    words = (
-        f"small commands are obeyed less than large ones ({', '.join(curved)}): an expo curve between the logged "
-        "command and the base; switch it off, or log the command behind it"
+    message = (
+        f"the gain is lower for small commands ({', '.join(curved)}): there is an expo curve between the logged "
+        "command and the base; switch it off, or log the command after it"
     )
-    return [Finding("curved command", "warning", log, words)]
+    return [Finding("curved command", "warning", log, message)]
 
 
 def check_rounding(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """Return findings about channels whose commands are rounded although the robot moves in between."""
+    """Return findings about channels with rounded commands, while the robot moves at speeds between them."""
     findings = []
     for channel in (0, 1):
-        names = streams.moving(channel)
+        names = streams.speed_sensors(channel)
         if not names:
             continue
         command, values = streams.pair(COMMAND, names[0], channel)
-        step = _step(command[np.isfinite(command)], settings)
+        step = _rounding_step(command[np.isfinite(command)], settings)
         response = None if step is None else fit_response(streams, command, values, settings)
         if step is None or response is None or response.correlation[0] < settings.clear_correlation:
             continue
-        least = settings.rounded_rest * step * abs(float(response.gain[0, 0]))
-        scatter = _between_holds(streams, command, values, response.delay + 2 * response.lag + streams.dt, settings)
-        if scatter > least:
-            words = (
-                f"{CHANNELS[channel]} of the command knows only multiples of {step:.3g} {_UNITS[channel]}, but the "
-                "robot moves at speeds between, also where it is told zero: the command was rounded in the log; "
-                "record it with its decimals"
+        threshold = settings.rounded_rest * step * abs(float(response.gain[0, 0]))
+        scatter = _scatter_of_holds(streams, command, values, response.delay + 2 * response.lag + streams.dt, settings)
+        if scatter > threshold:
+            message = (
+                f"{CHANNELS[channel]} of the command has only multiples of {step:.3g} {_UNITS[channel]}, but the robot "
+                "moves at speeds between them, also for a command of zero: the command was rounded in the log; record "
+                "it with its decimals"
             )
-            findings.append(Finding("rounded command", "error", log, words))
+            findings.append(Finding("rounded command", "error", log, message))
     return findings
 
 
-def _step(command: FloatArray, settings: CheckSettings) -> float | None:
-    """Find the step of which all commands (n,) are multiples, if it is coarse."""
+def _rounding_step(command: FloatArray, settings: CheckSettings) -> float | None:
+    """Return the step of which all commands (n,) are multiples; None if there is none or it is fine."""
     levels = np.unique(np.round(np.abs(command), 9))
     if len(levels) < 2 or len(levels) > settings.rounded_levels:
         return None
@@ -142,15 +146,15 @@ def _step(command: FloatArray, settings: CheckSettings) -> float | None:
     return step if np.allclose(multiples, np.round(multiples), atol=1e-3) else None
 
 
-def _between_holds(
+def _scatter_of_holds(
     streams: Streams, command: FloatArray, values: FloatArray, seconds: float, settings: CheckSettings
 ) -> float:
-    """Compute the standard deviation of the motion under one and the same command, or under zero if that is less.
+    """Compute the standard deviation of the mean motion under equal commands, or under zero if that is smaller.
 
-    The means are over each hold from `seconds` after its start, without the response to the previous command: that is
-    not settled.
+    The mean of each hold starts `seconds` after its start. The effect of the previous command is removed, because the
+    response may not have settled.
     """
-    starts = np.flatnonzero(np.concatenate([[True], np.diff(command) != 0]))  # also if it is not finite
+    starts = np.flatnonzero(np.concatenate([[True], np.diff(command) != 0]))  # NaN also starts a hold
     rows = []
     for before, start, stop in zip(starts[:-2], starts[1:-1], starts[2:], strict=True):
         part = values[start + round(seconds / streams.dt) : stop]
@@ -159,12 +163,12 @@ def _between_holds(
             rows.append((command[start], command[before], part.mean(), 1 / len(part), *noise))
     if len(rows) < settings.fewest_samples:
         return 0.0
-    level, last, mean, share, squares, count = np.array(rows).T
-    known = np.column_stack([np.ones(len(level)), level, last])
-    rest = mean - known @ np.linalg.lstsq(known, mean, rcond=None)[0]
+    level, previous, mean, share, squares, count = np.array(rows).T
+    regressors = np.column_stack([np.ones(len(level)), level, previous])
+    residual = mean - regressors @ np.linalg.lstsq(regressors, mean, rcond=None)[0]
     noise = squares.sum() / max(2 * count.sum(), 1)
     scatter = [
-        np.mean(rest[part] ** 2) - noise * np.mean(share[part]) if part.sum() >= settings.fewest_changes else 0.0
+        np.mean(residual[part] ** 2) - noise * np.mean(share[part]) if part.sum() >= settings.fewest_changes else 0.0
         for part in (level == 0, np.isfinite(level))
     ]
     return float(np.sqrt(max(0.0, min(scatter))))

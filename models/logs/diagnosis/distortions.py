@@ -1,4 +1,4 @@
-"""Detection of sensors that lose a part of their signal: those without a sign, and encoders that saturate."""
+"""Detection of distorted sensors: readings without a sign, and saturated encoders."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ def check_rectified(log: str, streams: Streams, settings: CheckSettings) -> list
     if sides is not None and streams.wheels is not None and streams.wheels.shape[1] == len(SIDES):
         pairs.append((ENCODERS, sides, streams.wheels))
     for name, command, values in pairs:
-        if values is None or not (_both_signs(command, settings) and _one_sign(values, settings)):
+        if values is None or not (_has_both_signs(command, settings) and _has_one_sign(values, settings)):
             continue
-        plain, sizes = (fit_response(streams, inputs, values, settings) for inputs in (command, np.abs(command)))
-        if sizes is None or min(sizes.correlation) < settings.clear_correlation:
+        signed, unsigned = (fit_response(streams, inputs, values, settings) for inputs in (command, np.abs(command)))
+        if unsigned is None or min(unsigned.correlation) < settings.clear_correlation:
             continue
-        if plain is not None and min(plain.correlation) > min(sizes.correlation):
+        if signed is not None and min(signed.correlation) > min(unsigned.correlation):
             continue
-        words = f"the readings of the {name} tell how fast, but never in which direction: record them with their sign"
-        findings.append(Finding("rectified sensor", "error", log, words))
+        message = f"the readings of the {name} have no sign: record them with the direction of motion"
+        findings.append(Finding("rectified sensor", "error", log, message))
         if name == GYRO:
             streams.yaw_rate = None
         else:
@@ -35,43 +35,43 @@ def check_rectified(log: str, streams: Streams, settings: CheckSettings) -> list
     return findings
 
 
-def _one_sign(values: FloatArray, settings: CheckSettings) -> bool:
+def _has_one_sign(values: FloatArray, settings: CheckSettings) -> bool:
     low, high = np.nanpercentile(values, [1, 99], axis=0)
     return bool((np.minimum(np.abs(low), np.abs(high)) < settings.never_negative * np.maximum(-low, high)).all())
 
 
-def _both_signs(values: FloatArray, settings: CheckSettings) -> bool:
+def _has_both_signs(values: FloatArray, settings: CheckSettings) -> bool:
     low, high = np.nanpercentile(values, [5, 95], axis=0)
     return bool((np.minimum(-low, high) > settings.stuck_command * np.maximum(-low, high)).all())
 
 
 def check_clipped_side(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """Return at most one finding: the encoder of one side saturates although more is commanded."""
+    """Return at most one finding: the encoder of one side saturates below the commanded speed."""
     if streams.twist is None or streams.wheels is None or streams.wheels.shape[1] != len(SIDES):
         return []
     sides = commanded_sides(streams)
     if sides is None:
         return []
     sizes = np.abs(streams.wheels)
-    most = np.nanmax(sizes, axis=0)
-    at_most = sizes >= most * (1 - 1e-9)
-    share = np.nanmean(at_most, axis=0) / max(float(np.isfinite(sizes[:, 0]).mean()), 1e-9)
+    maximum = np.nanmax(sizes, axis=0)
+    is_maximum = sizes >= maximum * (1 - 1e-9)
+    share = np.nanmean(is_maximum, axis=0) / max(float(np.isfinite(sizes[:, 0]).mean()), 1e-9)
     side = int(np.argmax(share))
     if share[side] < settings.clipped_readings or share[1 - side] > 0.3 * share[side]:
         return []
     response = fit_response(streams, sides[:, side], streams.wheels[:, side], settings)
     if response is None:
         return []
-    wanted = np.abs(streams.delayed(streams.lagged(sides[:, side], response.lag), response.dead_time))
-    # The scale below the clip, by the side that ends nowhere.
-    crossed = fit_response(streams, sides[:, 1 - side], streams.wheels[:, 1 - side], settings)
-    scale = abs(float((crossed or response).gain[0, 0]))
-    if float(np.nanmedian(wanted[at_most[:, side]])) * scale < settings.beyond_clip * most[side]:
+    commanded = np.abs(streams.delay(streams.low_pass(sides[:, side], response.lag), response.dead_time))
+    # The gain without clipping, from the side that does not saturate.
+    unclipped = fit_response(streams, sides[:, 1 - side], streams.wheels[:, 1 - side], settings)
+    scale = abs(float((unclipped or response).gain[0, 0]))
+    if float(np.nanmedian(commanded[is_maximum[:, side]])) * scale < settings.beyond_clip * maximum[side]:
         return []
-    words = (
-        f"the encoder of the {SIDES[side]} side never reads more than {most[side]:.3g} rad/s, in "
-        f"{100 * share[side]:.0f} % of the rows exactly that, while more is asked for and the other side reads more: "
-        "it is clipped; record with a wider range, or drive slower"
+    message = (
+        f"the encoder of the {SIDES[side]} side is clipped at {maximum[side]:.3g} rad/s in "
+        f"{100 * share[side]:.0f} % of the rows, although higher speeds are commanded; record with a wider range, or "
+        "drive slower"
     )
     streams.twist = streams.wheels = None
-    return [Finding("clipped sensor", "error", log, words)]
+    return [Finding("clipped sensor", "error", log, message)]

@@ -1,4 +1,4 @@
-"""Commands as a base with limits carries them out: a limit on one side is no wrong unit."""
+"""Commands after the limits of a base; without them a limit on one side appears as a wrong unit."""
 
 from __future__ import annotations
 
@@ -11,30 +11,32 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
 from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, Streams, fit_response
 
-_PARTS = np.geomspace(0.03, 0.8, 10)
-"""Levels, as parts of the largest command, and rates, as parts of twice that per second."""
+_SHARES = np.geomspace(0.03, 0.8, 10)
+"""Candidate limits: levels as shares of the maximum command, rates as shares of twice that per second."""
 _GROUPS = np.array([[1, 1, 0, 0], [0, 0, 1, 1], *np.eye(len(KINDS))], dtype=bool)
-"""Limits that are tried together, in this order."""
+"""Groups of limits that are varied together, in this order."""
 
 
 def within_limits(streams: Streams, channel: int, settings: CheckSettings) -> Streams:
-    """Return the streams with the limited command that explains the sensors of a channel best.
+    """Return the streams with the limited command that best explains the sensors of a channel.
 
-    They are as they were if a limit does not clearly lower the variance that the command leaves unexplained.
+    The streams are unchanged if limits do not clearly reduce the residual variance.
     """
     command = streams.command[:, channel]
     above, below = (np.maximum([np.nanmax(command), -np.nanmin(command)], 1e-9)).tolist()
     sizes = np.array([above, below, 2.0 * max(above, below), 2.0 * max(above, below)])
-    before = _unexplained(streams, channel, settings)
+    before = _residual_share(streams, channel, settings)
     best = before, np.full(len(KINDS), np.inf)
     for kinds in _GROUPS:
-        candidates = [np.where(kinds, part * sizes, best[1]) for part in _PARTS]
-        trials = [(_unexplained(_limited(streams, channel, limit), channel, settings), limit) for limit in candidates]
+        candidates = [np.where(kinds, share * sizes, best[1]) for share in _SHARES]
+        trials = [
+            (_residual_share(_with_limit(streams, channel, limit), channel, settings), limit) for limit in candidates
+        ]
         best = min([best, *trials], key=lambda trial: trial[0])
-    return _limited(streams, channel, best[1]) if best[0] < settings.clipped_rest * before else streams
+    return _with_limit(streams, channel, best[1]) if best[0] < settings.clipped_rest * before else streams
 
 
-def _limited(streams: Streams, channel: int, limit: FloatArray) -> Streams:
+def _with_limit(streams: Streams, channel: int, limit: FloatArray) -> Streams:
     command = streams.command.copy()
     for part in streams.slices:
         rows = command[part, channel : channel + 1]
@@ -43,10 +45,10 @@ def _limited(streams: Streams, channel: int, limit: FloatArray) -> Streams:
     return replace(streams, command=command)
 
 
-def _unexplained(streams: Streams, channel: int, settings: CheckSettings) -> float:
-    """Return the share of the variance of the sensors that the command leaves unexplained, its mean."""
-    answers = [
-        fit_response(streams, *streams.pair(COMMAND, name, channel), settings) for name in streams.present(channel)
+def _residual_share(streams: Streams, channel: int, settings: CheckSettings) -> float:
+    """Return the mean share of the sensors' variance that the command does not explain."""
+    responses = [
+        fit_response(streams, *streams.pair(COMMAND, name, channel), settings) for name in streams.sensors(channel)
     ]
-    shares = [1 - float(response.correlation[0]) ** 2 for response in answers if response is not None]
+    shares = [1 - float(response.correlation[0]) ** 2 for response in responses if response is not None]
     return float(np.mean(shares)) if shares else 0.0

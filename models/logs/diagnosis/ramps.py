@@ -1,4 +1,4 @@
-"""Check for separate ramps of the two sides of a base."""
+"""Detection of separate ramps of both sides of a base."""
 
 from __future__ import annotations
 
@@ -12,25 +12,28 @@ from diffdrive_mpc.models.logs.diagnosis.streams import Streams, fit_response
 from diffdrive_mpc.models.logs.diagnosis.wheels import SIDES, commanded_sides
 from diffdrive_mpc.models.logs.record import Finding
 
-_MOST = 6_000
-"""Number of examined samples: five minutes."""
+_MAX_SAMPLES = 6_000
+"""Maximum number of samples to check: five minutes."""
 
 
 def check_ramps(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """Return at most one note: wheels whose speed changes at a limited rate."""
+    """Return at most one note: the speeds of the wheels have limited rates."""
     if streams.twist is None or streams.wheels is None or streams.wheels.shape[1] != len(SIDES):
         return []
     sides = commanded_sides(streams)
     if sides is None:
         return []
-    sides, slices = sides[:_MOST], [part for part in streams.slices if part.stop <= max(_MOST, streams.slices[0].stop)]
-    wheels = streams.wheels[:_MOST]
+    sides, slices = (
+        sides[:_MAX_SAMPLES],
+        [part for part in streams.slices if part.stop <= max(_MAX_SAMPLES, streams.slices[0].stop)],
+    )
+    wheels = streams.wheels[:_MAX_SAMPLES]
     streams = replace(streams, wheels=wheels, slices=tuple(slices))
-    plain = fit_response(streams, sides, wheels, settings)
-    if plain is None or plain.correlation.min() < settings.weak_correlation:
+    linear = fit_response(streams, sides, wheels, settings)
+    if linear is None or linear.correlation.min() < settings.weak_correlation:
         return []
-    rest = 1 - float(np.mean(plain.correlation**2))
-    if rest < settings.ramp_least:
+    residual = 1 - float(np.mean(linear.correlation**2))
+    if residual < settings.ramp_least:
         return []
     rates = np.abs(np.diff(wheels, axis=0)).max(axis=1) / streams.dt
     rates = rates[np.isfinite(rates)]
@@ -39,33 +42,37 @@ def check_ramps(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
     bounds = np.unique(np.percentile(rates[rates > 0], [60, 75, 85, 95]))
     half = np.array([[0.5, 0.5], [-0.5, 0.5]])
     by_side, by_twist = (
-        _best(streams, sides @ turn.T, np.linalg.inv(turn).T, bounds, settings) for turn in (np.eye(2), half)
+        _best_ramp(streams, sides @ transform.T, np.linalg.inv(transform).T, bounds, settings)
+        for transform in (np.eye(2), half)
     )
-    if by_side[0] > settings.ramp_rest * rest or by_side[0] > settings.shape * by_twist[0]:
+    if by_side[0] > settings.ramp_rest * residual or by_side[0] > settings.shape * by_twist[0]:
         return []
-    words = (
-        f"each wheel changes its speed by at most about {by_side[1]:.2g} rad/s a second, whatever the other does: the "
-        "base ramps its wheels, so that v and omega wait for each other; drive gentler steps, or raise that limit"
+    message = (
+        f"each wheel changes its speed by at most about {by_side[1]:.2g} rad/s per second, independently of the other: "
+        "the base ramps its wheels, so v and omega are coupled; drive smaller steps, or raise that limit"
     )
-    return [Finding("ramped wheels", "note", log, words)]
+    return [Finding("ramped wheels", "note", log, message)]
 
 
-def _best(
-    streams: Streams, inputs: FloatArray, back: FloatArray, bounds: FloatArray, settings: CheckSettings
+def _best_ramp(
+    streams: Streams, inputs: FloatArray, back_transform: FloatArray, bounds: FloatArray, settings: CheckSettings
 ) -> tuple[float, float]:
-    """Compute the wheels' variance unexplained by the best ramp of `inputs` (N, 2), and its rate per second."""
+    """Return the residual variance of the wheels with the best ramp of `inputs` (N, 2), and its rate."""
     best = (1.0, np.inf)
-    limited = _ramped(streams, inputs, bounds * streams.dt)
+    limited = _limit_rates(streams, inputs, bounds * streams.dt)
     assert streams.wheels is not None
     for bound, values in zip(bounds, limited, strict=True):
-        response = fit_response(streams, values @ back, streams.wheels, settings, lags=settings.lags[::2])
+        response = fit_response(streams, values @ back_transform, streams.wheels, settings, lags=settings.lags[::2])
         if response is not None:
             best = min(best, (1 - float(np.mean(response.correlation**2)), float(bound)))
     return best
 
 
-def _ramped(streams: Streams, inputs: FloatArray, steps: FloatArray) -> FloatArray:
-    """Limit the change of inputs per sample to a step: (steps, N, 2); stretches start at their own values."""
+def _limit_rates(streams: Streams, inputs: FloatArray, steps: FloatArray) -> FloatArray:
+    """Limit the changes of inputs (N, 2) per sample to each of `steps` (n,); return (n, N, 2).
+
+    Stretches start with their first values.
+    """
     result = np.repeat(inputs[None], len(steps), axis=0)
     for part in streams.slices:
         for k in range(part.start + 1, min(part.stop, len(inputs))):

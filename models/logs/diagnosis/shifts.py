@@ -1,4 +1,4 @@
-"""Detection of time shifts between streams, causal or not."""
+"""Detection of time shifts between streams, including non-causal ones."""
 
 from __future__ import annotations
 
@@ -14,68 +14,70 @@ from diffdrive_mpc.models.logs.diagnosis.streams import (
     POSE,
     StreamResponse,
     Streams,
+    explained_by_future,
     fit_response,
-    foresight,
 )
 from diffdrive_mpc.models.logs.record import Finding, MappingChange
 
 
 def check_shifts(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """Return at most one finding about a sensor, and one about the commands."""
-    findings = _between_sensors(log, streams, settings)
-    answers = _answers(streams, settings)
-    return [*findings, *_commands(log, streams, answers, settings)]
+    """Return at most one finding about a sensor and one about the commands."""
+    findings = _check_sensor_shifts(log, streams, settings)
+    responses = _clear_responses(streams, settings)
+    return [*findings, *_check_command_times(log, streams, responses, settings)]
 
 
-def _answers(streams: Streams, settings: CheckSettings) -> dict[tuple[str, int], StreamResponse]:
-    """Compute the clear responses of each channel of each sensor to its command."""
-    answers = {}
+def _clear_responses(streams: Streams, settings: CheckSettings) -> dict[tuple[str, int], StreamResponse]:
+    """Return the clear responses of each channel and sensor to the command."""
+    responses = {}
     for channel in (0, 1):
-        for name in streams.present(channel):
+        for name in streams.sensors(channel):
             response = fit_response(streams, *streams.pair(COMMAND, name, channel), settings, intervals=True)
             if response is not None and abs(response.correlation[0]) > settings.clear_correlation:
-                answers[name, channel] = response
-    return answers
+                responses[name, channel] = response
+    return responses
 
 
-def _between_sensors(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
-    """Return the finding for the sensor that is later or earlier than the others, corrected in `streams`."""
-    apart: dict[tuple[str, str], tuple[float, float]] = {}
+def _check_sensor_shifts(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
+    """Return the finding for a sensor that is later or earlier than the others; correct `streams`."""
+    shifts: dict[tuple[str, str], tuple[float, float]] = {}
     for channel in (0, 1):
-        for first, second in combinations(streams.present(channel), 2):
+        for first, second in combinations(streams.sensors(channel), 2):
             a, b = streams.pair(first, second, channel)
             response = fit_response(streams, a, b, settings, intervals=True, both_measured=True)
             if response is None or response.correlation[0] < settings.clear_correlation:
                 continue
-            if (first, second) not in apart or channel == 1:  # turns are sharper than straights
-                apart[first, second] = (
+            if (first, second) not in shifts or channel == 1:  # turns determine the shift better
+                shifts[first, second] = (
                     response.dead_time,
                     response.deviation if np.isfinite(response.deviation) else 0.0,
                 )
-    shifted = {pair: value for pair, value in apart.items() if abs(value[0]) > max(settings.sensor_shift, 3 * value[1])}
+    shifted = {
+        pair: value for pair, value in shifts.items() if abs(value[0]) > max(settings.sensor_shift, 3 * value[1])
+    }
     if not shifted:
         return []
-    name = _odd_one(shifted, streams, settings)
+    name = _shifted_sensor(shifted, streams, settings)
     signed = [
         (shift if pair[1] == name else -shift, deviation)
         for pair, (shift, deviation) in shifted.items()
         if name in pair
     ]
-    if lagging := _lagging(log, name, signed[0][0] > 0, shifted, streams, settings):
+    if lagging := _lag_finding(log, name, signed[0][0] > 0, shifted, streams, settings):
         return [lagging]
-    late, deviation = (float(np.mean([part[i] for part in signed])) for i in (0, 1))
-    if abs(late) <= settings.sensor_shift:
-        return []  # later than one and earlier than another: not shifted against both
+    delay, deviation = (float(np.mean([part[i] for part in signed])) for i in (0, 1))
+    if abs(delay) <= settings.sensor_shift:
+        return []  # later than one sensor and earlier than another
     others = sorted({sensor for pair in shifted for sensor in pair} - {name})
-    words = (
-        f"the {name} is {abs(late):.2f} +- {1.96 * deviation:.2f} s {'later' if late > 0 else 'earlier'} than the "
+    message = (
+        f"the {name} is {abs(delay):.2f} +- {1.96 * deviation:.2f} s {'later' if delay > 0 else 'earlier'} than the "
         f"{' and the '.join(others)}"
     )
-    _shift(streams, name, -late)
-    return [Finding("time shift", "warning", log, words, changes=(MappingChange(name, "delay", round(late, 2)),))]
+    _shift(streams, name, -delay)
+    return [Finding("time shift", "warning", log, message, changes=(MappingChange(name, "delay", round(delay, 2)),))]
 
 
-def _lagging(
+def _lag_finding(
     log: str,
     name: str,
     is_late: bool,
@@ -83,101 +85,105 @@ def _lagging(
     streams: Streams,
     settings: CheckSettings,
 ) -> Finding | None:
-    """Return the finding if a lag explains the difference of sensors clearly better than a shift; None otherwise."""
-    rests, lags, later = [], [], set()
+    """Return the finding if a lag explains the difference of sensors clearly better than a shift; else None."""
+    residuals, lags, late_sensors = [], [], set()
     for (first, second), (shift, _) in shifted.items():
         if name not in (first, second):
             continue
         early, late = (first, second) if shift > 0 else (second, first)
-        channel = 1 if all(sensor in streams.present(1) for sensor in (early, late)) else 0
+        channel = 1 if all(sensor in streams.sensors(1) for sensor in (early, late)) else 0
         pair = streams.pair(early, late, channel)
-        plain = fit_response(streams, *pair, settings, both_measured=True)
-        behind = fit_response(streams, *pair, settings, both_measured=True, lags=settings.lags)
-        if plain is None or behind is None:
+        shifted_fit = fit_response(streams, *pair, settings, both_measured=True)
+        lagged_fit = fit_response(streams, *pair, settings, both_measured=True, lags=settings.lags)
+        if shifted_fit is None or lagged_fit is None:
             return None
-        rests.append([1 - float(response.correlation[0]) ** 2 for response in (behind, plain)])
-        lags.append(2 * behind.lag)
-        later.add(late)
-    behind_rest, plain_rest = np.mean(rests, axis=0)
-    if plain_rest - behind_rest < max(settings.lag_share, (1 - settings.shape) * plain_rest):
+        residuals.append([1 - float(response.correlation[0]) ** 2 for response in (lagged_fit, shifted_fit)])
+        lags.append(2 * lagged_fit.lag)
+        late_sensors.add(late)
+    lag_residual, shift_residual = np.mean(residuals, axis=0)
+    if shift_residual - lag_residual < max(settings.lag_share, (1 - settings.shape) * shift_residual):
         return None
     lag = float(np.mean(lags))
     if (
         (is_late and name == ENCODERS)
         or (is_late and name == POSE)
-        or (name == GYRO and is_late and POSE in streams.present(1))
+        or (name == GYRO and is_late and POSE in streams.sensors(1))
     ):
-        words = (
-            f"the readings of the {name} lag behind the other sensors by {lag:.2f} s, and are not merely later: they "
-            "were filtered; record them before the filter, no `delay` mends it"
+        message = (
+            f"the readings of the {name} lag behind the other sensors by {lag:.2f} s with the shape of a filter: "
+            "record them before the filter; a `delay` does not correct this"
         )
-        return Finding("filtered sensor", "warning", log, words)
-    if GYRO not in later:
+        return Finding("filtered sensor", "warning", log, message)
+    if GYRO not in late_sensors:
         return None
-    words = (
-        f"the body yaws behind its wheels with a lag of {lag:.2f} s, and is not merely later: a slippery ground or "
-        "soft tyres, or a filtered gyro; no `delay` mends it"
+    message = (
+        f"the yaw rate of the body lags behind the wheels by {lag:.2f} s with the shape of a filter: slippery ground, "
+        "soft tyres, or a filtered gyro; a `delay` does not correct this"
     )
-    return Finding("slow yaw", "note", log, words)
+    return Finding("slow yaw", "note", log, message)
 
 
-def _odd_one(shifted: dict[tuple[str, str], tuple[float, float]], streams: Streams, settings: CheckSettings) -> str:
-    """Find the sensor in most of the pairs; of two, the one that precedes its command, or else the later one."""
+def _shifted_sensor(
+    shifted: dict[tuple[str, str], tuple[float, float]], streams: Streams, settings: CheckSettings
+) -> str:
+    """Return the sensor in most of the pairs; in a tie, the sensor that precedes its command, or else the later one."""
     names = sorted({name for pair in shifted for name in pair})
     counts = [sum(name in pair for pair in shifted) for name in names]
     if len(names) > 2 and counts.count(max(counts)) == 1:
         return names[int(np.argmax(counts))]
     (first, second), (shift, _) = max(shifted.items(), key=lambda item: abs(item[1][0]))
     early, late = (first, second) if shift > 0 else (second, first)
-    answers = _answers(streams, settings)
-    before = [response.dead_time for (name, _), response in answers.items() if name == early]
-    return early if before and min(before) < -settings.earliest_response else late
+    responses = _clear_responses(streams, settings)
+    dead_times = [response.dead_time for (name, _), response in responses.items() if name == early]
+    return early if dead_times and min(dead_times) < -settings.earliest_response else late
 
 
 def _shift(streams: Streams, name: str, seconds: float) -> None:
     if name == "encoders" and streams.twist is not None:
-        streams.twist = streams.delayed(streams.twist, seconds)
+        streams.twist = streams.delay(streams.twist, seconds)
     elif name == "gyro" and streams.yaw_rate is not None:
-        streams.yaw_rate = streams.delayed(streams.yaw_rate, seconds)
+        streams.yaw_rate = streams.delay(streams.yaw_rate, seconds)
     elif streams.pose is not None:
-        streams.pose = streams.delayed(streams.pose, seconds)
+        streams.pose = streams.delay(streams.pose, seconds)
 
 
-def _commands(
-    log: str, streams: Streams, answers: dict[tuple[str, int], StreamResponse], settings: CheckSettings
+def _check_command_times(
+    log: str, streams: Streams, responses: dict[tuple[str, int], StreamResponse], settings: CheckSettings
 ) -> list[Finding]:
-    if not answers:
+    if not responses:
         return []
-    times = [response.dead_time for response in answers.values()]
-    middle, scatter = float(np.median(times)), float(np.ptp(times) / 2 if len(times) > 1 else 0.0)
-    deviations = np.array([response.deviation for response in answers.values()])
+    times = [response.dead_time for response in responses.values()]
+    median, scatter = float(np.median(times)), float(np.ptp(times) / 2 if len(times) > 1 else 0.0)
+    deviations = np.array([response.deviation for response in responses.values()])
     deviation = float(
         np.hypot(scatter, np.nan_to_num(np.nanmedian(deviations)) if np.isfinite(deviations).any() else 0.0)
     )
-    # Require certainty about the order, since sensors differ in a short drive.
-    early = middle + 2 * deviation < 0
-    if early and middle < -settings.earliest_response and _foreseen(streams, answers, settings):
-        words = (
-            f"every sensor moves {-middle:.2f} +- {2 * deviation:.2f} s before its command, which no robot "
-            "can: the commands are stamped late"
+    # The lead must be significant, because sensors differ in a short drive.
+    is_early = median + 2 * deviation < 0
+    if is_early and median < -settings.earliest_response and _precedes_commands(streams, responses, settings):
+        message = (
+            f"every sensor responds {-median:.2f} +- {2 * deviation:.2f} s before its command, which is impossible: "
+            "the commands are stamped late"
         )
-        delay = MappingChange(COMMAND, "delay", round(settings.usual_response - middle, 2))
-        return [Finding("time shift", "error", log, words, changes=(delay,))]
-    if middle > settings.late_response:
-        words = (
-            f"all sensors begin to follow the command only after {middle:.2f} +- {2 * deviation:.2f} s; if "
-            "the robot is quicker than that, the commands are stamped early and need a negative `delay`"
+        delay = MappingChange(COMMAND, "delay", round(settings.usual_response - median, 2))
+        return [Finding("time shift", "error", log, message, changes=(delay,))]
+    if median > settings.late_response:
+        message = (
+            f"all sensors respond to the command only after {median:.2f} +- {2 * deviation:.2f} s; if the robot is "
+            "faster, the commands are stamped early and need a negative `delay`"
         )
-        return [Finding("time shift", "note", log, words)]
+        return [Finding("time shift", "note", log, message)]
     return []
 
 
-def _foreseen(streams: Streams, answers: dict[tuple[str, int], StreamResponse], settings: CheckSettings) -> bool:
-    """Return True if sensors react to later commands; a lag of another shape can look like a lead."""
+def _precedes_commands(
+    streams: Streams, responses: dict[tuple[str, int], StreamResponse], settings: CheckSettings
+) -> bool:
+    """Return True if sensors respond to later commands; a different shape of the lag can appear as a lead."""
     shares = []
-    for name, channel in answers:
+    for name, channel in responses:
         command, values = streams.channel(COMMAND, channel), streams.channel(name, channel)
         assert command is not None and values is not None
         if name != POSE:
-            shares.append(foresight(streams, command, values, settings))
+            shares.append(explained_by_future(streams, command, values, settings))
     return bool(shares) and float(np.median(shares)) > settings.foresight

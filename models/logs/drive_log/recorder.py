@@ -1,4 +1,4 @@
-"""Hands a drive to the process that writes it, and never waits while doing so."""
+"""Recorder of a drive, which sends data to a writing process without blocking."""
 
 from __future__ import annotations
 
@@ -17,56 +17,56 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from diffdrive_mpc.models.logs.drive_log.writer import DriveWriter
 
-# Write a drive in a separate process: it reads data from a socket until the other end closes for any reason.
+# The writing process reads data from a socket until the other end closes for any reason.
 
 
-LARGEST = 1 << 18
-"""Bytes of one parcel at most."""
-READY, OVER = "ready", "over"
-"""First word of the answers: that the file is there, and that no more is written and why."""
-_WAITING = 20_000
-"""Parcels that wait for a slow disk at most, some minutes."""
+MAX_PARCEL = 1 << 18
+"""Maximum size of a parcel [bytes]."""
+READY, ENDED = "ready", "over"
+"""Kinds of replies: the file has been created, or writing has ended for the given reason."""
+_MAX_QUEUE = 20_000
+"""Maximum number of queued parcels for a slow disk, some minutes."""
 _NICENESS = 10
 
 
 def main(descriptor: int) -> None:
-    """Write data from the socket `descriptor`; its first parcel names the target."""
+    """Write the data from the socket `descriptor`; the first parcel names the target file."""
     from diffdrive_mpc.models.logs.drive_log.writer import DriveWriter  # noqa: PLC0415 - the node does not write
 
-    # It does not interrupt, on its core, the loop that hands it something.
+    # A low priority, so that writing does not preempt the control loop on the same core.
     os.nice(_NICENESS)
     os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
     with socket.socket(fileno=descriptor) as link:
         try:
-            path, metadata, options = pickle.loads(link.recv(LARGEST))
-            with _new(Path(path)) as stream:
+            path, metadata, options = pickle.loads(link.recv(MAX_PARCEL))
+            with _create_file(Path(path)) as stream:
                 writer = DriveWriter(stream, metadata, **options)
-                _answer(link, READY, stream.name)
+                _reply(link, READY, stream.name)
                 _write(link, writer, stream)
         except (OSError, EOFError) as error:
-            _answer(link, OVER, getattr(error, "strerror", None) or str(error))
+            _reply(link, ENDED, getattr(error, "strerror", None) or str(error))
 
 
 def _write(link: socket.socket, writer: DriveWriter, stream: Any) -> None:  # noqa: ANN401 - an open file
-    waiting: queue.Queue[bytes] = queue.Queue(_WAITING)
-    threading.Thread(target=_receive, args=(link, waiting), daemon=True).start()
-    while parcel := waiting.get():
-        for method, now, arguments, named in pickle.loads(parcel):
-            getattr(writer, method)(now, *arguments, **named)
+    parcels: queue.Queue[bytes] = queue.Queue(_MAX_QUEUE)
+    threading.Thread(target=_receive, args=(link, parcels), daemon=True).start()
+    while parcel := parcels.get():
+        for method, now, arguments, keywords in pickle.loads(parcel):
+            getattr(writer, method)(now, *arguments, **keywords)
         stream.flush()
     writer.close()
 
 
-def _receive(link: socket.socket, waiting: queue.Queue[bytes]) -> None:
-    """Take in parcels as they come; a closed socket gives an empty one, which ends the drive."""
+def _receive(link: socket.socket, parcels: queue.Queue[bytes]) -> None:
+    """Queue incoming parcels; a closed socket gives an empty parcel, which ends the drive."""
     parcel = b"?"
     while parcel:
-        parcel = link.recv(LARGEST)
-        waiting.put(parcel)
+        parcel = link.recv(MAX_PARCEL)
+        parcels.put(parcel)
 
 
-def _new(path: Path) -> Any:  # noqa: ANN401 - an open file
-    """Create a file of this name, or of the next free name."""
+def _create_file(path: Path) -> Any:  # noqa: ANN401 - an open file
+    """Create a file with this name or, if it exists, with the next free number."""
     path.parent.mkdir(parents=True, exist_ok=True)
     names = (path.with_stem(f"{path.stem}-{number}") if number else path for number in range(1000))
     for name in names:
@@ -74,12 +74,12 @@ def _new(path: Path) -> Any:  # noqa: ANN401 - an open file
             return name.open("xb")
         except FileExistsError:
             continue
-    raise FileExistsError(17, "there are a thousand files of this name", str(path))
+    raise FileExistsError(17, "a thousand files with this name and a number exist", str(path))
 
 
-def _answer(link: socket.socket, *words: str) -> None:
+def _reply(link: socket.socket, *texts: str) -> None:
     try:
-        link.send(pickle.dumps(words))
+        link.send(pickle.dumps(texts))
     except OSError:
         return  # the other end is closed
 
@@ -94,96 +94,96 @@ Metadata = Mapping[str, Mapping[str, str]]
 
 
 class DriveRecorder:
-    """Records one drive into a new file. After the constructor nothing raises: a recording is not worth a robot.
+    """Recorder of one drive into a new file. Methods do not raise: a failed recording must not stop the robot.
 
     Parameters
     ----------
     path
-        The file; an existing one of that name is kept, and the new one gets a number.
+        Target file; if it exists, it is kept and the new file gets a number.
     metadata
-        Information about the drive for the file.
-    patience
-        Longest time to wait for the file [s].
+        Information about the drive.
+    timeout
+        Maximum time to wait for the file [s].
     **options
-        As for `DriveWriter`.
+        Options of `DriveWriter`.
 
     Attributes
     ----------
     path
-        The file, once it is there.
+        The file, after its creation.
     fault
-        Why no more is recorded; empty while it is.
-    taken, lost
-        Parcels handed over, and those for which the writer was too slow.
+        Reason for the end of recording; empty while recording.
+    sent, lost
+        Numbers of parcels that were sent, and that were lost because the writer was too slow.
     """
 
-    def __init__(self, path: Path, metadata: Metadata, *, patience: float, **options: object) -> None:
-        self.path, self.fault, self.taken, self.lost = path, "", 0, 0
+    def __init__(self, path: Path, metadata: Metadata, *, timeout: float, **options: object) -> None:
+        self.path, self.fault, self.sent, self.lost = path, "", 0, 0
         self._prepared: list[tuple[object, ...]] = []
-        # Datagrams in order: one is taken whole or not at all, and without waiting.
-        self._link, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        # Ordered datagrams are sent whole or not at all, without blocking.
+        self._link, writer_link = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
         self._link.setblocking(False)
-        command = [sys.executable, "-m", "diffdrive_mpc.models.logs.drive_log.recorder", str(theirs.fileno())]
+        command = [sys.executable, "-m", "diffdrive_mpc.models.logs.drive_log.recorder", str(writer_link.fileno())]
         try:
-            # A separate session, so that Ctrl-C reaches the robot only, and the file ends after its last command.
+            # In a separate session Ctrl-C does not reach the writer, so the file includes the last command.
             self._process: subprocess.Popen[bytes] | None = subprocess.Popen(
-                command, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, start_new_session=True
+                command, pass_fds=[writer_link.fileno()], stdin=subprocess.DEVNULL, start_new_session=True
             )
         except OSError as error:
-            self._process, self.fault = None, f"the process that writes cannot be started ({error.strerror})"
-        theirs.close()
+            self._process, self.fault = None, f"the writing process cannot be started ({error.strerror})"
+        writer_link.close()
         self._send((str(path), metadata, options))
-        self._hear(patience)
+        self._receive_reply(timeout)
 
-    def prepare(self, method: str, now: int, *arguments: object, **named: object) -> None:
-        """Prepare a call of a method of `DriveWriter` for the next `hand`: name, time [ns], arguments."""
-        self._prepared.append((method, now, arguments, named))
+    def prepare(self, method: str, now: int, *arguments: object, **keywords: object) -> None:
+        """Prepare a call of a method of `DriveWriter` for the next `send`: name, time [ns], arguments."""
+        self._prepared.append((method, now, arguments, keywords))
 
-    def hand(self, method: str, now: int, *arguments: object, **named: object) -> None:
-        """Send a call and the prepared ones at once, since sending takes longer than its content."""
-        self.prepare(method, now, *arguments, **named)
+    def send(self, method: str, now: int, *arguments: object, **keywords: object) -> None:
+        """Send a call and all prepared calls in one parcel, because each parcel is costly."""
+        self.prepare(method, now, *arguments, **keywords)
         if not self.fault:
             self._send(self._prepared)
         self._prepared = []
 
     def poll(self) -> None:
-        """Check for the end of recording."""
+        """Check whether the writing process has ended."""
         if not self.fault:
-            self._hear(0.0)
+            self._receive_reply(0.0)
 
-    def close(self, patience: float) -> None:
-        """End the file, and wait until it is whole, at most `patience` [s]; it will be, even where nobody waits."""
+    def close(self, timeout: float) -> None:
+        """End the file and wait at most `timeout` [s] for it; the writer completes it even after a timeout."""
         self.poll()
         self._link.close()
         if self._process is not None:
             try:
-                self._process.wait(patience)
+                self._process.wait(timeout)
             except subprocess.TimeoutExpired:
                 return
 
     def _send(self, content: object) -> None:
         try:
             self._link.send(pickle.dumps(content, pickle.HIGHEST_PROTOCOL))
-            self.taken += 1
+            self.sent += 1
         except BlockingIOError:
             self.lost += 1
         except OSError as error:
-            # The end of the other process is reported with its last message.
-            self._hear(0.0)
-            self.fault = self.fault or f"the process that writes has ended ({error.strerror})"
+            # The last reply of the process holds the reason for its end.
+            self._receive_reply(0.0)
+            self.fault = self.fault or f"the writing process has ended ({error.strerror})"
 
-    def _hear(self, patience: float) -> None:
-        waited = select.poll()
-        waited.register(self._link, select.POLLIN)
-        if not waited.poll(1e3 * patience):
+    def _receive_reply(self, timeout: float) -> None:
+        poller = select.poll()
+        poller.register(self._link, select.POLLIN)
+        if not poller.poll(1e3 * timeout):
             return
         try:
-            parcel = self._link.recv(LARGEST)
+            parcel = self._link.recv(MAX_PARCEL)
         except OSError:
             parcel = b""
-        kind, words = pickle.loads(parcel) if parcel else (OVER, "the process that writes has ended")
+        kind, text = pickle.loads(parcel) if parcel else (ENDED, "the writing process has ended")
         if kind == READY:
-            self.path = Path(words)
-        elif kind == OVER:
-            self.fault = words
+            self.path = Path(text)
+        elif kind == ENDED:
+            self.fault = text

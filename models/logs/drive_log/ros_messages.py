@@ -1,4 +1,4 @@
-"""Numbers as ROS 2 messages in CDR, by `rosbags`: no ROS is needed. SI units, frames and signs after REP 103."""
+"""ROS 2 messages from numbers and their CDR serialisation by `rosbags`, without ROS. Units and frames per REP 103."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from diffdrive_mpc.models.interface import FloatArray, Stamped
 from diffdrive_mpc.models.logs.drive_log.topics import BASE, IMU_LINK, MAP, ODOM, WHEELS
 
 _NANO = 10**9
-# Rows of (x, y, yaw) and of (x, yaw) in ROS' 6 x 6 covariances over x, y, z, roll, pitch, yaw.
+# Rows of (x, y, yaw) and of (x, yaw) in the 6 x 6 covariances of ROS over x, y, z, roll, pitch, yaw.
 _PLANE, _FORWARD = (0, 1, 5), (0, 5)
 # POWER_SUPPLY_STATUS_... of BatteryState.
 _CHARGING, _DISCHARGING = 1, 2
 Numbers = Sequence[float]
 Message = Any
-"""A message of one of the classes that `rosbags` makes."""
+"""A message of a class that `rosbags` generates."""
 
 
 @cache
-def _store() -> Any:  # noqa: ANN401 - its classes are made when it is
-    from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - only who writes needs it
+def _store() -> Any:  # noqa: ANN401 - its classes are generated at run time
+    from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - needed for writing only
 
     return get_typestore(Stores.ROS2_JAZZY)
 
 
 def definition(kind: str) -> bytes:
-    """Return the text that defines a message type, with the types in it."""
+    """Return the definition of a message type, including nested types."""
     return str(_store().generate_msgdef(kind, ros_version=2)[0]).encode()
 
 
@@ -41,12 +41,12 @@ def serialized(kind: str, message: Message) -> bytes:
 
 
 def decoded(kind: str, data: bytes) -> Message:
-    """Decode the message in CDR bytes."""
+    """Deserialise a message from CDR."""
     return _store().deserialize_cdr(data, kind)
 
 
 def command(now: int, twist: Numbers) -> Message:
-    """Build TwistStamped in the robot's frame: v [m/s], omega [rad/s] at `now` [ns]."""
+    """Build TwistStamped in the robot's frame at `now` [ns]: v [m/s], omega [rad/s]."""
     return _make("geometry_msgs/msg/TwistStamped", header=_header(now, BASE), twist=_twist(twist[0], 0.0, twist[1]))
 
 
@@ -58,10 +58,10 @@ def true_twist(now: int, twist: Numbers) -> Message:
 def odometry(stamp: int, pose: ArrayLike | None, twist: Stamped) -> Message:
     """Build Odometry: twist of the wheels (2,), pose (3,) in odom.
 
-    A covariance of zeros means that none is known, as usual in ROS; that of a summed pose never is.
+    As usual in ROS, a covariance of zeros is unknown. The covariance of the integrated pose is always unknown.
     """
     v, omega = _list(twist.value)
-    twisted = _make(
+    twist_with_covariance = _make(
         "geometry_msgs/msg/TwistWithCovariance",
         twist=_twist(v, 0.0, omega),
         covariance=_covariance(twist.covariance, _FORWARD),
@@ -71,30 +71,30 @@ def odometry(stamp: int, pose: ArrayLike | None, twist: Stamped) -> Message:
         header=_header(stamp, ODOM),
         child_frame_id=BASE,
         pose=_with_covariance((0.0, 0.0, 0.0) if pose is None else pose, None),
-        twist=twisted,
+        twist=twist_with_covariance,
     )
 
 
 def imu(stamp: int, yaw_rate: Stamped) -> Message:
     """Build Imu with a yaw rate (); orientation and acceleration are marked as not measured."""
-    none, turning = np.zeros(9), np.zeros(9)
+    none, rate_covariance = np.zeros(9), np.zeros(9)
     none[0] = -1.0
     if yaw_rate.covariance is not None:
-        turning[8] = np.ravel(yaw_rate.covariance)[0]
+        rate_covariance[8] = np.ravel(yaw_rate.covariance)[0]
     return _make(
         "sensor_msgs/msg/Imu",
         header=_header(stamp, IMU_LINK),
         orientation=_rotation(0.0),
         orientation_covariance=none,
         angular_velocity=_vector(0.0, 0.0, float(np.asarray(yaw_rate.value))),
-        angular_velocity_covariance=turning,
+        angular_velocity_covariance=rate_covariance,
         linear_acceleration=_vector(0.0, 0.0, 0.0),
         linear_acceleration_covariance=none,
     )
 
 
 def sensed_pose(stamp: int, pose: Stamped) -> Message:
-    """Build PoseWithCovarianceStamped in map of a pose (3,)."""
+    """Build PoseWithCovarianceStamped in the frame map from a pose (3,)."""
     return _make(
         "geometry_msgs/msg/PoseWithCovarianceStamped",
         header=_header(stamp, MAP),
@@ -116,7 +116,7 @@ def joint_state(stamp: int, speeds: Stamped) -> Message:
 
 
 def battery_state(now: int, voltage: float, current: float) -> Message:
-    """Build BatteryState: voltage [V], and its output current [A], which is negative there; the rest is unknown."""
+    """Build BatteryState: voltage [V], output current [A], which the message negates; all other fields are unknown."""
     unknown = math.nan
     return _make(
         "sensor_msgs/msg/BatteryState",
@@ -151,7 +151,7 @@ def pose(now: int, place: Numbers, frame: str) -> Message:
 
 
 def path(now: int, stamps: Sequence[int], poses: Sequence[Numbers], frame: str) -> Message:
-    """Build Path of poses (n, 3) with a stamp [ns] each."""
+    """Build Path from poses (n, 3) with stamps (n,) [ns]."""
     places = [pose(stamp, place, frame) for stamp, place in zip(stamps, poses, strict=True)]
     return _make("nav_msgs/msg/Path", header=_header(now, frame), poses=places)
 
@@ -161,31 +161,31 @@ def vector(now: int, values: Numbers) -> Message:
     return _make("geometry_msgs/msg/Vector3Stamped", header=_header(now, BASE), vector=_vector(*values))
 
 
-def text(words: str) -> Message:
+def text(content: str) -> Message:
     """Build String."""
-    return _make("std_msgs/msg/String", data=words)
+    return _make("std_msgs/msg/String", data=content)
 
 
 def transform(now: int, place: Numbers, frame: str) -> Message:
     """Build TFMessage with the robot's pose (3,) in `frame`."""
-    moved = _make(
+    transform_content = _make(
         "geometry_msgs/msg/Transform", translation=_vector(place[0], place[1], 0.0), rotation=_rotation(place[2])
     )
     kind = "geometry_msgs/msg/TransformStamped"
     return _make(
         "tf2_msgs/msg/TFMessage",
-        transforms=[_make(kind, header=_header(now, frame), child_frame_id=BASE, transform=moved)],
+        transforms=[_make(kind, header=_header(now, frame), child_frame_id=BASE, transform=transform_content)],
     )
 
 
-def diagnostics(now: int, level: int, words: str, values: Mapping[str, str]) -> Message:
-    """Build DiagnosticArray with one status, named as the node names it; level 0 is good, 1 a warning, 2 an error."""
+def diagnostics(now: int, level: int, content: str, values: Mapping[str, str]) -> Message:
+    """Build DiagnosticArray with one status, with the name that the node uses; levels: 0 good, 1 warning, 2 error."""
     pairs = [_make("diagnostic_msgs/msg/KeyValue", key=key, value=value) for key, value in values.items()]
     status = _make(
         "diagnostic_msgs/msg/DiagnosticStatus",
         level=level,
         name="diffdrive_mpc: control",
-        message=words,
+        message=content,
         hardware_id="diffdrive_mpc",
         values=pairs,
     )
@@ -233,9 +233,9 @@ def _list(values: ArrayLike) -> list[float]:
     return numbers
 
 
-def _covariance(known: ArrayLike | None, rows: tuple[int, ...]) -> FloatArray:
-    """Build a covariance (36,) row by row, with zeros for unknown entries."""
-    whole = np.zeros((6, 6))
-    if known is not None:
-        whole[np.ix_(rows, rows)] = known
-    return whole.ravel()
+def _covariance(entries: ArrayLike | None, rows: tuple[int, ...]) -> FloatArray:
+    """Build a covariance (36,), row-major, with zeros for unknown entries."""
+    matrix = np.zeros((6, 6))
+    if entries is not None:
+        matrix[np.ix_(rows, rows)] = entries
+    return matrix.ravel()

@@ -1,4 +1,4 @@
-"""The row of a tick: numbers and words by name, those of a run's columns, and the measurement that it holds."""
+"""Row of a tick: numbers and texts by the names of a run's columns, and conversion from and to measurements."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from diffdrive_mpc.models.step_scalars import scalars_of, step_scalars
 
 Cell = float | str
 TickRow = Mapping[str, Cell]
-"""By the names in tick.schema.json; unknown values are absent."""
+"""Cells by the names in tick.schema.json; unknown values are absent."""
 
 _PARTS = ("x_m", "y_m", "theta_rad")
 _POSE_ENTRIES = ("xx_m2", "xy_m2", "xtheta_m_rad", "yy_m2", "ytheta_m_rad", "thetatheta_rad2")
@@ -27,7 +27,7 @@ _SENT = ("sent_v_m_s", "sent_omega_rad_s")
 
 
 class _Sensor(NamedTuple):
-    """A reading of a measurement and its names in a row; of the covariance the upper triangle, row by row."""
+    """Names of a sensor's field in a measurement and of its cells in a row; the covariance is the upper triangle."""
 
     field: str
     values: tuple[str, ...]
@@ -36,8 +36,8 @@ class _Sensor(NamedTuple):
 
 
 _SENSORS = {
-    described.field: described
-    for described in (
+    sensor.field: sensor
+    for sensor in (
         _Sensor(
             "pose",
             tuple(f"pose_{part}" for part in _PARTS),
@@ -55,16 +55,16 @@ _SENSORS = {
     )
 }
 
-TOLD = tuple(
+INPUT_NAMES = tuple(
     dict.fromkeys(
         name
-        for described in _SENSORS.values()
-        for name in (described.time, *described.covariance)
-        if described.field != "wheel_speeds"
+        for sensor in _SENSORS.values()
+        for name in (sensor.time, *sensor.covariance)
+        if sensor.field != "wheel_speeds"
     )
 )
-TOLD = (*(name for name in TOLD if name != "pose_t_s"), *_SENT)
-"""Names of the controller's inputs besides the readings: with them all is there that a step depends on."""
+INPUT_NAMES = (*(name for name in INPUT_NAMES if name != "pose_t_s"), *_SENT)
+"""Names of the controller's inputs besides the readings; with them a step can be reproduced."""
 
 
 @cache
@@ -80,13 +80,13 @@ def tick_schema() -> dict[str, Any]:
 
 
 def to_json(row: TickRow) -> bytes:
-    """Format a row as JSON that reads back bit for bit; values that are not finite are left out."""
+    """Format a row as JSON without loss of precision; values that are not finite are left out."""
     finite = {name: cell for name, cell in row.items() if not isinstance(cell, float) or math.isfinite(cell)}
     return json.dumps(finite, separators=(",", ":")).encode()
 
 
 def measured_cells(measurement: Measurement) -> dict[str, Cell]:
-    """Return the cells of a row that a measurement fills."""
+    """Return the cells of a row from a measurement."""
     cells: dict[str, Cell] = {}
     for field, sensor in _SENSORS.items():
         reading = getattr(measurement, field)
@@ -96,15 +96,15 @@ def measured_cells(measurement: Measurement) -> dict[str, Cell]:
         value = np.asarray(reading.value, dtype=float).reshape(len(sensor.values))
         cells |= zip(sensor.values, value.tolist(), strict=True)
         if sensor.covariance and reading.covariance is not None:
-            stated = np.asarray(reading.covariance, dtype=float).reshape(2 * value.shape)
-            cells |= zip(sensor.covariance, stated[np.triu_indices(len(value))].tolist(), strict=True)
+            covariance = np.asarray(reading.covariance, dtype=float).reshape(2 * value.shape)
+            cells |= zip(sensor.covariance, covariance[np.triu_indices(len(value))].tolist(), strict=True)
     if measurement.sent is not None:
         cells |= zip(_SENT, map(float, measurement.sent), strict=True)
     return cells
 
 
-def decided_cells(step: ControlStep) -> dict[str, Cell]:
-    """Return the cells of a row that a controller's step fills: command, words, solver, estimate."""
+def step_cells(step: ControlStep) -> dict[str, Cell]:
+    """Return the cells of a row from a controller's step: command, mode, message, solver, estimate."""
     v, omega = np.asarray(step.command, dtype=float).tolist()
     solver = step.solver
     cells: dict[str, Cell] = {
@@ -129,39 +129,39 @@ def decided_cells(step: ControlStep) -> dict[str, Cell]:
 
 
 def error_cells(row: TickRow) -> dict[str, Cell]:
-    """Return the estimate relative to the tracked pose, in that pose's frame; nothing if either is unknown."""
-    believed, tracked = (
+    """Return the estimate relative to the tracked pose, in the frame of that pose; {} if either is unknown."""
+    estimated, tracked = (
         numbers(row, tuple(f"{prefix}_{part}" for part in _PARTS)) for prefix in ("estimate", "reference")
     )
-    if not believed or not tracked:
+    if not estimated or not tracked:
         return {}
-    gap = np.subtract(believed, tracked)
-    along, across = ahead_and_left(gap, tracked[2])
-    errors = {"along_m": along, "across_m": across, "heading_rad": wrap_angle(gap[2])}
+    error = np.subtract(estimated, tracked)
+    along, across = ahead_and_left(error, tracked[2])
+    errors = {"along_m": along, "across_m": across, "heading_rad": wrap_angle(error[2])}
     return {f"error_{name}": float(value) for name, value in errors.items()}
 
 
 def measurement_of(row: TickRow) -> Measurement:
-    """Return the measurement of a row, bit for bit; without the unused covariance of single wheels."""
+    """Return the measurement of a row, bit-exact; without the covariance of wheel speeds, which is not used."""
     sent = numbers(row, _SENT)
     readings = {field: _reading(row, sensor) for field, sensor in _SENSORS.items()}
     return Measurement(**readings, sent=(sent[0], sent[1]) if sent else None)
 
 
 def covariance_of(row: TickRow, field: str) -> FloatArray | None:
-    """Return the covariance of a reading, by the name of the field of a measurement; None without one."""
+    """Return the covariance of a reading, by field of the measurement; None if it is unknown."""
     names = _SENSORS[field].covariance
-    stated = numbers(row, names)
-    if not stated:
+    covariance = numbers(row, names)
+    if not covariance:
         return None
     size = len(_SENSORS[field].values)
     upper = np.zeros((size, size))
-    upper[np.triu_indices(size)] = stated
+    upper[np.triu_indices(size)] = covariance
     return upper + np.triu(upper, 1).T
 
 
 def numbers(row: TickRow, names: tuple[str, ...]) -> list[float]:
-    """Return the numbers of these names, or none if one is missing."""
+    """Return the numbers with the given names; an empty list if any is missing."""
     cells = [cell for name in names if isinstance(cell := row.get(name), float) and math.isfinite(cell)]
     return cells if len(cells) == len(names) else []
 

@@ -1,4 +1,4 @@
-"""Names in a file of a drive: topics and frames, those of the node and of the simulated robot."""
+"""Names of topics and frames in drive files; node and simulated robot use the same names."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 
 STATE = "/diffdrive_mpc/state"
-"""The row of each tick, as JSON."""
+"""Topic of the row of each tick, as JSON."""
 COMMAND, ODOMETRY, IMU, POSE, JOINTS = "/cmd_vel", "/odom", "/imu", "/pose", "/joint_states"
 TRUE_POSE, TRUE_TWIST = "/ground_truth/pose", "/ground_truth/twist"
 BATTERY, MOTORS = "/battery_state", "/motor_currents"
@@ -15,7 +15,7 @@ PLAN, REFERENCE = "/diffdrive_mpc/predicted_path", "/diffdrive_mpc/reference_pat
 MODE, ERROR = "/diffdrive_mpc/mode", "/diffdrive_mpc/tracking_error"
 DIAGNOSTICS, TRANSFORMS = "/diagnostics", "/tf"
 TICK, DRIVE = "/diffdrive_mpc/tick", "/diffdrive_mpc/drive"
-"""Lines of `models.logs.tick_record` from a node."""
+"""Topics of a node for the lines of `models.logs.tick_record`."""
 
 KINDS = {
     COMMAND: "geometry_msgs/msg/TwistStamped",
@@ -36,7 +36,7 @@ KINDS = {
     TICK: "std_msgs/msg/String",
     DRIVE: "std_msgs/msg/String",
 }
-"""ROS type of every topic but `STATE`."""
+"""ROS type of each topic except `STATE`."""
 
 MAP, ODOM, BASE, IMU_LINK = "map", "odom", "base_link", "imu_link"
 """Frames (REP 105). In simulation map and odom coincide at the start of a run."""
@@ -44,10 +44,10 @@ WHEELS = ("front_left_wheel", "front_right_wheel", "rear_left_wheel", "rear_righ
 """Joints of the wheels."""
 
 
-_RATE, _MOST = 20, 500
-"""Poses a second, and in all: more only cost time to send and to draw."""
+_RATE, _MAX_POSES = 20, 500
+"""Poses per second, and maximum number of poses; more would only cost time to send and draw."""
 
 
 def path_times(duration: float) -> FloatArray:
-    """Return times (n,) [s] from 0 to `duration`."""
-    return np.linspace(0.0, duration, min(_MOST, 2 + int(duration * _RATE)))
+    """Return times (n,) [s] from 0 to `duration` for the poses of a path."""
+    return np.linspace(0.0, duration, min(_MAX_POSES, 2 + int(duration * _RATE)))

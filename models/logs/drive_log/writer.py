@@ -1,4 +1,4 @@
-"""Writes the ticks of a drive into an MCAP file, on the topics of node and robot."""
+"""Writer of the ticks of a drive to an MCAP file, on the topics of node and robot."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ from diffdrive_mpc.models.logs.drive_log.tick import (
 )
 
 _NANO = 10**9
-_WELL = ("TRACKING", "FINISHED", "IDLE")
+_NORMAL_MODES = ("TRACKING", "FINISHED", "IDLE")
 _CHUNK = 1 << 18
-"""Chunk size [bytes]. A truncated file loses at most one chunk, which is some seconds."""
+"""Chunk size [bytes]. A truncated file loses at most one chunk, some seconds of data."""
 
 
 class DriveWriter:
-    """Writes one drive; `close` ends the file.
+    """Writer of one drive; `close` completes the file.
 
     Parameters
     ----------
     stream
         Target stream; it is not closed.
     metadata
-        Information about the drive, by name of the record: words by key.
+        Information about the drive: for each record name, texts by key.
     frame
-        Frame that poses, plan and reference are in.
+        Frame of poses, plan and reference.
     pose_topic
-        Whether the measured poses come from a sensor of their own; otherwise they are those of the odometry.
+        Whether the measured poses come from a separate sensor; otherwise they are those of the odometry.
     """
 
     def __init__(
@@ -51,20 +51,20 @@ class DriveWriter:
         frame: str = topic.MAP,
         pose_topic: bool = True,
     ) -> None:
-        from mcap.writer import Writer  # noqa: PLC0415 - --help does without it
+        from mcap.writer import Writer  # noqa: PLC0415 - not needed for --help
 
         self._frame, self._pose_topic = frame, pose_topic
         self._writer = Writer(stream, chunk_size=_CHUNK)
         self._writer.start(profile="ros2", library="diffdrive-mpc")
-        for name, words in metadata.items():
-            self._writer.add_metadata(name, dict(words))
+        for name, entries in metadata.items():
+            self._writer.add_metadata(name, dict(entries))
         self._writer.add_metadata("layout", {"frame": frame, "poses": "sensor" if pose_topic else "odometry"})
         self._channels: dict[str, int] = {}
         self._kinds: dict[str, int] = {}
-        self._said, self._diagnosed = "", -_NANO
+        self._last_mode, self._diagnostic_time = "", -_NANO
 
     def close(self) -> None:
-        """Write the index; without it, the file can only be read from its beginning."""
+        """Write the index; without it, the file can only be read sequentially."""
         self._writer.finish()  # type: ignore[no-untyped-call]
 
     def tick(
@@ -85,15 +85,15 @@ class DriveWriter:
         now
             Time of the tick on the file's clock [ns].
         row
-            Row of the tick; its `t_s` is the same time.
+            Row of the tick; `t_s` is the same time in seconds.
         measurement
-            Input of the controller, where the row does not hold it yet.
+            Input of the controller, if the row does not contain it.
         plan, period
-            (N + 1, 3) predicted poses from `now` on, `period` [ns] apart.
+            (N + 1, 3) predicted poses from `now` on, and the time between them [ns].
         odometry_pose
-            (3,) of the odometry, where it is not the measured pose.
+            (3,) pose of the odometry, if it differs from the measured pose.
         diagnose
-            Whether to write a status once a second; a node has its own.
+            Whether to write a status once per second; False for a node, which publishes a status.
         """
         measured = {} if measurement is None else measured_cells(measurement)
         row = {**row, **measured, **error_cells(row)}
@@ -101,13 +101,13 @@ class DriveWriter:
         self._message(topic.COMMAND, now, ros.command(now, _numbers(row, "v_ref_m_s", "omega_ref_rad_s")))
         self._readings(now, row, odometry_pose)
         self._truth(now, row)
-        self._belief(now, row)
+        self._estimate(now, row)
         if plan is not None and len(plan):
             poses = plan.tolist() if hasattr(plan, "tolist") else plan
             stamps = [now + index * period for index in range(len(poses))]
             self._message(topic.PLAN, now, ros.path(now, stamps, poses, self._frame))
-        if diagnose and now - self._diagnosed >= _NANO:
-            self._diagnosed = now
+        if diagnose and now - self._diagnostic_time >= _NANO:
+            self._diagnostic_time = now
             self._message(topic.DIAGNOSTICS, now, _status(now, row))
 
     def reference(self, now: int, stamps: Sequence[int], poses: FloatArray) -> None:
@@ -115,11 +115,11 @@ class DriveWriter:
         self._message(topic.REFERENCE, now, ros.path(now, stamps, poses.tolist(), self._frame))
 
     def serialized(self, now: int, name: str, data: bytes) -> None:
-        """Write a message of the type of the topic `name` that is in CDR already."""
+        """Write a CDR-serialised message of the topic `name`."""
         self._write(name, now, data)
 
     def _readings(self, now: int, row: TickRow, odometry_pose: Sequence[float] | None) -> None:
-        """Write the sensor readings with the time of measurement as stamp."""
+        """Write the sensor readings, stamped with the time of measurement."""
         measured = measurement_of(row)
 
         def stamp(reading: Stamped) -> int:
@@ -146,7 +146,7 @@ class DriveWriter:
         if twist := _numbers(row, "true_v_m_s", "true_lateral_m_s", "true_omega_rad_s"):
             self._message(topic.TRUE_TWIST, now, ros.true_twist(now, twist))
 
-    def _belief(self, now: int, row: TickRow) -> None:
+    def _estimate(self, now: int, row: TickRow) -> None:
         """Write the estimated pose, the tracking error and the mode."""
         pose = _numbers(row, "estimate_x_m", "estimate_y_m", "estimate_theta_rad")
         if pose:
@@ -154,8 +154,8 @@ class DriveWriter:
         if error := _numbers(row, "error_along_m", "error_across_m", "error_heading_rad"):
             self._message(topic.ERROR, now, ros.vector(now, error))
         mode, message = str(row["mode"]), str(row["message"])
-        if mode != self._said:
-            self._said = mode
+        if mode != self._last_mode:
+            self._last_mode = mode
             self._message(topic.MODE, now, ros.text(f"{mode}: {message}" if message else mode))
 
     def _message(self, name: str, now: int, message: ros.Message) -> None:
@@ -181,7 +181,7 @@ class DriveWriter:
 
 @contextmanager
 def drive_writer(path: Path, metadata: Mapping[str, Mapping[str, str]], **options: Any) -> Iterator[DriveWriter]:  # noqa: ANN401
-    """Write a file; `options` are those of `DriveWriter`. The file ends whole only if nothing is raised."""
+    """Yield a writer of a new file with `options` of `DriveWriter`; the file is complete unless an error is raised."""
     with path.open("wb") as stream:
         writer = DriveWriter(stream, metadata, **options)
         yield writer
@@ -199,10 +199,10 @@ def _numbers(row: TickRow, *names: str) -> list[float]:
 
 def _status(now: int, row: TickRow) -> ros.Message:
     mode, message = str(row["mode"]), str(row["message"])
-    level = 0 if mode in _WELL and not message else 2 if mode in ("BRAKING", "STOPPED", "FAULT") else 1
+    level = 0 if mode in _NORMAL_MODES and not message else 2 if mode in ("BRAKING", "STOPPED", "FAULT") else 1
     values = {
         "mode": mode,
-        "solver": f"{row['solver_status']}, by {row['solver_path']}, {row.get('solver_iterations', 0):.0f} iterations",
+        "solver": f"{row['solver_status']}, {row['solver_path']}, {row.get('solver_iterations', 0):.0f} iterations",
         "step time [ms]": f"{1e3 * step:.2f}" if isinstance(step := row.get("step_time_s"), float) else "-",
     }
     return ros.diagnostics(now, level, f"{mode}: {message}" if message else mode, values)

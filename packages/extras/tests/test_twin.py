@@ -14,7 +14,7 @@ from diffdrive_mpc.models.identification.effects.free_run import sensor_experime
 from diffdrive_mpc.models.identification.from_logs import identify_data
 from diffdrive_mpc.models.identification.log_data import LogData, divide
 from diffdrive_mpc.models.logs import Record
-from diffdrive_mpc.models.output_error.experiment import SampledExperiment, joined
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment, join_experiments
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.sim.plants.make import make_plant
 from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
@@ -90,7 +90,7 @@ def fitted(record, file, seconds):
     """Fit the first 60 % of a record."""
     train, rest = map(tuple, divide([record], 0.6))
     data = LogData(train, rest, ("drive",), "the rest", "gyro", (), ())
-    runs = joined(sensor_experiments(train))
+    runs = join_experiments(sensor_experiments(train))
     beside = identified(identify_data(data, STRUCTURES["sm"], "drive").content, runs)
     nominal = nominal_robot("drive", train, file)
     space = space_of(nominal, beside.effects, gyro=True, lagging=False)

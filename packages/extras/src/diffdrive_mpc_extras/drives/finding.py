@@ -19,8 +19,13 @@ from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.geometry import WheelGeometry
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.output_error.doubts import badly_known
-from diffdrive_mpc.models.output_error.experiment import SampledExperiment, YawSource, joined, twist_experiments
+from diffdrive_mpc.models.output_error.doubts import uncertain_parameters
+from diffdrive_mpc.models.output_error.experiment import (
+    SampledExperiment,
+    YawSource,
+    join_experiments,
+    twist_experiments,
+)
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.statistics import sandwich
 from diffdrive_mpc.models.robot import load_robot
@@ -148,7 +153,7 @@ def told_by(fit: DriveFit, records: Sequence[Record], yaw: YawSource = "gyro") -
     A number keeps its prior where that explains the records nearly as well after the other numbers are fitted again, or
     where its standard deviation is larger than itself and than a usual change of it.
     """
-    numbers = _Numbers(fit, joined(twist_experiments(records, yaw)))
+    numbers = _Numbers(fit, join_experiments(twist_experiments(records, yaw)))
     point, free, identified = numbers.start, list(numbers.names), []
     for name in numbers.names:
         prior = fit_settings().priors.get(name.rpartition(".")[2])
@@ -183,7 +188,7 @@ def told_by(fit: DriveFit, records: Sequence[Record], yaw: YawSource = "gyro") -
 
 def refitted(determined: ToldDrive, records: Sequence[Record], yaw: YawSource = "gyro") -> DriveFit:
     """Refit the numbers that the log determined to other records; dead times and priors stay."""
-    numbers = _Numbers(determined.fit, joined(twist_experiments(records, yaw)))
+    numbers = _Numbers(determined.fit, join_experiments(twist_experiments(records, yaw)))
     free = [name for name in numbers.names if name not in determined.identified]
     return replace(determined.fit, values=numbers.apart(numbers.fitted(numbers.start, free)))
 
@@ -337,7 +342,7 @@ class FoundDrive:
         # A dead time or an offset may be near zero; a number with a prior is determined, or the prior would be kept.
         sized = [name for name in self.estimate.names if name.rpartition(".")[2] in _KINDS]
         for name in sized:
-            doubts += badly_known(self.estimate.part([name]), _KINDS[name.rpartition(".")[2]])
+            doubts += uncertain_parameters(self.estimate.part([name]), _KINDS[name.rpartition(".")[2]])
         return tuple(doubts)
 
     def simulate(self, records: Sequence[Record], yaw: YawSource) -> list[FloatArray]:

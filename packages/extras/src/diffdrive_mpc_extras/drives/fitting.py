@@ -19,7 +19,13 @@ from scipy.optimize import least_squares
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.output_error.experiment import SampledExperiment, YawSource, joined, parted, twist_experiments
+from diffdrive_mpc.models.output_error.experiment import (
+    SampledExperiment,
+    YawSource,
+    join_experiments,
+    split_rows,
+    twist_experiments,
+)
 from diffdrive_mpc.models.robot import Positive
 from diffdrive_mpc_extras.drives.drive_model import (
     STEPS,
@@ -98,7 +104,7 @@ class DriveFit:
     def simulate(self, records: Sequence[Record], yaw: YawSource = "gyro", *, sharp: bool = False) -> list[FloatArray]:
         """Simulate v [m/s] and omega [rad/s] (K, 2) of each record from its commands alone, sensor offsets included."""
         experiments = twist_experiments(records, yaw)
-        runs = joined(experiments)
+        runs = join_experiments(experiments)
         columns = []
         for row in (0, 1):
             simulated = [
@@ -108,7 +114,7 @@ class DriveFit:
                 for run in runs
             ]
             columns.append([y + self.values[row].get("offset", 0.0) for y in simulated])
-        return parted([np.column_stack(pair) for pair in zip(*columns, strict=True)], experiments)
+        return split_rows([np.column_stack(pair) for pair in zip(*columns, strict=True)], experiments)
 
 
 def step_coefficients(kind: Kind, values: dict[str, float], dt: float) -> FloatArray:
@@ -132,7 +138,7 @@ def fit_drive(kind: Kind, records: Sequence[Record], yaw: YawSource = "gyro") ->
     ValueError
         If a record lacks a signal, or sample times differ.
     """
-    runs = joined(twist_experiments(records, yaw))
+    runs = join_experiments(twist_experiments(records, yaw))
     dt = runs[0].dt
     if any(run.dt != dt for run in runs):
         raise ValueError("the records have different sample times; a drive model is for one")

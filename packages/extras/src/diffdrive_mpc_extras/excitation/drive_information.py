@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
-from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate, joined
+from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate, join_estimates
 from diffdrive_mpc.models.output_error.problem import OutputErrorProblem
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.validation import simulate_experiment
@@ -55,7 +55,9 @@ class DriveInformation:
         ValueError
             If a command is not finite, or there are too few.
         """
-        return joined([self._channel(row, commands[:, [row]], dt).renamed(name) for row, name in enumerate(CHANNELS)])
+        return join_estimates(
+            [self._channel(row, commands[:, [row]], dt).renamed(name) for row, name in enumerate(CHANNELS)]
+        )
 
     def log_determinant(self, commands: FloatArray, dt: float) -> float:
         """Return that of the information on `TOLD` of both channels, which is maximised (D-optimality).

@@ -16,8 +16,8 @@ from diffdrive_mpc.models.identification.log_data import LogData, most_informati
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Record
-from diffdrive_mpc.models.output_error.experiment import YawSource, joined, parted, twist_experiments
-from diffdrive_mpc.models.output_error.held_out import blocks, cut
+from diffdrive_mpc.models.output_error.experiment import YawSource, join_experiments, split_rows, twist_experiments
+from diffdrive_mpc.models.output_error.held_out import blocks, extract
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.velocity_model import ModelError
 from diffdrive_mpc_extras.hybrids.hybrid_model import (
@@ -91,15 +91,15 @@ class FoundHybrid:
         """Simulate as `Predictor` describes."""
         model = hybrid_model(_NAME, self.identified.model.discretise(self.dt), self.correction)
         experiments = twist_experiments(records, yaw)
-        runs = runs_of(model.linear, self.identified.system, joined(experiments))
-        return parted([run.simulate(model) + self.offset for run in runs], experiments)
+        runs = runs_of(model.linear, self.identified.system, join_experiments(experiments))
+        return split_rows([run.simulate(model) + self.offset for run in runs], experiments)
 
     def refitted(self, records: Sequence[Record], yaw: YawSource) -> HybridModel | None:
         """Refit as `Predictor` describes: another network on the same linear model; None without a network."""
         if self.decay is None:
             return None
         linear = self.identified.model.discretise(self.dt)
-        runs = runs_of(linear, self.identified.system, joined(twist_experiments(_part(records), yaw)))
+        runs = runs_of(linear, self.identified.system, join_experiments(twist_experiments(_part(records), yaw)))
         (network,) = trained(linear, runs, (self.decay,), hybrid_settings())
         return hybrid_model(f"{self.structure} of the data held out", linear, network)
 
@@ -143,11 +143,11 @@ def find_hybrid(data: LogData, fitted: Fitted) -> FoundHybrid:
     """
     identified, dt, settings = fitted.identified, data.train[0].dt, hybrid_settings()
     linear, system = identified.model.discretise(dt), identified.system
-    experiments = joined(twist_experiments(_part(data.train), identified.yaw))
+    experiments = join_experiments(twist_experiments(_part(data.train), identified.yaw))
     gains = []
     for rest, block in blocks(experiments):
-        held_out = runs_of(linear, system, cut(experiments, block))
-        networks = trained(linear, runs_of(linear, system, cut(experiments, rest)), settings.decays, settings)
+        held_out = runs_of(linear, system, extract(experiments, block))
+        networks = trained(linear, runs_of(linear, system, extract(experiments, rest)), settings.decays, settings)
         gains.append([_log_power(linear, network, held_out) for network in networks])
     scores = np.mean(gains, axis=0)
     runs, best = runs_of(linear, system, experiments), int(np.argmin(scores))

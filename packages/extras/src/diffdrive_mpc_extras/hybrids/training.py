@@ -23,7 +23,7 @@ from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.output_error.experiment import SampledExperiment
-from diffdrive_mpc.models.output_error.state_space import LinearSystem, StateResponse, settled_start
+from diffdrive_mpc.models.output_error.state_space import LinearSystem, StateResponse, steady_start
 from diffdrive_mpc.models.robot import Positive
 from diffdrive_mpc_extras.hybrids.hybrid_model import Correction, gate, network
 
@@ -101,7 +101,7 @@ def runs_of(linear: DiscreteModel, system: LinearSystem, experiments: Sequence[S
     """Convert experiments to runs that start in the steady state of their first readings; `linear` is of `system`."""
     runs = []
     for experiment in experiments:
-        start, held = settled_start(system, experiment.first_readings)
+        start, held = steady_start(system, experiment.first_readings)
         before = np.tile(held, (linear.memory, 1))
         sent = limited(experiment.inputs, system.limit, experiment.dt, held)
         recent, older = linear.effective_inputs(sent, before)

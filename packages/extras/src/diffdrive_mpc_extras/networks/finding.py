@@ -14,7 +14,7 @@ from diffdrive_mpc.models.identification.fit.fitting import Fitted
 from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Record
-from diffdrive_mpc.models.output_error.experiment import YawSource, joined, parted, twist_experiments
+from diffdrive_mpc.models.output_error.experiment import YawSource, join_experiments, split_rows, twist_experiments
 from diffdrive_mpc_extras.networks.network import Architecture, Network, divided, windows_of
 from diffdrive_mpc_extras.networks.network_model import (
     NetworkFile,
@@ -93,7 +93,7 @@ def find_network(
     first, second, _ = chosen.shares
     shares = (first / (first + second), second / (first + second))
     chosen = chosen.model_copy(update={"shares": shares})
-    windows = windows_of(joined(twist_experiments(data.train, yaw)), kind.window)
+    windows = windows_of(join_experiments(twist_experiments(data.train, yaw)), kind.window)
     training, validation = divided(windows, shares)
     on_step = (lambda steps, _: on_look(steps)) if on_look else None
     training_result = train(kind, training, validation, chosen, on_step)
@@ -103,6 +103,6 @@ def find_network(
 def simulate_records(network: Network, records: Sequence[Record], yaw: YawSource) -> list[FloatArray]:
     """Simulate v [m/s] and omega [rad/s] (K, 2) of each record from its commands; the first one is held before them."""
     experiments, window = twist_experiments(records, yaw), network.architecture.window
-    runs = joined(experiments)
+    runs = join_experiments(experiments)
     rows = [network.simulate(run.inputs, np.tile(run.inputs[0], (window, 1))) for run in runs]
-    return parted(rows, experiments)
+    return split_rows(rows, experiments)

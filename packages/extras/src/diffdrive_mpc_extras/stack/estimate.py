@@ -32,7 +32,7 @@ from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.geometry import WheelGeometry, wheel_geometry
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.output_error.experiment import joined
+from diffdrive_mpc.models.output_error.experiment import join_experiments
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.table import TextTable
 from diffdrive_mpc.models.velocity_model import CHANNELS
@@ -102,7 +102,7 @@ def estimate_stack(
     largest = np.abs(np.concatenate([record.command for record in data.train])).max(axis=0)
     levels = dict(zip(CHANNELS, (settings.first_limit * largest).tolist(), strict=True)) | dict(limits or {})
     track = geometry.track if geometry else None
-    experiments = joined(sensor_experiments(data.train, data.yaw))
+    experiments = join_experiments(sensor_experiments(data.train, data.yaw))
     if base is None:
         selection = select_effects(experiments, track, limits=levels, only=_TRIED, also=_ALSO)
         fit, weights = selection.fit, selection.data

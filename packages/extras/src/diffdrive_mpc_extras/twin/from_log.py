@@ -16,7 +16,7 @@ from diffdrive_mpc.models.identification.log_data import LogData, read_data
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.load import load_linear_model, model_path, read_model_file
 from diffdrive_mpc.models.logs import Finding, Record
-from diffdrive_mpc.models.output_error.experiment import SampledExperiment, joined
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment, join_experiments
 from diffdrive_mpc.models.structures.model_file import ModelFile
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.sim.plants.plant import RobotLostError
@@ -145,7 +145,7 @@ def twin_of(
         assert isinstance(report, ModelFile)
         content = report
     experiments = sensor_experiments(data.train, data.yaw)
-    beside = identified(content, joined(experiments))
+    beside = identified(content, join_experiments(experiments))
     gyro = data.yaw == "gyro"
     sensors = {"gyro.offset": 0.0, "encoders.delay": 0.0} | dict(beside.sensors)
     poses = pose_sensor(data.train, sensors) if gyro else None
@@ -153,7 +153,7 @@ def twin_of(
     travel = mount["pose.travel"] if mount else 1.0
     nominal = nominal.clipping(beside.limits)
     space = space_of(nominal, beside.effects, gyro=gyro, lagging="encoders.lag" in beside.sensors, travel=travel)
-    stretches = most_telling(joined(experiments), beside.model.dc_gain, seconds or settings.seconds)
+    stretches = most_telling(join_experiments(experiments), beside.model.dc_gain, seconds or settings.seconds)
     problem = TwinProblem(space, stretches, together, on_drive or (lambda: None))
     fit = fit_twin(problem, beside.start(nominal), on_stage)
     announce("driving the rows held out", 1)

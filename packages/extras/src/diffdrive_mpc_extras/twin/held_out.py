@@ -15,7 +15,7 @@ from diffdrive_mpc.models.identification.fit.poses import PoseDrift, pose_drift
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray, ReadOnlyArrays
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.output_error.experiment import SampledExperiment, joined, parted
+from diffdrive_mpc.models.output_error.experiment import SampledExperiment, join_experiments, split_rows
 from diffdrive_mpc.models.output_error.input_limits import limits_in
 from diffdrive_mpc.models.output_error.validation import pooled_fit_percent
 from diffdrive_mpc.models.structures.model_file import ModelFile, build_model
@@ -209,22 +209,22 @@ class HeldOutScore:
 
 def hold_model(model: Identified, experiments: Sequence[SampledExperiment]) -> list[HeldOutPrediction]:
     """Predict with the identified model, in one free run over each run without gaps."""
-    runs = joined(experiments)
-    predicted = parted([model.readings(run) for run in runs], experiments)
-    body = parted([model.body(run) for run in runs], experiments)
+    runs = join_experiments(experiments)
+    predicted = split_rows([model.readings(run) for run in runs], experiments)
+    body = split_rows([model.body(run) for run in runs], experiments)
     return [HeldOutPrediction(*both) for both in zip(predicted, body, strict=True)]
 
 
 def hold_twin(fit: TwinFit, model: Identified, experiments: Sequence[SampledExperiment]) -> list[HeldOutPrediction]:
     """Predict with the twin, as `hold_model`."""
-    runs = joined(experiments)
+    runs = join_experiments(experiments)
     stretches = [stretch(run, 0, run.samples, model.model.dc_gain) for run in runs]
     motions = drive(fit.robot, stretches)
-    predicted = parted(
+    predicted = split_rows(
         [readings(motion, run, fit.values) for motion, run in zip(motions, runs, strict=True)], experiments
     )
     twists = [motion.twist() for motion in motions]
-    body = parted([twist[:, [0, 2]] for twist in twists], experiments)
+    body = split_rows([twist[:, [0, 2]] for twist in twists], experiments)
     return [HeldOutPrediction(*both) for both in zip(predicted, body, strict=True)]
 
 
