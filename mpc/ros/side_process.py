@@ -141,7 +141,7 @@ class SideProcess:
             reason = f"the process that converts it does not start within {_START_TIMEOUT:g} s"
             if link.poll(_START_TIMEOUT):
                 link.recv()
-                reason = f"its conversion takes longer than {self._patience:g} s"
+                reason = f"its conversion takes longer than {self._time_limit:g} s"
                 if link.poll(self._time_limit):
                     succeeded, content = link.recv()
                     return bool(succeeded), content

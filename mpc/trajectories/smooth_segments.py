@@ -157,14 +157,14 @@ def _drive_nodes(
         # Between two stops, at least one moving node is needed.
         min_pieces = 2 if len(blocks) == len(parts) == 1 else 1
         counts = [max(min_pieces, math.ceil(part.length / spacing)) for part in parts]
-        distance = np.cumsum(np.repeat([part.length / n for part, n in zip(parts, counts, strict=True)], counts))
-        distances_along.append(distances_along[-1][-1] + distance)
-        cruises.append(np.full(distance.size, cruise))
+        travelled = np.cumsum(np.repeat([part.length / n for part, n in zip(parts, counts, strict=True)], counts))
+        distances_along.append(distances_along[-1][-1] + travelled)
+        cruises.append(np.full(travelled.size, cruise))
         if rounded is None:
-            drawn.append(np.zeros(distance.size))
+            drawn.append(np.zeros(travelled.size))
         else:
             if rounded not in joint_distances:
-                joint_distances[rounded] = distances(sample_clothoids(parts, np.append(0.0, distance))[0], rounded)[1:]
+                joint_distances[rounded] = distances(sample_clothoids(parts, np.append(0.0, travelled))[0], rounded)[1:]
             drawn.append(joint_distances[rounded])
     arc_lengths = np.concatenate(distances_along)
     local, curvature = sample_clothoids([part for parts, *_ in blocks for part in parts], arc_lengths)

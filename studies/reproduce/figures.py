@@ -93,7 +93,7 @@ def _maps(grid: Sequence[Axes], driven: FloatArray, predicted: Mapping[str, Floa
         sizes = [np.linalg.norm((poses - driven)[:, _PARTS[quantity]], axis=1) for poses in predicted.values()]
         for axes, size, (model, poses) in zip(grid[k * len(sizes) :], sizes, predicted.items(), strict=False):
             axes.plot(*driven[:, :2].T, color=REFERENCE_COLOUR, linewidth=0.8)
-            shown = axes.scatter(*poses[:, :2].T, c=size, s=5.0, vmin=0.0, vmax=max(map(np.max, sizes)))
+            shown = axes.scatter(poses[:, 0], poses[:, 1], c=size, s=5.0, vmin=0.0, vmax=max(map(np.max, sizes)))
             axes.plot(*poses[size.argmax(), :2], "x", color="black")
             axes.set(title=f"{model}: {size.max():.3f} {unit}", aspect="equal")
             axes.figure.colorbar(shown, ax=axes, label=f"{quantity} error [{unit}]")
@@ -123,7 +123,9 @@ def draw_training(rows: Sequence[NetworkRow], path: Path) -> None:
         axes.set(
             xlabel="training step", ylabel="RMSE of v [m/s] and omega [rad/s] together", xscale="symlog", yscale="log"
         )
-        loss = axes.secondary_yaxis("right", functions=(lambda rmse: 0.5 * rmse**2, lambda loss: np.sqrt(2.0 * loss)))
+        loss = axes.secondary_yaxis(
+            "right", functions=(lambda rmse: 0.5 * np.square(rmse), lambda loss: np.sqrt(np.multiply(2.0, loss)))
+        )
         loss.set_ylabel("loss: half the squared error")
         axes.legend(ncols=3)
 
