@@ -71,7 +71,7 @@ class CoreFuzzer:
 
     def draw(self, random: Random) -> Case:
         """Draw the seed and the number of the drives."""
-        return [random.randrange(2**31), 60]
+        return [random.randrange(2**31), 30]
 
     def check(self, case: Case) -> None:
         """Drive in a process of its own, which ends with an error on a fault."""
