@@ -10,7 +10,6 @@ import subprocess
 import tokenize
 from collections import defaultdict
 from collections.abc import Iterable
-from fnmatch import fnmatch
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,7 +17,6 @@ ROOT = Path(__file__).parents[1]
 ROOMS = ("models", "mpc", "sim", "bench", "app", "src", "extras")
 """Folders of the root wheel; `extras` counts until packages replace it."""
 PYTHON, C_LIKE = {".py"}, {".c", ".h", ".js", ".mjs", ".ts"}
-HIDDEN_FOLDERS = {".ci", ".devcontainer", ".github"}
 NO_CODE = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
 # Literals come before comments, so that `//` in a literal starts no comment.
 LITERAL_OR_COMMENT = re.compile(r"""("(?:\\.|[^"\\\n])*"|'(?:\\.|[^'\\\n])*')|/\*.*?\*/|//[^\n]*""", re.DOTALL)
@@ -62,39 +60,14 @@ def file_size(path: Path) -> Size:
 
 
 def tracked_files(root: Path = ROOT) -> list[str]:
-    """List the paths of files that git tracks; without git, of all files that .gitignore does not name."""
+    """List the paths of files that git tracks; none without git or outside a repository."""
     command = ["git", "ls-files", "-z", "--cached"]
     try:
         done = subprocess.run(command, cwd=root, capture_output=True, text=True, check=False)
     except FileNotFoundError:
-        names = []
-    else:
-        names = sorted({*done.stdout.split("\0")} - {""})
-    if names:
-        return [name for name in names if (root / name).is_symlink() or (root / name).exists()]
-    return sorted(path.relative_to(root).as_posix() for path in files_on_disk(root, ignored_patterns(root)))
-
-
-def ignored_patterns(root: Path) -> list[str]:
-    """Return patterns of .gitignore as patterns of paths that start with `/`."""
-    lines = (root / ".gitignore").read_text(encoding="utf-8").split() if (root / ".gitignore").exists() else []
-    return [line.rstrip("/") if line.startswith("/") else f"*/{line.rstrip('/')}" for line in lines]
-
-
-def files_on_disk(root: Path, ignored: list[str]) -> list[Path]:
-    """List files below a folder without ignored paths and without tools' hidden folders."""
-    files: list[Path] = []
-    folders = [root]
-    while folders:
-        for path in folders.pop().iterdir():
-            name = f"/{path.relative_to(root).as_posix()}"
-            if path.name == ".git" or any(fnmatch(name, pattern) for pattern in ignored):
-                continue
-            if path.is_symlink() or path.is_file():
-                files.append(path)
-            elif not path.name.startswith(".") or path.name in HIDDEN_FOLDERS:
-                folders.append(path)
-    return files
+        return []
+    names = sorted({*done.stdout.split("\0")} - {""})
+    return [name for name in names if (root / name).is_symlink() or (root / name).exists()]
 
 
 def area_of(name: str) -> str:

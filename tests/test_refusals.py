@@ -41,6 +41,12 @@ def write_model(model):
     return "model.yaml"
 
 
+def written(text):
+    """Write mine.yaml to the working directory and return its path."""
+    Path("mine.yaml").write_text(text, encoding="utf-8")
+    return Path("mine.yaml")
+
+
 def scaled_matrix(name, factors):
     """Return a matrix of the SSM times a factor, or a factor for each row."""
     return (np.array(SSM[name]) * np.reshape(factors, (-1, 1))).tolist()
@@ -76,6 +82,7 @@ NAMES = {name: getattr(diffdrive_mpc, name) for name in diffdrive_mpc.__all__} |
     "plan_cases": plan_cases,
     "read_yaml": read_yaml,
     "write_model": write_model,
+    "written": written,
     "scaled_matrix": scaled_matrix,
     "single_settings": single_settings,
     "started_controller": started_controller,

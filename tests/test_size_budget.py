@@ -16,6 +16,8 @@ BUDGETS = yaml.safe_load(BUDGET_FILE.read_text(encoding="utf-8"))
 @cache
 def current_sizes():
     """Count the sizes of this tree, which takes seconds."""
+    if not code_lines.tracked_files():
+        pytest.skip("needs git and a clone")
     return code_lines.sizes()
 
 
@@ -107,6 +109,7 @@ def test_blank_lines_comments_and_docstrings_do_not_count():
 
 
 def write_tree(root):
+    """Write a repository with ignored files and a file that git does not track."""
     files = {
         ".gitignore": "__pycache__/\n/out/\n",
         "setup.py": "a = 1\n",
@@ -126,7 +129,9 @@ def write_tree(root):
         path.write_text(text, encoding="utf-8")
     (root / "src").mkdir()
     (root / "src" / "models").symlink_to("../models")
-    return {*files, "src/models"}
+    for words in (["init", "--quiet"], ["add", "."]):
+        subprocess.run(["git", *words], cwd=root, check=True)
+    (root / "new.py").write_text("a = 1\n", encoding="utf-8")
 
 
 def test_areas_and_sums_of_a_small_tree(tmp_path):
@@ -145,13 +150,3 @@ def test_areas_and_sums_of_a_small_tree(tmp_path):
         "all tests": (4, 2),
         "all files": (10, 11),
     }
-
-
-def test_tree_without_git_has_the_files_that_git_would_track(tmp_path):
-    files = write_tree(tmp_path)
-    assert code_lines.tracked_files(tmp_path) == sorted(files)
-    for words in (["init", "--quiet"], ["add", "."]):
-        subprocess.run(["git", *words], cwd=tmp_path, check=True)
-    assert code_lines.tracked_files(tmp_path) == sorted(files)
-    (tmp_path / "new.py").write_text("a = 1\n", encoding="utf-8")
-    assert code_lines.tracked_files(tmp_path) == sorted(files)

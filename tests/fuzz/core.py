@@ -71,7 +71,7 @@ class CoreFuzzer:
 
     def draw(self, random: Random) -> Case:
         """Draw the seed and the number of the drives."""
-        return [random.randrange(2**31), 60]
+        return [random.randrange(2**31), 30]
 
     def check(self, case: Case) -> None:
         """Drive in a process of its own, which ends with an error on a fault."""
@@ -83,6 +83,7 @@ def drive(core: Path, seed: int, count: int) -> int:
     asan = subprocess.run(["gcc", "-print-file-name=libasan.so"], capture_output=True, text=True, check=True).stdout
     # Python's own allocator would hide the ends of small arrays.
     settings = {"LD_PRELOAD": asan.strip(), "PYTHONMALLOC": "malloc", "ASAN_OPTIONS": "detect_leaks=0"}
+    settings |= {"UBSAN_OPTIONS": "print_stacktrace=1:abort_on_error=1", "PYTHONFAULTHANDLER": "1"}
     settings["PYTHONPATH"] = os.pathsep.join(sys.path)
     words = [sys.executable, "-m", "fuzz.core", str(core), str(seed), str(count)]
     options: dict[str, Any] = {"capture_output": True, "text": True, "env": os.environ | settings}
@@ -123,7 +124,7 @@ def main(core: str, seed: str, count: str) -> None:
     """Drive cases in this process."""
     from diffdrive_mpc.mpc.core.tick import ResultLayout
 
-    random = Random(f"core/{seed}")
+    random = Random()
 
     def load_library(_: str, declarations: str, *rest: object) -> tuple[cffi.FFI, Any]:
         ffi = cffi.FFI()
@@ -145,6 +146,7 @@ def main(core: str, seed: str, count: str) -> None:
     warnings.simplefilter("ignore")
     fuzzer = controller.ControllerFuzzer()
     for index in range(int(count)):
+        random.seed(f"core/{seed}/{index}")
         case = fuzzer.draw(random)
         case["overrides"] |= SIZES[index % len(SIZES)]
         print(f"case {index} of seed {seed}", file=sys.stderr, flush=True)

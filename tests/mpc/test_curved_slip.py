@@ -155,21 +155,3 @@ def test_prediction_matches_simulation(dead_time, horizon, seed):
     )
     simulated = model.simulate(np.vstack([plan, plan[-1:]]), state, past)
     assert predicted.reshape(-1, 2) == pytest.approx(simulated, abs=1e-10)
-
-
-def test_heading_is_the_sum_of_mean_rates():
-    model = SSM.discretise(0.05)
-    prediction = build_prediction(model, 12)
-    plan = np.random.default_rng(0).normal(size=24)
-    twist = (prediction.from_plan @ plan).reshape(-1, 2)
-    trapezoid = np.concatenate([[0], np.cumsum(0.05 * 0.5 * (twist[:-1, 1] + twist[1:, 1]))])
-    assert prediction.heading_from_plan @ plan == pytest.approx(trapezoid, abs=1e-12)
-
-
-def test_commands_have_no_effect_before_their_dead_time():
-    model = SSM.with_extra_dead_time([0.0606, 0.0202]).discretise(0.0202)
-    plan = build_prediction(model, 8).from_plan.reshape(9, 2, 8, 2)
-    for k in range(9):
-        for j in range(8):
-            assert plan[k, :, j, 0].any() == (j + 3 < k)
-            assert plan[k, :, j, 1].any() == (j + 1 < k)

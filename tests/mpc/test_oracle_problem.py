@@ -1,17 +1,15 @@
-"""The oracle: its problem against IPOPT on the nonlinear program, its roll-out, and its feed-forward."""
+"""The oracle: its problem against IPOPT on the nonlinear program, and its feed-forward."""
 
 from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from diffdrive_mpc import load_config, load_model
 from diffdrive_mpc.mpc.problem.slip import Slip
 from oracle.nonlinear import nonlinear_program
-from oracle.problem import TrackingProblem, roll_out
+from oracle.problem import TrackingProblem
 from oracle.solver import solve
 from oracle.tick import FeedForward, Tick
 
@@ -89,15 +87,6 @@ def test_fixed_turning_points_of_the_guess_cost_little():
     assert plan == pytest.approx(ipopt(subject, tick, ahead), abs=2e-6)
     cost, best = nonlinear_cost(subject, tick, None), ipopt(subject, tick)
     assert cost(best.ravel()) <= cost(plan.ravel()) < 1.02 * cost(best.ravel())
-
-
-@given(st.tuples(st.floats(0, 0.1), st.floats(0, 0.1)), st.integers(1, 25), st.integers(0, 1000))
-def test_roll_out_equals_the_simulation_of_the_model(dead_time, horizon, seed):
-    model = load_model("ssm").with_extra_dead_time(dead_time).discretise(DT)
-    rng = np.random.default_rng(seed)
-    state, past, plan = rng.normal(size=model.order), rng.normal(size=(model.memory, 2)), rng.normal(size=(horizon, 2))
-    simulated = model.simulate(np.vstack([plan, plan[-1:]]), state, past)
-    assert roll_out(model, state, past, plan[:, :, None])[:, :, 0] == pytest.approx(simulated, abs=1e-10)
 
 
 def nonlinear_cost(subject, tick, ahead):

@@ -245,17 +245,6 @@ def test_shipped_paths_keep_the_limits_of_shipped_configurations(name: str) -> N
     assert np.all(speeds[: 2 if name == "tight" else 4] <= 1.002)
 
 
-# --- Shipped paths.
-
-
-@pytest.mark.parametrize("name", [*FILED, "spline-0", "spline-7"])
-def test_shipped_paths_keep_the_limits_of_the_robot(name: str) -> None:
-    trajectory = load_trajectory(name)
-    assert trajectory.name == name
-    speeds = largest_shares(trajectory, LIMITS)
-    assert np.all(speeds[: 2 if name == "tight" else 4] <= 1.002)
-
-
 @pytest.mark.parametrize("seed", [0, 1, 12, 2**70])
 def test_random_paths_are_reproducible_and_distinct(seed: int) -> None:
     first, again, second = (load_trajectory(f"spline-{n}") for n in (seed, seed, seed + 1))
