@@ -79,8 +79,8 @@ def compare_orders(
 
     The lowest order is selected whose mean FIT on held-out blocks is within a quarter of a percentage point of the
     maximum; if the records are too short for blocks, the order with the lowest Schwarz criterion. Order 1 is a baseline
-    and is never selected, nor is an order whose model cannot describe a robot. An order whose parameters the data hardly
-    determine is avoided, since its delay is unknown.
+    and is never selected, nor is an order whose model cannot describe a robot. Orders whose parameters the data hardly
+    determine are avoided.
 
     Parameters
     ----------
