@@ -160,8 +160,7 @@ def learn_from(
     ConfigError
         If a log cannot be read or has no reference, or there are too few for the level.
     """
-    scores, metres = [], 0.0
-    known: dict[bytes, PredictedError] = {}
+    scores, metres, known = [], 0.0, dict[bytes, PredictedError]()
     for log in logs:
         columns = read_drive_log(log).columns
         if (reference := logged_reference(columns, log.name, config)) is None:
@@ -169,11 +168,12 @@ def learn_from(
         path = columns["reference_x_m"].tobytes() + columns["reference_y_m"].tobytes()
         tubes = known[path] = known.get(path) or predict_reference(reference, config, plant, draws, jobs)
         time, metres = columns["t_s"] - columns["t_s"][0], metres + float(tubes.arc_length[-1])
-        pairs = (("error_across_m", tubes.lateral), ("error_along_m", tubes.along))
-        scores.append([np.nanmax(np.abs(columns[name]) / np.interp(time, tubes.time, t.everywhere)) for name, t in pairs])
-    lateral, along = (conformal_quantile([row[None] for row in rows], LEVEL) for rows in np.reshape(scores, (-1, 2)).T)
+        widths = [np.interp(time, tubes.time, tube.everywhere) for tube in (tubes.lateral, tubes.along)]
+        scores.append(np.nanmax(np.abs([columns[f"error_{name}_m"] for name in ("across", "along")]) / widths, axis=1))
+    lateral, along = (conformal_quantile([row[None] for row in rows], LEVEL) for rows in np.transpose(scores))
     if not np.isfinite([lateral, along]).all():
-        raise ConfigError(f"{len(logs)} recorded drives: {100 * LEVEL:g} % needs {LEVEL / (1.0 - LEVEL):.0f}; record more")
+        least = f"{100 * LEVEL:g} % needs {LEVEL / (1.0 - LEVEL):.0f}"
+        raise ConfigError(f"{len(logs)} recorded drives: {least}; record more")
     learned = f"scaled by {len(logs)} recorded drives of {metres:.0f} m, lateral {lateral:.2f}, along {along:.2f} times"
     predicted = replace(predicted, lateral=predicted.lateral.times(lateral), along=predicted.along.times(along))
     return replace(predicted, drives=f"{predicted.drives}, {learned}")
