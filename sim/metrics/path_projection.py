@@ -121,15 +121,15 @@ class Polyline:
             """Return windows (n, width) of the values of the segments, starting at `offset`."""
             return sliding_window_view(values, width)[offset]
 
-        ux, uy = windows(self.direction[:, 0]), windows(self.direction[:, 1])
+        # No segment is nearer than its start by more than its length, which excludes most of them.
         x, y = points[:, :1] - windows(self.start[:, 0]), points[:, 1:] - windows(self.start[:, 1])
-        along = np.minimum(np.maximum(x * ux + y * uy, 0.0), windows(self.length))
-        offset_x, offset_y = x - along * ux, y - along * uy
-        square = offset_x * offset_x + offset_y * offset_y
-        square[(index < start[:, None]) | (index >= end[:, None])] = np.inf
-        # Squared distances exclude most segments; exact distances are computed only for the remaining candidates.
-        row, k = np.nonzero(square <= (np.sqrt(square.min(axis=1, keepdims=True)) + _CANDIDATE_TOLERANCE) ** 2)
-        gap = np.hypot(offset_x[row, k], offset_y[row, k])
+        away = np.sqrt(x * x + y * y)
+        away[(index < start[:, None]) | (index >= end[:, None])] = np.inf
+        row, k = np.nonzero(away <= away.min(axis=1, keepdims=True) + windows(self.length) + _CANDIDATE_TOLERANCE)
+        x, y, segment = x[row, k], y[row, k], offset[row] + k
+        (ux, uy), length = self.direction[segment].T, self.length[segment]
+        along = np.minimum(np.maximum(x * ux + y * uy, 0.0), length)
+        gap = np.hypot(x - along * ux, y - along * uy)
         _, first = np.unique(row, return_index=True)
         minimum = np.minimum.reduceat(gap, first)
         nearest = np.flatnonzero(gap == minimum[row])
@@ -137,10 +137,9 @@ class Polyline:
         # At a vertex, two segments are equally near, and the point may be collinear with one of them, so the sum of
         # both determines the sign.
         near = gap <= minimum[row] + _TIE_TOLERANCE
-        row_near, k_near = row[near], k[near]
-        left = (ux[row_near, k_near] * y[row_near, k_near]) - (uy[row_near, k_near] * x[row_near, k_near])
-        side = np.bincount(row_near, left, len(points))
-        return np.copysign(minimum, side), offset + k[nearest[first]]
+        left = ux[near] * y[near] - uy[near] * x[near]
+        side = np.bincount(row[near], left, len(points))
+        return np.copysign(minimum, side), segment[nearest[first]]
 
 
 def path_polyline(reference: Reference, spacing: float, extension: float) -> Polyline:

@@ -9,15 +9,17 @@ import yaml
 
 from commands import call, refusal
 from diffdrive_mpc.app.identification.unexplained_motion import write_robot
+from diffdrive_mpc.app.run_log import run_log
 from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.load import model_path
-from diffdrive_mpc.mpc import Controller, load_trajectory
+from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
+from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.sim.plants.identified_robot import IdentifiedRobot, intervals
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 from diffdrive_mpc_extras.campaign.own_plant import own_plant
-from diffdrive_mpc_extras.predicted_error.drives import absolute_errors, drive_case, predict_by_drives, tube
+from diffdrive_mpc_extras.predicted_error.drives import absolute_errors, drive_case, learn_from, predict_by_drives, tube
 from diffdrive_mpc_extras.proof.proof_file import load_proof, proof_of
 from refusals import one_line_error
 
@@ -68,6 +70,24 @@ def test_a_configuration_has_its_twin_or_its_identified_robot_or_a_refusal(folde
     for words in (["prove", config], ["prove", config, "--tolerance", "0.05"]):
         assert "no plant belongs to it" in refusal(*words, "--out", folder / "out")
     assert "give --plant" in refusal("predict-error", "--config", config, "--trajectory", "s", "--out", folder / "out")
+
+
+def test_recorded_drives_scale_the_tubes_or_are_refused_as_too_few(folder):
+    config, path = str(folder / "config.yaml"), str(folder / "short.yaml")
+    plant, logs = own_plant(config), [folder / f"{seed}.mcap" for seed in range(20)]
+    for seed, log in enumerate(logs):
+        case = drive_case(config, path, plant, 100 + seed)
+        with run_log(log) as write:
+            write(run_case(case), case)
+    predicted = predict_by_drives(config, path, plant, 20)
+    learned = learn_from(logs, predicted, load_config(config), plant, 20, 1)
+    assert "scaled by 20 recorded drives of 16 m" in learned.drives
+    width = learned.lateral.everywhere
+    across = np.abs([read_drive_log(log).columns["error_across_m"][: len(width)] for log in logs])
+    inside = [np.nanmax(across / (share * width), axis=1) <= 1.0 + 1e-9 for share in (1.0, 0.8)]
+    assert inside[0].sum() >= 19 and not inside[1].all()
+    with one_line_error(ConfigError, match="3 recorded drives: 95 % needs 19"):
+        learn_from(logs[:3], predicted, load_config(config), plant, 20, 1)
 
 
 def test_runs_differ_by_seed_and_repeat_and_grow_with_the_unexplained_motion(folder):

@@ -25,6 +25,10 @@ def predict_error(
         ),
     ] = None,
     draws: Annotated[int, typer.Option(min=20, help="Simulated drives.")] = 60,
+    learn_from: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="LOG", help="MCAP log of a drive of the robot, 19 or more: they scale the tubes."),
+    ] = None,
     population: Annotated[
         str | None,
         typer.Option(metavar="drawn", help="Any robot of the market instead, if nothing is known of yours."),
@@ -43,7 +47,7 @@ def predict_error(
     from diffdrive_mpc_extras.predicted_error import report  # noqa: PLC0415 - --help does without it
 
     if population is None and calibration is None:
-        report.predict_robot_into(config, trajectory, plant, out, draws, jobs)
+        report.predict_robot_into(config, trajectory, plant, out, draws, jobs, learn_from or ())
     else:
         report.predict_population_into(config, trajectory, population or "drawn", out, calibration)
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -15,11 +17,13 @@ from diffdrive_mpc.bench.runner import run_tasks
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.load import is_shipped
+from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
 from diffdrive_mpc.models.pose import ahead_and_left
 from diffdrive_mpc.mpc import Controller, ControllerConfig, load_config
 from diffdrive_mpc.sim import Run, make_plant, simulate
 from diffdrive_mpc_extras.campaign.rates import conformal_quantile
 from diffdrive_mpc_extras.predicted_error.predicted_error import ErrorTube, PredictedError
+from diffdrive_mpc_extras.replay.reference import logged_reference
 
 MODEL_ERROR = 1.1
 """Factor by which a tube is wider than simulated drives need: the plant has the structure of the model.
@@ -139,6 +143,40 @@ def predict_reference(
         lateral,
         along,
     )
+
+
+def learn_from(
+    logs: Sequence[Path], predicted: PredictedError, config: ControllerConfig, plant: str, draws: int, jobs: int
+) -> PredictedError:
+    """Scale the tubes of a prediction so that recorded drives stay inside theirs all the way, by conformal quantiles.
+
+    Parameters
+    ----------
+    logs
+        MCAP logs of whole drives, one each, on any paths. Their errors are those of the recorded estimate.
+
+    Raises
+    ------
+    ConfigError
+        If a log cannot be read or has no reference, or there are too few for the level.
+    """
+    scores, metres, known = [], 0.0, dict[bytes, PredictedError]()
+    for log in logs:
+        columns = read_drive_log(log).columns
+        if (reference := logged_reference(columns, log.name, config)) is None:
+            raise ConfigError(f"{log}: there is no reference in it; record a drive along a path")
+        path = columns["reference_x_m"].tobytes() + columns["reference_y_m"].tobytes()
+        tubes = known[path] = known.get(path) or predict_reference(reference, config, plant, draws, jobs)
+        time, metres = columns["t_s"] - columns["t_s"][0], metres + float(tubes.arc_length[-1])
+        widths = [np.interp(time, tubes.time, tube.everywhere) for tube in (tubes.lateral, tubes.along)]
+        scores.append(np.nanmax(np.abs([columns[f"error_{name}_m"] for name in ("across", "along")]) / widths, axis=1))
+    lateral, along = (conformal_quantile([row[None] for row in rows], LEVEL) for rows in np.transpose(scores))
+    if not np.isfinite([lateral, along]).all():
+        least = f"{100 * LEVEL:g} % needs {LEVEL / (1.0 - LEVEL):.0f}"
+        raise ConfigError(f"{len(logs)} recorded drives: {least}; record more")
+    learned = f"scaled by {len(logs)} recorded drives of {metres:.0f} m, lateral {lateral:.2f}, along {along:.2f} times"
+    predicted = replace(predicted, lateral=predicted.lateral.times(lateral), along=predicted.along.times(along))
+    return replace(predicted, drives=f"{predicted.drives}, {learned}")
 
 
 def _driven(reference: Reference, config: ControllerConfig, plant: str, seed: int, count: int) -> Sequence[FloatArray]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc_extras.campaign.own_plant import own_plant
 from diffdrive_mpc_extras.predicted_error.calibration import Direction
-from diffdrive_mpc_extras.predicted_error.drives import DRAWS, predict_by_drives
+from diffdrive_mpc_extras.predicted_error.drives import DRAWS, learn_from, predict_by_drives
 from diffdrive_mpc_extras.predicted_error.predicted_error import PredictedError, predict_error
 
 FIGURE, ROWS = "predicted-error.png", "predicted-error.csv"
@@ -24,17 +25,27 @@ _GREYS = ("0.85", "0.6")
 
 
 def predict_robot_into(
-    config: str, trajectory: str, plant: str | None, out: Path, draws: int = DRAWS, jobs: int | None = None
+    config: str,
+    trajectory: str,
+    plant: str | None,
+    out: Path,
+    draws: int = DRAWS,
+    jobs: int | None = None,
+    logs: Sequence[Path] = (),
 ) -> PredictedError:
     """Predict from simulated drives of the robot, by default of `own_plant`, and write as `write_prediction`.
+
+    With `logs` of recorded drives the tubes are scaled by `learn_from`.
 
     Raises ConfigError or ValueError if a name is unknown, a file has a mistake, no plant belongs to the configuration,
     or the trajectory cannot be driven; OSError if `out` cannot be written to.
     """
     checked_reference(config, trajectory)
-    plant = plant or own_plant(config)
+    plant, jobs = plant or own_plant(config), jobs or available_cores()
     with ProgressBar("driving", draws, lines=True) as bar:
-        predicted = predict_by_drives(config, trajectory, plant, draws, jobs or available_cores(), bar.advance)
+        predicted = predict_by_drives(config, trajectory, plant, draws, jobs, bar.advance)
+    if logs:
+        predicted = learn_from(logs, predicted, load_config(config), plant, draws, jobs)
     return write_prediction(predicted, out)
 
 
