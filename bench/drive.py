@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from diffdrive_mpc.models.errors import ArgumentError, wrong_type
+from diffdrive_mpc.models.errors import ArgumentError, checked_call, wrong_type
 from diffdrive_mpc.models.interface import Reference, TrackingController
 from diffdrive_mpc.models.robot import TwistBounds, load_robot
 from diffdrive_mpc.models.table import escaped
@@ -27,6 +27,10 @@ if TYPE_CHECKING:
 _ORDER = "the order is simulate(controller, plant, reference)"
 
 
+@checked_call(
+    seed="a plant takes it: make_plant('mujoco', seed=1)",
+    model="a controller takes it: Controller('ssm', model=model)",
+)
 def simulate(
     controller: TrackingController | ControllerConfig | str | Path | Mapping[str, object],
     plant: Plant | VelocityModel | NonlinearModel | str | Path,

@@ -6,7 +6,6 @@ import json
 import pickle
 import re
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
@@ -18,7 +17,7 @@ from pydantic_core import SchemaError
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.file_limits import file_limits
 from diffdrive_mpc.models.input_file import read_input
-from diffdrive_mpc.models.suggestions import suggestion
+from diffdrive_mpc.models.suggestions import similar_name, suggestion
 from diffdrive_mpc.models.table import plain_line
 
 # Conversion of YAML text to plain values, with bounds: documents that are too deep, too large or recursive are rejected
@@ -239,9 +238,8 @@ def check(schema: type[Schema], data: object, where: str, shown: Callable[[str],
         As for `load_checked`.
     """
     if not isinstance(data, Mapping):
-        raise ConfigError(
-            f"{where}: expected keys and values, found {'nothing' if data is None else type(data).__name__}"
-        )
+        found = "nothing" if data is None else type(data).__name__
+        raise ConfigError(f"{where}: expected keys and values, found {found}; write each value as KEY: VALUE")
     try:
         return schema.model_validate(data)
     except SchemaError as error:
@@ -252,6 +250,10 @@ def check(schema: type[Schema], data: object, where: str, shown: Callable[[str],
         # Each sentence needs a search for similar keys: limit the number of sentences.
         details = error.errors()
         sentences = [_sentence(schema, detail, shown) for detail in details[: 3 * _MAX_MISTAKES]]
+        for missing in [sentence for sentence in sentences if sentence.endswith(" is missing")]:
+            # A misspelt key is one mistake.
+            if any(f"did you mean {missing.split()[1]}?" in sentence for sentence in sentences):
+                sentences.remove(missing)
         raise ConfigError(mistakes(where, sentences, len(details) - len(sentences))) from error
 
 
@@ -284,8 +286,7 @@ def _sentence(schema: type[BaseModel], error: Any, shown: Callable[[str], str]) 
     if stated_value is None and kind.endswith("_type") and place:
         return f"{place} is empty: " + message.replace("Input should be", "fill in")
     if kind == "literal_error":
-        near = get_close_matches(str(stated_value).lower(), re.findall(r"'([^']*)'", error["ctx"]["expected"]), 1)
-        hint = f"; did you mean '{near[0]}'?" if near else ""
+        hint = similar_name(str(stated_value), re.findall(r"'([^']*)'", error["ctx"]["expected"]))
     plain = isinstance(stated_value, (int, float, str, bool, type(None)))
     if isinstance(stated_value, int) and stated_value.bit_length() > _MAX_BITS:
         plain = False  # Python prints no integer of thousands of digits

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+from collections.abc import Callable
+from functools import wraps
+from inspect import signature
+from typing import Any, ParamSpec, TypeVar
 
 from diffdrive_mpc.models.table import escaped
 
+P = ParamSpec("P")
+R = TypeVar("R")
 _MAX_VALUE_LENGTH = 40
 """Maximum number of characters of a value in a message."""
 _MAX_LENGTH = 4000
@@ -49,6 +54,35 @@ class ArgumentError(DiffdriveMpcError, TypeError):
 def wrong_type(argument: str, expected: str, value: object, remedy: str) -> ArgumentError:
     """Build the error for a `value` of `argument` that has another type than `expected`."""
     return ArgumentError(f"{argument}: expected {expected}, got {describe_type(value)}; {remedy}")
+
+
+def checked_call(**remedies: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Decorate a function: a call with a missing or an unknown argument raises ArgumentError, which lists all.
+
+    `remedies` are sentences for names that are arguments of something else.
+    """
+
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
+        @wraps(function)
+        def called(*args: P.args, **kwargs: P.kwargs) -> R:
+            try:
+                return function(*args, **kwargs)
+            except TypeError as error:
+                # Python raises the error of the call itself before the function has a frame.
+                if error.__traceback__ is None or error.__traceback__.tb_next is not None:
+                    raise
+                from diffdrive_mpc.models.suggestions import similar_name  # noqa: PLC0415 - needed in case of an error
+
+                known = [str(p).partition(":")[0] for p in signature(function).parameters.values() if p.name != "self"]
+                unknown = [name for name in kwargs if name not in known]
+                name = unknown[0] if unknown else ""
+                hint = f"; {remedies[name]}" if name in remedies else similar_name(name, known)
+                message = str(error).replace(".__init__()", "()")
+                raise ArgumentError(f"{message}{hint}; the arguments are {', '.join(known)}") from error
+
+        return called
+
+    return decorate
 
 
 def checked_number(argument: str, value: object, remedy: str) -> float:

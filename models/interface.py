@@ -6,18 +6,26 @@ Frames follow REP 103: x forward, y left, yaw counter-clockwise. Units are SI th
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple, NoReturn, Protocol, runtime_checkable
+from typing import Any, NamedTuple, NoReturn, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from diffdrive_mpc.models.errors import wrong_type
+from diffdrive_mpc.models.errors import checked_call, wrong_type
 
+T = TypeVar("T")
 FloatArray = NDArray[np.float64]
 AnyArray = NDArray[Any]
 """Array of real numbers, or of complex numbers in complex-step derivatives."""
 
 
+def _checked_init(kind: type[T]) -> type[T]:
+    """Decorate a class whose creation with a missing or an unknown argument raises ArgumentError."""
+    kind.__init__ = checked_call()(kind.__init__)  # type: ignore[method-assign]
+    return kind
+
+
+@_checked_init
 @dataclass(frozen=True, slots=True)
 class Stamped:
     """A measured value with the time for which it is valid.
@@ -37,6 +45,7 @@ class Stamped:
     covariance: ArrayLike | None = None
 
 
+@_checked_init
 @dataclass(frozen=True, slots=True)
 class Measurement:
     """Measurements since the last control tick; None if there is no new measurement.

@@ -7,13 +7,14 @@ from pathlib import Path
 
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
-from diffdrive_mpc.models.errors import wrong_type
+from diffdrive_mpc.models.errors import checked_call, wrong_type
 from diffdrive_mpc.models.function_structure import FunctionStructure, function_structures
 from diffdrive_mpc.models.named_file import named_file, shipped_names
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.plug_ins import check_package
 from diffdrive_mpc.models.structures.model_file import ModelFile, build_model
 from diffdrive_mpc.models.structures.registry import STRUCTURES
+from diffdrive_mpc.models.suggestions import similar_name
 from diffdrive_mpc.models.velocity_model import ModelError, VelocityModel
 
 PARAMETERS = Path(__file__).parent / "parameters"
@@ -24,6 +25,7 @@ ROBOT_NAMES = shipped_names(ROBOTS)
 """Real robots, identified from public logs."""
 
 
+@checked_call()
 def load_model(name: str | Path) -> VelocityModel | NonlinearModel:
     """Load a velocity model: a linear model, a network on past commands, a drive, or a hybrid.
 
@@ -129,6 +131,11 @@ def _check_file(path: str | Path, data: object) -> ModelFile:
     if structure is None:
         check_package("structures", _structure(data))
         known = ", ".join((*STRUCTURES, *function_structures()))
+        if isinstance(data, Mapping) and "model" in data:
+            raise ConfigError(
+                f"{path}: a configuration, not a model; give it by --config, or load it as a configuration"
+            )
         declared = data.get("structure") if isinstance(data, Mapping) else None
-        raise ConfigError(f"{path}: structure: expected one of {known}, found {declared!r}")
+        hint = similar_name(str(declared), [*STRUCTURES, *function_structures()])
+        raise ConfigError(f"{path}: structure: expected one of {known}, found {declared!r}{hint}")
     return check(structure.file, data, str(path))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -14,6 +13,7 @@ from typing import Any
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, Schema, check, merge_mappings, read_yaml
 from diffdrive_mpc.models.errors import wrong_type
+from diffdrive_mpc.models.suggestions import similar_name
 from diffdrive_mpc.models.trust import check_trusted
 
 
@@ -53,8 +53,7 @@ def named_file(
     check_trusted(name)
     if is_file(name):
         return Path(name)
-    near = difflib.get_close_matches(text.lower(), known, n=1, cutoff=0.5)
-    hint = f"; did you mean '{near[0]}'?" if near else ""
+    hint = similar_name(text, known)
     missing = "there is no such file; " if Path(text).suffix or os.sep in text else ""
     raise ConfigError(
         f"unknown {kind} '{text}': {missing}give one of {', '.join(known)}{others} or the path of a {kind} file{hint}"

@@ -1,9 +1,9 @@
-"""Suggestions for a key that is not in a schema."""
+"""Suggestions for a name that is not known, and for a key that is not in a schema."""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel
@@ -50,6 +50,17 @@ SYNONYMS: dict[str, tuple[str, ...]] = {
 _MAX_SUGGESTIONS = 4
 
 
+def similar_name(name: str, known: Iterable[str]) -> str:
+    """Format the end of a message about an unknown name: the most similar known name, if there is one."""
+    near = difflib.get_close_matches(name.lower(), list(known), n=1, cutoff=0.5)
+    return f"; did you mean '{near[0]}'?" if near else ""
+
+
+def not_among(name: str, known: Iterable[str]) -> str:
+    """Format an unknown name, the known names, and the most similar of them."""
+    return f"'{name}'; known: {', '.join(known)}{similar_name(name, known)}"
+
+
 def suggestion(schema: type[BaseModel], location: list[Any], shown: Callable[[str], str] = str) -> str:
     """Format the end of a message about an unknown key at `location`: similar keys, or a list of the known keys.
 
@@ -59,7 +70,8 @@ def suggestion(schema: type[BaseModel], location: list[Any], shown: Callable[[st
     *parents, key = [str(part) for part in location]
     level: type[BaseModel] | None = schema
     for parent in parents:
-        level = _child(level, parent) if level else None
+        if not parent.isdigit():
+            level = _child(level, parent) if level else None
     known = _names(level) if level else []
     paths = _paths(schema)
     similar = difflib.get_close_matches(key, known, n=1, cutoff=0.85)

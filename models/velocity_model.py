@@ -176,7 +176,7 @@ class VelocityModel:
         for name, shape in shapes.items():
             value = getattr(self, name)
             if value.shape != shape:
-                raise ModelError(f"{where}: {name} has shape {value.shape}, expected {shape}")
+                raise ModelError(f"{where}: {name} has shape {value.shape}, expected {shape} for the {n} rows of A")
             if not np.isfinite(value).all():
                 raise ModelError(f"{where}: {name} holds a value that is not finite; identify the model again")
         rightmost = self.poles[np.argmax(self.poles.real)]

@@ -12,6 +12,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
+from diffdrive_mpc.models.errors import checked_call
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
@@ -109,6 +110,7 @@ class CasadiProblem:
         }
 
 
+@checked_call()
 def casadi_problem(
     config: ControllerConfig | str | Path | Mapping[str, object],
     model: VelocityModel | NonlinearModel | str | Path | None = None,

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.discrete_model import DiscreteModel
-from diffdrive_mpc.models.errors import checked_number, wrong_type
+from diffdrive_mpc.models.errors import checked_call, checked_number, wrong_type
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.plug_ins import missing_part, plug_in_names
@@ -106,6 +106,7 @@ class Controller:
         If an argument has a wrong type.
     """
 
+    @checked_call()
     def __init__(
         self,
         config: ControllerConfig | str | Path | Mapping[str, object],
@@ -384,6 +385,7 @@ class Controller:
         for feature in self._features.values():
             feature.set_applied(pairs[-1])
 
+    @checked_call()
     def start(self, reference: Reference | str | Path, t0: float) -> None:
         """Start to track `reference`, whose time 0 is `t0` [s] on the clock of `step`.
 

@@ -86,15 +86,21 @@ class OneLineErrors(FullHelp):
                 echo(error.format_message())
             else:
                 complaint = error.format_message().rstrip(".")
-                _print_error(f"{complaint}; {_remedy(complaint)}see --help")
+                _print_error(f"{complaint}; {_remedy(complaint, error)}see --help")
             sys.exit(BAD_INPUT)
         if code == INTERRUPTED:
             _print_error("aborted")
         sys.exit(code if isinstance(code, int) else 0)
 
 
-def _remedy(complaint: str) -> str:
-    """Return a hint on options for an extra argument; empty for other errors."""
+def _remedy(complaint: str, error: Any) -> str:  # noqa: ANN401 - classes that typer does not export
+    """Return a hint for an extra argument, and for an option that is a key of the configuration; else empty."""
+    options = {name for option in error.ctx.command.params for name in option.opts} if error.ctx else set()
+    if "--set" in options and (unknown := re.match(r"No such option: --([a-z-]+)", complaint)):
+        from diffdrive_mpc.mpc.config.schema import ControllerConfig  # noqa: PLC0415 - --help does not need it
+
+        key = unknown[1].replace("-", "_")
+        return f"for the value of the configuration: --set {key}=VALUE; " * (key in ControllerConfig.model_fields)
     if "extra argument" not in complaint:
         return ""
     from diffdrive_mpc.mpc.trajectories.load import BUILT_IN  # noqa: PLC0415 - --help does not need it

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass, replace
 from datetime import date
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.errors import wrong_type
+from diffdrive_mpc.models.errors import checked_call, wrong_type
 from diffdrive_mpc.models.identification.advice import Advice, AdvisedError, LogSelection, advise, without_rejected
 from diffdrive_mpc.models.identification.deliver.configuration import (
     CONFIG_FILE,
@@ -44,6 +45,7 @@ from diffdrive_mpc.models.structures.identified import model_file, percent, prov
 from diffdrive_mpc.models.structures.model_file import ModelFile, build_model
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.structures.structure import Structure
+from diffdrive_mpc.models.suggestions import similar_name
 from diffdrive_mpc.models.velocity_model import VelocityModel
 
 if TYPE_CHECKING:
@@ -155,6 +157,7 @@ class Identification:
         (folder / "report.md").write_text(text, encoding="utf-8")
 
 
+@checked_call()
 def identify(
     logs: str | Path | DataFrame | Sequence[str | Path | DataFrame],
     mapping: str | Path | None = None,
@@ -223,7 +226,7 @@ def identify(
         raise OptionError("name", ": it is empty; give the model a name, or leave the option out")
     share = identification_settings().fit_share if fit_share is None else fit_share
     stated = None if robot is None else load_stated_robot(robot)
-    with TemporaryDirectory(prefix="diffdrive-mpc-") as folder:
+    with TemporaryDirectory(prefix="diffdrive-mpc-") as folder, _frames_by_name(folder):
         paths = _paths(logs, Path(folder), "data_frame")
         if not paths:
             raise ConfigError("no logs: give at least one")
@@ -348,6 +351,18 @@ def identify_data(
     return identification
 
 
+@contextmanager
+def _frames_by_name(folder: str) -> Iterator[None]:
+    """Name data frames in errors without the temporary folder that holds them."""
+    try:
+        yield
+    except ConfigError as error:
+        if folder not in (message := str(error)):
+            raise
+        remedy = "; write the data frame to this file, for the command: frame.to_csv('data_frame_0.csv', index=False)"
+        raise ConfigError(message.replace(f"{folder}/", "") + remedy * ("--draft" in message)) from error
+
+
 def _paths(logs: object, folder: Path, name: str) -> list[Path]:
     """Return the paths of the logs; write data frames to CSV files in `folder` whose names start with `name`."""
     listed = logs if isinstance(logs, (list, tuple)) else [logs]
@@ -407,7 +422,8 @@ def _choose_structure(name: str, *, effects: bool) -> tuple[Structure, str | Non
     """
     predictor = name if name in finders() else None
     if predictor is None and name not in STRUCTURES:
-        raise OptionError("structure", f" '{name}': give one of {', '.join((*STRUCTURES, *finders()))}")
+        known = (*STRUCTURES, *finders())
+        raise OptionError("structure", f" '{name}': give one of {', '.join(known)}{similar_name(name, known)}")
     chosen = STRUCTURES[ACCOMPANYING if predictor else name]
     if effects and (predictor or not chosen.takes_effects):
         supported = " or ".join(structure.name for structure in STRUCTURES.values() if structure.takes_effects)

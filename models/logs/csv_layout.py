@@ -89,14 +89,16 @@ def read_layout(path: Path, file: BinaryIO) -> CsvLayout:
             # A comma inside a number is a separator only if the line has no other separator.
             separator = max(_SEPARATORS, key=_COMMA_IN_NUMBER.sub(".", first).count)
         if "\0" in first:
-            raise ConfigError(f"{path}: cannot be read as CSV (it contains zero bytes)")
+            raise ConfigError(f"{path}: cannot be read as CSV (it contains zero bytes); save it as UTF-8 text")
         if first.count(separator) >= _MAX_COLUMNS:
             raise ConfigError(
                 f"{path}: {first.count(separator) + 1:,} columns, the limit is {_MAX_COLUMNS:,}; is it a log?"
             )
         names = [name.strip() for name in next(csv.reader([first], delimiter=separator), [])]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(f"{path}: cannot be read as CSV ({getattr(error, 'strerror', None) or error})") from error
+        remedy = "" if isinstance(error, OSError) else "; save it as UTF-8 text"
+        problem = getattr(error, "strerror", None) or error
+        raise ConfigError(f"{path}: cannot be read as CSV ({problem}){remedy}") from error
     while names and not names[-1]:
         names.pop()
     if _are_numbers(names, separator):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
-from diffdrive_mpc.models.errors import wrong_type
+from diffdrive_mpc.models.errors import checked_call, wrong_type
 from diffdrive_mpc.models.function_structure import function_structures
 from diffdrive_mpc.models.load import is_shipped
 from diffdrive_mpc.models.named_file import is_file, named_file, shipped_names
@@ -22,6 +22,7 @@ from diffdrive_mpc.mpc.config.schema import ControllerConfig
 PARAMETERS = Path(__file__).parent / "parameters"
 
 
+@checked_call()
 def load_config(
     source: str | Path | Mapping[str, object] | ControllerConfig = "ssm",
     overrides: Mapping[str, object] | None = None,
@@ -62,6 +63,8 @@ def load_config(
     data = read_yaml(path)
     if not isinstance(data, Mapping):
         raise ConfigError(f"{path}: expected keys and values; an example: diffdrive-mpc config show ssm")
+    if "structure" in data:
+        raise ConfigError(f"{path}: a model, not a configuration; give it by --model, or as 'model' in a configuration")
     where = path.stem if path.stem == str(source) else str(path)
     config = _check_config(_apply_overrides(side_by_side(data, where), overrides), where)
     local = path.parent / config.model

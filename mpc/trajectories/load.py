@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
-from diffdrive_mpc.models.errors import wrong_type
+from diffdrive_mpc.models.errors import checked_call, wrong_type
 from diffdrive_mpc.models.named_file import named_file, shipped_names
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits, load_settings
@@ -26,6 +26,7 @@ _RANDOM = "spline-SEED"
 """Pattern of the names of random splines."""
 
 
+@checked_call()
 def load_trajectory(
     name_or_path: str | Path,
     limits: TrajectoryLimits | ControllerConfig | None = None,
@@ -60,6 +61,8 @@ def load_trajectory(
             name_or_path,
             "create one from arrays with Trajectory.from_arrays(t, x, y) or Trajectory.from_waypoints(points)",
         )
+    if isinstance(limits, str):
+        raise wrong_type("limits", "the limits of a robot", limits, "the timing is a keyword: timing='smooth'")
     chosen = next((known for known in TIMINGS if known == timing), None)
     if timing is not None and chosen is None:
         raise ConfigError(f"timing '{timing}': give {', '.join(TIMINGS[:-1])} or {TIMINGS[-1]}")
@@ -71,7 +74,7 @@ def load_trajectory(
         from diffdrive_mpc.mpc.trajectories.random_spline import lay_random_spline  # noqa: PLC0415 - see _read
 
         return lay_random_spline(int(random[1]), limits or TrajectoryLimits.of_robot(), chosen)
-    path = named_file("trajectory", _FOLDER, name_or_path, BUILT_IN, f", {_RANDOM}")
+    path = trajectory_file(name_or_path)
     try:
         trajectory = _read(path, limits or TrajectoryLimits.of_robot(), chosen)
     except BeyondLimitError as error:
@@ -86,6 +89,11 @@ def load_trajectory(
             f"{path}: the duration is {trajectory.duration:.3g} s, at most {max_duration:g} s: are times in s?"
         )
     return trajectory
+
+
+def trajectory_file(name_or_path: str | Path) -> Path:
+    """Return the file of a trajectory that is no random spline; raise ConfigError if there is none."""
+    return named_file("trajectory", _FOLDER, name_or_path, BUILT_IN, f", {_RANDOM}")
 
 
 def load_segments(name_or_path: str | Path) -> tuple[Segment, ...]:

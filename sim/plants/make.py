@@ -12,7 +12,7 @@ import numpy as np
 
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.errors import wrong_type
+from diffdrive_mpc.models.errors import checked_call, wrong_type
 from diffdrive_mpc.models.named_file import is_file
 from diffdrive_mpc.models.robot import Robot, TwistBounds, load_robot
 from diffdrive_mpc.models.two_sided import sides_of
@@ -36,6 +36,7 @@ _IDENTIFIED = 57
 """Key of the random stream of identified robots, separate from the noise of the same seed."""
 
 
+@checked_call()
 def make_plant(
     name: str | Path | VelocityModel | NonlinearModel,
     surface: str | Path = "default",

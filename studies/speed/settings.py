@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
+from diffdrive_mpc.models.suggestions import not_among
 
 Names = Annotated[tuple[str, ...], Field(min_length=1)]
 Count = Annotated[int, Field(ge=1, le=100_000)]
@@ -69,6 +70,6 @@ def select_subjects(settings: SpeedSettings, names: Sequence[str] | None) -> Spe
             full: subject for full, subject in settings.subjects.items() if full == name or full.startswith(f"{name}/")
         }
         if not best:
-            raise ConfigError(f"--peers: there is no '{name}'; known: {', '.join(settings.subjects)}")
+            raise ConfigError(f"--peers: there is no {not_among(name, settings.subjects)}")
         subjects |= best
     return settings.model_copy(update={"subjects": subjects})
