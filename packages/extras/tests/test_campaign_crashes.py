@@ -1,4 +1,4 @@
-"""A campaign that is killed or finds the disk full at any moment, two at once, and other factors in between."""
+"""Campaigns that are killed or find a full disk at any time, concurrent campaigns, and alternating factors."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from diffdrive_mpc_extras.campaign import engine
 from diffdrive_mpc_extras.campaign.definition import Definition
 from diffdrive_mpc_extras.campaign.drive import Row
 from diffdrive_mpc_extras.campaign.engine import CampaignPlace, Store
-from diffdrive_mpc_extras.campaign.run import needs_arrow, read_table, run_campaign
+from diffdrive_mpc_extras.campaign.run import import_arrow, read_table, run_campaign
 
 FILE = 'description: of a test\nruns: 3\nfactors:\n  plant: "model:sm"\n  trajectory: circle\n  config.weights.across: '
-MOMENTS = [*Random(5).sample(range(1, 40), 13), 500]
+CALL_COUNTS = [*Random(5).sample(range(1, 40), 13), 500]
 
 
 @pytest.fixture(autouse=True)
@@ -41,20 +41,20 @@ def quick_drives(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def files(tmp_path: Path) -> tuple[Path, Path]:
-    """Two campaigns with runs of other weights."""
-    made = tmp_path / "first.yaml", tmp_path / "second.yaml"
-    for path, factor in zip(made, ("{uniform: [300, 900]}", "{uniform: [400, 1500]}"), strict=True):
+    """Two campaign files with different weights."""
+    paths = tmp_path / "first.yaml", tmp_path / "second.yaml"
+    for path, factor in zip(paths, ("{uniform: [300, 900]}", "{uniform: [400, 1500]}"), strict=True):
         path.write_text(FILE + factor + "\n", encoding="utf-8")
-    return made
+    return paths
 
 
-def carried_out(file: Path, out: Path) -> object:
+def campaign_table(file: Path, out: Path) -> object:
     run_campaign(file, CampaignPlace(out, jobs=1))
     return read_table(out / "results.parquet", times=False)
 
 
 def check_whole(out: Path) -> None:
-    """Raise if a file is half-written, as somebody would find it who looks there now."""
+    """Check that no row and no table is half-written."""
     store = Store(out)
     assert None not in map(store.load, store.keys())
     if (out / "results.parquet").exists():
@@ -62,25 +62,23 @@ def check_whole(out: Path) -> None:
 
 
 @pytest.mark.parametrize("full", [False, True], ids=["killed", "disk full"])
-def test_a_campaign_that_breaks_off_goes_on_and_comes_to_the_same(
-    files: tuple[Path, Path], tmp_path: Path, full: bool
-) -> None:
-    expected = [carried_out(file, tmp_path / f"quiet-{file.stem}") for file in files]
+def test_interrupted_campaign_continues_to_the_same_table(files: tuple[Path, Path], tmp_path: Path, full: bool) -> None:
+    expected = [campaign_table(file, tmp_path / f"quiet-{file.stem}") for file in files]
     codes = []
-    for moment in MOMENTS:
-        out = tmp_path / f"out-{moment}"
-        codes.append(crash(lambda out=out: carried_out(files[0], out), out, moment, full=full))
+    for call_count in CALL_COUNTS:
+        out = tmp_path / f"out-{call_count}"
+        codes.append(crash(lambda out=out: campaign_table(files[0], out), out, call_count, full=full))
         check_whole(out)
         assert not full or not list(out.rglob(".unfinished*"))
-        # Other factors in between, and then what was asked for at first.
-        assert [carried_out(file, out) for file in reversed(files)] == expected[::-1]
+        # Run the second campaign in between, and then repeat the first.
+        assert [campaign_table(file, out) for file in reversed(files)] == expected[::-1]
         assert len(Store(out).keys()) == 6
     assert set(codes) == {0, REFUSED if full else KILLED}
 
 
-def test_two_campaigns_at_once_on_one_store_lose_nothing(files: tuple[Path, Path], tmp_path: Path) -> None:
-    """The same twice, and another one."""
-    expected, out = [carried_out(file, tmp_path / f"quiet-{file.stem}") for file in files], tmp_path / "out"
+def test_concurrent_campaigns_share_one_store_without_loss(files: tuple[Path, Path], tmp_path: Path) -> None:
+    """Run one campaign twice and another campaign once, all at the same time."""
+    expected, out = [campaign_table(file, tmp_path / f"quiet-{file.stem}") for file in files], tmp_path / "out"
     children = []
     for file in (files[0], files[0], files[1]):
         children.append(os.fork())
@@ -88,14 +86,14 @@ def test_two_campaigns_at_once_on_one_store_lose_nothing(files: tuple[Path, Path
             code = 1
             try:
                 for _ in range(5):
-                    carried_out(file, out)
+                    campaign_table(file, out)
                 code = 0
             finally:
                 os._exit(code)
     assert [os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in children] == [0, 0, 0]
     check_whole(out)
     assert not list(out.rglob(".unfinished*"))
-    assert [carried_out(file, out) for file in files] == expected
+    assert [campaign_table(file, out) for file in files] == expected
 
 
 def forge(path: Path, change: Callable[[dict[str, object]], None]) -> None:
@@ -114,33 +112,33 @@ def forge(path: Path, change: Callable[[dict[str, object]], None]) -> None:
         ("square", lambda row: row.pop("square")),
     ],
 )
-def test_forged_figure_is_refused_by_file_run_and_column(
+def test_error_of_a_forged_value_names_file_run_and_column(
     files: tuple[Path, Path], tmp_path: Path, column: str, change: Callable[[dict[str, object]], None]
 ) -> None:
     out = tmp_path / "out"
-    expected = carried_out(files[0], out)
+    expected = campaign_table(files[0], out)
     path = sorted(out.glob("runs/*/*.json"))[1]
     forge(path, change)
     with pytest.raises(ConfigError) as error:
-        carried_out(files[0], out)
+        campaign_table(files[0], out)
     assert all(words in str(error.value) for words in (str(path), path.stem[:12], f"'{column}'"))
     path.unlink()
-    assert carried_out(files[0], out) == expected
+    assert campaign_table(files[0], out) == expected
 
 
-def test_row_of_another_run_is_refused(files: tuple[Path, Path], tmp_path: Path) -> None:
+def test_row_of_another_run_is_rejected(files: tuple[Path, Path], tmp_path: Path) -> None:
     out = tmp_path / "out"
-    carried_out(files[0], out)
+    campaign_table(files[0], out)
     first, second, _ = sorted(out.glob("runs/*/*.json"))
     second.write_bytes(first.read_bytes())
     with pytest.raises(ConfigError, match=second.stem[:12]):
-        carried_out(files[0], out)
+        campaign_table(files[0], out)
 
 
-def test_full_disk_is_said_with_the_name_of_the_file(
+def test_error_of_a_full_disk_names_the_file(
     files: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Writing fails after opening; what `os.open` refuses names its file by itself."""
+    """Writing fails after the file is opened; errors of `os.open` already name the file."""
     out = tmp_path / "out"
 
     def full(*_: object, **__: object) -> None:
@@ -150,12 +148,12 @@ def test_full_disk_is_said_with_the_name_of_the_file(
     with monkeypatch.context() as patch:
         patch.setattr(Path, "write_text", full)
         with pytest.raises(OSError, match=r"No space left on device.*runs/.*\.json"):
-            carried_out(files[0], out)
-    carried_out(files[0], out)
+            campaign_table(files[0], out)
+    campaign_table(files[0], out)
     (out / "results.parquet").unlink()
-    _, parquet = needs_arrow()
+    _, parquet = import_arrow()
     monkeypatch.setattr(parquet, "write_table", full)
     with pytest.raises(OSError, match=r"No space left on device.*results\.parquet"):
-        carried_out(files[0], out)
+        campaign_table(files[0], out)
     assert not (out / "results.parquet").exists()
     assert not list(out.rglob(".unfinished*"))

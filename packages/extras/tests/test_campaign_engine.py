@@ -1,4 +1,4 @@
-"""The campaign engine: what defines a run, what is kept, what is driven again, and the table."""
+"""Campaign engine: definition and hash of a run, stored rows, repeated runs, and the table."""
 
 import shutil
 from dataclasses import replace
@@ -19,15 +19,15 @@ from diffdrive_mpc_extras.campaign import definition
 from diffdrive_mpc_extras.campaign import drive as drive_module
 from diffdrive_mpc_extras.campaign.command_check import Unsafe
 from diffdrive_mpc_extras.campaign.definition import Definition, key_of
-from diffdrive_mpc_extras.campaign.drive import RecordedController, built, drive, drive_whole
+from diffdrive_mpc_extras.campaign.drive import RecordedController, built, drive, drive_run
 from diffdrive_mpc_extras.campaign.engine import (
     CampaignPlace,
     CampaignTask,
     OtherVersionError,
     Store,
-    do,
+    describe_errors,
     drive_all,
-    failed,
+    run_task,
 )
 from diffdrive_mpc_extras.campaign.run import read_table
 
@@ -57,21 +57,21 @@ def campaign(tmp_path: Path, short: Path) -> Path:
     return path
 
 
-def test_a_repeated_campaign_drives_nothing(campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_repeated_campaign_simulates_no_run(campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "out"
     assert "6 runs, 6 completed" in call("campaign", campaign, "--out", out, "--jobs", "1")
     before = read_table(out / "results.parquet")
 
-    def none_is_driven(_: object) -> None:
-        raise AssertionError("driven again")
+    def fail(_: object) -> None:
+        raise AssertionError("run was repeated")
 
-    monkeypatch.setattr("diffdrive_mpc_extras.campaign.engine.drive", none_is_driven)
+    monkeypatch.setattr("diffdrive_mpc_extras.campaign.engine.drive", fail)
     call("campaign", campaign, "--out", out, "--jobs", "1")
-    # Times included: nothing was measured again.
+    # The comparison includes the columns of time.
     assert read_table(out / "results.parquet").equals(before)
 
 
-def test_processes_parts_and_copied_folders_give_the_same_table(campaign: Path, tmp_path: Path) -> None:
+def test_table_does_not_depend_on_processes_parts_and_copied_folders(campaign: Path, tmp_path: Path) -> None:
     whole, first, second = (tmp_path / name for name in ("whole", "first", "second"))
     call("campaign", campaign, "--out", whole, "--jobs", "2", "--runs", "16")
     call("campaign", campaign, "--out", first, "--jobs", "1", "--runs", "16", "--part", "1/2")
@@ -84,7 +84,7 @@ def test_processes_parts_and_copied_folders_give_the_same_table(campaign: Path, 
     assert expected.num_rows == 16
 
 
-def test_a_file_that_was_cut_off_is_driven_again(campaign: Path, tmp_path: Path) -> None:
+def test_damaged_and_missing_rows_are_repeated(campaign: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     call("campaign", campaign, "--out", out, "--jobs", "1", "--runs", "2")
     expected = read_table(out / "results.parquet", times=False)
@@ -95,23 +95,25 @@ def test_a_file_that_was_cut_off_is_driven_again(campaign: Path, tmp_path: Path)
     assert read_table(out / "results.parquet", times=False).equals(expected)
 
 
-def test_run_gives_the_result_of_simulate() -> None:
+def test_row_equals_the_result_of_simulate() -> None:
     case = quick_case(sensors="default")
     row = drive(Definition(case))
-    run, _ = drive_whole(Definition(case))
+    run, _ = drive_run(Definition(case))
     metrics = run.metrics
     assert (row["position_rmse_m"], row["steps"]) == (metrics.position_rmse_m, metrics.steps)
     assert row["ticks_tracking"] == run.modes.count("TRACKING")
     assert sum(value for name, value in row.items() if name.startswith("ticks_")) == len(run.time)  # type: ignore[misc]
 
 
-def test_the_hash_knows_everything_that_decides(short: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hash_covers_factors_files_and_environment(
+    short: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     first = Definition.from_factors({"trajectory": str(short), "plant": "model:sm"})
     keys = {key_of(first)}
     for second in (
         first.with_seed(1),
-        first.changed({"config.horizon": 20}),
-        first.changed({"sensors.pose.latency": 0.03}),
+        first.with_factors({"config.horizon": 20}),
+        first.with_factors({"sensors.pose.latency": 0.03}),
         Definition.from_factors({"trajectory": "circle", "plant": "model:sm"}),
     ):
         keys.add(key_of(second))
@@ -126,7 +128,7 @@ def test_the_hash_knows_everything_that_decides(short: Path, tmp_path: Path, mon
     assert key_of(first) not in keys
 
 
-def test_the_hash_knows_files_that_a_file_names(tmp_path: Path) -> None:
+def test_hash_covers_referenced_files(tmp_path: Path) -> None:
     model = tmp_path / "model.yaml"
     shipped = Path(definition.models.__file__).parent / "parameters" / "sm.yaml"
     model.write_text(shipped.read_text(encoding="utf-8"), encoding="utf-8")
@@ -138,15 +140,15 @@ def test_the_hash_knows_files_that_a_file_names(tmp_path: Path) -> None:
     assert key_of(run) != before
 
 
-def test_who_has_other_files_does_not_drive(short: Path) -> None:
+def test_worker_with_different_files_raises_an_error(short: Path) -> None:
     task = CampaignTask.for_run(Definition.from_factors({"trajectory": str(short), "plant": "model:sm"}))
-    assert do(task)["completed"] is True
+    assert run_task(task)["completed"] is True
     short.write_text(SHORT.replace("0.3", "0.2"), encoding="utf-8")
-    with pytest.raises(OtherVersionError, match="has another version of this product"):
-        do(task)
+    with pytest.raises(OtherVersionError, match="has a different version of this product"):
+        run_task(task)
 
 
-def test_a_run_that_cannot_go_on_has_its_error_in_its_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_error_of_a_run_is_in_its_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     definition = Definition(quick_case())
 
     def refuse(*_: object, **__: object) -> None:
@@ -154,21 +156,21 @@ def test_a_run_that_cannot_go_on_has_its_error_in_its_row(tmp_path: Path, monkey
 
     monkeypatch.setattr(drive_module, "simulate", refuse)
     with ProgressBar("") as bar:
-        driven = drive_all([definition, definition], CampaignPlace(tmp_path, 1), bar)
-    assert len(driven) == 1
-    assert driven[0].row["completed"] is False
-    assert failed(driven).endswith("ZeroDivisionError: of a test")
+        runs = drive_all([definition, definition], CampaignPlace(tmp_path, 1), bar)
+    assert len(runs) == 1
+    assert runs[0].row["completed"] is False
+    assert describe_errors(runs).endswith("ZeroDivisionError: of a test")
 
 
-def test_a_factor_changes_what_the_robot_has_and_nothing_else(tmp_path: Path) -> None:
-    """A robot file with sensors and a floor of its own, as a twin is: late poses do not make its gyro better."""
+def test_factor_replaces_only_its_value_of_the_robot_file(tmp_path: Path) -> None:
+    """Use a robot file with sensors and friction, as `twin` writes it; pose latency must not change its gyro."""
     surface = {"description": "noisy", "friction": 0.3, "sensors": {"gyro": {"noise_sd": 0.5, "bias_sd": 0.0}}}
     path = tmp_path / "robot.yaml"
     path.write_text(yaml.safe_dump(surface), encoding="utf-8")
 
     def reading_and_gain(**factors: float) -> tuple[float, float]:
-        named = {"plant": f"mujoco:{path}", "seed": 3} | factors
-        with built(Definition.from_factors(named)) as (_, plant, _):
+        values = {"plant": f"mujoco:{path}", "seed": 3} | factors
+        with built(Definition.from_factors(values)) as (_, plant, _):
             plant.reset(np.zeros(3))
             speeds = []
             for _ in range(30):
@@ -189,7 +191,7 @@ def test_a_factor_changes_what_the_robot_has_and_nothing_else(tmp_path: Path) ->
         ({"robot.robot.mass": 8.0, "plant": "model:sm"}, "the plant 'model:sm' has no robot file"),
     ],
 )
-def test_a_mistake_is_found_before_the_first_run(factors: dict[str, object], line: str, tmp_path: Path) -> None:
+def test_invalid_factor_is_reported_before_the_first_run(factors: dict[str, object], line: str, tmp_path: Path) -> None:
     with ProgressBar("") as bar, pytest.raises(ConfigError) as caught:
         drive_all([Definition.from_factors({}), Definition.from_factors(factors)], CampaignPlace(tmp_path, 1), bar)  # type: ignore[arg-type]
     assert line in str(caught.value)
@@ -197,44 +199,44 @@ def test_a_mistake_is_found_before_the_first_run(factors: dict[str, object], lin
     assert not Store(tmp_path).keys()
 
 
-def test_a_mistake_on_the_command_line_is_one_line(campaign: Path, tmp_path: Path) -> None:
-    line = "--part 3/2: give the number of the part and of how many, such as 2/8"
+def test_invalid_part_is_reported_in_one_line(campaign: Path, tmp_path: Path) -> None:
+    line = "--part 3/2: give the number of the part and the number of parts, such as 2/8"
     assert line in call("campaign", campaign, "--out", tmp_path / "out", "--part", "3/2", code=2)
 
 
 NONE = Unsafe(0, 0, 0, 0)
 BLACKOUT = """
-description: poses stay away for good while the robot drives
+description: poses are lost permanently while the robot drives
 drop_outs: [{sensor: pose, start: 2.0, duration: 60.0}]
 """
 
 
 @pytest.mark.parametrize("scenario", ["sensor_dropouts", "push", "frozen_pose", "pose_jump"])
-def test_the_controller_keeps_what_it_states(scenario: str) -> None:
+def test_controller_keeps_its_stated_limits(scenario: str) -> None:
     row = drive(Definition.from_factors({"scenario": scenario, "model": "sm"}))
     assert row["error"] == ""
     assert [row[f"unsafe_{name}"] for name in ("not_finite", "limit", "slew", "motion")] == [0] * 4
 
 
-def test_without_poses_it_stops_in_time_and_one_tick_later_would_be_found(tmp_path: Path) -> None:
+def test_stop_after_a_loss_of_poses_is_in_time_and_delay_is_counted(tmp_path: Path) -> None:
     path = tmp_path / "blackout.yaml"
     path.write_text(BLACKOUT, encoding="utf-8")
     definition = Definition.from_factors(
         {"scenario": str(path), "plant": "model:ssm", "config.failure.dead_reckoning": 0.0}
     )
     controller, plant, reference = build(definition.case)
-    watched = RecordedController(controller)
-    run = simulate(watched, plant, reference)
+    recorded = RecordedController(controller)
+    run = simulate(recorded, plant, reference)
     assert run.modes[-1] == "STOPPED"
-    assert watched.unsafe(definition) == NONE
-    # What is sent half a second late is motion that was not allowed.
-    late = int(0.5 / run.sample_time)
-    watched.commands = [*[watched.commands[0]] * late, *watched.commands[:-late]]
-    counts = watched.unsafe(definition)
-    assert counts.motion >= late - 2
+    assert recorded.unsafe(definition) == NONE
+    # Commands with a delay of half a second violate the motion limit.
+    delay = int(0.5 / run.sample_time)
+    recorded.commands = [*[recorded.commands[0]] * delay, *recorded.commands[:-delay]]
+    counts = recorded.unsafe(definition)
+    assert counts.motion >= delay - 2
 
 
-def test_a_command_that_the_loop_refuses_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_command_rejected_by_the_loop_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     step = RecordedController.step
 
     def poisoned(self: RecordedController, t: float, measurement: Measurement) -> ControlStep:

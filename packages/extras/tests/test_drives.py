@@ -1,4 +1,4 @@
-"""Drive models against hand-written loops, an ODE solver, finite differences and known truths."""
+"""Drive models compared with hand-written loops, an ODE solver, finite differences and known parameters."""
 
 from itertools import pairwise
 
@@ -15,39 +15,41 @@ from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.logs import Record
 from diffdrive_mpc.sim import make_plant
 from diffdrive_mpc_extras.drives.drive_model import Channel, DriveModel, PhysicalFile, drive_model, experimental_step
-from diffdrive_mpc_extras.drives.finding import told_by
+from diffdrive_mpc_extras.drives.finding import identify_drive
 from diffdrive_mpc_extras.drives.fitting import fit_drive
 
 DRIVES = ("p2_experimental", "p2_physical")
 DT, STILL = 0.02, 0.005
-NUMBERS = {"gain": 1.1, "quicker": 1.5, "slower": 2.5, "lag": 0.08, "least": 0.05, "by_slope": 0.06}
+PARAMETERS = {"gain": 1.1, "quicker": 1.5, "slower": 2.5, "lag": 0.08, "least": 0.05, "by_slope": 0.06}
 
 
 def reversals() -> np.ndarray:
-    """Return (K,) ramps through zero, slow and quick, steps, and a stop before the other direction."""
+    """Return commands (K,) with slow and fast ramps through zero, steps, and a stop before a change of direction."""
     corners = [(0, 0.0), (50, 0.0), (100, 0.6), (200, 0.6), (350, -0.6), (420, -0.6), (440, 0.5), (500, 0.5)]
     corners += [(501, -0.4), (600, -0.4), (630, 0.0), (700, 0.0), (760, 0.3), (900, 0.3)]
     return np.interp(np.arange(900), *np.transpose(corners))
 
 
-def by_hand(u: np.ndarray) -> np.ndarray:
-    """Compute (K,) speeds of the experimental model as the paper describes it, in plain Python."""
+def simulate_by_hand(u: np.ndarray) -> np.ndarray:
+    """Simulate speeds (K,) of the experimental model in plain Python, as described in the paper."""
     reference = speed = slope = direction = 0.0
     speeds = []
     for command in u:
         speeds.append(speed)
         change = command - reference
-        both = 0.5 * (NUMBERS["quicker"] + NUMBERS["slower"])
+        mean_slope = 0.5 * (PARAMETERS["quicker"] + PARAMETERS["slower"])
         towards_zero = reference * change < 0
-        most = DT * (both if reference == 0 or change == 0 else NUMBERS["slower" if towards_zero else "quicker"])
-        change = min(max(change, -most), most)
+        max_change = DT * (
+            mean_slope if reference == 0 or change == 0 else PARAMETERS["slower" if towards_zero else "quicker"]
+        )
+        change = min(max(change, -max_change), max_change)
         reference += change
         slope += (1 - np.exp(-DT / 0.1)) * (abs(change) / DT - slope)
         reversed_ = direction * reference < 0
         rises = slope > STILL / 0.1
-        stands = reversed_ and rises and abs(reference) < NUMBERS["least"] + NUMBERS["by_slope"] * slope
-        share = abs(direction) if stands else 0.0
-        speed += (1 - np.exp(-DT / NUMBERS["lag"])) * (NUMBERS["gain"] * reference * (1 - share) - speed)
+        stands = reversed_ and rises and abs(reference) < PARAMETERS["least"] + PARAMETERS["by_slope"] * slope
+        blocked = abs(direction) if stands else 0.0
+        speed += (1 - np.exp(-DT / PARAMETERS["lag"])) * (PARAMETERS["gain"] * reference * (1 - blocked) - speed)
         direction *= np.exp(-DT / 10.0)
         if abs(speed) > STILL:
             direction = np.sign(speed)
@@ -59,16 +61,16 @@ def run(*, sharp: bool) -> np.ndarray:
     x, speeds = np.zeros(4), []
     for command in reversals():
         speeds.append(x[1])
-        x = step(x, command, list(NUMBERS.values())).full().ravel()
+        x = step(x, command, list(PARAMETERS.values())).full().ravel()
     return np.array(speeds)
 
 
-def test_the_sharp_experimental_model_is_the_loop_written_by_hand():
-    assert np.abs(run(sharp=True) - by_hand(reversals())).max() < 1e-12
+def test_sharp_experimental_model_equals_the_hand_written_loop():
+    assert np.abs(run(sharp=True) - simulate_by_hand(reversals())).max() < 1e-12
 
 
 @pytest.mark.parametrize("name", DRIVES)
-def test_gradients_are_those_of_finite_differences(name):
+def test_gradients_equal_finite_differences(name):
     model = load_model(name)
     x, window = ca.SX.sym("x", model.order), ca.SX.sym("w", 2 * (model.memory + 1))
     stacked = ca.vertcat(x, window)
@@ -82,8 +84,8 @@ def test_gradients_are_those_of_finite_differences(name):
         assert np.abs(exact - numeric).max() < 1e-5 * max(1.0, np.abs(exact).max())
 
 
-def test_the_physical_model_solves_the_equations_of_both_wheels():
-    """Equations 14 to 17 by an ODE solver, a PI controller and an actuator for each wheel."""
+def test_physical_model_solves_the_equations_of_both_wheels():
+    """Compare with equations 14 to 17 in an ODE solver, with a PI controller and an actuator for each wheel."""
     file = check(PhysicalFile, read_yaml(model_path("p2_physical")), "p2_physical")
     c, d = file.chassis, file.wheel_drive
     forward = c.mass * c.wheel_radius**2 / 4
@@ -91,50 +93,50 @@ def test_the_physical_model_solves_the_equations_of_both_wheels():
     inertia = np.array([[forward + turning, forward - turning], [forward - turning, forward + turning]])
     inertia += c.wheel_inertia * np.eye(2)
     dt, count = file.sample_time, 60
-    switched = 20 * dt
+    switch_time = 20 * dt
 
     def command(t: float) -> np.ndarray:
-        return np.array([0.3, 0.4]) if t < switched - 1e-9 else np.array([0.35, -0.2])
+        return np.array([0.3, 0.4]) if t < switch_time - 1e-9 else np.array([0.35, -0.2])
 
     def rates(t: float, x: np.ndarray, dead: np.ndarray) -> np.ndarray:
         # Right and left wheel: speed, torque, integral of the error.
         speed, torque, integral = x.reshape(3, 2)
-        v, omega = (command(t - late)[i] if t >= late else 0.0 for i, late in enumerate(dead))
+        v, omega = (command(t - delay)[i] if t >= delay else 0.0 for i, delay in enumerate(dead))
         v, omega = v * file.v.gain, omega * file.omega.gain
-        wanted = np.array([v + omega * c.track / 2, v - omega * c.track / 2]) / c.wheel_radius
-        error = wanted - speed
-        wished = d.proportional_gain * (error + integral / d.integral_time)
+        target = np.array([v + omega * c.track / 2, v - omega * c.track / 2]) / c.wheel_radius
+        error = target - speed
+        target_torque = d.proportional_gain * (error + integral / d.integral_time)
         acceleration = np.linalg.solve(inertia, torque - d.friction * speed)
-        return np.concatenate([acceleration, (wished - torque) / d.actuator_lag, error])
+        return np.concatenate([acceleration, (target_torque - torque) / d.actuator_lag, error])
 
-    # Slopes so steep that a step is a step.
+    # The slope limits are so high that they do not act.
     steps = {"quicker": 1e6, "slower": 1e6}
     steep = file.model_copy(update={k: getattr(file, k).model_copy(update=steps) for k in ("v", "omega")})
     dead = [file.v.dead_samples, file.omega.dead_samples]
     model = drive_model("p", "drive_physical", dt, dead, [1e-3, 1e-3], steep.coefficients())
-    ours = model.simulate(np.array([command(k * dt + 1e-9) for k in range(count)]))
-    # Pieces between the jumps: the solver must not step over one.
-    late = dt * np.array(dead)
-    edges = sorted({0.0, *late, *(late + switched), (count - 1) * dt})
+    simulated = model.simulate(np.array([command(k * dt + 1e-9) for k in range(count)]))
+    # Integrate each interval between jumps separately, so that the solver cannot step over a jump.
+    delays = dt * np.array(dead)
+    edges = sorted({0.0, *delays, *(delays + switch_time), (count - 1) * dt})
     x, times, speeds = np.zeros(6), [], []
 
     for start, end in pairwise(edges):
         middle = 0.5 * (start + end)
         instants = [k * dt for k in range(count) if start - 1e-9 <= k * dt < end - 1e-9]
         options = {"t_eval": [*instants, end], "method": "Radau", "rtol": 1e-9, "atol": 1e-11}
-        solved = solve_ivp(lambda t, x, m=middle: rates(m, x, late), (start, end), x, **options)
+        solved = solve_ivp(lambda t, x, m=middle: rates(m, x, delays), (start, end), x, **options)
         times += instants
         speeds += list(solved.y[:2, : len(instants)].T)
         x = solved.y[:, -1]
     right, left = np.array(speeds).T * c.wheel_radius
-    theirs = np.column_stack([(right + left) / 2, (right - left) / c.track])
+    expected = np.column_stack([(right + left) / 2, (right - left) / c.track])
     assert len(times) >= count - 1
-    assert np.abs(ours[: len(theirs)] - theirs).max() < 1e-6
-    assert np.abs(theirs).max() > 0.2
+    assert np.abs(simulated[: len(expected)] - expected).max() < 1e-6
+    assert np.abs(expected).max() > 0.2
 
 
 @pytest.mark.parametrize("name", DRIVES)
-def test_as_a_plant_it_is_sharp(name):
+def test_plant_uses_the_sharp_step(name):
     model = load_model(name)
     plant = make_plant(f"model:{name}", surface="ideal", seed=1)
     x, past = np.zeros(model.order), np.zeros((model.memory, 2))
@@ -146,7 +148,7 @@ def test_as_a_plant_it_is_sharp(name):
     assert plant.true_twist[[0, 2]] == pytest.approx(model.output(x).full().ravel(), abs=1e-9)
 
 
-def test_a_wrong_file_is_one_line(tmp_path):
+def test_invalid_file_raises_a_one_line_error(tmp_path):
     path = tmp_path / "drive.yaml"
     path.write_text(model_path("p2_experimental").read_text().replace("lag:", "lagg:"), encoding="utf-8")
     with pytest.raises(ConfigError, match="key 'v.lag' is missing"):
@@ -160,8 +162,8 @@ LIMITED = [np.array([0.95, 1.0, 1.6, 0.1, 0.0, 0.0]), np.array([0.8, 2.0, 3.0, 0
 UNLIMITED = [np.array([0.95, NO_LIMIT, NO_LIMIT, 0.1, 0.0, 0.0]), np.array([0.8, NO_LIMIT, NO_LIMIT, 0.06, 0.0, 0.0])]
 
 
-def driven(coefficients, seed, seconds=40.0, *, backwards=True):
-    """Return noisy readings of a sharp experimental drive whose set-points change every 0.8 s."""
+def drive_record(coefficients, seed, seconds=40.0, *, backwards=True):
+    """Return a record with noisy readings of a sharp experimental drive; the commands change every 0.8 s."""
     rng = np.random.default_rng(seed)
     low = -1.0 if backwards else 0.3
     commands = np.repeat(rng.uniform(low, 1.0, (round(seconds / 0.8), 2)), round(0.8 / LOG_DT), axis=0)
@@ -176,16 +178,16 @@ def driven(coefficients, seed, seconds=40.0, *, backwards=True):
     return Record(f"drive {seed}", 0.0, LOG_DT, commands, twist=noisy, yaw_rate=noisy[:, 1] + 0.01)
 
 
-def doubts_of(coefficients, kind="drive_experimental", **how):
-    records = [driven(coefficients, 1, **how)]
-    return told_by(fit_drive(kind, records), records)
+def identify_example(coefficients, kind="drive_experimental", **options):
+    records = [drive_record(coefficients, 1, **options)]
+    return identify_drive(fit_drive(kind, records), records)
 
 
-def test_slope_limits_that_act_are_told_within_their_uncertainty():
-    finding = doubts_of(LIMITED)
-    assert not {"v.quicker", "v.slower", "omega.quicker", "omega.slower"} & set(finding.identified)
-    assert {"v.threshold", "v.threshold_by_slope"} <= set(finding.identified), "this robot never stands still"
-    # Rounding gives up some of the limit at its corner, which no noise explains.
+def test_active_slope_limits_are_identified_within_their_uncertainty():
+    finding = identify_example(LIMITED)
+    assert not {"v.quicker", "v.slower", "omega.quicker", "omega.slower"} & set(finding.prior_names)
+    assert {"v.threshold", "v.threshold_by_slope"} <= set(finding.prior_names), "this robot never stands still"
+    # The smoothing lowers the limit at its corner, which adds a systematic error.
     for row, channel in enumerate(("v", "omega")):
         for name, truth in zip(("gain", "quicker", "slower"), LIMITED[row], strict=False):
             assert finding.estimate.value(f"{channel}.{name}") == pytest.approx(truth, rel=0.12), name
@@ -194,10 +196,10 @@ def test_slope_limits_that_act_are_told_within_their_uncertainty():
 
 
 def test_parameters_undetermined_by_a_log_keep_their_prior():
-    """No slope that acts, and never a change of direction: neither limit nor threshold can be told."""
-    finding = doubts_of(UNLIMITED, backwards=False)
-    untold = {"quicker", "slower", "threshold", "threshold_by_slope"}
-    assert set(finding.identified) == {f"{channel}.{name}" for channel in ("v", "omega") for name in untold}
+    """Use a log without active slope limits and without changes of direction."""
+    finding = identify_example(UNLIMITED, backwards=False)
+    undetermined = {"quicker", "slower", "threshold", "threshold_by_slope"}
+    assert set(finding.prior_names) == {f"{channel}.{name}" for channel in ("v", "omega") for name in undetermined}
     for values in finding.fit.values:
         assert values["quicker"] == values["slower"] == NO_LIMIT
         assert values["threshold"] == values["threshold_by_slope"] == 0.0
@@ -207,14 +209,14 @@ def test_parameters_undetermined_by_a_log_keep_their_prior():
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
-    """Half a minute of a robot with two first-order lags."""
+    """Log of 30 s of a robot with two first-order lags."""
     folder = tmp_path_factory.mktemp("log")
     write_mapping(folder / "map.yaml")
     return write_csv(folder / "drive.csv", drive(seconds=30.0, dt=0.04))
 
 
 @pytest.mark.parametrize("structure", ["p2_experimental", "p2_physical"])
-def test_from_a_log_to_a_drive_that_a_controller_loads(log, structure, tmp_path):
+def test_identified_drive_is_loaded_by_a_controller(log, structure, tmp_path):
     identification = identify(log, log.with_name("map.yaml"), structure)
     report = identification.report
     assert report.fitted.validation.fit_percent.min() > 90.0
@@ -224,13 +226,13 @@ def test_from_a_log_to_a_drive_that_a_controller_loads(log, structure, tmp_path)
     assert any("none is modelled" in warning for warning in report.warnings), "no slope limit acts here"
     model = check_written(identification, tmp_path, 1e-3, structure)
     assert isinstance(model, DriveModel) and model.dt == 0.04
-    # The robot: lags of 0.1 s, and a gyro that sees what it does.
-    # PI control with the paper's slow integral makes up for what its gain lacks only after seconds.
+    # The robot has lags of 0.1 s and unit gain. The slow integral of the paper's PI control removes the gain error only
+    # after seconds.
     within = 0.02 if structure == "p2_experimental" else 0.04
     assert np.diag(model.dc_gain) == pytest.approx([1.0, 1.0], abs=within)
     response = model.simulate(np.full((100, 2), 0.5)) / 0.5
-    risen = LOG_DT * np.argmax(response > 1 - np.exp(-1), axis=0)
-    assert risen == pytest.approx([0.1, 0.1], abs=LOG_DT)
+    rise_time = LOG_DT * np.argmax(response > 1 - np.exp(-1), axis=0)
+    assert rise_time == pytest.approx([0.1, 0.1], abs=LOG_DT)
 
 
 def test_printed_pioneer_has_the_printed_numbers_and_damping():
@@ -241,12 +243,12 @@ def test_printed_pioneer_has_the_printed_numbers_and_damping():
     drive, forward = content.wheel_drive, content.chassis.direct + content.chassis.cross
     assert (drive.integral_time, drive.actuator_lag, drive.friction) == (4.58, 1.1e-3, 35e-7)
     assert (content.sample_time, content.v.dead_samples, content.omega.dead_samples) == (0.1, 3, 3)
-    # Of the loop without the slow integral: inertia speed' = torque, lag torque' = gain error - torque.
+    # Poles of the loop without the slow integral: inertia speed' = torque, lag torque' = gain error - torque.
     poles = np.roots([drive.actuator_lag, 1.0, drive.proportional_gain / forward])
     assert -poles[0].real / abs(poles[0]) == pytest.approx(0.9, abs=1e-4)
 
 
-def test_printed_pioneer_is_driven_at_its_sample_time():
+def test_printed_pioneer_runs_only_at_its_sample_time():
     settings = {"model": "p2_pioneer", "sample_time": 0.1, "horizon": 15, "start_delay": 0.3}
     settings |= {"wheels.track": 0.32, "wheels.encoder_track": 0.32}
     run = simulate(load_config("p2_physical", settings), "model:p2_pioneer", "s")

@@ -1,4 +1,4 @@
-"""Driving between things, with robots that are as the model says or noisy; the gaps are the true ones."""
+"""Driving among obstacles, with ideal and noisy robots; all gaps are true gaps."""
 
 from functools import cache
 from types import SimpleNamespace
@@ -13,7 +13,7 @@ from diffdrive_mpc.models.interface import ReferenceSample
 from diffdrive_mpc.mpc import Mode
 from diffdrive_mpc_extras.free_space import Corridor, MovingDisc, OccupancyGrid, Surroundings, SurroundingsError
 from diffdrive_mpc_extras.free_space.config import free_space_of
-from diffdrive_mpc_extras.free_space.pieces import PlacedFootprint, least_gaps, pieces_of
+from diffdrive_mpc_extras.free_space.pieces import PlacedFootprint, build_pieces, min_gaps
 from diffdrive_mpc_extras.free_space.polygons import Footprint
 
 FAR = 5.0
@@ -25,7 +25,7 @@ def config(**free_space):
 
 
 class Line:
-    """Straight on, from rest to rest."""
+    """Straight reference from rest to rest."""
 
     name = "line"
 
@@ -39,8 +39,8 @@ class Line:
         v = np.minimum(np.minimum(a * t, self.speed), a * left)
         middle = self.speed * (t - 0.5 * ramp)
         x = np.where(t < ramp, 0.5 * a * t**2, np.where(left < ramp, self.length - 0.5 * a * left**2, middle))
-        nothing = np.zeros_like(x)
-        return ReferenceSample(np.stack([x, nothing, nothing], axis=1), np.stack([v, nothing], axis=1), x)
+        zeros = np.zeros_like(x)
+        return ReferenceSample(np.stack([x, zeros, zeros], axis=1), np.stack([v, zeros], axis=1), x)
 
 
 def box(x, y, length, width):
@@ -55,63 +55,66 @@ def post(x, y, radius, corners=12):
 
 
 def drive(controller, reference, surroundings_at, duration, *, plant="model:ssm", sensors=None, seed=0):
-    """Return ticks as dictionaries: time, pose, v, true gap, step; `surroundings_at` may return None for no news."""
+    """Return ticks as dictionaries: time, pose, speed, true gap, step.
+
+    `surroundings_at` returns the surroundings at a time, or None if they do not change.
+    """
     robot = make_plant(plant, seed=seed, **({} if sensors is None else {"sensors": sensors}))
     robot.reset(reference.sample([0.0]).pose[0])
     controller.start(reference, robot.time)
     settings = controller.config.features["free_space"]
     footprint = PlacedFootprint(Footprint(settings.corners, settings.footprint_radius))
-    ticks, around, pieces = [], None, None
+    ticks, current, pieces = [], None, None
     for _ in range(int(duration / robot.sample_time)):
         t = robot.time
         result = surroundings_at(t)
         if result is not None:
             controller.feature("free_space").set_obstacles(result)
-            around, pieces = result, pieces_of(result, settings, reference)
+            current, pieces = result, build_pieces(result, settings, reference)
         step = controller.step(t, robot.measure())
-        since = 0.0 if around.time is None else t - around.time
-        (gap,), _ = least_gaps(footprint, pieces, np.array([robot.true_pose]), np.array([since]), FAR)
-        moved = abs(robot.true_twist[0]) + abs(robot.true_twist[-1]) * footprint.footprint.reach
-        ticks.append({"t": t, "pose": np.array(robot.true_pose), "speed": moved, "gap": gap, "step": step})
+        age = 0.0 if current.time is None else t - current.time
+        (gap,), _ = min_gaps(footprint, pieces, np.array([robot.true_pose]), np.array([age]), FAR)
+        speed = abs(robot.true_twist[0]) + abs(robot.true_twist[-1]) * footprint.footprint.reach
+        ticks.append({"t": t, "pose": np.array(robot.true_pose), "speed": speed, "gap": gap, "step": step})
         assert np.isfinite(step.command).all()
         robot.advance(step.command)
-        if step.mode is Mode.FINISHED and moved < AT_REST:
+        if step.mode is Mode.FINISHED and speed < AT_REST:
             break
     return ticks
 
 
-def once(around):
-    return lambda t: around if t < 1e-9 else None
+def at_start(surroundings):
+    return lambda t: surroundings if t < 1e-9 else None
 
 
 def column(ticks, name):
     return np.array([tick[name] for tick in ticks])
 
 
-def least_while_moving(ticks):
+def min_gap_while_moving(ticks):
     return min((tick["gap"] for tick in ticks if tick["speed"] > AT_REST), default=FAR)
 
 
 @cache
-def past_a_post(y):
-    return drive(Controller(config()), Line(4.0), once(Surroundings([post(2.0, y, 0.1)])), 20.0)
+def post_drive(y):
+    return drive(Controller(config()), Line(4.0), at_start(Surroundings([post(2.0, y, 0.1)])), 20.0)
 
 
 @pytest.mark.parametrize("y", [-0.1, 0.0, 0.03, 0.2])
-def test_a_post_on_the_path_is_passed_on_one_side_without_contact(y):
-    ticks = past_a_post(y)
+def test_robot_passes_a_post_on_one_side_without_contact(y):
+    ticks = post_drive(y)
     assert ticks[-1]["step"].mode is Mode.FINISHED
     assert np.hypot(*(ticks[-1]["pose"] - [4.0, 0.0, 0.0])[:2]) < 0.03
     assert column(ticks, "gap").min() > 0.03
-    # On the wide side, and never back: all of the way is on one side of the path.
-    beside = column(ticks, "pose")[:, 1]
-    assert min(abs(beside.min()), abs(beside.max())) < 0.03
+    # The robot passes on the wide side and stays on this side of the path.
+    offset = column(ticks, "pose")[:, 1]
+    assert min(abs(offset.min()), abs(offset.max())) < 0.03
     if y:
-        assert np.sign(beside[np.abs(beside).argmax()]) == -np.sign(y)
+        assert np.sign(offset[np.abs(offset).argmax()]) == -np.sign(y)
 
 
-def test_the_side_does_not_flicker_with_noise():
-    """A post in the middle, poses that scatter, surroundings that tremble by a millimetre at each tick."""
+def test_noise_does_not_change_the_side_of_the_path():
+    """Use a post in the middle of the path, noisy poses, and surroundings with 1 mm of noise."""
     rng = np.random.default_rng(5)
     plan_sides = []
 
@@ -127,26 +130,26 @@ def test_the_side_does_not_flicker_with_noise():
     assert column(ticks, "gap").min() > 0.02
 
 
-def test_a_doorway_wider_than_the_robot_by_ten_centimetres_is_passed():
+def test_robot_passes_a_doorway_with_ten_centimetres_of_clearance():
     cells = np.zeros((160, 80), dtype=np.int8)
     cells[:, 36:42] = 100
     cells[75:85, 36:42] = 0
     door = Surroundings(grid=OccupancyGrid(cells, 0.05, (0.0, -4.0, 0.0)))
-    ticks = drive(Controller(config(margin=0.015)), Line(3.5, 0.3), once(door), 22.0)
+    ticks = drive(Controller(config(margin=0.015)), Line(3.5, 0.3), at_start(door), 22.0)
     assert ticks[-1]["step"].mode is Mode.FINISHED
     assert column(ticks, "gap").min() > 0.015
 
 
-def test_a_doorway_that_is_too_narrow_is_not_tried():
+def test_robot_stops_before_a_doorway_that_is_too_narrow():
     door = Surroundings([box(1.5, 2.2, 0.2, 4.0), box(1.5, -2.2, 0.2, 4.0)])
-    ticks = drive(Controller(config(margin=0.03)), Line(3.0, 0.3), once(door), 12.0)
+    ticks = drive(Controller(config(margin=0.03)), Line(3.0, 0.3), at_start(door), 12.0)
     last = ticks[-1]["step"]
     assert last.mode is Mode.STOPPED
     assert "no way" in last.message
     assert column(ticks, "gap").min() > 0.02
 
 
-def test_a_blocked_path_stops_it_before_and_it_drives_on_when_the_way_is_free():
+def test_robot_stops_at_a_blocked_path_and_continues_when_it_is_free():
     wall = Surroundings([box(2.5, 0.0, 0.4, 4.0)])
 
     def surroundings_at(t):
@@ -164,7 +167,7 @@ def test_a_blocked_path_stops_it_before_and_it_drives_on_when_the_way_is_free():
 
 
 def test_robot_brakes_for_a_suddenly_appearing_wall():
-    """A wall falls into its way, hardly further away than a stop takes."""
+    """A wall appears just beyond the stopping distance."""
     nothing, wall = Surroundings(), Surroundings([box(2.13, 0.0, 0.2, 4.0)])
 
     def surroundings_at(t):
@@ -175,53 +178,53 @@ def test_robot_brakes_for_a_suddenly_appearing_wall():
     assert ticks[-1]["step"].mode is Mode.STOPPED
 
 
-def test_the_check_of_the_way_to_rest_holds_where_the_reference_does_not_wait():
-    """Without re-entry the reference runs on into the wall: only the check after the solve is left."""
-    chasing = ControllerConfig.model_validate({"free_space": {"enabled": True}, "reentry": {"enabled": False}})
+def test_stopping_path_check_brakes_if_the_reference_does_not_wait():
+    """If re-entry is off, the reference continues into the wall, and only the check after the solve brakes."""
+    without_reentry = ControllerConfig.model_validate({"free_space": {"enabled": True}, "reentry": {"enabled": False}})
     wall = Surroundings([box(2.5, 0.0, 0.4, 4.0)])
-    blind = Controller(chasing)
-    blind._features["free_space"]._keeper._find_way = lambda t, time: ""
-    ticks = drive(blind, Line(4.0, 0.6, 0.8), once(wall), 7.0)
-    words = [tick["step"].message for tick in ticks if tick["step"].mode in (Mode.BRAKING, Mode.STOPPED)]
-    assert any("on its way to rest it would come within" in word for word in words)
+    controller = Controller(without_reentry)
+    controller._features["free_space"]._keeper._plan_path = lambda t, time: ""
+    ticks = drive(controller, Line(4.0, 0.6, 0.8), at_start(wall), 7.0)
+    messages = [tick["step"].message for tick in ticks if tick["step"].mode in (Mode.BRAKING, Mode.STOPPED)]
+    assert any("the stopping path comes within" in message for message in messages)
     assert column(ticks, "gap").min() > 0.015
-    assert least_while_moving(ticks) > 0.015
-    pressed = [tick["step"].pressed_by for tick in ticks if tick["step"].pressed_by]
-    assert pressed
-    assert pressed[0][0].startswith("polygon 0 in ")
+    assert min_gap_while_moving(ticks) > 0.015
+    obstacles = [tick["step"].pressed_by for tick in ticks if tick["step"].pressed_by]
+    assert obstacles
+    assert obstacles[0][0].startswith("polygon 0 in ")
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_moving_robot_never_touches_a_crossing_disc(seed):
     rng = np.random.default_rng(seed)
     speed, side = rng.uniform(0.3, 1.4), rng.choice([-1.0, 1.0])
-    arrives, x = rng.uniform(3.0, 6.0), rng.uniform(1.2, 2.5)
+    arrival, x = rng.uniform(3.0, 6.0), rng.uniform(1.2, 2.5)
     radius, along = rng.uniform(0.2, 0.35), rng.uniform(-0.3, 0.3)
 
     def surroundings_at(t):
         return Surroundings(
-            discs=[MovingDisc(x + along * (t - arrives), side * speed * (t - arrives), radius, along, side * speed)],
+            discs=[MovingDisc(x + along * (t - arrival), side * speed * (t - arrival), radius, along, side * speed)],
             time=t,
         )
 
     ticks = drive(Controller(config()), Line(4.0, 0.5), surroundings_at, 25.0, seed=seed)
-    assert least_while_moving(ticks) > 0.0
+    assert min_gap_while_moving(ticks) > 0.0
     assert ticks[-1]["step"].mode is Mode.FINISHED
 
 
-def test_a_corridor_keeps_it_in():
-    """A post on the path, and no room on its wide side: it is passed on the other one, or not at all."""
+def test_robot_stays_inside_a_corridor():
+    """A post leaves room on its narrow side only, because the corridor blocks the wide side."""
     corridor = Corridor([0.0, 4.0], [0.8, 0.8], [0.3, 0.3])
     around = Surroundings([post(2.0, 0.05, 0.05)], corridor=corridor)
     controller = Controller(config())
-    ticks = drive(controller, Line(4.0), once(around), 22.0)
+    ticks = drive(controller, Line(4.0), at_start(around), 22.0)
     assert column(ticks, "gap").min() > 0.02
     assert column(ticks, "pose")[:, 1].max() > 0.25
     assert ticks[-1]["step"].mode is Mode.FINISHED
 
 
-def test_what_it_says_of_the_gap_is_true():
-    ticks = past_a_post(0.0)
+def test_reported_clearance_equals_the_true_gap():
+    ticks = post_drive(0.0)
     stated = np.array([tick["step"].clearance for tick in ticks])
     near = np.isfinite(stated)
     assert near.sum() > 50
@@ -230,21 +233,21 @@ def test_what_it_says_of_the_gap_is_true():
 
 def test_old_surroundings_brake():
     controller, reference = Controller(config()), Line(4.0)
-    ticks = drive(controller, reference, once(Surroundings(time=0.0)), 4.0)
+    ticks = drive(controller, reference, at_start(Surroundings(time=0.0)), 4.0)
     modes = [tick["step"].mode for tick in ticks]
     assert modes[10] is Mode.TRACKING
     assert ticks[-1]["step"].mode is Mode.STOPPED
     assert "s old; free_space.max_age is 0.5 s" in ticks[-1]["step"].message
 
 
-def test_surroundings_of_the_future_brake_too():
+def test_surroundings_from_the_future_brake():
     controller = Controller(config())
-    ticks = drive(controller, Line(4.0), once(Surroundings(time=10.0)), 1.0)
+    ticks = drive(controller, Line(4.0), at_start(Surroundings(time=10.0)), 1.0)
     assert all(tick["step"].mode in (Mode.BRAKING, Mode.STOPPED) for tick in ticks[2:])
     assert "in the future" in ticks[-1]["step"].message
 
 
-def test_bad_surroundings_change_nothing():
+def test_invalid_surroundings_keep_the_previous_ones():
     controller = Controller(config())
     wall = Surroundings([box(2.0, 0.0, 0.4, 4.0)])
     controller.feature("free_space").set_obstacles(wall)
@@ -254,7 +257,7 @@ def test_bad_surroundings_change_nothing():
     assert ticks[-1]["step"].mode is Mode.STOPPED
 
 
-def test_the_same_surroundings_give_the_same_drive_bit_for_bit():
+def test_repeated_drives_are_identical():
     around = Surroundings([post(1.2, 0.02, 0.1)], discs=[MovingDisc(2.0, 1.0, 0.2, 0.0, -0.2)], time=0.0)
 
     def run():
@@ -269,12 +272,12 @@ def test_the_same_surroundings_give_the_same_drive_bit_for_bit():
     assert (run() == run()).all()
 
 
-def test_nothing_in_sight_changes_nothing_but_rounding():
+def test_empty_surroundings_change_commands_only_by_rounding():
     plain = Controller(ControllerConfig())
-    seeing = Controller(config())
-    seeing.feature("free_space").set_obstacles(Surroundings())
+    avoiding = Controller(config())
+    avoiding.feature("free_space").set_obstacles(Surroundings())
     runs = []
-    for controller in (plain, seeing):
+    for controller in (plain, avoiding):
         robot, reference = make_plant("model:ssm", seed=1), Line(1.5)
         robot.reset([0.0, 0.0, 0.0])
         controller.start(reference, 0.0)
@@ -286,8 +289,8 @@ def test_nothing_in_sight_changes_nothing_but_rounding():
     assert np.abs(runs[0] - runs[1]).max() < 1e-6
 
 
-def test_the_way_back_to_the_path_does_not_cut_through_what_stands():
-    """Carried to the side of its path, with a wall between: it does not drive through it, and says so or goes round."""
+def test_return_path_does_not_cross_a_wall():
+    """A robot next to its path, behind a wall, stops with a message or drives around the wall."""
     reference = Line(4.0)
     wall = Surroundings([box(1.2, 0.42, 4.6, 0.1)])
     controller, robot = Controller(config()), make_plant("model:ssm", seed=0)
@@ -295,22 +298,24 @@ def test_the_way_back_to_the_path_does_not_cut_through_what_stands():
     controller.start(reference, 0.0)
     controller.feature("free_space").set_obstacles(wall)
     settings = controller.config.features["free_space"]
-    footprint, pieces = PlacedFootprint(Footprint(settings.corners)), pieces_of(wall, settings)
-    words = set()
+    footprint, pieces = PlacedFootprint(Footprint(settings.corners)), build_pieces(wall, settings)
+    messages = set()
     for _ in range(300):
         step = controller.step(robot.time, robot.measure())
-        words.add(step.message.split(";")[0])
+        messages.add(step.message.split(";")[0])
         robot.advance(step.command)
-        (gap,), _ = least_gaps(footprint, pieces, np.array([robot.true_pose]), np.zeros(1), FAR)
+        (gap,), _ = min_gaps(footprint, pieces, np.array([robot.true_pose]), np.zeros(1), FAR)
         assert gap > 0.01
-    assert words & {"no way: no free path leads back to the reference"} or any("rejoining" in word for word in words)
+    assert messages & {"no way: no free path leads back to the reference"} or any(
+        "rejoining" in message for message in messages
+    )
 
 
 CIRCLE = load_trajectory("circle")
 HORIZON = 15
 
 
-def test_half_spaces_under_pressure_converge_to_the_solution_of_ipopt():
+def test_active_half_spaces_converge_to_the_solution_of_ipopt():
     """A wall next to the circle leaves less room than the footprint needs, so the rows of half-spaces are active."""
     overrides = {"horizon": HORIZON, "reentry.enabled": False} | NO_SLIP | EXACT
     free = {"free_space.enabled": True, "free_space.uncertainty_factor": 0.0, "free_space.swerve": 0.0}
@@ -323,30 +328,30 @@ def test_half_spaces_under_pressure_converge_to_the_solution_of_ipopt():
 
     def make():
         controller = Controller(config)
-        # The check of the way to rest and the way round are not what is tried here.
-        controller.feature("free_space")._keeper._sweep = lambda *_: SimpleNamespace(sample=-1, least=1.0)
-        controller.feature("free_space")._keeper._find_way = lambda *_: ""
+        # Disable the check of the stopping path and the path search.
+        controller.feature("free_space")._keeper._sweep = lambda *_: SimpleNamespace(sample=-1, min_gap=1.0)
+        controller.feature("free_space")._keeper._plan_path = lambda *_: ""
         controller.feature("free_space").set_obstacles(Surroundings([corners]))
         return controller
 
     tables = {}
 
-    def recorded(controller):
+    def record_rows(controller):
         keeper = controller.feature("free_space")._keeper
         set_rows = keeper._set_rows
 
-        def set_and_keep(t, guide):
+        def set_and_store(t, guide):
             set_rows(t, guide)
             tables[t] = controller._tick.parameters.copy()
 
-        keeper._set_rows = set_and_keep
+        keeper._set_rows = set_and_store
         return controller
 
-    controller = recorded(make())
+    controller = record_rows(make())
     drive = record(controller, IdealRobot(controller._predicted.sampled, np.zeros(3)), CIRCLE, 160, lambda *_: None)
 
     def keep_rows(again, time):
-        """Keep the planes of the drive: they are data of the problem, not part of it."""
+        """Use the planes of the drive, which are data of the problem."""
         table = again._tick.parameters
         again.feature("free_space")._keeper._set_rows = lambda *_: table.__setitem__(slice(None), tables[time])
 
@@ -356,5 +361,5 @@ def test_half_spaces_under_pressure_converge_to_the_solution_of_ipopt():
         solve_with_ipopt(again, load_config(again.config, {"free_space.enabled": False})),
     )
     assert result.solver.soft_limits
-    assert np.abs(plan - without).max() > 1e-3, "the planes must press"
+    assert np.abs(plan - without).max() > 1e-3, "the half-spaces must be active"
     assert result.planned_commands == pytest.approx(plan, abs=2e-5)

@@ -76,7 +76,7 @@ def test_a_proof_leaves_report_table_figures_and_worst_runs(
     errors_of_files = [yaml.safe_load(path.read_text(encoding="utf-8"))["figures"]["position_rmse_m"] for path in files]
     assert errors_of_files == errors[:3]
     output = call("repeat", files[0], "--trust-terms", out.parent, "--log", tmp_path / "worst.csv")
-    assert "figures are those of the file, to the last bit" in " ".join(output.split())
+    assert "values are identical to the file" in " ".join(output.split())
     assert (tmp_path / "worst.csv").stat().st_size > 0
     # A repeated proof drives nothing, and says the same.
     monkeypatch.setattr("diffdrive_mpc_extras.campaign.engine.drive", None)
@@ -97,7 +97,7 @@ def test_a_run_with_other_figures_is_said(proof: Path, tmp_path: Path) -> None:
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
     output = " ".join(call("repeat", path, "--trust-terms", tmp_path, code=1).split())
     assert "1 of " in output
-    assert "figures are other ones: position_rmse_m is" in output
+    assert "values differ: position_rmse_m is" in output
     assert "other than then: numpy (1.0, now" in output
 
 
@@ -126,7 +126,7 @@ def test_the_shipped_proof_can_be_driven() -> None:
     probe = Definition.from_factors(dict(proof.probe.factors))
     ends = [run for proof_map in proof.maps.values() for run in map_runs(proof_map, probe, 0)]
     ends += [
-        probe.changed({factor: value})
+        probe.with_factors({factor: value})
         for factor, search in proof.boundaries.items()
         for value in (search.holds, search.beyond)
     ]

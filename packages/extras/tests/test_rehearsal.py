@@ -1,4 +1,4 @@
-"""Rehearsal: laps that are learned from, by the path and by the floor."""
+"""Rehearsal: learning from laps by their errors and by the slip of the surface."""
 
 from dataclasses import replace
 
@@ -36,7 +36,7 @@ BEND = lay_segments(
 
 
 class Drifting(IdealRobot):
-    """Is carried to the left and back at the same times of every lap, by `drift` [m/s] at most: a known error."""
+    """Robot with a known error: it drifts to the left and back by up to `drift` [m/s] at equal times of each lap."""
 
     drift = 0.02
 
@@ -53,7 +53,7 @@ def controller(**settings):
 
 
 def lap(by, *, seed=0, noise=0.0, slip=None, reference=BEND, robot=Drifting, seconds=None):
-    """Drive one lap; returns the true position error (n, 2) [m] against the reference as it was given, and results."""
+    """Drive one lap; return the true position error (n, 2) [m] relative to the original reference, and the results."""
     plant = robot(load_model("ssm").discretise(DT), reference.sample([0.0]).pose[0], slip=slip, noise=noise, seed=seed)
     results, poses, times = drive(by, plant, reference, reference.duration + DT if seconds is None else seconds)
     return (poses - reference.sample(times).pose)[:, :2], results
@@ -63,24 +63,24 @@ def rms(error):
     return np.sqrt(np.mean(np.sum(error**2, axis=1)))
 
 
-def test_a_known_error_that_repeats_is_removed():
+def test_repeating_error_is_removed():
     learning = controller()
     errors = [rms(lap(learning)[0]) for _ in range(5)]
     assert errors[0] > 0.003
     assert errors[-1] < 0.35 * errors[0]
 
 
-def test_under_noise_it_is_removed_but_for_what_does_not_repeat():
+def test_repeating_error_is_removed_under_noise():
     learning, plain = controller(), Controller(load_config("ssm"))
-    learned = np.array([lap(learning, seed=k, noise=1.0)[0] for k in range(6)])
-    without = np.array([lap(plain, seed=k, noise=1.0)[0] for k in range(6)])
-    unrepeated = np.sqrt(np.mean([rms(error - without.mean(axis=0)) ** 2 for error in without]) * 6 / 5)
-    # At least half of what can be removed is.
-    total = np.mean([rms(error) for error in without])
-    assert rms(learned[-1]) < 0.5 * (total + unrepeated)
+    learned_errors = np.array([lap(learning, seed=k, noise=1.0)[0] for k in range(6)])
+    plain_errors = np.array([lap(plain, seed=k, noise=1.0)[0] for k in range(6)])
+    varying = np.sqrt(np.mean([rms(error - plain_errors.mean(axis=0)) ** 2 for error in plain_errors]) * 6 / 5)
+    # At min_cost half of the repeating error is removed.
+    total = np.mean([rms(error) for error in plain_errors])
+    assert rms(learned_errors[-1]) < 0.5 * (total + varying)
 
 
-def test_the_correction_keeps_its_bounds_and_begins_at_nothing():
+def test_correction_keeps_its_bounds_and_starts_at_zero():
     learning = controller(max_correction=0.002, max_correction_rate=0.01, max_heading_correction=0.004)
     for _ in range(4):
         lap(learning)
@@ -100,8 +100,8 @@ class Mirrored(Drifting):
 
 @pytest.mark.parametrize(
     ("laps", "change", "word"),
-    [(2, {"slip": Slip(yaw_gain=0.7)}, "another floor"), (3, {"robot": Mirrored}, "forgotten")],
-    ids=["another floor", "what makes it worse"],
+    [(2, {"slip": Slip(yaw_gain=0.7)}, "surface changed"), (3, {"robot": Mirrored}, "discarded")],
+    ids=["changed surface", "larger error"],
 )
 def test_outdated_correction_is_discarded(laps, change, word):
     learning = controller()
@@ -114,28 +114,28 @@ def test_outdated_correction_is_discarded(laps, change, word):
     assert not learning.feature("rehearsal").learned.correction.any()
 
 
-def test_a_lap_that_was_not_driven_to_its_end_teaches_nothing():
+def test_incomplete_lap_is_not_used_for_learning():
     learning = controller()
     for _ in range(2):
         lap(learning)
     lap(learning, seconds=1.0)
     before = learning.feature("rehearsal").learned.correction.copy()
     _, results = lap(learning)
-    assert "not driven to its end" in results[0].message
+    assert "it is incomplete" in results[0].message
     assert np.array_equal(learning.feature("rehearsal").learned.correction, before)
 
 
-def test_a_lap_without_poses_teaches_nothing():
+def test_lap_without_poses_is_not_used_for_learning():
     learning = controller()
     learning.start(BEND, 0.0)
     for k in range(5):
         learning.step(k * DT, Measurement())
     learning.start(BEND, 0.0)
     assert learning.feature("rehearsal").learned.laps == 0
-    assert "at 0.00 s it was STOPPED" in learning.step(0.0, Measurement()).message
+    assert "at 0.00 s the mode was STOPPED" in learning.step(0.0, Measurement()).message
 
 
-def test_the_same_motion_elsewhere_is_the_same_reference_and_another_one_is_not():
+def test_moved_reference_counts_as_the_same_reference():
     learning = controller()
     for pose in ((0.0, 0.0, 0.0), (2.0, -1.0, 1.0), (5.0, 3.0, -2.0)):
         lap(learning, reference=starting_at(BEND, pose))
@@ -146,10 +146,10 @@ def test_the_same_motion_elsewhere_is_the_same_reference_and_another_one_is_not(
     assert not learning.feature("rehearsal").learned.correction.any()
 
 
-def test_false_poses_teach_nothing():
+def test_invalid_poses_are_not_used_for_learning():
     def spoil(k, measurement):
-        off = np.array([3.0, -2.0, 0.0]) if k % 40 == 20 else np.array([np.nan] * 3) if k % 40 == 30 else np.zeros(3)
-        return replace(measurement, pose=replace(measurement.pose, value=measurement.pose.value + off))
+        error = np.array([3.0, -2.0, 0.0]) if k % 40 == 20 else np.array([np.nan] * 3) if k % 40 == 30 else np.zeros(3)
+        return replace(measurement, pose=replace(measurement.pose, value=measurement.pose.value + error))
 
     learning, clean = controller(), controller()
     for by, change in ((learning, spoil), (clean, None)):
@@ -163,17 +163,17 @@ def test_false_poses_teach_nothing():
     assert np.abs(learned_values - undisturbed)[:, :2].max() < 0.003
 
 
-def test_a_corrected_reference_moves_as_its_poses_do():
+def test_twist_of_a_corrected_reference_matches_its_poses():
     time = np.linspace(0.0, BEND.duration, 200)
     correction = 0.01 * np.column_stack([np.sin(time), 1 - np.cos(time), np.zeros_like(time)])
-    moved = corrected(BEND, time, correction)
+    shifted = corrected(BEND, time, correction)
     original = BEND.sample(time)
-    offset = moved.sample(time).pose - original.pose
+    offset = shifted.sample(time).pose - original.pose
     along = offset[:, 0] * np.cos(original.pose[:, 2]) + offset[:, 1] * np.sin(original.pose[:, 2])
     assert np.allclose(along, correction[:, 0], atol=1e-12)
     assert np.allclose(np.hypot(offset[:, 0], offset[:, 1]), np.hypot(*correction.T[:2]), atol=1e-12)
     fine = np.linspace(0.5, BEND.duration - 0.5, 5000)
-    sample = moved.sample(fine)
+    sample = shifted.sample(fine)
     rate = np.gradient(sample.pose, fine, axis=0)
     v = rate[:, 0] * np.cos(sample.pose[:, 2]) + rate[:, 1] * np.sin(sample.pose[:, 2])
     assert np.allclose(sample.twist, np.column_stack([v, rate[:, 2]]), atol=2e-3)
@@ -195,18 +195,18 @@ CORNER = lay_segments(
 
 
 def coefficients(floor):
-    """Return those of Table 2 except a12: its product with side-slip is a lateral term only of the controller's law."""
+    """Return the coefficients of Table 2 without a12, which only the slip law of the controller multiplies."""
     loaded = np.array(load_surface(floor).slip.polynomial.coefficients)
     loaded[1] = 0.0
     return loaded
 
 
-def planned(floor, reference=CORNER, config=CONFIG):
+def plan_motion(floor, reference=CORNER, config=CONFIG):
     return nearest_drivable(reference, Slip.of_polynomial(coefficients(floor)), config, INVERSE_GAIN)
 
 
-def rolled_out(floor, times, wheels, start):
-    """Integrate poses (n, 3) of a body on this floor by the paper's law, with its twist on a fine grid."""
+def integrate_poses(floor, times, wheels, start):
+    """Integrate poses (n, 3) of a body on a surface by the paper's slip law, with its twist on a fine grid."""
     pieces = 20
     fine = np.linspace(0.0, times[-1], pieces * (len(times) - 1) + 1)
     inputs = np.column_stack([np.interp(fine, times, wheels[:, i]) for i in (0, 1)])
@@ -218,17 +218,17 @@ def rolled_out(floor, times, wheels, start):
 
 
 @pytest.mark.parametrize("floor", FLOORS)
-def test_what_is_planned_is_where_the_floor_takes_the_robot(floor):
-    motion = planned(floor)
-    driven = rolled_out(floor, motion.times, motion.wheels, motion.reference.pose[0])
-    # Within an interval the twist is taken for its mean.
-    assert np.abs(driven - motion.pose).max() < 5e-4
+def test_planned_motion_equals_the_integrated_motion(floor):
+    motion = plan_motion(floor)
+    integrated = integrate_poses(floor, motion.times, motion.wheels, motion.reference.pose[0])
+    # The plan uses the mean twist of each interval.
+    assert np.abs(integrated - motion.pose).max() < 5e-4
     assert motion.distance.max() > 0.003
 
 
 @pytest.mark.parametrize("floor", FLOORS)
-def test_limits_are_kept(floor):
-    motion, limits = planned(floor), CONFIG.limits
+def test_planned_motion_keeps_the_limits(floor):
+    motion, limits = plan_motion(floor), CONFIG.limits
     commands = motion.wheels @ INVERSE_GAIN.T
     rates = np.diff(commands, axis=0) / motion.times[1]
     assert (np.abs(commands) <= np.array([limits.v, limits.omega]) + 1e-6).all()
@@ -237,42 +237,42 @@ def test_limits_are_kept(floor):
     assert rim.max() <= limits.wheel_speed + 1e-6
 
 
-def test_sides_that_the_reference_does_not_use_change_nothing():
+def test_limits_of_unused_directions_have_no_effect():
     sides = {"v.reverse": 0.1, "omega.right": 0.8}
     plans = [
-        planned("p4_asphalt", config=load_config(CONFIG, {f"limits.{k}": v for k, v in changed.items()}))
+        plan_motion("p4_asphalt", config=load_config(CONFIG, {f"limits.{k}": v for k, v in changed.items()}))
         for changed in ({}, sides)
     ]
     np.testing.assert_allclose(plans[1].pose, plans[0].pose, atol=5e-4)
 
 
-def test_no_motion_nearby_is_better():
-    """Small changes of the wheels' twist that keep the limits never lower the cost, found by integration."""
-    floor, price, rng = "p4_asphalt", rehearsal_of(CONFIG).drivable, np.random.default_rng(5)
-    motion = planned(floor)
+def test_planned_motion_is_a_local_minimum():
+    """Small feasible changes of the wheel twist do not lower the integrated cost."""
+    floor, weights, rng = "p4_asphalt", rehearsal_of(CONFIG).drivable, np.random.default_rng(5)
+    motion = plan_motion(floor)
     step, sample = motion.times[1], motion.reference
-    # What gives the reference's twist where nothing slips sideways, by Newton's method on the paper's law.
+    # Wheel twist that gives the reference's twist without lateral slip, by Newton's method on the paper's slip law.
     twist = np.array(sample.twist)
     for _ in range(30):
         twist += sample.twist - polynomial_twist(coefficients(floor), twist)[:, [0, 2]]
     aim = sample.pose[:, 2] - np.arctan(coefficients(floor)[3] / (1 + coefficients(floor)[0]))
 
     def cost(wheels):
-        pose = rolled_out(floor, motion.times, wheels, sample.pose[0])
-        off, turned = np.sum((pose - sample.pose)[1:, :2] ** 2, axis=1), (pose[:, 2] - aim)[1:] ** 2
-        beside = np.diff(wheels - twist, axis=0) / step
-        rates = np.sum((beside * [price.v_rate, price.omega_rate]) ** 2)
-        ends = price.end * off[-1] + price.end_heading**2 * turned[-1]
-        return step * (off.sum() + price.heading**2 * turned.sum() + rates) + ends
+        pose = integrate_poses(floor, motion.times, wheels, sample.pose[0])
+        position, heading = np.sum((pose - sample.pose)[1:, :2] ** 2, axis=1), (pose[:, 2] - aim)[1:] ** 2
+        deviation = np.diff(wheels - twist, axis=0) / step
+        rates = np.sum((deviation * [weights.v_rate, weights.omega_rate]) ** 2)
+        ends = weights.end * position[-1] + weights.end_heading**2 * heading[-1]
+        return step * (position.sum() + weights.heading**2 * heading.sum() + rates) + ends
 
-    least = cost(motion.wheels)
-    assert cost(twist) > 3 * least
+    min_cost = cost(motion.wheels)
+    assert cost(twist) > 3 * min_cost
     for _ in range(8):
         centre, width = rng.uniform(0.5, motion.times[-1] - 0.5), rng.uniform(0.1, 0.3)
         bump = np.exp(-(((motion.times - centre) / width) ** 2))
         bump[[0, -1]] = 0.0
         change = 0.01 * bump[:, None] * rng.normal(size=2)
-        assert min(cost(motion.wheels + change), cost(motion.wheels - change)) > least * (1 - 1e-3)
+        assert min(cost(motion.wheels + change), cost(motion.wheels - change)) > min_cost * (1 - 1e-3)
 
 
 @settings(max_examples=12, deadline=None)
@@ -282,16 +282,16 @@ def test_no_motion_nearby_is_better():
     turn=st.floats(-1.2, 1.2).filter(lambda turn: abs(turn) > 0.1),
     gains=st.tuples(st.floats(0.9, 1.1), st.floats(0.7, 1.2)),
 )
-def test_without_sideways_slip_it_is_the_reference(v, omega, turn, gains):
+def test_planned_motion_without_lateral_slip_is_the_reference(v, omega, turn, gains):
     segments = [Segment(v=v, omega=omega, duration=1.0), Segment(v=0.0, omega=turn, duration=0.8)]
     reference = lay_segments(segments, TrajectoryLimits.of_robot(), name="any")
     slip = Slip(longitudinal_gain=gains[0], yaw_gain=gains[1])
     motion = nearest_drivable(reference, slip, CONFIG, INVERSE_GAIN)
-    # An interval in which the reference changes its acceleration has another mean twist.
+    # The mean twist differs in intervals in which the reference changes its acceleration.
     assert motion.distance.max() < 5e-4
 
 
-def test_a_least_turn_radius_is_kept():
+def test_planned_motion_keeps_the_minimum_turn_radius():
     radius = 1.0
     wide = lay_segments(
         [Segment(v=0.5, omega=0.0, duration=1.0), Segment(v=0.5, omega=0.4, duration=2.0)],
@@ -299,7 +299,7 @@ def test_a_least_turn_radius_is_kept():
         name="wide",
     )
     config = load_config("ssm", SETTINGS | {"limits.min_turn_radius": radius})
-    motion = planned("p4_grass", wide, config)
+    motion = plan_motion("p4_grass", wide, config)
     v, _, omega = polynomial_twist(coefficients("p4_grass"), motion.wheels[1:-1]).T
     assert (radius * np.abs(omega) <= v + 1e-6).all()
 
@@ -308,8 +308,8 @@ def test_a_least_turn_radius_is_kept():
     ("settings", "words"),
     [
         ({"rehearsal.drivable.iterations": 1}, "the solver ended with maximum iterations exceeded"),
-        ({"rehearsal.drivable.max_shift": 0.002}, "mm at most"),
-        ({"rehearsal.drivable.min_shift": 0.09}, "mm at most"),
+        ({"rehearsal.drivable.max_shift": 0.002}, "mm maximum distance"),
+        ({"rehearsal.drivable.min_shift": 0.09}, "mm maximum distance"),
     ],
 )
 def test_reference_is_unchanged_if_there_is_no_lap_to_track(settings, words):
@@ -318,21 +318,21 @@ def test_reference_is_unchanged_if_there_is_no_lap_to_track(settings, words):
     rehearsal = controller.feature("rehearsal").learned
     assert rehearsal.start(CORNER, 0.0) is CORNER
     assert words in rehearsal.message
-    assert "tracked as it is given" in rehearsal.message
+    assert "tracked unchanged" in rehearsal.message
     assert not rehearsal.correction.any()
 
 
-def floor_lap(by, floor, reference, seed=0):
-    """Return the root mean square of the position error against the given reference [m], and the messages."""
-    run = simulate(by, make_plant("model:ssm", floor, seed=seed), reference)
+def floor_lap(controller, floor, reference, seed=0):
+    """Drive a lap; return the RMS position error relative to the reference [m], the messages and the true poses."""
+    run = simulate(controller, make_plant("model:ssm", floor, seed=seed), reference)
     return run.metrics.position_rmse_m, run.messages, run.true_pose
 
 
 @pytest.mark.long
-def test_the_square_is_driven_to_ten_millimetres_after_three_laps():
-    """On the floor where the robot turns about a point furthest from its middle; and bit for bit twice."""
+def test_square_has_ten_millimetres_of_error_after_three_laps():
+    """Use the surface with the largest distance between turning point and centre; the second drive is identical."""
     square, laps = load_trajectory("square"), []
-    # Again as far as the first lap that drives what was planned.
+    # Again as far as the first lap that drives what was plan_motion.
     for controller, count in ((Controller(CONFIG), 4), (Controller(CONFIG), 2)):
         laps.append([floor_lap(controller, "p4_concrete", square, seed) for seed in range(count)])
     errors = [error for error, _, _ in laps[0]]
@@ -342,7 +342,7 @@ def test_the_square_is_driven_to_ten_millimetres_after_three_laps():
     assert all(np.array_equal(first[2], second[2]) for first, second in zip(*laps, strict=False))
 
 
-def test_the_first_lap_is_as_without():
+def test_first_lap_equals_a_lap_without_rehearsal():
     plain = Controller(load_config("ssm", SETTINGS | {"rehearsal.enabled": False}))
     learning = Controller(load_config("ssm", SETTINGS))
     assert np.array_equal(floor_lap(plain, "p4_grass", CORNER)[2], floor_lap(learning, "p4_grass", CORNER)[2])
@@ -353,7 +353,7 @@ def first_slip(controller):
     return controller.step(plant.time, plant.measure()).estimate.slip
 
 
-def test_the_estimate_begins_with_what_was_learned_until_reset():
+def test_estimate_starts_with_the_learned_slip_until_reset():
     controller = Controller(CONFIG)
     floor_lap(controller, "p4_concrete", CORNER)
     controller.start(CORNER, 0.0)
@@ -373,13 +373,13 @@ def test_the_estimate_begins_with_what_was_learned_until_reset():
 
 
 def test_harmful_correction_is_discarded():
-    """Learned where the robot turns about a point behind its middle, driven where it turns about one ahead of it."""
+    """Learn on a surface with a turning point behind the centre, and drive on one with a turning point ahead of it."""
     controller = Controller(CONFIG)
     for _ in range(2):
         floor_lap(controller, "p4_concrete", CORNER)
     floor_lap(controller, "p4_concrete_left", CORNER)
     controller.start(CORNER, 0.0)
-    assert "forgotten" in controller.feature("rehearsal").learned.message
+    assert "discarded" in controller.feature("rehearsal").learned.message
     assert controller.feature("rehearsal").learned.laps == 0
     assert controller.feature("rehearsal").learned.slip == Slip()
 
@@ -403,10 +403,10 @@ def test_laps_have_other_noise_and_repeat_bit_for_bit(plain):
 
 def test_command_writes_a_row_for_each_lap_figures_and_log(tmp_path):
     log = tmp_path / "run.mcap"
-    words = ["rehearse", "--plant", "model:sm", "--trajectory", "cane", "--laps", "2", "--out", tmp_path / "out"]
-    result = invoke(app, *words, "--log", log)
+    arguments = ["rehearse", "--plant", "model:sm", "--trajectory", "cane", "--laps", "2", "--out", tmp_path / "out"]
+    result = invoke(app, *arguments, "--log", log)
     assert "learned from 1 laps" in result.output
-    assert "do not: the lower bound" in " ".join(result.output.split())
+    assert "vary from lap to lap (lower bound)" in " ".join(result.output.split())
     assert (tmp_path / "out" / "figures" / "laps.png").exists()
     written = read_drive_log(log, plans=True)
     assert written.metadata["case"]["repeat"].startswith("diffdrive-mpc rehearse --laps 2 ")

@@ -112,7 +112,7 @@ def held_out(
     with ProgressBar("") as bar:
         place = CampaignPlace(folder / "runs", jobs)
         outcomes = drive_all(
-            [definition.changed({"model": "ssm"}) for definition in campaign.definitions()], place, bar
+            [definition.with_factors({"model": "ssm"}) for definition in campaign.definitions()], place, bar
         )
     assert not [run.row["error"] for run in outcomes if run.row["error"]]
     return Rate.of_runs(sum(largest_lateral(run) <= tolerance for run in outcomes), runs)

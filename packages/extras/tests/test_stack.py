@@ -1,4 +1,4 @@
-"""Parameters for other packages: exact without noise, and a reason where a log does not tell them."""
+"""Parameters for other packages: exact for clean logs, and a reason for each undetermined parameter."""
 
 import math
 import re
@@ -26,12 +26,12 @@ _FINE = 1e-3
 
 
 POPULATION = SimpleNamespace(**yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text()))
-"""Ranges of what the market does not say; units in the file."""
+"""Ranges of the drawn parameters that the population of robots does not define; units in the file."""
 
 
 @dataclass(frozen=True)
 class DrawnLog:
-    """A log, and what the estimate should say of it, by the names of `estimate_stack`."""
+    """Log of a drawn robot, with the true quantities by the names of `estimate_stack`."""
 
     data: LogData
     truth: Mapping[str, float]
@@ -47,52 +47,54 @@ def drawn_log(
     pose: bool = True,
     damping: float | None = None,
 ) -> DrawnLog:
-    """Drive the robot of a seed.
+    """Simulate a log of the robot of a seed.
 
     Parameters
     ----------
     seed
-        Of the robot and of its noise; nothing is tuned on even ones.
+        Seed of the robot and of its noise; even seeds are reserved for tests.
     noise
-        Part of the usual noise, disturbance and bias [-].
+        Factor on noise, disturbance and bias [-].
     seconds, limit
-        Other than those of the settings: how long the log is [s], and where commands are clipped [-].
+        Duration of the log [s] and clipping level of commands [-], in place of the settings.
     pose
-        Whether the log has poses.
+        True if the log has poses.
     damping
-        Of a robot that overshoots, with the same delay [-].
+        Damping ratio of an overshooting robot with the same delay [-].
     """
     settings, build = POPULATION, draw_robot(seed).build
     stream = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(37,)))
-    draw = {name: float(stream.uniform(*getattr(settings, name))) for name in _DRAWN}
+    draw = {name: float(stream.uniform(*getattr(settings, name))) for name in _DRAWN_PARAMETERS}
     dt, track, radius = settings.sample_time, build.robot.track, build.robot.wheel_radius
-    every = round(dt / _FINE)
+    stride = round(dt / _FINE)
     count = round((seconds or settings.seconds) / dt)
     size = np.array([draw["speed"], draw["turning"]])
     hold = round(draw["hold"] / dt)
     command = size * np.repeat(stream.uniform(-1, 1, (count // hold + 1, 2)), hold, axis=0)[:count]
-    wide = track * (1.0 if build.twin.chassis.castors else draw["widening"])
-    gain = np.array([1.0, build.firmware.track / wide])
+    effective_track = track * (1.0 if build.twin.chassis.castors else draw["widening"])
+    gain = np.array([1.0, build.firmware.track / effective_track])
     level, slew = (limit or draw["limit"]) * size, size / draw["slew_time"]
     lags = np.array([[build.firmware.lag_v, draw["second_lag"]], [build.firmware.lag_omega, draw["second_lag"]]])
-    twist = _followed(
-        np.repeat(np.clip(command, -level, level), every, axis=0), slew, lags, build.twin.link.dead_time, damping
+    twist = _motor_response(
+        np.repeat(np.clip(command, -level, level), stride, axis=0), slew, lags, build.twin.link.dead_time, damping
     )
-    twist = twist * gain + noise * settings.disturbance * size * gain * _coloured(
+    twist = twist * gain + noise * settings.disturbance * size * gain * _coloured_noise(
         stream, len(twist), settings.correlation
     )
-    sides = np.column_stack([twist[:, 0] - 0.5 * wide * twist[:, 1], twist[:, 0] + 0.5 * wide * twist[:, 1]])
+    sides = np.column_stack(
+        [twist[:, 0] - 0.5 * effective_track * twist[:, 1], twist[:, 0] + 0.5 * effective_track * twist[:, 1]]
+    )
     radii = radius * np.array(build.twin.chassis.rolling_radii)
-    reading = sides[::every] / radii + noise * settings.wheel_noise / radius * stream.normal(size=(count, 2))
+    reading = sides[::stride] / radii + noise * settings.wheel_noise / radius * stream.normal(size=(count, 2))
     odometry = np.column_stack([0.5 * radius * reading.sum(axis=1), radius * np.diff(reading)[:, 0] / track])
     source = build.sensors.pose
-    poses = _poses(twist, every, source.latency) + noise * stream.normal(size=(count, 3)) * [
+    poses = _delayed_poses(twist, stride, source.latency) + noise * stream.normal(size=(count, 3)) * [
         source.position_sd,
         source.position_sd,
         source.heading_sd,
     ]
     fresh = np.diff(np.floor(dt * np.arange(-1, count) / max(source.period or dt, dt) + 1e-9)) > 0
-    rate = twist[::every, 1] + noise * (draw["gyro_bias"] + settings.gyro_noise * stream.normal(size=count))
+    rate = twist[::stride, 1] + noise * (draw["gyro_bias"] + settings.gyro_noise * stream.normal(size=count))
     record = Record(
         f"robot {seed}",
         0.0,
@@ -106,33 +108,33 @@ def drawn_log(
     )
     train, validation = divide([record], 0.75)
     data = LogData(tuple(train), tuple(validation), ("drawn",), "the last quarter", "gyro", (), (), track)
-    late = build.twin.link.dead_time + lags.sum(axis=1)
+    delays = build.twin.link.dead_time + lags.sum(axis=1)
     truth = {
-        "separation_multiplier": wide / track,
+        "separation_multiplier": effective_track / track,
         "left_radius_multiplier": radii[0] / radius,
         "right_radius_multiplier": radii[1] / radius,
-        **{f"delay.{name}": float(value) for name, value in zip(("v", "omega"), late, strict=True)},
+        **{f"delay.{name}": float(value) for name, value in zip(("v", "omega"), delays, strict=True)},
         **{f"max.{name}": float(value) for name, value in zip(("v", "omega"), gain * level, strict=True)},
         **{f"rate.{name}": float(value) for name, value in zip(("v", "omega"), gain * slew, strict=True)},
     }
-    passed = np.mean(np.abs(command) > level, axis=0) > 0
-    return DrawnLog(data, truth, dict(zip(("max.v", "max.omega"), passed.tolist(), strict=True)))
+    reached = np.mean(np.abs(command) > level, axis=0) > 0
+    return DrawnLog(data, truth, dict(zip(("max.v", "max.omega"), reached.tolist(), strict=True)))
 
 
-_DRAWN = ("hold", "speed", "turning", "widening", "limit", "slew_time", "second_lag", "gyro_bias")
+_DRAWN_PARAMETERS = ("hold", "speed", "turning", "widening", "limit", "slew_time", "second_lag", "gyro_bias")
 
 
-def _followed(
+def _motor_response(
     commands: FloatArray, slew: FloatArray, lags: FloatArray, dead_time: float, damping: float | None
 ) -> FloatArray:
-    """Simulate (n, 2) responses of the motors to commands (n, 2): each ramped, delayed and behind two poles."""
+    """Simulate the responses (n, 2) of the motors to commands (n, 2): slope limit, dead time, and two poles."""
     ramped = np.empty_like(commands)
-    now = np.zeros(2)
-    for k, wanted in enumerate(commands):
-        ramped[k] = now
-        now = now + np.clip(wanted - now, -slew * _FINE, slew * _FINE)
-    late = round(dead_time / _FINE)
-    ramped = np.concatenate([np.zeros((late, 2)), ramped])[: len(commands)]
+    current = np.zeros(2)
+    for k, target in enumerate(commands):
+        ramped[k] = current
+        current = current + np.clip(target - current, -slew * _FINE, slew * _FINE)
+    delay = round(dead_time / _FINE)
+    ramped = np.concatenate([np.zeros((delay, 2)), ramped])[: len(commands)]
     for row in range(2):
         total = lags[row].sum()
         square = (0.5 * total / damping) ** 2 if damping else lags[row].prod()
@@ -140,20 +142,20 @@ def _followed(
     return ramped
 
 
-def _coloured(stream: np.random.Generator, count: int, correlation: float) -> FloatArray:
-    """Draw (count, 2) noise of deviation 1 with a correlation over this number of seconds."""
-    keep = np.exp(-_FINE / correlation)
-    white = stream.normal(size=(count, 2)) * np.sqrt(1.0 - keep**2)
-    return np.asarray(signal.lfilter([1.0], [1.0, -keep], white, axis=0))
+def _coloured_noise(stream: np.random.Generator, count: int, correlation: float) -> FloatArray:
+    """Draw noise (count, 2) with standard deviation 1 and a correlation time [s]."""
+    decay = np.exp(-_FINE / correlation)
+    white = stream.normal(size=(count, 2)) * np.sqrt(1.0 - decay**2)
+    return np.asarray(signal.lfilter([1.0], [1.0, -decay], white, axis=0))
 
 
-def _poses(twist: FloatArray, every: int, latency: float) -> FloatArray:
-    """Return (K, 3) poses of each sample as they were `latency` seconds before."""
+def _delayed_poses(twist: FloatArray, stride: int, latency: float) -> FloatArray:
+    """Return the poses (K, 3) of each sample, delayed by `latency` [s]."""
     theta = np.cumsum(twist[:, 1]) * _FINE
     pose = np.column_stack([np.cumsum(twist[:, 0] * np.cos(theta)), np.cumsum(twist[:, 0] * np.sin(theta))]) * _FINE
-    late = round(latency / _FINE)
-    whole = np.column_stack([pose, theta])
-    return np.concatenate([np.zeros((late, 3)), whole])[: len(whole)][::every]
+    delay = round(latency / _FINE)
+    poses = np.column_stack([pose, theta])
+    return np.concatenate([np.zeros((delay, 3)), poses])[: len(poses)][::stride]
 
 
 CLEAN = 1e-3
@@ -162,12 +164,12 @@ SEED = 1
 
 @pytest.fixture(scope="module")
 def exact():
-    """A log without noise in which both channels are clipped, and what it tells."""
+    """Log with almost no noise in which both channels are clipped, and its estimate."""
     log = drawn_log(SEED, noise=CLEAN, seconds=60.0, limit=0.7)
     return log, estimate_stack(log.data)
 
 
-def test_a_clean_log_tells_everything(exact):
+def test_clean_log_determines_all_quantities(exact):
     log, quantities = exact
     for name, truth in log.truth.items():
         tolerance = 0.003 if name.startswith("delay") else 0.01 * truth
@@ -190,23 +192,23 @@ def test_files_have_the_packages_structure(exact):
     assert all(isinstance(value, float) for value in numbers)
 
 
-def test_without_a_pose_the_gyro_tells_the_multiplier():
-    """It scales as the yaw gain of the wheels does: of a body that turns less for the same wheels it is larger."""
+def test_gyro_determines_the_multiplier_of_a_log_without_poses():
+    """A body that turns more slowly for equal wheel speeds has a larger multiplier."""
     log = drawn_log(SEED, noise=CLEAN, seconds=60.0, pose=False)
     quantities = estimate_stack(log.data)
     assert quantities["left_radius_multiplier"].value is None
     assert "pose" in quantities["left_radius_multiplier"].reason
     multiplier = quantities["separation_multiplier"].value
     assert multiplier == pytest.approx(log.truth["separation_multiplier"], rel=0.02)
-    spun = [replace(record, yaw_rate=0.8 * record.yaw_rate) for record in log.data.train]
-    slower = estimate_stack(replace(log.data, train=tuple(spun)))
+    slow_records = [replace(record, yaw_rate=0.8 * record.yaw_rate) for record in log.data.train]
+    slower = estimate_stack(replace(log.data, train=tuple(slow_records)))
     assert slower["separation_multiplier"].value == pytest.approx(multiplier / 0.8, rel=0.01)
 
 
-def test_without_finite_intervals_there_is_no_value(monkeypatch):
-    """A singular covariance: a note in place of each estimate, and of what follows from it."""
-    unknown = "diffdrive_mpc_extras.stack.estimate.covariance"
-    monkeypatch.setattr(unknown, lambda fit, _: np.full((len(fit.free), len(fit.free)), math.nan))
+def test_quantities_without_finite_intervals_have_no_value(monkeypatch):
+    """With a singular covariance, estimates and derived quantities have a reason in place of a value."""
+    covariance = "diffdrive_mpc_extras.stack.estimate.covariance"
+    monkeypatch.setattr(covariance, lambda fit, _: np.full((len(fit.free), len(fit.free)), math.nan))
     quantities = estimate_stack(drawn_log(SEED, noise=CLEAN, seconds=30.0, limit=0.7, pose=False).data)
     for name in ("delay.v", "delay.omega", "separation_multiplier", "max.v", "rate.omega", "look_ahead_time"):
         assert quantities[name].value is None, name
@@ -218,7 +220,7 @@ def test_without_finite_intervals_there_is_no_value(monkeypatch):
 
 
 def test_look_ahead_keeps_the_phase_margin():
-    """The phase of 2 (p + 1) exp(-theta p) / p^2 where its gain is one."""
+    """Check the phase of 2 (p + 1) exp(-theta p) / p^2 at gain one."""
     margin = math.radians(45.0)
     theta = 1.0 / look_ahead_factor(margin)
     crossing = math.sqrt(2.0 + math.sqrt(8.0))
@@ -226,27 +228,27 @@ def test_look_ahead_keeps_the_phase_margin():
     assert math.atan(crossing) - theta * crossing == pytest.approx(margin)
 
 
-def test_a_clipping_robot_gets_the_look_ahead_of_its_top_speed(exact):
+def test_look_ahead_of_a_clipping_robot_is_that_of_its_maximum_speed(exact):
     log, quantities = exact
     ahead = quantities["look_ahead_time"].value * log.truth["max.v"]
     assert quantities["look_ahead"].value == pytest.approx(ahead, rel=0.02)
 
 
-def test_limits_state_the_multipliers_that_they_hold_with(exact):
-    """Without a separation multiplier the limit is that of the command, in front of gain and multiplier."""
+def test_reason_of_a_limit_names_its_multipliers(exact):
+    """If the separation multiplier is missing, the limit applies to the command before gain and multiplier."""
     log, quantities = exact
     assert "only with the separation multiplier of ros2_control.yaml" in quantities["max.omega"].reason
     bare = [replace(record, wheels=None) for record in log.data.train]
-    as_driven = estimate_stack(replace(log.data, train=tuple(bare)))["max.omega"]
+    uncorrected = estimate_stack(replace(log.data, train=tuple(bare)))["max.omega"]
     firmware, multiplier = draw_robot(SEED).build.firmware, log.truth["separation_multiplier"]
     level = log.truth["max.omega"] * multiplier * log.data.stated_track / firmware.track
-    assert as_driven.value == pytest.approx(level, rel=0.02)
-    assert "for the multipliers of the log" in as_driven.reason
+    assert uncorrected.value == pytest.approx(level, rel=0.02)
+    assert "for the multipliers of the log" in uncorrected.reason
 
 
 @pytest.mark.parametrize("seed", [801, 803, 805])
 def test_delays_of_robots_that_overshoot(seed):
-    """Reserved seeds with damping of 0.4 to 0.9 and noise."""
+    """Reserved seeds with a damping ratio of 0.4 to 0.9 and noise."""
     damping = float(np.random.default_rng(seed).uniform(0.4, 0.9))
     log = drawn_log(seed, damping=damping)
     quantities = estimate_stack(log.data)
@@ -254,14 +256,14 @@ def test_delays_of_robots_that_overshoot(seed):
         assert quantities[name].value == pytest.approx(log.truth[name], abs=0.01), name
 
 
-def test_unknown_package_is_one_line_with_the_known_ones(tmp_path):
+def test_unknown_package_error_lists_the_known_packages(tmp_path):
     line = refusal("identify", "no.csv", "--for", "nav2,moveit", "--out", tmp_path / "x", code=1)
     assert "'moveit': no installed package has it; installed: nav2, robot_localization, ros2_control" in line
 
 
 @pytest.mark.long
-def test_intervals_hold_the_truth_of_drawn_robots():
-    """Robots with reserved seeds; errors within the tolerances, and 95 % inside the interval of the share."""
+def test_intervals_contain_the_truth_of_drawn_robots():
+    """For reserved seeds, 95 % of the errors are within the tolerances, and the coverage is consistent with 95 %."""
     tolerances, inside, within = POPULATION.tolerances, [], []
     for seed in range(1000, 1040, 2):
         log = drawn_log(seed)

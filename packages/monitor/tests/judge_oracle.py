@@ -1,6 +1,6 @@
-"""The monitor's rules once more, slow and plain: everything is kept, and looked through anew at every call.
+"""Slow reference implementation of the monitor's rules, which evaluates the whole history at each call.
 
-What C does with rings, filters and running bounds stands here as sums over the whole past.
+Ring buffers, filters and running bounds of the C code are sums over the history here.
 """
 
 from __future__ import annotations
@@ -13,22 +13,22 @@ def wrapped(angle):
 
 
 class OracleJudge:
-    """Says which rules stopped the robot: `stopped` is None or (when, the names of all that did so at that instant)."""
+    """Oracle of the judge; `stopped` is None or (time of the stop, names of all rules violated at this time)."""
 
     def __init__(self, rules, now):
-        self.rules, self.began, self.now = rules, now, now
+        self.rules, self.start, self.now = rules, now, now
         self.path = None
         self.sent, self.commands, self.odometry, self.gyros, self.poses = [], [], [], [], []
-        self.word, self.rest_since = None, None
-        self.broken, self.stopped, self.bounds = {}, None, {}
+        self.report, self.rest_since = None, None
+        self.violated, self.stopped, self.bounds = {}, None, {}
         self.events, self.placed, self.free_at = [], (-1, None), now
         self.returning, self.away_at, self.away_for, self.path_at = False, 0.0, 0.0, now
 
-    def judge(self, name, broken, lasting=0.0):
-        if not broken:
-            self.broken.pop(name, None)
+    def judge(self, name, violated, lasting=0.0):
+        if not violated:
+            self.violated.pop(name, None)
             return
-        since = self.broken.setdefault(name, self.now)
+        since = self.violated.setdefault(name, self.now)
         if self.now - since >= lasting - 1e-9:
             if self.stopped is None:
                 self.stopped = (self.now, {name})
@@ -42,36 +42,36 @@ class OracleJudge:
     def reference(self, now, points):
         self.now = now
         points = np.array(points, dtype=float).reshape(-1, 4)
-        sound = np.isfinite(points).all()
-        if sound and len(points) > 1:
+        is_valid = np.isfinite(points).all()
+        if is_valid and len(points) > 1:
             dt, step = np.diff(points[:, 0]), np.hypot(*np.diff(points[:, 1:3], axis=0).T)
             turn = np.abs(wrapped(np.diff(points[:, 3])))
             r = self.rules.commands
-            sound = (dt > 0).all() and (step <= r.v * dt + 1e-9).all() and (turn <= r.omega * dt + 1e-9).all()
-        self.path = points if sound and len(points) else None
+            is_valid = (dt > 0).all() and (step <= r.v * dt + 1e-9).all() and (turn <= r.omega * dt + 1e-9).all()
+        self.path = points if is_valid and len(points) else None
         self.returning, self.away_at = True, now - self.rules.path.lasting
-        self.judge("bad_reference", not sound)
+        self.judge("bad_reference", not is_valid)
 
-    def usable(self, stamp, values, past):
+    def is_usable(self, stamp, values, past):
         fresh = not past or stamp > past[-1][0]
         return np.isfinite([stamp, *values]).all() and stamp <= self.now + self.rules.sensors.ahead and fresh
 
     def says(self, now, *, drives):
         self.now = now
-        if self.word is not None and drives and not self.word[1]:
+        if self.report is not None and drives and not self.report[1]:
             self.returning, self.away_at = True, now
-        if self.word is None or self.word[1] != drives:
-            self.rest_since = None if drives else now if self.word is not None else self.rest_since
-            self.word = (now, drives)
+        if self.report is None or self.report[1] != drives:
+            self.rest_since = None if drives else now if self.report is not None else self.rest_since
+            self.report = (now, drives)
 
     def gyro(self, now, stamp, rate):
         self.now = now
-        if self.usable(stamp, [rate], self.gyros):
+        if self.is_usable(stamp, [rate], self.gyros):
             self.gyros.append((stamp, rate))
 
     def odometry_(self, now, stamp, twist, pose):
         self.now = now
-        if not self.usable(stamp, [*twist, *pose], self.odometry):
+        if not self.is_usable(stamp, [*twist, *pose], self.odometry):
             return
         gyro = self.gyros[-1][1] if self.gyros and self.rules.sensors.gyro_age > 0 else None
         turning = twist[1] if gyro is None else gyro
@@ -80,33 +80,33 @@ class OracleJudge:
         standing = self.rules.commands.standing_v
         if not self.sent or abs(self.sent[-1][1][0]) <= standing or abs(twist[0]) > standing:
             self.free_at = now
-        self._answer()
-        self._gyro_against_wheels()
+        self._check_response()
+        self._compare_gyro()
         self._rest()
 
-    def _answer(self):
-        """Compute the range between the largest pending commands and the decayed larger ones."""
+    def _check_response(self):
+        """Compare the response with the range of pending commands and decayed earlier bounds."""
         r, now = self.rules.answer, self.now
         row = self.odometry[-1]
         ends = [t for t, _ in self.sent[1:]] + [np.inf]
-        held = [u for (_, u), end in zip(self.sent, ends, strict=False) if end >= now - r.dead_time]
+        pending = [u for (_, u), end in zip(self.sent, ends, strict=False) if end >= now - r.dead_time]
         for i, (name, result, lag, gain, margin) in enumerate(
             [
                 ("answer_v", row[1], r.lag_v, r.gain_v, r.margin_v),
                 ("answer_omega", row[6], r.lag_omega, r.gain_omega, r.margin_omega),
             ]
         ):
-            most = gain * max([0.0, *(u[i] for u in held)])
-            least = gain * min([0.0, *(u[i] for u in held)])
-            before, high, low = self.bounds.get(name, (self.began, 0.0, 0.0))
-            share = (now - before) / (lag + now - before)
-            high = most if most > high else high + share * (most - high)
-            low = least if least < low else low + share * (least - low)
+            maximum = gain * max([0.0, *(u[i] for u in pending)])
+            minimum = gain * min([0.0, *(u[i] for u in pending)])
+            before, high, low = self.bounds.get(name, (self.start, 0.0, 0.0))
+            weight = (now - before) / (lag + now - before)
+            high = maximum if maximum > high else high + weight * (maximum - high)
+            low = minimum if minimum < low else low + weight * (minimum - low)
             self.bounds[name] = (now, high, low)
             self.judge(name, not low - margin <= result <= high + margin, r.lasting)
 
     def _rest(self):
-        """Sum up the motion of the wheels since the robot has rolled out."""
+        """Sum the motion of the wheels since the robot should be at rest."""
         r, response = self.rules.commands, self.rules.answer
         crept = np.zeros(2)
         if self.rest_since is not None:
@@ -119,7 +119,7 @@ class OracleJudge:
         self.judge("creeps", abs(crept[0]) > r.rest_distance)
         self.judge("turns_at_rest", abs(crept[1]) > r.rest_turn)
 
-    def _gyro_against_wheels(self):
+    def _compare_gyro(self):
         r = self.rules.agreement
         if self.odometry[-1][8] is None:
             return
@@ -129,20 +129,20 @@ class OracleJudge:
                 dt = row[0] - self.odometry[k - 1][0] if k else 0.0
                 wheels += dt / (r.window + dt) * (row[2] - wheels)
                 gyro += dt / (r.window + dt) * (row[8] - gyro)
-        bounds = [0.0 + r.window * wheels * share for share in (r.gyro_gain, r.gyro_least)]
+        bounds = [0.0 + r.window * wheels * ratio for ratio in (r.gyro_gain, r.gyro_least)]
         inside = min(bounds) - r.gyro_turn <= r.window * gyro <= max(bounds) + r.gyro_turn
         self.judge("gyro_wheels", not inside, r.lasting)
 
     def pose(self, now, stamp, pose):
         self.now = now
-        if not self.rules.sensors.pose_age > 0 or not self.usable(stamp, pose, self.poses):
+        if not self.rules.sensors.pose_age > 0 or not self.is_usable(stamp, pose, self.poses):
             return
         self.poses.append((stamp, *pose))
         self.events.append(("pose", self.poses[-1]))
-        self._poses_against_odometry()
+        self._compare_poses()
 
-    def summed(self, times):
-        """Integrate (k, 4) x, y, theta and distance by wheels and gyro at these times; NaN where unknown."""
+    def integrated(self, times):
+        """Integrate x, y, theta and distance (k, 4) by wheels and gyro up to `times`; NaN for unknown times."""
         t = np.array([row[0] for row in self.odometry])
         if not len(t):
             return np.full((len(times), 4), np.nan)
@@ -156,17 +156,17 @@ class OracleJudge:
         return result
 
     def _place(self):
-        """Estimate the pose, and the recent corrections by poses; both are computed again after each message."""
+        """Return the estimated pose and the recent corrections by poses, cached until the next message."""
         if len(self.events) != self.placed[0]:
-            self.placed = (len(self.events), self._place_anew())
+            self.placed = (len(self.events), self._compute_place())
         return self.placed[1]
 
-    def _place_anew(self):
+    def _compute_place(self):
         r = self.rules.agreement
         place, unexplained, self.driven, self.pending = None, np.zeros(3), 0.0, np.zeros(3)
         if not self.rules.sensors.pose_age > 0:
             return (np.array(self.odometry[-1][3:6]) if self.odometry else None), unexplained
-        known = self.summed([event[1][0] for event in self.events])
+        known = self.integrated([event[1][0] for event in self.events])
         newest = None
         for k, (name, row) in enumerate(self.events):
             if name == "odometry":
@@ -179,22 +179,22 @@ class OracleJudge:
                 newest = row
                 continue
             current = np.array(row[1:4])
-            latest = self.summed([newest[0]])[0] if newest is not None else None
+            latest = self.integrated([newest[0]])[0] if newest is not None else None
             if latest is not None and row[0] >= self.odometry[0][0] - 1e-9:
-                then = known[k]
-                way = (latest[0] - then[0] + 1j * (latest[1] - then[1])) * np.exp(1j * (row[3] - then[2]))
-                current = current + [way.real, way.imag, latest[2] - then[2]]
+                past = known[k]
+                displacement = (latest[0] - past[0] + 1j * (latest[1] - past[1])) * np.exp(1j * (row[3] - past[2]))
+                current = current + [displacement.real, displacement.imag, latest[2] - past[2]]
             before = [event[1][0] for event in self.events[:k] if event[0] == "pose"]
             dt = min(row[0] - before[-1], 1.0) if before else 0.0
             place = current.copy() if place is None else place
-            apart = current - place
-            apart[2] = wrapped(apart[2])
-            self.pending = unexplained + apart
-            place = place + dt / (r.blend + dt) * apart
-            unexplained = unexplained + dt / (r.blend + dt) * apart
+            error = current - place
+            error[2] = wrapped(error[2])
+            self.pending = unexplained + error
+            place = place + dt / (r.blend + dt) * error
+            unexplained = unexplained + dt / (r.blend + dt) * error
         return place, unexplained
 
-    def _poses_against_odometry(self):
+    def _compare_poses(self):
         r = self.rules.agreement
         self._place()
         self.judge("pose_jumps", np.hypot(*self.pending[:2]) > r.distance + r.distance_share * self.driven, r.lasting)
@@ -216,7 +216,7 @@ class OracleJudge:
             self.judge("command_order", moving and stamp and stamps and stamp < stamps[-1])
             self.commands.append((now, stamp, v, omega, bool(self.sent) and self.moves(self.sent[-1][1])))
             self._slew()
-            self._pace(moving)
+            self._check_interval(moving)
         if self.stopped is None:
             self.sent.append((now, twist))
             self._time()
@@ -225,10 +225,10 @@ class OracleJudge:
         r = self.rules.commands
         limits = ((r.v_slew, r.v_braking), (r.omega_slew, r.omega_braking))
         for i, name in enumerate(("slew", "yaw_slew")):
-            follower, away, broken = 0.0, 0.0, False
+            follower, away, violated = 0.0, 0.0, False
             for k, command in enumerate(self.commands):
                 if command[2] == 0.0 and command[3] == 0.0:
-                    follower, broken = 0.0, False
+                    follower, violated = 0.0, False
                     continue
                 step = 0.0
                 if k:
@@ -242,10 +242,10 @@ class OracleJudge:
                 slew = max(limits[i]) if slower else limits[i][0]
                 follower = float(np.clip(u, follower - slew * step, follower + slew * step))
                 away = abs(u - follower)
-                broken = away > slew * r.jitter
-            self.judge(name, broken)
+                violated = away > slew * r.jitter
+            self.judge(name, violated)
 
-    def _pace(self, moving):
+    def _check_interval(self, moving):
         r = self.rules.commands
         middle = 0.5 * (r.slowest + r.quickest)
         pace = middle
@@ -264,19 +264,19 @@ class OracleJudge:
         output = self.sent[-1][1] if self.sent else (0.0, 0.0)
         moved = self.moves(output)
         self.judge("silent", moved and now - self.commands[-1][0] > r.commands.silence)
-        stands = self.word is not None and not self.word[1] and now - self.word[0] > r.commands.stop_within
+        stands = self.report is not None and not self.report[1] and now - self.report[0] > r.commands.stop_within
         self.judge("not_to_move", moved and stands, r.path.grace)
-        for name, past, most in (
+        for name, readings, max_age in (
             ("odometry", self.odometry, r.sensors.odometry_age),
             ("pose", self.poses, r.sensors.pose_age),
             ("gyro", self.gyros, r.sensors.gyro_age),
         ):
-            age = now - (past[-1][0] if past else self.began)
-            self.judge(name, moved and most > 0 and age > most)
+            age = now - (readings[-1][0] if readings else self.start)
+            self.judge(name, moved and max_age > 0 and age > max_age)
         self._path(output, moved)
 
-    def stretch(self, start, end):
-        """Return (n, 3) poses of the reference at two times, and the given ones between them."""
+    def section(self, start, end):
+        """Return poses (n, 3) of the reference at two times and at all its times in between."""
         path = self.path
         start, end = min(start, path[-1, 0]), max(end, path[0, 0])
         inside = path[(path[:, 0] > start) & (path[:, 0] < end), 0]
@@ -285,13 +285,13 @@ class OracleJudge:
         return np.column_stack([np.interp(times, path[:, 0], column) for column in (path[:, 1], path[:, 2], turned)])
 
     def away(self, pose, start, end, close):
-        """Compute the distance from a stretch, and the least angle to the headings of its near parts."""
-        rows = self.stretch(start, end)
+        """Compute the distance from a path section, and the minimum angle to the headings of its near parts."""
+        rows = self.section(start, end)
         a, b = (rows[:-1], rows[1:]) if len(rows) > 1 else (rows, rows)
         along = b[:, :2] - a[:, :2]
         length = (along**2).sum(axis=1)
-        share = np.clip(((pose[:2] - a[:, :2]) * along).sum(axis=1) / np.where(length > 0, length, 1), 0, 1)
-        distance = np.linalg.norm(pose[:2] - a[:, :2] - share[:, None] * along, axis=1)
+        fraction = np.clip(((pose[:2] - a[:, :2]) * along).sum(axis=1) / np.where(length > 0, length, 1), 0, 1)
+        distance = np.linalg.norm(pose[:2] - a[:, :2] - fraction[:, None] * along, axis=1)
         off = np.abs(wrapped(pose[2] - 0.5 * (a[:, 2] + b[:, 2]))) - 0.5 * np.abs(b[:, 2] - a[:, 2])
         near = distance <= close
         return distance.min(), max(off[near].min(), 0.0) if near.any() else 0.0
@@ -300,15 +300,15 @@ class OracleJudge:
         r, back, now = self.rules.path, self.rules.returning, self.now
         self.judge("no_reference", moved and self.path is None, r.grace)
         place, unexplained = self._place()
-        bound = self.path is not None and place is not None and (moved or (self.word is not None and self.word[1]))
+        bound = self.path is not None and place is not None and (moved or (self.report is not None and self.report[1]))
         strays = off = far = heading = False
         if bound:
             distance, turned = self.away(place, now - r.late, now + r.early, r.distance)
             unexplained = np.hypot(*unexplained[:2])
-            held = now - self.free_at > self.rules.answer.dead_time + self.rules.answer.lasting
+            is_blocked = now - self.free_at > self.rules.answer.dead_time + self.rules.answer.lasting
             if distance > r.distance:
                 self.away_at = now
-                if held or unexplained > r.distance:
+                if is_blocked or unexplained > r.distance:
                     self.returning = True
             step = min(now - self.path_at, 1.0)
             if distance <= r.distance:

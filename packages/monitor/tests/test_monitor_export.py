@@ -1,4 +1,4 @@
-"""The judge as C files: for a host with all warnings, and on an emulated microcontroller beside the one of Python."""
+"""Exported judge: on the host with all warnings, and on an emulated microcontroller in comparison with Python."""
 
 from __future__ import annotations
 
@@ -18,52 +18,52 @@ STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshado
 CORTEX = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "-ffp-contract=off", "-O2")
 LINK = ("-ffunction-sections", "-fdata-sections", "-Wl,--gc-sections", "-nostartfiles", "--specs=nano.specs")
 EMULATOR = "qemu-system-arm -M netduinoplus2 -nographic -monitor none -serial stdio -icount shift=0,sleep=off"
-PATIENCE = 120.0
-WHAT = ("begin", "point", "reference", "odometry", "gyro", "pose", "says", "command", "tick", "reset")
+TIMEOUT = 120.0
+MESSAGES = ("start", "point", "reference", "odometry", "gyro", "pose", "says", "command", "tick", "reset")
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    made = tmp_path_factory.mktemp("judge") / "exported"
-    invoke(app, "monitor", "--export", made)
-    return made
+    exported = tmp_path_factory.mktemp("judge") / "exported"
+    invoke(app, "monitor", "--export", exported)
+    return exported
 
 
-def test_the_example_runs_with_sanitizers(folder):
+def test_example_runs_with_sanitizers(folder):
     command = ["gcc", *STRICT, "-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
     command += [f"-I{folder / 'ddmon'}", *map(str, sorted((folder / "ddmon").glob("*.c")))]
     program = folder / "example"
     subprocess.run([*command, str(folder / "examples" / "main.c"), "-lm", "-o", str(program)], check=True)
     output = subprocess.run([program], capture_output=True, text=True, check=True).stdout
-    assert "the robot is off its path" in output and "it stands at" in output
+    assert "the robot is off its path" in output and "final position" in output
 
 
-def test_a_name_is_no_code():
+def test_name_of_rules_cannot_inject_code():
     named = RULES.model_copy(update={"name": "x */ int i; \\\n#error ??/"})
     header = rules_texts(named)["rules.h"]
     assert header.count("*/") == 1 and "#error" not in header.splitlines() and "\\" not in header
 
 
 class Emulated:
-    """The judge on QEMU's STM32F4; frames of eight doubles each way."""
+    """Judge on the STM32F4 of QEMU; messages of eight doubles in both directions."""
 
     def __init__(self, image):
         self.process = subprocess.Popen(
             [*EMULATOR.split(), "-kernel", str(image)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
         )
-        # One that hangs does not hold the tests.
-        self.watchdog = threading.Timer(PATIENCE, self.process.kill)
+        # Kill a hanging emulator.
+        self.watchdog = threading.Timer(TIMEOUT, self.process.kill)
         self.watchdog.start()
         assert self.read(1)[0] == 1.0
 
     def read(self, count):
         data = self.process.stdout.read(8 * count)
-        assert len(data) == 8 * count, "the program does not answer"
+        assert len(data) == 8 * count, "no reply from the program"
         return np.frombuffer(data)
 
     def __call__(self, name, *numbers):
         frame = np.zeros(8)
-        frame[: 1 + len(numbers)] = (WHAT.index(name), *numbers)
+        frame[: 1 + len(numbers)] = (MESSAGES.index(name), *numbers)
         self.process.stdin.write(frame.tobytes())
         self.process.stdin.flush()
         return self.read(8)
@@ -85,8 +85,8 @@ def flat(name, arguments, words):
 
 
 @pytest.mark.system("microcontroller")
-def test_the_microcontroller_decides_the_same(folder):
-    """Every call, until it has stopped the robot: rule, instant, command. Only sines differ in their last bits."""
+def test_microcontroller_gives_equal_verdicts(folder):
+    """Compare rule, time and command of each call; sines differ only in their last bits."""
     image = folder / "judge.elf"
     sources = [*sorted((folder / "ddmon").glob("*.c")), *sorted((folder / "stm32f4").glob("*.c"))]
     command = ["arm-none-eabi-gcc", "-std=c99", "-Wall", "-Wextra", "-Werror", *CORTEX, *LINK]
@@ -94,7 +94,7 @@ def test_the_microcontroller_decides_the_same(folder):
     subprocess.run([*command, "-lm", "--specs=nosys.specs", "-o", str(image)], check=True)
     judge, board, calls_since = Judge(RULES, START), Emulated(image), 0
     try:
-        board("begin", START)
+        board("start", START)
         for name, arguments, words in random_drive(0):
             result = getattr(judge, name)(*arguments, **words)
             if name == "reference":

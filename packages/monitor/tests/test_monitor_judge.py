@@ -1,4 +1,4 @@
-"""The judge of the monitor: what each rule catches, what it lets pass, and the oracle of all of them."""
+"""Judge of the monitor: violations of each rule, valid drives, and a comparison with the oracle."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ RULES = load_rules()
 
 
 class Robot:
-    """Obeys with a lag of a tenth of a second along a straight reference; what goes wrong is set from outside."""
+    """Robot with a lag of 0.1 s on a straight reference; tests set its faults."""
 
     def __init__(self, judge, speed=0.4, duration=10.0):
         self.judge, self.now, self.speed = judge, START, speed
         times = np.linspace(0.0, duration, round(20 * duration) + 1)
-        way = speed * times
-        self.points = np.column_stack([START + times, way, 0 * times, 0 * times]).tolist()
+        distance = speed * times
+        self.points = np.column_stack([START + times, distance, 0 * times, 0 * times]).tolist()
         judge.reference(self.now, self.points)
         self.state, self.twist, self.out = np.zeros(3), np.zeros(2), (0.0, 0.0)
-        self.deaf = self.blind = self.lost = False
+        self.ignores_commands = self.has_no_odometry = self.has_no_pose = False
 
     def drive(self, seconds, command=None, stamp=None, silent=False):
-        """Drive on; returns the commands (n, 2) that reached the base."""
+        """Drive for a time; return the commands (n, 2) of the base."""
         sent = []
         for _ in range(round(seconds / DT)):
             judge, now = self.judge, self.now
-            if not self.blind:
+            if not self.has_no_odometry:
                 judge.gyro(now, now, self.twist[1])
                 judge.odometry(now, now, self.twist.tolist(), self.state.tolist())
-            if not self.lost:
+            if not self.has_no_pose:
                 judge.pose(now, now, self.state.tolist())
             v = min(self.speed, 1.9 * (now - START)) if command is None else command[0]
             if not silent:
@@ -45,7 +45,7 @@ class Robot:
             stopped = judge.tick(now)
             self.out = self.out if stopped is None else stopped
             sent.append(self.out)
-            if not self.deaf:
+            if not self.ignores_commands:
                 self.twist = self.twist + 0.2 * (np.array(self.out) - self.twist)
             x, y, theta = self.state
             v, omega = self.twist
@@ -74,7 +74,7 @@ def robot():
     return Robot(Judge(RULES, START))
 
 
-def test_a_sound_drive_passes_unchanged(robot):
+def test_commands_of_a_valid_drive_are_unchanged(robot):
     sent = robot.drive(10.0)
     assert not robot.judge.verdict
     assert sent[-1].tolist() == [0.4, 0.0]
@@ -92,29 +92,29 @@ def test_non_finite_commands_never_reach_the_base(robot, v):
 
 
 @pytest.mark.parametrize("sensor", ["pose", "odometry", "gyro"])
-@pytest.mark.parametrize("spoilt", ["not finite", "in the future", "repeated"])
-def test_a_reading_that_cannot_be_used_is_none(robot, sensor, spoilt):
-    """Sound readings beside it keep the robot going; without them the sensor is too old, however many bad ones come."""
+@pytest.mark.parametrize("defect", ["not finite", "in the future", "repeated"])
+def test_invalid_readings_are_ignored(robot, sensor, defect):
+    """Valid readings in between keep the robot driving; without them the sensor data becomes too old."""
 
-    def send(place):
+    def send(index):
         values = [*robot.twist, *robot.state]
         values = {"pose": values[2:], "odometry": values, "gyro": values[1:2]}[sensor]
-        stamp = {"in the future": robot.now + 5.0, "repeated": sound}.get(spoilt, robot.now)
-        if spoilt == "not finite":
-            values[place % len(values)] = (math.nan, math.inf)[place % 2]
-        words = {"pose": [values], "odometry": [values[:2], values[2:]], "gyro": values}[sensor]
-        getattr(robot.judge, sensor)(robot.now, stamp, *words)
+        stamp = {"in the future": robot.now + 5.0, "repeated": valid_stamp}.get(defect, robot.now)
+        if defect == "not finite":
+            values[index % len(values)] = (math.nan, math.inf)[index % 2]
+        data = {"pose": [values], "odometry": [values[:2], values[2:]], "gyro": values}[sensor]
+        getattr(robot.judge, sensor)(robot.now, stamp, *data)
 
-    for place in range(100):
-        sound = robot.now
+    for index in range(100):
+        valid_stamp = robot.now
         robot.drive(DT)
-        send(place)
+        send(index)
     assert not robot.judge.verdict
-    setattr(robot, "lost" if sensor == "pose" else "blind", True)
+    setattr(robot, "has_no_pose" if sensor == "pose" else "has_no_odometry", True)
     for _ in range(250):
-        for part in range(5 if spoilt == "not finite" else 1):
+        for part in range(5 if defect == "not finite" else 1):
             send(part)
-        # The other of the two sensors that a blind robot lacks.
+        # Send the other of the two sensors that this robot lacks.
         if sensor == "gyro":
             robot.judge.odometry(robot.now, robot.now, robot.twist.tolist(), robot.state.tolist())
         if sensor == "odometry":
@@ -123,22 +123,22 @@ def test_a_reading_that_cannot_be_used_is_none(robot, sensor, spoilt):
     assert robot.judge.verdict.rule == sensor
 
 
-def test_it_brakes_at_the_braking_limits_and_stays(robot):
+def test_robot_brakes_at_the_braking_limits_and_stays_stopped(robot):
     robot.drive(2.0)
     sent = robot.drive(1.0, (1.6, 0.0))[:, 0]
     assert robot.judge.verdict.rule == "speed"
     falling = sent[sent > 0]
     assert len(falling) == pytest.approx(0.4 / (RULES.commands.v_braking * DT), abs=1)
     assert np.abs(np.diff([0.4, *falling])).max() <= RULES.commands.v_braking * DT + 1e-12
-    # Sound commands do not help: a person has to say so.
+    # Valid commands do not resume the drive without a reset.
     assert not robot.drive(2.0, (0.0, 0.0)).any() and not robot.drive(0.5, (0.01, 0.0)).any()
     assert robot.judge.verdict.words == "a command is too fast: 1.6 m/s, the limit is 1.5 m/s"
 
 
-def test_where_commands_do_not_mean_what_they_say_it_stops_at_once(robot):
-    """A robot that turns to the wrong side turns on as long as the ramp lasts."""
+def test_robot_with_wrong_response_is_stopped_at_once(robot):
+    """A braking ramp would continue the wrong motion."""
     robot.drive(2.0)
-    robot.deaf = True
+    robot.ignores_commands = True
     robot.twist = np.array([-0.5, 0.0])
     sent = robot.drive(0.5)
     assert robot.judge.verdict.rule == "answer_v"
@@ -147,7 +147,7 @@ def test_where_commands_do_not_mean_what_they_say_it_stops_at_once(robot):
 
 
 @pytest.mark.parametrize(
-    ("rule", "harm"),
+    ("rule", "violate"),
     [
         ("silent", lambda r: r.drive(0.5, silent=True)),
         ("old_command", lambda r: r.drive(0.1, stamp=lambda now: now - 0.3)),
@@ -156,39 +156,47 @@ def test_where_commands_do_not_mean_what_they_say_it_stops_at_once(robot):
         ("yaw_slew", lambda r: r.drive(0.1, (0.4, 1.5))),
         ("yaw_rate", lambda r: r.drive(0.1, (0.4, 2.1))),
         ("not_to_move", lambda r: (r.judge.says(r.now, drives=False), r.drive(2.0))),
-        ("creeps", lambda r: (finish(r), setattr(r, "deaf", True), r.twist.__setitem__(0, 0.029), r.drive(2.0, REST))),
+        (
+            "creeps",
+            lambda r: (
+                finish(r),
+                setattr(r, "ignores_commands", True),
+                r.twist.__setitem__(0, 0.029),
+                r.drive(2.0, REST),
+            ),
+        ),
         ("creeps", lambda r: (finish(r), r.drive(2.2, (-0.029, 0.0)))),
         ("turns_at_rest", lambda r: (finish(r), r.drive(4.0, (0.0, 0.07)))),
         ("strays", lambda r: (stand(r), r.judge.reference(r.now, r.points[:41]), r.drive(8.0, (0.04, 0.0)))),
         ("strays", lambda r: (r.judge.says(r.now, drives=True), r.drive(7.5, (0.34, 0.0)))),
         ("off_path", lambda r: (r.judge.says(r.now, drives=True), stand(r), r.drive(1.5, (0.0, 0.0)))),
-        ("odometry", lambda r: (setattr(r, "blind", True), r.drive(0.5))),
-        ("pose", lambda r: (setattr(r, "lost", True), r.drive(3.0))),
+        ("odometry", lambda r: (setattr(r, "has_no_odometry", True), r.drive(0.5))),
+        ("pose", lambda r: (setattr(r, "has_no_pose", True), r.drive(3.0))),
         ("no_reference", lambda r: (r.judge.reference(r.now, []), r.drive(0.5))),
         ("bad_reference", lambda r: r.judge.reference(r.now, [[r.now, 0, 0, 0], [r.now + 1, 5, 0, 0]])),
-        ("outside", lambda r: r.judge.outside(r.now, wrong=True)),
+        ("outside", lambda r: r.judge.outside(r.now, is_faulty=True)),
         ("off_heading", lambda r: (stand(r), r.judge.reference(r.now, [[r.now, *r.state]]), r.drive(4.5, (0.0, 0.3)))),
         ("pose_jumps", lambda r: (r.state.__setitem__(1, 0.6), r.drive(1.0))),
         ("pose_turns", lambda r: (r.state.__setitem__(2, 0.7), r.drive(0.6))),
         ("clock", lambda r: r.judge.tick(r.now - 5.0)),
     ],
 )
-def test_each_rule_stops_the_robot(robot, rule, harm):
+def test_each_rule_stops_the_robot(robot, rule, violate):
     robot.drive(2.0)
     assert not robot.judge.verdict
-    harm(robot)
+    violate(robot)
     assert robot.judge.verdict.rule == rule
     assert "\n" not in robot.judge.verdict.words and len(robot.judge.verdict.words) > 10
 
 
 @pytest.mark.parametrize("has_driven", [True, False])
 def test_robot_is_pushed_before_but_not_after_a_drive(has_driven):
-    """A reset lets it be pushed by so much again."""
+    """After a reset, the robot may be pushed by the same distance again."""
     robot = Robot(Judge(RULES, START))
     robot.judge.says(robot.now, drives=has_driven)
     robot.drive(1.0, REST)
     robot.judge.says(robot.now, drives=False)
-    robot.deaf, robot.twist = True, np.array([0.1, 0.0])
+    robot.ignores_commands, robot.twist = True, np.array([0.1, 0.0])
     robot.drive(0.45, REST)
     assert not robot.judge.verdict
     robot.drive(0.2, REST)
@@ -200,31 +208,31 @@ def test_robot_is_pushed_before_but_not_after_a_drive(has_driven):
     assert not robot.judge.verdict
 
 
-def test_rolling_out_and_a_jump_of_the_pose_are_no_motion_at_rest(robot):
-    """The controller says that it stands while the robot still drives at full speed."""
+def test_stopping_distance_and_pose_jumps_do_not_count_as_motion_at_rest(robot):
+    """The controller reports standstill while the robot still drives at full speed."""
     robot.drive(2.0)
     robot.judge.says(robot.now, drives=True)
     robot.judge.says(robot.now, drives=False)
-    rolled = robot.state[0]
+    start = robot.state[0]
     robot.drive(2.0, REST)
-    assert robot.state[0] - rolled > 0.03
+    assert robot.state[0] - start > 0.03
     robot.state[1] += 0.1
     robot.drive(5.0, REST)
     assert not robot.judge.verdict
 
 
-def test_a_robot_that_is_held_up_may_be_late(robot):
-    """It does less than commanded: that is no fault of the controller, and does no harm."""
+def test_blocked_robot_may_be_late(robot):
+    """A blocked robot is slower than commanded, which is not a fault of the controller."""
     robot.drive(2.0)
-    robot.twist, robot.deaf = np.zeros(2), True
+    robot.twist, robot.ignores_commands = np.zeros(2), True
     robot.drive(3.0)
-    robot.deaf = False
+    robot.ignores_commands = False
     robot.drive(4.0)
     assert not robot.judge.verdict
 
 
 def pause(robot, seconds):
-    """Let the controller report a stop, and stop; then it drives on from rest."""
+    """Report a stop, stop for `seconds`, and accelerate again from rest."""
     robot.judge.says(robot.now, drives=False)
     robot.drive(seconds, (0.0, 0.0))
     robot.judge.says(robot.now, drives=True)
@@ -232,8 +240,8 @@ def pause(robot, seconds):
         robot.drive(DT, (v, 0.0))
 
 
-def test_a_robot_that_stood_may_be_late():
-    """Though its reference went on meanwhile."""
+def test_robot_may_be_late_after_a_standstill():
+    """The reference continues during the standstill."""
     robot = Robot(Judge(RULES, START), duration=30.0)
     robot.judge.says(robot.now, drives=True)
     robot.drive(2.0)
@@ -242,34 +250,34 @@ def test_a_robot_that_stood_may_be_late():
     assert not robot.judge.verdict
 
 
-@pytest.mark.parametrize(("again", "rule"), [(True, ""), (False, "off_path")])
-def test_one_that_stood_for_long_needs_its_reference_anew(again, rule):
-    """Moved on by as long as it stood: then it is on time, and is held to that."""
+@pytest.mark.parametrize(("is_renewed", "rule"), [(True, ""), (False, "off_path")])
+def test_robot_needs_a_shifted_reference_after_a_long_standstill(is_renewed, rule):
+    """With a reference delayed by the standstill the robot is on time, and must stay on time."""
     robot = Robot(Judge(RULES, START), duration=30.0)
     robot.judge.says(robot.now, drives=True)
     robot.drive(2.0)
-    late = 60.0
-    if again:
-        robot.judge.reference(robot.now, [[t + late, *pose] for t, *pose in robot.points])
-    pause(robot, late)
+    delay = 60.0
+    if is_renewed:
+        robot.judge.reference(robot.now, [[t + delay, *pose] for t, *pose in robot.points])
+    pause(robot, delay)
     robot.drive(10.0)
     assert robot.judge.verdict.rule == rule
-    if again:
+    if is_renewed:
         robot.drive(4.0, (0.0, 0.0))
         assert robot.judge.verdict.rule == "off_path"
 
 
 @pytest.mark.parametrize("renewed", ["reference", "word", "motion", "nothing"])
 def test_robot_that_never_returns_is_stopped_in_time(renewed):
-    """The time off the path is limited to the time to return, no matter which messages arrive."""
+    """The time off the path is limited, independent of the messages that arrive."""
     robot = Robot(Judge(RULES, START), duration=60.0)
     robot.judge.says(robot.now, drives=True)
     robot.drive(2.0)
     for _ in range(10):
         robot.state[1] += 0.025
         robot.drive(DT)
-    began = robot.now
-    while not robot.judge.verdict and robot.now < began + 40.0:
+    start_time = robot.now
+    while not robot.judge.verdict and robot.now < start_time + 40.0:
         robot.drive(0.5)
         if renewed == "reference":
             robot.judge.reference(robot.now, robot.points)
@@ -279,12 +287,12 @@ def test_robot_that_never_returns_is_stopped_in_time(renewed):
         elif renewed == "motion":
             robot.state[1] = 0.5 - robot.state[1]
     assert robot.judge.verdict.rule in ("strays", "off_path")
-    assert robot.judge.verdict.at - began <= RULES.returning.within + RULES.path.lasting + 0.1
+    assert robot.judge.verdict.at - start_time <= RULES.returning.within + RULES.path.lasting + 0.1
 
 
 @pytest.mark.parametrize(("moved", "rule"), [(0.25, ""), (0.6, "pose_jumps")])
-def test_a_robot_that_something_else_moved_may_return(robot, moved, rule):
-    """By so much and no further: its wheels did not do that."""
+def test_robot_may_return_after_an_external_motion(robot, moved, rule):
+    """The allowed external motion is limited."""
     robot.drive(2.0)
     for _ in range(10):
         robot.state[1] += 0.1 * moved
@@ -297,15 +305,15 @@ def test_a_robot_that_something_else_moved_may_return(robot, moved, rule):
     assert robot.judge.verdict.rule == rule
 
 
-def test_zero_is_never_refused(robot):
-    """A controller may stop at any time, from any speed, with any stamp."""
+def test_zero_command_is_always_accepted(robot):
+    """A controller may stop at any time, speed and stamp."""
     robot.drive(2.0)
     robot.drive(0.1, (0.0, 0.0), stamp=lambda now: now - 5.0)
     assert not robot.judge.verdict
 
 
-def test_a_burst_of_late_messages_is_no_jump():
-    """Stamps tell when commands were decided: five that come together after 0.1 s are a sound ramp."""
+def test_burst_of_late_messages_is_not_a_jump():
+    """Five commands that arrive together after 0.1 s are a valid ramp by their stamps."""
     judge = Judge(RULES, START)
     now = START
     judge.reference(now, [[START, 0, 0, 0], [START + 9, 9, 0, 0]])
@@ -318,31 +326,31 @@ def test_a_burst_of_late_messages_is_no_jump():
     assert not judge.verdict
 
 
-def test_a_person_resets_it_when_the_cause_is_gone(robot):
+def test_reset_succeeds_when_the_cause_is_gone(robot):
     robot.drive(2.0)
     robot.drive(0.2, (1.6, 0.0))
     assert robot.judge.reset(robot.now).rule == "still_moved"
     robot.drive(1.0, (0.0, 0.0))
     assert not robot.judge.reset(robot.now)
     assert not robot.judge.verdict
-    before = robot.drive(0.5, (0.02, 0.0))
-    assert before[-1, 0] == 0.02 and not robot.judge.verdict
+    sent = robot.drive(0.5, (0.02, 0.0))
+    assert sent[-1, 0] == 0.02 and not robot.judge.verdict
 
 
-def test_no_reset_while_sensors_are_silent(robot):
+def test_reset_fails_while_sensor_data_is_missing(robot):
     robot.drive(2.0)
-    robot.blind = True
+    robot.has_no_odometry = True
     robot.drive(1.0)
     robot.drive(1.0, (0.0, 0.0))
     assert robot.judge.reset(robot.now).rule == "odometry"
-    robot.blind = False
+    robot.has_no_odometry = False
     robot.drive(0.5, (0.0, 0.0))
     assert not robot.judge.reset(robot.now)
 
 
 @pytest.mark.parametrize(("away", "rule"), [(0.9, "no_reference"), (1.2, "no_reference"), (0.3, "")])
-def test_a_robot_off_its_path_goes_on_with_a_new_reference_only(away, rule):
-    """Off its path it is where it may not be while it returns."""
+def test_robot_far_from_its_path_needs_a_new_reference(away, rule):
+    """A robot beyond the returning distance loses its reference at the reset."""
     robot = Robot(Judge(RULES, START))
     robot.drive(2.0)
     robot.state[1] = 0.9
@@ -357,9 +365,9 @@ def test_a_robot_off_its_path_goes_on_with_a_new_reference_only(away, rule):
 
 
 def random_drive(seed):
-    """Yield the calls of a drive with something wrong: name, arguments. It begins soundly.
+    """Yield the calls of a drive with a fault: name, arguments. The start of the drive is valid.
 
-    From seed 18 on it also stands, and from seed 26 on it creeps meanwhile.
+    From seed 18 on the drive contains a standstill, and from seed 26 on the robot creeps during it.
     """
     draw = np.random.default_rng(seed)
     kind, stands = seed % 12, 4.0 if seed >= 26 else 1.0 if seed >= 18 else 0.0
@@ -371,38 +379,38 @@ def random_drive(seed):
     x = np.cumsum(speed * 0.1 * np.cos(heading)) - speed * 0.1
     y = np.cumsum(speed * 0.1 * np.sin(heading))
     yield "reference", (START, np.column_stack([START + times, x, y, heading]).tolist()), {}
-    begins, drives = draw.uniform(0.8, 1.5) + 1.5 * stands, True
+    fault_start, drives = draw.uniform(0.8, 1.5) + 1.5 * stands, True
     for _ in range(round(250 * (1.0 + 0.5 * stands))):
         t = now - START
-        went_on, drives = drives, not 1.0 <= t < 1.0 + stands
-        if drives and not went_on and seed % 2:
-            late = START + stands
-            yield "reference", (now, np.column_stack([late + times, x, y, heading]).tolist()), {}
-        wrong = t > begins
-        wanted = np.array([speed, curve]) * (t < 6.0 + stands and drives)
+        was_driving, drives = drives, not 1.0 <= t < 1.0 + stands
+        if drives and not was_driving and seed % 2:
+            restart = START + stands
+            yield "reference", (now, np.column_stack([restart + times, x, y, heading]).tolist()), {}
+        is_faulty = t > fault_start
+        target = np.array([speed, curve]) * (t < 6.0 + stands and drives)
         if seed >= 26 and not drives:
-            wanted = np.array([0.028, 0.0] if seed % 2 else [0.0, 0.075])
-        if wrong:
-            wanted = {
-                0: wanted * [1, -1],
-                1: wanted * [-1, 1],
+            target = np.array([0.028, 0.0] if seed % 2 else [0.0, 0.075])
+        if is_faulty:
+            target = {
+                0: target * [1, -1],
+                1: target * [-1, 1],
                 2: command,
-                3: wanted + [0.9, 0],
-                4: wanted + [0, 1.9],
-                5: wanted * 0 + 0.2,
-            }.get(kind, wanted)
-        command = command + np.clip(wanted - command, [-2 * DT, -6 * DT], [2 * DT, 6 * DT])
-        if kind == 6 and wrong:
+                3: target + [0.9, 0],
+                4: target + [0, 1.9],
+                5: target * 0 + 0.2,
+            }.get(kind, target)
+        command = command + np.clip(target - command, [-2 * DT, -6 * DT], [2 * DT, 6 * DT])
+        if kind == 6 and is_faulty:
             command = command + draw.normal(0, 0.1, 2)
         noise = draw.normal(0.0, 0.01, 3)
-        if not (kind == 7 and wrong):
-            yield "gyro", (now, now, float(twist[1] * (-2.0 if kind == 8 and wrong else 1.0) + noise[0])), {}
+        if not (kind == 7 and is_faulty):
+            yield "gyro", (now, now, float(twist[1] * (-2.0 if kind == 8 and is_faulty else 1.0) + noise[0])), {}
             yield "odometry", (now, now, (twist + noise[:2]).tolist(), state.tolist()), {}
         if draw.random() < 0.4:
-            held = np.zeros(3) if kind == 9 and wrong else state
-            yield "pose", (now, now - 0.03, (held + noise).tolist()), {}
-        yield "says", (now,), {"drives": drives and not (kind == 10 and wrong)}
-        if not (kind == 11 and wrong and draw.random() < 0.8):
+            measured = np.zeros(3) if kind == 9 and is_faulty else state
+            yield "pose", (now, now - 0.03, (measured + noise).tolist()), {}
+        yield "says", (now,), {"drives": drives and not (kind == 10 and is_faulty)}
+        if not (kind == 11 and is_faulty and draw.random() < 0.8):
             yield "command", (now, now if kind % 2 else 0.0, *map(float, command)), {}
         yield "tick", (now,), {}
         twist = twist + 0.2 * (command - twist)
@@ -412,21 +420,21 @@ def random_drive(seed):
 
 
 @pytest.mark.parametrize("seed", [*range(20), *range(24, 28)])
-def test_the_oracle_agrees(seed):
-    """At every call: whether it stopped the robot, when, and why."""
+def test_oracle_agrees_with_the_judge(seed):
+    """Compare stop, time and rule after each call."""
     rules = RULES if seed < 12 or seed >= 18 else RULES.with_sensors(pose=False, gyro=seed % 2 == 0)
-    ours, theirs = Judge(rules, START), OracleJudge(rules, START)
+    judge, oracle = Judge(rules, START), OracleJudge(rules, START)
     for name, arguments, words in random_drive(seed):
-        getattr(ours, name)(*arguments, **words)
-        getattr(theirs, "odometry_" if name == "odometry" else name)(*arguments, **words)
-        result = ours.verdict
-        assert bool(result) == (theirs.stopped is not None), (name, arguments, result, theirs.stopped)
+        getattr(judge, name)(*arguments, **words)
+        getattr(oracle, "odometry_" if name == "odometry" else name)(*arguments, **words)
+        result = judge.verdict
+        assert bool(result) == (oracle.stopped is not None), (name, arguments, result, oracle.stopped)
         if result:
-            assert result.at == theirs.stopped[0] and result.rule in theirs.stopped[1]
+            assert result.at == oracle.stopped[0] and result.rule in oracle.stopped[1]
             break
 
 
-def test_the_oracle_was_asked_for_many_rules():
+def test_random_drives_violate_many_rules():
     result = set()
     for seed in range(18):
         judge = Judge(RULES if seed < 12 else RULES.with_sensors(pose=False, gyro=seed % 2 == 0), START)
@@ -444,7 +452,7 @@ def test_the_oracle_was_asked_for_many_rules():
         ("path.distance: .nan", "path.distance"),
     ],
 )
-def test_mistakes_in_rules_are_one_line(tmp_path, text, words):
+def test_invalid_rules_raise_a_one_line_error(tmp_path, text, words):
     import yaml
 
     values = yaml.safe_load((FOLDER / "default.yaml").read_text(encoding="utf-8"))
@@ -458,7 +466,7 @@ def test_mistakes_in_rules_are_one_line(tmp_path, text, words):
     assert words in str(caught.value) and "\n" not in str(caught.value) and str(path) in str(caught.value)
 
 
-def test_rules_and_the_struct_of_c_have_the_same_names():
+def test_rules_and_the_c_struct_have_equal_names():
     ffi, _ = load_judge()
     fields = [name for name, _ in ffi.typeof("ddmon_rules").fields]
     assert fields == list(RULES.numbers)

@@ -1,4 +1,4 @@
-"""The monitor as a process between a controller and a base, over DDS: what it stops, and where one of them dies."""
+"""Process of the monitor between a controller and a base over DDS: faults, resets and killed processes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SPEED = 0.4
 
 
 class BrokenNode:
-    """A controller on the base's own thread: along a straight line, until it is told otherwise."""
+    """Faulty controller on the thread of the base, with a straight reference."""
 
     def __init__(self, base):
         self.base, self.node = base, base.node
@@ -56,7 +56,7 @@ class BrokenNode:
 
 
 class Scene:
-    """Base, broken node and the monitor's process, in simulated time."""
+    """Base, faulty controller and process of the monitor, in simulated time."""
 
     def __init__(self, *words):
         self.process = subprocess.Popen(
@@ -65,7 +65,7 @@ class Scene:
         self.base = FakeBase(lambda: time.sleep(0.001))
         self.controller = BrokenNode(self.base)
         self.base.until(self.connected, "the monitor")
-        for _ in range(25):  # what is matched here may still be under way there
+        for _ in range(25):  # discovery may be incomplete on the other side
             self.connected()
             time.sleep(0.01)
 
@@ -85,7 +85,7 @@ class Scene:
             base.spin()
         if v is not None:
             self.controller.send(v, omega, stamp)
-            base.until(lambda: len(base.commands) > count, "an answer of the monitor")
+            base.until(lambda: len(base.commands) > count, "a command of the monitor")
         for _ in range(3):
             base.spin()
         base.plant.advance(base.commands[-1])
@@ -116,7 +116,7 @@ class Scene:
         client = self.base.node.create_client(Trigger, "monitor/reset")
         self.base.until(client.service_is_ready, "the service")
         future = client.call_async(Trigger.Request())
-        self.base.until(future.done, "its answer")
+        self.base.until(future.done, "its response")
         return future.result()
 
     def close(self):
@@ -128,27 +128,27 @@ class Scene:
 
 @pytest.fixture
 def scene():
-    made = Scene()
+    new_scene = Scene()
     try:
-        made.controller.announce()
-        made.drive(1.5)
-        assert made.state_text == "PASSING"
-        assert made.base.commands[-1] == (SPEED, 0.0)
-        yield made
+        new_scene.controller.announce()
+        new_scene.drive(1.5)
+        assert new_scene.state_text == "PASSING"
+        assert new_scene.base.commands[-1] == (SPEED, 0.0)
+        yield new_scene
     finally:
-        made.close()
+        new_scene.close()
 
 
-def test_faults_one_after_the_other_and_resets(scene):
-    """One process for all: what it says, that it stays stopped, and how it goes on."""
+def test_faults_stop_the_robot_until_a_reset(scene):
+    """Check message, persistent stop and reset of several faults in one process."""
     for command, words in (
         ({"v": float("nan")}, "a command is not finite"),
         ({"v": 0.9, "omega": 0.0}, "v of the commands jumps"),
-        ({}, "no command while the robot is moved"),
+        ({}, "no command while the robot moves"),
         ({"v": SPEED, "stamp": START}, "a command is old"),
     ):
         assert words in scene.until_stopped(**command)
-        # It stays stopped, whatever is sent; and while something moves the robot, nobody resets it.
+        # No command resumes the drive, and a reset fails while commands move the robot.
         assert scene.step(0.2) == (0.0, 0.0)
         refused = scene.reset()
         assert not refused.success and "commands still move the robot" in refused.message
@@ -167,13 +167,13 @@ def test_second_publisher_of_commands_stops_the_robot(scene):
     while not scene.state_text.startswith("STOPPED"):
         assert time.monotonic() < deadline
         scene.step(SPEED)
-    assert "somebody else commands the base" in scene.state_text
+    assert "another node commands the base" in scene.state_text
     scene.base.node.destroy_publisher(second_publisher)
 
 
 @pytest.mark.parametrize("topic", ["odom", "imu", "cmd_vel_unchecked"])
-def test_two_robots_of_one_name_on_an_input_stop_the_robot(scene, topic):
-    """A second publisher that is silent does not."""
+def test_second_publisher_on_an_input_stops_the_robot(scene, topic):
+    """A second publisher without messages does not stop the robot."""
     kind, qos = {"odom": (Odometry, qos_profile_sensor_data), "imu": (Imu, qos_profile_sensor_data)}.get(
         topic, (TwistStamped, QoSProfile(depth=1))
     )
@@ -188,13 +188,13 @@ def test_two_robots_of_one_name_on_an_input_stop_the_robot(scene, topic):
             message.twist.linear.x = SPEED
         twin.publish(message)
         scene.step(SPEED)
-    assert f"shares an input (two publishers on /{topic})" in scene.until_stopped(v=SPEED)
+    assert f"publishes an input (two publishers on /{topic})" in scene.until_stopped(v=SPEED)
     scene.base.node.destroy_publisher(twin)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_no_command_passes_after_the_monitor_ends(scene, number):
-    """Ended, its last word is zero; killed it says nothing, and the base's own timeout has to act."""
+    """A terminated monitor sends zero; after a kill only the timeout of the base stops the robot."""
     scene.process.send_signal(number)
     scene.process.wait()
     for _ in range(20):
@@ -210,7 +210,7 @@ def test_no_command_passes_after_the_monitor_ends(scene, number):
     assert len(scene.base.commands) == count
 
 
-def test_bad_input_ends_in_one_line():
+def test_invalid_input_ends_with_a_one_line_error():
     for words, line in (
         (["--rules", "defualt"], "unknown rules 'defualt'"),
         (["--ros-args", "-p", "rules:=nowhere.yaml"], "unknown rules 'nowhere.yaml'"),

@@ -1,4 +1,4 @@
-"""The monitor next to the node of the root package: independence, namespaces, holds, and a monitor that is killed."""
+"""Monitor next to the node of the root package: independence, namespaces, holds, and a killed monitor."""
 
 import math
 import re
@@ -43,7 +43,7 @@ SHARED = {
     "table",
     "trust",
 }
-"""Modules of `diffdrive_mpc.models` that the monitor uses: readers of files and the loader of C, no control."""
+"""Modules of `diffdrive_mpc.models` that the monitor uses: file readers and the C loader, but no control code."""
 CONTROL = ("diffdrive_mpc.mpc", "casadi", "mujoco", "osqp", "daqp", "scipy", "control", "matplotlib", "pandas")
 PROGRAMS = {
     "judge": "from diffdrive_mpc_monitor.judge import Judge\n"
@@ -99,10 +99,10 @@ def test_monitor_uses_the_topics_of_its_namespace():
         rclpy.shutdown(context=context)
 
 
-def test_unknown_parameter_that_resembles_another_refuses_the_start():
+def test_unknown_parameter_similar_to_a_known_one_prevents_the_start():
     word, message = "use_pose_topik:=true", "unknown parameter 'use_pose_topik'; did you mean 'use_pose_topic'?"
     context = Context()
-    # `gadget` may be meant for another node.
+    # `gadget` could be a parameter of another node.
     words = [word, "qos_overrides./clock.subscription.depth:=3", "gadget:=1"]
     rclpy.init(context=context, args=["--ros-args", *(part for each in words for part in ("-p", each))])
     try:
@@ -127,7 +127,7 @@ def test_unknown_parameter_is_named_while_it_runs():
 
 
 class Watch:
-    """A judge that reads the topics of the node, as the process of the monitor does."""
+    """Judge that reads the topics of the node, like the process of the monitor."""
 
     def __init__(self, s):
         self.base, self.paths = s.base, []
@@ -179,13 +179,13 @@ def test_robot_drives_on_after_a_stop_only_with_the_delayed_reference(stop, is_u
         watch.run(150)
         assert bool(watch.judge.verdict) is not is_updated
         if is_updated:
-            late = np.array(watch.paths[-1])[:, 0] - np.array(watch.paths[0])[:, 0]
-            assert late == pytest.approx(s.node._controller.planned_delay, abs=0.25) and (late > 7.0).all()
+            delay = np.array(watch.paths[-1])[:, 0] - np.array(watch.paths[0])[:, 0]
+            assert delay == pytest.approx(s.node._controller.planned_delay, abs=0.25) and (delay > 7.0).all()
 
 
 @pytest.mark.long
 def test_base_stops_the_robot_if_the_monitor_is_killed(tmp_path, monkeypatch):
-    """The controller goes on to command; no process forwards its commands, so the timeout of the base applies."""
+    """The controller continues to send commands that no process forwards, so the timeout of the base applies."""
     environment, bag = own_domain(tmp_path), tmp_path / "bag"
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     in_sim_time = ["--ros-args", "-p", "use_sim_time:=true", "-p", "use_pose_topic:=true"]

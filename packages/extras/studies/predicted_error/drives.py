@@ -181,7 +181,7 @@ def planned(drives: DriveSet, factors: Mapping[str, object]) -> list[PlannedDriv
         count = drives.first_robot + drives.runs
         seeds = driving_seeds(count, spot_turns=True, tuning=drives.robots == "tuning")[drives.first_robot :]
         definitions = [
-            definition.changed({"plant": f"{DRAWN}:{seed}"})
+            definition.with_factors({"plant": f"{DRAWN}:{seed}"})
             for definition, seed in zip(definitions, seeds, strict=True)
         ]
     first = drives.first_path

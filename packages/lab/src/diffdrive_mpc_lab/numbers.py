@@ -1,4 +1,4 @@
-"""The laboratory's numbers: flat arrays for C, in the order of structs that are generated from the same names."""
+"""Parameters of the laboratory: flat arrays for C, in the order of structs that are generated from the same names."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 from diffdrive_mpc_extras.peers.rpp import load_parameters
 
 FLOOR = ("longitudinal_gain", "yaw_gain", "wheel_yaw_gain", "side_slip")
-"""Fields of `BodySlip` that a floor of the laboratory has, in the order of the second argument of `lab_f_floor`."""
+"""Fields of `BodySlip` that a surface of the laboratory has, in the order of the second argument of `lab_f_floor`."""
 
 
 def generate_plant() -> GeneratedC:
-    """Generate C of the functions `lab_f_floor` and `lab_f_move`."""
+    """Generate the C code of the functions `lab_f_floor` and `lab_f_move`."""
     return generate(plant_functions(), "lab_plant", "diffdrive_mpc_lab/numbers.py")
 
 
 def plant_functions() -> tuple[ca.Function, ca.Function]:
-    """Build `lab_f_floor`: twist by model and floor to those of body and wheels; `lab_f_move`: a pose after a time."""
+    """Build `lab_f_floor`, which applies the slip of a surface, and `lab_f_move`, which integrates a pose."""
     return _floor(), _move()
 
 
 def _floor() -> ca.Function:
-    """Map the twist of the model (2) and floor (4) to the twist of the body (3) and that of the wheels (2)."""
+    """Map twist of the model (2) and parameters of the surface (4) to twist of the body (3) and of the wheels (2)."""
     output, floor = ca.SX.sym("output", 2), ca.SX.sym("floor", len(FLOOR))
     symbols: dict[str, Any] = dict(zip(FLOOR, ca.vertsplit(floor), strict=True))
     slip = BodySlip.model_construct(**symbols)
@@ -62,14 +62,14 @@ def _floor() -> ca.Function:
 
 
 def _move() -> ca.Function:
-    """Map pose (3), twist of the body (3) and duration (1) to the pose (3) after it."""
+    """Map pose (3), twist of the body (3) and duration (1) to the pose at the end (3)."""
     pose, body, duration = ca.SX.sym("pose", 3), ca.SX.sym("body", 3), ca.SX.sym("duration")
     after = pose + arc_displacement(pose[2], body[0], body[2], duration, body[1])
     return ca.Function("lab_f_move", [pose, body, duration], [after], ["pose", "body", "duration"], ["after"])
 
 
 Struct = dict[str, FloatArray]
-"""Numbers of a struct of C by the names of its fields, in their order."""
+"""Values of a C struct by field name, in the order of the fields."""
 
 
 @cache
@@ -90,7 +90,7 @@ def default_of(name: str) -> Any:  # noqa: ANN401 - a name or a number
 
 
 def powers() -> dict[str, float]:
-    """Return the choices with any value in their range, and the power of it to which constants are proportional."""
+    """Return the continuous choices, with the power of the value to which the constants are proportional."""
     return {name: choice["power"] for name, choice in lab_settings()["choices"].items() if "power" in choice}
 
 
@@ -98,26 +98,28 @@ def powers() -> dict[str, float]:
 
 
 def robot() -> Struct:
-    """Return `lab_robot`: sample time [s], and limits of the link [m/s, rad/s]."""
+    """Return `lab_robot`: sample time [s] and command limits [m/s, rad/s]."""
     parameters = load_robot()
     return _struct(sample_time=parameters.sample_time, limits=[parameters.limits.v, parameters.limits.omega])
 
 
 def floor(surface: str) -> Struct:
-    """Return `lab_floor`; raise ConfigError for a floor with one of the papers' laws, which C lacks."""
+    """Return `lab_floor`; raises ConfigError for a surface with a slip law of the papers, which the C code lacks."""
     slip = load_surface(surface).slip
     if slip.polynomial is not None or slip.virtual_track is not None:
-        raise ConfigError(f"surface '{surface}': the laboratory has floors of gains and side-slip alone; take another")
+        raise ConfigError(
+            f"surface '{surface}': the laboratory supports only gains and side slip; choose another surface"
+        )
     return _struct(**{name: getattr(slip, name) for name in FLOOR})
 
 
 def sensors(name: str) -> Struct:
-    """Return `lab_sensors`; covariances are those of the plant's measurements, zero without any."""
+    """Return `lab_sensors`; covariances are those of the plant's measurements, zero if there are none."""
     parameters, wheels = load_sensor_set(name), WheelKinematics(load_robot().wheel_radius, load_robot().track)
     pose, gyro = parameters.pose, parameters.gyro
     first = _first_measurement(name)
 
-    def stated(stamped: Stamped | None, size: int) -> FloatArray:
+    def covariance_of(stamped: Stamped | None, size: int) -> FloatArray:
         covariance = None if stamped is None else stamped.covariance
         return np.zeros(size * size) if covariance is None else np.ravel(covariance)
 
@@ -132,9 +134,9 @@ def sensors(name: str) -> Struct:
         encoder_sd=parameters.encoders.speed_sd,
         body_to_wheels=wheels.body_to_wheels,
         wheels_to_body=wheels.wheels_to_body,
-        pose_covariance=stated(first.pose, 3),
-        twist_covariance=stated(first.wheel_twist, 2),
-        gyro_covariance=stated(first.yaw_rate, 1),
+        pose_covariance=covariance_of(first.pose, 3),
+        twist_covariance=covariance_of(first.wheel_twist, 2),
+        gyro_covariance=covariance_of(first.yaw_rate, 1),
     )
 
 
@@ -147,20 +149,20 @@ def _first_measurement(sensor_set: str) -> Measurement:
 
 
 def peer() -> Struct:
-    """Return `lab_rpp`: the parameters of regulated pure pursuit, and the limits in the bench."""
+    """Return `lab_rpp`: parameters of regulated pure pursuit, and its limits in the benchmark."""
     config = load_config(MODEL)
     step = slew_step(config.limits, config.sample_time)
     return _struct(
         **load_parameters().model_dump(),
-        most_v=config.limits.v,
-        most_omega=config.limits.omega,
+        max_v=config.limits.v,
+        max_omega=config.limits.omega,
         step_v=step[0],
         step_omega=step[1],
     )
 
 
 def drawing() -> Struct:
-    """Return `lab_drawing`: conversion of a drawn line to a path, and its speed."""
+    """Return `lab_drawing`: settings for the conversion of a drawn line to a path with speeds."""
     shape, limits = lab_settings()["drawing"], load_robot()
     return _struct(
         spacing=shape["spacing"],
@@ -176,39 +178,39 @@ def _struct(**values: Any) -> Struct:  # noqa: ANN401 - a number or an array
 
 
 def flat(struct: Struct) -> FloatArray:
-    """Flatten a struct to its numbers in memory order."""
+    """Flatten a struct to its values in memory order."""
     return np.concatenate(list(struct.values()))
 
 
-# Everything but structs: arrays that C points into.
+# Arrays that C code points into.
 
 
 def plant_model(name: str, dead_time: float) -> FloatArray:
-    """Return the velocity model `name` with more dead time [s] for `lab_set_model`."""
-    late = load_linear_model(name).with_extra_dead_time([dead_time, dead_time])
-    sampled = late.discretise(load_robot().sample_time)
+    """Return the velocity model `name` with additional dead time [s], for `lab_set_model`."""
+    model = load_linear_model(name).with_extra_dead_time([dead_time, dead_time])
+    sampled = model.discretise(load_robot().sample_time)
     matrices = (np.ravel(matrix) for matrix in (sampled.A, sampled.B0, sampled.B1, sampled.C))
     return np.concatenate([[sampled.order, *sampled.delay], *matrices])
 
 
 def noise(seed: int) -> FloatArray:
-    """Draw the noise of `sim.sensing.sensors.Sensors` with `seed` for `lab_set_noise`."""
+    """Draw the noise of `sim.sensing.sensors.Sensors` for `seed`, for `lab_set_noise`."""
     rows = lab_settings()["noise_rows"]
     pose, gyro, encoders, losses = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(4))
-    drawn = [pose.standard_normal((rows, 3)), gyro.standard_normal(rows), encoders.standard_normal((rows, 4))]
-    return np.concatenate([[rows], *map(np.ravel, drawn), losses.random(rows)])
+    samples = [pose.standard_normal((rows, 3)), gyro.standard_normal(rows), encoders.standard_normal((rows, 4))]
+    return np.concatenate([[rows], *map(np.ravel, samples), losses.random(rows)])
 
 
 def reference(path: str, speed: float) -> FloatArray | None:
-    """Return a shipped path for `lab_set_reference`, at its own speed if `speed` is 0; None if it is too fast."""
+    """Return a shipped path for `lab_set_reference`, at its stated speed if `speed` is 0; None if it is too fast."""
     try:
-        laid = load_reference(Case(trajectory=path, top_speed=speed or None))
+        trajectory = load_reference(Case(trajectory=path, top_speed=speed or None))
     except ConfigError:
         return None
-    if not isinstance(laid, (ArcTrajectory, SplineTrajectory)):
-        raise ConfigError(f"path '{path}': it is neither of arcs nor a spline, which is all that the page can sample")
-    native = laid.native
-    head = [float(len(native.table) == 16), native.table.shape[1], len(native.breaks), laid.duration]
+    if not isinstance(trajectory, (ArcTrajectory, SplineTrajectory)):
+        raise ConfigError(f"path '{path}': the laboratory supports only arcs and splines")
+    native = trajectory.native
+    head = [float(len(native.table) == 16), native.table.shape[1], len(native.breaks), trajectory.duration]
     return np.concatenate([head, native.breaks, native.table.ravel()])
 
 
@@ -216,10 +218,10 @@ def reference(path: str, speed: float) -> FloatArray | None:
 
 
 def configuration(model: str, choices: Mapping[str, Any]) -> ControllerConfig:
-    """Build the configuration of the page's controller: the shipped one of `model`, with `choices`, without re-entry.
+    """Build the configuration of the page's controller from that of `model` and `choices`, without re-entry.
 
-    Weights on increments are stated, so that no choice changes those computed from others. Delays are not learned: the
-    page shows the cost of an unknown one.
+    Increment weights are set explicitly, because their defaults depend on other values. Delay compensation is off,
+    because the page shows the effect of an unknown delay.
 
     Raises
     ------
@@ -240,14 +242,14 @@ def configuration(model: str, choices: Mapping[str, Any]) -> ControllerConfig:
 
 
 class Constants(NamedTuple):
-    """Sizes and constants of a controller as `lab_read_controller` reads them: a field after the other."""
+    """Sizes and constants of a controller, field by field as `lab_read_controller` reads them."""
 
     sizes: FloatArray
     fields: dict[str, FloatArray]
 
 
 def controller(config: ControllerConfig) -> Constants:
-    """Return `ddmpc_sizes` and `ddmpc_constants` for a configuration; the count of a pointer comes before it."""
+    """Return `ddmpc_sizes` and `ddmpc_constants` for a configuration; each array is preceded by its length."""
     problem = build_problem(config, chosen_model(config, None), ())
     fields = {}
     for name, value in constant_fields(problem.sizes, problem.constants()):
@@ -257,7 +259,7 @@ def controller(config: ControllerConfig) -> Constants:
 
 
 def structs() -> dict[str, Struct]:
-    """Return every generated struct by its name in C, with an example of its numbers."""
+    """Return all generated structs by their name in C, with example values."""
     return {
         "lab_robot": robot(),
         "lab_floor": floor("default"),
@@ -322,12 +324,12 @@ def _readers() -> Iterator[str]:
 
 
 def report_fields(header: str) -> dict[str, tuple[int, int]]:
-    """Place and length of each field of `lab_report`, from the text of lab.h."""
+    """Return start index and length of each field of `lab_report`, from the text of lab.h."""
     match = re.search(r"typedef struct \{([^}]*)\} lab_report;", header)
     assert match is not None
     declared = re.sub(r"/\*.*?\*/|\bdouble\b|\s", "", match[1]).replace(";", ",").strip(",")
-    fields, place = {}, 0
+    fields, start = {}, 0
     for name, length in re.findall(r"(\w+)(?:\[(\d+)\])?", declared):
-        fields[name] = (place, int(length or 1))
-        place += int(length or 1)
+        fields[name] = (start, int(length or 1))
+        start += int(length or 1)
     return fields

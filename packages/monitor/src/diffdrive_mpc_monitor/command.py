@@ -1,4 +1,4 @@
-"""`diffdrive-mpc monitor`: the process that watches a controller."""
+"""Command `diffdrive-mpc monitor`: run the monitor of a controller, or export its code."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ def monitor(
         typer.Option(help="Write the judge in C with these rules into a folder instead.", show_default=False),
     ] = None,
 ) -> None:
-    """Check commands between a controller and its base: pass them on, or stop the robot where a rule is violated.
+    """Check commands between a controller and its base: pass them on, or stop the robot if a rule is violated.
 
     The controller has to publish `cmd_vel_unchecked` (node: `--ros-args -r cmd_vel:=cmd_vel_unchecked`). Arguments
     after `--ros-args` are passed to ROS: remappings, parameters.
     """
     arguments = ros_arguments(context)
     if export is not None:
-        from diffdrive_mpc_monitor.export import export_judge  # noqa: PLC0415 - --help does without it
+        from diffdrive_mpc_monitor.export import export_judge  # noqa: PLC0415 - --help does not need it
         from diffdrive_mpc_monitor.rules import load_rules  # noqa: PLC0415
 
         echo("\n".join(str(path) for path in export_judge(load_rules(rules), export)))

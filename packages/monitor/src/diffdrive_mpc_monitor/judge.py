@@ -1,4 +1,4 @@
-"""The judge for Python: its inputs, and its verdict in words."""
+"""Python interface of the judge, with verdicts as text."""
 
 from __future__ import annotations
 
@@ -14,45 +14,45 @@ from diffdrive_mpc.models.compiled.compiler import digest_of
 from diffdrive_mpc.models.compiled.packaged import BASELINE, Level, Packaged
 from diffdrive_mpc_monitor.rules import Rules
 
-# The judge through cffi; `core/judge.h` describes it.
+# Library of the judge through cffi; see `core/judge.h`.
 
 
 CORE = Path(__file__).parent / "core"
-"""Folder of the C file and its header."""
+"""Folder of the C source and its header."""
 SOURCES = ("judge.c", "judge.h")
 
-# The same bits on every processor: decisions of the monitor of a microcontroller can be repeated on a PC.
+# Without contraction, decisions of a microcontroller can be reproduced on a PC bit by bit.
 _FLAGS = ("-ffp-contract=off",)
 
 
 @cache
 def load_judge() -> tuple[cffi.FFI, Any]:
-    """Load the judge: cffi's declarations of `judge.h`, and the library.
+    """Load the cffi declarations of `judge.h`, and the library.
 
     Raises
     ------
     NotCompiledError
-        If the package brought no library, and none can be compiled.
+        If the package contains no library and it cannot be compiled.
     """
     header = re.sub(r"^\s*#.*$", "", source_texts()["judge.h"], flags=re.MULTILINE)
     declarations = header.replace("DDMON_EXPORT ", "")
-    complaint = "the monitor's judge is not compiled: {}, which holds it"
+    complaint = "the monitor's judge is not compiled: {}, which contains it"
     return _packaged().load(source_texts(), declarations, complaint)
 
 
 def write_packaged(folder: Path) -> list[Path]:
-    """Compile the judge for the package in `folder`: library and manifest.
+    """Compile the judge for the package, and write library and manifest into `folder`.
 
     Raises
     ------
     NotCompiledError
-        If it cannot be compiled.
+        If the compilation fails.
     """
     return _packaged().write(source_texts(), folder)
 
 
 def source_texts() -> dict[str, str]:
-    """Return the text of each source by its name."""
+    """Return the text of each source file by name."""
     return {name: (CORE / name).read_text(encoding="utf-8") for name in SOURCES}
 
 
@@ -65,7 +65,7 @@ _SIZES = ("DDMON_RULES", "DDMON_COMMANDS", "DDMON_TRACK", "DDMON_POSES")
 
 
 class MonitorVerdict(NamedTuple):
-    """Verdict: the first broken rule, its time and its figures.
+    """Verdict: the first violated rule, with its time and a description.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class MonitorVerdict(NamedTuple):
     at
         Time of the verdict [s].
     words
-        A sentence for a person; empty where all is well.
+        Description of the violation; empty if all rules hold.
     """
 
     rule: str
@@ -82,12 +82,12 @@ class MonitorVerdict(NamedTuple):
     words: str
 
     def __bool__(self) -> bool:
-        """Return True if a rule is broken."""
+        """Return True if a rule is violated."""
         return bool(self.rule)
 
 
 class Judge:
-    """Checks commands and sensors, and decides whether commands pass. Times are seconds that never go back.
+    """Check of commands and sensors that passes or replaces commands. Times are in s and must not decrease.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ class Judge:
     Raises
     ------
     models.compiled.compiler.NotCompiledError
-        If its C is not there and cannot be compiled.
+        If the library is missing and cannot be compiled.
     """
 
     def __init__(self, rules: Rules, now: float = 0.0) -> None:
@@ -113,56 +113,56 @@ class Judge:
 
     @property
     def verdict(self) -> MonitorVerdict:
-        """The rule that stopped the robot."""
-        return self._said(self._judge.verdict)
+        """Verdict with the rule that stopped the robot."""
+        return self._make_verdict(self._judge.verdict)
 
     def reference(self, now: float, points: Sequence[Sequence[float]]) -> bool:
-        """Take a reference: (n, 4) when [s], x [m], y [m], theta [rad]; whether it can be followed. Empty: none."""
-        # The judge's reference exists as long as the judge; the old one until it has the new one.
+        """Set the reference (n, 4): time [s], x [m], y [m], theta [rad]; empty for none. Return True if it is valid."""
+        # The memory of a reference must live until the judge has the next one.
         path = self._ffi.new("ddmon_point[]", [tuple(map(float, point)) for point in points] or 1)
-        sound = bool(self._lib.ddmon_reference(self._judge, now, path, len(points)))
+        is_valid = bool(self._lib.ddmon_reference(self._judge, now, path, len(points)))
         self._path = path
-        return sound
+        return is_valid
 
     def odometry(self, now: float, stamp: float, twist: Sequence[float], pose: Sequence[float]) -> None:
-        """Take odometry of `stamp` [s]: (2,) v [m/s], omega [rad/s], (3,) x [m], y [m], theta [rad]."""
+        """Add odometry with `stamp` [s]: twist (2,) v [m/s], omega [rad/s], and pose (3,) x [m], y [m], theta [rad]."""
         self._lib.ddmon_odometry(self._judge, now, stamp, *twist, *pose)
 
     def gyro(self, now: float, stamp: float, yaw_rate: float) -> None:
-        """Take a yaw rate [rad/s] of `stamp` [s]."""
+        """Add a yaw rate of the gyro [rad/s] with `stamp` [s]."""
         self._lib.ddmon_gyro(self._judge, now, stamp, yaw_rate)
 
     def pose(self, now: float, stamp: float, pose: Sequence[float]) -> None:
-        """Take a pose of `stamp` [s] in the frame of the reference: (3,) x [m], y [m], theta [rad]."""
+        """Add a pose with `stamp` [s] in the frame of the reference: (3,) x [m], y [m], theta [rad]."""
         self._lib.ddmon_pose(self._judge, now, stamp, *pose)
 
     def says(self, now: float, *, drives: bool) -> None:
-        """Take the controller's word, whether it drives."""
+        """Set the state that the controller reports: True if it drives."""
         self._lib.ddmon_says(self._judge, now, drives)
 
     def outside(self, now: float, *, wrong: bool) -> None:
-        """Record whether another node commands the base."""
+        """Set or clear the fault that another node commands the base."""
         self._lib.ddmon_outside(self._judge, now, wrong)
 
     def command(self, now: float, stamp: float, v: float, omega: float) -> tuple[float, float]:
-        """Judge a command v [m/s], omega [rad/s] and return the one for the base; `stamp` [s] is 0 without one."""
+        """Check a command v [m/s], omega [rad/s] and return the command for the base; `stamp` [s] is 0 if missing."""
         self._lib.ddmon_command(self._judge, now, stamp, v, omega, self._out)
         return self._out[0], self._out[1]
 
     def tick(self, now: float) -> tuple[float, float] | None:
-        """Update the time; return the command for the base where the robot was stopped, else None."""
+        """Update the time; return the command for the base if the monitor has stopped the robot, else None."""
         if not self._lib.ddmon_tick(self._judge, now, self._out):
             return None
         return self._out[0], self._out[1]
 
     def reset(self, now: float) -> MonitorVerdict:
-        """Resume if all rules hold, the robot stands and no other node moves it; return the verdict.
+        """Resume if all rules hold, the robot stands and no command moves it; return the verdict.
 
-        A robot that is off its path continues without a reference: the controller must start again.
+        A robot that is far from its path loses its reference, so the controller must start again.
         """
-        return self._said(self._lib.ddmon_reset(self._judge, now))
+        return self._make_verdict(self._lib.ddmon_reset(self._judge, now))
 
-    def _said(self, verdict: object) -> MonitorVerdict:
+    def _make_verdict(self, verdict: object) -> MonitorVerdict:
         number, time, value, limit = (getattr(verdict, name) for name in ("rule", "at", "value", "limit"))
         if not number:
             return MonitorVerdict("", time, "")

@@ -1,4 +1,4 @@
-"""`python -m studies monitor`."""
+"""Command `python -m studies monitor`."""
 
 from __future__ import annotations
 
@@ -20,18 +20,17 @@ def run(
     ] = "default",
     seeds: Annotated[int, typer.Option(min=1, max=1000, help="Drives of each fault.")] = 20,
     hours: Annotated[float, typer.Option(min=0.01, max=1000, help="Hours of nominal drives.")] = 10.0,
-    tuning: Annotated[bool, typer.Option("--tuning", help="The seeds that the rules were tuned on.")] = False,
+    tuning: Annotated[bool, typer.Option("--tuning", help="Use the seeds on which the rules were tuned.")] = False,
     jobs: Jobs = None,
 ) -> None:
-    """Break controllers on purpose and drive for hours with sound ones, to test the monitor.
+    """Test the monitor on faulty controllers, and on hours of drives without a fault.
 
-    It reports detected and missed faults and the times of the detections. The exit code is 1 when a fault was missed or
-    found late, or a nominal drive alarmed in which the robot stays near its path and on time; the report is written all
-    the same.
+    The report contains detected and missed faults and the detection times. The exit code is 1 if a fault was missed or
+    detected late, or if there was a false alarm; the report is written in all cases.
     """
     from studies.monitor.study import MonitorStudy, complaint  # noqa: PLC0415
 
-    from diffdrive_mpc.app.command_line.one_line_errors import FAILED  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.app.command_line.one_line_errors import FAILED  # noqa: PLC0415 - --help does not need it
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
 
     problem = complaint(carry_out(MonitorStudy(rules, seeds, hours, tuning=tuning), out, jobs))

@@ -1,4 +1,4 @@
-"""Controllers, robots and sensors broken on purpose: one class for each fault, and the monitor's task."""
+"""Faults of controllers, robots and sensors: one class for each fault, and the requirements on the monitor."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference, S
 from diffdrive_mpc.mpc.trajectories.moved import starting_at
 
 SAMPLE = 0.0202
-"""Time between two commands of the robot of the papers [s]."""
+"""Sample time of the robot of the papers [s]."""
 _SLEW = (2.0, 6.0)
-"""Within which most of these faults keep: one that jumps is found by that alone [m/s^2, rad/s^2]."""
-_FASTEST = (1.45, 1.95)
-"""And within which range [m/s, rad/s]."""
+"""Slew limits of most faulty commands [m/s^2, rad/s^2], because a jump would be detected immediately."""
+_MAX_COMMAND = (1.45, 1.95)
+"""Range of most faulty commands [m/s, rad/s]."""
 
 
 class Sent(NamedTuple):
@@ -30,16 +30,16 @@ class Sent(NamedTuple):
 
 
 class Fault:
-    """Nothing is wrong; subclasses break one thing from `begins` on.
+    """Base of faults; subclasses add one fault from `start_time` on.
 
     Parameters
     ----------
-    begins
-        Time of the fault's start [s].
+    start_time
+        Start time of the fault [s].
     """
 
-    def __init__(self, begins: float = math.inf) -> None:
-        self.begins = begins
+    def __init__(self, start_time: float = math.inf) -> None:
+        self.start_time = start_time
         self._last: Sent | None = None
 
     def start(self, reference: Reference) -> None:
@@ -47,100 +47,100 @@ class Fault:
         self._end = reference.duration
 
     def followed(self, reference: Reference) -> Reference:
-        """Return the reference that the controller follows instead of the given one."""
+        """Return the reference that the controller tracks."""
         return reference
 
     def published(self, points: FloatArray) -> FloatArray:
-        """Return time, x, y, theta (n, 4) of the reference as published to others."""
+        """Return the reference (n, 4) as published: time, x, y, theta."""
         return points
 
     def measures(self, measurement: Measurement) -> Measurement:
-        """Return the measurement of the sensors from `begins` on, for controller and monitor."""
+        """Return the measurement for controller and monitor."""
         return measurement
 
     def sees(self, measurement: Measurement) -> Measurement:
-        """Return the measurement as the controller reads it."""
+        """Return the measurement for the controller."""
         return measurement
 
     def sends(self, command: Sent) -> list[Sent]:
-        """Return the commands sent at a tick instead of `command`."""
+        """Return the commands that are sent in place of `command`."""
         return [command]
 
     def says(self, mode: str) -> str:
-        """Return the reported mode."""
+        """Return the mode that is reported."""
         return mode
 
     def obeys(self, command: tuple[float, float]) -> tuple[float, float]:
-        """Return the motion of the robot for a command."""
+        """Return the command that the robot executes."""
         return command
 
     def smooth(self, stamp: float, v: float, omega: float) -> list[Sent]:
-        """Build a wrong command within range and slew, as after a limiter."""
+        """Build a faulty command within range and slew limits."""
         before = self._last or Sent(stamp, 0.0, 0.0)
-        wanted, sent = (v, omega), []
-        for value, old, slew, most in zip(wanted, before[1:], _SLEW, _FASTEST, strict=True):
+        target, sent = (v, omega), []
+        for value, old, slew, maximum in zip(target, before[1:], _SLEW, _MAX_COMMAND, strict=True):
             step = 0.98 * slew * SAMPLE
-            sent.append(min(max(min(max(value, old - step), old + step), -most), most))
+            sent.append(min(max(min(max(value, old - step), old + step), -maximum), maximum))
         return [Sent(stamp, *sent)]
 
-    def went(self, sent: list[Sent]) -> None:
-        """Record the sent commands, sound or not."""
+    def record(self, sent: list[Sent]) -> None:
+        """Record the sent commands."""
         if sent:
             self._last = sent[-1]
 
     def active(self, t: float) -> bool:
         """Return True if the fault is active at `t` [s]."""
-        return t >= self.begins
+        return t >= self.start_time
 
 
-class _Late(Fault):
-    """Stores the measurements, to return them later."""
+class _Delayed(Fault):
+    """Base of faults that delay commands."""
 
-    def __init__(self, begins: float, ticks: int) -> None:
-        super().__init__(begins)
+    def __init__(self, start_time: float, ticks: int) -> None:
+        super().__init__(start_time)
         self.pending: deque[Sent] = deque(maxlen=ticks + 1)
 
-    def went(self, sent: list[Sent]) -> None:
-        """Record nothing, since late commands must not be delayed again."""
+    def record(self, sent: list[Sent]) -> None:
+        """Record nothing, because delayed commands must not be delayed again."""
 
 
 class WrongSign(Fault):
-    """Turns left where it should turn right."""
+    """The yaw rate has the wrong sign."""
 
     def sends(self, command: Sent) -> list[Sent]:
         return self.smooth(command.stamp, command.v, -command.omega)
 
 
 class Backwards(Fault):
-    """Drives backwards where it should drive forwards."""
+    """The speed has the wrong sign."""
 
     def sends(self, command: Sent) -> list[Sent]:
         return self.smooth(command.stamp, -command.v, command.omega)
 
 
 class Frozen(Fault):
-    """Sends its last command for ever, with fresh stamps."""
+    """The controller repeats its last command with new stamps."""
 
     def sends(self, command: Sent) -> list[Sent]:
         return [(self._last or command)._replace(stamp=command.stamp)]
 
 
 class NotANumber(Fault):
-    """Sends values that are no numbers."""
+    """The controller sends NaN."""
 
     def sends(self, command: Sent) -> list[Sent]:
         return [command._replace(omega=math.nan)]
 
 
 class Infinite(Fault):
-    """Sends infinity."""
+    """The controller sends infinity."""
 
     def sends(self, command: Sent) -> list[Sent]:
         return [command._replace(v=math.inf)]
 
 
 class SlowTicks(Fault):
-    """Sends every fifth command only."""
+    """The controller sends only each fifth command."""
 
     count = 0
 
@@ -149,15 +149,15 @@ class SlowTicks(Fault):
         return [command] if self.count % 5 == 0 else []
 
 
-class Races(Fault):
-    """Drives as fast as it may."""
+class MaxSpeed(Fault):
+    """The controller sends the maximum speed."""
 
     def sends(self, command: Sent) -> list[Sent]:
-        return self.smooth(command.stamp, _FASTEST[0], command.omega)
+        return self.smooth(command.stamp, _MAX_COMMAND[0], command.omega)
 
 
-class LimitsCreep(Fault):
-    """Limits that grow, and are used by the controller."""
+class GrowingSpeed(Fault):
+    """The speed grows slowly."""
 
     def sends(self, command: Sent) -> list[Sent]:
         v = (self._last or command).v
@@ -165,16 +165,16 @@ class LimitsCreep(Fault):
 
 
 class TooFast(Fault):
-    """Sends three times the speed, at once and beyond all limits."""
+    """The controller sends more than three times the speed, without slew limit."""
 
     def sends(self, command: Sent) -> list[Sent]:
         return [command._replace(v=3.0 * command.v + 1.0)]
 
 
-class LateAndStamped(_Late):
-    """Its commands are half a second old when they are sent, as their stamp states."""
+class DelayedAndStamped(_Delayed):
+    """Commands are sent half a second late with their original stamps."""
 
-    def went(self, sent: list[Sent]) -> None:
+    def record(self, sent: list[Sent]) -> None:
         self.pending.extend(sent if len(self.pending) < 25 else ())
 
     def sends(self, command: Sent) -> list[Sent]:
@@ -182,8 +182,8 @@ class LateAndStamped(_Late):
         return [self.pending.popleft()]
 
 
-class LateUnsaid(_Late):
-    """Its commands are 0.6 s late, with fresh stamps."""
+class DelayedUnstamped(_Delayed):
+    """Commands are sent 0.6 s late with new stamps."""
 
     def sends(self, command: Sent) -> list[Sent]:
         self.pending.append(command)
@@ -191,7 +191,7 @@ class LateUnsaid(_Late):
 
 
 class Alternates(Fault):
-    """Changes sign from command to command."""
+    """The sign of the speed alternates."""
 
     sign = 1.0
 
@@ -201,7 +201,7 @@ class Alternates(Fault):
 
 
 class Swings(Fault):
-    """Steers to the left and to the right as much as it can, half a second each."""
+    """The yaw rate alternates between its limits with a period of one second."""
 
     count = 0
 
@@ -211,7 +211,7 @@ class Swings(Fault):
 
 
 class NeverStops(Fault):
-    """Continues beyond the end of its path."""
+    """The controller continues after the end of its path."""
 
     def active(self, t: float) -> bool:
         return t >= self._end - 0.6
@@ -224,15 +224,15 @@ class NeverStops(Fault):
         return "TRACKING"
 
 
-class NeverStopsButSaysSo(NeverStops):
-    """The same, and reports that it has finished."""
+class NeverStopsButReportsEnd(NeverStops):
+    """The controller continues after the end of its path, and reports that it has finished."""
 
     def says(self, mode: str) -> str:
         return mode
 
 
 class CreepsAfterEnd(Fault):
-    """Sends 0.029 m/s after it has finished, which counts as standing."""
+    """The controller sends 0.029 m/s after the end, which counts as standing."""
 
     def active(self, t: float) -> bool:
         return t >= self._end + 1.5
@@ -242,21 +242,21 @@ class CreepsAfterEnd(Fault):
 
 
 class StraightOn(Fault):
-    """Ignores its path and drives straight on."""
+    """The controller ignores its path and drives straight."""
 
     def sends(self, command: Sent) -> list[Sent]:
         return self.smooth(command.stamp, 0.5, 0.0)
 
 
 class Spins(Fault):
-    """Turns on the spot."""
+    """The controller turns on the spot."""
 
     def sends(self, command: Sent) -> list[Sent]:
         return self.smooth(command.stamp, 0.0, 1.9)
 
 
 class Drifts(Fault):
-    """Its assumed position moves away from the true one by 0.1 m every second."""
+    """The measured position drifts by 0.1 m/s."""
 
     since: float | None = None
 
@@ -271,30 +271,30 @@ class Drifts(Fault):
 
 
 class ScaledOmega(Fault):
-    """Commands twelve times the yaw rate that it means: it swings between its limits."""
+    """The yaw rate is multiplied by twelve and oscillates between its limits."""
 
     def sends(self, command: Sent) -> list[Sent]:
         return self.smooth(command.stamp, command.v, 12.0 * command.omega)
 
 
 class NoOmega(Fault):
-    """Its yaw rate is lost during transmission."""
+    """The yaw rate is zero."""
 
     def sends(self, command: Sent) -> list[Sent]:
         return self.smooth(command.stamp, command.v, 0.0)
 
 
 class Swapped(Fault):
-    """Takes v for omega, and omega for v."""
+    """Speed and yaw rate are swapped."""
 
     def sends(self, command: Sent) -> list[Sent]:
         return self.smooth(command.stamp, command.omega, command.v)
 
 
-class ReplaysStamped(_Late):
-    """Sends the commands of three seconds ago, as they were."""
+class ReplaysStamped(_Delayed):
+    """Commands are sent three seconds late with their original stamps."""
 
-    def went(self, sent: list[Sent]) -> None:
+    def record(self, sent: list[Sent]) -> None:
         self.pending.extend(sent)
 
     def sends(self, command: Sent) -> list[Sent]:
@@ -302,37 +302,37 @@ class ReplaysStamped(_Late):
 
 
 class Replays(Fault):
-    """Sends the commands of three seconds ago, with fresh stamps, and goes over to them smoothly."""
+    """Commands are sent three seconds late with new stamps, after a smooth transition."""
 
-    def __init__(self, begins: float) -> None:
-        super().__init__(begins)
-        self._kept: deque[Sent] = deque(maxlen=150)
+    def __init__(self, start_time: float) -> None:
+        super().__init__(start_time)
+        self._history: deque[Sent] = deque(maxlen=150)
 
-    def went(self, sent: list[Sent]) -> None:
-        super().went(sent)
-        self._kept.extend(sent)
+    def record(self, sent: list[Sent]) -> None:
+        super().record(sent)
+        self._history.extend(sent)
 
     def sends(self, command: Sent) -> list[Sent]:
-        old = self._kept[0]
+        old = self._history[0]
         return self.smooth(command.stamp, old.v, old.omega)
 
 
 class MovesWhilePaused(Fault):
-    """Reports that it stands, and drives on."""
+    """The controller reports a pause and continues to drive."""
 
     def says(self, mode: str) -> str:
         return "PAUSED"
 
 
 class Silent(Fault):
-    """Sends nothing any more."""
+    """The controller sends no commands."""
 
     def sends(self, command: Sent) -> list[Sent]:
         return []
 
 
-class SeesThePast(Fault):
-    """Uses the first sensor readings for ever."""
+class OutdatedMeasurements(Fault):
+    """The controller uses the first sensor readings with new stamps."""
 
     last: Measurement | None = None
 
@@ -350,44 +350,44 @@ class SeesThePast(Fault):
 
 
 class WrongFrame(Fault):
-    """Follows its path in a frame that is turned by 50 degrees."""
+    """The reference is rotated by 50 degrees."""
 
     def followed(self, reference: Reference) -> Reference:
         return starting_at(reference, reference.sample([0.0]).pose[0] + [0.0, 0.0, math.radians(50.0)])
 
 
 class JumpingReference(Fault):
-    """Its reference jumps by a metre."""
+    """The published reference jumps by one metre."""
 
     def published(self, points: FloatArray) -> FloatArray:
-        jumped = points.copy()
-        jumped[len(jumped) // 2 :, 1] += 1.0
-        return jumped
+        shifted = points.copy()
+        shifted[len(shifted) // 2 :, 1] += 1.0
+        return shifted
 
 
 class NoReference(Fault):
-    """Drives without publishing a reference."""
+    """The controller publishes no reference."""
 
     def published(self, points: FloatArray) -> FloatArray:
         return points[:0]
 
 
 class Floods(Fault):
-    """Sends every command twenty times."""
+    """The controller sends each command twenty times."""
 
     def sends(self, command: Sent) -> list[Sent]:
         return 20 * [command]
 
 
 class StampedAhead(Fault):
-    """Its commands are of a second from now."""
+    """The stamps are one second in the future."""
 
     def sends(self, command: Sent) -> list[Sent]:
         return [command._replace(stamp=command.stamp + 1.0)]
 
 
 class OutOfOrder(Fault):
-    """Its commands come in the wrong order, by twos."""
+    """Pairs of commands are sent in the wrong order."""
 
     held: Sent | None = None
 
@@ -400,10 +400,10 @@ class OutOfOrder(Fault):
 
 
 class Shakes(Fault):
-    """Adds noise, more than the robot can follow."""
+    """The commands have more noise than the robot can follow."""
 
-    def __init__(self, begins: float) -> None:
-        super().__init__(begins)
+    def __init__(self, start_time: float) -> None:
+        super().__init__(start_time)
         self._noise = np.random.default_rng(1)
 
     def sends(self, command: Sent) -> list[Sent]:
@@ -411,8 +411,8 @@ class Shakes(Fault):
         return [command._replace(v=command.v + v, omega=command.omega + omega)]
 
 
-class DeafBase(Fault):
-    """The robot executes its last command, independent of later ones: stopped, it drives on."""
+class UnresponsiveBase(Fault):
+    """The robot keeps executing one command and ignores all later ones."""
 
     held: tuple[float, float] | None = None
 
@@ -423,14 +423,14 @@ class DeafBase(Fault):
 
 
 class Runaway(Fault):
-    """The robot drives as fast as it can, independent of its commands."""
+    """The robot drives at its maximum speed, independent of its commands."""
 
     def obeys(self, command: tuple[float, float]) -> tuple[float, float]:
         return 1.5, command[1]
 
 
 class Miswired(Fault):
-    """The robot turns to the other side than commanded."""
+    """The robot turns in the wrong direction."""
 
     def obeys(self, command: tuple[float, float]) -> tuple[float, float]:
         return command[0], -command[1]
@@ -447,7 +447,7 @@ class TurnedGyro(Fault):
 
 
 class FrozenPose(Fault):
-    """Poses come and never change."""
+    """The poses are constant with new stamps."""
 
     held: Stamped | None = None
 
@@ -460,7 +460,7 @@ class FrozenPose(Fault):
 
 
 class NoOdometry(Fault):
-    """There is no odometry any more."""
+    """The odometry is lost."""
 
     def measures(self, measurement: Measurement) -> Measurement:
         return replace(measurement, wheel_twist=None)
@@ -473,7 +473,7 @@ class FaultBounds:
     Attributes
     ----------
     make
-        The fault, from when it begins [s].
+        Constructor of the fault from its start time [s].
     stated
         Time after it within which the monitor stops the robot [s].
     part
@@ -502,17 +502,17 @@ FAULTS: dict[str, FaultBounds] = {
     "out of order": FaultBounds(OutOfOrder, 0.1),
     "silent": FaultBounds(Silent, 0.3),
     "slow ticks": FaultBounds(SlowTicks, 2.0),
-    "late, as stamped": FaultBounds(lambda begins: LateAndStamped(begins, 25), 0.1),
-    "replays, as stamped": FaultBounds(lambda begins: ReplaysStamped(begins, 150), 0.05),
+    "late, as stamped": FaultBounds(lambda start_time: DelayedAndStamped(start_time, 25), 0.1),
+    "replays, as stamped": FaultBounds(lambda start_time: ReplaysStamped(start_time, 150), 0.05),
     "jumping reference": FaultBounds(JumpingReference, 0.05),
     "no reference": FaultBounds(NoReference, 0.5),
     "moves while paused": FaultBounds(MovesWhilePaused, 2.0),
     "never stops": FaultBounds(NeverStops, 4.0),
-    "never stops, and says it has": FaultBounds(NeverStopsButSaysSo, 4.0),
+    "never stops, and says it has": FaultBounds(NeverStopsButReportsEnd, 4.0),
     "creeps after the end": FaultBounds(CreepsAfterEnd, 4.0),
     "spins": FaultBounds(Spins, 2.5),
-    "races": FaultBounds(Races, 4.0),
-    "limits creep": FaultBounds(LimitsCreep, 6.0),
+    "races": FaultBounds(MaxSpeed, 4.0),
+    "limits creep": FaultBounds(GrowingSpeed, 6.0),
     "backwards": FaultBounds(Backwards, 2.0),
     "wrong sign": FaultBounds(WrongSign, 8.0),
     "swapped": FaultBounds(Swapped, 4.0),
@@ -521,18 +521,18 @@ FAULTS: dict[str, FaultBounds] = {
     "frozen": FaultBounds(Frozen, 6.0),
     "swings": FaultBounds(Swings, 6.0),
     "scaled omega": FaultBounds(ScaledOmega, 8.0, controller="kanayama-plain"),
-    "late, unsaid": FaultBounds(lambda begins: LateUnsaid(begins, 30), 10.0),
+    "late, unsaid": FaultBounds(lambda start_time: DelayedUnstamped(start_time, 30), 10.0),
     "replays": FaultBounds(Replays, 10.0),
     "drifts": FaultBounds(Drifts, 10.0, controller="kanayama-plain"),
-    "sees the past": FaultBounds(SeesThePast, 4.0, controller="kanayama-plain"),
+    "sees the past": FaultBounds(OutdatedMeasurements, 4.0, controller="kanayama-plain"),
     "wrong frame": FaultBounds(WrongFrame, 6.0),
-    "deaf base": FaultBounds(DeafBase, 4.0, "robot", stoppable=False),
+    "deaf base": FaultBounds(UnresponsiveBase, 4.0, "robot", stoppable=False),
     "runaway": FaultBounds(Runaway, 1.5, "robot", stoppable=False),
     "miswired": FaultBounds(Miswired, 3.0, "robot"),
     "turned gyro": FaultBounds(TurnedGyro, 3.0, "robot"),
     "frozen pose": FaultBounds(FrozenPose, 3.0, "robot", controller="kanayama-plain"),
     "no odometry": FaultBounds(NoOdometry, 0.3, "robot"),
 }
-"""By name."""
+"""Faults by name."""
 AT_START = frozenset({"jumping reference", "no reference", "wrong frame"})
-"""Those that are there from the start."""
+"""Faults that are active from the start of the drive."""

@@ -1,4 +1,4 @@
-"""One drive with the monitor behind its controller, and the result."""
+"""Simulated drive with the monitor between controller and base, and its result."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from diffdrive_mpc_monitor.judge import Judge, MonitorVerdict
 from diffdrive_mpc_monitor.rules import Rules
 
 BASE_TIMEOUT = 0.5
-"""Time after the last command at which the base stops by itself [s], as in `sim/ros/base.yaml`."""
+"""Timeout of the base after the last command [s], as in `sim/ros/base.yaml`."""
 _STANDING = frozenset({"STOPPED", "FINISHED", "PAUSED", "IDLE"})
 """Modes in which a controller reports that it does not drive."""
-_TOLD_AGAIN = 0.2
-"""Shift of the reference in time at which the node sends it again [s]."""
-_BEFORE = 1000.0
-"""The clock at time 0 [s]: a stamp of 0 means "none", as in ROS."""
+_MIN_SHIFT = 0.2
+"""Shift of the reference in time from which the node publishes it again [s]."""
+_CLOCK_OFFSET = 1000.0
+"""Clock at time 0 [s], because a stamp of 0 means "no stamp" in ROS."""
 
 
-class WatchedStep(NamedTuple):
-    """Result of a tick as in `models.interface.ControlStep`: the command is that of the monitor."""
+class MonitoredStep(NamedTuple):
+    """Result of a tick as in `models.interface.ControlStep`, with the command of the monitor."""
 
     command: FloatArray
     mode: str
@@ -41,7 +41,7 @@ class WatchedStep(NamedTuple):
 
 
 class MonitoredController:
-    """Drives with `inner`, whose commands go through the monitor; satisfies `models.interface.TrackingController`.
+    """Controller whose commands pass through the monitor; implements `models.interface.TrackingController`.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class MonitoredController:
     rules
         Rules of the monitor.
     fault
-        Fault of the drive; None without one.
+        Fault of the drive; None for no fault.
     """
 
     def __init__(self, inner: TrackingController, rules: Rules, fault: Fault | None = None) -> None:
@@ -58,37 +58,37 @@ class MonitoredController:
 
     @property
     def verdict(self) -> MonitorVerdict:
-        """Return the verdict that stopped the robot, on the clock of the plant; empty if all is well."""
+        """Verdict that stopped the robot, on the clock of the plant; empty if no rule is violated."""
         verdict = self._judge.verdict
-        return verdict._replace(at=verdict.at - _BEFORE) if verdict else verdict
+        return verdict._replace(at=verdict.at - _CLOCK_OFFSET) if verdict else verdict
 
     def start(self, reference: Reference, t0: float) -> None:
-        """Start to track; publish the reference to the monitor as the node does."""
+        """Start to track, and publish the reference to the monitor."""
         self._fault.start(reference)
         self._inner.start(self._fault.followed(reference), t0)
-        self._judge = Judge(self._rules, t0 + _BEFORE)
+        self._judge = Judge(self._rules, t0 + _CLOCK_OFFSET)
         self._reference, self._t0 = reference, t0
-        self._tell_reference(t0, 0.0)
-        self._summed, self._summed_at = reference.sample([0.0]).pose[0].tolist(), t0
+        self._publish_reference(t0, 0.0)
+        self._odometry_pose, self._odometry_time = reference.sample([0.0]).pose[0].tolist(), t0
         self._base, self._base_at = (0.0, 0.0), t0
 
-    def step(self, t: float, measurement: Measurement) -> WatchedStep:
-        """Decide, judge, and pass on."""
-        fault, now = self._fault, t + _BEFORE
-        broken = fault.active(t)
-        measurement = fault.measures(measurement) if broken else measurement
-        self._tell(t, measurement)
-        step: ControlStep = self._inner.step(t, fault.sees(measurement) if broken else measurement)
+    def step(self, t: float, measurement: Measurement) -> MonitoredStep:
+        """Step the controller, check its commands, and return the command of the monitor."""
+        fault, now = self._fault, t + _CLOCK_OFFSET
+        is_faulty = fault.active(t)
+        measurement = fault.measures(measurement) if is_faulty else measurement
+        self._publish_sensors(t, measurement)
+        step: ControlStep = self._inner.step(t, fault.sees(measurement) if is_faulty else measurement)
         command, mode = Sent(t, float(step.command[0]), float(step.command[1])), str(step.mode)
-        sent = fault.sends(command) if broken else [command]
+        sent = fault.sends(command) if is_faulty else [command]
         fault.went(sent)
         planned = getattr(self._inner, "planned_delay", 0.0)
-        if mode not in _STANDING and abs(planned - self._planned) >= _TOLD_AGAIN:
-            self._tell_reference(t, planned)
-        self._judge.says(now, drives=(fault.says(mode) if broken else mode) not in _STANDING)
+        if mode not in _STANDING and abs(planned - self._planned) >= _MIN_SHIFT:
+            self._publish_reference(t, planned)
+        self._judge.says(now, drives=(fault.says(mode) if is_faulty else mode) not in _STANDING)
         for sent_command in sent:
             self._base, self._base_at = (
-                self._judge.command(now, sent_command.stamp + _BEFORE, sent_command.v, sent_command.omega),
+                self._judge.command(now, sent_command.stamp + _CLOCK_OFFSET, sent_command.v, sent_command.omega),
                 t,
             )
         stopped = self._judge.tick(now)
@@ -96,55 +96,55 @@ class MonitoredController:
             self._base, self._base_at = stopped, t
         if t - self._base_at > BASE_TIMEOUT:
             self._base = (0.0, 0.0)
-        driven = fault.obeys(self._base) if broken else self._base
-        return WatchedStep(np.array(driven), mode, step.message, step.step_time)
+        executed = fault.obeys(self._base) if is_faulty else self._base
+        return MonitoredStep(np.array(executed), mode, step.message, step.step_time)
 
-    def _tell_reference(self, t: float, delay: float) -> None:
-        """Pass the reference, delayed by `delay` [s], to the judge."""
+    def _publish_reference(self, t: float, delay: float) -> None:
+        """Publish the reference, delayed by `delay` [s], to the judge."""
         times = path_times(self._reference.duration)
-        points = np.column_stack([times + self._t0 + delay + _BEFORE, self._reference.sample(times).pose])
-        self._judge.reference(t + _BEFORE, self._fault.published(points).tolist())
+        points = np.column_stack([times + self._t0 + delay + _CLOCK_OFFSET, self._reference.sample(times).pose])
+        self._judge.reference(t + _CLOCK_OFFSET, self._fault.published(points).tolist())
         self._planned = delay
 
-    def _tell(self, t: float, measurement: Measurement) -> None:
-        """Pass the data of base and sensors, as on their topics."""
-        now, judge = t + _BEFORE, self._judge
+    def _publish_sensors(self, t: float, measurement: Measurement) -> None:
+        """Publish the data of base and sensors to the judge."""
+        now, judge = t + _CLOCK_OFFSET, self._judge
         if measurement.yaw_rate is not None:
-            judge.gyro(now, measurement.yaw_rate.time + _BEFORE, float(np.asarray(measurement.yaw_rate.value)))
+            judge.gyro(now, measurement.yaw_rate.time + _CLOCK_OFFSET, float(np.asarray(measurement.yaw_rate.value)))
         if measurement.wheel_twist is not None:
             twist = np.asarray(measurement.wheel_twist.value).tolist()
-            self._sum_up(measurement.wheel_twist.time, *twist)
-            judge.odometry(now, measurement.wheel_twist.time + _BEFORE, twist, self._summed)
+            self._integrate_odometry(measurement.wheel_twist.time, *twist)
+            judge.odometry(now, measurement.wheel_twist.time + _CLOCK_OFFSET, twist, self._odometry_pose)
         if measurement.pose is not None:
-            judge.pose(now, measurement.pose.time + _BEFORE, np.asarray(measurement.pose.value).tolist())
+            judge.pose(now, measurement.pose.time + _CLOCK_OFFSET, np.asarray(measurement.pose.value).tolist())
 
-    def _sum_up(self, time: float, v: float, omega: float) -> None:
-        """Carry on the pose of the odometry."""
-        step, self._summed_at = time - self._summed_at, time
-        x, y, theta = self._summed
+    def _integrate_odometry(self, time: float, v: float, omega: float) -> None:
+        """Integrate the pose of the odometry."""
+        step, self._odometry_time = time - self._odometry_time, time
+        x, y, theta = self._odometry_pose
         middle = theta + 0.5 * step * omega
-        self._summed = [x + step * v * math.cos(middle), y + step * v * math.sin(middle), theta + step * omega]
+        self._odometry_pose = [x + step * v * math.cos(middle), y + step * v * math.sin(middle), theta + step * omega]
 
 
-# Drives without a fault: drawn from controllers, paths, floors, scenarios, and sensors.
+# Drives without a fault, drawn from controllers, paths, surfaces, scenarios, and sensors.
 
 
 CONTROLLERS = (
     *(("mpc", model) for model in ("ssm", "ssm", "sm", "mbm", "kinematic")),
     *((peer, NO_MODEL) for peer in ("pursuit+slip", "kanayama+slip", "lqr+slip")),
 )
-"""Each with its model; the SSM drives twice as often."""
+"""Controllers with their models; the SSM has twice the weight."""
 PREDICTIVE = tuple(pair for pair in CONTROLLERS if pair[0] == "mpc")
-THROWN_OFF = frozenset({"push", "start_offset"})
-"""Here only the MPC drives: a plain law that is thrown off a fast path is half a metre away before it is back, which is
-no sound drive (two alarms in 276 drives from seed 10000 on were of these, and right)."""
+DISTURBED = frozenset({"push", "start_offset"})
+"""Scenarios that use only the MPC: after such a disturbance on a fast path, the other control laws deviate by half a
+metre (two correct alarms in 276 drives from seed 10000 on)."""
 PATHS = ("circle", "square", "s", "cane", "figure8", "fast_circle", "slalom", "reverse_slalom", "k_turn", "spiral")
 SPLINES = 40
 """Number of additional random paths."""
-_FLOORS = ("default", "default", "carpet", "deep_carpet", "grippy", "slippery")
-_HAPPENINGS = ("push", "patches", "payload", "slope", "start_offset")
-PLACES = (*((floor, "none") for floor in _FLOORS), *(("default", happening) for happening in _HAPPENINGS))
-"""Floors and scenarios."""
+_SURFACES = ("default", "default", "carpet", "deep_carpet", "grippy", "slippery")
+_DISTURBANCES = ("push", "patches", "payload", "slope", "start_offset")
+ENVIRONMENTS = (*((floor, "none") for floor in _SURFACES), *(("default", happening) for happening in _DISTURBANCES))
+"""Pairs of surface and scenario."""
 SENSORS = (
     *("default", "default", "slam", "noise_2cm", "poses_100ms"),
     *("poses_20hz", "poses_10hz", "poses_5hz", "poses_2hz"),
@@ -155,12 +155,12 @@ def nominal_case(seed: int) -> Case:
     """Build the drive of a seed."""
     draw = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1971,)))
 
-    def one_of(values: tuple[Any, ...]) -> Any:  # noqa: ANN401 - of what is given
+    def one_of(values: tuple[Any, ...]) -> Any:  # noqa: ANN401 - any value
         return values[int(draw.integers(len(values)))]
 
     controller, model = one_of(CONTROLLERS)
-    surface, scenario = one_of(PLACES)
-    if scenario in THROWN_OFF:
+    surface, scenario = one_of(ENVIRONMENTS)
+    if scenario in DISTURBED:
         controller, model = one_of(PREDICTIVE)
     trajectory = one_of((*PATHS, *(f"spline-{k}" for k in range(SPLINES // 4))))
     if trajectory.startswith("spline-"):
@@ -177,17 +177,17 @@ def nominal_case(seed: int) -> Case:
 
 
 FAULTY_PATHS = ("s", "square", "cane", "figure8", "slalom", "spline-0", "spline-1", "spline-2")
-"""Paths that faulty controllers drive: they bend, or continuing as before would be right."""
+"""Paths for faulty controllers; they are curved, so that a constant command is wrong."""
 AFTER, _AFTER_FAULT = 3.0, 8.0
 """Time that a drive continues after the end of its reference [s]."""
 _FIRST, _LAST = 2.5, 5.0
-"""A fault begins between these [s]."""
+"""Range of the start time of a fault [s]."""
 HARM = 1.0
-"""A robot does harm that comes so far from the stretch of path around its reference [m], or cannot be stopped."""
+"""Distance from the path section around the reference that counts as harm [m]."""
 _AT_REST = 0.05
-"""A slower robot counts as standing [m/s, rad/s]."""
+"""Speed below which a robot counts as standing [m/s, rad/s]."""
 _NEAR = (6.0, 1.0)
-"""Harm is measured to the part of the reference from this time ago to this time ahead [s]."""
+"""Time before and after the present that defines the path section for harm [s]."""
 
 
 @dataclass(frozen=True)
@@ -199,22 +199,22 @@ class MonitorTrial:
     case
         Case of the drive.
     fault
-        Name of the fault; empty without one.
+        Name of the fault; empty for none.
     driven
         Duration of the drive [s].
     rule, words
-        Rule and words of the verdict; empty without one.
+        Rule and description of the verdict; empty for none.
     after
-        From the fault, or else the start, to the verdict [s]; NaN without one.
+        Time from the fault, or from the start, to the verdict [s]; NaN if there is no verdict.
     farthest
-        From the stretch of path around the reference, of the true pose, until the robot stands for good [m].
+        Maximum distance of the true pose from the path section around the reference, until the final standstill [m].
     fastest
-        True speed meanwhile [m/s].
+        Maximum true speed until the final standstill [m/s].
     at_rest
-        Whether the robot stands at the end.
+        True if the robot stands at the end.
     left
-        Whether it leaves the stretch around its reference (`LEFT`, `ON_TIME`) without fault and monitor, too: an alarm
-        is then no false one. Without an alarm: whether it did.
+        True if the robot leaves the path section around its reference (`LEFT`, `ON_TIME`). After an alarm, this is
+        checked in a drive without fault and monitor: the alarm is false if the robot does not leave the section.
     """
 
     case: Case
@@ -238,20 +238,20 @@ def faulty_trial(fault: str, seed: int, rules: Rules) -> MonitorTrial:
     """Run a drive of the MPC with a fault; path and time are drawn."""
     draw = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1972,)))
     path = FAULTY_PATHS[int(draw.integers(len(FAULTY_PATHS)))]
-    begins = 0.0 if fault in AT_START else float(draw.uniform(_FIRST, _LAST))
+    start = 0.0 if fault in AT_START else float(draw.uniform(_FIRST, _LAST))
     controller = FAULTS[fault].controller
     model = Case().model if controller == "mpc" else NO_MODEL
-    return _drive(Case(controller=controller, model=model, trajectory=path, seed=seed), fault, begins, rules)
+    return _drive(Case(controller=controller, model=model, trajectory=path, seed=seed), fault, start, rules)
 
 
-def _drive(case: Case, fault: str, begins: float, rules: Rules) -> MonitorTrial:
+def _drive(case: Case, fault: str, start: float, rules: Rules) -> MonitorTrial:
     controller, plant, reference = build(case)
-    broken = FAULTS[fault].make(begins) if fault else Fault()
-    watched = MonitoredController(controller, rules, broken)
-    run = simulate(watched, plant, reference, extra_time=_AFTER_FAULT if fault else AFTER)
-    verdict = watched.verdict
-    since = next((float(t) for t in run.time if broken.active(float(t))), 0.0) if fault else 0.0
-    after = (run.time >= since) & ~_rests_for_good(run)
+    active_fault = FAULTS[fault].make(start) if fault else Fault()
+    monitored = MonitoredController(controller, rules, active_fault)
+    run = simulate(monitored, plant, reference, extra_time=_AFTER_FAULT if fault else AFTER)
+    verdict = monitored.verdict
+    since = next((float(t) for t in run.time if active_fault.active(float(t))), 0.0) if fault else 0.0
+    after = (run.time >= since) & ~_is_finally_at_rest(run)
     return MonitorTrial(
         case=case,
         fault=fault,
@@ -261,19 +261,19 @@ def _drive(case: Case, fault: str, begins: float, rules: Rules) -> MonitorTrial:
         after=verdict.at - since if verdict else math.nan,
         farthest=float(distances(run)[after].max(initial=0.0)),
         fastest=float(np.abs(run.true_twist[after, 0]).max(initial=0.0)),
-        at_rest=bool(_rests_for_good(run)[-25:].all()),
-        left=_largest_distance(run if not verdict else simulate(*build(case), extra_time=AFTER)) > LEFT,
+        at_rest=bool(_is_finally_at_rest(run)[-25:].all()),
+        left=_max_distance(run if not verdict else simulate(*build(case), extra_time=AFTER)) > LEFT,
     )
 
 
-def _rests_for_good(run: Run) -> NDArray[np.bool_]:
-    """Return (n,) True from the time on at which the robot stands for good; the reference may move on."""
+def _is_finally_at_rest(run: Run) -> NDArray[np.bool_]:
+    """Return (n,) True from the final standstill of the robot on."""
     moves = np.abs(run.true_twist[:, [0, 2]]).max(axis=1) > _AT_REST
     return ~np.logical_or.accumulate(moves[::-1])[::-1]
 
 
 def distances(run: Run, near: tuple[float, float] = _NEAR) -> FloatArray:
-    """Compute distances (n,) of the true position from the reference between `near[0]` ago and `near[1]` ahead [m]."""
+    """Compute the distance (n,) of the true position from the reference section from -`near[0]` to `near[1]` [s] [m]."""
     times = np.arange(-near[0], run.time[-1] + near[1], 0.05)
     places = run.reference.sample(times).pose[:, :2]
     first = np.searchsorted(times, run.time - near[0])
@@ -284,11 +284,11 @@ def distances(run: Run, near: tuple[float, float] = _NEAR) -> FloatArray:
 
 
 LEFT = 0.1
-"""Distance beyond which the robot has left the stretch that its reference covers around now [m]."""
+"""Distance from the path section around the reference above which the robot has left its path [m]."""
 ON_TIME = 0.5
-"""Time by which this stretch begins before now and ends after now [s]."""
+"""Time before and after the present that defines the path section for `LEFT` [s]."""
 
 
-def _largest_distance(run: Run) -> float:
-    """Compute the maximum distance from the stretch around the reference at each time [m]."""
+def _max_distance(run: Run) -> float:
+    """Compute the maximum distance from the path section around the reference [m]."""
     return float(distances(run, (ON_TIME, ON_TIME)).max())

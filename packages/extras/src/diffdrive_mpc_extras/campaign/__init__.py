@@ -1,1 +1,1 @@
-"""Campaigns: many runs drawn from distributions, each stored under the hash of what defines it."""
+"""Campaigns: many runs drawn from distributions, each stored under the hash of its definition."""

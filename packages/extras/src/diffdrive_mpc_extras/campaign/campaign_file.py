@@ -1,4 +1,4 @@
-"""A campaign as its YAML file states it, and the runs that are drawn from it."""
+"""Campaign files, conditions, and the runs drawn from a campaign."""
 
 from __future__ import annotations
 
@@ -22,18 +22,21 @@ from diffdrive_mpc_extras.campaign.draws import Draw, Value, read_factor
 
 
 class Condition(StrictModel):
-    """Condition of a trial, and its description to the controller; omitted values are defaults."""
+    """Condition of a trial, with the controller settings for it; omitted values are defaults."""
 
-    plant: str = Field("mujoco", description="as --plant")
-    surface: str = Field("default", description="as --surface")
-    sensors: str = Field("default", description="as --sensors")
-    scenario: str = Field(NO_SCENARIO, description="as --scenario")
+    plant: str = Field("mujoco", description="plant, as for --plant")
+    surface: str = Field("default", description="surface, as for --surface")
+    sensors: str = Field("default", description="sensors, as for --sensors")
+    scenario: str = Field(NO_SCENARIO, description="scenario, as for --scenario")
     settings: dict[str, bool | int | float | str] = Field(
         default_factory=dict, description="configuration values of the robot, by dotted key"
     )
 
     def case(self, controller: str, model: str, trajectory: str, seed: int) -> Case:
-        """Build one run under this condition; a peer has no model, and settings only if it uses the same estimate."""
+        """Build one run under this condition.
+
+        A peer has no model, and uses the settings only if it shares the estimator of the controller.
+        """
         peer = controller in PEERS
         return Case(
             controller=controller,
@@ -51,17 +54,17 @@ class Condition(StrictModel):
 class Conditions(StrictModel):
     """All conditions of a file."""
 
-    settled: NotNegative = Field(description="time from which on the largest lateral error counts [s]")
-    quick: tuple[str, ...] = Field((), description="conditions of a quick study; without any, all of them")
+    settled: NotNegative = Field(description="time after which the maximum lateral error is evaluated [s]")
+    quick: tuple[str, ...] = Field((), description="conditions of a quick study; empty for all conditions")
     conditions: Annotated[dict[str, Condition], Field(min_length=1)]
 
     @model_validator(mode="after")
     def _known(self) -> Conditions:
-        self.chosen(self.quick or None, "quick")
+        self.select(self.quick or None, "quick")
         return self
 
-    def chosen(self, names: Sequence[str] | None, where: str = "--only") -> dict[str, Condition]:
-        """Select conditions by name, by default all; raise ConfigError for an unknown name."""
+    def select(self, names: Sequence[str] | None, where: str = "--only") -> dict[str, Condition]:
+        """Select conditions by name, by default all; raises ConfigError for an unknown name."""
         unknown = [name for name in names or () if name not in self.conditions]
         if unknown:
             raise ConfigError(f"{where}: unknown condition {not_among(unknown[0], self.conditions)}")
@@ -69,36 +72,34 @@ class Conditions(StrictModel):
 
 
 def load_conditions(file: Path | None = None) -> Conditions:
-    """Read a file of conditions, by default the shipped one; raises ConfigError when it has a mistake."""
+    """Read a file of conditions, by default the shipped one; raises ConfigError if it is invalid."""
     return load_checked(Conditions, file or Path(__file__).with_name("conditions.yaml"))
 
 
 CONDITION = "condition"
-"""Factor whose value is a condition of the robustness study: plant, surface, sensors, scenario and the values given to
-the controller.
-"""
-MOST_RUNS = 100 * MAX_SEEDS
+"""Factor whose value is a condition: plant, surface, sensors, scenario and controller settings."""
+MAX_RUNS = 100 * MAX_SEEDS
 _SEED = "seed"
-_INSIDE = 2.0**-33
+_MIN_POINT = 2.0**-33
 
 
 class Campaign(StrictModel):
-    """A list of runs, given by distributions of their factors."""
+    """Campaign: a number of runs, and the distributions of their factors."""
 
-    description: str = Field(min_length=1, description="what it is for, in one line")
-    runs: Annotated[int, Field(ge=1, le=MOST_RUNS)] = Field(description="how many runs")
+    description: str = Field(min_length=1, description="purpose of the campaign, in one line")
+    runs: Annotated[int, Field(ge=1, le=MAX_RUNS)] = Field(description="number of runs")
     sampler: Literal["sobol", "latin_hypercube", "random"] = Field(
         "sobol",
-        description="how points are spread, random: independently; only with latin_hypercube other runs for fewer",
+        description="sampling method; with latin_hypercube, a different number of runs changes all points",
     )
-    draw_seed: Annotated[int, Field(ge=0)] = Field(0, description="seed of the points, not of a run's noise")
-    conditions: str | None = Field(None, description="file of conditions in place of the shipped one")
-    factors: dict[str, object] = Field(
-        default_factory=dict, description="a value, a choice or a distribution for each factor"
+    draw_seed: Annotated[int, Field(ge=0)] = Field(
+        0, description="seed of the sampled points; the noise has separate seeds"
     )
+    conditions: str | None = Field(None, description="file of conditions; by default the shipped file")
+    factors: dict[str, object] = Field(default_factory=dict, description="value, choice or distribution of each factor")
 
     @model_validator(mode="after")
-    def _readable(self) -> Campaign:
+    def _check_factors(self) -> Campaign:
         for name, data in self.factors.items():
             if name != CONDITION:
                 check_factor(name, "factors")
@@ -107,24 +108,24 @@ class Campaign(StrictModel):
 
     @property
     def draws(self) -> dict[str, Draw | Value]:
-        """Every factor, in the order of the file; each run has its own seed where the file has none."""
+        """All factors in the order of the file; by default, the seed is the index of the run."""
         read = {name: read_factor(data, f"factors.{name}") for name, data in self.factors.items()}
         return read if _SEED in read else read | {_SEED: read_factor({"each": 0}, _SEED)}
 
     @property
     def varying(self) -> dict[str, Draw]:
-        """The factors that differ from run to run."""
+        """Factors that differ from run to run."""
         return {name: draw for name, draw in self.draws.items() if isinstance(draw, Draw)}
 
     def definitions(self, runs: int | None = None) -> list[Definition]:
-        """List the runs in order: the first `runs`, or as many as the file states.
+        """List the runs in order: the first `runs`, by default the number in the file.
 
-        Raises ConfigError if there are too many, two factors contradict each other, or a value is of another kind than
-        its factor.
+        Raises ConfigError if there are too many runs, if two factors set the same value, or if a value has a wrong
+        type.
         """
         count = self.runs if runs is None else runs
-        if count > MOST_RUNS:
-            raise ConfigError(f"--runs {count}: give at most {MOST_RUNS}")
+        if count > MAX_RUNS:
+            raise ConfigError(f"--runs {count}: give at most {MAX_RUNS}")
         conditions = load_conditions(None if self.conditions is None else Path(self.conditions))
         sampled = [name for name, draw in self.varying.items() if draw.sampled]
         points = spread_points(self.sampler, count, len(sampled), self.draw_seed)
@@ -144,37 +145,37 @@ def spread_points(sampler: str, count: int, dimensions: int, seed: int) -> Float
     if not dimensions:
         return np.zeros((count, 0))
     if sampler == "sobol":
-        # A whole power of two is balanced, and its beginning is that of every larger one.
+        # Powers of two are balanced, and a shorter sequence is the start of each longer one.
         power = max(count - 1, 1).bit_length()
         points = qmc.Sobol(dimensions, scramble=True, seed=seed).random_base2(power)[:count]
     elif sampler == "random":
         points = np.random.default_rng(seed).random((count, dimensions))
     else:
         points = qmc.LatinHypercube(dimensions, seed=seed).random(count)
-    # A normal distribution has no quantile at the ends.
-    return np.asarray(np.clip(points, _INSIDE, 1.0 - _INSIDE), dtype=float)
+    # The quantiles of a normal distribution at 0 and 1 are infinite.
+    return np.asarray(np.clip(points, _MIN_POINT, 1.0 - _MIN_POINT), dtype=float)
 
 
 def load_campaign(path: str | Path) -> Campaign:
-    """Read a campaign; files in its folder may be named by their relative path.
+    """Read a campaign; relative paths of files start at its folder.
 
-    Raises ConfigError when the file has a mistake.
+    Raises ConfigError if the file is invalid.
     """
-    read = load_checked(Campaign, path)
-    return read.model_copy(update=files_beside(read, Path(path)))
+    campaign = load_checked(Campaign, path)
+    return campaign.model_copy(update=resolve_files(campaign, Path(path)))
 
 
-def files_beside(campaign: Campaign, path: Path) -> dict[str, object]:
-    """Return factors and conditions of a campaign file at `path`, with full paths of files next to it."""
-    return {name: whole_paths(getattr(campaign, name), path.parent) for name in ("factors", "conditions")}
+def resolve_files(campaign: Campaign, path: Path) -> dict[str, object]:
+    """Return factors and conditions of a campaign file at `path`, with absolute paths of files in its folder."""
+    return {name: resolve_paths(getattr(campaign, name), path.parent) for name in ("factors", "conditions")}
 
 
-def whole_paths(value: object, folder: Path) -> object:
-    """Replace names of files in `folder` by full paths in plain data."""
+def resolve_paths(value: object, folder: Path) -> object:
+    """Replace names of files in `folder` by absolute paths, in nested plain data."""
     if isinstance(value, Mapping):
-        return {whole_paths(key, folder): whole_paths(inner, folder) for key, inner in value.items()}
+        return {resolve_paths(key, folder): resolve_paths(inner, folder) for key, inner in value.items()}
     if isinstance(value, (list, tuple)):
-        return [whole_paths(inner, folder) for inner in value]
+        return [resolve_paths(inner, folder) for inner in value]
     if not isinstance(value, str) or not Path(value).suffix:
         return value
     kind, colon, rest = value.rpartition(":")
@@ -187,14 +188,14 @@ def _with_condition(values: dict[str, Value], conditions: Conditions) -> dict[st
     name = values.pop(CONDITION, None)
     if name is None:
         return values
-    condition = conditions.chosen([str(name)], f"factors.{CONDITION}")[str(name)]
-    places: dict[str, Value] = {
+    condition = conditions.select([str(name)], f"factors.{CONDITION}")[str(name)]
+    settings: dict[str, Value] = {
         "plant": condition.plant,
         "surface": condition.surface,
         "sensors": condition.sensors,
         "scenario": condition.scenario,
     }
-    twice = [place for place in places if place in values]
-    if twice:
-        raise ConfigError(f"factors.{twice[0]}: a condition sets that already; give one of them")
-    return places | {f"config.{key}": value for key, value in condition.settings.items()} | values
+    duplicates = [setting for setting in settings if setting in values]
+    if duplicates:
+        raise ConfigError(f"factors.{duplicates[0]}: also set by the condition; remove one of them")
+    return settings | {f"config.{key}": value for key, value in condition.settings.items()} | values

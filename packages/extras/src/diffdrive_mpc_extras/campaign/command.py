@@ -1,4 +1,4 @@
-"""Commands of campaigns: `diffdrive-mpc campaign` drives many runs, `diffdrive-mpc repeat` drives one of them again."""
+"""Commands `diffdrive-mpc campaign`, which simulates many runs, and `diffdrive-mpc repeat`, which repeats one run."""
 
 from __future__ import annotations
 
@@ -24,20 +24,22 @@ def campaign(
     ] = None,
     jobs: Jobs = None,
 ) -> None:
-    """Drive many runs that a file draws; a run that was driven before is not driven again.
+    """Simulate the runs of a campaign file; stored runs are not repeated.
 
-    The exit code is 1 if a run ended in an error; its row names the error.
+    The exit code is 1 if a run ended in an error; the row of the run contains the error.
     """
-    from diffdrive_mpc_extras.campaign.engine import CampaignPlace, failed  # noqa: PLC0415 - --help does not need it
+    from diffdrive_mpc_extras.campaign.engine import CampaignPlace, describe_errors  # noqa: PLC0415 - --help does not need it
     from diffdrive_mpc_extras.campaign.run import Part, run_campaign  # noqa: PLC0415
 
-    driven = run_campaign(file, CampaignPlace(out, jobs), runs, None if part is None else Part.read(part))
-    if failed(driven):
+    results = run_campaign(file, CampaignPlace(out, jobs), runs, None if part is None else Part.read(part))
+    if describe_errors(results):
         raise typer.Exit(FAILED)
 
 
 def repeat(
-    file: Annotated[Path, typer.Argument(metavar="RUN", help="Run that `prove` wrote (YAML).", show_default=False)],
+    file: Annotated[
+        Path, typer.Argument(metavar="RUN", help="Run file written by `prove` (YAML).", show_default=False)
+    ],
     *,
     out: Annotated[Path | None, out_option("report.html and figures")] = None,
     log: Annotated[
@@ -46,9 +48,9 @@ def repeat(
     trust_terms: TrustedFolders = None,
     details: Annotated[bool, typer.Option("--details", help="Print the tables instead of the summary.")] = False,
 ) -> None:
-    """Drive the run of a file again and compare its figures with those of the file.
+    """Repeat the run of a file and compare its values with the file.
 
-    The exit code is 1 if a figure differs.
+    The exit code is 1 if a value differs.
     """
     from diffdrive_mpc_extras.campaign.repeat import repeat_run  # noqa: PLC0415 - --help does not need it
 

@@ -1,7 +1,7 @@
-"""Count unsafe commands of a run, from the outside.
+"""Count the unsafe commands of a run, independently of the controller.
 
-It shares no code with the controller: limits come from plain YAML, the rules from docs/safety.md, and nothing but
-NumPy and a YAML parser is imported.
+The module shares no code with the controller: the limits come from plain YAML, the rules from docs/safety.md, and the
+only imports are NumPy and a YAML parser.
 """
 
 from __future__ import annotations
@@ -16,33 +16,47 @@ import yaml
 from numpy.typing import ArrayLike, NDArray
 
 STATED = Path(__file__).with_name("stated_limits.yaml")
-"""Limits where a configuration sets none."""
+"""File of the default limits."""
 
-# Sums in floating point: a limit is kept to this [m/s, rad/s].
+# Tolerance of a limit for rounding errors [m/s, rad/s].
 _ROUNDING = 1e-9
-_BRAKES = ("BRAKING", "FINISHED")
-_DRIVES = ("TRACKING", "REUSED_PLAN")
-_STANDS = "STOPPED"
+_BRAKING = ("BRAKING", "FINISHED")
+_DRIVING = ("TRACKING", "REUSED_PLAN")
+_STOPPED = "STOPPED"
 
 
 @dataclass(frozen=True)
 class StatedLimits:
-    """Limits that the controller promises; pairs are v [m/s, m/s^2] and omega [rad/s, rad/s^2].
+    """Limits that the commands must keep; pairs are v [m/s, m/s^2] and omega [rad/s, rad/s^2].
 
-    `most`: largest command forward and to the left; `slew`: largest rate of growth while driving; `braking`: rate to
-    zero; `max_pose_age`: without a pose for longer it brakes [s]; `sample_time`: between two ticks [s]; `least_radius`:
-    of a command's turn, 0 where there is none [m]; `behind`: largest command in reverse and to the right, and `falls`:
-    largest rate of fall while driving; None: as `most` and `slew`.
+    Attributes
+    ----------
+    maximum
+        Maximum command forwards and to the left.
+    slew
+        Maximum rate of increase while driving.
+    braking
+        Maximum rate of decrease while braking.
+    max_pose_age
+        Time without a pose after which the controller must brake [s].
+    sample_time
+        Duration of a tick [s].
+    min_radius
+        Minimum radius of a commanded turn [m]; 0 for no limit.
+    reverse_maximum
+        Maximum command backwards and to the right; None: as `maximum`.
+    slew_down
+        Maximum rate of decrease while driving; None: as `slew`.
     """
 
-    most: tuple[float, float]
+    maximum: tuple[float, float]
     slew: tuple[float, float]
     braking: tuple[float, float]
     max_pose_age: float
     sample_time: float
-    least_radius: float = 0.0
-    behind: tuple[float, float] | None = None
-    falls: tuple[float, float] | None = None
+    min_radius: float = 0.0
+    reverse_maximum: tuple[float, float] | None = None
+    slew_down: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -52,18 +66,18 @@ class Unsafe:
     Attributes
     ----------
     not_finite
-        It was not two finite numbers.
+        A value is not finite.
     limit
-        It was beyond the largest command.
+        The command exceeds its maximum.
     slew
-        It changed by more in a tick than its mode allows: the slew limit in TRACKING and REUSED_PLAN; in BRAKING and
-        FINISHED the braking limit, towards zero only; in STOPPED any change, but the command must be zero.
+        The change since the last tick exceeds the limit of the mode: the slew limit in TRACKING and REUSED_PLAN; the
+        braking limit, towards zero only, in BRAKING and FINISHED. In STOPPED the command must be zero.
     motion
-        It asked for more motion than a ramp at the braking limits that begins when no pose has come for `max_pose_age`,
-        or for any before the first pose.
+        The command exceeds a braking ramp that starts after `max_pose_age` without a pose, or it is not zero before the
+        first pose.
     turn
-        It turned tighter than the least radius, where there is one; while it brakes only a radius counts that a ramp at
-        the braking limits keeps.
+        The radius of the turn is less than the minimum radius. While braking, this counts only if a ramp at the
+        braking limits can keep the radius.
     """
 
     not_finite: int
@@ -74,14 +88,14 @@ class Unsafe:
 
     @property
     def total(self) -> int:
-        """All of them; a tick that broke two counts twice."""
+        """Total number of violations; a tick that violates two limits counts twice."""
         return self.not_finite + self.limit + self.slew + self.motion + self.turn
 
 
 def stated_limits(config: str | Path | None, overrides: Mapping[str, object]) -> StatedLimits:
     """Read the limits in plain YAML: the stated limits, then a configuration file, then values by dotted key.
 
-    Raises KeyError or TypeError where a number is missing, OSError where a file is.
+    Raises KeyError or TypeError if a number is missing, OSError if a file is missing.
     """
     values = _plain(_flat(yaml.safe_load(STATED.read_text(encoding="utf-8"))))
     if config is not None:
@@ -106,79 +120,79 @@ def stated_limits(config: str | Path | None, overrides: Mapping[str, object]) ->
 
 
 def check_commands(
-    time: ArrayLike, command: ArrayLike, modes: Sequence[str], pose_came: ArrayLike, limits: StatedLimits
+    time: ArrayLike, command: ArrayLike, modes: Sequence[str], has_pose: ArrayLike, limits: StatedLimits
 ) -> Unsafe:
-    """Count the unsafe commands in a run of n ticks, which began with a robot at rest.
+    """Count the unsafe commands in a run of n ticks that starts at rest.
 
     Parameters
     ----------
     time
-        (n,) instants [s].
+        (n,) times [s].
     command
-        (n, 2) v [m/s], omega [rad/s].
+        (n, 2) commands v [m/s], omega [rad/s].
     modes
-        (n,) mode that the controller reported; an unknown word has no limit.
-    pose_came
-        (n,) whether a finite pose was delivered at the tick.
+        (n,) modes reported by the controller; an unknown mode counts as a violation.
+    has_pose
+        (n,) True if the tick had a finite pose.
     limits
         Limits of the robot.
     """
     times, commands = np.asarray(time, dtype=float), np.asarray(command, dtype=float)
     finite = np.isfinite(commands).all(axis=1)
-    # A command that is not finite is counted once; for the ticks around it the command counts as zero.
-    sound = np.where(finite[:, None], commands, 0.0)
-    before = np.vstack([np.zeros(2), sound[:-1]])
-    most = np.where(sound < 0.0, limits.behind or limits.most, limits.most)
-    beyond = (np.abs(sound) > most + _ROUNDING).any(axis=1)
-    steps = [_keeps_step(modes[k], before[k], sound[k], limits) for k in range(len(times))]
-    blind = _moves_blind(times, sound, np.asarray(pose_came, dtype=bool), limits)
+    # A nonfinite command is counted once, and replaced by zero in the other checks.
+    finite_commands = np.where(finite[:, None], commands, 0.0)
+    previous = np.vstack([np.zeros(2), finite_commands[:-1]])
+    maximum = np.where(finite_commands < 0.0, limits.reverse_maximum or limits.maximum, limits.maximum)
+    exceeds = (np.abs(finite_commands) > maximum + _ROUNDING).any(axis=1)
+    is_step_allowed = [_is_step_allowed(modes[k], previous[k], finite_commands[k], limits) for k in range(len(times))]
+    blind = _moves_without_pose(times, finite_commands, np.asarray(has_pose, dtype=bool), limits)
     return Unsafe(
         int(np.count_nonzero(~finite)),
-        int(np.count_nonzero(finite & beyond)),
-        int(np.count_nonzero(finite & ~np.array(steps, dtype=bool))),
+        int(np.count_nonzero(finite & exceeds)),
+        int(np.count_nonzero(finite & ~np.array(is_step_allowed, dtype=bool))),
         int(np.count_nonzero(finite & blind)),
-        int(np.count_nonzero(finite & _turns_tighter(sound, modes, limits))),
+        int(np.count_nonzero(finite & _violates_radius(finite_commands, modes, limits))),
     )
 
 
-def _keeps_step(mode: str, last: NDArray[np.float64], now: NDArray[np.float64], limits: StatedLimits) -> bool:
-    if mode == _STANDS:
+def _is_step_allowed(mode: str, last: NDArray[np.float64], now: NDArray[np.float64], limits: StatedLimits) -> bool:
+    if mode == _STOPPED:
         return bool((now == 0.0).all())
-    if mode not in (*_BRAKES, *_DRIVES):
+    if mode not in (*_BRAKING, *_DRIVING):
         return False
-    grows, falls = np.array(limits.slew), np.array(limits.falls or limits.slew)
-    if mode in _BRAKES:
-        grows = falls = np.array(limits.braking)
-    # Time that it takes: a fall towards zero, then growth from there.
-    along, size = np.where(last < 0.0, -now, now), np.abs(last)
-    taken = np.maximum(along - size, 0.0) / grows + np.clip(size - along, 0.0, size) / falls
-    taken += np.maximum(-along, 0.0) / grows
-    within = bool((taken <= limits.sample_time + _ROUNDING / np.minimum(grows, falls)).all())
-    # While braking, a command never grows and never changes sign.
-    slower = (now * last >= -_ROUNDING).all() and (np.abs(now) <= np.abs(last) + _ROUNDING).all()
-    return within and (mode in _DRIVES or bool(slower))
+    up, down = np.array(limits.slew), np.array(limits.slew_down or limits.slew)
+    if mode in _BRAKING:
+        up = down = np.array(limits.braking)
+    # Time of the change: a decrease to zero, then an increase.
+    signed_size, size = np.where(last < 0.0, -now, now), np.abs(last)
+    duration = np.maximum(signed_size - size, 0.0) / up + np.clip(size - signed_size, 0.0, size) / down
+    duration += np.maximum(-signed_size, 0.0) / up
+    within = bool((duration <= limits.sample_time + _ROUNDING / np.minimum(up, down)).all())
+    # While braking, a command must neither increase nor change sign.
+    decreases = (now * last >= -_ROUNDING).all() and (np.abs(now) <= np.abs(last) + _ROUNDING).all()
+    return within and (mode in _DRIVING or bool(decreases))
 
 
-def _turns_tighter(commands: NDArray[np.float64], modes: Sequence[str], limits: StatedLimits) -> NDArray[np.bool_]:
-    """Return (n,) True for a command that turns more tightly than allowed."""
+def _violates_radius(commands: NDArray[np.float64], modes: Sequence[str], limits: StatedLimits) -> NDArray[np.bool_]:
+    """Return (n,) True for each command whose radius is below the minimum."""
     v, omega = np.abs(commands).T
-    tighter = omega * limits.least_radius > v + _ROUNDING
-    while_braking = limits.least_radius * limits.braking[1] >= limits.braking[0]
-    return np.asarray(tighter & (while_braking | ~np.isin(modes, _BRAKES)))
+    is_tighter = omega * limits.min_radius > v + _ROUNDING
+    while_braking = limits.min_radius * limits.braking[1] >= limits.braking[0]
+    return np.asarray(is_tighter & (while_braking | ~np.isin(modes, _BRAKING)))
 
 
-def _moves_blind(
-    times: NDArray[np.float64], commands: NDArray[np.float64], pose_came: NDArray[np.bool_], limits: StatedLimits
+def _moves_without_pose(
+    times: NDArray[np.float64], commands: NDArray[np.float64], has_pose: NDArray[np.bool_], limits: StatedLimits
 ) -> NDArray[np.bool_]:
-    """Return (n,) True for a command above the ramp that starts when poses have been missing for too long."""
+    """Return (n,) True for each command above the braking ramp that starts after `max_pose_age` without a pose."""
     blind = np.zeros(len(times), dtype=bool)
     last_pose, ramp = -np.inf, np.zeros(2)
-    # A tick may come just before the age is reached, and the ramp begins with the one after it.
-    patience = limits.max_pose_age + limits.sample_time
+    # The age can be reached just after a tick, and the ramp then starts at the next tick.
+    tolerance = limits.max_pose_age + limits.sample_time
     for k, time in enumerate(times):
-        if pose_came[k]:
+        if has_pose[k]:
             last_pose = time
-        if time - last_pose <= patience + _ROUNDING:
+        if time - last_pose <= tolerance + _ROUNDING:
             ramp = np.abs(commands[k])
             continue
         ramp = np.maximum(ramp - np.array(limits.braking) * limits.sample_time, 0.0)
@@ -187,7 +201,7 @@ def _moves_blind(
 
 
 def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Remove the prefix "expert." from keys, and translate the former name of the radius."""
+    """Remove the prefix "expert." from keys, and replace the former key of the minimum radius."""
     plain = {key.removeprefix("expert."): value for key, value in values.items()}
     former = "limits.least_commanded_radius"
     return {"limits.min_commanded_radius" if key == former else key: value for key, value in plain.items()}

@@ -1,4 +1,4 @@
-"""Definition of a run of a campaign: a case, and values that replace those of its files."""
+"""Definition of a run of a campaign: a case, and values that replace values of its files."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 from diffdrive_mpc_extras.campaign.draws import Value
 
 GROUPS = ("config", "robot", "surface", "sensors")
-"""Files whose single values a factor may replace: `robot.twin.link.dead_time` is a key of the robot's file."""
+"""Groups of factors that replace a value of a file, such as the key `robot.twin.link.dead_time` of the robot file."""
 FACTORS_OF_A_CASE = (*(dimension.name for dimension in DIMENSIONS), "config", "top_speed", "scaled", "late")
-"""Factors that are no key of a file."""
+"""Factors that are fields of the case."""
 _TYPES: dict[str, tuple[type, ...]] = {
     **dict.fromkeys(FACTORS_OF_A_CASE, (str,)),
     "seed": (int,),
@@ -44,14 +44,14 @@ _TYPES: dict[str, tuple[type, ...]] = {
 
 @dataclass(frozen=True)
 class Definition:
-    """Everything that defines one run, except the product itself.
+    """Definition of one run, without the version of the product.
 
     Attributes
     ----------
     case
-        Controller, model, path, plant, ...; `case.overrides` replace values of the controller's configuration.
+        Controller, model, path, plant and so on; `case.overrides` replace values of the controller configuration.
     robot, surface, sensors
-        Values by dotted key that replace those of the files that the case names.
+        Values by dotted key that replace values of the files named in the case.
     """
 
     case: Case
@@ -61,7 +61,7 @@ class Definition:
 
     @classmethod
     def from_factors(cls, factors: Mapping[str, Value], where: str = "run") -> Definition:
-        """Build the run with these values by name of their factors; raise ConfigError for an unknown factor."""
+        """Build a run from values by factor name; raises ConfigError for an unknown factor or a wrong type."""
         fields_of_case: dict[str, Any] = {}
         groups: dict[str, dict[str, object]] = {name: {} for name in GROUPS}
         for name, value in factors.items():
@@ -72,11 +72,11 @@ class Definition:
                 continue
             kinds = _TYPES[name]
             if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
-                raise ConfigError(f"{where}: {name}: {value!r} is of another kind; give {_said(kinds)}")
+                raise ConfigError(f"{where}: {name}: {value!r} has the wrong type; give {_type_name(kinds)}")
             fields_of_case[name] = value
         peer = fields_of_case.get("controller") in PEERS
         if peer and groups["config"]:
-            # A peer has no configuration: factors of it vary only for the predictive controller.
+            # A peer has no configuration, so these factors apply only to the predictive controller.
             groups["config"] = {}
         if peer:
             fields_of_case |= {"model": NO_MODEL, "config": None}
@@ -89,18 +89,18 @@ class Definition:
 
     @property
     def factors(self) -> dict[str, Value | None]:
-        """All of it by name of the factors; values with their default, too. `of` gives it back."""
-        of_case = {name: getattr(self.case, name) for name in FACTORS_OF_A_CASE}
+        """All values by factor name, including defaults; inverse of `from_factors`."""
+        case_values = {name: getattr(self.case, name) for name in FACTORS_OF_A_CASE}
         grouped = {f"{group}.{key}": value for group in GROUPS for key, value in self._group(group)}
-        return of_case | grouped
+        return case_values | grouped
 
     @property
     def columns(self) -> dict[str, Value | None]:
-        """`factors` for tables: of a path only the stem, which is independent of the machine."""
+        """Values of `factors` for tables; paths are reduced to their stem, which does not depend on the machine."""
         return {name: label(value) if isinstance(value, str) else value for name, value in self.factors.items()}
 
-    def changed(self, changes: Mapping[str, Value]) -> Definition:
-        """Return the run with other values by name of their factors; raise ConfigError as `from_factors`."""
+    def with_factors(self, changes: Mapping[str, Value]) -> Definition:
+        """Return the run with changed values by factor name; raises ConfigError as `from_factors`."""
         known = {name: value for name, value in self.factors.items() if value is not None}
         return Definition.from_factors(known | dict(changes))
 
@@ -113,7 +113,7 @@ class Definition:
 
 
 def check_factor(name: str, where: str) -> None:
-    """Raise ConfigError if there is no factor `name`."""
+    """Raise ConfigError if `name` is not a factor."""
     group, dot, key = name.partition(".")
     if name in FACTORS_OF_A_CASE or (dot and key and group in GROUPS):
         return
@@ -132,17 +132,17 @@ def _sorted(values: Mapping[str, object]) -> Overrides:
     return tuple(sorted(values.items()))
 
 
-def _said(kinds: tuple[type, ...]) -> str:
+def _type_name(kinds: tuple[type, ...]) -> str:
     return {bool: "true or false", int: "a whole number", float: "a number", str: "a name"}[kinds[-1]]
 
 
-# Values of plant, floor and sensors of a run, for factors that vary around them.
+# Values of plant, surface and sensors in the files of a run, for factors that vary around them.
 
 
-def stated(key: str, factors: Mapping[str, object]) -> float:
-    """Return the number behind a dotted key of robot, floor or sensors in the files that `factors` name.
+def file_value(key: str, factors: Mapping[str, object]) -> float:
+    """Return the number at a dotted key of robot, surface or sensors in the files named by `factors`.
 
-    Raises ConfigError if there is none.
+    Raises ConfigError if there is no number at the key.
     """
     group, _, rest = key.partition(".")
     kind, _, name = str(factors.get("plant", "mujoco")).partition(":")
@@ -157,31 +157,31 @@ def stated(key: str, factors: Mapping[str, object]) -> float:
     elif group == "sensors":
         data = robot["sensors"] if sensors == DEFAULT else load_sensor_set(sensors).model_dump()
     elif kind != "mujoco":
-        raise ConfigError(f"spread.{key}: the plant '{factors.get('plant')}' has no robot file; leave it out")
+        raise ConfigError(f"spread.{key}: the plant '{factors.get('plant')}' has no robot file; remove the key")
     for part in rest.split("."):
         data = data.get(part) if isinstance(data, Mapping) else None
     if isinstance(data, bool) or not isinstance(data, (int, float)):
-        raise ConfigError(f"spread.{key}: there is no number there that could be spread")
+        raise ConfigError(f"spread.{key}: this key has no numeric value")
     return float(data)
 
 
 LIBRARIES = ("numpy", "scipy", "casadi", "osqp", "daqp", "mujoco", "control")
-"""Packages whose version can change a number of a run."""
-_KINDS = frozenset({".py", ".c", ".h", ".yaml", ".csv", ".npz", ".xml"})
+"""Packages whose version can change the result of a run."""
+_SUFFIXES = frozenset({".py", ".c", ".h", ".yaml", ".csv", ".npz", ".xml"})
 
 
 @lru_cache(maxsize=1)
 def product_hash() -> str:
-    """Hash the code and the parameter files that affect a run, without code that only reports.
+    """Hash the code and the parameter files that affect a run; report code is excluded.
 
-    The content counts, not the revision: two states of a checkout in which files were changed are told apart, and a
-    wheel has the hash of the checkout that it was built from.
+    The hash depends on the content and not on the revision: modified checkouts have different hashes, and a wheel has
+    the hash of its checkout.
     """
-    rooms = [_folder(room) for room in (models, mpc, sim, peers, diffdrive_mpc_extras)]
-    single = [Path(str(module.__file__)) for module in (case, controllers, run_row)]
-    sources = [(path.relative_to(room.parent), path) for room in rooms for path in room.rglob("*")]
-    named = {str(name): path for name, path in sources if path.suffix in _KINDS and path.is_file()}
-    named |= {path.name: path for path in single}
+    folders = [_folder(package) for package in (models, mpc, sim, peers, diffdrive_mpc_extras)]
+    files = [Path(str(module.__file__)) for module in (case, controllers, run_row)]
+    sources = [(path.relative_to(folder.parent), path) for folder in folders for path in folder.rglob("*")]
+    named = {str(name): path for name, path in sources if path.suffix in _SUFFIXES and path.is_file()}
+    named |= {path.name: path for path in files}
     total = hashlib.sha256()
     for name in sorted(named):
         total.update(f"{name}\0{_digest(named[name])}\n".encode())
@@ -190,14 +190,14 @@ def product_hash() -> str:
 
 @lru_cache(maxsize=1)
 def environment() -> dict[str, str]:
-    """Describe the environment of a run: product, numerical libraries, Python, kind of processor."""
+    """Describe the environment of a run: product, numerical libraries, Python, processor architecture."""
     libraries = {name: package_version(name) for name in LIBRARIES}
     python = ".".join(platform.python_version_tuple()[:2])
     return {"product": product_hash(), "python": python, "machine": platform.machine(), **libraries}
 
 
 def identify(definition: Definition) -> dict[str, object]:
-    """Collect everything that the hash of a run covers as plain data: files by content, not by path."""
+    """Collect the data of a run's hash; files are identified by their content."""
     factors = {name: _by_content(name, value) for name, value in definition.factors.items()}
     return {"run": factors, "environment": environment()}
 
@@ -209,21 +209,21 @@ def key_of(definition: Definition) -> str:
 
 
 def _by_content(name: str, value: object) -> object:
-    """Replace a path by the hash of the file and of all files that it names in turn."""
+    """Replace a path by the hash of the file and of all files that it references."""
     if not isinstance(value, str) or name in ("controller", "timing", "seed"):
         return value
     kind, colon, rest = value.rpartition(":")
-    path, plus, more = rest, "", ""
+    path, plus, suffix = rest, "", ""
     if not _is_file(path) and "+" in path:
-        path, plus, more = rest.rpartition("+")
+        path, plus, suffix = rest.rpartition("+")
     if not _is_file(path):
         return value
-    contents = {_digest(file) for file in _with_named(Path(path).resolve(), set())}
-    return f"{kind}{colon}files {' '.join(sorted(contents))}{plus}{more}"
+    contents = {_digest(file) for file in _referenced_files(Path(path).resolve(), set())}
+    return f"{kind}{colon}files {' '.join(sorted(contents))}{plus}{suffix}"
 
 
-def _with_named(path: Path, visited: set[Path]) -> Iterator[Path]:
-    """Yield a file, its weights, and the files that its text names."""
+def _referenced_files(path: Path, visited: set[Path]) -> Iterator[Path]:
+    """Yield a file, its weights, and the files that its text references."""
     if path in visited:
         return
     visited.add(path)
@@ -234,7 +234,7 @@ def _with_named(path: Path, visited: set[Path]) -> Iterator[Path]:
     if path.suffix in (".yaml", ".yml"):
         for text in _texts(read_yaml(path)):
             if _is_file(path.parent / text):
-                yield from _with_named((path.parent / text).resolve(), visited)
+                yield from _referenced_files((path.parent / text).resolve(), visited)
 
 
 def _texts(data: object) -> Iterator[str]:
@@ -248,7 +248,7 @@ def _texts(data: object) -> Iterator[str]:
 def _is_file(path: str | Path) -> bool:
     try:
         return str(path) != "" and is_trusted(path) and Path(path).is_file()
-    except (OSError, ValueError):  # a sentence is too long for a name
+    except (OSError, ValueError):  # a long text is not a file name
         return False
 
 

@@ -1,4 +1,4 @@
-"""Factors of a campaign: a value, a choice or a distribution, which maps a point of (0, 1) to a value."""
+"""Factors of a campaign: a value, a choice or a distribution, which maps a point in (0, 1) to a value."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ Value = bool | int | float | str
 """Value of a factor in one run."""
 Range = tuple[float, float]
 
-# Logarithms and quantiles differ in the last bits from one machine to the next, and would give a run another hash.
+# Logarithms and quantiles depend on the machine in their last bits, so values are rounded before they are hashed.
 _DIGITS = 9
 
 
 class Draw(StrictModel, ABC):
-    """A factor that differs from run to run."""
+    """Factor that varies from run to run."""
 
     @abstractmethod
     def value(self, point: float, index: int) -> Value:
-        """Return the value of run `index` whose coordinate in (0, 1) is `point`."""
+        """Return the value of run `index` for the coordinate `point` in (0, 1)."""
 
     @property
     def sampled(self) -> bool:
-        """True if the factor needs a coordinate."""
+        """True if the factor needs a coordinate of a sampled point."""
         return True
 
 
 class Uniform(Draw):
-    """Every value between two is as likely."""
+    """Uniform distribution between two values."""
 
-    uniform: Range = Field(description="lowest and highest value")
+    uniform: Range = Field(description="minimum and maximum")
 
     @model_validator(mode="after")
     def _ordered(self) -> Uniform:
@@ -54,15 +54,15 @@ class Uniform(Draw):
 
 
 class LogUniform(Draw):
-    """Every factor between two values is as likely."""
+    """Log-uniform distribution between two positive values."""
 
-    log_uniform: Range = Field(description="lowest and highest value, above zero")
+    log_uniform: Range = Field(description="minimum and maximum, both above zero")
 
     @model_validator(mode="after")
     def _ordered(self) -> LogUniform:
         _check_ordered(self.log_uniform)
         if not self.log_uniform[0] > 0.0:
-            raise ValueError(f"log_uniform takes values above zero (found {self.log_uniform[0]:g})")
+            raise ValueError(f"log_uniform needs values above zero (found {self.log_uniform[0]:g})")
         return self
 
     def value(self, point: float, index: int) -> Value:  # noqa: ARG002
@@ -72,69 +72,70 @@ class LogUniform(Draw):
 
 
 class NormalValues(StrictModel):
-    """A normal distribution, cut off where `low` or `high` is given."""
+    """Parameters of a normal distribution, truncated at `low` and `high` if they are given."""
 
-    mean: float = Field(description="before cutting")
-    sd: Annotated[float, Field(gt=0)] = Field(description="standard deviation before cutting")
-    low: float | None = Field(None, description="no value is lower")
-    high: float | None = Field(None, description="no value is higher")
+    mean: float = Field(description="mean before truncation")
+    sd: Annotated[float, Field(gt=0)] = Field(description="standard deviation before truncation")
+    low: float | None = Field(None, description="lower bound")
+    high: float | None = Field(None, description="upper bound")
 
     @model_validator(mode="after")
     def _ordered(self) -> NormalValues:
         if self.low is not None and self.high is not None:
             _check_ordered((self.low, self.high))
-        low, high = self.shares
+        low, high = self.probabilities
         if not high > low:
-            raise ValueError("nothing of the normal distribution lies between low and high")
+            raise ValueError("the normal distribution has no probability between low and high")
         return self
 
     @property
-    def shares(self) -> Range:
-        """Shares of the whole distribution below `low` and below `high`."""
+    def probabilities(self) -> Range:
+        """Probabilities below `low` and below `high` before truncation."""
         low = 0.0 if self.low is None else float(ndtr((self.low - self.mean) / self.sd))
         return low, 1.0 if self.high is None else float(ndtr((self.high - self.mean) / self.sd))
 
 
 class Normal(Draw):
-    """A normal distribution, truncated where bounds are given."""
+    """Normal distribution, truncated at the bounds that are given."""
 
     normal: NormalValues
 
     def value(self, point: float, index: int) -> Value:  # noqa: ARG002
         """Compute the quantile."""
         normal = self.normal
-        low, high = normal.shares
-        drawn = _rounded(normal.mean + normal.sd * float(ndtri(low + point * (high - low))))
-        # Rounding must not lead beyond.
+        low, high = normal.probabilities
+        quantile = _rounded(normal.mean + normal.sd * float(ndtri(low + point * (high - low))))
+        # Clip because rounding can exceed a bound.
         return min(
-            max(drawn, drawn if normal.low is None else normal.low), drawn if normal.high is None else normal.high
+            max(quantile, quantile if normal.low is None else normal.low),
+            quantile if normal.high is None else normal.high,
         )
 
 
 class OneOf(Draw):
-    """A choice: a list of equally likely values, or values with their weights."""
+    """Choice from a list of equally likely values, or from values with weights."""
 
     one_of: tuple[Value, ...] | dict[str, Annotated[float, Field(gt=0)]]
 
     @model_validator(mode="after")
-    def _something(self) -> OneOf:
+    def _check_not_empty(self) -> OneOf:
         if not self.one_of:
-            raise ValueError("one_of takes at least one value")
+            raise ValueError("one_of needs at least one value")
         return self
 
     def value(self, point: float, index: int) -> Value:  # noqa: ARG002
-        """Return the value whose share contains `point`."""
+        """Return the value whose interval of the cumulative weights contains `point`."""
         values = list(self.one_of)
         weights = [*self.one_of.values()] if isinstance(self.one_of, dict) else [1.0] * len(values)
         upper = list(itertools.accumulate(weights))
-        # The last one where rounding leaves something.
+        # Rounding can lead past the last value.
         return values[min(bisect.bisect_right(upper, point * upper[-1]), len(values) - 1)]
 
 
 class Integers(Draw):
-    """Every whole number between two, both included, is as likely."""
+    """Uniform distribution of the integers between two values, both included."""
 
-    integers: tuple[int, int] = Field(description="lowest and highest")
+    integers: tuple[int, int] = Field(description="minimum and maximum")
 
     @model_validator(mode="after")
     def _ordered(self) -> Integers:
@@ -142,37 +143,37 @@ class Integers(Draw):
         return self
 
     def value(self, point: float, index: int) -> Value:  # noqa: ARG002
-        """Return the number whose share contains `point`."""
+        """Return the integer whose interval contains `point`."""
         low, high = self.integers
         return min(low + int(point * (high - low + 1)), high)
 
 
 class Counted(Draw, ABC):
-    """Another value for each run, in order."""
+    """Factor whose value depends on the index of the run."""
 
     @property
     def sampled(self) -> bool:
-        """It needs no coordinate: it counts."""
+        """False, because the value depends only on the index."""
         return False
 
 
 class Each(Counted):
-    """Another number for each run: the first one, the next, ..."""
+    """Consecutive numbers, one for each run."""
 
     each: Annotated[int, Field(ge=0)] = Field(description="number of the first run")
 
     def value(self, point: float, index: int) -> Value:  # noqa: ARG002
-        """Return its number."""
+        """Return the number of the run."""
         return self.each + index
 
 
 class MarketDraw(Counted):
-    """Another robot of the market for each run: the reserved ones that can drive and turn on the spot, in order."""
+    """Consecutive robots of the population: the reserved robots that can drive and turn on the spot, in order."""
 
-    market: Annotated[int, Field(ge=0)] = Field(description="number of the first run's, for the factor `plant`")
+    market: Annotated[int, Field(ge=0)] = Field(description="number of the first run's robot, for the factor `plant`")
 
     def value(self, point: float, index: int) -> Value:  # noqa: ARG002
-        """Return the name of its plant."""
+        """Return the name of the run's plant."""
         number = self.market + index
         return f"{DRAWN}:{driving_seeds(number + 1, spot_turns=True)[number]}"
 
@@ -189,7 +190,7 @@ KINDS: dict[str, type[Draw]] = {
 
 
 def read_factor(data: object, where: str) -> Draw | Value:
-    """Read a factor of a file; raise ConfigError if it is none. `where` names its place."""
+    """Parse a factor of a file; raises ConfigError if it is invalid. `where` is its key for messages."""
     if isinstance(data, (bool, int, str)) or (isinstance(data, float) and math.isfinite(data)):
         return data
     if isinstance(data, Mapping) and len(data) == 1 and next(iter(data)) in KINDS:

@@ -1,4 +1,4 @@
-"""Drive one run of a campaign: build the parts of its definition, and check the controller's commands."""
+"""Simulation of one run of a campaign: build its parts, and check the commands of the controller."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ from diffdrive_mpc.sim.sensing.sensor_set import SENSOR_SETS
 from diffdrive_mpc_extras.campaign.command_check import Unsafe, check_commands, stated_limits
 from diffdrive_mpc_extras.campaign.definition import Definition
 
-# The row of a run: metrics, completion, counts of what the controller did, unsafe commands, and times.
+# Row of a run: metrics, completion, counts of modes and solver statuses, unsafe commands, and times.
 
 
 TIME = "time_"
-"""Beginning of the names of all columns that differ when a run is repeated."""
-_WORDS = {str(status): f"solver_{status.name.lower()}" for status in SolverStatus}
+"""Prefix of the columns that differ when a run is repeated."""
+_STATUS_COLUMNS = {str(status): f"solver_{status.name.lower()}" for status in SolverStatus}
 
 Row = dict[str, bool | int | float | str | None]
 
@@ -51,13 +51,13 @@ def row_of(run: Run | None, unsafe: Unsafe | None, error: str, processor: float,
     Parameters
     ----------
     run
-        The drive; None where it ended in an error.
+        Simulated run; None if it ended in an error.
     unsafe
-        Counts by the checker; None where the controller is not this project's.
+        Counts of unsafe commands; None for a peer.
     error
-        Why it could not be driven or driven on, in one line; empty where it could.
+        Error of the run in one line; empty if there was no error.
     processor, wall
-        Processor time and clock time of the drive [s].
+        Processor time and clock time of the run [s].
     """
     row: Row = {"completed": run is not None and run.metrics.completed, "error": error}
     row |= {f"unsafe_{name}": count for name, count in (asdict(unsafe) if unsafe else {}).items()}
@@ -68,7 +68,7 @@ def row_of(run: Run | None, unsafe: Unsafe | None, error: str, processor: float,
         row[f"{TIME}{name.replace('_time', '')}" if name.startswith(CLOCK) else name] = value
     modes, statuses = Counter(run.modes), Counter(run.solver_statuses)
     row |= {f"ticks_{mode.lower()}": modes[mode] for mode in Mode}
-    return row | {column: statuses[words] for words, column in _WORDS.items()}
+    return row | {column: statuses[status] for status, column in _STATUS_COLUMNS.items()}
 
 
 OnTick = Callable[[int, int], None]
@@ -76,79 +76,79 @@ _PHYSICS = "mujoco"
 
 
 class RecordedController:
-    """A controller with a record of its commands: also commands that the loop refuses."""
+    """Controller that records its commands, including commands rejected by the simulation loop."""
 
     def __init__(self, controller: TrackingController) -> None:
         self._controller = controller
         self.times: list[float] = []
         self.commands: list[tuple[float, float]] = []
         self.modes: list[str] = []
-        self.pose_came: list[bool] = []
+        self.has_pose: list[bool] = []
 
     def start(self, reference: Reference, t0: float) -> None:
-        """Pass on."""
+        """Start the wrapped controller."""
         self._controller.start(reference, t0)
 
     def step(self, t: float, measurement: Measurement) -> ControlStep:
-        """Pass on the step, and store its result."""
+        """Step the wrapped controller, and record the command."""
         step = self._controller.step(t, measurement)
         pose = measurement.pose
         values = np.asarray(step.command, dtype=float).ravel()
         self.times.append(t)
         self.commands.append((float(values[0]), float(values[1])) if values.size == 2 else (np.nan, np.nan))
         self.modes.append(str(step.mode))
-        self.pose_came.append(pose is not None and bool(np.isfinite(pose.value).all()))
+        self.has_pose.append(pose is not None and bool(np.isfinite(pose.value).all()))
         return step
 
     def unsafe(self, definition: Definition) -> Unsafe | None:
-        """Count violations by the checker; None for a peer, which states no limits."""
+        """Count the unsafe commands; None for a peer, which has no stated limits."""
         case = definition.case
         if case.controller in PEERS or not self.times:
             return None
-        named = case.config or (case.model if is_shipped(case.model) else "ssm")
-        limits = stated_limits(config_path(named), dict(settings_of(case)))
-        return check_commands(self.times, self.commands, self.modes, self.pose_came, limits)
+        config = case.config or (case.model if is_shipped(case.model) else "ssm")
+        limits = stated_limits(config_path(config), dict(settings_of(case)))
+        return check_commands(self.times, self.commands, self.modes, self.has_pose, limits)
 
 
 @contextmanager
 def built(definition: Definition) -> Iterator[tuple[TrackingController, Plant, Reference]]:
     """Yield controller, plant and reference of a run.
 
-    Raises ConfigError or ValueError if a name is unknown, or a file or a value that replaces one has a mistake.
+    Raises ConfigError or ValueError if a name is unknown, or if a file or a replacing value is invalid.
     """
     with TemporaryDirectory(prefix="diffdrive-mpc-") as folder, also_trusted(Path(folder)):
         yield build(_with_files(definition, Path(folder)))
 
 
 def drive(definition: Definition) -> Row:
-    """Drive the run and keep its row; every error of it becomes the row's `error`."""
-    return drive_whole(definition)[1]
+    """Simulate a run and return its row; an error of the run is stored in the column `error`."""
+    return drive_run(definition)[1]
 
 
-def drive_whole(
+def drive_run(
     definition: Definition, on_tick: OnTick | None = None, *, keep_plans: bool = False
 ) -> tuple[Run | None, Row]:
-    """Drive a run; return it with its row. `on_tick` and `keep_plans` are those of `sim.simulate`."""
-    began, processor = time.perf_counter(), time.process_time()
+    """Simulate a run; return the run and its row. `on_tick` and `keep_plans` are as in `sim.simulate`."""
+    start, processor = time.perf_counter(), time.process_time()
     run: Run | None = None
-    watched: RecordedController | None = None
+    recorded: RecordedController | None = None
     error = ""
     with threadpool_limits(limits=1):
         try:
             with built(definition) as (controller, plant, reference):
-                watched = RecordedController(controller)
-                run = simulate(watched, plant, reference, keep_plans=keep_plans, on_tick=on_tick)
+                recorded = RecordedController(controller)
+                run = simulate(recorded, plant, reference, keep_plans=keep_plans, on_tick=on_tick)
                 _ = run.errors
         except (MemoryError, OSError, UntrustedFileError):
-            raise  # an error of the machine or the caller, not of the run: it can be repeated
+            raise  # not an error of the run itself, so that it can be repeated
         except Exception as fault:
             error = f"{type(fault).__name__}: {' '.join(str(fault).split())}"
-        unsafe = watched.unsafe(definition) if watched else None
-        return run, row_of(run, unsafe, error, time.process_time() - processor, time.perf_counter() - began)
+        unsafe = recorded.unsafe(definition) if recorded else None
+        return run, row_of(run, unsafe, error, time.process_time() - processor, time.perf_counter() - start)
 
 
 def _with_files(definition: Definition, folder: Path) -> Any:  # noqa: ANN401 - a Case
-    """Return the case with files in `folder` in place of those with replaced values."""
+    """Write the files with replaced values into `folder`, and return the case with these files."""
     case = definition.case
     if definition.robot:
         kind, _, name = case.plant.partition(":")
@@ -157,34 +157,36 @@ def _with_files(definition: Definition, folder: Path) -> Any:  # noqa: ANN401 - 
                 f"robot.{definition.robot[0][0]}: the plant '{case.plant}' has no robot file; use 'mujoco'"
             )
         base = ROBOTS.read(name)[0] if name else {}
-        changed = _changed({"description": "drawn by a campaign"} | base, definition.robot)
-        case = replace(case, plant=f"{_PHYSICS}:{_written(changed, folder / 'robot.yaml')}")
-    # A robot file may have its own floor and sensors in place of the default ones: those are changed.
+        robot_data = _replace_values({"description": "drawn by a campaign"} | base, definition.robot)
+        case = replace(case, plant=f"{_PHYSICS}:{_write_yaml(robot_data, folder / 'robot.yaml')}")
+    # A robot file may define the default friction and sensors; the values replace those of the robot file.
     kind, _, name = case.plant.partition(":")
     robot = load_simulated_robot(name) if kind == _PHYSICS and name else None
     if definition.surface:
         base = SURFACES.read(case.surface)[0]
         if robot and robot.friction and case.surface == DEFAULT:
             base = base | {"friction": robot.friction}
-        case = replace(case, surface=_written(_changed(base, definition.surface), folder / "surface.yaml"))
+        case = replace(case, surface=_write_yaml(_replace_values(base, definition.surface), folder / "surface.yaml"))
     if definition.sensors:
         base = SENSOR_SETS.read(case.sensors)[0]
         if robot and case.sensors == DEFAULT:
             base = robot.sensors.model_dump(mode="json")
-        case = replace(case, sensors=_written(_changed(base, definition.sensors), folder / "sensors.yaml"))
+        case = replace(case, sensors=_write_yaml(_replace_values(base, definition.sensors), folder / "sensors.yaml"))
     return case
 
 
-def _changed(data: Mapping[str, Any], values: Overrides) -> dict[str, Any]:
+def _replace_values(data: Mapping[str, Any], values: Overrides) -> dict[str, Any]:
     changed = dict(data)
     for key, value in values:
         first, dot, rest = key.partition(".")
         inner = changed.get(first)
-        changed[first] = _changed(inner if isinstance(inner, Mapping) else {}, ((rest, value),)) if dot else value
+        changed[first] = (
+            _replace_values(inner if isinstance(inner, Mapping) else {}, ((rest, value),)) if dot else value
+        )
     return changed
 
 
-def _written(data: Mapping[str, Any], path: Path) -> str:
+def _write_yaml(data: Mapping[str, Any], path: Path) -> str:
     with named_errors(path):
         path.write_text(yaml.safe_dump(dict(data)), encoding="utf-8")
     return str(path)

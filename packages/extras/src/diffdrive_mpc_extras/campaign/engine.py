@@ -1,7 +1,6 @@
-"""Drive the runs of a campaign that are not there yet, and give the rows of all of them.
+"""Engine of campaigns: simulate the runs that are not stored yet, and return the rows of all runs.
 
-Every command that drives many runs goes through `drive_all`: an interrupted campaign is continued, and runs that were
-driven before are not repeated.
+All commands with many runs use `drive_all`, which continues an interrupted campaign and does not repeat stored runs.
 """
 
 from __future__ import annotations
@@ -36,13 +35,13 @@ from diffdrive_mpc_extras.campaign.drive import Row, built, drive
 
 
 def check_definitions(definitions: Sequence[Definition]) -> None:
-    """Build a run for each name that occurs, and for the least and the largest value of each number.
+    """Build a run for each name, and for the minimum and the maximum of each numeric factor.
 
-    Combinations of them are not all built: a run that cannot be has its error in its row.
+    Combinations of values are not checked; a run that cannot be built has the error in its row.
 
-    Raises ConfigError, which names the factor, if one cannot be built.
+    Raises ConfigError, which names the factor, if a run cannot be built.
     """
-    for index, factor in sorted(_telling(definitions).items()):
+    for index, factor in sorted(_extreme_runs(definitions).items()):
         try:
             with built(definitions[index]):
                 pass
@@ -50,71 +49,71 @@ def check_definitions(definitions: Sequence[Definition]) -> None:
             raise ConfigError(f"a run with {factor}: {error}") from error
 
 
-def _telling(definitions: Sequence[Definition]) -> dict[int, str]:
-    """Return runs to build, each with its factor for messages."""
-    named: dict[tuple[str, object], int] = {}
-    least: dict[str, tuple[float, int]] = {}
-    largest: dict[str, tuple[float, int]] = {}
+def _extreme_runs(definitions: Sequence[Definition]) -> dict[int, str]:
+    """Return the indices of the runs to build, each with its factor for messages."""
+    names: dict[tuple[str, object], int] = {}
+    minima: dict[str, tuple[float, int]] = {}
+    maxima: dict[str, tuple[float, int]] = {}
     for index, definition in enumerate(definitions):
         for name, value in definition.factors.items():
             if isinstance(value, (int, float)) and not isinstance(value, bool) and name != "seed":
-                least[name] = min(least.get(name, (value, index)), (value, index))
-                largest[name] = max(largest.get(name, (value, index)), (value, index))
+                minima[name] = min(minima.get(name, (value, index)), (value, index))
+                maxima[name] = max(maxima.get(name, (value, index)), (value, index))
             elif name != "seed":
-                named.setdefault((name, value), index)
-    named_values = {index: f"{name} = {value}" for (name, value), index in named.items()}
-    ends = [(name, end) for ends in (least, largest) for name, end in ends.items()]
-    return named_values | {index: f"{name} = {value:g}" for name, (value, index) in ends}
+                names.setdefault((name, value), index)
+    named_runs = {index: f"{name} = {value}" for (name, value), index in names.items()}
+    extremes = [(name, end) for ends in (minima, maxima) for name, end in ends.items()]
+    return named_runs | {index: f"{name} = {value:g}" for name, (value, index) in extremes}
 
 
-# One run on its way to the process that drives it.
+# Task of one run, as sent to a worker process.
 
 
 class OtherVersionError(StudyFailedError):
-    """Error for code, libraries or files that differ from those of the request."""
+    """Error if code, libraries or files differ between the worker and the process that started the campaign."""
 
 
 @dataclass(frozen=True)
 class CampaignTask:
-    """A run, and the key under which it is kept."""
+    """Run, and the key under which it is stored."""
 
     definition: Definition
     key: str
 
     @classmethod
     def for_run(cls, definition: Definition) -> CampaignTask:
-        """Build the task for a run."""
+        """Build the task of a run."""
         return cls(definition, key_of(definition))
 
     @property
     def identity(self) -> dict[str, object]:
-        """Data behind the hash in the key."""
+        """Data whose hash is the key."""
         return identify(self.definition)
 
 
-def do(task: CampaignTask) -> Row:
-    """Drive the run and give its row; raises OtherVersionError where it would be another run than the requested one."""
+def run_task(task: CampaignTask) -> Row:
+    """Simulate the run and return its row; raises OtherVersionError if its key differs in this process."""
     if key_of(task.definition) != task.key:
         raise OtherVersionError(
-            f"{platform.node()} has another version of this product, of Python or of {', '.join(LIBRARIES)}, or other "
-            "files than where the campaign was started; install the same, and share the files that the campaign names"
+            f"{platform.node()} has a different version of this product, of Python or of {', '.join(LIBRARIES)}, or "
+            "different files; install the versions of the starting machine, and share the files of the campaign"
         )
     return drive(task.definition)
 
 
-# Rows of runs in a folder, one file for each, under the hash of what defines the run.
+# Store of rows in a folder, one file per run, named by the hash of its definition.
 
 
 RUNS = "runs"
-_ALWAYS = {"completed", "error"}
-"""Columns of every row."""
-_CELL = (bool, int, float, str, type(None))
-_LEFT_OVER = 3600.0
-"""A draft that is older [s] has lost its writer."""
+_REQUIRED_COLUMNS = {"completed", "error"}
+"""Columns that each row must have."""
+_CELL_TYPES = (bool, int, float, str, type(None))
+_MAX_DRAFT_AGE = 3600.0
+"""Age above which a draft counts as abandoned [s]."""
 
 
 class Store:
-    """The runs in `folder`/runs, which is made where missing; raises ConfigError if that cannot be."""
+    """Store of runs in `folder`/runs, which is created if missing; raises ConfigError if this fails."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder / RUNS
@@ -124,10 +123,10 @@ class Store:
             raise ConfigError(f"--out {folder}: cannot be written to ({reason(error)}); give a folder") from error
 
     def clear_drafts(self) -> None:
-        """Remove files of writers that were ended from outside."""
+        """Remove files of writers that were killed."""
         for draft in self._folder.glob("*/.unfinished-*"):
-            with suppress(FileNotFoundError):  # another process has just put its file in place
-                if time.time() - draft.stat().st_mtime > _LEFT_OVER:
+            with suppress(FileNotFoundError):  # another process has just completed its file
+                if time.time() - draft.stat().st_mtime > _MAX_DRAFT_AGE:
                     shutil.rmtree(draft, ignore_errors=True)
 
     def keys(self) -> set[str]:
@@ -135,15 +134,15 @@ class Store:
         return {path.stem for path in self._folder.glob("*/*.json")}
 
     def save(self, key: str, identity: dict[str, object], row: Row) -> None:
-        """Store the row of the run with `key`, and with it all data that the key is the hash of."""
-        record = {"key": key, **identity, "row": row, "sums": _sums(key, row)}
+        """Store the row of the run with `key`, together with the data whose hash is the key."""
+        record = {"key": key, **identity, "row": row, "sums": _checksums(key, row)}
         with whole_file(self._path(key), rewrites=True) as draft:
             draft.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
     def load(self, key: str) -> Row | None:
-        """Load the row of a run; None if it is missing or damaged, as by a full disk.
+        """Load the row of a run; None if it is missing or damaged, for example by a full disk.
 
-        Raises ConfigError if a figure of the row is not the one that was saved.
+        Raises ConfigError if a value of the row differs from its checksum.
         """
         path = self._path(key)
         try:
@@ -151,16 +150,16 @@ class Store:
             row, sums = record["row"], record["sums"]
         except (OSError, ValueError, KeyError, TypeError):
             return None
-        if not (isinstance(row, dict) and isinstance(sums, dict) and row.keys() >= _ALWAYS):
+        if not (isinstance(row, dict) and isinstance(sums, dict) and row.keys() >= _REQUIRED_COLUMNS):
             return None
-        if not all(isinstance(value, _CELL) for value in row.values()):
+        if not all(isinstance(value, _CELL_TYPES) for value in row.values()):
             return None
-        now = _sums(key, row)
-        changed = sorted(name for name in {*now, *sums} if now.get(name) != sums.get(name))
+        row_sums = _checksums(key, row)
+        changed = sorted(name for name in {*row_sums, *sums} if row_sums.get(name) != sums.get(name))
         if changed:
             raise ConfigError(
-                f"{path}: run {key[:12]}, column '{changed[0]}': not what was saved (found "
-                f"{plain_line(repr(row.get(changed[0])), 40)}); remove the file, and the run is driven again"
+                f"{path}: run {key[:12]}, column '{changed[0]}': changed since it was saved (found "
+                f"{plain_line(repr(row.get(changed[0])), 40)}); remove the file to repeat the run"
             )
         return row
 
@@ -168,57 +167,55 @@ class Store:
         return self._folder / key[:2] / f"{key}.json"
 
 
-def _sums(key: str, row: Row) -> dict[str, str]:
-    """Return a checksum for each figure, over key, column and value: it finds a file that was edited or exchanged."""
+def _checksums(key: str, row: Row) -> dict[str, str]:
+    """Return a checksum for each value, over key, column and value, to detect edited and exchanged files."""
     cells = {name: json.dumps([key, name, value]).encode() for name, value in row.items()}
     return {name: hashlib.sha256(cell).hexdigest()[:16] for name, cell in cells.items()}
 
 
-# Drive runs in processes of this machine.
-
-
-_WORTH = 8
-"""A process that starts and ends with the runs costs as much time as this number of runs."""
-_TRIES = 3
-"""Number of pools in a row that may break without a finished run in between."""
+# Simulation of runs in processes of this machine.
+_START_COST = 8
+"""Cost of starting a process, as a number of runs."""
+_MAX_TRIES = 3
+"""Maximum number of consecutive broken pools without a finished run."""
 
 
 def drive_here(tasks: Iterable[CampaignTask], folder: Path, jobs: int, on_done: OnDone) -> None:
-    """Drive every run that the store in `folder` does not have, in `jobs` processes at most; each keeps its own.
+    """Simulate `tasks` in at most `jobs` processes, and store their rows in `folder`.
 
-    Runs of a process that was ended from outside are done again. Raises WorkerDiedError when that does not help,
-    OtherVersionError if a file that a run names changed meanwhile.
+    Runs of a killed process are repeated. Raises WorkerDiedError if the repetition fails too often, and
+    OtherVersionError if a file of a run changed meanwhile.
     """
-    left, tries = list(tasks), 0
-    while left:
+    remaining, tries = list(tasks), 0
+    while remaining:
         try:
-            processes = min(jobs, max(1, len(left) // (1 if keeps_processes() else _WORTH)))
-            run_tasks([partial(_keep, task, folder) for task in left], processes, on_done)
+            processes = min(jobs, max(1, len(remaining) // (1 if keeps_processes() else _START_COST)))
+            run_tasks([partial(_run_and_store, task, folder) for task in remaining], processes, on_done)
             return
         except WorkerDiedError:
             stored = Store(folder).keys()
-            fewer = [task for task in left if task.key not in stored]
-            tries = 0 if len(fewer) < len(left) else tries + 1
-            if tries == _TRIES:
+            unfinished = [task for task in remaining if task.key not in stored]
+            tries = 0 if len(unfinished) < len(remaining) else tries + 1
+            if tries == _MAX_TRIES:
                 raise
-            left = fewer
+            remaining = unfinished
 
 
-def _keep(task: CampaignTask, folder: Path) -> None:
-    row = do(task)
+def _run_and_store(task: CampaignTask, folder: Path) -> None:
+    row = run_task(task)
     Store(folder).save(task.key, task.identity, row)
 
 
 @dataclass(frozen=True)
 class CampaignRun:
-    """A run of a campaign and its result.
+    """Run of a campaign with its result.
 
     Attributes
     ----------
     definition
         Definition of the run.
     key
-        The hash under which it is stored.
+        Hash under which the run is stored.
     row
         Metrics, counts and times by column; see packages/extras/docs/prove.md.
     """
@@ -228,26 +225,26 @@ class CampaignRun:
     row: Row
 
     def number(self, column: str) -> float:
-        """Return a figure of the row; NaN if it is missing."""
+        """Return a numeric value of the row; NaN if it is missing."""
         value = self.row.get(column)
         return float("nan") if value is None or isinstance(value, str) else float(value)
 
     @property
     def columns(self) -> dict[str, object]:
-        """Definition and row by column, as the table holds them."""
+        """Definition and row by column of the table."""
         return {"run": self.key, **self.definition.columns, **self.row}
 
 
 @dataclass(frozen=True)
 class CampaignPlace:
-    """Place of the runs and of their rows.
+    """Folder and number of processes of a campaign.
 
     Attributes
     ----------
     folder
         Folder of the store.
     jobs
-        Processes on this machine; None for one for each core.
+        Number of processes; None for the number of cores.
     """
 
     folder: Path
@@ -260,22 +257,21 @@ def drive_all(
     bar: ProgressBar,
     text: str = "driving",
 ) -> list[CampaignRun]:
-    """Drive those runs that the store does not have, and give all in order; a run that is named twice counts once.
+    """Drive those runs that the store does not have, and give all in order; a run that is names twice counts once.
 
     Parameters
     ----------
     definitions
         Definitions of the runs.
     place
-        Store and workers of the runs.
+        Store and number of processes.
     bar
-        Shows how far it is.
+        Progress bar.
     text
         Text of the progress bar.
 
-    Raises ConfigError where the store cannot be written to, a stored row was changed, or a run cannot be built, before
-    anything is driven;
-    StudyFailedError where runs could not be driven.
+    Raises ConfigError, before the first run, if the store is not writable, a stored row was changed, or a run cannot be
+    built; raises StudyFailedError if runs fail.
     """
     tasks = list({task.key: task for task in map(CampaignTask.for_run, definitions)}.values())
     store = Store(place.folder)
@@ -287,19 +283,19 @@ def drive_all(
     bar.start_stage(f"{text}, {jobs} at a time", len(missing))
     if missing:
         drive_here(missing, place.folder, jobs, bar.advance)
-    driven = []
+    runs = []
     for task in tasks:
         row = store.load(task.key)
         if row is None:
-            raise StudyFailedError(f"{place.folder}: run {task.key[:12]} was taken away while the campaign went on")
-        driven.append(CampaignRun(task.definition, task.key, row))
-    return driven
+            raise StudyFailedError(f"{place.folder}: run {task.key[:12]} was removed during the campaign")
+        runs.append(CampaignRun(task.definition, task.key, row))
+    return runs
 
 
-def failed(driven: Sequence[CampaignRun]) -> str:
-    """Describe the number of runs with an error, and the first error, in one line; empty without any."""
-    errors = [run for run in driven if run.row["error"]]
+def describe_errors(runs: Sequence[CampaignRun]) -> str:
+    """Return the number of runs with an error and the first error, in one line; empty if there is no error."""
+    errors = [run for run in runs if run.row["error"]]
     if not errors:
         return ""
     first = errors[0]
-    return f"{len(errors)} of {len(driven)} runs ended in an error; run {first.key[:12]}: {first.row['error']}"
+    return f"{len(errors)} of {len(runs)} runs ended in an error; run {first.key[:12]}: {first.row['error']}"

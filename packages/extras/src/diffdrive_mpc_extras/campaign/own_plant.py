@@ -1,4 +1,4 @@
-"""Plant that belongs to a configuration: the simulated stand-in of the robot that the configuration is for."""
+"""Simulated plant of the robot that a configuration is for."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ TWIN_FILE = "plant.yaml"
 def own_plant(config: str) -> str:
     """Return the name of the plant of a configuration.
 
-    A shipped configuration has the robot of the papers. A file has the twin or the identified robot in its folder, as
-    `twin` and `identify` write them; the twin comes first, as its physics also covers changes of mass and surface.
+    The plant of a shipped configuration is the robot of the papers. For a file it is the twin or the identified robot
+    in the same folder, written by `twin` or `identify`. The twin is preferred because it also models mass and surface.
 
     Raises ConfigError if neither file exists.
     """
@@ -27,6 +27,6 @@ def own_plant(config: str) -> str:
         if (folder / name).is_file():
             return f"{kind}:{(folder / name).resolve()}"
     raise ConfigError(
-        f"{config}: no plant belongs to it, as its folder has neither {TWIN_FILE} (twin) nor {ROBOT_FILE} (identify); "
+        f"{config}: its folder has neither {TWIN_FILE} (twin) nor {ROBOT_FILE} (identify); "
         f"give --plant, such as {MODEL}:FILE or {PHYSICS}:FILE"
     )

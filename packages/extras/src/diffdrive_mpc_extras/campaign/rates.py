@@ -1,4 +1,4 @@
-"""Shares of runs with exact intervals, and conformal bounds."""
+"""Rates of runs with exact confidence intervals, and conformal bounds."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from diffdrive_mpc_extras.bootstrap import CONFIDENCE
 
 @dataclass(frozen=True)
 class Rate:
-    """A share of runs with its exact interval (Clopper, Pearson, Biometrika 26, 1934), both sides `CONFIDENCE`."""
+    """Rate of runs with its exact two-sided interval at `CONFIDENCE` (Clopper, Pearson, Biometrika 26, 1934)."""
 
     count: int
     of: int
@@ -24,13 +24,13 @@ class Rate:
 
     @classmethod
     def of_runs(cls, count: int, total: int) -> Rate:
-        """Compute the rate of `count` in `total` runs; raise ValueError without runs."""
+        """Compute the rate of `count` in `total` runs; raises ValueError if `total` is zero."""
         interval = binomtest(count, total).proportion_ci(CONFIDENCE, method="exact")
         return cls(count, total, float(interval.low), float(interval.high))
 
     @property
     def share(self) -> float:
-        """Observed share."""
+        """Observed rate."""
         return self.count / self.of
 
     def at_least(self, confidence: float) -> float:
@@ -39,28 +39,29 @@ class Rate:
 
     @property
     def bound(self) -> float:
-        """No larger, with `CONFIDENCE` on this one side; for none of n it is 1 - 0.05^(1/n), about 3/n."""
+        """One-sided upper bound at `CONFIDENCE`; for a count of 0 in n runs it is 1 - 0.05^(1/n), about 3/n."""
         return float(binomtest(self.count, self.of, alternative="less").proportion_ci(CONFIDENCE, method="exact").high)
 
 
 def conformal_quantile(groups: Sequence[FloatArray], level: float) -> float:
-    """Bound that a score of a new group keeps with at least the probability `level`.
+    """Compute an upper bound for a score of a new group that holds with at least the probability `level`.
 
-    Groups, such as all places of one drive, are exchangeable with each other and with the new one; scores inside a
-    group may depend on each other. Each group has the same weight, spread over its scores, and the new one lies at
-    infinity (Lee, Barber, Willett, "Distribution-free inference with hierarchical data", 2023; with one score a group
-    it is split conformal prediction). Infinite where there are fewer than level / (1 - level) groups.
+    Groups, such as all places of one drive, must be exchangeable, including the new group; scores within a group may be
+    dependent. All groups have equal weights, divided among their scores, and the score of the new group is set to
+    infinity. For one score per group this is split conformal prediction. The bound is infinite for fewer than
+    level / (1 - level) groups. Source: Lee, Barber, Willett, "Distribution-free inference
+    with hierarchical data", 2023.
 
     Parameters
     ----------
     groups
-        (n,) scores of each, not empty; NaN counts as infinite.
+        (n,) scores of each group, not empty; NaN counts as infinite.
     level
-        In (0, 1).
+        Probability in (0, 1).
     """
     scores = np.concatenate([np.where(np.isnan(group), np.inf, group) for group in groups])
     weights = np.concatenate([np.full(len(group), 1.0 / len(group)) for group in groups]) / (len(groups) + 1)
     order = np.argsort(scores, kind="stable")
-    # Sums of weights are off by rounding.
+    # The tolerance covers rounding errors of the cumulative weights.
     first = int(np.searchsorted(np.cumsum(weights[order]), level - 1e-9))
     return float(scores[order[first]]) if first < len(order) else np.inf

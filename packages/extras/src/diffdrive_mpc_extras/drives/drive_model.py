@@ -1,4 +1,4 @@
-"""A drive model as the velocity model of controller and plants."""
+"""Drive models with dead time and slope limits, as velocity models of the controller and of plants."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _CORNER = 4
 
 
 class DriveFunctions(Protocol):
-    """The functions in the equations of a drive."""
+    """Functions in the equations of a drive, exact or smooth."""
 
     def limited(self, x: ca.SX) -> ca.SX:
         """Clip x to -1 to 1."""
@@ -38,7 +38,7 @@ class DriveFunctions(Protocol):
         ...
 
     def positive(self, x: ca.SX) -> ca.SX:
-        """Return the positive part of a number in -1 to 1."""
+        """Return the positive part of x, which is between -1 and 1."""
         ...
 
     def exceeds(self, x: ca.SX, width: float) -> ca.SX:
@@ -53,7 +53,7 @@ class Sharp:
         """Clip as in `DriveFunctions`."""
         return ca.fmin(1, ca.fmax(-1, x))
 
-    def size(self, x: ca.SX, width: float) -> ca.SX:  # noqa: ARG002 - nothing is rounded here
+    def size(self, x: ca.SX, width: float) -> ca.SX:  # noqa: ARG002 - exact
         """Compute the size as in `DriveFunctions`."""
         return ca.fabs(x)
 
@@ -71,9 +71,9 @@ class Sharp:
 
 
 class Smooth:
-    """Rounded off: algebraic limit, |x| as a root, signs and thresholds as tanh; for the controller.
+    """Smooth functions, for the controller: algebraic limit, |x| as a root, signs and thresholds as tanh.
 
-    At zero they have the value and the slope that a robot at rest needs: limit 1, size 0, sign 0.
+    For a robot at rest the limit has slope 1, and size and sign are 0.
     """
 
     def limited(self, x: ca.SX) -> ca.SX:
@@ -98,47 +98,48 @@ class Smooth:
         return (1 + ca.tanh(x / width)) / 2
 
 
-# One channel of a drive from sample to sample, v or omega: the processed reference, and the robot's response.
+# Step of one channel of a drive, v or omega: the slope-limited reference, and the response of the robot.
 
 
 STATES = 4
-"""Number of states of a channel: both models start with slope-limited reference and speed."""
+"""Number of states of a channel; the first two are the slope-limited reference and the speed."""
 SLOPE_LAG = 0.1
-"""Time constant with which the slope of the reference is estimated [s]: the sample time of the paper."""
+"""Time constant of the estimated slope of the reference [s]; equal to the sample time of the paper."""
 FORGETTING = 10.0
-"""After this time at rest [s] the last direction of travel no longer counts: a state must not stay for ever."""
+"""Time constant with which the last direction of travel decays at rest [s], so that the state is not kept forever."""
 
 
 class Channel(NamedTuple):
-    """Constants of a channel besides the numbers of its model."""
+    """Constants of a channel in addition to the coefficients of its model."""
 
     dt: float
-    """[s]"""
+    """Sample time [s]."""
     still: float
-    """speed below which the robot stands [m/s or rad/s]; the threshold is rounded over as much"""
+    """Speed below which the robot is at rest [m/s or rad/s]; also the width over which kinks are smoothed."""
 
 
 def experimental_step(channel: Channel, *, sharp: bool) -> ca.Function:
-    """Build x, u, c -> x one sample later, by section 2.2 and Figure 8.
+    """Build the step x, u, c -> x one sample later of the experimental model (section 2.2, Figure 8).
 
     x: slope-limited reference, speed, slope of the reference, last direction of travel (-1 to 1). u: command after the
-    dead time. c: gain [-], largest slope when speeding up and when slowing down, lag [s], threshold without slope and
-    by slope [s]. After a change of direction the robot stands while the reference rises and is below the threshold.
+    dead time. c: gain [-], maximum slope when accelerating and when decelerating, lag [s], threshold at slope zero and
+    its growth with the slope [s]. After a change of direction the robot stands still while the reference rises and is
+    below the threshold.
     """
     shapes: DriveFunctions = Sharp() if sharp else Smooth()
     x, u, c = ca.SX.sym("x", STATES), ca.SX.sym("u"), ca.SX.sym("c", 6)
     reference, speed, slope, direction = ca.vertsplit(x)
-    gain, quicker, slower, lag, least, by_slope = ca.vertsplit(c)
+    gain, quicker, slower, lag, threshold, threshold_by_slope = ca.vertsplit(c)
     dt, still = channel
-    ramped = _ramped(shapes, channel, reference, u, quicker, slower)
+    ramped = _limit_slope(shapes, channel, reference, u, quicker, slower)
     slope = slope + (1 - np.exp(-dt / SLOPE_LAG)) * (shapes.size((ramped - reference) / dt, still / SLOPE_LAG) - slope)
-    # Only against the last direction, and only while the reference rises and has not passed the threshold.
+    # The threshold acts only against the last direction, while the reference rises and is below the threshold.
     against = shapes.positive(-direction * shapes.sign(ramped, still))
     steady = still / SLOPE_LAG
     rising = shapes.exceeds(slope - steady, steady)
-    below = shapes.exceeds(least + by_slope * slope - shapes.size(ramped, still), still)
+    below = shapes.exceeds(threshold + threshold_by_slope * slope - shapes.size(ramped, still), still)
     speed = speed + (1 - ca.exp(-dt / lag)) * (gain * ramped * (1 - against * rising * below) - speed)
-    # Rounded with a high power: the small values that pass the threshold must not count as travel.
+    # The high power keeps small speeds below the threshold from counting as travel.
     pace = speed / (2 * still)
     moving = shapes.exceeds(shapes.size(speed, still) - still, still) if sharp else pace**4 / (pace**4 + 1)
     direction = direction * np.exp(-dt / FORGETTING)
@@ -148,15 +149,15 @@ def experimental_step(channel: Channel, *, sharp: bool) -> ca.Function:
 
 
 def physical_step(channel: Channel, *, sharp: bool) -> ca.Function:
-    """Build x, u, c -> x one sample later, by equations 14 to 17 with PI control and the lag of the actuator.
+    """Build the step x, u, c -> x one sample later of the physical model (equations 14 to 17, PI control, lag).
 
     x: slope-limited reference, speed, torque and integral of the error of `wheel_response`. u: command after the dead
-    time. c: gain [-], largest slope when speeding up and when slowing down, then the response by columns (3, 4).
+    time. c: gain [-], maximum slope when accelerating and when decelerating, then the response by columns (3, 4).
     """
     shapes: DriveFunctions = Sharp() if sharp else Smooth()
     x, u, c = ca.SX.sym("x", STATES), ca.SX.sym("u"), ca.SX.sym("c", 15)
     gain, quicker, slower = ca.vertsplit(c[:3])
-    ramped = _ramped(shapes, channel, x[0], u, quicker, slower)
+    ramped = _limit_slope(shapes, channel, x[0], u, quicker, slower)
     after = ca.vertcat(ramped, ca.reshape(c[3:], 3, 4) @ ca.vertcat(x[1:], gain * ramped))
     return ca.Function("step", [x, u, c], [after], ["x", "u", "c"], ["after"])
 
@@ -164,20 +165,20 @@ def physical_step(channel: Channel, *, sharp: bool) -> ca.Function:
 def wheel_response(
     stiffness: float, friction: float, integral_time: float, actuator_lag: float, dt: float
 ) -> FloatArray:
-    """Compute (3, 4) one sample of both wheels in common or differential mode: columns state (3), held reference.
+    """Compute the discrete response (3, 4) of both wheels in common or differential mode: state (3), held reference.
 
-    Equations 14 and 15 added and subtracted: (A + B) and (A - B) are the inertias that both wheels have together
-    and against each other, so speed' = torque - friction speed, with everything divided by that inertia.
-    torque' = (stiffness (error + integral / integral_time) - torque) / actuator_lag; integral' = error.
+    The sum and the difference of equations 14 and 15 decouple the wheels, with the inertias (A + B) and (A - B).
+    Divided by the inertia: speed' = torque - friction speed; integral' = error;
+    torque' = (stiffness (error + integral / integral_time) - torque) / actuator_lag.
 
     Parameters
     ----------
     stiffness
-        Gain of the controller over inertia [1/s].
+        Controller gain divided by inertia [1/s].
     friction
-        Viscous friction over inertia [1/s].
+        Viscous friction divided by inertia [1/s].
     integral_time, actuator_lag, dt
-        [s].
+        Integral time of the controller, lag of the actuator, and sample time [s].
     """
     continuous = np.array(
         [
@@ -195,31 +196,31 @@ def wheel_response(
     return np.asarray(expm(dt * continuous)[:3])
 
 
-def _ramped(
+def _limit_slope(
     shapes: DriveFunctions, channel: Channel, reference: ca.SX, u: ca.SX, quicker: ca.SX, slower: ca.SX
 ) -> ca.SX:
     """Advance the reference towards `u` by one sample, with slopes up to `quicker` and, towards zero, `slower`."""
     dt, still = channel
-    towards = (1 - shapes.sign(reference, still) * shapes.sign(u - reference, still)) / 2
-    most = dt * (quicker + (slower - quicker) * towards)
-    return reference + most * shapes.limited((u - reference) / most)
+    towards_zero = (1 - shapes.sign(reference, still) * shapes.sign(u - reference, still)) / 2
+    max_change = dt * (quicker + (slower - quicker) * towards_zero)
+    return reference + max_change * shapes.limited((u - reference) / max_change)
 
 
 Kind = Literal["drive_experimental", "drive_physical"]
 STEPS = {"drive_experimental": experimental_step, "drive_physical": physical_step}
-"""One channel of each."""
+"""Step function of one channel, by kind of model."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DriveModel(NonlinearModel):
-    """A `NonlinearModel` with a sharp twin; make it with `drive_model`.
+    """`NonlinearModel` with an additional exact step for plants; built by `drive_model`.
 
     Attributes
     ----------
     kind
-        One of the paper's two models.
+        Kind of the model.
     sharp
-        `step` without what rounds it off.
+        Exact step without smoothing.
     """
 
     kind: Kind = field(kw_only=True)
@@ -227,12 +228,12 @@ class DriveModel(NonlinearModel):
 
     @property
     def structure(self) -> str:
-        """Name of its kind for tables and files."""
+        """Name of the kind for tables and files."""
         return self.kind
 
     @property
     def plant_step(self) -> ca.Function:
-        """A robot has no reason to be differentiable."""
+        """Exact step; a simulated robot needs no derivatives."""
         return self.sharp
 
 
@@ -252,12 +253,12 @@ def drive_model(
     dt
         Sample time [s].
     dead_samples, still, coefficients
-        For v and omega: dead time in samples, and the values of `Channel` and of the step of the kind.
+        Values for v and omega: dead time in samples, `still` of `Channel`, and the coefficients c of the step.
 
     Raises
     ------
     ModelError
-        As `NonlinearModel`.
+        Under the conditions of `NonlinearModel`.
     """
     memory = max(1, *dead_samples)
     x, window = ca.SX.sym("x", 2 * STATES), ca.SX.sym("window", 2 * (memory + 1))
@@ -275,7 +276,7 @@ def drive_model(
 
 
 def settled_state(kind: Kind, speed: float, coefficients: FloatArray) -> FloatArray:
-    """Compute the steady state (4,) of a channel at `speed`."""
+    """Compute the steady state (4,) of a channel at a constant `speed` [m/s or rad/s]."""
     reference = speed / coefficients[0]
     if kind == "drive_experimental":
         return np.array([reference, speed, 0.0, np.sign(speed)])
@@ -296,39 +297,41 @@ Samples = Annotated[int, Field(ge=0, le=100)]
 class DriveChannel(StrictModel):
     """Parameters of a channel in both models; lengths in m for v, angles in rad for omega."""
 
-    gain: Positive = Field(description="speed over reference; the paper has none [-]")
+    gain: Positive = Field(description="ratio of speed to reference; not in the paper [-]")
     dead_samples: Samples = Field(description="dead time in samples [-]")
-    quicker: Positive = Field(description="largest slope when speeding up [m/s^2 or rad/s^2]")
-    slower: Positive = Field(description="largest slope when slowing down [m/s^2 or rad/s^2]")
-    still: Positive = Field(description="speed below which the robot stands; kinks are rounded over as much")
+    quicker: Positive = Field(description="maximum slope when accelerating [m/s^2 or rad/s^2]")
+    slower: Positive = Field(description="maximum slope when decelerating [m/s^2 or rad/s^2]")
+    still: Positive = Field(
+        description="speed below which the robot is at rest; also the width over which kinks are smoothed"
+    )
 
 
 class ExperimentalChannel(DriveChannel):
-    """A channel of the experimental model."""
+    """Parameters of a channel of the experimental model."""
 
     lag: Positive = Field(description="first-order lag [s]")
-    threshold: NotNegative = Field(description="of the reference after a change of direction, at slope zero")
-    threshold_by_slope: NotNegative = Field(description="its growth with the slope of the reference [s]")
+    threshold: NotNegative = Field(description="threshold of the reference after a change of direction, at slope zero")
+    threshold_by_slope: NotNegative = Field(description="growth of the threshold with the slope of the reference [s]")
 
 
 class DriveChassis(StrictModel):
-    """Equations 16 and 17."""
+    """Parameters of the chassis, and the inertias of equations 16 and 17."""
 
-    mass: Positive = Field(description="m [kg]")
-    wheel_radius: Positive = Field(description="r [m]")
-    track: Positive = Field(description="b [m]")
-    centre_ahead: float = Field(ge=-100, le=100, description="d, centre of mass ahead of the axle [m]")
-    yaw_inertia: Positive = Field(description="I_A [kg m^2]")
-    wheel_inertia: NotNegative = Field(description="I_0, of a wheel with its rotor [kg m^2]")
+    mass: Positive = Field(description="mass m [kg]")
+    wheel_radius: Positive = Field(description="wheel radius r [m]")
+    track: Positive = Field(description="track b [m]")
+    centre_ahead: float = Field(ge=-100, le=100, description="distance d of the centre of mass ahead of the axle [m]")
+    yaw_inertia: Positive = Field(description="yaw inertia I_A [kg m^2]")
+    wheel_inertia: NotNegative = Field(description="inertia I_0 of a wheel with its rotor [kg m^2]")
 
     @property
     def direct(self) -> float:
-        """A of equation 16 [kg m^2]."""
+        """Inertia A of equation 16 [kg m^2]."""
         return self._forward + self._turning + self.wheel_inertia
 
     @property
     def cross(self) -> float:
-        """B of equation 17 [kg m^2]."""
+        """Inertia B of equation 17 [kg m^2]."""
         return self._forward - self._turning
 
     @property
@@ -341,16 +344,16 @@ class DriveChassis(StrictModel):
 
 
 class WheelDrive(StrictModel):
-    """PI control of a wheel's speed, and its actuator."""
+    """Parameters of the PI speed control of a wheel and of its actuator."""
 
-    proportional_gain: Positive = Field(description="torque per error, K_R with motor and gear [N m s/rad]")
-    integral_time: Positive = Field(description="T_I [s]")
-    actuator_lag: Positive = Field(description="T_A [s]")
-    friction: NotNegative = Field(description="K, viscous [N m s/rad]")
+    proportional_gain: Positive = Field(description="torque per speed error, K_R with motor and gear [N m s/rad]")
+    integral_time: Positive = Field(description="integral time T_I [s]")
+    actuator_lag: Positive = Field(description="actuator lag T_A [s]")
+    friction: NotNegative = Field(description="viscous friction K [N m s/rad]")
 
 
 class ExperimentalFile(FunctionFile):
-    """The parameter file of an experimental drive model."""
+    """Parameter file of an experimental drive model."""
 
     structure: Literal["drive_experimental"]
     v: ExperimentalChannel
@@ -374,7 +377,7 @@ class ExperimentalFile(FunctionFile):
 
 
 class PhysicalFile(FunctionFile):
-    """The parameter file of a physical drive model."""
+    """Parameter file of a physical drive model."""
 
     structure: Literal["drive_physical"]
     chassis: DriveChassis
@@ -406,24 +409,24 @@ DRIVE_FILES: dict[str, type[ExperimentalFile] | type[PhysicalFile]] = {
     "drive_experimental": ExperimentalFile,
     "drive_physical": PhysicalFile,
 }
-"""By the structure that a file names."""
+"""Schema of the parameter file, by its key `structure`."""
 
 
-def load_drive(path: Path, data: Any) -> DriveModel:  # noqa: ANN401 - what a YAML file may hold
+def load_drive(path: Path, data: Any) -> DriveModel:  # noqa: ANN401 - YAML data
     """Load the model of the parameter file at `path` with the content `data`.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the file has a mistake.
+        If the file is invalid.
     models.velocity_model.ModelError
-        If it cannot be a robot's.
+        If the parameters are not physically possible.
     """
     return drive_of(check(DRIVE_FILES[data["structure"]], data, str(path)))
 
 
 def drive_of(content: ExperimentalFile | PhysicalFile) -> DriveModel:
-    """Build the model of a parameter file; raise ModelError if it cannot be a robot's."""
+    """Build the model of a parameter file; raises ModelError if the parameters are not physically possible."""
     channels: tuple[DriveChannel, DriveChannel] = (content.v, content.omega)
     return drive_model(
         content.name,
@@ -437,5 +440,5 @@ def drive_of(content: ExperimentalFile | PhysicalFile) -> DriveModel:
 
 
 def write_drive(path: Path, content: ExperimentalFile | PhysicalFile) -> None:
-    """Write a parameter file; raises OSError where that cannot be done."""
+    """Write a parameter file; raises OSError if the file cannot be written."""
     write_parameters(path, _HEAD, content)

@@ -1,4 +1,4 @@
-"""A drive model from records: numbers that the log determines, and numbers that keep their prior."""
+"""Identification of a drive model from records, with priors for the parameters that a log does not determine."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ from diffdrive_mpc_extras.drives.fitting import (
     channel_errors,
     fit_drive,
     fit_settings,
-    numbers_at_bounds,
     parameter_names,
+    parameters_at_bounds,
 )
 
 
@@ -62,12 +62,12 @@ def drive_content(
     fields
         Name, provenance, scores and warnings.
     geometry
-        Geometry of the robot's wheels; by default that of the papers' robot, whose mass it has in any case.
+        Wheel radius and track; by default those of the papers' robot, whose mass is used in both cases.
 
     Raises
     ------
     pydantic.ValidationError
-        If a number cannot be a robot's.
+        If a parameter is not physically possible.
     """
     content = {
         "structure": fit.kind,
@@ -80,7 +80,7 @@ def drive_content(
 
 
 def _channel(fit: DriveFit, row: int) -> dict[str, float]:
-    """Return the numbers of one channel in a file, without shared ones and those of the sensor."""
+    """Return the entries of one channel in a file, without shared parameters and sensor offsets."""
     keys = set(fit.values[row]) - {"offset", "stiffness", "integral_time"}
     return {
         "dead_samples": fit.dead_samples[row],
@@ -90,18 +90,18 @@ def _channel(fit: DriveFit, row: int) -> dict[str, float]:
 
 
 def _physical(fit: DriveFit, geometry: WheelGeometry | None) -> dict[str, dict[str, float]]:
-    """Return chassis and drive with the identified ratios, without inertia of wheels and rotors."""
+    """Return chassis and wheel drive with the identified ratios; wheels and rotors have no inertia."""
     robot = load_robot()
     radius, track = geometry or (robot.wheel_radius, robot.track)
     forward, turning = fit.values[0]["stiffness"], fit.values[1]["stiffness"]
-    together = robot.mass * radius**2 / 2
-    apart = together * forward / turning
+    common = robot.mass * radius**2 / 2
+    differential = common * forward / turning
     chassis = DriveChassis(
         mass=robot.mass,
         wheel_radius=radius,
         track=track,
         centre_ahead=0.0,
-        yaw_inertia=rounded(apart / 2 * track**2 / radius**2),
+        yaw_inertia=rounded(differential / 2 * track**2 / radius**2),
         wheel_inertia=0.0,
     )
     drive = {
@@ -113,93 +113,91 @@ def _physical(fit: DriveFit, geometry: WheelGeometry | None) -> dict[str, dict[s
     return {"chassis": chassis.model_dump(), "wheel_drive": drive}
 
 
-# Numbers of a drive model that a log determines; the others keep their prior.
-
-
+# Parameters that a log determines, and parameters that keep their prior.
 _SHARED = "integral_time"
-"""Number shared by both channels of the physical model: each wheel has one controller."""
+"""Parameter shared by both channels of the physical model, because each wheel has one controller."""
 _STEP = 1e-3
-"""Step of numerical derivatives, in usual changes of a number."""
-_SETTLED = 1e-4
-_NEVER_SEEN = 1e12
-"""Variance of a number that moves nothing."""
+"""Step of numerical derivatives, relative to the size of a parameter."""
+_TOLERANCE = 1e-4
+_NO_EFFECT = 1e12
+"""Variance of a parameter without effect on the residuals."""
 
 
 @dataclass(frozen=True)
-class ToldDrive:
-    """A drive model with numbers that are determined by a log or equal their priors.
+class IdentifiedDrive:
+    """Drive model whose parameters are determined by a log or equal to their priors.
 
     Attributes
     ----------
     fit
-        The model.
+        Fitted model.
     estimate
-        The numbers that the log determines, named "v.gain" and so on, with their covariance; then both dead times [s].
-    kept
-        Names of the numbers that keep their prior.
+        Parameters that the log determines ("v.gain" and so on), then both dead times [s], with their covariance.
+    prior_names
+        Names of the parameters that keep their prior.
     at_bound
-        Names of other numbers on a bound of the search.
+        Names of other parameters at a bound of the search.
     """
 
     fit: DriveFit
     estimate: ParameterEstimate
-    identified: tuple[str, ...]
+    prior_names: tuple[str, ...]
     at_bound: tuple[str, ...]
 
 
-def told_by(fit: DriveFit, records: Sequence[Record], yaw: YawSource = "gyro") -> ToldDrive:
-    """Hold every number of `fit` that has a prior against it, on the records that it was fitted to.
+def identify_drive(fit: DriveFit, records: Sequence[Record], yaw: YawSource = "gyro") -> IdentifiedDrive:
+    """Compare each parameter of `fit` with its prior, on the records of the fit.
 
-    A number keeps its prior where that explains the records nearly as well after the other numbers are fitted again, or
-    where its standard deviation is larger than itself and than a usual change of it.
+    A parameter keeps its prior if the model explains the records nearly as well after the other parameters are fitted
+    again, or if its standard deviation is larger than both its value and its size in the settings.
     """
-    numbers = _Numbers(fit, join_experiments(twist_experiments(records, yaw)))
-    point, free, identified = numbers.start, list(numbers.names), []
-    for name in numbers.names:
+    residuals = _Residuals(fit, join_experiments(twist_experiments(records, yaw)))
+    point, free, prior_names = residuals.start, list(residuals.names), []
+    for name in residuals.names:
         prior = fit_settings().priors.get(name.rpartition(".")[2])
         if prior is None:
             continue
-        without = [remaining for remaining in free if remaining != name]
-        tried = numbers.fitted({**point, name: prior}, without)
-        worse = numbers.cost(tried) / numbers.cost(point) - 1.0
-        if worse < fit_settings().min_gain or not _is_known(numbers, point, free, name):
-            point, free = tried, without
-            identified.append(name)
-    point = numbers.fitted(point, free)
-    covariance = numbers.covariance(point, free)
+        reduced = [remaining for remaining in free if remaining != name]
+        candidate = residuals.fit({**point, name: prior}, reduced)
+        increase = residuals.cost(candidate) / residuals.cost(point) - 1.0
+        if increase < fit_settings().min_gain or not _is_known(residuals, point, free, name):
+            point, free = candidate, reduced
+            prior_names.append(name)
+    point = residuals.fit(point, free)
+    covariance = residuals.covariance(point, free)
     values = np.array([point[name] for name in free] + [dead * fit.dt for dead in fit.dead_samples])
-    # A dead time in whole samples is known to a sample's rounding at best.
-    whole = np.zeros((len(values), len(values)))
-    whole[: len(free), : len(free)] = covariance
-    whole[len(free) :, len(free) :] = np.eye(2) * fit.dt**2 / 12
+    # The variance of a dead time in whole samples is that of the rounding to a sample.
+    full_covariance = np.zeros((len(values), len(values)))
+    full_covariance[: len(free), : len(free)] = covariance
+    full_covariance[len(free) :, len(free) :] = np.eye(2) * fit.dt**2 / 12
     names = (*free, *(f"{channel}.dead_time" for channel in CHANNELS))
-    parameters = numbers.apart(point)
-    determined = {name.replace(".", " ") for name in identified} | {
-        f"{channel} {name}" for channel in CHANNELS for name in identified
+    parameters = residuals.by_channel(point)
+    excluded = {name.replace(".", " ") for name in prior_names} | {
+        f"{channel} {name}" for channel in CHANNELS for name in prior_names
     }
-    at_bound = tuple(name for name in numbers_at_bounds(parameters) if name not in determined)
-    return ToldDrive(
+    at_bound = tuple(name for name in parameters_at_bounds(parameters) if name not in excluded)
+    return IdentifiedDrive(
         replace(fit, values=parameters, at_bound=at_bound),
-        ParameterEstimate(names, values, whole),
-        tuple(identified),
+        ParameterEstimate(names, values, full_covariance),
+        tuple(prior_names),
         at_bound,
     )
 
 
-def refitted(determined: ToldDrive, records: Sequence[Record], yaw: YawSource = "gyro") -> DriveFit:
-    """Refit the numbers that the log determined to other records; dead times and priors stay."""
-    numbers = _Numbers(determined.fit, join_experiments(twist_experiments(records, yaw)))
-    free = [name for name in numbers.names if name not in determined.identified]
-    return replace(determined.fit, values=numbers.apart(numbers.fitted(numbers.start, free)))
+def refit_drive(determined: IdentifiedDrive, records: Sequence[Record], yaw: YawSource = "gyro") -> DriveFit:
+    """Refit the parameters that the log determined to other records; dead times and priors do not change."""
+    residuals = _Residuals(determined.fit, join_experiments(twist_experiments(records, yaw)))
+    free = [name for name in residuals.names if name not in determined.prior_names]
+    return replace(determined.fit, values=residuals.by_channel(residuals.fit(residuals.start, free)))
 
 
-def _is_known(numbers: _Numbers, point: dict[str, float], free: list[str], name: str) -> bool:
-    deviation = np.sqrt(numbers.covariance(point, free)[free.index(name), free.index(name)])
-    return bool(deviation < max(abs(point[name]), numbers.size(name)))
+def _is_known(residuals: _Residuals, point: dict[str, float], free: list[str], name: str) -> bool:
+    deviation = np.sqrt(residuals.covariance(point, free)[free.index(name), free.index(name)])
+    return bool(deviation < max(abs(point[name]), residuals.size(name)))
 
 
-class _Numbers:
-    """The numbers of both channels in one row, and the residuals of the records."""
+class _Residuals:
+    """Parameters of both channels as one mapping, and the residuals of the records."""
 
     def __init__(self, fit: DriveFit, runs: Sequence[SampledExperiment]) -> None:
         self._fit = fit
@@ -214,11 +212,11 @@ class _Numbers:
         return name if name == _SHARED else f"{CHANNELS[row]}.{name}"
 
     def size(self, name: str) -> float:
-        """Return the usual change of a number."""
+        """Return the size of a parameter in the settings."""
         return fit_settings().bounds[name.rpartition(".")[2]].size
 
-    def apart(self, point: dict[str, float]) -> tuple[dict[str, float], dict[str, float]]:
-        """Split into numbers of v and of omega."""
+    def by_channel(self, point: dict[str, float]) -> tuple[dict[str, float], dict[str, float]]:
+        """Split the parameters into those of v and those of omega."""
         v, omega = (
             {name: point[self._name(row, name)] for name in parameter_names(self._fit.kind, row)} for row in (0, 1)
         )
@@ -229,26 +227,26 @@ class _Numbers:
 
     @cached_property
     def _scale(self) -> list[float]:
-        """Errors of both channels are weighted by the residual of each."""
+        """RMS residual of each channel at the start, by which its errors are divided."""
         return [
             float(np.sqrt(np.mean(np.concatenate(self._errors(row, tuple(values.items()))) ** 2)))
-            for row, values in enumerate(self.apart(self.start))
+            for row, values in enumerate(self.by_channel(self.start))
         ]
 
     def errors(self, point: dict[str, float]) -> list[FloatArray]:
-        """Compute simulated less measured values (K,) of every run, v first, over the scale of the channel."""
+        """Compute simulated minus measured values (K,) of each run, v first, divided by the scale of the channel."""
         return [
             part / self._scale[row]
-            for row, values in enumerate(self.apart(point))
+            for row, values in enumerate(self.by_channel(point))
             for part in self._errors(row, tuple(values.items()))
         ]
 
     def cost(self, point: dict[str, float]) -> float:
-        """Sum the squared errors."""
+        """Return the sum of squared errors."""
         return float(sum(np.sum(part**2) for part in self.errors(point)))
 
-    def fitted(self, point: dict[str, float], free: Sequence[str]) -> dict[str, float]:
-        """Return `point` with the numbers `free` fitted to the records."""
+    def fit(self, point: dict[str, float], free: Sequence[str]) -> dict[str, float]:
+        """Return `point` with the parameters `free` fitted to the records."""
         bounds = [fit_settings().bounds[name.rpartition(".")[2]] for name in free]
         size = np.array([bound.size for bound in bounds])
         low, high = np.array([[bound.low, bound.high] for bound in bounds]).T
@@ -262,58 +260,58 @@ class _Numbers:
             start_values / size,
             bounds=(low / size, high / size),
             diff_step=1e-4,
-            xtol=_SETTLED,
-            ftol=_SETTLED,
+            xtol=_TOLERANCE,
+            ftol=_TOLERANCE,
             max_nfev=fit_settings().most_steps,
         )
         return point_at(solution.x)
 
     def covariance(self, point: dict[str, float], free: Sequence[str]) -> FloatArray:
-        """Compute the covariance (q, q) of the numbers `free`; huge for unidentifiable ones."""
+        """Compute the covariance (q, q) of the parameters `free`; parameters without effect get a huge variance."""
         residuals, slopes = self.errors(point), []
         for name in free:
             step = _STEP * self.size(name)
-            moved = [self.errors({**point, name: point[name] + way * step}) for way in (-1.0, 1.0)]
-            slopes.append([(more - less) / (2 * step) for less, more in zip(*moved, strict=True)])
+            shifted = [self.errors({**point, name: point[name] + sign * step}) for sign in (-1.0, 1.0)]
+            slopes.append([(high - low) / (2 * step) for low, high in zip(*shifted, strict=True)])
         jacobians = [np.column_stack(part_slopes)[:, None, :] for part_slopes in zip(*slopes, strict=True)]
-        shows = np.sum([(jacobian**2).sum(axis=(0, 1)) for jacobian in jacobians], axis=0) > 0
+        has_effect = np.sum([(jacobian**2).sum(axis=(0, 1)) for jacobian in jacobians], axis=0) > 0
         covariance_matrix = sandwich(jacobians, [part[:, None] for part in residuals]).covariance
-        covariance_matrix[~shows, :], covariance_matrix[:, ~shows] = 0.0, 0.0
-        covariance_matrix[~shows, ~shows] = _NEVER_SEEN
+        covariance_matrix[~has_effect, :], covariance_matrix[:, ~has_effect] = 0.0, 0.0
+        covariance_matrix[~has_effect, ~has_effect] = _NO_EFFECT
         return covariance_matrix
 
 
 _METHOD = (
-    "least squares on the free run, two starts, dead time in samples searched downhill; a number that the log does not "
-    "tell keeps its prior"
+    "least squares on the free run, two starts, dead time by descent in whole samples; a parameter that the log does "
+    "not determine keeps its prior"
 )
-_UNTOLD = {
-    "quicker": "a slope limit when speeding up is not seen: none is modelled",
-    "slower": "a slope limit when slowing down is not seen: none is modelled",
-    "threshold": "standstill after a change of direction is not seen: its threshold stays 0",
-    "threshold_by_slope": "growth of the threshold with the slope is not seen: it stays 0",
-    "integral_time": "the integral time is not told by the log: it stays the paper's 4.58 s",
+_PRIOR_REASONS = {
+    "quicker": "the log shows no slope limit when accelerating: none is modelled",
+    "slower": "the log shows no slope limit when decelerating: none is modelled",
+    "threshold": "the log shows no standstill after a change of direction: the threshold is 0",
+    "threshold_by_slope": "the log shows no growth of the threshold with the slope: the growth is 0",
+    "integral_time": "the log does not determine the integral time: it is the paper's 4.58 s",
 }
 _KINDS = {"gain": "gain", "lag": "lag", "stiffness": "lag"}
-"""Kind of doubt where a number is badly known."""
+"""Kind of doubt about a parameter with a large uncertainty."""
 
 
 @dataclass(frozen=True)
-class FoundDrive:
-    """A drive as `identification.fit.predictor.Predictor`.
+class DrivePredictor:
+    """Identified drive as `identification.fit.predictor.Predictor`.
 
     Attributes
     ----------
     structure
         Name of the structure in `models list`.
     determined
-        The model, and the numbers that the log determines.
+        Model, and the parameters that the log determines.
     geometry
-        Geometry of the log's wheels; None without any.
+        Wheel geometry of the log; None if the log has none.
     """
 
     structure: str
-    determined: ToldDrive
+    determined: IdentifiedDrive
     geometry: WheelGeometry | None
     title: str = "a drive"
     method: str = _METHOD
@@ -321,27 +319,27 @@ class FoundDrive:
 
     @property
     def offset(self) -> FloatArray:
-        """See `Predictor`."""
+        """Sensor offsets, as in `Predictor`."""
         return np.array([values.get("offset", 0.0) for values in self.determined.fit.values])
 
     @property
     def estimate(self) -> ParameterEstimate:
-        """See `Predictor`."""
+        """Estimated parameters, as in `Predictor`."""
         return self.determined.estimate
 
     @property
     def doubts(self) -> tuple[Doubt, ...]:
-        """See `Predictor`."""
+        """Doubts about the model, as in `Predictor`."""
         doubts = []
-        for name in self.determined.identified:
+        for name in self.determined.prior_names:
             channel, _, last = name.rpartition(".")
-            doubt = Doubt("prior kept", _UNTOLD[last])
+            doubt = Doubt("prior kept", _PRIOR_REASONS[last])
             doubts.append(doubt.about(channel) if channel else doubt)
         for name in self.determined.at_bound:
-            doubts.append(Doubt("effect", f"{name} lies on a bound of the search: the data do not determine it"))
-        # A dead time or an offset may be near zero; a number with a prior is determined, or the prior would be kept.
-        sized = [name for name in self.estimate.names if name.rpartition(".")[2] in _KINDS]
-        for name in sized:
+            doubts.append(Doubt("effect", f"{name} is at a bound of the search: the data do not determine it"))
+        # Dead times and offsets may be near zero, and parameters with a prior are determined here.
+        checked = [name for name in self.estimate.names if name.rpartition(".")[2] in _KINDS]
+        for name in checked:
             doubts += uncertain_parameters(self.estimate.part([name]), _KINDS[name.rpartition(".")[2]])
         return tuple(doubts)
 
@@ -352,7 +350,7 @@ class FoundDrive:
     def refitted(self, records: Sequence[Record], yaw: YawSource) -> DriveModel:
         """Refit as `Predictor` describes, with the same dead times and priors."""
         records = most_informative(records, identification_settings().most_rows["effects"])
-        return refitted(self.determined, records, yaw).model(f"{self.structure} of the data held out")
+        return refit_drive(self.determined, records, yaw).model(f"{self.structure} of the held-out data")
 
     def content(self, fields: Mapping[str, Any]) -> ExperimentalFile | PhysicalFile:
         """Build the content as `Predictor` describes."""
@@ -368,13 +366,13 @@ class FoundDrive:
 
 
 def drive_finder(name: str, kind: Kind) -> Finder:
-    """Return a finder for the drive that `models list` calls `name`; of long records it uses a part, as for effects."""
+    """Return a finder for the drive named `name` in `models list`; it uses the most informative part of a log."""
 
-    def find(data: LogData, fitted: Fitted) -> FoundDrive:
+    def find(data: LogData, fitted: Fitted) -> DrivePredictor:
         records = most_informative(data.train, identification_settings().most_rows["effects"])
         yaw = fitted.identified.yaw
-        determined = told_by(fit_drive(kind, records, yaw), records, yaw)
-        return FoundDrive(name, determined, fitted.geometry)
+        determined = identify_drive(fit_drive(kind, records, yaw), records, yaw)
+        return DrivePredictor(name, determined, fitted.geometry)
 
     return find
 

@@ -1,4 +1,4 @@
-"""The schema of free space: the robot's outline, its distance to obstacles, and the range of its search."""
+"""Configuration schema of free space: footprint, distances to obstacles, and range of the path search."""
 
 from __future__ import annotations
 
@@ -13,86 +13,82 @@ from diffdrive_mpc_extras.free_space.polygons import Footprint
 
 
 class FreeSpace(FeatureGroup):
-    """Obstacles and corridors that the feature's `set_obstacles` takes; see packages/extras/docs/worlds.md."""
+    """Obstacle avoidance for the surroundings passed to `set_obstacles`; see packages/extras/docs/worlds.md."""
 
-    enabled: bool = Field(False, description="keep clear of what the controller sees; false: it sees nothing [-]")
+    enabled: bool = Field(False, description="keep clear of the surroundings; false: ignore them [-]")
     footprint: str = Field(
         "[[0.25, 0.2], [-0.25, 0.2], [-0.25, -0.2], [0.25, -0.2]]",
         max_length=2000,
-        description="corners x, y of the robot seen from its base point, as Nav2 writes them; their hull counts [m]",
+        description="corners x, y relative to the base point, in the format of Nav2; their convex hull is used [m]",
     )
     footprint_radius: NotNegative = Field(
-        0.0, description="by how much that hull is widened all round; one corner and a radius are a disc [m]"
+        0.0, description="radius by which the hull is inflated; one corner and a radius define a disc [m]"
     )
-    margin: NotNegative = Field(0.02, description="gap that the robot keeps to all things, for what is not known [m]")
+    margin: NotNegative = Field(0.02, description="minimum gap to all obstacles, for their unknown errors [m]")
     uncertainty_factor: Annotated[float, Field(ge=0, le=6)] = Field(
-        2.0, description="standard deviations of its predicted pose by which it keeps further away [-]"
+        2.0, description="number of standard deviations of the predicted pose that are added to the margin [-]"
     )
     reserve: NotNegative = Field(
-        0.01, description="by how much further away the plan keeps than the check of its way to rest [m]"
+        0.01, description="additional margin of the plan over the margin of the stopping-path check [m]"
     )
-    comfort: NotNegative = Field(0.15, description="gap that its way round things has where there is room [m]")
+    comfort: NotNegative = Field(0.15, description="preferred gap of the path around obstacles [m]")
     rows: Annotated[int, Field(ge=2, le=24)] = Field(
-        8, description="soft limits at each stage; a plane takes two, of a disc one, nearest things first [-]"
+        8, description="soft half-space rows per stage, nearest obstacles first; a plane needs 2 rows (a disc: 1) [-]"
     )
-    strictness: Positive = Field(
-        20.0, description="factor on the price of weights.soft for a plan beyond a plane, by metre [1/m]"
-    )
+    strictness: Positive = Field(20.0, description="factor on the penalty weights.soft, per metre of violation [1/m]")
     look_ahead: Annotated[float, Field(ge=0.5, le=20)] = Field(
-        3.0, description="distance along the path for which a way round things is sought [m]"
+        3.0, description="distance along the path over which a path around obstacles is searched [m]"
     )
     swerve: Annotated[float, Field(ge=0, le=5)] = Field(
-        0.8, description="how far its way round things may lead from the path to either side [m]"
+        0.8, description="maximum lateral offset of the path around obstacles [m]"
     )
-    narrow_speed: Positive = Field(
-        0.3, description="speed at which the reference passes where the gap is no more than the margin [m/s]"
-    )
+    narrow_speed: Positive = Field(0.3, description="speed of the reference where the gap equals the margin [m/s]")
     deceleration: Positive = Field(
-        0.5, description="rate at which the reference slows down before it has to wait [m/s^2]"
+        0.5, description="deceleration of the reference before a stop or a narrow place [m/s^2]"
     )
     moving_margin: NotNegative = Field(
-        0.08, description="gap beside the margin to what moves, for what is not known of its place [m]"
+        0.08, description="additional margin to moving obstacles, for the uncertainty of their position [m]"
     )
-    disc_doubt: NotNegative = Field(0.1, description="what is not known of the speed of a moving disc [m/s]")
+    disc_doubt: NotNegative = Field(0.1, description="uncertainty of the speed of a moving disc [m/s]")
     disc_horizon: Annotated[float, Field(ge=0, le=10)] = Field(
-        3.0, description="for so long the way of a moving disc is compared with the robot's own [s]"
+        3.0, description="time over which the paths of moving discs are compared with the path of the robot [s]"
     )
     max_age: Positive = Field(
-        0.5, description="surroundings with a time that are older than this are not driven by: it brakes [s]"
+        0.5, description="maximum age of surroundings with a time stamp; the robot brakes if they are older [s]"
     )
     occupied_from: Annotated[int, Field(ge=1, le=100)] = Field(
-        65, description="cells of a grid with this value or more are occupied [-]"
+        65, description="minimum value of an occupied grid cell [-]"
     )
     unknown_is_free: bool = Field(
-        True, description="drive over cells that are unknown, and beyond the grid; false: they are occupied [-]"
+        True, description="treat unknown cells and the area outside the grid as free; false: as occupied [-]"
     )
     max_cells: Annotated[int, Field(ge=1, le=4_000_000)] = Field(
-        250_000, description="a grid with more cells is refused [-]"
+        250_000, description="maximum number of grid cells; larger grids are rejected [-]"
     )
     max_pieces: Annotated[int, Field(ge=1, le=20_000)] = Field(
-        2000, description="surroundings of more convex pieces are refused; walls of a grid are rectangles [-]"
+        2000, description="maximum number of convex pieces, including the rectangles of a grid; more are rejected [-]"
     )
 
     @field_validator("footprint", mode="before")
     @classmethod
-    def _written(cls, value: object) -> object:
-        """Convert a list to its text, which means the same."""
+    def _as_text(cls, value: object) -> object:
+        """Convert a list of corners to its JSON text."""
         return json.dumps(value) if isinstance(value, list) else value
 
     @model_validator(mode="after")
-    def _has_a_footprint(self) -> Self:
-        # Whoever reads a footprint raises ValueError with a sentence.
+    def _check_footprint(self) -> Self:
+        # Footprint raises ValueError if the corners are invalid.
         Footprint(self.corners, self.footprint_radius)
         return self
 
     @property
     def corners(self) -> list[list[float]]:
-        """The corners as numbers [m].
+        """Corners as pairs of numbers [m].
 
         Raises
         ------
         ValueError
-            If `footprint` is no list of pairs.
+            If `footprint` is not a list of pairs.
         """
         try:
             listed = json.loads(self.footprint)
@@ -104,5 +100,5 @@ class FreeSpace(FeatureGroup):
 
 
 def free_space_of(config: ControllerConfig) -> FreeSpace:
-    """Return the group of a configuration, with its defaults if the configuration does not name it."""
+    """Return the `free_space` group of a configuration, with the defaults if the group is missing."""
     return config.feature_group("free_space", FreeSpace)

@@ -1,4 +1,4 @@
-"""Corridors and obstacles, attached to a controller."""
+"""Feature of a controller that keeps clear of corridors and obstacles."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from diffdrive_mpc_extras.free_space.keeper import FreeSpaceKeeper
 from diffdrive_mpc_extras.free_space.pieces import half_space_function, load_free_space
 from diffdrive_mpc_extras.free_space.surroundings import Surroundings
 
-_ANYWHERE = (0.0, 0.0, 0.0, 0.0, 1.0)
-"""Parameters of a half-space that holds every point."""
+_NO_LIMIT = (0.0, 0.0, 0.0, 0.0, 1.0)
+"""Parameters of a half-space that contains every point."""
 
 
 def half_space_terms(config: FreeSpace) -> tuple[Term, ...]:
-    """Return the rows of half-spaces of a configuration; none unless it is enabled."""
+    """Return the half-space terms of a configuration; empty if free space is not enabled."""
     if not config.enabled:
         return ()
     function, (ffi, lib) = half_space_function(), load_free_space()
     compiled = ffi.addressof(lib, "ddmpc_f_half_space")
     return tuple(
-        Term(f"free_space_{row}", function, "soft", 0.0, None, _ANYWHERE, compiled) for row in range(config.rows)
+        Term(f"free_space_{row}", function, "soft", 0.0, None, _NO_LIMIT, compiled) for row in range(config.rows)
     )
 
 
 class KeepClear(Feature):
-    """See `Feature`."""
+    """Feature that keeps clear of the surroundings; methods as in `Feature`."""
 
     schema = FreeSpace
 
@@ -57,19 +57,19 @@ class KeepClear(Feature):
         self._keeper.configure(self.host.config)
 
     def set_obstacles(self, surroundings: Surroundings | None) -> None:
-        """Keep clear of them from the next step on; raises SurroundingsError where they cannot be used."""
+        """Replace the surroundings from the next step on; raises SurroundingsError if they are invalid."""
         self._keeper.set_obstacles(surroundings)
 
     def lay(self, reference: Reference) -> Reference:
-        """Lay the reference as `Feature` describes, moved aside around obstacles."""
+        """Return the reference with the offsets that lead around obstacles."""
         return self._keeper.start(reference)
 
     def forget(self) -> None:
-        """Forget as `Feature` describes."""
+        """Reset as `Feature` describes."""
         self._keeper.forget()
 
     def before_step(self, t: float) -> Hold | None:
-        """Let the reference go round things, wait for them, or stop."""
+        """Plan the reference around obstacles, slow it down, or return a reason to stop."""
         keeper, pursuit = self._keeper, self.host.pursuit
         self._sent = self.host.tick.last_command
         reference, since_start, time = pursuit.reference, t - self.host.t0, pursuit.time
@@ -81,7 +81,7 @@ class KeepClear(Feature):
         return hold
 
     def after_step(self, t: float, measurement: Measurement, result: StepResult) -> StepResult:
-        """Check the way to rest, where the tick is a new one."""
+        """Check the stopping path of a new tick; repeat the checked result for a repeated call."""
         del measurement
         if self._sent is None:
             return result

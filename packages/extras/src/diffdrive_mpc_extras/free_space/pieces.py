@@ -1,4 +1,4 @@
-"""Surroundings as convex pieces in the memory that C reads."""
+"""Convex pieces of the surroundings, in memory shared with C, and their clearances from a footprint."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ from diffdrive_mpc_extras.free_space.surroundings import (
 core_sources.require(1)
 
 PARAMETERS = 5
-"""Number of stage parameters: a (2), point d (2) of the robot in its own frame [m], b [m]."""
+"""Number of stage parameters: a (2), point d (2) in the frame of the robot [m], b [m]."""
 
 _FOLDER = Path(__file__).parent
 
 
 def half_space(pose: ca.SX, parameters: ca.SX) -> ca.SX:
-    """Return the distance of the point d of the robot beyond a plane [m], no more than zero on the free side.
+    """Return the signed distance of the point d of the robot from a plane [m]; it is negative on the free side.
 
-    It is a . (position + R(heading) d) - b, where a is a unit vector that leads to the far side.
+    The distance is a . (position + R(heading) d) - b; the unit vector a is the normal towards the blocked side.
     """
     a, d, b = parameters[:2], parameters[2:4], parameters[4]
     cosine, sine = ca.cos(pose[2]), ca.sin(pose[2])
@@ -47,14 +47,14 @@ def half_space(pose: ca.SX, parameters: ca.SX) -> ca.SX:
     return ca.SX(ca.dot(a, point) - b)
 
 
-def half_space_formula() -> ca.Function:
-    """Return that distance with its gradient, as it is in C."""
+def half_space_c_function() -> ca.Function:
+    """Return the function of C that computes the half-space distance and its gradient."""
     inputs = core_sources.term_symbols(PARAMETERS)
     return core_sources.term("ddmpc_f_half_space", inputs, half_space(inputs["pose"], inputs["parameters"]))
 
 
 def half_space_function() -> ca.Function:
-    """Return that distance as a function that a term takes."""
+    """Return the half-space distance as a CasADi function of the pose and the stage parameters."""
     pose, parameters = ca.SX.sym("pose", 3), ca.SX.sym("parameters", PARAMETERS)
     return ca.Function(
         "half_space", [pose, parameters], [half_space(pose, parameters)], ["pose", "parameters"], ["value"]
@@ -63,12 +63,12 @@ def half_space_function() -> ca.Function:
 
 @cache
 def load_free_space() -> tuple[Any, Any]:
-    """Return cffi's declarations and the library of free space: of the wheel, else compiled with the core at first use.
+    """Return the cffi declarations and the free-space library from the wheel, or compile it at the first use.
 
     Raises
     ------
     NotCompiledError
-        If the wheel holds no library, and there is no C compiler.
+        If the wheel contains no library and no C compiler is installed.
     """
     ffi, _ = core_sources.load_core()
     header = (_FOLDER / "free_space.h").read_text(encoding="utf-8")
@@ -76,17 +76,17 @@ def load_free_space() -> tuple[Any, Any]:
 
 
 def packaged_libraries() -> Iterator[Path]:
-    """Yield the libraries of the wheel that this processor can run, best first."""
+    """Yield the libraries of the wheel that this processor supports, fastest first."""
     return _packaged().libraries()
 
 
 def write_packaged(folder: Path) -> list[Path]:
-    """Compile free space for the wheel in `folder`: libraries and manifest.
+    """Compile the free-space libraries of the wheel and write them with a manifest into `folder`.
 
     Raises
     ------
     NotCompiledError
-        If it cannot be compiled.
+        If the compilation fails.
     """
     return _packaged().write(_texts(), folder)
 
@@ -97,8 +97,8 @@ def _packaged() -> Packaged:
 
 
 def _texts() -> dict[str, str]:
-    """Return all C files and headers by name, those of the core and the generated ones included."""
-    generated = core_sources.generate((half_space_formula(),), "ddmpc_half_space", "free_space/pieces.py")
+    """Return the texts of all C files and headers by name, including the core and the generated files."""
+    generated = core_sources.generate((half_space_c_function(),), "ddmpc_half_space", "free_space/pieces.py")
     written = {path.name: path.read_text(encoding="utf-8") for path in sorted(_FOLDER.glob("*.[ch]"))}
     return (
         core_sources.core_texts()
@@ -110,9 +110,9 @@ def _texts() -> dict[str, str]:
     )
 
 
-_AROUND = 100.0  # width of the region beyond a grid, where that is occupied [m]
-_WALL_STEP = 0.1  # between two points of a corridor's wall [m]
-_MOST_WALLS = 5000
+_MARGIN = 100.0  # width of the occupied region surroundings a grid [m]
+_WALL_STEP = 0.1  # distance between two points of a corridor's wall [m]
+_MAX_WALL_POINTS = 5000
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,13 +122,13 @@ class Pieces:
     Attributes
     ----------
     corners
-        (k, 2) of each piece, counter-clockwise [m].
+        (k, 2) corners of each of the n pieces, counter-clockwise [m].
     widening
-        (n,) [m].
+        (n,) radius by which each piece is inflated [m].
     velocity
-        (n, 2) [m/s].
+        (n, 2) velocity of each piece [m/s].
     names
-        For messages.
+        Names of the pieces in messages.
     """
 
     corners: Sequence[FloatArray]
@@ -136,22 +136,22 @@ class Pieces:
     velocity: FloatArray
     names: Sequence[str]
     struct: Any = field(init=False, repr=False)
-    """for C"""
-    _kept: tuple[Any, ...] = field(init=False, repr=False)
+    """Structure of C that points to the arrays."""
+    _arrays: tuple[Any, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Lay them out in memory."""
+        """Copy the pieces into arrays for C, with the bounding circle of each piece."""
         ffi, _ = load_free_space()
         count = len(self.corners)
         ends = np.cumsum([0, *(len(corners) for corners in self.corners)]).astype(np.intc)
         corner = np.concatenate([*self.corners, np.zeros((1, 2))])
         circle = np.zeros((count + 1, 3))
         if count:
-            begins = ends[:-1]
-            low, high = (reduce.reduceat(corner[:-1], begins) for reduce in (np.minimum, np.maximum))
+            starts = ends[:-1]
+            low, high = (reduce.reduceat(corner[:-1], starts) for reduce in (np.minimum, np.maximum))
             circle[:-1, :2] = 0.5 * (low + high)
-            away = np.hypot(*(corner[:-1] - np.repeat(circle[:-1, :2], np.diff(ends), axis=0)).T)
-            circle[:-1, 2] = np.maximum.reduceat(away, begins) + self.widening
+            distance = np.hypot(*(corner[:-1] - np.repeat(circle[:-1, :2], np.diff(ends), axis=0)).T)
+            circle[:-1, 2] = np.maximum.reduceat(distance, starts) + self.widening
         widening, velocity = np.append(self.widening, 0.0), np.vstack([self.velocity.reshape(-1, 2), np.zeros((1, 2))])
         arrays = (ends, corner, widening, velocity, circle)
 
@@ -170,33 +170,33 @@ class Pieces:
             },
         )
         object.__setattr__(self, "struct", struct)
-        object.__setattr__(self, "_kept", arrays)
+        object.__setattr__(self, "_arrays", arrays)
 
     def __len__(self) -> int:
         """Return the number of pieces."""
         return len(self.corners)
 
-    def chosen(self, which: NDArray[np.bool_]) -> Pieces:
-        """Select some of the pieces."""
-        places = np.flatnonzero(which).tolist()
+    def select(self, mask: NDArray[np.bool_]) -> Pieces:
+        """Return the pieces selected by a (n,) mask."""
+        indices = np.flatnonzero(mask).tolist()
         return Pieces(
-            [self.corners[i] for i in places],
-            self.widening[places],
-            self.velocity[places],
-            [self.names[i] for i in places],
+            [self.corners[i] for i in indices],
+            self.widening[indices],
+            self.velocity[indices],
+            [self.names[i] for i in indices],
         )
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedFootprint:
-    """A footprint in the memory that C reads."""
+    """Footprint in memory shared with C."""
 
     footprint: Footprint
     struct: Any = field(init=False, repr=False)
-    _kept: FloatArray = field(init=False, repr=False)
+    _arrays: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Lay it out."""
+        """Copy the corners into an array for C."""
         ffi, _ = load_free_space()
         corners = np.ascontiguousarray(self.footprint.corners)
         struct = ffi.new(
@@ -209,104 +209,104 @@ class PlacedFootprint:
             },
         )
         object.__setattr__(self, "struct", struct)
-        object.__setattr__(self, "_kept", corners)
+        object.__setattr__(self, "_arrays", corners)
 
 
-Known = dict[int, tuple[object, list[FloatArray]]]
-"""Results for polygons and grids, by identity."""
+PieceCache = dict[int, tuple[object, list[FloatArray]]]
+"""Cache of pieces: the polygon or grid and its pieces, by the identity of the object."""
 
 
-def pieces_of(
-    around: Surroundings, config: FreeSpace, reference: Reference | None = None, known: Known | None = None
+def build_pieces(
+    surroundings: Surroundings, config: FreeSpace, reference: Reference | None = None, cache: PieceCache | None = None
 ) -> Pieces:
-    """Build the convex pieces of `around`; a corridor needs its reference.
+    """Build the convex pieces of `surroundings`; a corridor is built only with its reference.
 
-    Pieces of an object from the last call, given with `known`, are not computed again.
+    `cache` holds the pieces of the previous call; an object that is in the cache is not decomposed again.
 
     Raises
     ------
     SurroundingsError
-        If something in it cannot be used, or it has more pieces than are taken.
+        If an object is invalid, or if there are more than `config.max_pieces` pieces.
     """
-    time = around.time
+    time = surroundings.time
     if time is not None and not np.isfinite(time):
-        raise SurroundingsError(f"surroundings: their time is {time}; give seconds on the clock of step, or None")
+        raise SurroundingsError(f"surroundings: time is {time}; give seconds on the clock of step, or None")
     corners: list[FloatArray] = []
     widening: list[float] = []
     velocity: list[tuple[float, float]] = []
     names: list[str] = []
 
-    def add(added: Sequence[FloatArray], name: str) -> None:
-        corners.extend(added)
-        widening.extend([0.0] * len(added))
-        velocity.extend([(0.0, 0.0)] * len(added))
-        names.extend([name] * len(added))
+    def add(pieces: Sequence[FloatArray], name: str) -> None:
+        corners.extend(pieces)
+        widening.extend([0.0] * len(pieces))
+        velocity.extend([(0.0, 0.0)] * len(pieces))
+        names.extend([name] * len(pieces))
 
-    before, now = dict(known or {}), Known()
+    previous, current = dict(cache or {}), PieceCache()
 
-    def once(source: object, make: Callable[[], list[FloatArray]]) -> list[FloatArray]:
-        former = before.get(id(source))
-        now[id(source)] = former if former is not None and former[0] is source else (source, make())
-        return now[id(source)][1]
+    def cached(source: object, make: Callable[[], list[FloatArray]]) -> list[FloatArray]:
+        entry = previous.get(id(source))
+        current[id(source)] = entry if entry is not None and entry[0] is source else (source, make())
+        return current[id(source)][1]
 
-    for index, polygon in enumerate(around.polygons):
+    for index, polygon in enumerate(surroundings.polygons):
         name = f"polygon {index}"
-        add(once(polygon, partial(_of_polygon, polygon, name)), name)
-    for index, disc in enumerate(around.discs):
+        add(cached(polygon, partial(_polygon_pieces, polygon, name)), name)
+    for index, disc in enumerate(surroundings.discs):
         name = f"disc {index}"
         check_disc(disc, name, timed=time is not None)
         corners.append(np.array([[disc.x, disc.y]], dtype=float))
         widening.append(float(disc.radius))
         velocity.append((float(disc.vx), float(disc.vy)))
         names.append(name)
-    if around.grid is not None:
-        grid = around.grid
-        add(once(grid, lambda: _of_grid(grid, config)), "occupied cells")
-    if around.corridor is not None and reference is not None:
-        add(*_of_corridor(around.corridor, reference))
+    if surroundings.grid is not None:
+        grid = surroundings.grid
+        add(cached(grid, lambda: _grid_pieces(grid, config)), "occupied cells")
+    if surroundings.corridor is not None and reference is not None:
+        add(*_corridor_pieces(surroundings.corridor, reference))
     if len(corners) > config.max_pieces:
         raise SurroundingsError(
-            f"surroundings: {len(corners)} convex pieces, at most {config.max_pieces} are taken; give a smaller "
+            f"surroundings: {len(corners)} convex pieces exceed the limit of {config.max_pieces}; give a smaller "
             "window or a coarser grid, or raise free_space.max_pieces"
         )
-    if known is not None:
-        known.clear()
-        known.update(now)
+    if cache is not None:
+        cache.clear()
+        cache.update(current)
     return Pieces(corners, np.array(widening, dtype=float), np.array(velocity, dtype=float).reshape(-1, 2), names)
 
 
-def _of_polygon(corners: ArrayLike, name: str) -> list[FloatArray]:
+def _polygon_pieces(corners: ArrayLike, name: str) -> list[FloatArray]:
     return convex_pieces(checked_polygon(corners, name))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedGrid(OccupancyGrid):
-    """A grid whose occupied cells are known as rectangles already.
+    """A grid whose occupied cells are cache as rectangles already.
 
     Attributes
     ----------
     boxes
-        (n, 4, 2) their corners [m].
+        (n, 4, 2) corners of the rectangles [m].
     """
 
     boxes: FloatArray = field(default_factory=lambda: np.zeros((0, 4, 2)))
 
 
 def prepared_grid(grid: OccupancyGrid, config: FreeSpace) -> PreparedGrid:
-    """Compute the rectangles of `grid` and drop its cells: for another process.
+    """Compute the rectangles of `grid` and drop its cells, to send them to another process.
 
     Raises
     ------
     SurroundingsError
-        If it cannot be used.
+        If the grid is invalid or needs too many rectangles.
     """
-    boxes = _of_grid(grid, config)
+    boxes = _grid_pieces(grid, config)
     stacked = np.stack(boxes) if boxes else np.zeros((0, 4, 2))
     return PreparedGrid(np.zeros((1, 1), dtype=np.int8), grid.resolution, grid.origin, stacked)
 
 
-def _of_grid(grid: OccupancyGrid, config: FreeSpace) -> list[FloatArray]:
-    """Build rectangles that cover exactly the occupied cells."""
+def _grid_pieces(grid: OccupancyGrid, config: FreeSpace) -> list[FloatArray]:
+    """Return rectangles that cover exactly the occupied cells, (4, 2) corners each [m]."""
     if isinstance(grid, PreparedGrid):
         return list(grid.boxes)
     cells = checked_grid(grid, config.max_cells)
@@ -316,73 +316,73 @@ def _of_grid(grid: OccupancyGrid, config: FreeSpace) -> list[FloatArray]:
     boxes = rectangles(occupied, config.max_pieces)
     if not config.unknown_is_free:
         rows, columns = occupied.shape
-        far = int(_AROUND / grid.resolution) + 1
-        beyond = [
+        far = int(_MARGIN / grid.resolution) + 1
+        border = [
             (-far, -far, 0, columns + far),
             (rows, -far, rows + far, columns + far),
             (0, -far, rows, 0),
             (0, columns, rows, columns + far),
         ]
-        boxes = np.vstack([boxes, np.array(beyond)])
+        boxes = np.vstack([boxes, np.array(border)])
     x, y, theta = grid.origin
     cosine, sine = np.cos(theta), np.sin(theta)
-    turned = np.array([[cosine, sine], [-sine, cosine]])
-    placed = []
+    rotation = np.array([[cosine, sine], [-sine, cosine]])
+    pieces = []
     for row, column, row_end, column_end in (grid.resolution * boxes).tolist():
         box = np.array([[column, row], [column_end, row], [column_end, row_end], [column, row_end]])
-        placed.append(box @ turned + [x, y])
-    return placed
+        pieces.append(box @ rotation + [x, y])
+    return pieces
 
 
-def rectangles(occupied: NDArray[np.bool_], most: int = 2**31) -> NDArray[np.int64]:
-    """Cover the occupied cells by rectangles: (n, 4) row, column, and the row and column after the last.
+def rectangles(occupied: NDArray[np.bool_], max_count: int = 2**31) -> NDArray[np.int64]:
+    """Cover the occupied cells by rectangles, (n, 4): first row, first column, end row and end column (exclusive).
 
-    Runs of a row that are the same in the next rows are one rectangle.
+    Equal runs of occupied cells in consecutive rows are merged into one rectangle.
 
     Raises
     ------
     SurroundingsError
-        If there are more than `most`.
+        If there are more than `max_count` rectangles.
     """
     edges = np.diff(np.pad(occupied.astype(np.int8), ((0, 0), (1, 1))), axis=1)
     row, start = np.nonzero(edges == 1)
     end = np.nonzero(edges == -1)[1]
     if len(row) == 0:
         return np.zeros((0, 4), dtype=np.int64)
-    # In the order of their columns, continued runs are adjacent.
+    # Sorted by column, equal runs of consecutive rows are adjacent.
     order = np.lexsort((row, end, start))
     row, start, end = row[order], start[order], end[order]
-    goes_on = (start[1:] == start[:-1]) & (end[1:] == end[:-1]) & (row[1:] == row[:-1] + 1)
-    first = np.flatnonzero(np.concatenate([[True], ~goes_on]))
+    continues = (start[1:] == start[:-1]) & (end[1:] == end[:-1]) & (row[1:] == row[:-1] + 1)
+    first = np.flatnonzero(np.concatenate([[True], ~continues]))
     last = np.append(first[1:], len(row)) - 1
-    if len(first) > most:
+    if len(first) > max_count:
         raise SurroundingsError(
-            f"grid: its occupied cells are {len(first)} rectangles, at most {most} are taken; give a smaller window "
+            f"grid: {len(first)} rectangles of occupied cells exceed the limit of {max_count}; give a smaller window "
             "or a coarser grid, or raise free_space.max_pieces"
         )
     return np.stack([row[first], start[first], row[last] + 1, end[first]], axis=1).astype(np.int64)
 
 
-def _of_corridor(corridor: Corridor, reference: Reference) -> tuple[list[FloatArray], str]:
-    """Build its walls as pieces of straight lines."""
+def _corridor_pieces(corridor: Corridor, reference: Reference) -> tuple[list[FloatArray], str]:
+    """Return the two walls as line segments, (2, 2) ends each [m], and their name in messages."""
     arc, left, right = checked_corridor(corridor)
-    # Lengths as large as numbers go overflow here; there is a bound anyway.
+    # The bounds also hold if the duration or the length overflows.
     times = np.linspace(0.0, reference.duration, int(min(reference.duration / 0.02 + 2, 20_000)))
     sample = reference.sample(times)
-    count = int(min(float(arc[-1] - arc[0]) / _WALL_STEP + 2, _MOST_WALLS))
-    arc_lengths = np.unique(np.concatenate([np.linspace(arc[0], arc[-1], count), arc[:_MOST_WALLS]]))
-    # Where the reference stands or turns, many times have the same arc length: any of them.
+    count = int(min(float(arc[-1] - arc[0]) / _WALL_STEP + 2, _MAX_WALL_POINTS))
+    arc_lengths = np.unique(np.concatenate([np.linspace(arc[0], arc[-1], count), arc[:_MAX_WALL_POINTS]]))
+    # If the reference stops or turns in place, several times have the same arc length; any of them will do.
     pose = np.stack([np.interp(arc_lengths, sample.arc_length, column) for column in sample.pose.T], axis=1)
     side = np.stack([-np.sin(pose[:, 2]), np.cos(pose[:, 2])], axis=1)
     walls = []
     for width, sign in ((left, 1.0), (right, -1.0)):
         line = pose[:, :2] + sign * np.interp(arc_lengths, arc, width)[:, None] * side
-        apart = np.hypot(*np.diff(line, axis=0).T) > 1e-6
-        walls += [line[i : i + 2] for i in np.flatnonzero(apart)]
+        is_segment = np.hypot(*np.diff(line, axis=0).T) > 1e-6
+        walls += [line[i : i + 2] for i in np.flatnonzero(is_segment)]
     return walls, "the corridor's edge"
 
 
-# Gaps between a footprint and pieces, worked out by the compiled library.
+# Clearances between a footprint and pieces, computed by the compiled library.
 
 
 def address(array: NDArray[Any], kind: str = "const real *") -> Any:  # noqa: ANN401 - cffi has no types
@@ -390,19 +390,23 @@ def address(array: NDArray[Any], kind: str = "const real *") -> Any:  # noqa: AN
     return load_free_space()[0].cast(kind, array.ctypes.data)
 
 
-def least_gaps(
-    footprint: PlacedFootprint, pieces: Pieces, poses: FloatArray, times: FloatArray, enough: float
+def min_gaps(
+    footprint: PlacedFootprint, pieces: Pieces, poses: FloatArray, times: FloatArray, max_gap: float
 ) -> tuple[FloatArray, NDArray[np.intc]]:
-    """Compute least gaps (k,) at poses (k, 3), at most `enough` [m], and the nearest pieces; -1 without one."""
-    placed, instants = np.ascontiguousarray(poses, dtype=float), np.ascontiguousarray(times, dtype=float)
-    gaps, nearest = np.empty(len(placed)), np.empty(len(placed), dtype=np.intc)
+    """Compute the minimum clearance at each pose, and the index of the nearest piece.
+
+    `poses` is (k, 3) and `times` (k,) [s]. Returns (k,) clearances [m], clipped to `max_gap` [m], and (k,) indices, -1
+    if no piece is closer than `max_gap`.
+    """
+    pose_array, time_array = np.ascontiguousarray(poses, dtype=float), np.ascontiguousarray(times, dtype=float)
+    gaps, nearest = np.empty(len(pose_array)), np.empty(len(pose_array), dtype=np.intc)
     load_free_space()[1].ddmpc_clearances(
         footprint.struct,
         pieces.struct,
-        len(placed),
-        address(placed),
-        address(instants),
-        enough,
+        len(pose_array),
+        address(pose_array),
+        address(time_array),
+        max_gap,
         address(gaps, "real *"),
         address(nearest, "int *"),
     )

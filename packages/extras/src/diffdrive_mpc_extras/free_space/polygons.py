@@ -1,4 +1,4 @@
-"""Polygons in the plane: area, hull, whether one crosses itself, and its convex pieces."""
+"""Polygons in the plane: area, convex hull, self-intersection, and convex decomposition."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 
-# Corners nearer to each other than this are one [m].
-_SAME = 1e-9
+# Distance up to which two corners coincide [m].
+_COINCIDENT = 1e-9
 
 
 def area(corners: FloatArray) -> float:
@@ -20,7 +20,7 @@ def area(corners: FloatArray) -> float:
 
 
 def hull(points: FloatArray) -> FloatArray:
-    """Compute corners (k, 2) of the convex hull of points (n, 2), counter-clockwise; two ends for points in a line.
+    """Compute the corners (k, 2) of the convex hull of points (n, 2), counter-clockwise; two for collinear points.
 
     Source: Andrew, Information Processing Letters 9(5), 1979.
     """
@@ -45,23 +45,23 @@ def _turn(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]
 
 def cleaned(corners: FloatArray) -> FloatArray:
     """Remove corners that coincide with the previous one."""
-    return np.asarray(corners[np.hypot(*(corners - np.roll(corners, 1, axis=0)).T) > _SAME], dtype=float)
+    return np.asarray(corners[np.hypot(*(corners - np.roll(corners, 1, axis=0)).T) > _COINCIDENT], dtype=float)
 
 
 def crosses_itself(corners: FloatArray) -> bool:
-    """Return True if two edges of a polygon (k, 2) that are no neighbours meet."""
+    """Return True if two edges of a polygon (k, 2) that are not adjacent meet."""
     a, b = corners, np.roll(corners, -1, axis=0)
     along = b - a
 
     def side(point: FloatArray) -> FloatArray:
-        """Return [i, j]: the side of edge i of point j."""
+        """Return (k, k) signs; entry [i, j] is the side of edge i on which point j lies."""
         d = point[None, :, :] - a[:, None, :]
         return np.asarray(np.sign(along[:, None, 0] * d[..., 1] - along[:, None, 1] * d[..., 0]))
 
-    begins, ends = side(a), side(b)
-    astride = begins * ends <= 0
-    meets = astride & astride.T
-    # Edges in one line meet only if they overlap along it.
+    starts, ends = side(a), side(b)
+    straddles = starts * ends <= 0
+    meets = straddles & straddles.T
+    # Collinear edges meet only if their bounding boxes overlap.
     low, high = np.minimum(a, b), np.maximum(a, b)
     boxes = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=2)
     count = len(corners)
@@ -71,9 +71,9 @@ def crosses_itself(corners: FloatArray) -> bool:
 
 
 def convex_pieces(corners: FloatArray) -> list[FloatArray]:
-    """Split a simple polygon (k, 2) into convex ones, counter-clockwise: itself if it is convex, or triangles.
+    """Split a simple polygon (k, 2) into convex pieces, counter-clockwise: one piece if it is convex, else triangles.
 
-    Ear clipping: Meisters, The American Mathematical Monthly 82(6), 1975.
+    Source (ear clipping): Meisters, The American Mathematical Monthly 82(6), 1975.
     """
     ring = [tuple(point) for point in (corners if area(corners) > 0 else corners[::-1]).tolist()]
     turns = [_turn(ring[i - 1], ring[i], ring[(i + 1) % len(ring)]) for i in range(len(ring))]
@@ -83,7 +83,7 @@ def convex_pieces(corners: FloatArray) -> list[FloatArray]:
     while len(ring) > 3:
         ear = next((i for i in range(len(ring)) if _is_ear(ring, i)), None)
         if ear is None:
-            # Because of rounding there is no ear: the remaining corners are covered by their hull.
+            # Rounding can leave no ear; the hull covers the remaining corners.
             break
         pieces.append(np.array([ring[ear - 1], ring[ear], ring[(ear + 1) % len(ring)]]))
         del ring[ear]
@@ -101,39 +101,39 @@ def _is_ear(ring: list[tuple[float, float]], i: int) -> bool:
     return not any(inside)
 
 
-_MOST = 32
+_MAX_CORNERS = 32
 
 
 @dataclass(frozen=True, eq=False)
 class Footprint:
-    """The convex hull of some points, widened all round by a radius.
+    """Footprint of a robot: the convex hull of points, inflated by a radius.
 
     Attributes
     ----------
     polygon
-        (k, 2) points x, y seen from the base point [m], in any order; one point and a radius are a disc.
+        (k, 2) points x, y relative to the base point [m], in any order; one point and a radius define a disc.
     radius
-        Distance by which their hull is widened [m].
+        Radius by which the hull is inflated [m].
 
     Raises
     ------
     ValueError
-        If it is no footprint.
+        If there are too few or too many points, a value is not finite, or the footprint has no area.
     """
 
     polygon: Sequence[Sequence[float]]
     radius: float = 0.0
     corners: FloatArray = field(init=False, repr=False)
-    """(k, 2) of the hull, counter-clockwise [m]"""
+    """(k, 2) corners of the hull, counter-clockwise [m]."""
 
     def __post_init__(self) -> None:
-        """Check it and find the hull."""
+        """Check the points and compute their hull."""
         try:
             points = np.array(self.polygon, dtype=float).reshape(-1, 2)
         except (TypeError, ValueError) as error:
-            raise ValueError("footprint: its corners are no pairs of numbers; give x, y of each [m]") from error
-        if not 1 <= len(points) <= _MOST:
-            raise ValueError(f"footprint: {len(points)} corners; give 1 to {_MOST}")
+            raise ValueError("footprint: a corner is not a pair of numbers; give x, y of each [m]") from error
+        if not 1 <= len(points) <= _MAX_CORNERS:
+            raise ValueError(f"footprint: {len(points)} corners; give 1 to {_MAX_CORNERS}")
         if not (np.isfinite(points).all() and np.isfinite(self.radius) and self.radius >= 0.0):
             raise ValueError("footprint: corners and radius must be finite, and the radius not negative")
         corners = hull(points)
@@ -143,16 +143,16 @@ class Footprint:
 
     @classmethod
     def rectangle(cls, length: float, width: float, ahead: float = 0.0) -> Footprint:
-        """Build a rectangle [m] whose middle lies `ahead` [m] of the base point."""
+        """Build a rectangle [m] whose centre is `ahead` [m] in front of the base point."""
         x, y = 0.5 * length, 0.5 * width
         return cls(((ahead + x, y), (ahead - x, y), (ahead - x, -y), (ahead + x, -y)))
 
     @classmethod
     def discs(cls, discs: Sequence[tuple[float, float, float]]) -> Footprint:
-        """Cover discs x, y, radius [m]: the hull of their middles, widened by the largest radius."""
+        """Build a footprint that covers discs x, y, radius [m]: the hull of the centres, with the maximum radius."""
         return cls([disc[:2] for disc in discs], max(disc[2] for disc in discs))
 
     @property
     def reach(self) -> float:
-        """Distance from the base point to the farthest point of it [m]."""
+        """Distance from the base point to the farthest point of the footprint [m]."""
         return float(np.hypot(*self.corners.T).max()) + self.radius

@@ -52,7 +52,7 @@ def prove(
     The exit code is 1 when a command was unsafe or a run ended in an error; the report is written all the same.
     """
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415 - --help does not need it
-    from diffdrive_mpc_extras.campaign.engine import CampaignPlace, failed  # noqa: PLC0415
+    from diffdrive_mpc_extras.campaign.engine import CampaignPlace, describe_errors  # noqa: PLC0415
     from diffdrive_mpc_extras.proof.proof_file import proof_of  # noqa: PLC0415
     from diffdrive_mpc_extras.proof.report import is_unsafe  # noqa: PLC0415
     from diffdrive_mpc_extras.proof.study import ProofStudy, keep  # noqa: PLC0415
@@ -62,14 +62,14 @@ def prove(
         from diffdrive_mpc_extras.proof.passport import PassportStudy, read_tolerances  # noqa: PLC0415
 
         measured = carry_out(PassportStudy(config, proof, place, read_tolerances(tolerance)), out, jobs)
-        if complaint := failed(measured.driven):
+        if complaint := describe_errors(measured.driven):
             echo(f"error: {complaint}", err=True)
             raise typer.Exit(FAILED)
         return
     proven = carry_out(ProofStudy(config, proof, place, runs, worst), out, jobs)
     keep(proven, out)
     unsafe = sum(map(is_unsafe, proven.driven))
-    complaint = f"{unsafe} runs had an unsafe command" if unsafe else failed(proven.driven)
+    complaint = f"{unsafe} runs had an unsafe command" if unsafe else describe_errors(proven.driven)
     if complaint:
         echo(f"error: {complaint}", err=True)
         raise typer.Exit(FAILED)

@@ -184,7 +184,7 @@ class PassportStudy(Study[dict[str, list[Definition]], MeasuredSpeeds]):
         for name, floor in plan.surfaces.items():
             changes = {"sampler": "random", "draw_seed": plan.draw_seed, "factors": factors | plan.factors | floor}
             drawn = proof.model_copy(update=changes).definitions(plan.search_runs + plan.tries * plan.proof_runs)
-            robots[name] = [robot.changed(controller_factors(self._config)) for robot in drawn]
+            robots[name] = [robot.with_factors(controller_factors(self._config)) for robot in drawn]
         return robots
 
     def run(self, plan: dict[str, list[Definition]], jobs: int, bar: ProgressBar) -> MeasuredSpeeds:
@@ -208,7 +208,7 @@ class PassportStudy(Study[dict[str, list[Definition]], MeasuredSpeeds]):
                 surface, curvature, number, *robots = key
                 path = folder / f"{curvature:g}-{number}.yaml"
                 path.write_text(path_text(curvature, grids[curvature][number], spec, limits), encoding="utf-8")
-                runs[key] = [plan[surface][k].changed({"trajectory": str(path)}) for k in members(spec, *robots)]
+                runs[key] = [plan[surface][k].with_factors({"trajectory": str(path)}) for k in members(spec, *robots)]
             outcomes = drive_all(
                 [run for definitions in runs.values() for run in definitions], place, bar, "driving speeds"
             )

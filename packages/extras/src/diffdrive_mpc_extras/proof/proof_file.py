@@ -17,8 +17,8 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.named_file import named_file
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 from diffdrive_mpc.sim.plants.names import MODEL
-from diffdrive_mpc_extras.campaign.campaign_file import MOST_RUNS, Campaign, files_beside, whole_paths
-from diffdrive_mpc_extras.campaign.definition import Definition, check_factor, stated
+from diffdrive_mpc_extras.campaign.campaign_file import MAX_RUNS, Campaign, resolve_files, resolve_paths
+from diffdrive_mpc_extras.campaign.definition import Definition, check_factor, file_value
 from diffdrive_mpc_extras.campaign.draws import Value
 from diffdrive_mpc_extras.campaign.engine import CampaignRun
 from diffdrive_mpc_extras.campaign.own_plant import own_plant
@@ -140,7 +140,7 @@ class Proof(Campaign):
     def _can_be_driven(self) -> Proof:
         mapped = sum(axes.x.steps * axes.y.steps for axes in self.maps.values())
         # A search ends at nine digits, after some thirty bisections.
-        check_count(self.runs + mapped + 30 * len(self.boundaries) * len(self.probe.seeds), MOST_RUNS)
+        check_count(self.runs + mapped + 30 * len(self.boundaries) * len(self.probe.seeds), MAX_RUNS)
         return self
 
     @model_validator(mode="after")
@@ -157,8 +157,8 @@ def load_proof(path: Path | None) -> Proof:
     """
     file = named_file("proof", PROOFS, path) if path else DEFAULT
     read = load_checked(Proof, file)
-    probe = read.probe.model_copy(update={"factors": whole_paths(read.probe.factors, file.parent)})
-    return read.model_copy(update=files_beside(read, file) | {"probe": probe})
+    probe = read.probe.model_copy(update={"factors": resolve_paths(read.probe.factors, file.parent)})
+    return read.model_copy(update=resolve_files(read, file) | {"probe": probe})
 
 
 def proof_of(config: str, path: Path | None, plant: str | None) -> Proof:
@@ -188,7 +188,7 @@ def _scaled_to(plant: str, proof: Proof) -> Proof:
         if not key.startswith("robot."):
             return 1.0
         # A plant without the quantity, such as one without dead time, keeps the values of the papers' robot.
-        return stated(key, {PLANT: plant}) / stated(key, {}) or 1.0
+        return file_value(key, {PLANT: plant}) / file_value(key, {}) or 1.0
 
     def factors(values: Mapping[str, object]) -> dict[str, object]:
         return {key: _times(value, ratio(key)) for key, value in values.items()}
@@ -288,7 +288,7 @@ def find_boundaries(
 
 
 def _with(probe: Definition, factor: str, value: Value) -> Definition:
-    return probe.changed({factor: value})
+    return probe.with_factors({factor: value})
 
 
 # Runs of a map, and their results.
@@ -320,7 +320,7 @@ class DrivenMap:
 def map_runs(axes: Map, probe: Definition, seed: int) -> list[Definition]:
     """List the runs of a map, row by row."""
     return [
-        probe.changed({axes.x.factor: x, axes.y.factor: y}).with_seed(seed)
+        probe.with_factors({axes.x.factor: x, axes.y.factor: y}).with_seed(seed)
         for y in axes.y.values
         for x in axes.x.values
     ]

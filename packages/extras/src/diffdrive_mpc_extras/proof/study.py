@@ -18,7 +18,7 @@ from diffdrive_mpc_extras.campaign.definition import Definition
 from diffdrive_mpc_extras.campaign.draws import Value
 from diffdrive_mpc_extras.campaign.engine import CampaignPlace, CampaignRun, drive_all
 from diffdrive_mpc_extras.campaign.repeat import write_run
-from diffdrive_mpc_extras.campaign.run import needs_arrow, write_table
+from diffdrive_mpc_extras.campaign.run import import_arrow, write_table
 from diffdrive_mpc_extras.proof.proof_file import Boundary, DrivenMap, Proof, drawn_map, find_boundaries, map_runs
 from diffdrive_mpc_extras.proof.report import (
     Outcomes,
@@ -94,13 +94,15 @@ class ProofStudy(Study[ProofPlan, Proven]):
 
     def plan(self) -> ProofPlan:
         """Draw the runs; raises ConfigError where the campaign names another controller."""
-        needs_arrow()
+        import_arrow()
         named = [name for name in _CONTROLLER if name in (*self._proof.factors, *self._proof.probe.factors)]
         if named:
             raise ConfigError(f"factors.{named[0]}: remove it; the controller under test is {self._config}")
         factors = controller_factors(self._config)
         probe = Definition.from_factors(dict(self._proof.probe.factors) | dict(factors), "probe")
-        return ProofPlan([definition.changed(factors) for definition in self._proof.definitions(self._runs)], probe)
+        return ProofPlan(
+            [definition.with_factors(factors) for definition in self._proof.definitions(self._runs)], probe
+        )
 
     def cases(self, plan: ProofPlan) -> Iterable[Case]:
         """Return the run whose factors the maps vary."""

@@ -1,1 +1,1 @@
-"""Drive the same path again: errors that repeat from lap to lap are learned."""
+"""Iterative learning on repeated paths: errors that repeat from lap to lap are corrected."""

@@ -1,4 +1,4 @@
-"""`diffdrive-mpc rehearse`: one case lap by lap, with rehearsal and without."""
+"""Command `diffdrive-mpc rehearse`: laps of one case, with and without rehearsal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rehearsal, attached to a controller: by the reference or by the floor."""
+"""Feature of a controller that learns from laps, by the errors or by the slip of the surface."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from diffdrive_mpc_extras.rehearsal.rehearsal import LapLearner
 
 
 class Rehearse(Feature):
-    """See `Feature`.
+    """Feature that learns from laps; methods as in `Feature`.
 
     Attributes
     ----------
     learned
-        Values learned about a reference that is driven again, or about the floor.
+        Learner of the correction of a repeated reference, or of the slip of the surface.
     """
 
     schema = Rehearsal
@@ -40,24 +40,24 @@ class Rehearse(Feature):
         """Configure as `Feature` describes."""
         if isinstance(self.learned, FloorRehearsal):
             self.learned.config = self.host.config
-        self._begin_with_slip()
+        self._set_start_slip()
 
     def begin(self, reference: Reference, t0: float) -> Reference:
-        """Start as `Feature` describes: move the reference by the learned correction."""
+        """Start as `Feature` describes, and return the reference with the learned correction."""
         tracked = self.learned.start(reference, t0)
-        self._begin_with_slip()
+        self._set_start_slip()
         return tracked
 
     def forget(self) -> None:
-        """Forget as `Feature` describes."""
+        """Reset as `Feature` describes."""
         self.learned.forget()
-        self._begin_with_slip()
+        self._set_start_slip()
 
     def after_step(self, t: float, measurement: Measurement, result: StepResult) -> StepResult:
         """Record the tick as `Feature` describes."""
         return self.learned.take(t, measurement, result)
 
-    def _begin_with_slip(self) -> None:
-        """Start the next estimate with the slip learned of the floor."""
+    def _set_start_slip(self) -> None:
+        """Start the next estimate with the learned slip of the surface."""
         if isinstance(self.learned, FloorRehearsal):
             self.host.tick.begin_with(astuple(self.learned.slip))

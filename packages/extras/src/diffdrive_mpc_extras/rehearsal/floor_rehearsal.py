@@ -1,8 +1,8 @@
-"""Rehearsal by the floor: the learned slip becomes a reference that can be driven there.
+"""Rehearsal by the slip of the surface: track a reference that is drivable with the learned slip.
 
-The estimate of slip is taken from each tick of a lap, weighted by how certain it is. At the next start, of any
-reference, the estimate begins with it, and the motion nearest to the reference that the floor allows is tracked in its
-place (`drivable.py`); errors still count against the reference as it was given.
+The learned slip is the mean of the estimates of all ticks of a lap, weighted by the inverse variance. At the next start
+of any reference, it is the initial estimate of the slip, and the controller tracks the nearest drivable motion
+(`drivable.py`). Errors are still computed against the original reference.
 """
 
 from __future__ import annotations
@@ -22,36 +22,36 @@ from diffdrive_mpc_extras.rehearsal.drivable import Drivable, NotDrivableError, 
 from diffdrive_mpc_extras.rehearsal.rehearsal import same_motion
 
 _DRIVING = (Mode.TRACKING, Mode.REUSED_PLAN)
-# Longest reference for which a path that can be driven is searched [s]: memory grows by 0.8 MB for each second.
-_LONGEST = 600.0
-_AS_GIVEN = "the reference is tracked as it is given"
+# Maximum duration of a reference for which a drivable path is computed [s]; memory grows by 0.8 MB per second.
+_MAX_DURATION = 600.0
+_UNCHANGED = "the reference is tracked unchanged"
 
 
 class FloorRehearsal:
-    """Learns slip, and gives each start of a reference the one to track; stands in for `Rehearsal`.
+    """Learner of the slip that returns the drivable reference at each start; same interface as `LapLearner`.
 
     Parameters
     ----------
     config
-        Its group rehearsal, and what the path depends on.
+        Configuration of the controller.
     inverse_gain
         (2, 2) inverse of the velocity model's steady-state gain.
 
     Attributes
     ----------
     config
-        The one in force; another one counts from the next start.
+        Current configuration; a change takes effect at the next start.
     laps
-        From how many laps slip was learned.
+        Number of laps from which the slip was learned.
     slip
-        Learned slip, with which the next estimate begins; its offset is not of the floor and stays as configured.
+        Learned slip, with which the next estimate starts; its offset has the configured value.
     time
-        (n,) times of the reference [s] at which the correction is kept.
+        (n,) times of the correction [s].
     correction
-        (n, 3) by how much the motion to track lies along and across the given reference [m], and the robot is turned
-        against it [rad].
-    said
-        Preparation of the last start, in words.
+        (n, 3) distance of the tracked motion from the original reference along and across it [m], and the difference of
+        heading [rad].
+    message
+        Result of the last start as a text.
     """
 
     def __init__(self, config: ControllerConfig, inverse_gain: FloatArray) -> None:
@@ -61,89 +61,91 @@ class FloorRehearsal:
     def forget(self) -> None:
         """Reset to the initial state."""
         self._reference: Reference | None = None
-        self._error_as_given = np.inf
-        self._begin_anew("")
-        self._begin_lap(0.0)
+        self._unchanged_error = np.inf
+        self._discard("")
+        self._start_lap(0.0)
 
-    def _begin_anew(self, why: str) -> None:
-        self.laps, self.slip, self.message = 0, configured_slip(self.config), why
+    def _discard(self, reason: str) -> None:
+        self.laps, self.slip, self.message = 0, configured_slip(self.config), reason
 
-    def _begin_lap(self, t0: float) -> None:
-        self._t0, self._told = t0, False
+    def _start_lap(self, t0: float) -> None:
+        self._t0, self._is_reported = t0, False
         self.time: FloatArray = np.zeros(1)
         self.correction: FloatArray = np.zeros((1, 3))
-        self._weighted, self._weight = np.zeros(len(SLIPS)), np.zeros(len(SLIPS))
-        self._driven: list[tuple[float, ...]] = []
+        self._weighted_sum, self._weight = np.zeros(len(SLIPS)), np.zeros(len(SLIPS))
+        self._poses: list[tuple[float, ...]] = []
 
     def start(self, reference: Reference, t0: float) -> Reference:
-        """Learn from what was driven since the last start, and prepare the next lap, whose time 0 is `t0` [s].
+        """Learn from the last lap, and prepare the next lap, which starts at time `t0` [s].
 
         Returns
         -------
         Reference
-            What to track: the motion nearest to `reference` that can be driven, or `reference` itself where nothing is
-            known of the floor, where it need not be moved, and where no such motion is found; `said` says which.
+            Motion to track: the drivable motion nearest to `reference`, or `reference` itself if no slip is learned,
+            if the shift is negligible, or if no motion is found. `message` states the case.
         """
         self.message = ""
-        if self._driven and self._reference is not None:
+        if self._poses and self._reference is not None:
             self._learn(self._reference)
         if self._reference is None or not same_motion(self._reference, reference):
-            self._error_as_given = np.inf
+            self._unchanged_error = np.inf
         self._reference = reference
-        self._begin_lap(t0)
-        drivable = self._prepared(reference) if self.laps else None
+        self._start_lap(t0)
+        drivable = self._plan_motion(reference) if self.laps else None
         if drivable is None:
             return reference
-        beside, heading = drivable.pose - drivable.reference.pose, drivable.reference.pose[:, 2]
-        self.time, self.correction = drivable.times, np.column_stack([*ahead_and_left(beside, heading), beside[:, 2]])
+        offset, heading = drivable.pose - drivable.reference.pose, drivable.reference.pose[:, 2]
+        self.time, self.correction = drivable.times, np.column_stack([*ahead_and_left(offset, heading), offset[:, 2]])
         return drivable.as_reference(reference.name, rehearsal_of(self.config).smoothing)
 
     def take(self, t: float, measurement: Measurement, result: StepResult) -> StepResult:
-        """Learn from the tick at `t` [s]; returns `result`, at the first tick with the preparation in its message."""
+        """Record the tick at `t` [s]; return `result`, with `message` added at the first tick of a lap."""
         del measurement
-        words = f"rehearsal: {self.message}" if self.message and not self._told else ""
-        self._told = True
+        note = f"rehearsal: {self.message}" if self.message and not self._is_reported else ""
+        self._is_reported = True
         estimate = result.estimate
         if estimate is not None and result.mode in _DRIVING:
             deviation = np.array(astuple(estimate.slip_deviation))
             weight = np.divide(1.0, deviation**2, out=np.zeros_like(deviation), where=deviation > 0.0)
-            self._weighted += weight * astuple(estimate.slip)
+            self._weighted_sum += weight * astuple(estimate.slip)
             self._weight += weight
-            self._driven.append((t - self._t0, *estimate.pose.tolist()))
-        return replace(result, message="; ".join(filter(None, (result.message, words)))) if words else result
+            self._poses.append((t - self._t0, *estimate.pose.tolist()))
+        return replace(result, message="; ".join(filter(None, (result.message, note)))) if note else result
 
     def _learn(self, reference: Reference) -> None:
-        """Learn the mean slip of a lap; the lap started from the learned slip, so earlier laps are included."""
-        times, *pose = np.array(self._driven).T
+        """Update the slip by its weighted mean over the lap; the lap's estimate includes the earlier laps."""
+        times, *pose = np.array(self._poses).T
         if times[-1] > reference.duration - 2 * self.config.sample_time:
-            off = np.array(pose).T - reference.sample(times).pose
-            error = float(np.sqrt(np.mean(np.sum(off[:, :2] ** 2, axis=1))))
+            deviation = np.array(pose).T - reference.sample(times).pose
+            error = float(np.sqrt(np.mean(np.sum(deviation[:, :2] ** 2, axis=1))))
             if not self.correction.any():
-                self._error_as_given = error
-            elif error > rehearsal_of(self.config).worse * self._error_as_given:
-                before = f"{1e3 * self._error_as_given:.1f} mm as it was given"
-                self._begin_anew(f"what was learned is forgotten: error {1e3 * error:.1f} mm, {before}")
+                self._unchanged_error = error
+            elif error > rehearsal_of(self.config).worse * self._unchanged_error:
+                comparison = f"{1e3 * self._unchanged_error:.1f} mm with the unchanged reference"
+                self._discard(f"learned values are discarded: error {1e3 * error:.1f} mm, {comparison}")
                 return
         mean = np.array(astuple(self.slip))
-        np.divide(self._weighted, self._weight, out=mean, where=self._weight > 0.0)
+        np.divide(self._weighted_sum, self._weight, out=mean, where=self._weight > 0.0)
         self.slip = replace(Slip(*mean.tolist()), v_offset=self.slip.v_offset)
         self.laps += 1
 
-    def _prepared(self, reference: Reference) -> Drivable | None:
-        """Compute the motion to track instead of `reference`, if there is one, and describe the result."""
+    def _plan_motion(self, reference: Reference) -> Drivable | None:
+        """Compute the motion to track instead of `reference`, or None to track `reference`; set `message`."""
         bounds, learned = rehearsal_of(self.config).drivable, f"slip learned from {self.laps} laps"
-        if reference.duration > _LONGEST:
-            self.message = f"{learned}, {_AS_GIVEN}: it is longer than {_LONGEST:g} s"
+        if reference.duration > _MAX_DURATION:
+            self.message = f"{learned}, {_UNCHANGED}: it is longer than {_MAX_DURATION:g} s"
             return None
         try:
             drivable = nearest_drivable(reference, self.slip, self.config, self._inverse_gain)
         except NotDrivableError as error:
-            self.message = f"{learned}, {_AS_GIVEN}: {error}"
+            self.message = f"{learned}, {_UNCHANGED}: {error}"
             return None
-        most = float(drivable.distance.max())
-        distance = f"{1e3 * np.sqrt(np.mean(drivable.distance**2)):.1f} mm beside it, {1e3 * most:.1f} mm at most"
-        if bounds.min_shift < most <= bounds.max_shift:
-            self.message = f"{learned}; the path nearest to the reference that can be driven is tracked: {distance}"
+        max_shift = float(drivable.distance.max())
+        distance = (
+            f"{1e3 * np.sqrt(np.mean(drivable.distance**2)):.1f} mm RMS and {1e3 * max_shift:.1f} mm maximum distance"
+        )
+        if bounds.min_shift < max_shift <= bounds.max_shift:
+            self.message = f"{learned}; the nearest drivable path is tracked: {distance}"
             return drivable
-        self.message = f"{learned}, {_AS_GIVEN}: what can be driven lies {distance}"
+        self.message = f"{learned}, {_UNCHANGED}: the nearest drivable path has {distance}"
         return None

@@ -1,15 +1,15 @@
-"""Iterative learning: the errors of the laps before become a correction of the reference for the next lap.
+"""Iterative learning: correct the reference of the next lap by the errors of the previous laps.
 
-A part of the errors on a path is the same on every lap: errors of the model in a start, a stop or a curve. Feedback
-finds it when it has happened; on a path driven again it is known beforehand. The controller then tracks the reference
-moved by a correction c, along and across itself, over its own time. Because of its prediction, the robot follows slow
-motions of its reference, so a lap's errors are e = d + c with d the repeating part. After the lap k
+Model errors in starts, stops and curves repeat on each lap of a path. Feedback reacts only after such an error, but on
+a repeated path the error is known in advance. The controller then tracks the reference with a correction c along and
+across the path, as a function of its time. The robot follows slow changes of its reference, so the error of a lap is
+e = d + c with the repeating part d. After lap k
 
     d <- (1 - forgetting) (d + max(gain, 1 / k) (e - c - d)),    c = -Q trust d
 
-The 1 / k makes d the mean of all laps at first. `trust` is the reliable part of d, as in a Wiener filter:
-1 - variance of d / local power of d. Q smooths without phase, as the robot does not follow fast changes. The law is
-iterative learning control with a Q-filter: Bristow, Tharayil, Alleyne, IEEE Control Systems Magazine 26(3), 2006.
+In the first laps, 1 / k makes d the mean of all laps. `trust` is the reliable part of d, as in a Wiener filter:
+1 - variance of d / local power of d. Q is a zero-phase filter, because the robot does not follow fast changes. Source
+(iterative learning control with a Q-filter): Bristow, Tharayil, Alleyne, IEEE Control Systems Magazine 26(3), 2006.
 """
 
 from __future__ import annotations
@@ -28,216 +28,218 @@ from diffdrive_mpc.mpc.step_result import Mode, StepResult
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 from diffdrive_mpc_extras.rehearsal.config import rehearsal_of
 
-# Weight of a single lap: the variation from lap to lap is not known yet.
+# Trust after the first lap, when the variation from lap to lap is unknown.
 _FIRST_TRUST = 0.5
 # Averaging times of power and variance, in multiples of the smoothing time.
 _POWER, _VARIANCE = 6, 20
-# References count as the same below this distance, compared at times with this spacing [s].
-_SAME, _INSTANT = 1e-6, 0.02
-LONGEST = 3600.0
-"""Maximum duration of a reference for learning [s]: memory and time of a start grow with it."""
-_ON_ITS_WAY = (Mode.TRACKING, Mode.REUSED_PLAN, Mode.FINISHED)
+# Tolerance of the twists of equal references [m/s, rad/s], and interval of the comparison [s].
+_TOLERANCE, _INTERVAL = 1e-6, 0.02
+MAX_DURATION = 3600.0
+"""Maximum duration of a reference for learning [s]; memory and start time grow with the duration."""
+_DRIVING = (Mode.TRACKING, Mode.REUSED_PLAN, Mode.FINISHED)
 
 
 @dataclass
 class _Lap:
-    """Record since a start."""
+    """Record of a lap since its start."""
 
     motion: list[FloatArray] = field(default_factory=list)
-    """(8,) time [s], pose x, y [m], theta [rad], twist [m/s, rad/s] as estimated, both gains of slip"""
+    """(8,) time [s], estimated pose x, y [m], theta [rad], estimated twist [m/s, rad/s], both slip gains."""
     poses: list[FloatArray] = field(default_factory=list)
-    """(4,) time of its stamp [s], pose as measured"""
-    spoilt: str = ""
-    """Reason for which nothing can be learned from it."""
+    """(4,) time stamp [s], measured pose x, y [m], theta [rad]."""
+    fault: str = ""
+    """Reason why the lap is not used for learning; empty if it is used."""
 
 
 class LapLearner:
-    """Records laps, and gives each start of a reference the reference to track.
+    """Recorder of laps that returns the corrected reference at each start.
 
     Parameters
     ----------
     config
-        Its group `rehearsal`, and the sample time.
+        Configuration of the controller.
 
     Attributes
     ----------
     laps
-        From how many laps the correction was learned.
+        Number of laps from which the correction was learned.
     time
-        (n,) times of the reference [s] at which the correction is kept.
+        (n,) times of the correction [s].
     correction
-        (n, 3) by how much the tracked reference lies along and across the given one [m], and is turned against it
-        [rad].
-    said
-        Learned and forgotten corrections of the last start, in words.
+        (n, 3) distance of the tracked reference from the original along and across it [m], and the difference of
+        heading [rad].
+    message
+        Learning result of the last start as a text.
     """
 
     def __init__(self, config: ControllerConfig) -> None:
         self._settings, self._dt = rehearsal_of(config), config.sample_time
-        self._most_jump = config.estimator.max_position_jump
+        self._max_jump = config.estimator.max_position_jump
         self.forget()
 
     def forget(self) -> None:
         """Reset to the initial state."""
         self._reference: Reference | None = None
-        self._lap, self._t0, self._told = _Lap(), 0.0, False
+        self._lap, self._t0, self._is_reported = _Lap(), 0.0, False
         self.time: FloatArray = np.empty(0)
-        self._begin_anew("")
+        self._discard("")
 
-    def _begin_anew(self, why: str) -> None:
+    def _discard(self, reason: str) -> None:
         count = len(self.time)
-        self.laps, self.message = 0, why
+        self.laps, self.message = 0, reason
         self.correction: FloatArray = np.zeros((count, 3))
-        # The repeating part, its variance from lap to lap, and the part of that variance that remains in the mean.
-        self._repeating, self._spread, self._left = np.zeros((count, 2)), np.zeros((count, 2)), 0.0
+        # Repeating part, variance from lap to lap, and the factor from this variance to the variance of the mean.
+        self._repeating, self._lap_variance, self._mean_weight = np.zeros((count, 2)), np.zeros((count, 2)), 0.0
         self._gains: FloatArray = np.ones(2)
         self._first_error = np.inf
 
     def start(self, reference: Reference, t0: float) -> Reference:
-        """Learn from the lap that was driven, and begin the next, whose time 0 is `t0` [s].
+        """Learn from the last lap, and start the next lap at time `t0` [s].
 
         Returns
         -------
         Reference
-            What to track: `reference` moved by the correction, or itself where nothing is learned of it. The same path
-            and times elsewhere are the same reference.
+            Reference to track: `reference` with the correction, or unchanged if nothing is learned. A reference with
+            equal twists at another pose counts as the same reference.
         """
         if self._reference is not None and same_motion(self._reference, reference):
             self._learn(reference)
-        elif not self._dt <= reference.duration <= LONGEST:
+        elif not self._dt <= reference.duration <= MAX_DURATION:
             self.time = np.empty(0)
-            self._begin_anew(f"nothing is learned of a reference that takes under a tick or over {LONGEST:g} s")
+            self._discard(f"no learning for a reference that is shorter than a tick or longer than {MAX_DURATION:g} s")
         else:
             count = max(int(np.ceil(reference.duration / self._dt)), 1) + 1
             self.time = np.linspace(0.0, reference.duration, count)
-            self._begin_anew("")
-        self._reference, self._lap, self._t0, self._told = reference, _Lap(), t0, False
+            self._discard("")
+        self._reference, self._lap, self._t0, self._is_reported = reference, _Lap(), t0, False
         return corrected(reference, self.time, self.correction) if self.correction.any() else reference
 
     def take(self, t: float, measurement: Measurement, result: StepResult) -> StepResult:
-        """Record the tick at `t` [s]; returns `result`, with the corrections in the first message."""
+        """Record the tick at `t` [s]; return `result`, with `message` added at the first tick of a lap."""
         lap, now = self._lap, t - self._t0
-        words = f"rehearsal: {self.message}" if self.message and not self._told else ""
-        self._told = True
-        # After a reset nothing is recorded until the next start.
-        if self.time.size and now <= self.time[-1] + self._dt and not lap.spoilt:
+        note = f"rehearsal: {self.message}" if self.message and not self._is_reported else ""
+        self._is_reported = True
+        # Record nothing between a reset and the next start.
+        if self.time.size and now <= self.time[-1] + self._dt and not lap.fault:
             estimate = result.estimate
-            if estimate is None or result.mode not in _ON_ITS_WAY or result.reference_delay != 0.0:
-                lap.spoilt = f"at {now:.2f} s it was {result.mode}, {result.reference_delay:.2f} s late"
+            if estimate is None or result.mode not in _DRIVING or result.reference_delay != 0.0:
+                lap.fault = f"at {now:.2f} s the mode was {result.mode}, {result.reference_delay:.2f} s late"
             else:
                 lap.motion.append(np.concatenate([[now], estimate.pose, estimate.twist, estimate.slip.gains]))
                 pose = measurement.pose
                 stamp, value = (None, None) if pose is None else (numbers(pose.time, 1), numbers(pose.value, 3))
                 if stamp is not None and value is not None and self._is_near(estimate.pose, value):
                     lap.poses.append(np.array([*(stamp - self._t0), *value]))
-        return replace(result, message="; ".join(filter(None, (result.message, words)))) if words else result
+        return replace(result, message="; ".join(filter(None, (result.message, note)))) if note else result
 
-    def _is_near(self, believed: FloatArray, measured: FloatArray) -> bool:
-        """Return True if a pose is finite and no outlier, which the estimator rejects, too."""
-        distance = measured - believed
-        return bool(np.hypot(*distance[:2]) < self._most_jump) and bool(np.isfinite(distance).all())
+    def _is_near(self, estimated: FloatArray, measured: FloatArray) -> bool:
+        """Return True if a pose is finite and within the jump limit of the estimator."""
+        distance = measured - estimated
+        return bool(np.hypot(*distance[:2]) < self._max_jump) and bool(np.isfinite(distance).all())
 
     def _learn(self, reference: Reference) -> None:
-        """Learn by one step of the law above, or reset after harm or on another floor."""
+        """Update the correction by one step, or discard it if the error grew or the surface changed."""
         settings, lap = self._settings, self._lap
-        if lap.spoilt or not lap.poses or not lap.motion or lap.motion[-1][0] < self.time[-1] - 2 * self._dt:
-            self.message = f"nothing learned from the last lap: {lap.spoilt or 'it was not driven to its end'}"
+        if lap.fault or not lap.poses or not lap.motion or lap.motion[-1][0] < self.time[-1] - 2 * self._dt:
+            self.message = f"nothing learned from the last lap: {lap.fault or 'it is incomplete'}"
             return
         motion = np.array(lap.motion)
         assert self._reference is not None
         error = self._error(self._reference, motion, np.array(lap.poses))
         gains, size = motion[:, 6:].mean(axis=0), float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
-        in_words = f"error {1e3 * size:.1f} mm in the last"
+        error_text = f"error {1e3 * size:.1f} mm in the last lap"
         if self.laps:
             change = float(np.abs(gains / self._gains - 1).max())
             if change > settings.floor_change:
-                self._begin_anew(f"what was learned is forgotten: another floor, gains off by {100 * change:.0f} %")
+                self._discard(f"correction discarded: surface changed, slip gains differ by {100 * change:.0f} %")
                 return
             if size > settings.worse * self._first_error:
-                self._begin_anew(f"what was learned is forgotten: {in_words}, {1e3 * self._first_error:.1f} mm before")
+                self._discard(f"correction discarded: {error_text}, {1e3 * self._first_error:.1f} mm in the first")
                 return
         else:
             self._first_error = size
         self.laps += 1
-        share = max(settings.gain, 1 / self.laps)
-        self._gains = self._gains + share * (gains - self._gains)
-        news = error - self.correction[:, :2] - self._repeating
-        self._spread = (1 - share) * (self._spread + share * news**2)
-        self._left = (1 - share) ** 2 * self._left + share**2
-        self._repeating = (1 - settings.forgetting) * (self._repeating + share * news)
-        self.correction = self._bounded(-self._trust() * self._repeating, reference)
-        largest = 1e3 * float(np.hypot(*self.correction.T[:2]).max())
-        self.message = f"learned from {self.laps} laps, {in_words}, correction up to {largest:.1f} mm"
+        weight = max(settings.gain, 1 / self.laps)
+        self._gains = self._gains + weight * (gains - self._gains)
+        innovation = error - self.correction[:, :2] - self._repeating
+        self._lap_variance = (1 - weight) * (self._lap_variance + weight * innovation**2)
+        self._mean_weight = (1 - weight) ** 2 * self._mean_weight + weight**2
+        self._repeating = (1 - settings.forgetting) * (self._repeating + weight * innovation)
+        self.correction = self._bounded_correction(-self._trust() * self._repeating, reference)
+        max_correction = 1e3 * float(np.hypot(*self.correction.T[:2]).max())
+        self.message = f"learned from {self.laps} laps, {error_text}, correction up to {max_correction:.1f} mm"
 
     def _trust(self) -> FloatArray:
-        """Compute the share (n, 2) of the repeating part that exceeds the varying part, 0 to 1."""
+        """Compute the reliable fraction (n, 2) of the repeating part, 0 to 1."""
         if self.laps == 1:
             return np.full_like(self._repeating, _FIRST_TRUST)
-        variance = self._smooth(self._spread, _VARIANCE) * self._left / (1 - self._left)
+        variance = self._smooth(self._lap_variance, _VARIANCE) * self._mean_weight / (1 - self._mean_weight)
         power = self._smooth(self._repeating**2, _POWER)
         return np.maximum(0.0, 1 - variance / np.maximum(power, np.finfo(float).tiny))
 
     def _smooth(self, rows: FloatArray, times: float = 1.0) -> FloatArray:
-        """Average rows (n, m) over `times` the smoothing time."""
+        """Smooth rows (n, m) over `times` times the smoothing time."""
         width = times * self._settings.smoothing / self.time[1]
         return np.asarray(gaussian_filter1d(rows, width, axis=0, mode="nearest"))
 
     def _error(self, reference: Reference, motion: FloatArray, poses: FloatArray) -> FloatArray:
         """Compute the error (n, 2) of the lap along and across the reference [m], from the measured poses.
 
-        The estimated twist, added up, has the shape of the motion but drifts; its distance from the poses, smoothed, is
-        the drift.
+        The integral of the estimated twist has the shape of the motion but drifts. The drift is the smoothed difference
+        from the measured poses.
         """
         expected = reference.sample(self.time).pose
         v, omega = (np.interp(self.time, motion[:, 0], motion[:, 4 + i]) for i in (0, 1))
         poses = poses[(poses[:, 0] >= 0) & (poses[:, 0] <= self.time[-1])]
-        times_of_poses, measured = poses[:, 0], poses[:, 1:]
-        near = np.interp(times_of_poses, self.time, expected[:, 2])
-        theta = self._undrifted(omega, times_of_poses, near + wrap_angle(measured[:, 2] - near))
-        moved = [
-            self._undrifted(v * np.cos(theta), times_of_poses, measured[:, 0]),
-            self._undrifted(v * np.sin(theta), times_of_poses, measured[:, 1]),
+        pose_times, measured = poses[:, 0], poses[:, 1:]
+        reference_heading = np.interp(pose_times, self.time, expected[:, 2])
+        theta = self._corrected_integral(
+            omega, pose_times, reference_heading + wrap_angle(measured[:, 2] - reference_heading)
+        )
+        position = [
+            self._corrected_integral(v * np.cos(theta), pose_times, measured[:, 0]),
+            self._corrected_integral(v * np.sin(theta), pose_times, measured[:, 1]),
         ]
-        return np.column_stack(ahead_and_left(np.column_stack(moved) - expected[:, :2], expected[:, 2]))
+        return np.column_stack(ahead_and_left(np.column_stack(position) - expected[:, :2], expected[:, 2]))
 
-    def _undrifted(self, rate: FloatArray, times: FloatArray, measured: FloatArray) -> FloatArray:
-        """Integrate `rate` (n,), corrected to agree with `measured` (m,) at `times` (m,)."""
+    def _corrected_integral(self, rate: FloatArray, times: FloatArray, measured: FloatArray) -> FloatArray:
+        """Integrate `rate` (n,) and remove the drift relative to `measured` (m,) at `times` (m,)."""
         step = float(self.time[1])
         shape = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * step)])
-        place = np.clip(np.rint(times / step).astype(int), 0, len(shape) - 1)
+        index = np.clip(np.rint(times / step).astype(int), 0, len(shape) - 1)
         sums = np.zeros((len(shape), 2))
-        np.add.at(sums, place, np.column_stack([measured - np.interp(times, self.time, shape), np.ones_like(times)]))
-        # Far enough to reach a pose anywhere: its weight is small, but it is the only one.
+        np.add.at(sums, index, np.column_stack([measured - np.interp(times, self.time, shape), np.ones_like(times)]))
+        # The wide truncation reaches a distant pose if no other pose is near.
         width = self._settings.smoothing / step
         distance, count = gaussian_filter1d(sums, width, axis=0, mode="constant", truncate=30.0).T
         return np.asarray(shape + distance / np.maximum(count, np.finfo(float).tiny))
 
-    def _bounded(self, moved: FloatArray, reference: Reference) -> FloatArray:
-        """Compute the correction (n, 3) for a motion (n, 2): smooth, inside its bounds, and zero at the start."""
+    def _bounded_correction(self, shift: FloatArray, reference: Reference) -> FloatArray:
+        """Compute the correction (n, 3) from a shift (n, 2): smooth, within its bounds, and zero at the start."""
         settings, step = self._settings, self.time[1]
-        moved = self._smooth(moved) * np.minimum(1.0, self.time / (2 * settings.smoothing))[:, None]
-        size = np.hypot(*moved.T)[:, None]
-        moved = moved * np.minimum(1.0, settings.max_correction / np.maximum(size, settings.max_correction))
-        rate = float(np.hypot(*np.gradient(moved, step, axis=0).T).max())
-        moved = moved * min(1.0, settings.max_correction_rate / max(rate, settings.max_correction_rate))
+        shift = self._smooth(shift) * np.minimum(1.0, self.time / (2 * settings.smoothing))[:, None]
+        size = np.hypot(*shift.T)[:, None]
+        shift = shift * np.minimum(1.0, settings.max_correction / np.maximum(size, settings.max_correction))
+        rate = float(np.hypot(*np.gradient(shift, step, axis=0).T).max())
+        shift = shift * min(1.0, settings.max_correction_rate / max(rate, settings.max_correction_rate))
         v = reference.sample(self.time).twist[:, 0]
-        # Along the moved path; a robot that stands or turns on the spot cannot follow to the side.
-        turned = np.gradient(moved[:, 1], step) * v / (v**2 + SLOW**2)
+        # Heading of the corrected path; zero for a robot that stands or turns on the spot, which cannot move sideways.
+        rotation = np.gradient(shift[:, 1], step) * v / (v**2 + SLOW**2)
         return np.column_stack(
-            [moved, np.clip(turned, -settings.max_heading_correction, settings.max_heading_correction)]
+            [shift, np.clip(rotation, -settings.max_heading_correction, settings.max_heading_correction)]
         )
 
 
 def same_motion(first: Reference, second: Reference) -> bool:
-    """Return True if both are the same motion, even in another place; False for `LONGEST` or more."""
-    if abs(first.duration - second.duration) >= _SAME or first.duration > LONGEST:
+    """Return True if both references have equal twists; False for durations above `MAX_DURATION`."""
+    if abs(first.duration - second.duration) >= _TOLERANCE or first.duration > MAX_DURATION:
         return False
-    times = np.linspace(0.0, first.duration, max(int(first.duration / _INSTANT), 1) + 1)
-    return bool(np.allclose(first.sample(times).twist, second.sample(times).twist, rtol=0.0, atol=_SAME))
+    times = np.linspace(0.0, first.duration, max(int(first.duration / _INTERVAL), 1) + 1)
+    return bool(np.allclose(first.sample(times).twist, second.sample(times).twist, rtol=0.0, atol=_TOLERANCE))
 
 
 def corrected(reference: Reference, time: FloatArray, correction: FloatArray) -> SplineTrajectory:
-    """Move `reference` by `correction` (n, 3) along and across itself [m] and in heading [rad] at times (n,)."""
+    """Shift `reference` by `correction` (n, 3), along and across it [m] and in heading [rad], at times (n,)."""
     plain = reference.sample(time)
     heading, (v, omega) = plain.pose[:, 2], plain.twist.T
     change = np.column_stack([*ahead_and_left(correction, -heading), correction[:, 2]])

@@ -1,4 +1,4 @@
-"""Parameters of ros2_control, Nav2 and robot_localization from logs: `identify --for PACKAGE`."""
+"""Parameter files of ros2_control, Nav2 and robot_localization from logs: `identify --for PACKAGE`."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from diffdrive_mpc_extras.stack.parameter_files import package_text
 
 @dataclass(frozen=True)
 class StackWriter:
-    """Parameter file of one package, from an estimate that the writers of all packages share."""
+    """Writer of the parameter file of one package, from an estimate shared by the writers of all packages."""
 
     package: str
 
     def estimate(
         self, data: LogData, limits: Mapping[str, float] | None = None, base: IdentifiedBase | None = None
     ) -> Quantities:
-        """Estimate what a log determines; see `estimate_stack`."""
+        """Estimate the quantities of a log; see `estimate_stack`."""
         return estimate_stack(data, limits, base)
 
     def text(self, estimate: Quantities) -> str:
@@ -29,7 +29,7 @@ class StackWriter:
         return package_text(self.package, estimate)
 
     def table(self, estimate: Quantities) -> TextTable:
-        """Return a row for each quantity."""
+        """Return a table with a row for each quantity."""
         return quantity_table(estimate)
 
 

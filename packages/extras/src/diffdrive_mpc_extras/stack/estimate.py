@@ -1,8 +1,8 @@
-"""Tracks, radii, delays, limits and noises that other packages take as parameters, from a log, with intervals.
+"""Estimate of tracks, radii, delays, limits and noises for the parameters of other packages, with intervals.
 
-One free run from the commands explains encoders and gyro at once (`effects`), so that delay, limits and the ratio of
-the two yaw rates come with one covariance. Poses determine the radii. A number that a log does not determine has a
-reason and no value.
+One fit of a free run to encoders and gyro (`effects`) gives delay, limits and the ratio of the two yaw rates with a
+common covariance. Poses determine the radii. A quantity that the log does not determine has a reason instead of a
+value.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ from diffdrive_mpc.models.table import TextTable
 from diffdrive_mpc.models.velocity_model import CHANNELS
 from diffdrive_mpc_extras.stack.settings import stack_settings
 
-_TRIED = ("clipped commands", "twist slew", "veer")
-"""Effects of the base that change the estimates."""
-_ALSO = ("damping.v", "damping.omega")
+_EFFECTS = ("clipped commands", "twist slew", "veer")
+"""Effects of the base that influence the estimates."""
+_EXTRA_PARAMETERS = ("damping.v", "damping.omega")
 _UNITS = {"v": "m/s", "omega": "rad/s"}
 DIGITS = 4
 """Significant digits of values and intervals."""
@@ -48,16 +48,16 @@ DIGITS = 4
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number that a log determines, or the reason for its absence.
+    """Quantity with its interval, or the reason why the log does not determine it.
 
     Attributes
     ----------
     value
-        None where the log does not determine it.
+        Value; None if the log does not determine it.
     interval
-        (2,) of 95 %; equal ends where the value is stated, or follows without an error.
+        95 % interval (2,); the ends are equal for a value that is stated or computed without an error.
     unit
-        Unit of both.
+        Unit of value and interval.
     reason
         Source of the value, or the reason for its absence.
     """
@@ -69,27 +69,27 @@ class Quantity:
 
 
 Quantities = Mapping[str, Quantity]
-"""By the names that `estimate_stack` lists."""
+"""Quantities by the names listed in `estimate_stack`."""
 
 
 def estimate_stack(
     data: LogData, limits: Mapping[str, float] | None = None, base: IdentifiedBase | None = None
 ) -> dict[str, Quantity]:
-    """Estimate the values of a robot that ros2_control, Nav2 and robot_localization need.
+    """Estimate the quantities of a robot that are parameters of ros2_control, Nav2 and robot_localization.
 
     Names: wheel_separation, wheel_radius [m]; separation_multiplier, left_radius_multiplier, right_radius_multiplier
     [-]; delay.v, delay.omega [s]; max.v, max.omega, rate.v, rate.omega, driven.v [SI units]; look_ahead_time [s],
     look_ahead, min_look_ahead, max_look_ahead [m]; variance.v, variance.omega, variance.gyro [(SI units)^2];
-    controller_frequency [Hz], for which the look-ahead holds.
+    controller_frequency [Hz], for which the look-ahead is valid.
 
     Parameters
     ----------
     data
-        The records; those to identify from are used.
+        Data of the log; only the training records are used.
     limits
-        Levels at which a model of the log clips its commands, by channel: where the search for limits begins.
+        Commands at which a model of the log clips, by channel; starting point of the search for limits.
     base
-        A model with all effects of the base, where it was identified: its effects are taken in place of a search.
+        Identified model with all effects of the base; its effects replace the search for effects.
 
     Raises
     ------
@@ -99,79 +99,83 @@ def estimate_stack(
     settings = stack_settings()
     data = replace(data, train=tuple(most_informative(data.train, identification_settings().most_rows["effects"])))
     geometry = wheel_geometry(data.train)
-    largest = np.abs(np.concatenate([record.command for record in data.train])).max(axis=0)
-    levels = dict(zip(CHANNELS, (settings.first_limit * largest).tolist(), strict=True)) | dict(limits or {})
+    max_command = np.abs(np.concatenate([record.command for record in data.train])).max(axis=0)
+    levels = dict(zip(CHANNELS, (settings.first_limit * max_command).tolist(), strict=True)) | dict(limits or {})
     track = geometry.track if geometry else None
     experiments = join_experiments(sensor_experiments(data.train, data.yaw))
     if base is None:
-        selection = select_effects(experiments, track, limits=levels, only=_TRIED, also=_ALSO)
+        selection = select_effects(experiments, track, limits=levels, only=_EFFECTS, also=_EXTRA_PARAMETERS)
         fit, weights = selection.fit, selection.data
     else:
         weights = weight_readings(experiments, base.point)
-        fit = fit_effects(base.point, _free(base.point), weights, near=True)
+        fit = fit_effects(base.point, _free_parameters(base.point), weights, near=True)
     values = np.array([fit.point[name] for name in fit.free])
     estimate = ParameterEstimate(fit.free, values, covariance(fit, weights))
-    calibrated = _calibrated(data, geometry, fit.point)
-    wheels = _wheels(data.stated_track, geometry, estimate, calibrated)
+    radii = _calibrate_radii(data, geometry, fit.point)
+    wheels = _wheel_quantities(data.stated_track, geometry, estimate, radii)
     multipliers = [wheels[f"{name}_multiplier"] for name in ("left_radius", "separation")]
     quantities = {
         **wheels,
-        **_delays(fit.point, estimate, data.train[0].dt),
-        **_limits(largest, fit.point, estimate, [part.value is not None for part in multipliers]),
-        **_variances(data),
+        **_delay_quantities(fit.point, estimate, data.train[0].dt),
+        **_limit_quantities(max_command, fit.point, estimate, [part.value is not None for part in multipliers]),
+        **_variance_quantities(data),
     }
-    return quantities | _look_ahead(quantities)
+    return quantities | _look_ahead_quantities(quantities)
 
 
-def _free(point: Point) -> list[str]:
-    """Return the parameters of a model with effects that are no bound of the search and not the log's own track."""
+def _free_parameters(point: Point) -> list[str]:
+    """Return the parameters of a model with effects that are not at a bound, except the track of the log."""
     bounds = effect_settings().parameters
     names = [name for name in point if name in bounds and name != "encoders.track"]
     return [name for name in names if point[name] not in bounds[name][:2]]
 
 
-def _estimated(estimate: ParameterEstimate, unit: str, reason: str) -> Quantity:
-    """Return the first parameter of an estimate with its interval of 95 %; none if one is not finite."""
+def _estimated_quantity(estimate: ParameterEstimate, unit: str, reason: str) -> Quantity:
+    """Return the first parameter of an estimate with its 95 % interval, or a missing quantity if one is not finite."""
     value, half = float(estimate.values[0]), 1.96 * float(estimate.standard_deviation[0])
     if not math.isfinite(value):
-        return _missing(unit, "the estimate is not a finite number: drive steps of both signs in v and in omega")
+        return _missing_quantity(
+            unit, "the estimate is not a finite number: drive steps of both signs in v and in omega"
+        )
     if not math.isfinite(half):
-        return _missing(unit, "its interval is not finite: the log does not tell it apart from other parameters")
+        return _missing_quantity(unit, "its interval is not finite: the log does not separate it from other parameters")
     return Quantity(value, (value - half, value + half), unit, reason)
 
 
-def _stated(value: float, unit: str, reason: str) -> Quantity:
+def _stated_quantity(value: float, unit: str, reason: str) -> Quantity:
     return Quantity(value, (value, value), unit, reason)
 
 
-def _missing(unit: str, reason: str) -> Quantity:
+def _missing_quantity(unit: str, reason: str) -> Quantity:
     return Quantity(None, (math.nan, math.nan), unit, reason)
 
 
-def _calibrated(data: LogData, geometry: WheelGeometry | None, point: Point) -> ParameterEstimate | str:
+def _calibrate_radii(data: LogData, geometry: WheelGeometry | None, point: Point) -> ParameterEstimate | str:
     """Return left_radius, right_radius and track [m] from poses, or the reason why the log does not determine them."""
     records = [record for record in data.train if record.pose is not None and record.wheels is not None]
     if geometry is None:
         return "the log has no wheel speeds: log joint states with the velocity of each wheel"
     if not records:
-        return "the log has no pose from outside: wheels of another radius look like another speed"
+        return "the log has no external pose: a different radius has the same effect as a different speed"
     sensor = pose_sensor(records, point) if data.yaw == "gyro" else None
     lag = sensor.value("pose.delay") - point["encoders.delay"] - point.get("encoders.lag", 0.0) if sensor else 0.0
     try:
-        estimate = calibrate_wheels([_later(record, lag) for record in records], TwoRadii(*geometry)).parameters
+        estimate = calibrate_wheels(
+            [_delayed_wheels(record, lag) for record in records], TwoRadii(*geometry)
+        ).parameters
     except ValueError as error:
         return str(error)
-    unsure = 1.96 * float(np.max(estimate.standard_deviation[:2] / estimate.values[:2]))
-    if not math.isfinite(unsure):
-        return "the poses of this log tell no radii: their interval is not finite"
-    if unsure > stack_settings().max_radius_half_interval:
-        return f"the poses of this log tell radii only to {100 * unsure:.2g} %: better poses, or a longer log"
+    half_interval = 1.96 * float(np.max(estimate.standard_deviation[:2] / estimate.values[:2]))
+    if not math.isfinite(half_interval):
+        return "the poses of this log do not determine the radii: their interval is not finite"
+    if half_interval > stack_settings().max_radius_half_interval:
+        return f"the poses determine the radii only to {100 * half_interval:.2g} %: log better poses or a longer drive"
     return estimate
 
 
 @dataclass(frozen=True)
 class TwoRadii(ConstantTrack):
-    """Constant track with one radius for each side.
+    """Slip law with a constant track and a separate radius for each side.
 
     Coefficients: left_radius, right_radius [m], track [m], side_slip [s].
     """
@@ -180,171 +184,177 @@ class TwoRadii(ConstantTrack):
 
     @property
     def start(self) -> FloatArray:
-        """(4,)."""
+        """Start values (4,) of the coefficients."""
         return np.array([self.wheel_radius, self.wheel_radius, self.track, 0.0])
 
     def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
-        """Return (..., 3); see `SlipLaw`."""
+        """Return the twist (..., 3) as in `SlipLaw`."""
         *radii, track, side_slip = coefficients
         v, difference = at_the_rim(1.0, wheels * np.array(radii))
         omega = difference / track
         return twist_with_side_slip(v, omega, side_slip)
 
 
-def _later(record: Record, lag: float) -> Record:
-    """Return the record with wheel speeds as old as its poses, to parts of a sample: rounding looks like a radius."""
+def _delayed_wheels(record: Record, lag: float) -> Record:
+    """Delay the wheel speeds of a record by `lag` [s], interpolated because rounding to samples biases the radius."""
     assert record.wheels is not None
     known = np.isfinite(record.wheels).all(axis=1)
     columns = [np.interp(record.time - lag, record.time[known], column[known]) for column in record.wheels.T]
     return replace(record, wheels=np.column_stack(columns))
 
 
-def _wheels(
+def _wheel_quantities(
     stated: float | None,
     geometry: WheelGeometry | None,
     estimate: ParameterEstimate,
-    calibrated: ParameterEstimate | str,
+    radii: ParameterEstimate | str,
 ) -> dict[str, Quantity]:
-    """Return separation, radius and their multipliers; all three of one source, as they belong together."""
+    """Return separation, radius and multipliers; the three multipliers come from the same source."""
     separation = stated or (geometry.track if geometry else None)
-    source = "as the mapping states it" if stated else "by which the log's omega was computed"
+    source = "stated in the mapping" if stated else "used in the computation of the log's omega"
     result = {
-        "wheel_separation": _stated(separation, "m", source)
+        "wheel_separation": _stated_quantity(separation, "m", source)
         if separation
-        else _missing("m", "neither log nor mapping states a track: take the robot's description"),
-        "wheel_radius": _stated(geometry.radius, "m", "by which the log's v was computed")
+        else _missing_quantity("m", "neither log nor mapping states a track: use the robot description"),
+        "wheel_radius": _stated_quantity(geometry.radius, "m", "used in the computation of the log's v")
         if geometry
-        else _missing("m", "the log has no wheel speeds: take the robot's description"),
+        else _missing_quantity("m", "the log has no wheel speeds: use the robot description"),
     }
-    if not isinstance(calibrated, str) and geometry and separation:
-        of_radius = f"wheels against the pose, over the radius of {geometry.radius:.4g} m"
+    if not isinstance(radii, str) and geometry and separation:
+        radius_reason = f"radius from wheel speeds and poses, divided by {geometry.radius:.4g} m"
         for side in ("left", "right"):
-            part = calibrated.part([f"{side}_radius"]).derived(["radius"], lambda row: row / geometry.radius)
-            result[f"{side}_radius_multiplier"] = _estimated(part, "", of_radius)
-        wide = calibrated.part(["track"]).derived(["track"], lambda row: row / separation)
-        reason = f"effective track by the pose over the separation of {separation:.4g} m, with the radii of this file"
-        result["separation_multiplier"] = _sure(_estimated(wide, "", reason))
+            part = radii.part([f"{side}_radius"]).derived(["radius"], lambda row: row / geometry.radius)
+            result[f"{side}_radius_multiplier"] = _estimated_quantity(part, "", radius_reason)
+        track = radii.part(["track"]).derived(["track"], lambda row: row / separation)
+        reason = f"effective track from poses, divided by {separation:.4g} m; valid with the radii of this file"
+        result["separation_multiplier"] = _checked_width(_estimated_quantity(track, "", reason))
         return result
-    words = calibrated if isinstance(calibrated, str) else "neither log nor mapping states a track"
-    result |= dict.fromkeys(("left_radius_multiplier", "right_radius_multiplier"), _missing("", words))
+    missing = radii if isinstance(radii, str) else "neither log nor mapping states a track"
+    result |= dict.fromkeys(("left_radius_multiplier", "right_radius_multiplier"), _missing_quantity("", missing))
     if "encoders.yaw_ratio" not in estimate.names:
-        words = "the log has neither a gyro nor a pose: nothing says how far the body turns for what the wheels do"
-        return result | {"separation_multiplier": _missing("", words)}
+        missing = "the log has neither a gyro nor a pose: it does not determine the yaw rate of the body"
+        return result | {"separation_multiplier": _missing_quantity("", missing)}
     ratio = estimate.part(["encoders.yaw_ratio"])
     if geometry is None or separation is None:
-        by_odometry = _estimated(ratio, "", "")
-        if by_odometry.value is None:
-            return result | {"separation_multiplier": by_odometry}
-        words = (
-            "without wheel speeds only a ratio is known: multiply the one that the odometry of this log was made with "
-            f"by {by_odometry.value:.4g} [{by_odometry.interval[0]:.4g}, {by_odometry.interval[1]:.4g}]"
+        factor = _estimated_quantity(ratio, "", "")
+        if factor.value is None:
+            return result | {"separation_multiplier": factor}
+        missing = (
+            "the log has no wheel speeds: multiply the separation multiplier of the odometry in this log "
+            f"by {factor.value:.4g} [{factor.interval[0]:.4g}, {factor.interval[1]:.4g}]"
         )
-        return result | {"separation_multiplier": _missing("", words)}
-    wide = ratio.derived(["track"], lambda row: row * geometry.track / separation)
-    reason = f"yaw rate of the wheels over that of the gyro, on a separation of {separation:.4g} m"
-    return result | {"separation_multiplier": _sure(_estimated(wide, "", reason))}
+        return result | {"separation_multiplier": _missing_quantity("", missing)}
+    track = ratio.derived(["track"], lambda row: row * geometry.track / separation)
+    reason = f"ratio of the yaw rates of wheels and gyro, for a separation of {separation:.4g} m"
+    return result | {"separation_multiplier": _checked_width(_estimated_quantity(track, "", reason))}
 
 
-def _sure(quantity: Quantity) -> Quantity:
-    """Return the quantity; missing where its interval is too wide to be of use."""
-    low, high, most = *quantity.interval, stack_settings().max_half_interval
-    if quantity.value is None or 0.5 * (high - low) <= most * abs(quantity.value):
+def _checked_width(quantity: Quantity) -> Quantity:
+    """Return the quantity, or a missing quantity if its interval is too wide to be useful."""
+    low, high, max_ratio = *quantity.interval, stack_settings().max_half_interval
+    if quantity.value is None or 0.5 * (high - low) <= max_ratio * abs(quantity.value):
         return quantity
-    return _missing(
-        quantity.unit, f"the log tells only {low:.3g} to {high:.3g} {quantity.unit}: drive with larger steps"
+    return _missing_quantity(
+        quantity.unit, f"the log gives only {low:.3g} to {high:.3g} {quantity.unit}: drive with larger steps"
     )
 
 
-def _delays(point: Point, estimate: ParameterEstimate, dt: float) -> dict[str, Quantity]:
-    """Return dead time and both lags together [s] of either channel: the delay that represents the whole response."""
-    # A ramp is taken at the end of each part of a sample, so that the rest of the delay seems longer by half a part.
-    ahead = 0.5 * dt / PARTS if "slew.v" in point else 0.0
+def _delay_quantities(point: Point, estimate: ParameterEstimate, dt: float) -> dict[str, Quantity]:
+    """Return the delay of each channel [s]: dead time plus both lags."""
+    # The model evaluates a ramp at the end of each part of a sample, which adds half a part to the delay.
+    excess = 0.5 * dt / PARTS if "slew.v" in point else 0.0
     result = {}
     for channel in CHANNELS:
         names = [f"{kind}.{channel}" for kind in ("dead_time", "lag")] + [f"damping.{channel}"]
 
-        def late(row: FloatArray, names: Sequence[str] = names) -> FloatArray:
-            moved = {**point, **dict(zip(estimate.names, row.tolist(), strict=True))}
-            dead, lag, damping = (moved.get(name, 1.0) for name in names)
-            return np.array([dead + 2.0 * lag * damping - ahead])
+        def total_delay(row: FloatArray, names: Sequence[str] = names) -> FloatArray:
+            values = {**point, **dict(zip(estimate.names, row.tolist(), strict=True))}
+            dead, lag, damping = (values.get(name, 1.0) for name in names)
+            return np.array([dead + 2.0 * lag * damping - excess])
 
         dead = point[names[0]]
-        delay = _estimated(
-            estimate.derived(["delay"], late), "s", f"dead time of {dead:.3g} s and lag of the answer of {channel}"
+        delay = _estimated_quantity(
+            estimate.derived(["delay"], total_delay), "s", f"dead time of {dead:.3g} s and lag of {channel}"
         )
         if delay.value is not None:
-            # Errors that last through a log, such as a slow disturbance, are larger than the residuals indicate.
+            # Slow disturbances cause errors that the residuals do not show.
             half = 0.5 * stack_settings().delay_widening * (delay.interval[1] - delay.interval[0])
             delay = replace(delay, interval=(max(0.0, delay.value - half), delay.value + half))
         result[f"delay.{channel}"] = delay
     return result
 
 
-def _limits(
-    largest: FloatArray, point: Point, estimate: ParameterEstimate, corrected: Sequence[bool]
+def _limit_quantities(
+    max_command: FloatArray, point: Point, estimate: ParameterEstimate, corrected: Sequence[bool]
 ) -> dict[str, Quantity]:
-    """Return speeds and accelerations at which the robot stops to follow.
+    """Return the speeds and accelerations at which the robot saturates.
 
-    Other packages limit commands. With a multiplier, of (2,) `corrected` channels, a command is the body's motion: the
-    command of the log times the gain. Without one it is that of the log. A limit whose interval reaches the `largest`
-    (2,) command of the log was not reached.
+    Other packages limit commands. In a channel with a multiplier (`corrected`, (2,)) the command is the motion of the
+    body, which is the command of the log times the gain. In other channels it is the command of the log. A limit counts
+    as not reached if its interval includes `max_command` (2,), the maximum command of the log.
     """
     result = {}
-    for most, channel, multiplied in zip(largest.tolist(), CHANNELS, corrected, strict=True):
+    for maximum, channel, is_corrected in zip(max_command.tolist(), CHANNELS, corrected, strict=True):
         unit, gain = _UNITS[channel], point[f"gain.{channel}"]
         name = "separation multiplier" if channel == "omega" else "radius multipliers"
-        part, words = ["command"], "; for the multipliers of the log"
-        if multiplied:
-            part, words = ["body"], f", times its gain; only with the {name} of ros2_control.yaml"
-        top, rate = (_in_the_body(estimate, kind, channel) for kind in ("limit", "slew"))
-        # An interval that is not finite cannot be checked here: `_estimated` says so.
-        reached = top is not None and not top.values[1] + 1.96 * top.deviation("command") >= most
+        part, condition = ["command"], "; for the multipliers of the log"
+        if is_corrected:
+            part, condition = ["body"], f", times its gain; only with the {name} of ros2_control.yaml"
+        top, rate = (_limit_in_body(estimate, kind, channel) for kind in ("limit", "slew"))
+        # `_estimated_quantity` handles intervals that are not finite.
+        reached = top is not None and not top.values[1] + 1.96 * top.deviation("command") >= maximum
         result[f"max.{channel}"] = (
-            _sure(_estimated(top.part(part), unit, f"where the robot clips its command{words}"))
+            _checked_width(_estimated_quantity(top.part(part), unit, f"command at which the robot clips{condition}"))
             if top is not None and reached
-            else _missing(unit, f"not reached in this log, which drives up to {gain * most:.3g} {unit}")
+            else _missing_quantity(unit, f"not reached in this log, which drives up to {gain * maximum:.3g} {unit}")
         )
         result[f"rate.{channel}"] = (
-            _sure(_estimated(rate.part(part), f"{unit}^2", f"slope at which the robot ramps its command{words}"))
+            _checked_width(
+                _estimated_quantity(rate.part(part), f"{unit}^2", f"maximum slope of the robot's response{condition}")
+            )
             if rate is not None
-            else _missing(f"{unit}^2", "no slope of the command is too steep for the robot in this log")
+            else _missing_quantity(f"{unit}^2", "no command of this log exceeds the maximum slope of the robot")
         )
-        driven = gain * min(most, float(top.values[1]) if top is not None and reached else most)
-        result[f"driven.{channel}"] = _stated(driven, unit, "largest command that the robot follows, times the gain")
+        followed = gain * min(maximum, float(top.values[1]) if top is not None and reached else maximum)
+        result[f"driven.{channel}"] = _stated_quantity(
+            followed, unit, "maximum command that the robot follows, times the gain"
+        )
     return result
 
 
-def _in_the_body(estimate: ParameterEstimate, kind: str, channel: str) -> ParameterEstimate | None:
-    """Return a bound of the command times the gain, and of the command; None where there is none."""
+def _limit_in_body(estimate: ParameterEstimate, kind: str, channel: str) -> ParameterEstimate | None:
+    """Return a limit of the command, with and without the gain; None if the model has no such limit."""
     names = [f"{kind}.{channel}", f"gain.{channel}"]
     if names[0] not in estimate.names:
         return None
     return estimate.part(names).derived(["body", "command"], lambda pair: np.array([pair[0] * pair[1], pair[0]]))
 
 
-def _variances(data: LogData) -> dict[str, Quantity]:
-    """Return variances of the readings of encoders and gyro about their neighbours."""
+def _variance_quantities(data: LogData) -> dict[str, Quantity]:
+    """Return the noise variances of encoders and gyro, from differences of neighbouring readings."""
     sources = {"v": ("twist", 0), "omega": ("twist", 1), "gyro": ("yaw_rate", 0)}
     result = {}
     for name, (signal, column) in sources.items():
         unit = "(m/s)^2" if name == "v" else "(rad/s)^2"
         blocks = _scatter_by_block(data.train, signal, column)
         if len(blocks) < stack_settings().min_blocks:
-            result[f"variance.{name}"] = _missing(unit, f"the log has too few readings of {name} to tell its noise")
+            result[f"variance.{name}"] = _missing_quantity(
+                unit, f"the log has too few readings of {name} to estimate its noise"
+            )
             continue
         mean, error = float(blocks.mean()), float(blocks.std(ddof=1) / math.sqrt(len(blocks)))
         if not math.isfinite(mean + error):
-            result[f"variance.{name}"] = _missing(unit, f"the scatter of the readings of {name} is not finite")
+            result[f"variance.{name}"] = _missing_quantity(unit, f"the scatter of the readings of {name} is not finite")
             continue
-        reason = f"scatter of the readings about their neighbours, {len(blocks)} blocks; slip is not in it"
+        reason = f"scatter of neighbouring readings in {len(blocks)} blocks; without slip"
         result[f"variance.{name}"] = Quantity(mean, (max(0.0, mean - 2 * error), mean + 2 * error), unit, reason)
     return result
 
 
 def _scatter_by_block(records: Sequence[Record], signal: str, column: int) -> FloatArray:
-    """Return the variance (B,) of the random part of one column of a signal, in each block of the settings' length.
+    """Return the noise variance (B,) of one column of a signal in each block of the length in the settings.
 
-    Each block counts the second differences of its readings; blocks with fewer than fifty are left out.
+    The variance follows from second differences; blocks with fewer than `MIN_READINGS` differences are omitted.
     """
     variances = []
     for record in records:
@@ -357,67 +367,76 @@ def _scatter_by_block(records: Sequence[Record], signal: str, column: int) -> Fl
 
 
 def look_ahead_factor(phase_margin: float) -> float:
-    """Return the least look-ahead time of pure pursuit over the delay of the robot [-], for a phase margin [rad].
+    """Return the ratio of pure pursuit's minimum look-ahead time to the robot's delay [-], for a phase margin [rad].
 
     On a straight path pure pursuit steers with the curvature -2 (y + L psi) / L^2. With y' = v psi, psi' = v curvature,
     p = s L / v and theta = delay v / L its open loop is 2 (p + 1) exp(-theta p) / p^2: its gain is 1 at w^2 = 2 +
     sqrt(8), where the phase is atan(w) - w theta above -pi. So L / v = delay w / (atan(w) - margin). Source of the
-    idea: Ollero, Heredia, "Stability analysis of mobile robot path tracking", IROS 1995.
+    method: Ollero, Heredia, "Stability analysis of mobile robot path tracking", IROS 1995.
     """
     crossing = math.sqrt(2.0 + math.sqrt(8.0))
     return crossing / (math.atan(crossing) - phase_margin)
 
 
-def _look_ahead(quantities: Quantities) -> dict[str, Quantity]:
+def _look_ahead_quantities(quantities: Quantities) -> dict[str, Quantity]:
     """Return the look-ahead of regulated pure pursuit from the delay of omega and half a period of the controller."""
-    late, settings = quantities["delay.omega"], stack_settings()
-    frequency = _stated(settings.controller_frequency, "Hz", "Nav2's default: the look-ahead holds for it")
-    if late.value is None:
-        words = f"the delay of omega is not known: {late.reason}"
+    delay, settings = quantities["delay.omega"], stack_settings()
+    frequency = _stated_quantity(
+        settings.controller_frequency, "Hz", "default of Nav2, for which the look-ahead is valid"
+    )
+    if delay.value is None:
+        missing = f"the delay of omega is not known: {delay.reason}"
         units = {"look_ahead_time": "s", "look_ahead": "m", "min_look_ahead": "m", "max_look_ahead": "m"}
-        return {**{name: _missing(unit, words) for name, unit in units.items()}, "controller_frequency": frequency}
+        return {
+            **{name: _missing_quantity(unit, missing) for name, unit in units.items()},
+            "controller_frequency": frequency,
+        }
     factor, wait = look_ahead_factor(math.radians(settings.phase_margin)), 0.5 / settings.controller_frequency
     reason = (
-        f"{factor:.3g} times the delay of omega and half a period at {settings.controller_frequency:g} Hz: phase "
-        f"margin of {settings.phase_margin:g} degrees on a straight path"
+        f"{factor:.3g} times the sum of the delay of omega and half a period at {settings.controller_frequency:g} Hz: "
+        f"phase margin of {settings.phase_margin:g} degrees on a straight path"
     )
 
-    def look_ahead(speed: float, unit: str, words: str) -> Quantity:
+    def look_ahead(speed: float, unit: str, reason: str) -> Quantity:
         low, value, high = (
-            speed * factor * (end + wait) for end in (late.interval[0], late.value or 0.0, late.interval[1])
+            speed * factor * (end + wait) for end in (delay.interval[0], delay.value or 0.0, delay.interval[1])
         )
-        return Quantity(value, (low, high), unit, words)
+        return Quantity(value, (low, high), unit, reason)
 
     fast = quantities["driven.v"].value or 0.0
     slow = min(settings.slow_speed, fast)
     return {
         "look_ahead_time": look_ahead(1.0, "s", reason),
-        "look_ahead": look_ahead(fast, "m", f"look-ahead time at {fast:.3g} m/s, the robot's fastest in this log"),
+        "look_ahead": look_ahead(fast, "m", f"look-ahead time at {fast:.3g} m/s, the maximum speed in this log"),
         "min_look_ahead": look_ahead(slow, "m", f"look-ahead time at {slow:.3g} m/s"),
-        "max_look_ahead": look_ahead(fast, "m", f"look-ahead time at {fast:.3g} m/s, the robot's fastest in this log"),
+        "max_look_ahead": look_ahead(fast, "m", f"look-ahead time at {fast:.3g} m/s, the maximum speed in this log"),
         "controller_frequency": frequency,
     }
 
 
-def interval_words(quantity: Quantity) -> str:
-    """Return the interval with its unit, followed by a comma and a blank."""
+def interval_text(quantity: Quantity) -> str:
+    """Format the interval with its unit, followed by a comma and a blank."""
     low, high = quantity.interval
     unit = f" {quantity.unit}" if quantity.unit else ""
     return f"[{low:.{DIGITS}g}, {high:.{DIGITS}g}]{unit}, " if low < high else f"{quantity.unit}, "
 
 
 def quantity_table(quantities: Quantities) -> TextTable:
-    """Return a row for each quantity, known or not."""
+    """Return a table with a row for each quantity, including the missing ones."""
     rows = [
         (
             name,
             "-" if part.value is None else f"{part.value:.{DIGITS}g}",
-            "not known" if part.value is None else interval_words(part).rstrip(", "),
+            "not known" if part.value is None else interval_text(part).rstrip(", "),
             part.reason,
         )
         for name, part in quantities.items()
     ]
-    note = "Intervals of 95 %. The files say which parameter each is."
+    note = "95 % intervals. The parameter files show which parameter each quantity sets."
     return TextTable(
-        "For other packages", ("what", "value", "interval", "reason"), tuple(rows), text_columns=4, note=note
+        "Quantities for other packages",
+        ("quantity", "value", "interval", "reason"),
+        tuple(rows),
+        text_columns=4,
+        note=note,
     )

@@ -1,4 +1,4 @@
-"""`diffdrive-mpc twin` as a study: fit a plant to logs; plant file, report, numbers and figure."""
+"""Study `diffdrive-mpc twin`: fit a plant to logs, and write plant file, report, data and figure."""
 
 from __future__ import annotations
 
@@ -34,9 +34,8 @@ from diffdrive_mpc_extras.twin.settings import twin_settings
 PLANT = "plant.yaml"
 _HEAD = """\
 # A plant fitted to a log, for `--plant mujoco:plant.yaml`. SI units; keys as in sim/plants/parameters and
-# models/parameters/robot.yaml. `friction` and `sensors` are the floor and the sensors that `default` means with this
-# plant; another --surface or --sensors replaces them. What was fitted, how well it is known, and what the log did not
-# tell stands under firmware.provenance.
+# models/parameters/robot.yaml. `friction` and `sensors` are the defaults of this plant; another --surface or --sensors
+# replaces them. firmware.provenance holds the fitted parameters, their intervals, and whether the log determines them.
 """
 
 
@@ -60,8 +59,8 @@ def plant_text(twin: FittedTwin, day: datetime.date) -> str:
     return _HEAD + yaml.safe_dump(plain, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
 
 
-def _plain(value: Any) -> Any:  # noqa: ANN401 - numbers in any nesting
-    """Round numbers to the digits of a file; keep words and truth values."""
+def _plain(value: Any) -> Any:  # noqa: ANN401 - nested data
+    """Round numbers to the digits of the plant file; keep texts and booleans."""
     if isinstance(value, Mapping):
         return {key: _plain(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
@@ -72,25 +71,25 @@ def _plain(value: Any) -> Any:  # noqa: ANN401 - numbers in any nesting
 
 
 def fit_table(twin: FittedTwin) -> Table:
-    """Tabulate FIT and drift of both, on the same rows."""
+    """Tabulate FIT and drift of the twin and of the identified model on the held-out rows."""
     names = list(dict.fromkeys([*twin.model_held.fit_percent, *twin.twin_held.fit_percent]))
     horizons = [drift.horizon for drift in twin.twin_held.drift]
     rows = []
-    for name, held in (("twin", twin.twin_held), (twin.model_name, twin.model_held)):
-        cells = [f"{held.fit_percent[key]:.1f}" if key in held.fit_percent else "-" for key in names]
-        cells += [f"{drift.position_rmse:.3f}" for drift in held.drift]
-        cells += [f"{drift.heading_rmse:.3f}" for drift in held.drift]
+    for name, score in (("twin", twin.twin_held), (twin.model_name, twin.model_held)):
+        cells = [f"{score.fit_percent[key]:.1f}" if key in score.fit_percent else "-" for key in names]
+        cells += [f"{drift.position_rmse:.3f}" for drift in score.drift]
+        cells += [f"{drift.heading_rmse:.3f}" for drift in score.drift]
         rows.append((name, *cells))
     columns = ["", *(f"FIT {name} [%]" for name in names)]
     columns += [f"position {horizon:g} s [m]" for horizon in horizons] + [
         f"heading {horizon:g} s [rad]" for horizon in horizons
     ]
-    note = f"Free runs from the commands alone, on {twin.data.held_out}. Errors of the pose are RMS."
-    return Table("Rows held out", tuple(columns), tuple(rows), note=note)
+    note = f"Free runs from the commands alone, on {twin.data.held_out}. Pose errors are RMS."
+    return Table("Held-out rows", tuple(columns), tuple(rows), note=note)
 
 
 def parameter_table(twin: FittedTwin) -> Table:
-    """Tabulate the parameters that the log determined."""
+    """Tabulate the fitted parameters with their intervals."""
     rows = tuple(
         (
             parameter.name,
@@ -103,42 +102,43 @@ def parameter_table(twin: FittedTwin) -> Table:
         )
         for parameter in twin.fit.parameters
     )
-    columns = ("parameter", "what", "unit", "value", "95 % interval", "deviation over prior's", "told")
+    columns = ("parameter", "description", "unit", "value", "95 % interval", "deviation / prior", "determined")
     note = (
-        f"Not told: a log leaves the prior {twin_settings().told:g} of its width or more; the plant keeps the prior, "
-        "whose interval is shown. Of two that act together only (mass, torque), one may be told on the other's prior."
+        f"Not determined: the posterior has at least {twin_settings().told:g} of the width of the prior; the plant "
+        "keeps the prior, and the table shows its interval. If a log determines only a combination of two (mass, "
+        "torque), one of them may count as determined, given the prior of the other."
     )
     return Table("Parameters", columns, rows, text_columns=3, note=note)
 
 
 def numbers(twin: FittedTwin) -> dict[str, Any]:
-    """Return scores and parameters as plain data."""
+    """Return the scores and the parameters as plain data."""
     keys = ("horizon", "position_rmse", "heading_rmse")
 
-    def held(score: HeldOutScore) -> dict[str, Any]:
+    def plain_score(score: HeldOutScore) -> dict[str, Any]:
         return {
             "fit_percent": dict(score.fit_percent),
             "drift": [{key: getattr(drift, key) for key in keys} for drift in score.drift],
         }
 
     parameters = [asdict(parameter) for parameter in twin.fit.parameters]
-    return {"twin": held(twin.twin_held), "model": held(twin.model_held), "parameters": parameters}
+    return {"twin": plain_score(twin.twin_held), "model": plain_score(twin.model_held), "parameters": parameters}
 
 
-# The picture of a twin: measured, twin and identified model on rows that neither was made from.
+# Figure of a twin: measurement, twin and identified model on held-out rows.
 
 
 _UNITS = {"v": "m/s", "omega": "rad/s"}
 
 
 def draw_held_out(twin: FittedTwin, path: Path) -> None:
-    """Draw the busiest window of the longest stretch held out, v above and omega below."""
+    """Draw the most active window of the longest held-out section, v above and omega below."""
     longest = int(np.argmax([run.samples for run in twin.experiments]))
     run, record = twin.experiments[longest], twin.data.validation[longest]
     window = round(WINDOW / run.dt)
-    first = _busiest(run.inputs, window)
+    first = _most_active_window(run.inputs, window)
     rows = slice(first, first + window)
-    time, when = from_zero(record.time[rows])
+    time, time_label = from_zero(record.time[rows])
     with new_figure(path, 7.4, 5.2) as figure:
         panels = figure.subplots(2, 1, sharex=True)
         for panel, (i, (channel, unit)) in zip(panels, enumerate(_UNITS.items()), strict=True):
@@ -147,18 +147,18 @@ def draw_held_out(twin: FittedTwin, path: Path) -> None:
             panel.plot(
                 time[counts], run.outputs[rows, -i][counts], ".", markersize=2.5, color=colour(0), label="measured"
             )
-            for k, (name, held) in enumerate((("twin", twin.twin_held), ("identified model", twin.model_held))):
-                fit = held.fit_percent[channel]
-                values = held.predictions[longest].readings[rows, -i]
+            for k, (name, score) in enumerate((("twin", twin.twin_held), ("identified model", twin.model_held))):
+                fit = score.fit_percent[channel]
+                values = score.predictions[longest].readings[rows, -i]
                 panel.plot(time, values, line_style(k), color=colour(k + 1), label=f"{name}: FIT {fit:.1f} %")
             panel.set_ylabel(f"{channel} [{unit}]")
             panel.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-        panels[-1].set_xlabel(when)
+        panels[-1].set_xlabel(time_label)
         figure.align_ylabels(panels)
 
 
-def _busiest(commands: FloatArray, window: int) -> int:
-    """Find the first row of the window in which the commands, each over its own spread, change most."""
+def _most_active_window(commands: FloatArray, window: int) -> int:
+    """Return the first row of the window with the largest sum of command changes, each divided by its range."""
     if len(commands) <= window:
         return 0
     change = np.abs(np.diff(commands, axis=0, prepend=commands[:1]))
@@ -167,30 +167,30 @@ def _busiest(commands: FloatArray, window: int) -> int:
 
 
 class TwinStudy(Study[None, FittedTwin]):
-    """The fit of a plant to logs; `logs` and `options` as in `twin_of`."""
+    """Fit of a plant to logs; `logs` and `options` as in `twin_of`."""
 
     name = "twin"
     title = "A plant fitted to a log"
 
-    def __init__(self, logs: Sequence[Path], **options: Any) -> None:  # noqa: ANN401 - those of `twin_of`
+    def __init__(self, logs: Sequence[Path], **options: Any) -> None:  # noqa: ANN401 - options of `twin_of`
         self._logs, self._options = logs, options
 
     def plan(self) -> None:
-        """Return nothing: the logs are read by `run`."""
+        """Return None; `run` reads the logs."""
 
     def run(self, plan: None, jobs: int, bar: ProgressBar) -> FittedTwin:
-        """Fit; raises ConfigError, ValueError or OSError if an option or a log cannot be used."""
+        """Fit the plant; raises ConfigError, ValueError or OSError if an option or a log is invalid."""
         del plan
         bar.start_stage("reading", 1)
         with Parallel(n_jobs=jobs) as pool:
 
-            def together(tasks: Sequence[Task]) -> list[list[FreeMotion] | None]:
+            def parallel(tasks: Sequence[Task]) -> list[list[FreeMotion] | None]:
                 return list(pool(delayed(_call)(task) for task in tasks))
 
             try:
                 return twin_of(
                     self._logs,
-                    together=one_by_one if jobs == 1 else together,
+                    together=one_by_one if jobs == 1 else parallel,
                     on_stage=bar.start_stage,
                     on_drive=bar.advance,
                     on_findings=_print_findings,
@@ -200,17 +200,17 @@ class TwinStudy(Study[None, FittedTwin]):
                 raise ConfigError(f"--{error.option.replace('_', '-')}{error.rest}") from error
 
     def report(self, results: FittedTwin, seconds: float) -> Report:
-        """Return scores, parameters, the plant file, and the figure of the rows held out."""
+        """Return scores, parameters, the plant file, and the figure of the held-out rows."""
         del seconds
-        untold = [parameter.name for parameter in results.fit.parameters if not parameter.told]
-        left = f"The log does not tell {', '.join(untold)}: the plant keeps the prior there." if untold else ""
+        undetermined = [parameter.name for parameter in results.fit.parameters if not parameter.told]
+        note = f"The log does not determine {', '.join(undetermined)}: prior kept." if undetermined else ""
         return Report(
             counted=f"{results.fit.drives} drives of the plant",
             meta={"logs": list(results.data.logs), "robot": results.name, "model": results.model_name},
             content=numbers(results),
             facts=[
                 f"{results.name}: fitted to {results.fit.seconds:.0f} s of {', '.join(results.data.logs)}, the parts "
-                f"in which the commands change most. {left}",
+                f"in which the commands change most. {note}",
                 f"Next: `diffdrive-mpc simulate --plant mujoco:{PLANT} --trajectory square`.",
             ],
             notes=results.notes,

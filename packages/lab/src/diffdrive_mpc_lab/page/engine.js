@@ -30,7 +30,7 @@ class Engine {
 
   /* Put numbers into the laboratory's memory, and call lab_set_KIND with them; what was there before is given back. */
   give(kind, numbers) {
-    const address = this.c.lab_room(numbers.length);
+    const address = this.c.lab_allocate(numbers.length);
     this.view(address, numbers.length).set(numbers);
     const taken = this.c[`lab_set_${kind}`](address);
     const before = this.slots.get(kind);
@@ -78,7 +78,7 @@ class Engine {
   }
 
   draw(points, speed) {
-    const address = this.c.lab_room(2 * points.length);
+    const address = this.c.lab_allocate(2 * points.length);
     this.view(address, 2 * points.length).set(points.flat());
     const drawn = this.c.lab_draw(address, points.length, speed || this.index.drawn.speed);
     this.c.lab_free(address);
@@ -103,7 +103,7 @@ class Engine {
     const fields = this.index.report;
     const names = Object.keys(fields);
     const [last, count] = fields[names.at(-1)];
-    const all = this.view(this.c.lab_report_of(), last + count);
+    const all = this.view(this.c.lab_get_report(), last + count);
     return Object.fromEntries(names.map((name) => {
       const [place, length] = fields[name];
       return [name, length === 1 ? all[place] : Array.from(all.subarray(place, place + length))];
@@ -117,7 +117,7 @@ class Engine {
   /* Poses and twists (5 numbers) of the reference, `step` seconds apart. */
   referencePoints(step) {
     const duration = this.report().duration;
-    const address = this.c.lab_room(5);
+    const address = this.c.lab_allocate(5);
     const points = [];
     for (let k = 0; k * step < duration; k++) points.push([k * step]);
     points.push([duration]);

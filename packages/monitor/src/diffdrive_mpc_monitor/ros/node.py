@@ -1,4 +1,4 @@
-"""The monitor as a node: commands come in on one topic, and those that may pass go out on another."""
+"""ROS node of the monitor: it subscribes to commands and publishes the checked commands on another topic."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from diffdrive_mpc_monitor.senders import Senders
 
 
 Message = Any
-"""ROS messages have no types to check."""
+"""Type of ROS messages, which have no type annotations."""
 
 
 def seconds(stamp: Message) -> float:
@@ -46,7 +46,7 @@ def seconds(stamp: Message) -> float:
 
 
 def planar(pose: Message) -> tuple[float, float, float]:
-    """Extract x [m], y [m], yaw [rad] (3,) of a pose; NaN for an invalid orientation."""
+    """Extract (3,) x [m], y [m], yaw [rad] from a pose; NaN for an invalid orientation."""
     q = pose.orientation
     norm = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
     if not abs(norm - 1.0) < 0.02:
@@ -56,7 +56,7 @@ def planar(pose: Message) -> tuple[float, float, float]:
 
 
 def command(twist: tuple[float, float], stamp: Message, frame: str, *, stamped: bool) -> Message:
-    """Build a command v [m/s], omega [rad/s]."""
+    """Build the message of a command v [m/s], omega [rad/s]."""
     plain = Twist()
     plain.linear.x, plain.angular.z = twist
     if not stamped:
@@ -66,43 +66,45 @@ def command(twist: tuple[float, float], stamp: Message, frame: str, *, stamped: 
     return message
 
 
-# Settings of the monitor's process, without its rules.
+# Settings of the node, without the rules.
 
 
 class MonitorSettings(StrictModel, strict=True):
-    """Topics, frames and the watched signals. They are ROS parameters, with these descriptions, read at start-up."""
+    """Topics, frames and monitored signals; these are the ROS parameters of the node, which are read at start-up."""
 
-    rules: str = Field("default", min_length=1, description="rules: a shipped name or the path of a YAML file [-]")
+    rules: str = Field("default", min_length=1, description="name of shipped rules, or path of a YAML file [-]")
     controller: str = Field(
-        "diffdrive_mpc", min_length=1, description="name of the controller's node: its reference_path and mode are read"
+        "diffdrive_mpc",
+        min_length=1,
+        description="name of the controller's node, which publishes reference_path and mode",
     )
-    stamped: bool = Field(True, description="commands are TwistStamped; false: Twist [-]")
+    stamped: bool = Field(True, description="true: commands are TwistStamped; false: Twist [-]")
     use_pose_topic: bool = Field(
-        False, description="references are in map_frame, where `pose` says where the robot is; false: in odom_frame [-]"
+        False, description="true: references are in map_frame, with poses on `pose`; false: in odom_frame [-]"
     )
-    use_imu: bool = Field(True, description="the yaw rate on `imu` tells how the robot turns; false: its wheels [-]")
-    odom_frame: str = Field("odom", min_length=1, description="frame_id that odometry must have [-]")
-    map_frame: str = Field("map", min_length=1, description="frame_id that poses must have [-]")
-    base_frame: str = Field("base_link", min_length=1, description="child_frame_id that odometry must have [-]")
+    use_imu: bool = Field(True, description="true: the yaw rate is that of `imu`; false: of the wheels [-]")
+    odom_frame: str = Field("odom", min_length=1, description="required frame_id of odometry [-]")
+    map_frame: str = Field("map", min_length=1, description="required frame_id of poses [-]")
+    base_frame: str = Field("base_link", min_length=1, description="required child_frame_id of odometry [-]")
     exclusive: bool = Field(
         True,
-        description="another publisher on `cmd_vel` stops the robot, and so do two that send on one input [-]",
+        description="stop the robot if another node publishes on `cmd_vel`, or two nodes publish on one input [-]",
     )
 
 
 UNCHECKED, CHECKED = "cmd_vel_unchecked", "cmd_vel"
-"""Topics of commands: the controller's commands, and the commands to the base."""
+"""Topics of commands: from the controller, and to the base."""
 PASSING, STOPPED = "PASSING", "STOPPED"
 """States on `~/state`; the reason follows after a colon."""
 _PERIOD = 0.02
 # Period of the search for other publishers of commands, and of the diagnostics [s].
-_LOOK_PERIOD, _DIAGNOSTICS_PERIOD = 0.5, 1.0
+_GRAPH_PERIOD, _DIAGNOSTICS_PERIOD = 0.5, 1.0
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-_STANDING = frozenset({"IDLE", "PAUSED", "FAULT", "STOPPED", "FINISHED", "unconfigured", "inactive", "finalized"})
-# Prefix of parameters that ROS declares itself, some of them later.
+_STANDING_MODES = frozenset({"IDLE", "PAUSED", "FAULT", "STOPPED", "FINISHED", "unconfigured", "inactive", "finalized"})
+# Prefix of parameters that ROS declares, some of them after start-up.
 _OF_ROS = "qos_overrides."
-# How long the last command may take to reach the base when the monitor ends [s].
-_LAST_WORDS = 0.3
+# Time limit for the delivery of the last command at shutdown [s].
+_SHUTDOWN_TIME = 0.3
 
 
 def _unknown(name: str) -> str:
@@ -110,98 +112,98 @@ def _unknown(name: str) -> str:
 
 
 class MonitorNode(Node):
-    """Forwards commands as long as all rules hold; then stops the robot until a person resets it.
+    """Node that forwards commands while all rules hold, and otherwise stops the robot until a person resets it.
 
     Parameters
     ----------
     defaults
-        Defaults of its parameters.
+        Defaults of the parameters.
     **options
-        As for `rclpy.node.Node`.
+        Options of `rclpy.node.Node`.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the rules or a parameter cannot be used.
+        If the rules or a parameter are invalid.
     models.compiled.compiler.NotCompiledError
-        If the judge is not there.
+        If the library of the judge is missing.
     """
 
     def __init__(self, defaults: MonitorSettings | None = None, **options: Any) -> None:  # noqa: ANN401
         super().__init__("monitor", **options)
-        self._settings = settings = self._read(defaults or MonitorSettings())
+        self._settings = settings = self._read_parameters(defaults or MonitorSettings())
         self._rules = load_rules(settings.rules).with_sensors(pose=settings.use_pose_topic, gyro=settings.use_imu)
         self._judge = Judge(self._rules, self._now)
-        self._told = self._rivals = ""
-        self._shared: set[str] = set()
+        self._published_state = self._rivals = ""
+        self._shared_inputs: set[str] = set()
         kind = TwistStamped if settings.stamped else Twist
         newest = QoSProfile(depth=1)
         self._checked = self.create_publisher(kind, CHECKED, newest)
         self._state = self.create_publisher(String, "~/state", _LATCHED)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        # Every command is judged, not the newest alone: one that is lost cannot be.
-        self._hear(kind, UNCHECKED, self._take_command, QoSProfile(depth=50))
-        self._hear(Odometry, "odom", self._take_odometry, qos_profile_sensor_data)
+        # The queue is long, because every command must be checked.
+        self._subscribe(kind, UNCHECKED, self._take_command, QoSProfile(depth=50))
+        self._subscribe(Odometry, "odom", self._take_odometry, qos_profile_sensor_data)
         self.create_subscription(Path, f"{settings.controller}/reference_path", self._take_reference, _LATCHED)
         self.create_subscription(String, f"{settings.controller}/mode", self._take_mode, _LATCHED)
         if settings.use_imu:
-            self._hear(Imu, "imu", self._take_gyro, qos_profile_sensor_data)
+            self._subscribe(Imu, "imu", self._take_gyro, qos_profile_sensor_data)
         if settings.use_pose_topic:
-            self._hear(PoseWithCovarianceStamped, "pose", self._take_pose, qos_profile_sensor_data)
+            self._subscribe(PoseWithCovarianceStamped, "pose", self._take_pose, qos_profile_sensor_data)
         self.create_service(Trigger, "~/reset", self._reset)
         in_sim_time = bool(self.get_parameter("use_sim_time").value)
         clock = self.get_clock() if in_sim_time else Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_PERIOD, self._tick, clock=clock)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_LOOK_PERIOD, self._look_around, clock=steady)
+        self.create_timer(_GRAPH_PERIOD, self._check_publishers, clock=steady)
         self.create_timer(_DIAGNOSTICS_PERIOD, self._diagnose, clock=steady)
-        self._announce()
+        self._publish_state()
         self.get_logger().info(
             f"rules '{settings.rules}' ({self._rules.name}): {self.resolve_topic_name(UNCHECKED)} to "
             f"{self.resolve_topic_name(CHECKED)}"
         )
 
-    def _hear(self, kind: type[Any], topic: str, take: Callable[[Message], None], qos: QoSProfile) -> None:
-        """Subscribe to an input; two publishers that both send on it are a fault."""
+    def _subscribe(self, kind: type[Any], topic: str, take: Callable[[Message], None], qos: QoSProfile) -> None:
+        """Subscribe to an input, and detect two nodes that publish on it."""
         senders, name = Senders(), self.resolve_topic_name(topic)
 
-        def hear(message: Message, info: dict[str, Any]) -> None:
+        def receive(message: Message, info: dict[str, Any]) -> None:
             is_shared = senders.take(info["publication_sequence_number"], time.monotonic())
-            if is_shared and name not in self._shared:
-                self._shared.add(name)
-                self._look_around()
+            if is_shared and name not in self._shared_inputs:
+                self._shared_inputs.add(name)
+                self._check_publishers()
             take(message)
 
-        self.create_subscription(kind, topic, hear, qos)
+        self.create_subscription(kind, topic, receive, qos)
 
     def stop(self) -> None:
-        """Send zero as the last command, and wait until it has arrived, though not for long."""
+        """Send zero as the last command, and wait for a limited time until it is delivered."""
         self._send((0.0, 0.0))
-        self._checked.wait_for_all_acked(Duration(seconds=_LAST_WORDS))
+        self._checked.wait_for_all_acked(Duration(seconds=_SHUTDOWN_TIME))
 
     @property
     def _now(self) -> float:
         return 1e-9 * self.get_clock().now().nanoseconds
 
-    def _read(self, defaults: MonitorSettings) -> MonitorSettings:
-        """Declare every setting as a parameter, and read them; raises ConfigError if one cannot be used."""
+    def _read_parameters(self, defaults: MonitorSettings) -> MonitorSettings:
+        """Declare the settings as parameters and read them; raises ConfigError if one is invalid."""
         for name, field in MonitorSettings.model_fields.items():
-            about = ParameterDescriptor(description=str(field.description), read_only=True)
-            self.declare_parameter(name, getattr(defaults, name), about)
+            descriptor = ParameterDescriptor(description=str(field.description), read_only=True)
+            self.declare_parameter(name, getattr(defaults, name), descriptor)
         for name in self._parameter_overrides:
             if self.has_parameter(name) or name.startswith(_OF_ROS):
                 continue
             message = _unknown(name)
             if "did you mean" in message:
                 raise ConfigError(message)
-            # Files of a robot share parameters of several nodes in their section `/**`.
+            # Only a warning, because the section `/**` of a file holds parameters of several nodes.
             self.get_logger().warning(f"without effect: {message}")
-        self.add_pre_set_parameters_callback(self._refuse_unknown)
+        self.add_pre_set_parameters_callback(self._reject_unknown)
         names = MonitorSettings.model_fields
         return check(MonitorSettings, {name: self.get_parameter(name).value for name in names}, "parameters")
 
-    def _refuse_unknown(self, parameters: list[Parameter]) -> list[Parameter]:
-        """Name a parameter that is not declared, which rclpy does not."""
+    def _reject_unknown(self, parameters: list[Parameter]) -> list[Parameter]:
+        """Raise an error that names an undeclared parameter; the error of rclpy has no name."""
         for parameter in parameters:
             if not self.has_parameter(parameter.name):
                 error = ParameterNotDeclaredException([])
@@ -213,12 +215,12 @@ class MonitorNode(Node):
         settings = self._settings
         twist = message.twist if settings.stamped else message
         stamp = seconds(message.header.stamp) if settings.stamped else 0.0
-        sideways = (twist.linear.y, twist.linear.z, twist.angular.x, twist.angular.y)
-        v = twist.linear.x if not any(sideways) else math.nan  # which no differential drive can do
+        lateral = (twist.linear.y, twist.linear.z, twist.angular.x, twist.angular.y)
+        v = twist.linear.x if not any(lateral) else math.nan  # not possible for a differential drive
         out = self._judge.command(self._now, stamp, v, twist.angular.z)
-        # With the stamp of the controller: a base in lock step waits for the answer to its tick.
+        # Keep the stamp of the controller, because a base in lock step waits for the command of its tick.
         self._send(out, message.header.stamp if settings.stamped else None)
-        self._announce()
+        self._publish_state()
 
     def _take_odometry(self, message: Message) -> None:
         settings = self._settings
@@ -244,36 +246,36 @@ class MonitorNode(Node):
         points = [(seconds(point.header.stamp), *planar(point.pose)) for point in message.poses]
         if message.header.frame_id != frame:
             self._ignore("a reference", message.header.frame_id)
-            points = [(math.nan, 0.0, 0.0, 0.0)]  # is none, and stops the robot
+            points = [(math.nan, 0.0, 0.0, 0.0)]  # an invalid reference, which stops the robot
         self._judge.reference(self._now, points)
-        self._announce()
+        self._publish_state()
 
     def _take_mode(self, message: Message) -> None:
-        self._judge.says(self._now, drives=message.data.partition(":")[0] not in _STANDING)
+        self._judge.says(self._now, drives=message.data.partition(":")[0] not in _STANDING_MODES)
 
     def _tick(self) -> None:
         out = self._judge.tick(self._now)
         if out is not None:
             self._send(out)
-        self._announce()
+        self._publish_state()
 
-    def _look_around(self) -> None:
-        """Check for other publishers of commands, and for two publishers of an input."""
-        # A publisher that was killed is in the graph for a while, and one that restarts is alone there later on.
-        self._shared = {name for name in self._shared if self.count_publishers(name) > 1}
+    def _check_publishers(self) -> None:
+        """Check for other publishers of commands, and for two publishers on an input."""
+        # A killed publisher stays in the graph for a while, so a restarted node is not alone at first.
+        self._shared_inputs = {name for name in self._shared_inputs if self.count_publishers(name) > 1}
         checked = self.resolve_topic_name(CHECKED)
-        shared = sorted(self._shared) + [checked] * (self.count_publishers(checked) > 1)
+        shared = sorted(self._shared_inputs) + [checked] * (self.count_publishers(checked) > 1)
         if shared:
             self._rivals = f"two publishers on {', '.join(shared)}"
         self._judge.outside(self._now, wrong=self._settings.exclusive and bool(shared))
 
     def _reset(self, _: Message, response: Message) -> Message:
-        """Handle a person's request to drive again."""
-        self._look_around()
-        wrong = self._judge.reset(self._now)
-        response.success = not wrong
-        response.message = f"still stopped: {wrong.words}" if wrong else "commands pass again"
-        self._announce()
+        """Handle a person's request to resume."""
+        self._check_publishers()
+        verdict = self._judge.reset(self._now)
+        response.success = not verdict
+        response.message = f"still stopped: {verdict.words}" if verdict else "commands pass again"
+        self._publish_state()
         return response
 
     def _send(self, twist: tuple[float, float], stamp: Message = None) -> None:
@@ -282,30 +284,30 @@ class MonitorNode(Node):
 
     @property
     def _name(self) -> str:
-        """Its full name without the first slash: two robots differ by their namespaces."""
+        """Full name of the node, with its namespace and without the first slash."""
         return str(self.get_fully_qualified_name()).lstrip("/")
 
     @property
-    def _words(self) -> str:
+    def _state_text(self) -> str:
         verdict = self._judge.verdict
         rivals = f" ({self._rivals})" if verdict.rule == "outside" else ""
         return f"{STOPPED}: {verdict.words}{rivals}; call {self._name}/reset" if verdict else PASSING
 
-    def _announce(self) -> None:
+    def _publish_state(self) -> None:
         """Publish the state when it changes."""
-        words = self._words
-        if words == self._told:
+        text = self._state_text
+        if text == self._published_state:
             return
-        self._told = words
-        self._state.publish(String(data=words))
+        self._published_state = text
+        self._state.publish(String(data=text))
         log = self.get_logger()
-        log.info(words) if words == PASSING else log.error(words)
+        log.info(text) if text == PASSING else log.error(text)
 
     def _diagnose(self) -> None:
         stopped = bool(self._judge.verdict)
         level = DiagnosticStatus.ERROR if stopped else DiagnosticStatus.OK
         name = self._name
-        status = DiagnosticStatus(name=f"{name}: rules", hardware_id=name, level=level, message=self._words)
+        status = DiagnosticStatus(name=f"{name}: rules", hardware_id=name, level=level, message=self._state_text)
         status.values = [KeyValue(key="rule", value=self._judge.verdict.rule)]
         array = DiagnosticArray(status=[status])
         array.header.stamp = self.get_clock().now().to_msg()
@@ -315,7 +317,7 @@ class MonitorNode(Node):
         self.get_logger().warning(f"{topic} in frame '{frame}' is not used", throttle_duration_sec=1.0)
 
 
-_LONGEST_WAIT = 0.1  # for which a signal may wait [s]
+_MAX_WAIT = 0.1  # maximum delay of the reaction to a signal [s]
 
 
 def run(arguments: Sequence[str], settings: MonitorSettings | None = None) -> None:
@@ -326,25 +328,25 @@ def run(arguments: Sequence[str], settings: MonitorSettings | None = None) -> No
     arguments
         Arguments for ROS, such as `--ros-args -r cmd_vel:=/base/cmd_vel`.
     settings
-        Defaults of its parameters.
+        Defaults of the parameters.
 
     Raises
     ------
     ValueError
-        If an argument, a parameter or the rules cannot be used; one line.
+        If an argument, a parameter or the rules are invalid; the message is one line.
     """
     try:
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # the base of rclpy's errors, which have no public names
-        words = " ".join(str(error).split())
-        raise ValueError(f"ROS cannot start with the arguments '{' '.join(arguments)}': {words}") from error
+    except RuntimeError as error:  # base class of the errors of rclpy, which are not public
+        text = " ".join(str(error).split())
+        raise ValueError(f"ROS cannot start with the arguments '{' '.join(arguments)}': {text}") from error
     signals: list[int] = []
 
-    def note(number: int, _: FrameType | None) -> None:
+    def record_signal(number: int, _: FrameType | None) -> None:
         signals.append(number)
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, note)
+        signal.signal(number, record_signal)
     executor = SingleThreadedExecutor()
     try:
         try:
@@ -354,7 +356,7 @@ def run(arguments: Sequence[str], settings: MonitorSettings | None = None) -> No
         executor.add_node(node)
         try:
             while not signals:
-                executor.spin_once(timeout_sec=_LONGEST_WAIT)
+                executor.spin_once(timeout_sec=_MAX_WAIT)
         except ExternalShutdownException:
             pass
         finally:

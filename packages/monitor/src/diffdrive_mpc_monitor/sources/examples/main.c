@@ -1,4 +1,4 @@
-/* A robot that follows a straight line, watched; after two seconds its controller goes wrong. */
+/* Monitored robot on a straight line; its controller fails after two seconds. */
 #include <stdio.h>
 
 #include "judge.h"
@@ -9,7 +9,7 @@
 
 int main(void)
 {
-    static ddmon_judge judge; /* some kilobytes: not on a small stack */
+    static ddmon_judge judge; /* static, because it needs some kilobytes */
     static ddmon_point line[101];
     double now = 1000.0, v = 0.0, omega = 0.0, x = 0.0, y = 0.0, theta = 0.0, out[2] = {0.0, 0.0};
     int reported = 0;
@@ -33,13 +33,13 @@ int main(void)
                    ddmon_words(judge.verdict.rule), judge.verdict.value, ddmon_unit(judge.verdict.rule),
                    judge.verdict.limit, ddmon_unit(judge.verdict.rule));
         }
-        /* The robot: a first-order lag of 0.1 s, and steps short enough for cos and sin of small angles. */
+        /* Robot with a first-order lag of 0.1 s, in small-angle approximation. */
         v += 0.2 * (out[0] - v);
         omega += 0.2 * (out[1] - omega);
         x += SAMPLE * v * (1.0 - 0.5 * theta * theta);
         y += SAMPLE * v * theta;
         theta += SAMPLE * omega;
     }
-    printf("it stands at %.2f m, %.2f m\n", x, y);
+    printf("final position: %.2f m, %.2f m\n", x, y);
     return !reported;
 }

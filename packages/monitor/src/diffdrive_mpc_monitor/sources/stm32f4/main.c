@@ -1,45 +1,45 @@
-/* The judge in the loop over USART1 (PA9, PA10; 115200 baud at the 16 MHz after reset): eight doubles in, eight out, after one
- * that says that it listens.
+/* Judge in a loop over USART1 (PA9, PA10; 115200 baud at the 16 MHz clock after reset). It sends one double when it is
+ * ready, and then replies to each message of eight doubles with eight doubles.
  *
- * In: what (the numbers below), now, stamp, and up to five values. Out: whether there is something to send, v, omega,
- * rule, when, value, limit, and how many ticks of SysTick the judge took.
+ * In: kind of the message (numbers below), now, stamp, up to five values. Out: 1 if a command is to be sent, v, omega,
+ * rule, time of the verdict, value, limit, and duration of the call [ticks of SysTick].
  */
 #include "board.h"
 #include "judge.h"
 #include "rules.h"
 
-enum { BEGIN, POINT, REFERENCE, ODOMETRY, GYRO, POSE, SAYS, COMMAND, TICK, RESET };
-enum { MOST_POINTS = 1000 };
+enum { START, POINT, REFERENCE, ODOMETRY, GYRO, POSE, SAYS, COMMAND, TICK, RESET };
+enum { MAX_POINTS = 1000 };
 
 static ddmon_judge judge;
-/* Two: the judge looks at the old one until it has the new one. */
-static ddmon_point path[2][MOST_POINTS];
-static int points, side;
+/* Two buffers, because the judge uses the old path until it has the new one. */
+static ddmon_point path[2][MAX_POINTS];
+static int points, buffer;
 
-static void take_point(const double *value)
+static void add_point(const double *value)
 {
-    if (points < MOST_POINTS) {
+    if (points < MAX_POINTS) {
         const ddmon_point point = {value[0], value[1], value[2], value[3]};
-        path[side][points] = point;
+        path[buffer][points] = point;
         points++;
     }
 }
 
-static void take(const double in[8], double out[8])
+static void handle_message(const double in[8], double out[8])
 {
     const double now = in[1], stamp = in[2], *value = in + 3;
-    ddmon_verdict wrong;
+    ddmon_verdict verdict;
     switch ((int)in[0]) {
-    case BEGIN: ddmon_init(&judge, &ddmon_default_rules, now); points = 0; break;
-    case POINT: take_point(value); break;
-    case REFERENCE: out[0] = ddmon_reference(&judge, now, path[side], points); side = !side; points = 0; break;
+    case START: ddmon_init(&judge, &ddmon_default_rules, now); points = 0; break;
+    case POINT: add_point(value); break;
+    case REFERENCE: out[0] = ddmon_reference(&judge, now, path[buffer], points); buffer = !buffer; points = 0; break;
     case ODOMETRY: ddmon_odometry(&judge, now, stamp, value[0], value[1], value[2], value[3], value[4]); break;
     case GYRO: ddmon_gyro(&judge, now, stamp, value[0]); break;
     case POSE: ddmon_pose(&judge, now, stamp, value[0], value[1], value[2]); break;
     case SAYS: ddmon_says(&judge, now, value[0] != 0.0); break;
     case COMMAND: ddmon_command(&judge, now, stamp, value[0], value[1], out + 1); out[0] = 1.0; break;
     case TICK: out[0] = ddmon_tick(&judge, now, out + 1); break;
-    case RESET: wrong = ddmon_reset(&judge, now); out[0] = wrong.rule; break;
+    case RESET: verdict = ddmon_reset(&judge, now); out[0] = verdict.rule; break;
     default: break;
     }
 }
@@ -54,7 +54,7 @@ int main(void)
         double in[8], out[8] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
         receive(in, sizeof in);
         uint32_t since = SYSTICK_VALUE;
-        take(in, out);
+        handle_message(in, out);
         out[7] = passed(since);
         out[3] = judge.verdict.rule;
         out[4] = judge.verdict.at;

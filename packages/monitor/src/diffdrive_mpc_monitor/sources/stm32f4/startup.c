@@ -1,4 +1,4 @@
-/* Vectors and start of a Cortex-M4F: FPU on, memory set up, main. */
+/* Vector table and reset handler of a Cortex-M4F: enable the FPU, initialize the memory, call main. */
 #include <stdint.h>
 
 extern uint32_t _stack_top, _data_begin, _data_end, _data_source, _bss_begin, _bss_end;
@@ -27,7 +27,7 @@ void reset_handler(void)
 
 typedef void (*handler)(void);
 
-/* Stack, reset, then the system's exceptions up to SysTick. */
+/* Stack pointer, reset handler, and the system exceptions up to SysTick. */
 __attribute__((section(".vectors"), used)) static const struct {
     uint32_t *stack;
     handler entry[15];
