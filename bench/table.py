@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -51,26 +51,34 @@ class RichTables:
     table: plain.TextTable
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Yield the parts, one below the other."""
-        parts = self._parts(options.max_width)
-        for i, columns in enumerate(parts):
+        """Yield the title, the parts one below the other, and the note."""
+        if self.table.title:
+            yield Text(self.table.title, style="bold")
+        for i, widths in enumerate(self._parts(options.max_width)):
             if i > 0:
                 yield Text()
-            yield self._part(columns, is_first=i == 0, is_last=i == len(parts) - 1)
+            yield self._part(widths)
+        if self.table.note:
+            yield Text(self.table.note, style="table.caption")
 
-    def _parts(self, width: int) -> list[list[int]]:
-        """Return the columns of each part of at most `width` characters."""
-        names = list(range(self.table.text_columns))
-        parts = [names]
-        room = width - min(sum(self._min_width(i) + _GAP for i in names), width // 2)
-        left = room
+    def _parts(self, width: int) -> list[dict[int, int]]:
+        """Return the widths by column of each part of at most `width` characters."""
+        names = {i: self._min_width(i) for i in range(self.table.text_columns)}
+        while names and sum(names.values()) + _GAP * len(names) > max(width // 2, _GAP * len(names) + len(names)):
+            names[max(names, key=names.__getitem__)] -= 1
+        parts = [dict(names)]
         for i in range(len(names), len(self.table.columns)):
-            needed = self._min_width(i) + _GAP
-            if needed > left and len(parts[-1]) > len(names):
-                parts.append(names)
-                left = room
-            parts[-1] = [*parts[-1], i]
-            left -= needed
+            needed = sum(parts[-1].values()) + self._min_width(i) + _GAP * len(parts[-1])
+            if needed > width and len(parts[-1]) > len(names):
+                parts.append(dict(names))
+            parts[-1][i] = self._min_width(i)
+        for widths in parts:
+            room = width - sum(widths.values()) - _GAP * (len(widths) - 1)
+            for i in widths:
+                cells = [_brief(self.table.columns[i]), *(plain_line(row[i]) for row in self.table.rows)]
+                extra = min(max(map(cell_len, cells)) - widths[i], room)
+                widths[i] += max(extra, 0)
+                room -= max(extra, 0)
         return parts
 
     def _min_width(self, column: int) -> int:
@@ -78,28 +86,16 @@ class RichTables:
         is_number = column >= self.table.text_columns
         cells = [plain_line(row[column]) for row in self.table.rows]
         words = [word for cell in (_brief(self.table.columns[column]), *cells) for word in cell.split()]
-        return max(map(cell_len, [*words, *(cells if is_number else [])]), default=0)
+        return max(map(cell_len, [*words, *(cells if is_number else [])]), default=1)
 
-    def _part(self, columns: Sequence[int], *, is_first: bool, is_last: bool) -> RichTable:
-        table = self.table
-        drawn = RichTable(
-            title=Text(table.title, style="bold") if is_first else None,
-            caption=Text(table.note) if is_last and table.note else None,
-            title_justify="left",
-            caption_justify="left",
-            box=box.SIMPLE_HEAD,
-            padding=(0, 1),
-            collapse_padding=True,
-            pad_edge=False,
-            show_edge=False,
-        )
-        for column in columns:
-            is_number = column >= table.text_columns
-            justify: Literal["left", "right"] = "right" if is_number else "left"
-            min_width = self._min_width(column) if is_number else None
-            drawn.add_column(Text(_brief(table.columns[column])), justify=justify, min_width=min_width, overflow="fold")
-        for row in table.rows:
-            drawn.add_row(*(Text(plain_line(row[column])) for column in columns))
+    def _part(self, widths: Mapping[int, int]) -> RichTable:
+        # The padding and the invisible line between two columns are the gap.
+        drawn = RichTable(box=box.SIMPLE_HEAD, padding=(0, _GAP - 1, 0, 0), pad_edge=False, show_edge=False)
+        for column, width in widths.items():
+            justify: Literal["left", "right"] = "right" if column >= self.table.text_columns else "left"
+            drawn.add_column(Text(_brief(self.table.columns[column])), justify=justify, width=width, overflow="fold")
+        for row in self.table.rows:
+            drawn.add_row(*(Text(plain_line(row[column])) for column in widths))
         return drawn
 
 

@@ -115,6 +115,7 @@ VERDICTS: Mapping[str, DoubtRelevance] = {
     "low FIT": _yes("the controller would rely on a poor prediction"),
     "FIT falls": _yes("on another drive FIT may be lower still"),
     "missed dynamics": _no("FIT includes the missing dynamics, and feedback corrects them"),
+    "no heading": _yes("the controller's estimator needs a heading"),
     "no gyro": _yes("the controller would turn the robot too little"),
     "no wheels": _yes("the wheel limits are those of another robot"),
     "pose point": _yes("the controller would take the distance for side-slip"),

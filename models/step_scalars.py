@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import cache
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,7 @@ def step_scalars() -> Mapping[str, StepScalar]:
 
 def scalar_row(step: object) -> list[float]:
     """Return the scalars of `step` in the order of `step_scalars`; NaN if missing."""
-    return [_read(step, path) for path in _paths()]
+    return [_read(step, get) for get in _getters()]
 
 
 def scalars_of(step: object) -> dict[str, float]:
@@ -47,16 +48,13 @@ def scalars_of(step: object) -> dict[str, float]:
 
 
 @cache
-def _paths() -> tuple[tuple[str | int, ...], ...]:
-    """Return the path from a step to each scalar: names of attributes, and indices."""
-    paths = (scalar.attribute.split(".") for scalar in step_scalars().values())
-    return tuple(tuple(int(part) if part.isdecimal() else part for part in path) for path in paths)
+def _getters() -> tuple[attrgetter[Any], ...]:
+    return tuple(attrgetter(scalar.attribute) for scalar in step_scalars().values())
 
 
-def _read(step: object, path: tuple[str | int, ...]) -> float:
-    value: Any = step
-    for part in path:
-        value = value[part] if isinstance(part, int) else getattr(value, part, None)
-        if value is None:
-            return math.nan
-    return float(value)
+def _read(step: object, get: attrgetter[Any]) -> float:
+    try:
+        value = get(step)
+    except AttributeError:
+        return math.nan
+    return math.nan if value is None else float(value)

@@ -1,6 +1,6 @@
 """Controller: reference trajectories, tracking problem, solver, estimator and failure ladder.
 
-Public names are imported on first use, so that other modules of this package do not load the controller.
+Public names are imported on first use, so that an import of a single module does not load the controller.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from diffdrive_mpc.mpc.trajectories import Trajectory as Trajectory
     from diffdrive_mpc.mpc.trajectories import load_trajectory as load_trajectory
 
-_HOMES = {
+_MODULES = {
     "Controller": "mpc.controller",
     "ControllerConfig": "mpc.config.schema",
     "Estimate": "mpc.estimate",
@@ -44,19 +44,19 @@ _HOMES = {
     "load_trajectory": "mpc.trajectories",
 }
 
-if not TYPE_CHECKING:  # a type checker takes the imports above for the public names
-    __all__ = list(_HOMES)
+if not TYPE_CHECKING:  # a type checker uses the imports above as the public names
+    __all__ = list(_MODULES)
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - the type checker sees the imports above
     """Import a public name on first access."""
     if name == "SolverPath":
-        warnings.warn("SolverPath is SolverMethod now", DeprecationWarning, stacklevel=2)
+        warnings.warn("SolverPath was renamed to SolverMethod", DeprecationWarning, stacklevel=2)
         name = "SolverMethod"
-    if name not in _HOMES:
+    if name not in _MODULES:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(import_module(f"diffdrive_mpc.{_HOMES[name]}"), name)
+    return getattr(import_module(f"diffdrive_mpc.{_MODULES[name]}"), name)
 
 
 def __dir__() -> list[str]:
-    return sorted(_HOMES)
+    return sorted(_MODULES)

@@ -1,6 +1,6 @@
-"""The nonlinear problem of a tick as CasADi functions, for IPOPT and other solvers.
+"""Nonlinear problem of a tick as CasADi functions, for IPOPT and other solvers.
 
-The functions are composed of the formulas of the compiled controller (`mpc.problem.formulas`).
+The functions use the same formulas as the compiled controller (`mpc.problem.formulas`).
 """
 
 from __future__ import annotations
@@ -36,23 +36,23 @@ _UNLIMITED = 1e13
 
 @dataclass(frozen=True)
 class CasadiProblem:
-    """The problem of a tick: dynamics and cost of a stage, and the horizon of N stages.
+    """Nonlinear problem of a tick: dynamics and cost of a stage, and the problem over a horizon of N stages.
 
-    With n states of the velocity model, W pending commands, S slip parameters (10, or 15 with curved slip), P stage
-    parameters of terms and K kinds of soft limit, the inputs by name are:
+    The sizes are: n states of the velocity model, W pending commands, S slip parameters (10, or 15 with curved slip), P
+    stage parameters of terms, and K kinds of soft limit. The inputs are:
 
     ==============  ==============  ====================================================================================
     plan            (2, N)          v_ref [m/s], omega_ref [rad/s] of each step
     state           (n, 1)          states of the velocity model
-    pose            (3, 1)          x, y [m], theta [rad]
+    pose            (3, 1)          x, y [m], theta [rad] at the start of the horizon
     slip            (S, 1)          see `mpc.problem.slip`
     sent            (2, W)          pending commands, oldest first
     late            (2, 1)          estimated delays of v_ref and omega_ref beyond the model [samples]
     last_command    (2, 1)          command before the first increment
-    reference       (4, N + 1)      x, y [m], theta [rad] of the targets, and the heading [rad] to hold
-    feed_forward    (2, N + 1)      commands from which deviations are penalised; the first is that of the last tick
-    ahead           (1, N)          distance of the turning point ahead of the origin on each arc [m], a constant
-    direction       (2, N)          1 or -1 (backwards) of the reference at the end of a step, and one lag later
+    reference       (4, N + 1)      x, y [m], theta [rad] of the reference poses, and the target heading [rad]
+    feed_forward    (2, N + 1)      commands whose deviations are penalised; the first column is for the last tick
+    ahead           (1, N)          distance of the turning point ahead of the origin on each arc [m]
+    direction       (2, N)          direction of the reference, 1 or -1, at the end of a step and one lag later
     parameters      (P, N + 1)      stage parameters of the terms
     ==============  ==============  ====================================================================================
 
@@ -63,21 +63,22 @@ class CasadiProblem:
     Attributes
     ----------
     stage
-        (state, pose, slip, sent (2, W + 1) with the command of the stage last, late, ahead (1, 1)) to `next_state`,
-        `next_pose` and `next_twist` (2, 1) [m/s, rad/s] of the body.
+        Dynamics: (state, pose, slip, sent (2, W + 1), late, ahead (1, 1)) to `next_state`, `next_pose` and `next_twist`
+        (2, 1) [m/s, rad/s] of the body. The last column of `sent` is the command of the stage.
     stage_cost
-        (pose, twist, command, reference (4, 1), parameters (P, 1), previous_command, feed_forward and
-        previous_feed_forward (2, 1), terminal) to `cost` [-], at the end of a stage; `terminal` multiplies the weights
-        of the errors.
+        Cost at the end of a stage: (pose, twist, command, reference (4, 1), parameters (P, 1), previous_command,
+        feed_forward and previous_feed_forward (2, 1), terminal) to `cost` [-]. `terminal` is a factor of the weights of
+        the tracking errors.
     limited
-        (pose, twist, command, reference (4, 1), parameters (P, 1), slip, direction (2, 1)) to `values` (K, 1) with soft
-        limits.
+        Soft-limited values: (pose, twist, command, reference (4, 1), parameters (P, 1), slip, direction (2, 1)) to
+        `values` (K, 1).
     horizon
-        (plan and all inputs above) to `cost` without penalties, `hard` (4, N): v_ref, omega_ref and their increments
-        (the first relative to zero), `soft` (K, N), `poses` (3, N + 1) and `twists` (2, N + 1).
+        All stages: (all inputs of the table) to `cost` without penalties, `hard` (4, N), `soft` (K, N), `poses`
+        (3, N + 1) and `twists` (2, N + 1). The rows of `hard` are v_ref, omega_ref and their increments, the first
+        increment relative to zero.
     nlp
-        `x`, `p`, `f`, `g` for `casadi.nlpsol`. `x` is the plan step by step, then K N violations of upper and K N of
-        lower soft limits; f includes their penalty.
+        `x`, `p`, `f`, `g` for `casadi.nlpsol`. `x` contains the plan step by step, K N violations of upper soft limits,
+        and K N violations of lower soft limits. `f` includes the penalty of the violations.
     """
 
     stage: ca.Function
@@ -87,12 +88,12 @@ class CasadiProblem:
     nlp: dict[str, ca.SX]
 
     def arguments(self, inputs: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-        """Return the arguments of a call of the solver: `p`, `lbx`, `lbg`, `ubg`, and the initial guess `x0`.
+        """Return the arguments of a solver call: `p`, `lbx`, `lbg`, `ubg`, and the initial guess `x0`.
 
         Parameters
         ----------
         inputs
-            Inputs of `horizon`, `lower` and `upper` (4 + K, N), as `Controller.problem_inputs` returns them.
+            Inputs of `horizon`, and the bounds `lower` and `upper` (4 + K, N), from `Controller.problem_inputs`.
         """
         values = [inputs[name] for name in self.horizon.name_in()[1:]]
         bounds = [np.where(np.abs(inputs[side]) < _UNLIMITED, inputs[side], np.inf) for side in ("lower", "upper")]
@@ -114,14 +115,14 @@ def casadi_problem(
     terms: Sequence[Term] = (),
     **overrides: object,
 ) -> CasadiProblem:
-    """Build the nonlinear problem of a tick; the arguments are those of `Controller`.
+    """Build the nonlinear problem of a tick from the arguments of `Controller`.
 
     `Controller.problem_inputs` returns the input values of a tick.
 
     Raises
     ------
     ConfigError
-        As for `Controller`.
+        If the configuration or a term is invalid, as for `Controller`.
     """
     config = prepare_config(load_config(config, overrides))
     terms = all_terms(config.terms, (*checked_terms(terms), *feature_terms(config)))
@@ -152,25 +153,25 @@ def _symbols(problem: Problem) -> dict[str, ca.SX]:
     return {name: ca.SX.sym(name, *shape) for name, shape in shapes.items()}
 
 
-def _outputs(problem: Problem, state: ca.SX) -> ca.SX:
-    """Return the twist (2, 1) of the model."""
+def _model_twist(problem: Problem, state: ca.SX) -> ca.SX:
+    """Return the twist (2, 1) of the model in `state`."""
     model = problem.model
     return ca.SX(model.output(state) if isinstance(model, NonlinearModel) else model.C @ state)
 
 
 def _next_state(problem: Problem, state: ca.SX, sent: ca.SX, late: ca.SX) -> ca.SX:
-    """Return the state (n, 1) after a sample; `sent` (2, W + 1) ends with its command."""
+    """Return the state (n, 1) one sample later; the last column of `sent` (2, W + 1) is the current command."""
     model, newest = problem.model, sent.size2() - 1
     if isinstance(model, NonlinearModel):
         return model.step(state, ca.vec(sent[:, newest - model.memory :]))
     ages = range(problem.sizes["spare"] + 1 + (problem.sizes["spare"] > 0))
 
-    def acting(channel: int, lag: int) -> ca.SX:
-        """Interpolate the command that was sent earlier by the estimated delay."""
+    def delayed_command(channel: int, lag: int) -> ca.SX:
+        """Interpolate the command that takes effect after the estimated delay."""
         first = newest - lag - int(model.delay[channel])
         return ca.SX(sum(ca.fmax(0, 1 - ca.fabs(late[channel] - age)) * sent[channel, first - age] for age in ages))
 
-    recent, older = (ca.vertcat(acting(0, lag), acting(1, lag)) for lag in (0, 1))
+    recent, older = (ca.vertcat(delayed_command(0, lag), delayed_command(1, lag)) for lag in (0, 1))
     return ca.SX(model.A @ state + model.B0 @ recent + model.B1 @ older)
 
 
@@ -178,20 +179,20 @@ def _stage(problem: Problem, symbols: Mapping[str, ca.SX]) -> ca.Function:
     inputs, dt = {name: symbols[name] for name in ("state", "pose", "slip", "sent", "late", "ahead")}, problem.model.dt
     inputs["sent"], inputs["ahead"] = ca.SX.sym("sent", 2, problem.sizes["window"] + 1), ca.SX.sym("ahead")
     state, pose, slip, sent, late, ahead = inputs.values()
-    after = _next_state(problem, state, sent, late)
-    twist, next_twist = (body_twist(_outputs(problem, x), slip) for x in (state, after))
+    next_state = _next_state(problem, state, sent, late)
+    twist, next_twist = (body_twist(_model_twist(problem, x), slip) for x in (state, next_state))
     v, omega = ca.vertsplit(0.5 * (twist + next_twist))
-    moved = pose + ca.vertcat(arc_move(pose[2], v, omega, slip, ahead, ca.SX(dt)), dt * omega)
-    return named_function("stage", inputs, {"next_state": after, "next_pose": moved, "next_twist": next_twist})
+    next_pose = pose + ca.vertcat(arc_move(pose[2], v, omega, slip, ahead, ca.SX(dt)), dt * omega)
+    return named_function("stage", inputs, {"next_state": next_state, "next_pose": next_pose, "next_twist": next_twist})
 
 
 def _values(terms: Sequence[Term], inputs: Mapping[str, ca.SX], *, soft: bool) -> list[ca.SX]:
-    """Return the values of the terms of one kind."""
+    """Return the values of the soft limits if `soft`, otherwise those of the cost terms."""
     values, places = [], parameter_places(terms)
     for term in terms:
-        known = {**inputs, "parameters": inputs["parameters"][places[term.name]]}
+        arguments = {**inputs, "parameters": inputs["parameters"][places[term.name]]}
         if term.soft == soft:
-            values.append(term.function(*(known[name] for name in term.function.name_in())))
+            values.append(term.function(*(arguments[name] for name in term.function.name_in())))
     return values
 
 
@@ -228,15 +229,15 @@ def _soft_values(problem: Problem) -> ca.Function:
 def _roll_out(
     problem: Problem, p: Mapping[str, ca.SX], stage: ca.Function, cost: ca.Function, limited: ca.Function
 ) -> dict[str, ca.SX]:
-    plan, fed, slip, window = p["plan"], p["feed_forward"], p["slip"], p["sent"].size2()
-    line, before = ca.horzcat(p["sent"], plan), ca.horzcat(p["last_command"], plan[:, :-1])
+    plan, feed_forward, slip, window = p["plan"], p["feed_forward"], p["slip"], p["sent"].size2()
+    commands, before = ca.horzcat(p["sent"], plan), ca.horzcat(p["last_command"], plan[:, :-1])
     state, total, poses, soft = p["state"], ca.SX(0), [p["pose"]], []
-    twists = [body_twist(_outputs(problem, state), slip)]
+    twists = [body_twist(_model_twist(problem, state), slip)]
     for k in range(problem.config.horizon):
-        state, pose, twist = stage(state, poses[-1], slip, line[:, k : k + window + 1], p["late"], p["ahead"][k])
+        state, pose, twist = stage(state, poses[-1], slip, commands[:, k : k + window + 1], p["late"], p["ahead"][k])
         at_end = pose, twist, plan[:, k], p["reference"][:, k + 1], p["parameters"][:, k + 1]
         terminal = problem.config.weights.terminal if k == problem.config.horizon - 1 else 1.0
-        total += cost(*at_end, before[:, k], fed[:, k + 1], fed[:, k], terminal)
+        total += cost(*at_end, before[:, k], feed_forward[:, k + 1], feed_forward[:, k], terminal)
         soft.append(limited(*at_end, slip, p["direction"][:, k]))
         poses.append(pose)
         twists.append(twist)

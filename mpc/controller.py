@@ -1,7 +1,7 @@
-"""The controller: it passes measurements to the compiled tick and returns the result as arrays and messages.
+"""Controller that passes measurements to the compiled tick and returns its result as arrays and messages.
 
-`mpc/core/tick.c` implements the tick. This module implements configuration, sampling of models, re-entry, the solver
-backends that the tick may request, and message texts.
+`mpc/core/tick.c` implements the tick. This module implements configuration, discretisation of models, re-entry, calls
+of the solver backends that the tick requests, and message texts.
 """
 
 from __future__ import annotations
@@ -55,12 +55,12 @@ _EXAMPLES = {"weights": "across", "limits": "v"}
 # Values of ddmpc_pending.
 _NEEDS_TARGET, _NEEDS_BACKEND = 1, 2
 _MAX_COMMAND = 1e6
-"""Maximum size of applied commands [m/s, rad/s], beyond any robot; their squares do not overflow."""
+"""Maximum absolute value of applied commands [m/s, rad/s]; no robot is faster, and squares do not overflow."""
 
 
 @dataclass
 class _PredictionModel:
-    """Prediction model of the controller, with its sampled form and its feed-forward."""
+    """Prediction model of the controller, with its discrete form and its feed-forward."""
 
     model: VelocityModel | NonlinearModel
     sampled: DiscreteModel | NonlinearModel
@@ -73,7 +73,7 @@ class _PredictionModel:
 
 @dataclass
 class _PendingUpdate:
-    """A new configuration and the objects built from it, which the next step applies."""
+    """New configuration and the objects built from it, which the next step applies."""
 
     config: ControllerConfig
     constants: tuple[Any, list[FloatArray]]
@@ -86,10 +86,10 @@ class Controller:
     Parameters
     ----------
     config
-        The configuration, or any other argument of `load_config`, such as "ssm".
+        Configuration, or any other argument of `load_config`, such as "ssm".
     model
-        A velocity model, or its name or path, which replaces that of the configuration. The configuration's extra dead
-        time is not added to it.
+        Velocity model, or its name or path, which replaces the model of the configuration. The extra dead time of the
+        configuration is not added to this model.
     terms
         Cost terms and soft limits in addition to those of the configuration, see `mpc.problem.terms`.
     overrides
@@ -98,9 +98,10 @@ class Controller:
     Raises
     ------
     ConfigError, ModelError, ValueError
-        If the model cannot be loaded or used, or the horizon is too short for the dead time.
+        If the configuration is invalid, the model cannot be loaded or used, or the horizon is shorter than the dead
+        time.
     NotCompiledError
-        If there is no compiled core, and no compiler.
+        If the core is not compiled and no compiler is available.
     ArgumentError
         If an argument has a wrong type.
     """
@@ -116,13 +117,15 @@ class Controller:
         self._arguments = model, terms
         self._speed_limit: float | None = None
         self._terms = all_terms(config.terms, (*terms, *feature_terms(config)))
-        dt, chosen = config.sample_time, chosen_model(config, model)
-        self._predicted = _PredictionModel.from_model(chosen, dt)
-        self._config = config = with_increments(config, self._predicted.sampled)
-        self._features: dict[str, Feature] = {name: kind(config, chosen) for name, kind in features_of(config).items()}
+        dt, active_model = config.sample_time, chosen_model(config, model)
+        self._prediction = _PredictionModel.from_model(active_model, dt)
+        self._config = config = with_increments(config, self._prediction.sampled)
+        self._features: dict[str, Feature] = {
+            name: kind(config, active_model) for name, kind in features_of(config).items()
+        }
         problem = self._problem(config)
         sizes = problem.sizes
-        functions, term_functions = compile_functions(chosen, self._terms)
+        functions, term_functions = compile_functions(active_model, self._terms)
         self._tick = Tick(sizes, problem.constants(), functions, term_functions)
         self._kinds, self._max_active = HARD_KINDS + sizes["soft"], sizes["max_active"]
         self._soft_names = problem.soft_names
@@ -140,7 +143,7 @@ class Controller:
         self._set_defaults()
         self._host = Host(
             config,
-            chosen,
+            active_model,
             self._tick,
             self._pursuit,
             self._terms,
@@ -148,21 +151,21 @@ class Controller:
         )
         for feature in self._features.values():
             feature.attach(self._host)
-        # Look these up once, since each attribute access on the C library takes as long as a small computation.
+        # Each attribute access on the C library takes as long as a small computation, so these are stored.
         self._step, self._c, self._c_result = self._tick.lib.ddmpc_step, self._tick.c, self._tick.result
         self._input = self._tick.input.struct
         self._not_run: int = self._tick.lib.DDMPC_QP_NOT_RUN
 
     @property
     def operations_bound(self) -> int:
-        """Upper bound of `step.solver.operations`, computed from the horizon and the kinds of limit."""
+        """Upper bound of `step.solver.operations`, computed from the horizon and the number of limits."""
         N = self._config.horizon
         return int(self._tick.lib.ddmpc_operations_bound(N, self._kinds, self._max_active))
 
     def _problem(self, config: ControllerConfig) -> Problem:
-        predicted = self._predicted
-        limited, from_file = _with_speed_limit(config, self._speed_limit), is_from_file(predicted.model)
-        return Problem(limited, predicted.sampled, predicted.feed_forward, self._terms, from_file)
+        prediction = self._prediction
+        limited, from_file = _with_speed_limit(config, self._speed_limit), is_from_file(prediction.model)
+        return Problem(limited, prediction.sampled, prediction.feed_forward, self._terms, from_file)
 
     def _make_backend(self, config: ControllerConfig) -> Backend:
         return load_backend(config.solver.backend)(config.horizon, self._kinds, config.solver, config.weights)
@@ -181,7 +184,7 @@ class Controller:
         )
 
     def __getstate__(self) -> dict[str, object]:
-        """Return the state for a process pool: configuration, model, terms and reference; no drive in progress."""
+        """Return the state for a process pool: configuration, model, terms and reference, without a running drive."""
         return {
             "config": self._pending.config if self._pending else self._config,
             "arguments": self._arguments,
@@ -193,19 +196,19 @@ class Controller:
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Rebuild the controller in another process, in its state after `start`."""
+        """Rebuild the controller in another process, in the state after `start`."""
         Controller.__init__(self, state["config"], *state["arguments"])
         self._tick.parameters[:] = state["parameters"]
         self.limit_speed(state["speed_limit"])
         for name, feature_state in state["features"].items():
             self._features[name].restore(feature_state)
         if state["reference"] is not None:
-            # The reference was checked at the start, so it is not checked against limits that were tightened later.
+            # The reference was checked at the start; limits that were tightened later do not apply to this check.
             self._begin(state["reference"], state["t0"])
 
     @property
     def config(self) -> ControllerConfig:
-        """The current configuration, including values for the weights that are derived from the margin."""
+        """Current configuration, including the weights that are derived from the margin."""
         return self._config
 
     @property
@@ -215,12 +218,12 @@ class Controller:
 
     @property
     def model(self) -> VelocityModel | NonlinearModel:
-        """The velocity model, including the extra dead time."""
-        return self._predicted.model
+        """Velocity model, including the extra dead time."""
+        return self._prediction.model
 
     @property
     def program(self) -> Program:
-        """The quadratic program of the last tick that set one up; it shares the core's memory."""
+        """Quadratic program that was set up last; it shares the memory of the core."""
         return self._program
 
     def quadratic_program(self, plan: ArrayLike | None = None) -> QuadraticProgram:
@@ -229,17 +232,17 @@ class Controller:
         Parameters
         ----------
         plan
-            (N, 2) commands v_ref [m/s], omega_ref [rad/s] to linearise along; None: keep the last linearisation.
+            (N, 2) commands v_ref [m/s], omega_ref [rad/s] along which to linearise; None keeps the last linearisation.
 
         Raises
         ------
         RuntimeError
-            If no tick has set up a program yet; with `plan`, if the last step has no fresh plan.
+            If no tick has set up a program yet, or `plan` is not None and the last step has no new plan.
         ValueError
             If the plan is not N pairs of finite numbers.
         """
         if not self._program.H.any():
-            raise RuntimeError("no tick has set up a program yet: call start and step first")
+            raise RuntimeError("no tick has set up a quadratic program yet: call start and step first")
         if plan is not None:
             self._fresh_estimate()
             pairs = _pairs(plan)
@@ -249,14 +252,15 @@ class Controller:
         return quadratic_program(self._program, self._config.weights, self._soft_names)
 
     def problem_inputs(self) -> dict[str, FloatArray]:
-        """Return the inputs of `CasadiProblem` at the last tick, with its names and shapes.
+        """Return the inputs of `CasadiProblem` at the last tick, by name.
 
-        Turning points and bounds are those of the last linearisation, see `quadratic_program`.
+        Turning points and bounds are those of the last linearisation, see `quadratic_program`. For shapes see
+        `CasadiProblem`.
 
         Raises
         ------
         RuntimeError
-            If the last step has no fresh plan.
+            If the last step has no new plan.
         """
         estimate, belief, p = self._fresh_estimate(), self.belief, self._program
         bounds = np.stack([p.lower, p.upper])
@@ -279,19 +283,19 @@ class Controller:
 
     def _fresh_estimate(self) -> Estimate:
         if self._c_result.mode != self._tick.lib.DDMPC_TRACKING:
-            raise RuntimeError("the last step has no fresh plan: call step until its mode is TRACKING")
+            raise RuntimeError("the last step has no new plan: call step until its mode is TRACKING")
         return Estimate(self._tick.layout, self._tick.layout.copy(), self._c_result.estimate.time)
 
     @property
     def reference(self) -> Reference | None:
-        """The current reference."""
+        """Current reference."""
         return self._reference
 
     @property
     def planned_delay(self) -> float:
-        """Planned delay of the reference by waiting for the robot, speed limits and obstacles [s].
+        """Delay of the reference that is due to a waiting reference, speed limits and obstacles [s].
 
-        It is a part of `reference_delay` of a step. The lag of the robot is not included.
+        This delay is a part of `reference_delay` of a step. The lag of the robot is not included.
         """
         return self._pursuit.planned_delay
 
@@ -306,7 +310,8 @@ class Controller:
         Raises
         ------
         ConfigError
-            If the configuration does not enable the feature; the message names the package if it is not installed.
+            If the configuration does not enable the feature; the message names the package if the feature is not
+            installed.
         """
         if name in self._features:
             return self._features[name]
@@ -321,7 +326,7 @@ class Controller:
         Raises
         ------
         RuntimeError
-            If there is no estimate: no step since the last `start` had a pose.
+            If there is no estimate because no step since the last `start` had a pose.
         """
         pose = self._tick.newest_belief()
         if pose is None:
@@ -329,16 +334,16 @@ class Controller:
         return Belief(*pose, self._tick.layout.slip.start)
 
     def predict_belief(self, belief: Belief, commands: ArrayLike) -> Belief:
-        """Predict the filter's belief without measurements, that is the future pose with its uncertainty.
+        """Predict the filter's belief without measurements, including the future pose and its uncertainty.
 
-        The prediction is that of the estimator, including noise and drifts.
+        The prediction is that of the estimator, including noise and random walks.
 
         Parameters
         ----------
         belief
-            Belief to start from; it may be from an earlier tick, or modified.
+            Initial belief, possibly modified or from an earlier tick.
         commands
-            (K, 2) v_ref [m/s], omega_ref [rad/s] from the belief's tick on, one per sample.
+            (K, 2) v_ref [m/s], omega_ref [rad/s] from the belief's tick on, one row per sample.
 
         Returns
         -------
@@ -348,29 +353,29 @@ class Controller:
         Raises
         ------
         ValueError
-            If a command is not finite or larger than 1e6, or the shape is wrong.
+            If a command is not finite or exceeds 1e6, or the shape is wrong.
         """
         pairs = _pairs(commands)
-        line = np.vstack([belief.sent, pairs])
-        mean, covariance = self._tick.predict_belief(belief.mean, belief.covariance, line)
-        return replace(belief, mean=mean, covariance=covariance, sent=line[len(pairs) :])
+        commands = np.vstack([belief.sent, pairs])
+        mean, covariance = self._tick.predict_belief(belief.mean, belief.covariance, commands)
+        return replace(belief, mean=mean, covariance=covariance, sent=commands[len(pairs) :])
 
     def set_applied_commands(self, commands: ArrayLike) -> None:
-        """Replace the last K commands by those that were sent, for instance by another controller.
+        """Replace the last K commands by the commands that were actually sent, for instance by another controller.
 
-        The next step uses them for the estimate, for the commands in the dead time, and for slew, which is relative to
-        the newest. To shadow another controller, pass its command after each step. For a robot that already moves, pass
-        several commands before the first step.
+        The next step uses these commands for the estimate, for the dead time, and for the slew limit, which is relative
+        to the newest command. To shadow another controller, pass its command after each step. For a robot that already
+        moves, pass several commands before the first step.
 
         Parameters
         ----------
         commands
-            (K, 2) v_ref [m/s], omega_ref [rad/s], oldest first, one per sample; they may exceed the limits.
+            (K, 2) v_ref [m/s], omega_ref [rad/s], oldest first, one row per sample; they may exceed the limits.
 
         Raises
         ------
         ValueError
-            If a command is not finite or larger than 1e6, or the shape is wrong.
+            If a command is not finite or exceeds 1e6, or the shape is wrong.
         """
         pairs = _pairs(commands)
         if not len(pairs):
@@ -380,29 +385,29 @@ class Controller:
             feature.set_applied(pairs[-1])
 
     def start(self, reference: Reference | str | Path, t0: float) -> None:
-        """Track `reference` from now on; its time 0 is `t0` [s] on the clock of `step`.
+        """Start to track `reference`, whose time 0 is `t0` [s] on the clock of `step`.
 
-        The estimate and the clock restart. The robot may be moving: commands in the dead time stay, and the next
-        command keeps the slew limit relative to the last one. A name or path selects a trajectory, which is loaded with
-        the limits of the configuration.
+        The estimate and the clock restart. The robot may be moving: commands in the dead time are kept, and the next
+        command respects the slew limit relative to the last command. A name or path selects a trajectory, which is
+        loaded with the limits of the configuration.
 
         Raises
         ------
         ArgumentError
             If the reference has a wrong type.
         ValueError
-            If `t0` or the reference is not finite, or if the speeds of the reference, or the commands that they need
-            with the model's gain, exceed the limits of the configuration.
+            If `t0` or the reference is not finite, or if the speeds of the reference or the commands for these speeds
+            exceed the limits of the configuration.
         """
         self._begin(self.checked_reference(reference, t0), t0)
 
     def checked_reference(self, reference: Reference | str | Path, t0: float = 0.0) -> Reference:
-        """Return a reference, or the trajectory of a name or path, with the checks of `start`; nothing changes.
+        """Load a trajectory if its name or path is given, and check the reference as `start` does.
 
         Raises
         ------
         ArgumentError, ValueError
-            As for `start`.
+            If the reference is invalid, see `start`.
         """
         if isinstance(reference, (str, Path)):
             from diffdrive_mpc.mpc.trajectories.load import load_trajectory  # noqa: PLC0415 - rarely needed
@@ -412,9 +417,10 @@ class Controller:
         return reference
 
     def find_shortfall(self, reference: Reference, *, is_moving: bool = False) -> Shortfall | None:
-        """Return the first place where `reference` exceeds the robot's limits, and a feasible duration, or None.
+        """Find the first point where `reference` exceeds the robot's limits, and a feasible duration.
 
-        The robot starts at rest, or with the twist of the reference if `is_moving`. `start` accepts such references.
+        The robot starts at rest, or with the twist of the reference if `is_moving` is True. Returns None if the
+        reference is feasible. `start` accepts infeasible references.
         """
         return find_shortfall(reference, self._config, self.model, is_moving=is_moving)
 
@@ -432,42 +438,43 @@ class Controller:
         check_speeds(reference, self._config.limits, self._config.sample_time, self.model.dc_gain)
 
     def _begin(self, reference: Reference, t0: float) -> None:
-        """Track a reference that has been checked."""
+        """Start to track a checked reference."""
         tracked = reference
         for feature in self._features.values():
             tracked = feature.begin(tracked, t0)
         native, tracked = self._prepare_reference(tracked)
         self._tick.lib.ddmpc_start(self._c, native.struct, t0)
-        # Store the reference, since C reads its memory.
+        # The native reference must stay alive, since the core reads its memory.
         self._tick.reference, self._reference, self._t0, self._host.t0 = native, reference, t0, t0
         self._pursuit.start(tracked, native=native.complete)
 
     def _prepare_reference(self, reference: Reference) -> tuple[NativeReference, Reference]:
-        """Apply the features to a reference; return it for the core, and as a Python object."""
+        """Apply the features to a reference; return the result for the core and as a Python object."""
         tracked = checked_reference(reference)
         for feature in self._features.values():
             tracked = feature.lay(tracked)
         return NativeReference(tracked), tracked
 
     def switch_reference(self, reference: Reference, t0: float | None = None) -> None:
-        """Replace the current reference by `reference` and continue driving.
+        """Replace the current reference by `reference` while driving.
 
-        Unlike `start`, this keeps the estimate with the learned slip, the plan and the commands. A robot off the new
-        path rejoins it. If a feature requires it, the drive restarts as with `start`.
+        Unlike `start`, this method keeps the estimate including the learned slip, the plan and the commands. A robot
+        off the new path rejoins the path. If an enabled feature does not support a switch, the drive restarts as with
+        `start`.
 
         Parameters
         ----------
         reference
-            The current reference transformed by a pose, for example after a frame correction; or a different reference
-            with `t0`.
+            The current reference transformed by a pose, for example after a frame correction; or a different reference,
+            which requires `t0`.
         t0
-            Time 0 of a different reference on the clock of `step` [s]. None: the reference is the same, and its clock
-            continues.
+            Time 0 of a different reference on the clock of `step` [s]; None for the transformed current reference,
+            whose clock continues.
 
         Raises
         ------
         ValueError
-            If the duration differs from that of the current reference and `t0` is None, or as for `start`.
+            If `t0` is None and the duration differs from that of the current reference, or as for `start`.
         RuntimeError
             If no reference is being tracked.
         """
@@ -476,14 +483,14 @@ class Controller:
         if t0 is not None:
             self._check(reference, t0)
         elif reference.duration != self._reference.duration:
-            raise ValueError("reference with a different duration than the current one: give its t0")
+            raise ValueError("the duration of the reference differs from that of the current reference: give t0")
         if any(feature.restarts_on_switch for feature in self._features.values()):
             self.start(reference, self._t0 if t0 is None else t0)
             return
         native, tracked = self._prepare_reference(reference)
         self._t0 = self._host.t0 = self._t0 if t0 is None else t0
         self._tick.lib.ddmpc_switch_reference(self._c, native.struct, self._t0)
-        # Store the reference, since C reads its memory.
+        # The native reference must stay alive, since the core reads its memory.
         self._tick.reference, self._reference = native, reference
         if t0 is None:
             self._pursuit.switch_reference(tracked, native=native.complete)
@@ -491,7 +498,7 @@ class Controller:
             self._pursuit.start(tracked, native=native.complete)
 
     def reset(self) -> None:
-        """Reset estimate, plan and commands, for a robot at standstill. The reference stays."""
+        """Reset estimate, plan and commands of a robot at standstill, and keep the reference."""
         self._tick.lib.ddmpc_reset(self._c)
         self._pursuit.restart()
         for feature in self._features.values():
@@ -521,13 +528,12 @@ class Controller:
         Returns
         -------
         ControllerConfig
-            The configuration from the next step on. A warning is issued if the rest of the reference exceeds its
-            limits.
+            Configuration from the next step on. A warning is issued if the rest of the reference exceeds the limits.
 
         Raises
         ------
         ConfigError
-            If a key is unknown or a value is out of range; nothing changes then.
+            If a key is unknown or a value is out of range; the configuration then stays unchanged.
         ArgumentError
             If `weights` or `limits` is not a mapping.
         """
@@ -537,18 +543,18 @@ class Controller:
             try:
                 check_speeds(self._reference, config.limits, config.sample_time, self.model.dc_gain, self._pursuit.time)
             except ValueError as error:
-                warnings.warn(f"the robot will be late: {error}", stacklevel=2)
+                warnings.warn(f"the robot will lag behind its reference: {error}", stacklevel=2)
         return config
 
     def updated(
         self, weights: Mapping[str, float] | None = None, limits: Mapping[str, float] | None = None
     ) -> ControllerConfig:
-        """Return the configuration that `update` would apply; nothing changes.
+        """Return the configuration that `update` would apply, without applying it.
 
         Raises
         ------
         ConfigError, ArgumentError
-            As for `update`.
+            If an argument is invalid, as for `update`.
         """
         for group, values in zip(_CHANGEABLE, (weights, limits), strict=True):
             if not isinstance(values, (Mapping, type(None))):
@@ -559,12 +565,12 @@ class Controller:
             for key, value in (values or {}).items()
         }
         config = replace_values(self._pending.config if self._pending else self._config, changes)
-        config = with_increments(config, self._predicted.sampled)
+        config = with_increments(config, self._prediction.sampled)
         for name in ("min_turn_radius", "min_commanded_radius"):
             if (getattr(config.limits, name) is None) != (getattr(self._config.limits, name) is None):
                 raise ConfigError(
-                    f"limits.{name}: its value can be changed while driving, but it cannot be set or unset; set it in "
-                    "the configuration"
+                    f"limits.{name}: this limit can be changed while driving, but it cannot be added or removed; set "
+                    "it in the configuration"
                 )
         return config
 
@@ -574,15 +580,16 @@ class Controller:
 
     @property
     def speed_limit(self) -> float | None:
-        """Speed limit in addition to that of the configuration [m/s]; None if there is no additional limit."""
+        """Additional speed limit set by `limit_speed` [m/s]; None if there is no additional limit."""
         return self._speed_limit
 
     def limit_speed(self, v: float | None) -> None:
-        """Limit the speed to `v` [m/s] from the next step on, as in a speed zone; None: no additional limit.
+        """Limit the speed to `v` [m/s] from the next step on, as in a speed zone; None removes the limit.
 
-        This is a hard limit on |v_ref|, reached at the slew limit, and a soft limit on the predicted speed. If the
-        reference is faster, its clock slows down and catches up afterwards; if `reentry.enabled` is false, the clock
-        runs on and the robot falls behind. References are still checked against the limits of the configuration.
+        The limit is a hard limit on |v_ref|, which is approached at the slew limit, and a soft limit on the predicted
+        speed. If the reference is faster, its clock slows down and catches up afterwards. If `reentry.enabled` is
+        false, the clock continues and the robot falls behind. References are still checked against the limits of the
+        configuration.
 
         Raises
         ------
@@ -590,7 +597,7 @@ class Controller:
             If `v` is not a positive finite number.
         """
         if v is not None and not (math.isfinite(v) and v > 0.0):
-            raise ValueError(f"a speed limit of {v} m/s: give a positive number, or None for no limit")
+            raise ValueError(f"speed limit of {v} m/s: give a positive number, or None for no limit")
         if v == self._speed_limit:
             return
         self._speed_limit = v
@@ -598,17 +605,17 @@ class Controller:
         self._prepare_limits(self._pending.config if self._pending else self._config)
 
     def set_parameters(self, **values: ArrayLike) -> None:
-        """Set the stage parameters of terms by their name, from the next step on.
+        """Set the stage parameters of terms by the name of the term, from the next step on.
 
         Parameters
         ----------
         values
-            (p,) parameters for all samples, or (N + 1, p) one row for each of the samples 0 to N from the tick on.
+            (p,) parameters of a term for all samples, or (N + 1, p) with one row for each of the samples 0 to N.
 
         Raises
         ------
         ConfigError
-            If a term does not exist, a shape is wrong, or a value is not finite; nothing changes then.
+            If a term does not exist, a shape is wrong, or a value is not finite; all parameters then stay unchanged.
         """
         table = self._tick.parameters
         for place, rows in checked_parameters(self._terms, len(table), values):
@@ -625,19 +632,19 @@ class Controller:
     ) -> StepResult:
         """Compute the command for the tick at `t` [s] from the measurements since the last tick.
 
-        The method never raises on bad data: a measurement that is not finite, jumps or is too old is rejected, with a
-        note in `message`, and the robot dead-reckons. The robot brakes if no pose was accepted for
-        `failure.max_pose_age`, or for `failure.dead_reckoning` if wheels and gyro are available. With `hold` it brakes
-        and stands instead of driving; the estimate continues. If `t` leaps by more than `estimator.history`, the
-        command is zero in one tick, since the base has already stopped by its command timeout. All other changes of the
-        command respect slew or the braking limits.
+        The method never raises an error on invalid measurements. A measurement that is not finite, jumps or is too old
+        is rejected with a note in `message`, and the robot dead-reckons. The robot brakes if no pose was accepted for
+        `failure.max_pose_age`, or for `failure.dead_reckoning` if wheels and gyro are available. With `hold` the robot
+        brakes and stands, and the estimate is still updated. If `t` leaps by more than `estimator.history`, the command
+        becomes zero in one tick, since the base has already stopped by its command timeout. All other changes of the
+        command respect the slew or the braking limits.
 
-        `deadline` [s, `time.monotonic`] stops the solve by the clock. The active set stops after at least one
-        iteration: its plan respects ranges and slew, but may violate other limits, and `solver.status` reports it. A
-        backend that is stopped gives no plan; it does not start if its factorisation is expected to take longer. At
-        `solver.max_missed` consecutive ticks of this kind the robot brakes. Results then depend on the speed of the
-        computer. `most_iterations` repeats a tick that missed its deadline (`solver.missed`): it limits the iterations
-        of the active set to those of that tick; if it is 0, no backend is used.
+        `deadline` [s, `time.monotonic`] is the time at which the solve stops, so results depend on the speed of the
+        computer. The active set stops after at least one iteration. Its plan respects ranges and slew but may violate
+        other limits, which `solver.status` reports. A backend that is stopped returns no plan; it does not start if its
+        factorisation is expected to take longer. After `solver.max_missed` consecutive missed deadlines the robot
+        brakes. `most_iterations` reproduces a tick that missed its deadline (`solver.missed`): it is the maximum number
+        of iterations of the active set; with 0 no backend is used.
 
         Raises
         ------
@@ -659,7 +666,7 @@ class Controller:
                 "measurement",
                 "a Measurement",
                 measurement,
-                "call step(t, Measurement(...)); without new data Measurement()",
+                "call step(t, Measurement(...)), or step(t, Measurement()) if there are no new data",
             ) from error
         for feature in self._features.values():
             hold = feature.before_step(t) or hold
@@ -671,13 +678,13 @@ class Controller:
         except TypeError as error:
             raise wrong_type("t", "a time [s]", t, "call step(t, Measurement(...))") from error
         on_time = pursuit.on_time and since_start >= 0.0
-        moved = not on_time and bool(tick.lib.ddmpc_is_new_tick(self._c, t))
-        tick_input.reference_time = pursuit.advance(since_start) if moved else since_start
+        is_advanced = not on_time and bool(tick.lib.ddmpc_is_new_tick(self._c, t))
+        tick_input.reference_time = pursuit.advance(since_start) if is_advanced else since_start
         tick_input.on_time = on_time
         pending = self._step(self._c, t, tick_input)
         message = ""
         if pending == _NEEDS_TARGET:
-            if not moved:
+            if not is_advanced:
                 tick_input.reference_time = pursuit.advance(since_start)
             pending, message = self._choose_target(since_start, tick_input.reference_time)
         elif on_time:
@@ -685,16 +692,16 @@ class Controller:
             if not c.reasons & self._messages.not_a_new_tick:
                 self._blocked_for = 0.0
                 pursuit.record_on_time(
-                    since_start, followed=pending == _NEEDS_BACKEND or c.solver.status != self._not_run
+                    since_start, tracked=pending == _NEEDS_BACKEND or c.solver.status != self._not_run
                 )
-        elif moved:
+        elif is_advanced:
             self._blocked_for = 0.0
-        refused, solve_time = False, self._c_result.solve_time
+        is_refused, solve_time = False, self._c_result.solve_time
         if pending == _NEEDS_BACKEND:
             backend_start = time.perf_counter()
-            refused = self._solve_with_backend(0.0 if most_iterations == 0 else deadline)
+            is_refused = self._solve_with_backend(0.0 if most_iterations == 0 else deadline)
             solve_time += time.perf_counter() - backend_start
-        result = self._build(hold, message, (start, solve_time), refused=refused)
+        result = self._build(hold, message, (start, solve_time), is_refused=is_refused)
         for feature in self._features.values():
             result = feature.after_step(t, measurement, result)
         return replace(result, step_time=time.perf_counter() - start) if self._features else result
@@ -709,7 +716,7 @@ class Controller:
             feature.configure()
 
     def _choose_target(self, since_start: float, reference_time: float) -> tuple[int, str]:
-        """Choose the target of a robot off its path or late; return the core's pending work, and a message."""
+        """Choose the target of a robot that is off its path or late; return the core's pending work and a message."""
         tick = self._tick
         estimate = Estimate(tick.layout, tick.layout.copy(), self._c_result.estimate.time)
         self._blocked_for = 0.0
@@ -719,23 +726,23 @@ class Controller:
                 return tick.lib.ddmpc_too_far(self._c, target.distance), ""
             self._blocked_for = target.blocked_for
             sample = target.sample or target.reference.sample(target.time + self._ahead)
-            # Limit the commands of a blocked base, which would otherwise jerk once it is released.
+            # Limit the commands of a blocked base, which would otherwise jerk when it is released.
             share = self._config.reentry.blocked_share if target.blocked_for else 1.0
             return tick.track(sample.pose, sample.twist, share), target.message
         except (ArithmeticError, ValueError) as error:
             # The reference has returned invalid samples: use the rest of the last plan instead of raising.
-            return tick.lib.ddmpc_give_up(self._c), f"there is nothing to track: {error}"
+            return tick.lib.ddmpc_give_up(self._c), f"the reference cannot be sampled: {error}"
 
     def _solve_with_backend(self, deadline: float | None) -> bool:
-        """Solve with the backend and pass the result to the core; return True if the backend refused the data."""
+        """Solve with the backend and pass the result to the core; return True if the backend rejected the program."""
         tick, solver = self._tick, self._config.solver
-        solved, report = solve_all(self._backend, self._program, solver.backend, SLACK * solver.tolerance, deadline)
+        solution, report = solve_all(self._backend, self._program, solver.backend, SLACK * solver.tolerance, deadline)
         ffi = tick.ffi
         plan, multipliers = (
-            ffi.from_buffer("real[]", np.ascontiguousarray(values)) for values in (solved.plan, solved.multipliers)
+            ffi.from_buffer("real[]", np.ascontiguousarray(values)) for values in (solution.plan, solution.multipliers)
         )
-        refused = report.status is SolverStatus.REFUSED
-        status = SolverStatus.NOT_RUN if refused else report.status
+        is_refused = report.status is SolverStatus.REFUSED
+        status = SolverStatus.NOT_RUN if is_refused else report.status
         core_report = {
             "status": getattr(tick.lib, f"DDMPC_QP_{status.name}"),
             "path": tick.lib.DDMPC_BACKEND,
@@ -745,15 +752,15 @@ class Controller:
             "dual_residual": report.dual_residual,
         }
         tick.lib.ddmpc_answer(self._c, plan, multipliers, ffi.new("ddmpc_report *", core_report))
-        return refused
+        return is_refused
 
-    def _build(self, hold: Hold | None, message: str, times: tuple[float, float], *, refused: bool) -> StepResult:
+    def _build(self, hold: Hold | None, message: str, times: tuple[float, float], *, is_refused: bool) -> StepResult:
         """Build the step result, with arrays and message, from the result in C."""
         c, pursuit = self._c_result, self._pursuit
         layout = self._tick.layout
         block = layout.copy()
         c_report = c.solver
-        status = SolverStatus.REFUSED if refused else self._messages.statuses[c_report.status]
+        status = SolverStatus.REFUSED if is_refused else self._messages.statuses[c_report.status]
         report = SolverReport(
             status,
             self._messages.method(c_report.path),
@@ -787,7 +794,7 @@ class Controller:
 
 
 def _with_speed_limit(config: ControllerConfig, speed: float | None) -> ControllerConfig:
-    """Return `config` with a speed limit of at most `speed` [m/s]."""
+    """Return `config` with its speed limits reduced to at most `speed` [m/s]."""
     limits = config.limits
     if speed is None or speed >= max(limits.v.sides):
         return config
@@ -798,7 +805,7 @@ def _with_speed_limit(config: ControllerConfig, speed: float | None) -> Controll
 def _pairs(commands: ArrayLike) -> FloatArray:
     """Return commands as an array (K, 2); raise ValueError for a wrong shape or invalid values."""
     pairs = np.asarray(commands, dtype=float)
-    # Negated so that NaN fails.
+    # The comparison is negated so that NaN fails.
     if pairs.ndim != 2 or pairs.shape[1] != 2 or not (np.abs(pairs) <= _MAX_COMMAND).all():
         raise ValueError(
             f"commands of shape {pairs.shape}: give finite pairs (K, 2) of v_ref [m/s], omega_ref [rad/s], each at "

@@ -16,7 +16,7 @@ SENSORS = ("wheel_speed", "wheel_yaw_rate", "yaw_rate", "pose")
 
 
 class Estimate:
-    """Estimate of the filter, whose state is (states, slip, gyro bias, delays, pose).
+    """Estimate of the filter. The filter's state is (model states, slip, gyro bias, delays, pose).
 
     Parameters
     ----------
@@ -38,12 +38,12 @@ class Estimate:
 
     @property
     def mean(self) -> FloatArray:
-        """(n + 16 or 21,) mean of the filter's state: states, slip, gyro bias, delays and pose."""
+        """(n + 16,) or (n + 21,) mean of the filter's state: model states, slip, gyro bias, delays and pose."""
         return self._layout.take(self._block, "mean")
 
     @property
     def deviation(self) -> FloatArray:
-        """(n + 16 or 21,) standard deviations of the filter's state."""
+        """(n + 16,) or (n + 21,) standard deviations of the filter's state."""
         return self._layout.take(self._block, "deviation")
 
     @property
@@ -73,7 +73,7 @@ class Estimate:
 
     @property
     def slip_deviation(self) -> Slip:
-        """Standard deviations of the slip; zero for slips that are not estimated."""
+        """Standard deviations of the slip; zero for slip parameters that are not estimated."""
         return Slip(
             **dict.fromkeys(SLIPS, 0.0) | dict(zip(SLIPS, self.deviation[self._layout.slip].tolist(), strict=False))
         )
@@ -90,7 +90,7 @@ class Estimate:
 
     @property
     def delays(self) -> FloatArray:
-        """(2,) estimated delays of v and omega in addition to the model's [s]."""
+        """(2,) estimated delays of v and omega in addition to those of the model [s]."""
         return self.mean[-5:-3]
 
     @property
@@ -100,26 +100,26 @@ class Estimate:
 
     @property
     def innovations(self) -> Mapping[str, float]:
-        """Newest squared innovation over its variance, by sensor [-]; its mean is 1 if the noise assumptions hold."""
+        """Newest squared innovation over its variance [-], by sensor; 1 on average if the noise model is valid."""
         pairs = zip(SENSORS, self._layout.take(self._block, "innovations").tolist(), strict=True)
         return {sensor: value for sensor, value in pairs if not np.isnan(value)}
 
 
-# Full belief of the filter at one tick, including all covariances.
+# Belief of the filter at one tick, including all covariances.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Belief:
-    """Mean and covariance of the filter's state (states, slip, gyro bias, delays, pose), see `Controller.belief`.
+    """Mean and covariance of the filter's state at one tick, see `Controller.belief`.
 
     Attributes
     ----------
     mean
-        (Z,) mean in the units of `Estimate.mean`, Z = n + 16 or n + 21.
+        (Z,) mean in the order and units of `Estimate.mean`, with Z = n + 16 or n + 21.
     covariance
         (Z, Z) covariance.
     sent
-        (W, 2) pending commands v_ref [m/s], omega_ref [rad/s] before that of the tick, oldest first.
+        (W, 2) pending commands v_ref [m/s], omega_ref [rad/s] sent before this tick, oldest first.
     states
         Number n of states of the velocity model.
     """
@@ -131,7 +131,7 @@ class Belief:
 
     @property
     def slips(self) -> slice:
-        """Slice of the slip in the state: the first 10 of `SLIPS`, or all 15 if the configuration uses curved slip."""
+        """Slice of the slip in the filter's state: the first 10 of `SLIPS`, or all 15 with curved slip."""
         return slice(self.states, len(self.mean) - 6)
 
     @property
@@ -151,19 +151,19 @@ class Belief:
 
     @property
     def slip_covariance(self) -> FloatArray:
-        """(15, 15) covariance of the slip in the order of `SLIPS`, zero for slips that are not estimated."""
+        """(15, 15) covariance of the slip in the order of `SLIPS`; zero for slip parameters that are not estimated."""
         covariance, size = np.zeros((len(SLIPS), len(SLIPS))), self.slips.stop - self.slips.start
         covariance[:size, :size] = self.covariance[self.slips, self.slips]
         return covariance
 
     @property
     def polynomial_covariance(self) -> FloatArray:
-        """(9, 9) covariance of `Slip.polynomial`, the nine terms of Ordonez et al., 2017 (P4), to first order."""
+        """(9, 9) first-order covariance of `Slip.polynomial`, the nine terms of Ordonez et al., 2017 (P4)."""
         gradient = self.slip.polynomial_gradient
         return gradient @ self.slip_covariance @ gradient.T
 
     def with_slip(self, slip: Slip) -> Belief:
-        """Return a copy with the given slip, without uncertainty."""
+        """Return a copy with the given slip, whose covariance is zero."""
         mean, covariance = self.mean.copy(), self.covariance.copy()
         mean[self.slips] = [getattr(slip, name) for name in SLIPS[: self.slips.stop - self.slips.start]]
         covariance[self.slips], covariance[:, self.slips] = 0.0, 0.0

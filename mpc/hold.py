@@ -1,4 +1,4 @@
-"""Request to the controller to stop, from outside the controller."""
+"""External request to the controller to stop."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ class Hold:
     Attributes
     ----------
     reason
-        Reason of the hold, which becomes part of the step's message.
+        Reason for the hold; part of the step's message.
     failure
         True if the hold counts as a failure: `failure.resume` and `failure.resume_within` of the configuration then
-        determine whether the robot continues by itself when the hold ends. A pause does not count as a failure.
+        determine whether the robot continues by itself when the hold ends. False for a pause.
     waits
-        True if the robot waits for `start` or `resume` when the hold ends, independent of its duration.
+        True if the robot waits for `start` or `resume` after the hold, independent of its duration.
     """
 
     reason: str

@@ -1,4 +1,4 @@
-"""Message texts for the core's codes: modes, solver states, and reasons of actions and rejections."""
+"""Message texts for codes of the C core: modes, solver statuses, and reasons for actions and rejections."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from diffdrive_mpc.mpc.solver.report import SolverMethod, SolverStatus
 from diffdrive_mpc.mpc.step_result import Mode
 
 _TOLERANCE = 0.1
-"""Tolerated deviation of a valid sensor from poses [-]."""
+"""Tolerated relative deviation of a sensor from the poses [-]."""
 _MIN_COURSE_ANGLE = 15.0
 """Angle between course and heading that side-slip cannot explain [deg]."""
 _MIN_RATIO = 0.35
-"""Ratio of distances, wheels to poses, above which both wheels have the same sign [-]."""
+"""Ratio of wheel distance to pose distance above which the signs of the wheels can be determined [-]."""
 _SCALES = {"yaw rate": "sensors.yaw_rate.scale (57.3 for degrees)", "wheel speed": "sensors.wheels.scale"}
-"""Settings that correct a wrong unit."""
+"""Configuration keys that correct a wrong unit, by sensor."""
 
 
 class MessageFormatter:
-    """Formatter of messages about a controller's results; codes of C are looked up by name.
+    """Formatter of messages about a controller's results.
 
     Attributes
     ----------
     modes, statuses
-        Modes and statuses by their codes in C.
+        Modes and solver statuses by their C codes, which are looked up by name.
     """
 
     def __init__(self, tick: Tick, config: ControllerConfig) -> None:
@@ -53,11 +53,11 @@ class MessageFormatter:
             lib.DDMPC_TIME_FAULTY | lib.DDMPC_TIME_REPEATED | lib.DDMPC_TIME_LEAPT | lib.DDMPC_TIME_PAUSED
         )
         self.cause = ""
-        """Reason of the failure after which the robot waits for `start` or `resume`; empty if it does not wait."""
+        """Reason for the failure after which the robot waits for `start` or `resume`; empty if it is not waiting."""
         self.configure(config)
 
     def configure(self, config: ControllerConfig) -> None:
-        """Use the limits of `config` in later messages."""
+        """Use the limits and solver name of `config` in later messages."""
         self._config = config
         self._methods: dict[int, str] = {
             self._lib.DDMPC_NO_METHOD: SolverMethod.NONE,
@@ -67,21 +67,21 @@ class MessageFormatter:
         }
 
     def method(self, number: int) -> str:
-        """Return the name of the solver's method with the code `number`."""
+        """Return the name of the solver method with the C code `number`."""
         return self._methods[number]
 
     def sentence(self, hold: Hold | None, status: SolverStatus, target: str) -> str:
-        """Return the message of a tick; `target` is the message about the tracked target."""
+        """Return the message of the last tick; `target` is its part about the tracked target."""
         c, lib = self._result, self._lib
         reasons = c.reasons
-        parts = [words(c) for bit, words in self._time_words(lib) if reasons & bit]
+        parts = [describe(c) for bit, describe in self._time_messages(lib) if reasons & bit]
         if reasons & lib.DDMPC_SENT_REJECTED:
-            parts.append("sent command rejected: it is beyond the limits of commands")
+            parts.append("sent command rejected: it exceeds the command limits")
         parts += [self._note(c.note[index]) for index in range(c.notes)]
-        parts += self._findings(c)
+        parts += self._sensor_messages(c)
         if reasons & lib.DDMPC_HELD and hold is not None:
             parts.append(hold.reason)
-        parts += [words for bit, words in self._ladder_words(lib, c) if reasons & bit]
+        parts += [text for bit, text in self._failure_messages(lib, c) if reasons & bit]
         if target:
             parts.append(target)
         if reasons & lib.DDMPC_SOLVE_FAILED:
@@ -95,24 +95,24 @@ class MessageFormatter:
         return "; ".join(parts)
 
     @staticmethod
-    def _time_words(lib: Any) -> list[tuple[int, Callable[[Any], str]]]:  # noqa: ANN401 - cffi has no types
+    def _time_messages(lib: Any) -> list[tuple[int, Callable[[Any], str]]]:  # noqa: ANN401 - cffi has no types
         return [
-            (lib.DDMPC_TIME_FAULTY, _describe_faulty_time),
+            (lib.DDMPC_TIME_FAULTY, _describe_invalid_time),
             (
                 lib.DDMPC_TIME_REPEATED,
-                _describe_repeated,
+                _describe_repeated_tick,
             ),
             (lib.DDMPC_TIME_LEAPT, lambda c: f"no tick for {c.gap:.2f} s"),
-            (lib.DDMPC_TIME_PAUSED, lambda c: f"no tick for {c.gap:.2f} s; the estimate starts anew"),
+            (lib.DDMPC_TIME_PAUSED, lambda c: f"no tick for {c.gap:.2f} s; the estimate restarts"),
         ]
 
-    def _ladder_words(self, lib: Any, c: Any) -> list[tuple[int, str]]:  # noqa: ANN401
+    def _failure_messages(self, lib: Any, c: Any) -> list[tuple[int, str]]:  # noqa: ANN401
         failure, finish, fence = self._config.failure, self._config.finish, self._config.fence
         age = c.estimate.pose_age[0]
         return [
             (lib.DDMPC_NO_POSE, "no pose has arrived yet"),
-            (lib.DDMPC_ELSEWHERE, "poses agree that the robot is somewhere else"),
-            (lib.DDMPC_LOST, "the estimate is not finite; it starts anew"),
+            (lib.DDMPC_ELSEWHERE, "consecutive poses agree on a different position"),
+            (lib.DDMPC_LOST, "the estimate is not finite; it restarts"),
             (lib.DDMPC_OLD_POSE, f"no pose was accepted for {age:.2f} s"),
             (
                 lib.DDMPC_TOO_FAR,
@@ -120,12 +120,13 @@ class MessageFormatter:
             ),
             (
                 lib.DDMPC_LEFT_FENCE,
-                f"its stopping path leaves the fence of {fence.length:g} by {fence.width:g} m; call start or reset to "
+                f"the stopping path leaves the fence of {fence.length:g} by {fence.width:g} m; call start or reset to "
                 "drive on",
             ),
             (
                 lib.DDMPC_TURN_HELD,
-                f"the turn is held to limits.min_commanded_radius = {self._config.limits.min_commanded_radius} m",
+                "the turn radius is limited to limits.min_commanded_radius = "
+                f"{self._config.limits.min_commanded_radius} m",
             ),
             (
                 lib.DDMPC_DEADLINES_MISSED,
@@ -139,43 +140,42 @@ class MessageFormatter:
         ]
 
     def unused(self, reasons: int) -> tuple[str, ...]:
-        """Return the names of the sensors that the other sensors contradict."""
+        """Return the names of the sensors that are not used because the other sensors contradict them."""
         return tuple(name for bit, name in self._accused.items() if reasons & bit)
 
-    def _findings(self, c: Any) -> list[str]:  # noqa: ANN401
-        """Describe the results of the sensor comparison: unused sensors, and faults to correct."""
-        lib, words = self._lib, []
+    def _sensor_messages(self, c: Any) -> list[str]:  # noqa: ANN401
+        """Return messages about the comparison of the sensors: unused sensors, and faults to correct."""
+        lib, messages = self._lib, []
         for subject, (bit, name) in enumerate(self._accused.items()):
             if c.reasons & bit:
                 is_repeating = c.repeating >> subject & 1
-                why = "it repeats itself, and " if is_repeating else ""
-                words.append(
-                    f"{name} not used: {why}the other sensors contradict it"
-                    f"{'' if is_repeating else _describe_mount(name, c, is_impossible=bool(c.unreal >> subject & 1))}"
-                )
+                cause = "its readings repeat, and " if is_repeating else ""
+                is_impossible = bool(c.unreal >> subject & 1)
+                error = "" if is_repeating else _describe_mounting_error(name, c, is_impossible=is_impossible)
+                messages.append(f"{name} not used: {cause}the other sensors contradict it{error}")
         if c.reasons & lib.DDMPC_POSES_SCATTER:
-            words.append(f"poses scatter {c.pose_scatter:.1f} times as far as they state")
+            messages.append(f"poses scatter {c.pose_scatter:.1f} times as far as their covariance states")
         if c.reasons & lib.DDMPC_POSES_LATE:
-            words.append(f"poses are about {c.pose_delay:.2f} s later than their stamps")
+            messages.append(f"poses are about {c.pose_delay:.2f} s later than their stamps")
         if c.reasons & lib.DDMPC_POSES_RARE:
             failure = self._config.failure
-            words.append(
-                f"poses come every {c.pose_interval:.2f} s and {c.pose_latency:.2f} s late, too seldom for "
-                f"failure.max_pose_age of {failure.max_pose_age:g} s: the robot stays braked; raise it beyond "
+            messages.append(
+                f"poses come every {c.pose_interval:.2f} s and {c.pose_latency:.2f} s late, too rarely for "
+                f"failure.max_pose_age of {failure.max_pose_age:g} s: the robot stays braked; raise it above "
                 f"{c.pose_interval + c.pose_latency:.2f} s, or send poses more often or sooner"
             )
         if c.reasons & lib.DDMPC_POSES_TOO_OLD:
-            words.append(
+            messages.append(
                 f"poses come {c.pose_latency:.2f} s late, and the history reaches back "
                 f"{self._config.estimator.history:g} s: raise estimator.history, or send poses sooner"
             )
         if c.reasons & lib.DDMPC_TURNS_OTHERWISE:
             wheels, body = c.turn_ratio
-            words.append(
-                f"wheels turn it {wheels:.2f} times as far as commanded, and it turns {body:.2f} times as far as they "
-                "say: slip, weak motors, or wrong wheels.track and wheels.encoder_track"
+            messages.append(
+                f"wheels turn the robot {wheels:.2f} times as far as commanded, and its body turns {body:.2f} times as "
+                "far as the wheels: slip, weak motors, or wrong wheels.track and wheels.encoder_track"
             )
-        return words
+        return messages
 
     def _note(self, note: Any) -> str:  # noqa: ANN401
         lib, a, b = self._lib, note.a, note.b
@@ -190,13 +190,13 @@ class MessageFormatter:
             lib.DDMPC_TOO_OLD: f"it is {a:.2f} s old; the history reaches back {self._config.estimator.history} s",
             lib.DDMPC_TOO_LARGE: f"{a:.3g} is more than {b:g}",
             lib.DDMPC_JUMPS: f"it jumps by {a:.2f} m and {b:.2f} rad" if pose else f"it jumps from {a:.2f} to {b:.2f}",
-            lib.DDMPC_TOO_MANY: "more arrived for one sample than is kept",
+            lib.DDMPC_TOO_MANY: "too many arrived for one sample",
         }
         return f"{self._subjects[note.subject]} rejected: {reasons[note.fault]}"
 
 
-def _describe_mount(name: str, c: Any, *, is_impossible: bool) -> str:  # noqa: ANN401
-    """Describe the probable mounting or scaling error of a sensor, and the remedy; empty if none is found."""
+def _describe_mounting_error(name: str, c: Any, *, is_impossible: bool) -> str:  # noqa: ANN401
+    """Return the probable mounting or scaling error of a sensor, with a remedy; empty if no error is found."""
     turn, distance, wheel_turn = (float(ratio) for ratio in c.reads)
     angle = math.degrees(c.direction)
     if is_impossible:
@@ -210,25 +210,25 @@ def _describe_mount(name: str, c: Any, *, is_impossible: bool) -> str:  # noqa: 
         return f"; it turns {turn:.2f} times as far as poses: set {' and '.join(remedies)}, or correct its axis"
     if name == "wheel speed" and (abs(distance - 1) > _TOLERANCE or wheel_turn < 0):
         signs = {"sign": distance, "turn_sign": wheel_turn}
-        stated = " and ".join(f"sensors.wheels.{key}: -1" for key, ratio in signs.items() if ratio < 0)
-        swap = "swap the sides, or correct the signs"
-        if stated and min(abs(distance), abs(wheel_turn)) > _MIN_RATIO:
-            swap += f", or set {stated}"
+        sign_settings = " and ".join(f"sensors.wheels.{key}: -1" for key, ratio in signs.items() if ratio < 0)
+        sign_remedy = "swap the sides, or correct the signs"
+        if sign_settings and min(abs(distance), abs(wheel_turn)) > _MIN_RATIO:
+            sign_remedy += f", or set {sign_settings}"
         is_scale = abs(wheel_turn - distance) < _MIN_RATIO * abs(distance)
         scale = f", or set sensors.wheels.scale: {distance:.2f}" if is_scale else " of each side"
-        remedy = swap if stated or distance < _MIN_RATIO else f"correct ticks and radius{scale}"
-        return f"; wheels go {distance:.2f} and turn {wheel_turn:.2f} times as far as poses: {remedy}"
+        remedy = sign_remedy if sign_settings or distance < _MIN_RATIO else f"correct ticks and radius{scale}"
+        return f"; wheels drive {distance:.2f} and turn {wheel_turn:.2f} times as far as poses: {remedy}"
     if name == "pose" and abs(angle) > _MIN_COURSE_ANGLE:
         heading = f"set sensors.pose.heading: {-c.direction:.2f} if the angle is the same everywhere"
-        return f"; their course is at {angle:.0f} deg to their heading: {heading}, or mirror their frame"
+        return f"; their course differs from their heading by {angle:.0f} deg: {heading}, or mirror their frame"
     return ""
 
 
-def _describe_repeated(c: Any) -> str:  # noqa: ANN401
+def _describe_repeated_tick(c: Any) -> str:  # noqa: ANN401
     return f"called {1e3 * c.gap:.1f} ms after the last tick; its command is repeated"
 
 
-def _describe_faulty_time(c: Any) -> str:  # noqa: ANN401
+def _describe_invalid_time(c: Any) -> str:  # noqa: ANN401
     if c.gap < 0:
         return f"time ran backwards by {-c.gap:.3f} s; call start again if the clock was set"
     return f"the time of this tick is {c.gap}; it was not used"

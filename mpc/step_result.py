@@ -12,16 +12,16 @@ from diffdrive_mpc.mpc.estimate import Estimate
 from diffdrive_mpc.mpc.solver.report import SolverReport
 
 LATE = "LATE"
-"""State of a robot that tracks its reference but cannot keep up."""
+"""State of a robot that tracks its reference but lags behind it."""
 
 
 class Mode(StrEnum):
-    """Operating mode of the controller. The names are those of `ddmpc_mode` in core.h."""
+    """Operating mode of the controller; the names match `ddmpc_mode` in core.h."""
 
     TRACKING = "TRACKING"
-    """The problem was solved; the command is the first of a fresh plan."""
+    """The solve succeeded; the command is the first command of a new plan."""
     REUSED_PLAN = "REUSED_PLAN"
-    """The solve failed; the command comes from the rest of the last good plan."""
+    """The solve failed; the command is from the rest of the last valid plan."""
     BRAKING = "BRAKING"
     """The command ramps to zero at the braking limits."""
     STOPPED = "STOPPED"
@@ -32,44 +32,44 @@ class Mode(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StepResult:
-    """Command and mode of a step, with the data behind them. Arrays are read-only.
+    """Command and mode of a control step, with estimate, plan and solver report. Arrays are read-only.
 
     Attributes
     ----------
     command
-        (2,) v_ref [m/s], omega_ref [rad/s]; always finite and within the range, and within slew or the braking limits
-        in all modes except STOPPED: after a leap of the clock the command is zero in one tick.
+        (2,) v_ref [m/s], omega_ref [rad/s], finite and within the range. It respects slew or the braking limits, except
+        in mode STOPPED after a leap of the clock, where it becomes zero in one tick.
     mode
-        Mode of the controller.
+        Operating mode.
     message
-        Reason for the mode and rejected measurements; empty while tracking on time without rejections.
+        Reasons for the mode and for rejected measurements; empty while tracking on time without rejections.
     solver
         Status, method, residuals and iterations of the solve; the status is NOT_RUN if there was no solve.
     progress
-        Current rate of the reference's clock: 1 on time, 0 while it waits [-].
+        Rate of the reference's clock [-]: 1 on time, 0 while the reference waits.
     reference_delay
-        Delay of the reference's clock behind the controller's [s]; negative if the robot was moved ahead.
+        Delay of the reference's clock behind the controller's clock [s]; negative if the robot was moved ahead.
     is_late, limited_by
-        True from the time when the reference waits for a lagging robot until the robot has caught up; key of the limit
-        that caused the lag, such as `limits.v.reverse`, empty if there is none.
+        True from the tick at which the reference starts to wait for a lagging robot until the robot catches up; key of
+        the limit that caused the lag, such as `limits.v.reverse`, empty if no limit caused it.
     estimate
         Estimate on which the command is based; None before the first pose.
     blocked_for
-        Time for which the robot has not moved despite commands [s]; 0 while it moves.
+        Time for which the robot has not moved despite motion commands [s]; 0 while it moves.
     step_time
-        Duration of the whole step [s].
+        Computation time of the step [s].
     solve_time
         Part of `step_time` for linearisation, condensing and solving, including the backend [s]; NaN if there was no
         solve.
     unused_sensors
         Sensors that are not used because the others contradict them: "wheel speed", "yaw rate", "pose".
     clearance
-        Distance from the robot's footprint to the nearest obstacle [m], negative inside; infinity: no obstacle nearby;
-        NaN if `free_space.enabled` is false or there is no estimate.
+        Distance from the robot's footprint to the nearest obstacle [m], negative inside an obstacle, infinity if no
+        obstacle is near; NaN if `free_space.enabled` is false or there is no estimate.
     clearance_ahead
-        Minimum clearance along the plan and the stopping path [m], with the same range as `clearance`.
+        Minimum clearance along the plan and the stopping path [m]; special values as for `clearance`.
     pressed_by
-        Obstacle limits that are active in the plan, with their times: "polygon 2 in 0.3 s".
+        Active obstacle limits of the plan with their times, such as "polygon 2 in 0.3 s".
     """
 
     command: FloatArray
@@ -92,12 +92,12 @@ class StepResult:
 
     @property
     def state(self) -> str:
-        """The mode, or `LATE` instead of `TRACKING` for a robot that `is_late`."""
+        """The mode; `LATE` instead of `TRACKING` if `is_late` is True."""
         return LATE if self.is_late and self.mode is Mode.TRACKING else str(self.mode)
 
     @property
     def plan(self) -> FloatArray | None:
-        """(N + 1, 3) predicted poses of the plan of the command; None while braking or stopped."""
+        """(N + 1, 3) predicted poses of the plan; None while braking or stopped."""
         return self._take("planned_poses")
 
     @property
@@ -107,7 +107,7 @@ class StepResult:
 
     @property
     def reference(self) -> FloatArray | None:
-        """(N + 1, 3) poses that the plan tracks, of the reference or of the path back to it; None without a plan."""
+        """(N + 1, 3) target poses of the plan; None while braking or stopped."""
         aim = self._take("aim")
         return None if aim is None else aim[:, :3]
 

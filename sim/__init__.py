@@ -1,4 +1,4 @@
-"""Simulation of the robot: plants, sensors, the closed loop and its metrics.
+"""Simulation of the robot: plants, sensors, closed loop and metrics.
 
 Names are imported on first use, so that the package can be imported without MuJoCo.
 """
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from diffdrive_mpc.sim.plants.plant import Plant as Plant
     from diffdrive_mpc.sim.run import Run as Run
 
-_HOMES = {
+_MODULES = {
     "Metrics": "metrics.metrics",
     "Plant": "plants.plant",
     "Run": "run",
@@ -24,10 +24,10 @@ _HOMES = {
     "simulate": "loop",
 }
 
-if not TYPE_CHECKING:  # a type checker takes the imports above for the public names
-    __all__ = list(_HOMES)
-__getattr__ = on_first_use(__name__, _HOMES)
+if not TYPE_CHECKING:  # a type checker uses the imports above as the public names
+    __all__ = list(_MODULES)
+__getattr__ = on_first_use(__name__, _MODULES)
 
 
 def __dir__() -> list[str]:
-    return sorted(_HOMES)
+    return sorted(_MODULES)

@@ -1,6 +1,6 @@
-"""CSV logs of runs: one row per tick, with the columns of `Run.columns`.
+"""CSV logs of runs with one row per tick and the columns of `Run.columns`.
 
-`models.logs` reads these logs with the shipped mapping `simulate`.
+`models.logs` reads these logs with the built-in mapping `simulate`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from diffdrive_mpc.sim.run import Run
 
 
 def write_log(run: Run, path: str | Path) -> None:
-    """Write `run` to a CSV file; cells are empty at ticks without a new reading.
+    """Write `run` to a CSV file; cells without a new reading are empty.
 
     Numbers are written with full precision. The file is written atomically.
 

@@ -1,4 +1,4 @@
-"""MCAP logs of runs in the format of `models.logs.drive_log`: topics of node and robot, and rows of `Run.columns`."""
+"""MCAP logs of runs in the format of `models.logs.drive_log`, with topics of node and robot, and `Run.columns`."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from diffdrive_mpc.sim.run import Run
 from diffdrive_mpc.sim.sensing.odometry import Odometry
 
 START = 10**9
-"""Stamp in the file [ns] for time 0 of the run; in ROS, a stamp of zero means unset."""
+"""Stamp in the file for time 0 of the run [ns]; it is not zero, since ROS treats zero stamps as unset."""
 _NANO = 10**9
 
 
 def write_log(run: Run, path: str | Path, metadata: Mapping[str, Mapping[str, str]] | None = None) -> None:
-    """Write `run` to an MCAP file, atomically, with its plans if they were stored.
+    """Write `run`, including its stored plans, to an MCAP file; the file is written atomically.
 
     Parameters
     ----------
     run
-        The run.
+        Run to write.
     path
-        The file.
+        Path of the file.
     metadata
-        Additional metadata records by name, each with strings by key.
+        Additional metadata records by name; each record maps keys to strings.
 
     Raises
     ------
@@ -58,13 +58,13 @@ def write_ticks(run: Run, path: Path, metadata: Mapping[str, Mapping[str, str]])
 
 
 def _rows(run: Run) -> Iterator[dict[str, Cell]]:
-    """Yield the values known at each tick, by column of the run."""
+    """Yield the known values of each tick by column."""
     columns = {name: column.tolist() for name, column in run.columns.items()}
     for cells in zip(*columns.values(), strict=True):
-        yield {name: cell for name, cell in zip(columns, cells, strict=True) if not _missing(cell)}
+        yield {name: cell for name, cell in zip(columns, cells, strict=True) if not _is_missing(cell)}
 
 
-def _missing(cell: Cell) -> bool:
+def _is_missing(cell: Cell) -> bool:
     return isinstance(cell, float) and math.isnan(cell)
 
 

@@ -1,4 +1,4 @@
-"""The closed loop: a controller drives a plant along a reference."""
+"""Closed-loop simulation of a controller that drives a plant along a reference."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from diffdrive_mpc.sim.recorder import Recorder
 from diffdrive_mpc.sim.run import Run
 
 _SAME_PERIOD = 1e-3
-"""Relative difference below which two sample times are equal [-]."""
+"""Relative difference below which two sample times count as equal [-]."""
 
 
 def simulate(
@@ -31,43 +31,42 @@ def simulate(
     keep_plans: bool = False,
     on_tick: Callable[[int, int], None] | None = None,
 ) -> Run:
-    """Drive `plant` along `reference`, from rest at its start unless the plant's scenario has a start offset.
+    """Drive `plant` along `reference` from rest at its start pose, plus the start offset of the plant's scenario.
 
     Parameters
     ----------
     controller
-        The controller; it receives only measurements, not the true state.
+        Controller, which receives only measurements, not the true state.
     plant
-        The simulated robot; it is reset first.
+        Simulated robot, which is reset first.
     reference
-        The timed trajectory; its time 0 is the plant's time 0.
+        Timed trajectory, whose time 0 is the plant's time 0.
     extra_time
-        Time to continue after the end of the reference [s].
+        Additional time after the end of the reference [s].
     keep_plans
-        Whether to store the plan of the controller at each tick.
+        True to store the plan of the controller at each tick.
     on_tick
-        Called after each tick with the number of finished ticks and their total, for a progress display.
+        Function that is called after each tick with the number of finished ticks and the total number.
 
     Returns
     -------
     Run
-        The ticks from 0 to the first tick at or after the end, or until the robot is lost; `ended` then holds the
-        reason. A plant with surroundings provides them to the controller; its run continues until its time limit, or
-        until the plant ends it.
+        Run from time 0 to the first tick at or after the end, or until the robot is lost; `ended` then contains the
+        reason. The run of a plant with surroundings continues until its time limit, or until the plant ends it.
 
     Raises
     ------
     ValueError
-        If `extra_time` is negative or not finite, if the sample times of controller and plant differ, or if a command
-        is not two finite numbers.
+        If `extra_time` is negative or not finite, the sample times of controller and plant differ, or a command does
+        not consist of two finite numbers.
     """
     _check_arguments(controller, plant, extra_time)
     plant.reset(reference.sample([0.0]).pose[0])
     controller.start(reference, plant.time)
     surrounded = plant if isinstance(plant, Surrounded) else None
     end, goal = reference.duration + TIME_TOLERANCE, reference.sample([reference.duration]).pose[0]
-    until = max(reference.duration + extra_time, surrounded.time_limit if surrounded else 0.0)
-    ticks = int(np.ceil((until - TIME_TOLERANCE) / plant.sample_time)) + 1
+    end_time = max(reference.duration + extra_time, surrounded.time_limit if surrounded else 0.0)
+    ticks = int(np.ceil((end_time - TIME_TOLERANCE) / plant.sample_time)) + 1
     record = Recorder(ticks, keep_plans=keep_plans)
     ended = ""
     for k in range(ticks):
@@ -93,7 +92,7 @@ def simulate(
 
 
 def _check_arguments(controller: TrackingController, plant: Plant, extra_time: float) -> None:
-    """Raise ValueError if the sample times differ; a controller without `sample_time` supports any."""
+    """Raise ValueError for an invalid `extra_time` or different sample times of controller and plant."""
     if not (np.isfinite(extra_time) and extra_time >= 0):
         raise ValueError(f"extra_time = {extra_time}: give a time in seconds, zero or more")
     period = getattr(controller, "sample_time", None)
@@ -105,7 +104,7 @@ def _check_arguments(controller: TrackingController, plant: Plant, extra_time: f
 
 
 def _check_command(command: FloatArray, t: float) -> FloatArray:
-    """Return the command as an array; raise ValueError if it is not two finite numbers."""
+    """Return the command as an array; raise ValueError if it does not consist of two finite numbers."""
     command = np.asarray(command, dtype=float)
     if command.shape != (2,) or not all(map(math.isfinite, command.tolist())):
         raise ValueError(

@@ -91,7 +91,7 @@ def test_identified_configuration_matches_the_robot(session):
 def test_suggested_command_reproduces_the_figure_of_the_table(session):
     output = session[1]
     command = output[output.rindex("diffdrive-mpc simulate") :].replace("\\\n", " ")
-    (promised,) = re.findall(r"the model itself +circle +(\S+)", output)
+    (promised,) = re.findall(r"model itself +circle +(\S+)", output)
     assert position_rmse(run_line(command)) == pytest.approx(float(promised), abs=0.0001)
 
 

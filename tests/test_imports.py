@@ -3,13 +3,10 @@
 import json
 import subprocess
 import sys
-from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
 
-from diffdrive_mpc import sim
-from imports import imports_of
 from steps_without_imports import CASES, check_steps
 
 STEPS = Path(__file__).with_name("steps_without_imports.py")
@@ -103,56 +100,3 @@ def test_robot_needs_neither_mujoco_nor_matplotlib():
 @pytest.mark.parametrize("name", CASES)
 def test_step_imports_no_module(name):
     check_steps(STEPS, name)
-
-
-# The modules of `sim` depend on each other in one direction.
-
-
-FOLDER = Path(sim.__file__).parent
-
-
-def _sim_imports(path: Path) -> set[str]:
-    """Return the modules of `sim` that a file imports, also inside functions and for type checking."""
-    names = {candidate for module, name in imports_of(path) for candidate in (module, f"{module}.{name}".rstrip("."))}
-    return {name for name in names if name.startswith("diffdrive_mpc.sim.")}
-
-
-def name(path: Path) -> str:
-    return ".".join(("diffdrive_mpc.sim", *path.relative_to(FOLDER).with_suffix("").parts))
-
-
-ALLOWED: dict[str, set[str]] = {
-    "sensing": set(),
-    "disturbances": set(),
-    "metrics": set(),
-    "core": set(),
-    "plants": {"core", "sensing", "disturbances"},
-    "ros": {"sensing", "plants"},
-    "": {"sensing", "disturbances", "plants", "metrics"},
-}
-"""Permitted dependencies by folder; "" stands for the files outside the folders."""
-
-
-def room(module: str) -> str:
-    inside = module.split(".")[2:]
-    return inside[0] if (FOLDER / inside[0]).is_dir() else ""
-
-
-def modules() -> dict[str, set[str]]:
-    return {name(path): _sim_imports(path) for path in FOLDER.rglob("*.py") if path.stem != "__init__"}
-
-
-def test_modules_have_no_circular_imports() -> None:
-    graph = modules()
-    assert {"diffdrive_mpc.sim.metrics.metrics", "diffdrive_mpc.sim.metrics.tracking_errors"} <= graph[
-        "diffdrive_mpc.sim.run"
-    ]
-    TopologicalSorter(graph).prepare()  # raises CycleError
-
-
-def test_folders_depend_on_each_other_in_one_direction() -> None:
-    arrows = {(room(user), room(used)) for user, all_used in modules().items() for used in all_used}
-    assert ("plants", "sensing") in arrows and ("", "plants") in arrows
-    assert {arrow for arrow in arrows if arrow[0] != arrow[1] and arrow[1] not in ALLOWED[arrow[0]]} == set()
-    assert {user for user, _ in arrows} <= set(ALLOWED)
-    assert {path.name for path in FOLDER.iterdir() if (path / "__init__.py").exists()} == set(ALLOWED) - {""}

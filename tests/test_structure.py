@@ -31,6 +31,15 @@ FOLDERS = {
 }
 ROS_FOLDERS = {ROOT / "mpc/ros", ROOT / "sim/ros"} | {FOLDERS[name] / "ros" for name in PACKAGES}
 MUJOCO_FOLDERS = {ROOT / "sim", FOLDERS["diffdrive_mpc_extras"] / "worlds"}
+SIMULATION = {
+    "sensing": set(),
+    "disturbances": set(),
+    "metrics": set(),
+    "core": set(),
+    "plants": {"core", "sensing", "disturbances"},
+    "ros": {"sensing", "plants"},
+}
+"""Folders of `sim`, and those that each may import."""
 DEFERRED_CIRCLES = {
     "diffdrive_mpc.models.velocity_model",
     "diffdrive_mpc.mpc.core.library",
@@ -152,6 +161,19 @@ def test_folders_inside_a_folder_form_no_circle(folder):
                     graph[source].add(sink)
     directory = MODULES[folder].parent
     assert {entry for entry in circular(dict(graph)) if (directory / entry).is_dir()} == set()
+
+
+def test_folders_of_the_simulation_import_only_listed_folders():
+    prefix, imports = "diffdrive_mpc.sim.", import_graph(inside_functions=True).items()
+    pairs = {(name, target) for name, targets in imports for target in targets}
+    arrows = {
+        tuple(entry.split(".")[2] for entry in pair)
+        for pair in pairs
+        if all(entry.startswith(prefix) for entry in pair)
+    }
+    assert ("plants", "sensing") in arrows
+    assert {arrow for arrow in arrows if arrow[1] not in {arrow[0], *SIMULATION.get(arrow[0], [arrow[1]])}} == set()
+    assert {path.parent.name for path in (ROOT / "sim").glob("*/__init__.py")} == set(SIMULATION)
 
 
 def test_files_form_no_circle():

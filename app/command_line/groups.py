@@ -1,4 +1,4 @@
-"""Groups of commands that name the package of a command that is not installed."""
+"""Groups of commands: full help, and the package of a command that is not installed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,23 @@ from typer.core import TyperGroup
 from diffdrive_mpc.models.plug_ins import check_package
 
 
-class PackagedGroup(TyperGroup):
+class FullHelp(TyperGroup):
+    """Group of commands whose list shows the whole sentence of each command."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - classes that typer does not export
+        """List the commands under their panels."""
+        panels: dict[str, list[tuple[str, str]]] = {}
+        for name in self.list_commands(ctx):
+            command: Any = self.get_command(ctx, name)
+            panel = command.rich_help_panel if isinstance(command.rich_help_panel, str) else "Commands"
+            if not command.hidden:
+                panels.setdefault(panel, []).append((name, command.get_short_help_str(limit=1000)))
+        for panel, rows in panels.items():
+            with formatter.section(panel):
+                formatter.write_dl(rows)
+
+
+class PackagedGroup(FullHelp):
     """Group of commands to which packages can add commands."""
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ANN401 - classes that typer does not export

@@ -11,9 +11,9 @@ from types import FrameType
 from typing import Any, ClassVar, NoReturn, TextIO
 
 import typer
-from typer.core import TyperGroup
 
 from diffdrive_mpc.app.command_line.echo import echo
+from diffdrive_mpc.app.command_line.groups import FullHelp
 from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.models.typed_command import typed
 
@@ -40,7 +40,7 @@ _SINGULARS = {"trajectories": "trajectory", "models": "model"}
 """Options of a single value by the option of several; without `seeds`, whose argument is a number of seeds."""
 
 
-class OneLineErrors(TyperGroup):
+class OneLineErrors(FullHelp):
     """Group of commands that report bad input as `error: ...` and exit code 2, without a traceback.
 
     Bad input means ValueError (with ConfigError and ModelError), OSError, and errors of the command-line parser. Other
@@ -53,18 +53,6 @@ class OneLineErrors(TyperGroup):
     def make_context(self, *args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 - the signature of the base class
         """Parse the arguments; `--trajectory` and `--trajectories` are synonyms in the commands of this group."""
         return super().make_context(*args, token_normalize_func=_singular, **kwargs)
-
-    def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - classes that typer does not export
-        """List the commands under their panels."""
-        panels: dict[str, list[tuple[str, str]]] = {}
-        for name in self.list_commands(ctx):
-            command: Any = self.get_command(ctx, name)
-            panel = command.rich_help_panel if isinstance(command.rich_help_panel, str) else "Commands"
-            if not command.hidden:
-                panels.setdefault(panel, []).append((name, command.get_short_help_str(limit=1000)))
-        for panel, rows in panels.items():
-            with formatter.section(panel):
-                formatter.write_dl(rows)
 
     def main(self, *args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 - the signature of the base class
         """Parse the command line, run the command and exit."""

@@ -8,10 +8,11 @@ from typing import Annotated
 import typer
 
 from diffdrive_mpc.app.command_line.echo import echo
+from diffdrive_mpc.app.command_line.groups import FullHelp
 from diffdrive_mpc.app.commands.options import RobotName
 
 config_app = typer.Typer(
-    no_args_is_help=True, rich_markup_mode=None, help="Show, check and explain controller configurations."
+    cls=FullHelp, no_args_is_help=True, rich_markup_mode=None, help="Show and check configurations; list their keys."
 )
 
 

@@ -17,6 +17,7 @@ from diffdrive_mpc.app.identification.trial_drives import (
     first_circle,
     recipe,
     trial_doubts,
+    trial_settings,
     trial_table,
 )
 from diffdrive_mpc.app.identification.unexplained_motion import write_robot
@@ -142,7 +143,8 @@ def _proven(identification: Identification, bar: ProgressBar, force: bool) -> Tr
     """Drive the configuration, unless the logs alone rule it out."""
     if identification.refusal and not force:
         return TrialVerdict(identification, None, (), against=identification.refusal)
-    return judge_by_drives(identification, lambda text: bar.start_stage(text, DRIVES), bar.advance, force=force)
+    count = DRIVES + trial_settings().unexplained
+    return judge_by_drives(identification, lambda text: bar.start_stage(text, count), bar.advance, force=force)
 
 
 def _write(verdict: TrialVerdict, folder: Path, bar: ProgressBar, force: bool) -> None:

@@ -36,7 +36,7 @@ from diffdrive_mpc.sim.plants.surface import BodySlip, Polynomial, Surface
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
 
 PATHS = ("circle", "square", "s", "cane")
-ITSELF, HELD_OUT = "the model itself", "a model of the data held out"
+ITSELF, HELD_OUT = "model itself", "model of held-out data"
 UNEXPLAINED = "the model with the motion that it left unexplained"
 _TITLE = "Driving with it"
 Share = Annotated[float, Field(gt=0, le=1)]
@@ -58,7 +58,9 @@ class TrialSettings(StrictModel):
     curved: tuple[str, ...] = Field(description="paths without corners, of which the promise is")
     window: Positive = Field(description="over which motion that the model leaves unexplained is averaged [s]")
     noise_speed: Positive = Field(description="speed that noise of the poses may pass for [m/s]")
-    unexplained: int = Field(ge=1, description="curved drives with such motion, from which the promise is made")
+    unexplained: int = Field(ge=1, description="number of curved drives with such motion")
+    lost_share: Share = Field(description="maximum share of these drives that do not arrive [-]")
+    promise_factor: Positive = Field(description="promised error over the geometric mean of these drives [-]")
     stand_in_order: int = Field(ge=1, description="of the SSM that stands in for a robot whose model is an SM or MBM")
     stand_in_rows: int = Field(ge=1, description="of the data held out that it is fitted to")
 

@@ -101,7 +101,8 @@ def identified_robot(identification: Identification, config: ControllerConfig) -
 def _explained(motion: list[FloatArray], outputs: Sequence[FloatArray], identification: Identification) -> BodySlip:
     """Return the slip of the surface that the poses show, and take it out of `motion`: it is no motion of chance.
 
-    Encoders measure neither the radius of the wheels nor side-slip. Records without poses stay as they are.
+    Encoders measure neither the radius of the wheels nor side-slip. Records without poses stay as they are. The gain is
+    that of means over blocks: in shorter ones the response to changes of the command counts as gain.
     """
     slip, validation = log_slip(identification, pose_point=True), identification.report.data.validation
     pairs = [
@@ -111,8 +112,12 @@ def _explained(motion: list[FloatArray], outputs: Sequence[FloatArray], identifi
     ]
     if not pairs:
         return slip
-    ahead, left = np.concatenate([rows[:, :2] for rows, _ in pairs]).T
-    v, turning = np.concatenate([[twist[:, 0], twist.prod(axis=1)] for _, twist in pairs], axis=1)
+    block = round(identification_settings().block_time / validation[0].dt)
+    ahead, v = (
+        np.concatenate([np.convolve(part[:, 0], np.ones(min(block, len(part))), "valid") for part in parts])
+        for parts in zip(*pairs, strict=True)
+    )
+    left, turning = np.concatenate([[rows[:, 1], twist.prod(axis=1)] for rows, twist in pairs], axis=1)
     gain, side_slip = ahead @ v / (v @ v), max(-(left @ turning) / (turning @ turning), -slip.side_slip)
     for rows, twist in pairs:
         rows[:, 0] -= gain * twist[:, 0]

@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.stats import gmean
 
 from diffdrive_mpc.app.identification.trial_drives import (
     HELD_OUT,
@@ -41,9 +41,7 @@ SIMPLEST = "sm"
 _WIDTH = 80
 _HEADS = ("May I drive?", "How fast?", "How good?", "What next?")
 DRIVES = 2 * len(PATHS)
-"""Trial drives of one configuration."""
-_SHARE = 0.95
-"""Share of further drives that a promise holds for [-]."""
+"""Trial drives of one configuration without unexplained motion."""
 
 
 class Promise(NamedTuple):
@@ -53,12 +51,12 @@ class Promise(NamedTuple):
     """[m/s]"""
     omega: float
     """[rad/s]"""
-    beside: float
-    """From the path [m]"""
-    off: float
-    """From the timed position [m]"""
+    lateral: float
+    """Distance from the path [m]"""
+    position: float
+    """Distance from the timed position [m]"""
     share: str
-    """Drives of how many, in words"""
+    """Number of drives that stay within, "95 of 100", or fewer if drives with unexplained motion do not arrive"""
 
 
 @dataclass(frozen=True)
@@ -110,14 +108,10 @@ class TrialVerdict:
         return (*self.changed, *words, *self._rough, *trust.reasons)
 
     @property
-    def _lost(self) -> int:
-        """Number of drives with unexplained motion that do not arrive."""
-        return sum(not drive.metrics.completed for drive in self.unexplained)
-
-    @property
     def _rough(self) -> tuple[str, ...]:
-        if self._lost:
-            return (f"{self._lost} of {len(self.unexplained)} drives of {UNEXPLAINED} do not arrive",)
+        count = len(self.unexplained)
+        if lost := count - len(_errors(self.unexplained)):
+            return (f"{lost} of {count} drives of {UNEXPLAINED} do not arrive",)
         if all(drive.passed for drive in self.unexplained):
             return ()
         return (f"{UNEXPLAINED} leaves its path by more than {100 * trial_settings().lateral_share:g} % of a radius",)
@@ -129,17 +123,13 @@ class TrialVerdict:
         if self.against or not curved:
             return None
         v, omega = np.max([np.abs(drive.run.reference_twist).max(axis=0) for drive in curved], axis=0)
-        plain, rough = (_errors(drives) for drives in (curved, self.unexplained))
-        largest = np.max([*plain, *rough], axis=0)
-        if len(rough) > 1:
-            # Largest errors of drives are about log-normal: 95 % quantile of one more drive, by Student's distribution.
-            sizes = np.log(rough)
-            factor = student.ppf(_SHARE, len(rough) - 1) * math.sqrt(1.0 + 1.0 / len(rough))
-            largest = np.maximum(largest, np.exp(sizes.mean(axis=0) + factor * sizes.std(axis=0, ddof=1)))
-        beside, off = (math.ceil(100 * size) / 100 for size in largest)
+        largest, arrived = np.max(_errors(curved), axis=0), _errors(self.unexplained)
+        if arrived:
+            largest = np.maximum(largest, trial_settings().promise_factor * gmean(arrived))
+        lateral, position = (math.ceil(1000 * size) / 1000 for size in largest)
         count = len(self.unexplained)
-        share = f"{count - self._lost} of {count}" if self._lost else "95 of 100"
-        return Promise(float(v), float(omega), beside, off, share)
+        share = f"{len(arrived)} of {count}" if len(arrived) < count else "95 of 100"
+        return Promise(float(v), float(omega), lateral, position, share)
 
     @property
     def promise(self) -> str:
@@ -147,10 +137,10 @@ class TrialVerdict:
         promised = self.promised
         if promised is None:
             return ""
-        v, omega, beside, off, share = promised
+        v, omega, lateral, position, share = promised
         return (
             f"follows curved paths at up to {v:.2g} m/s and {omega:.2g} rad/s in {share} drives within "
-            f"{100 * beside:.0f} cm of the path and {100 * off:.0f} cm of the timed position"
+            f"{100 * lateral:.3g} cm of the path and {100 * position:.3g} cm of the timed position"
         )
 
     def as_json(self) -> dict[str, Any]:
@@ -246,12 +236,12 @@ def judge_by_drives(
 
 
 def _with_unexplained(verdict: TrialVerdict, on_try: Callable[[str], None], on_run: Callable[[], None]) -> TrialVerdict:
-    """Drive curved paths with the motion that the model leaves unexplained; half of the drives must arrive."""
+    """Drive curved paths with the motion that the model leaves unexplained; a share of the drives must arrive."""
     identification, settings, drives = verdict.identification, trial_settings(), list[TrialDrive]()
     robot = None if verdict.config is None else identified_robot(identification, verdict.config)
     if verdict.against or verdict.config is None or robot is None:
         return verdict
-    on_try("driving with what the model leaves unexplained")
+    on_try("driving with unexplained motion")
     rough = replace(model_itself(identification), name=UNEXPLAINED, slip=robot.slip, sensors=robot.sensors)
     for seed in range(settings.unexplained):
         disturbance = robot.disturbance(verdict.config.sample_time, np.random.default_rng(seed))
@@ -259,7 +249,8 @@ def _with_unexplained(verdict: TrialVerdict, on_try: Callable[[str], None], on_r
         path = settings.curved[seed % len(settings.curved)]
         drives += trial_drives(identification, verdict.config, [plant], on_run, paths=[path], seed=seed)
     proven = replace(verdict, unexplained=tuple(drives), robot=robot)
-    return replace(proven, against=proven._rough[0]) if 2 * proven._lost > len(drives) else proven
+    lost = sum(not drive.metrics.completed for drive in drives)
+    return replace(proven, against=proven._rough[0]) if lost > settings.lost_share * len(drives) else proven
 
 
 def _fastest(

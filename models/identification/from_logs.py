@@ -330,6 +330,7 @@ def identify_data(
         stated=data.stated_track,
         every_sample=predictor is not None,
         sensors=data.sensors,
+        notes=tuple(finding.words for finding in data.findings if finding.kind == "no heading"),
     )
     if robot is not None:
         configuration = within_stated(configuration, robot)

@@ -55,8 +55,9 @@ POSES: dict[str, Callable[[Any], Reading]] = {
     "geometry_msgs/msg/PoseStamped": lambda message: _pose(message.pose),
     "geometry_msgs/msg/PoseWithCovarianceStamped": lambda message: _pose(message.pose.pose),
     "nav_msgs/msg/Odometry": lambda message: _pose(message.pose.pose),
+    "geometry_msgs/msg/PointStamped": lambda message: (float(message.point.x), float(message.point.y)),
 }
-"""x [m], y [m], theta [rad]."""
+"""x [m], y [m], and theta [rad] if the message has it."""
 
 
 BATTERIES: dict[str, Callable[[Any], Reading]] = {

@@ -139,7 +139,8 @@ def _requested_topics(path: Path, topics: Topics, recorded: set[str]) -> dict[st
             f"{draft_command(path)}; the bag has {', '.join(sorted(recorded)) or 'none'}"
         )
     for role, topic in requested.items():
-        if topic.fields is not None and len(topic.fields) != _WIDTHS.get(role, len(topic.fields)):
+        is_position = role == "pose" and topic.fields is not None and len(topic.fields) == len("xy")
+        if topic.fields is not None and not is_position and len(topic.fields) != _WIDTHS.get(role, len(topic.fields)):
             raise ConfigError(f"{path}: topic '{topic.topic}': give {_WIDTHS[role]} 'fields', not {len(topic.fields)}")
     return requested
 
@@ -240,7 +241,7 @@ def _signal(path: Path, rows: TopicRows, time: FloatArray, topic: Topic, role: s
         remedy = f"check the joints {', '.join(joints)}" if joints else "leave it out of the mapping"
         raise ConfigError(f"{path}: topic '{rows.topic}' holds no usable number; {remedy}")
     if role == "pose":
-        value = unwrapped(value * [1.0, 1.0, topic.sign])
+        value = unwrapped(value * np.array([1.0, 1.0, topic.sign])[: value.shape[1]])
     elif role in _SIDES:
         assert isinstance(topic, MotorTopic)
         value = topic.sign * FACTORS[topic.unit] * value

@@ -294,7 +294,7 @@ def _measured(reader: RowReader, columns: Columns, time: FloatArray) -> dict[str
         fresh = fresh_rows(readings) if sensor.held else np.ones(len(time), dtype=bool)
         if not (sensor.held or counts):
             reader.findings += _held_finding(reader.table, name, readings)
-        if name == "pose" and in_degrees(readings[:, 2]):
+        if name == "pose" and in_degrees(readings[:, 2:]):
             message = "the steps of the pose's heading are those of degrees, not radians"
             remedy = (MappingChange("pose", "theta.unit", "deg"),)
             reader.findings.append(Finding("wrong unit", "error", reader.table.path.name, message, changes=remedy))
@@ -309,8 +309,8 @@ def _measured(reader: RowReader, columns: Columns, time: FloatArray) -> dict[str
         add("gyro", columns.gyro, {"yaw_rate": reader.column(columns.gyro.yaw_rate)[0][:, None]})
     if columns.pose is not None:
         axes = (columns.pose.x, columns.pose.y, columns.pose.theta)
-        poses = np.column_stack([reader.column(axis)[0] for axis in axes])
-        add("pose", columns.pose, {"pose": poses - [0.0, 0.0, columns.pose.heading_offset]})
+        poses = np.column_stack([reader.column(axis)[0] for axis in axes if axis is not None])
+        add("pose", columns.pose, {"pose": poses - np.array([0.0, 0.0, columns.pose.heading_offset])[: poses.shape[1]]})
     if columns.battery is not None:
         parts = (columns.battery.voltage, columns.battery.current)
         add("battery", columns.battery, {"battery": np.column_stack([reader.column(part)[0] for part in parts])})

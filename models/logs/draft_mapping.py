@@ -276,7 +276,10 @@ def _assign_roles(columns: list[_Column]) -> _Assignment:
         used["command"] |= {quantity: command} if command else {}
         used["encoders"] |= {quantity: measured} if measured else {}
     used["gyro"] = _select_columns(columns, ("gyro",), {"yaw_rate": "omega"})
-    used["pose"] = _select_columns(columns, ("pose", ""), {"x": "x", "y": "y", "theta": "theta"})
+    sources, positions = ("pose", ""), {"x": "x", "y": "y"}
+    used["pose"] = _select_columns(columns, sources, {**positions, "theta": "theta"}) or _select_columns(
+        columns, sources, positions
+    )
     if not used["gyro"] and "omega" in used["encoders"] and "v" not in used["encoders"]:
         used["gyro"] = {"yaw_rate": used["encoders"]["omega"]}
         used["gyro"]["yaw_rate"].reasons.append("a yaw rate without a forward speed, so probably not of the wheels")

@@ -212,7 +212,7 @@ class PoseColumns(SensorColumns):
 
     x: LengthColumn
     y: LengthColumn
-    theta: AngleColumn
+    theta: AngleColumn | None = Field(None, description="heading; without it, computed from x and y")
     heading_offset: float = Field(0.0, description="offset of theta from the robot's heading, counter-clockwise [rad]")
 
 

@@ -21,6 +21,7 @@ from diffdrive_mpc.models.logs.diagnosis.readings import (
 )
 from diffdrive_mpc.models.logs.diagnosis.streams import streams_of
 from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log, read_drive
+from diffdrive_mpc.models.logs.headings import with_headings
 from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
 from diffdrive_mpc.models.logs.mapping_changes import to_topic_keys
 from diffdrive_mpc.models.logs.record import Finding, Log, Record, refuse
@@ -82,6 +83,10 @@ def read_log(
     unused = [Finding("unused value", "note", source, message) for message in (loaded.unused() if loaded else ())]
     findings = [*unused, *raw.findings, *check_timing(raw, period, settings), *findings]
     records, stuck = check_sensors(records, settings)
+    poses = [part.measured["pose"] for part in raw.stretches if "pose" in part.measured]
+    if any(pose.value.shape[1] == len("xy") for pose in poses):
+        records, notes = with_headings(raw.name, records)
+        findings += notes
     streams = streams_of(records, settings)
     findings += [*stuck, *check_commands(raw.name, records, settings)]
     if diagnosed:

@@ -98,8 +98,8 @@ class RawLog:
 
 
 def unwrapped(pose: FloatArray) -> FloatArray:
-    """Unwrap the third column [rad] of poses (n, 3)."""
-    return np.column_stack([pose[:, :2], np.unwrap(pose[:, 2])])
+    """Unwrap the third column [rad] of poses (n, 3), or (n, 2) without headings."""
+    return np.column_stack([pose[:, :2], np.unwrap(pose[:, 2:], axis=0)])
 
 
 def increasing(time: FloatArray) -> BoolArray:
@@ -216,6 +216,8 @@ def resample(
         max_gap = settings.longest_step(usual_step([signal.time]))
         part = signal.between(first - tolerance, last + tolerance)
         values, fresh = sample(part, grid, dt, tolerance, max_gap)
+        if key == "pose" and values.shape[1] == len("xy"):
+            values = np.column_stack([values, np.zeros(len(values))])  # `with_headings` fills it
         sampled[key] = values[:, 0] if key == "yaw_rate" else values
         if key not in ("battery", "motor_current", "motor_currents"):
             sampled[f"fresh_{key}" if key in ("yaw_rate", "pose") else "fresh_twist"] = fresh

@@ -34,7 +34,7 @@ def response_delays(fit: OutputErrorFit, names: Sequence[str], inputs: Sequence[
         system = fit.layout.system(parameters)
         return mean_delay(system.A, system.B, system.C, system.dead_time, inputs)
 
-    return fit.estimate.derived(names, delays)
+    return fit.derived(names, delays)
 
 
 def uncertain_delays(delays: ParameterEstimate) -> list[Doubt]:
@@ -106,9 +106,10 @@ def parameters_at_bounds(fit: OutputErrorFit, label: str, kinds: Mapping[str, st
 
 def poorly_determined(fit: OutputErrorFit, label: str) -> list[Doubt]:
     """Return one doubt if the data hardly determine a combination of parameters."""
-    if fit.condition < estimator_settings().warn.condition:
+    condition = fit.sandwich.condition
+    if condition < estimator_settings().warn.condition:
         return []
-    message = f"condition number {fit.condition:.1e}: some parameters cannot be identified separately; lower the order"
+    message = f"condition number {condition:.1e}: some parameters cannot be identified separately; lower the order"
     return [Doubt("told together", message).about(label)]
 
 

@@ -118,7 +118,7 @@ def _with_best_candidate(
 
 def _criterion(fit: OutputErrorFit, before: float, after: float, added: int) -> float:
     """Return the decrease of the information criterion from one loss to another with `added` parameters."""
-    samples = float(fit.effective_samples.sum())
+    samples = float(fit.sandwich.effective_samples.sum())
     return float(samples * np.log(before / after) - added * np.log(samples))
 
 
@@ -161,7 +161,7 @@ def _remove_limits(
         # If a limit is reached in one block only, the fit without this block cannot determine it.
         required = 0.0 if evidence > settings.strong_evidence else settings.held_out_evidence
         fall = np.log(without.powers.sum(axis=0) / blocks.powers.sum(axis=0))
-        is_worse = bool(plain.effective_samples @ fall > required)
+        is_worse = bool(plain.sandwich.effective_samples @ fall > required)
     return _Removal(plain, without, is_worse)
 
 
@@ -190,8 +190,8 @@ def _confirm_limits(best: OutputErrorFit, free: OutputErrorFit, drives: _Drives,
     # Few commands exceed a limit, so its deviation is at least that between blocks.
     factors = np.ones(len(fit.parameters))
     if blocks is not None:
-        factors[first:] = np.maximum(1.0, blocks.deviation[first:] / np.sqrt(np.diag(fit.covariance)[first:]))
-    return replace(fit, covariance=fit.covariance * np.outer(factors, factors))
+        factors[first:] = np.maximum(1.0, blocks.deviation[first:] / fit.estimate.standard_deviation[first:])
+    return replace(fit, sandwich=fit.sandwich.derived(np.diag(factors)))
 
 
 def _hold_out(fit: OutputErrorFit, drives: _Drives, robust: bool) -> HeldOut | None:
@@ -204,7 +204,7 @@ def _hold_out(fit: OutputErrorFit, drives: _Drives, robust: bool) -> HeldOut | N
 
 def _is_significant(fit: OutputErrorFit, kind: int, drives: _Drives) -> bool:
     index = fit.layout.names.index(f"{KINDS[kind]}_0")
-    value, deviation = fit.parameters[index], np.sqrt(fit.covariance[index, index])
+    value, deviation = fit.parameters[index], fit.estimate.standard_deviation[index]
     without = np.where(np.arange(len(KINDS)) == kind, np.inf, limits_of(fit))
     if _share(drives.limited(fit, limits_of(fit)), drives.limited(fit, without)) < estimator_settings().limits.share:
         return False

@@ -57,13 +57,17 @@ class ParameterEstimate:
         """Return the standard deviation of one parameter; raise KeyError if it does not exist."""
         return float(self.standard_deviation[self._index(name)])
 
-    def derived(self, names: Sequence[str], function: Callable[[FloatArray], FloatArray]) -> ParameterEstimate:
-        """Apply a function from (q,) to (r,) to the parameters, with first-order propagation of the covariance."""
+    def slope(self, function: Callable[[FloatArray], FloatArray]) -> FloatArray:
+        """Return the derivatives (r, q) of a function from (q,) to (r,) at the parameters."""
         slopes = []
         for i, value in enumerate(self.values):
             step = _STEP * max(abs(value), 1e-3) * np.eye(len(self.values))[i]
             slopes.append((function(self.values + step) - function(self.values - step)) / (2 * step[i]))
-        slope = np.array(slopes).T
+        return np.array(slopes).T
+
+    def derived(self, names: Sequence[str], function: Callable[[FloatArray], FloatArray]) -> ParameterEstimate:
+        """Apply a function (q,) to (r,) to the parameters; propagate the covariance to first order."""
+        slope = self.slope(function)
         return ParameterEstimate(tuple(names), np.asarray(function(self.values)), slope @ self.covariance @ slope.T)
 
     def part(self, names: Sequence[str]) -> ParameterEstimate:

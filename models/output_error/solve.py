@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -44,8 +44,8 @@ class OutputErrorFit:
     ----------
     layout, parameters
         Layout of the parameters and their values (q,).
-    covariance
-        (q, q) covariance with correlation of the residuals.
+    sandwich
+        Covariance (q, q) with correlation of the residuals, and the information in the data.
     scale
         (p,) scale of the residuals [units of the outputs].
     residuals
@@ -53,25 +53,28 @@ class OutputErrorFit:
         count.
     trust
         (K, p) weights of the residuals of each experiment: 1, or less for outliers.
-    effective_samples
-        (p,) number of independent readings with the information of the correlated residuals.
-    condition
-        Condition number of the information matrix, each parameter scaled to unit information.
     """
 
     layout: Layout
     parameters: FloatArray
-    covariance: FloatArray
+    sandwich: Sandwich
     scale: FloatArray
     residuals: list[FloatArray]
     trust: list[FloatArray]
-    effective_samples: FloatArray
-    condition: float
 
     @property
     def estimate(self) -> ParameterEstimate:
         """Parameters by name, with their covariance."""
-        return ParameterEstimate(self.layout.names, self.parameters, self.covariance)
+        return ParameterEstimate(self.layout.names, self.parameters, self.sandwich.covariance)
+
+    def derived(self, names: Sequence[str], function: Callable[[FloatArray], FloatArray]) -> ParameterEstimate:
+        """Apply a function from (q,) to (r,) to the parameters; the scatter of blocks is that of its values.
+
+        Local coordinates of a state space are correlated. If the variance of each were increased separately, the
+        information in their combinations would be lost.
+        """
+        covariance = self.sandwich.derived(self.estimate.slope(function)).covariance
+        return ParameterEstimate(tuple(names), np.asarray(function(self.parameters)), covariance)
 
     @property
     def system(self) -> LinearSystem:
@@ -151,12 +154,10 @@ def fit_output_error(
     return OutputErrorFit(
         layout,
         parameters,
-        covariance.covariance,
+        covariance,
         scale,
         split_rows(residuals, unjoined),
         split_rows(weights, unjoined),
-        covariance.effective_samples,
-        covariance.condition,
     )
 
 
@@ -272,6 +273,4 @@ def _covariance(layout: Layout, parameters: FloatArray, data: _Data) -> Sandwich
     error = np.where(np.concatenate(data.weights) > 0, error.reshape(-1, layout.outputs), np.nan)
     cuts = np.cumsum([experiment.samples for experiment in data.experiments])[:-1]
     estimate = sandwich(np.split(jacobian.reshape(*error.shape, -1)[..., free], cuts), np.split(error, cuts))
-    covariance = np.zeros((len(parameters),) * 2)
-    covariance[np.ix_(free, free)] = estimate.covariance
-    return estimate._replace(covariance=covariance)
+    return estimate.derived(np.eye(len(parameters))[:, free])

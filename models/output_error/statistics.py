@@ -12,7 +12,7 @@ and Student's distribution). If parts of a log differ by more than S predicts, t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -98,12 +98,24 @@ def _median(values: FloatArray) -> float:
 class Sandwich(NamedTuple):
     """Covariance of the parameters, with measures of the information in the data."""
 
-    covariance: FloatArray
-    """(q, q)"""
+    white: FloatArray
+    """(q, q), residual correlation of short duration taken into account"""
+    blocks: dict[int, FloatArray]
+    """(q, q) from the scatter of blocks of equal length, by their number"""
     effective_samples: FloatArray
     """(p,) number of independent readings with the information of the residuals."""
     condition: float
     """Condition number of the information matrix, scaled to unit diagonal."""
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(q, q) with the variance of blocks where it is larger than by chance."""
+        return _with_block_variance(self.white, self.blocks)
+
+    def derived(self, slope: FloatArray) -> Sandwich:
+        """Return the covariance of functions of the parameters with derivatives `slope` (r, q)."""
+        blocks = {count: slope @ block @ slope.T for count, block in self.blocks.items()}
+        return self._replace(white=slope @ self.white @ slope.T, blocks=blocks)
 
 
 def sandwich(jacobians: Sequence[FloatArray], errors: Sequence[FloatArray]) -> Sandwich:
@@ -128,8 +140,9 @@ def sandwich(jacobians: Sequence[FloatArray], errors: Sequence[FloatArray]) -> S
     reading_count = sum(int(np.isfinite(error).sum()) for error in errors)
     long_run, freedom = long_run_covariance(scores)
     white = student_factor(freedom) ** 2 * bread @ long_run @ bread * reading_count / max(reading_count - count, 1)
-    covariance = _with_block_variance(white, scores, bread)
-    return Sandwich(covariance, effective_samples(errors), float(np.linalg.cond(scaled)))
+    counts = estimator_settings().scatter.blocks
+    blocks = {number: bread @ block_covariance(scores, number) @ bread for number in counts}
+    return Sandwich(white, blocks, effective_samples(errors), float(np.linalg.cond(scaled)))
 
 
 def long_run_covariance(scores: Sequence[FloatArray]) -> tuple[FloatArray, int]:
@@ -166,7 +179,7 @@ def block_covariance(scores: Sequence[FloatArray], count: int) -> FloatArray:
     return np.asarray(count / (count - 1) * sums.T @ sums)
 
 
-def _with_block_variance(covariance: FloatArray, scores: Sequence[FloatArray], bread: FloatArray) -> FloatArray:
+def _with_block_variance(covariance: FloatArray, blocks: Mapping[int, FloatArray]) -> FloatArray:
     """Increase `covariance` to the variances between blocks of several lengths, if these are significantly larger.
 
     Slow drift is visible between few long blocks, fast changes between many short blocks. The significance follows from
@@ -175,12 +188,12 @@ def _with_block_variance(covariance: FloatArray, scores: Sequence[FloatArray], b
     from scipy import stats  # noqa: PLC0415 - slow import, not needed to load a model
 
     variance = np.maximum(np.diag(covariance), np.finfo(float).tiny)
-    wider, settings = np.ones(len(variance)), estimator_settings().scatter
-    for count in settings.blocks:
-        ratio = np.diag(bread @ block_covariance(scores, count) @ bread) / variance
+    wider, certain = np.ones(len(variance)), estimator_settings().scatter.certain
+    for count, block in blocks.items():
+        ratio = np.diag(block) / variance
         student = student_factor(count - 1)
         # Rounding may make a zero variance negative.
-        is_significant = ratio > stats.chi2.ppf(settings.certain, count - 1) / (count - 1)
+        is_significant = ratio > stats.chi2.ppf(certain, count - 1) / (count - 1)
         wider = np.where(is_significant, np.maximum(wider, student * np.sqrt(np.maximum(ratio, 0.0))), wider)
     return np.asarray(covariance * np.outer(wider, wider))
 

@@ -108,7 +108,7 @@ class IdentifiedModel:
             whole = mean_delay(system.A, system.B, system.C, system.dead_time, range(len(CHANNELS)))
             return np.column_stack([whole, system.dead_time, whole - system.dead_time]).ravel()
 
-        return fit.estimate.derived(_delay_names(CHANNELS), system_delays)
+        return fit.derived(_delay_names(CHANNELS), system_delays)
 
     @property
     def poles(self) -> list[ParameterEstimate]:

@@ -19,6 +19,7 @@ from diffdrive_mpc.models.output_error.experiment import (
     twist_experiments,
 )
 from diffdrive_mpc.models.output_error.held_out import hold_out
+from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.statistics import output_spread
 from diffdrive_mpc.models.output_error.validation import validate
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
@@ -83,7 +84,8 @@ def compare_orders(
 
     The lowest order is selected whose mean FIT on held-out blocks is within a quarter of a percentage point of the
     maximum; if the records are too short for blocks, the order with the lowest Schwarz criterion. Order 1 is a baseline
-    and is never selected, nor is an order whose model cannot describe a robot.
+    and is never selected, nor is an order whose model cannot describe a robot. An order whose parameters the data
+    hardly determine is avoided, since its delay is unknown.
 
     Parameters
     ----------
@@ -126,6 +128,8 @@ def compare_orders(
         raise ValueError(
             f"no order of {name} gives a model that can describe a robot: identify SM, or use a longer log"
         )
+    certain = estimator_settings().warn.condition
+    usable = [order for order in usable if rows[order - 1].identified.fits[0].sandwich.condition < certain] or usable
     if floor is not None:
         usable = [order for order in usable if not is_behind(rows[order - 1].train_fit_percent, floor)] or usable
     score = {order: float(np.mean(fit)) for order in usable if (fit := rows[order - 1].block_fit_percent) is not None}
@@ -161,7 +165,7 @@ def _block_fits(models: Sequence[IdentifiedModel], experiments: Sequence[Sampled
 def _criteria(models: Sequence[IdentifiedModel]) -> list[tuple[float, float]]:
     """Compute AIC and BIC relative to their minima, with residual scale and correlation of the highest order."""
     reference = models[-1].fits[0]
-    samples = reference.effective_samples
+    samples = reference.sandwich.effective_samples
     criteria = []
     for model in models:
         fit = model.fits[0]

@@ -234,7 +234,7 @@ def _build_model(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
         gain = -system.C @ np.linalg.solve(system.A, system.B)
         return np.concatenate([gain.ravel(), pole_numbers(system.A, poles), parameters[gain_count:]])
 
-    parameters = fit.estimate.derived((*gains, *named_poles, *rest), physical)
+    parameters = fit.derived((*gains, *named_poles, *rest), physical)
     main = parameters.part([gains[0], gains[3], *(name for name in named_poles if not name.endswith("imag"))])
     delays = doubts.response_delays(fit, CHANNELS, [0, 1])
     return IdentifiedModel(

@@ -1,4 +1,4 @@
-"""Reading of a controller's configuration from a YAML file, and changes of single fields by name."""
+"""Loading of a controller's configuration from a YAML file, and replacement of single values by key."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def load_config(
     Parameters
     ----------
     source
-        "mbm", "sm" or "ssm" for the built-in configuration of this model, or the path of a YAML file. Relative paths of
-        a model, a term or a feature's file in it are relative to the folder of the YAML file. Or keys and values of
-        such a file, for instance those from `identify`. Or a configuration.
+        Name of a built-in configuration such as "mbm", "sm" or "ssm"; path of a YAML file; keys and values of such a
+        file, for instance from `identify`; or a configuration. Relative paths in a file (of a model, a term or a
+        feature's file) are relative to the folder of that file.
     overrides
         Values by dotted key, for instance ``{"horizon": 20, "weights.across": 200.0}``; the prefix ``expert.`` is
         optional.
@@ -41,7 +41,7 @@ def load_config(
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the configuration is invalid, with one line that names the file, the key, the mistake and the remedy.
+        If the configuration is invalid; the message is one line with the file, the key, the mistake and the remedy.
     models.errors.ArgumentError
         If an argument has a wrong type.
     """
@@ -56,7 +56,7 @@ def load_config(
             "configuration",
             "load_config(...), a name such as 'ssm', a path, or keys and values",
             source,
-            "a model is a separate argument: Controller('ssm', model=model)",
+            "pass a model as a separate argument: Controller('ssm', model=model)",
         )
     path = config_path(source)
     data = read_yaml(path)
@@ -74,7 +74,7 @@ def load_config(
 
 
 def config_path(name: str | Path) -> Path:
-    """Return the file of a configuration of this package, of an installed package, or of the user.
+    """Return the path of a configuration file of this package, of an installed package, or of the user.
 
     Raises ConfigError if the file does not exist, and MissingPackageError if it belongs to a package that is not
     installed.
@@ -82,11 +82,11 @@ def config_path(name: str | Path) -> Path:
     shipped = shipped_names(PARAMETERS)
     if str(name) in shipped:
         return PARAMETERS / f"{name}.yaml"
-    plugged = {structure.name: structure.config for structure in function_structures().values() if structure.config}
-    if str(name) in plugged:
-        return plugged[str(name)]
+    packaged = {structure.name: structure.config for structure in function_structures().values() if structure.config}
+    if str(name) in packaged:
+        return packaged[str(name)]
     check_package("models", name)
-    return named_file("configuration", PARAMETERS, name, (*shipped, *plugged))
+    return named_file("configuration", PARAMETERS, name, (*shipped, *packaged))
 
 
 def replace_values(config: ControllerConfig, overrides: Mapping[str, object]) -> ControllerConfig:

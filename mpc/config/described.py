@@ -1,4 +1,4 @@
-"""Text about the keys of a configuration from its schema: rows of a table, and YAML with comments."""
+"""Descriptions of configuration keys from the schema: table rows, and YAML with comments."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from diffdrive_mpc.mpc.config.rooms import EXPERT, is_for_users, shown_key
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 _BOUNDS = {Gt: ("gt", ">"), Ge: ("ge", ">="), Lt: ("lt", "<"), Le: ("le", "<=")}
-"""Attribute and sign of each kind of bound."""
+"""Attribute and comparison sign of each kind of bound."""
 
 
 @dataclass(frozen=True)
 class FieldRow:
-    """One key of the schema as text."""
+    """Key of the schema, formatted as a table row."""
 
     key: str
     default: str
@@ -32,19 +32,20 @@ class FieldRow:
 
 
 def schema_rows(schema: type[BaseModel] = ControllerConfig, prefix: str = "") -> list[FieldRow]:
-    """Return a row for every key of `schema`, with dotted keys for groups, and NAME[].KEY for the items of lists.
+    """Return a row for every key of `schema`: dotted keys for groups, and NAME[].KEY for items of lists.
 
-    The rows of a controller are sorted by section, see `rooms`; `feature_rows` returns those of installed features.
+    The rows of `ControllerConfig` are sorted by section, see `rooms`. `feature_rows` returns the rows of installed
+    features.
     """
     rows = _rows(schema, prefix)
     if schema is not ControllerConfig:
         return rows
-    named = [replace(row, key=shown_key(row.key)) for row in rows]
-    return sorted(named, key=lambda row: row.key.startswith(f"{EXPERT}."))
+    renamed = [replace(row, key=shown_key(row.key)) for row in rows]
+    return sorted(renamed, key=lambda row: row.key.startswith(f"{EXPERT}."))
 
 
 def feature_rows() -> list[FieldRow]:
-    """Return a row for every key of the groups of installed features."""
+    """Return a row for every configuration key of installed features."""
     groups = ControllerConfig.further_groups()
     return [row for name, schema in groups.items() for row in _rows(schema, f"{EXPERT}.{name}.")]
 
@@ -61,23 +62,23 @@ def _rows(schema: type[BaseModel], prefix: str) -> list[FieldRow]:
         text, unit = _help_and_unit(field)
         default = "required" if field.is_required() else _scalar(field.default)
         rows.append(FieldRow(prefix + name, default, unit, _range(field), text))
-        for side, of_side in side_fields(name, field).items():
-            text, unit = _help_and_unit(of_side)
-            rows.append(FieldRow(prefix + side, "null", unit, _range(of_side), text))
+        for side, side_field in side_fields(name, field).items():
+            text, unit = _help_and_unit(side_field)
+            rows.append(FieldRow(prefix + side, "null", unit, _range(side_field), text))
         for item in filter(None, map(_group, get_args(field.annotation))):
             rows += _rows(item, f"{prefix}{name}[].")
     return rows
 
 
 def commented_yaml(config: BaseModel, notes: Mapping[str, str] | None = None) -> str:
-    """Format a configuration as YAML, each value with a comment that consists of the note of its key and its meaning.
+    """Format a configuration as YAML, with the note and the description of each key as a comment.
 
-    The configuration of a controller is divided into its two sections, see `rooms`.
+    A `ControllerConfig` is divided into two sections, see `rooms`.
     """
     if not isinstance(config, ControllerConfig):
         return "\n".join(_yaml_lines(config, "", notes or {}, lambda _: True)) + "\n"
     lines = [*_yaml_lines(config, "", notes or {}, is_for_users)]
-    lines += ["", "# For experts: the defaults of these keys rarely need a change.", f"{EXPERT}:"]
+    lines += ["", "# For experts: the defaults of these keys rarely need to be changed.", f"{EXPERT}:"]
     lines += [f"  {line}" for line in _yaml_lines(config, "", notes or {}, lambda key: not is_for_users(key))]
     for name, group in config.features.items():
         inner = _yaml_lines(group, f"{name}.", notes or {}, lambda _: True)
@@ -102,7 +103,7 @@ def _yaml_lines(
 
 
 def _scalar(value: object) -> str:
-    """Format a value as YAML on one line."""
+    """Format a value as YAML in one line."""
     if isinstance(value, TwoSided):
         value = value.plain
     if isinstance(value, list):

@@ -13,12 +13,12 @@ from diffdrive_mpc.mpc.config.group import FeatureGroup
 
 
 def is_feature(name: str) -> bool:
-    """Return True if a package of this project or an installed package contains a feature of this name."""
+    """Return True if a package of this project or an installed package provides the feature `name`."""
     return name in plug_in_names("features") or name in known_packages()["features"]
 
 
 def installed_schemas() -> dict[str, type[FeatureGroup]]:
-    """Import all installed features and return the schemas of their groups by name."""
+    """Import all installed features and return the schemas of their configuration groups by name."""
     return {name: _schema(name) for name in plug_in_names("features")}
 
 
@@ -30,12 +30,12 @@ def _schema(name: str) -> type[FeatureGroup]:
 def checked_groups(groups: Mapping[str, object]) -> dict[str, FeatureGroup]:
     """Return the groups of features by name, checked against their schemas.
 
-    A group of a feature that is not installed is omitted if it is disabled, such as by `{enabled: false}`.
+    A disabled group, such as `{enabled: false}`, is omitted if its feature is not installed.
 
     Raises
     ------
     pydantic.ValidationError
-        If values are invalid, with the key of each mistake.
+        If values are invalid; the error contains the key of each mistake.
     ValueError
         If a group enables a feature that is not installed; the message names the package.
     """
@@ -45,11 +45,11 @@ def checked_groups(groups: Mapping[str, object]) -> dict[str, FeatureGroup]:
         if name not in plug_in_names("features"):
             if is_disabled(values):
                 continue
-            raise ValueError(f"{missing_part('features', name)}; or leave out expert.{name}")
+            raise ValueError(f"{missing_part('features', name)}; or remove expert.{name}")
         try:
             checked[name] = _schema(name).model_validate(values)
         except ValidationError as error:
-            details += [_at(name, detail) for detail in error.errors()]
+            details += [_in_group(name, detail) for detail in error.errors()]
     if details:
         raise ValidationError.from_exception_data("features", details)
     return checked
@@ -62,7 +62,7 @@ def is_disabled(values: object) -> bool:
     return not values["enabled"] if "enabled" in values else not any(values.values())
 
 
-def _at(name: str, detail: Any) -> InitErrorDetails:  # noqa: ANN401 - a typed dictionary of pydantic
-    """Convert an error in a group to an error in the whole configuration."""
-    placed = InitErrorDetails(type=detail["type"], loc=(name, *detail["loc"]), input=detail["input"])
-    return placed | {"ctx": detail["ctx"]} if "ctx" in detail else placed
+def _in_group(name: str, detail: Any) -> InitErrorDetails:  # noqa: ANN401 - a typed dictionary of pydantic
+    """Convert error details of a group to error details of the whole configuration."""
+    located = InitErrorDetails(type=detail["type"], loc=(name, *detail["loc"]), input=detail["input"])
+    return located | {"ctx": detail["ctx"]} if "ctx" in detail else located

@@ -1,8 +1,8 @@
 """Constants that are the same for all robots.
 
-`fixed_values.yaml` contains former keys of the configuration; this module contains thresholds of re-entry for Python
-and the core. Thresholds of the sensor test are in `sensor_test.yaml`, those of single measurements in
-`core_thresholds.yaml`.
+`fixed_values.yaml` contains constants that were configuration keys. This module defines thresholds of re-entry for
+Python and the core. `sensor_test.yaml` contains thresholds of the sensor test, and `core_thresholds.yaml` contains
+thresholds of single measurements.
 """
 
 from __future__ import annotations
@@ -24,10 +24,13 @@ def fixed_values() -> Mapping[str, float]:
 
 
 STANDING = 0.02
-"""Speed below which a reference is at standstill [m/s]; its direction is then that of the next motion."""
+"""Speed below which a reference is at standstill [m/s]; its direction of travel is then that of its next motion."""
 TURNING = 0.05
 """Yaw rate above which a reference at standstill turns on the spot [rad/s]."""
 BEHIND = 3.0
-"""Distance behind the reference, over `reentry.wait`, beyond which a robot was moved [-]; waiting explains 2."""
+"""Distance behind the reference, divided by `reentry.wait`, beyond which the robot was displaced [-].
+
+A lag of twice `reentry.wait` is normal, since the reference then waits.
+"""
 AHEAD = 1.5
-"""Distance ahead of the reference, over `reentry.wait`, beyond which a robot was moved [-]."""
+"""Distance ahead of the reference, divided by `reentry.wait`, beyond which the robot was displaced [-]."""

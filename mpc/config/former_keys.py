@@ -1,4 +1,4 @@
-"""Conversion of former configurations: renamed keys, and keys that became constants or entries of a list."""
+"""Conversion of configurations of earlier versions: renamed keys, and keys that became constants or list entries."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from diffdrive_mpc.mpc.config.fixed_values import FILE, fixed_values
 from diffdrive_mpc.mpc.config.schema import Estimator
 
 CURVED_SLIPS = tuple(name for name, field in Estimator.model_fields.items() if get_origin(field.annotation) is list)
-"""Kinds of slip that are lists in the estimator's group."""
+"""Kinds of slip that are configured as lists in the group `estimator`."""
 _FORMER_SOLVER = frozenset(("strategy", "backend", "check_every"))
 _ENTRIES = ("", "_uncertainty", "_drift")
-"""Endings of the former keys of a curved slip, in the order of its present list."""
-_REMOVED_GROUPS = {"online_dead_time": "the filter learns unknown delays itself"}
-"""Replacement by the name of a removed group."""
+"""Suffixes of the former keys of a curved slip, in the order of the present list."""
+_REMOVED_GROUPS = {"online_dead_time": "the filter estimates unknown delays"}
+"""Replacements of removed groups, by the name of the group."""
 
 
 @cache
 def former_keys() -> Mapping[str, str]:
-    """Return the present names of keys by their former names; former keys of constants are in `fixed_values.yaml`."""
+    """Return the present names of keys by their former names; for keys that became constants see `fixed_values`."""
     data: dict[str, str] = read_yaml(Path(__file__).with_name("former_keys.yaml"))
     return data
 
 
 def present_place(key: str) -> str:
-    """Describe the replacement of a former key for a message; empty for a present key."""
+    """Return the replacement of a former key for a message; empty for a present key."""
     present = former_keys().get(key, key)
     if present in fixed_values():
-        return f"the constant {present} of {FILE}"
+        return f"the constant {present} in {FILE}"
     group, _, name = key.partition(".")
     for entry, ending in enumerate(_ENTRIES[1:], start=2):
         if group == "estimator" and name.removesuffix(ending) in CURVED_SLIPS and name.endswith(ending):
@@ -40,13 +40,13 @@ def present_place(key: str) -> str:
 
 
 def removed_message(key: str) -> str:
-    """Return the message about a key of a removed group; empty for any other key."""
+    """Return the error message for a key of a removed group; empty for any other key."""
     replacement = _REMOVED_GROUPS.get(key.partition(".")[0])
     return f"{key} was removed: {replacement}; remove the key" if replacement else ""
 
 
 def without_unused_groups(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the groups of a configuration without removed groups that are disabled."""
+    """Return the configuration without disabled groups that no longer exist."""
     return {
         name: values
         for name, values in data.items()
@@ -55,12 +55,12 @@ def without_unused_groups(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def with_present_names(data: Mapping[str, Any], where: str = "configuration") -> dict[str, Any]:
-    """Return merged groups with the present names of their keys, and without keys that became constants.
+    """Rename former keys of a merged configuration, and drop keys that became constants.
 
     Raises
     ------
     ConfigError
-        If a former key has another value than the constant that replaced it, or a removed group is enabled.
+        If the value of a former key differs from the constant that replaced the key, or a removed group is enabled.
     """
     data = without_unused_groups(data)
     for group in _REMOVED_GROUPS.keys() & data.keys():
@@ -96,26 +96,26 @@ def _drop_constants(data: dict[str, Any], where: str) -> None:
             value = values.pop(name)
             if value != constant:
                 raise ConfigError(
-                    f"{where}: {key}: {value} differs from the constant {constant} of {FILE} that replaced this key; "
-                    "leave it out"
+                    f"{where}: {key}: {value} differs from the constant {constant} in {FILE} that replaced this key; "
+                    "remove it"
                 )
 
 
 def _join_curved_slips(estimator: dict[str, Any]) -> None:
-    """Combine the start, the uncertainty and the drift of each kind of curved slip in one list."""
+    """Combine the initial value, uncertainty and drift of each kind of curved slip in one list."""
     for slip in CURVED_SLIPS:
-        stated = {entry: f"{slip}{ending}" for entry, ending in enumerate(_ENTRIES) if f"{slip}{ending}" in estimator}
+        former = {entry: f"{slip}{ending}" for entry, ending in enumerate(_ENTRIES) if f"{slip}{ending}" in estimator}
         whole = estimator.get(slip)
-        if not stated or (len(stated) == 1 and isinstance(whole, list)):
+        if not former or (len(former) == 1 and isinstance(whole, list)):
             continue
         joined = whole if isinstance(whole, list) else [0.0, 0.0, 0.0]
-        values = {entry: estimator.pop(key) for entry, key in stated.items()}
+        values = {entry: estimator.pop(key) for entry, key in former.items()}
         values = {entry: value for entry, value in values.items() if not isinstance(value, list)}
         estimator[slip] = [values.get(entry, value) for entry, value in enumerate(joined)]
 
 
 def _with_method(solver: Mapping[str, Any]) -> dict[str, Any]:
-    """Return `solver` with one `method` in place of the former strategy and backend, and with the group of OSQP."""
+    """Return `solver` with `method` instead of the former strategy and backend, and with the group `osqp`."""
     joined = {key: value for key, value in solver.items() if key not in _FORMER_SOLVER}
     if solver.keys() & {"strategy", "backend"}:
         strategy = solver.get("strategy", "auto")

@@ -1,4 +1,4 @@
-"""Base class of the groups of the configuration schema."""
+"""Base classes of the groups of the configuration schema."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 
 MIN_SIZE, MAX_SIZE = 1e-12, 1e12
-"""Range of absolute values in a configuration, in any unit; other values are mistakes and could overflow."""
+"""Range of absolute values in a configuration, in any unit; values outside are mistakes and could overflow."""
 
 
 class Group(StrictModel, strict=True):
-    """Base of all groups, without silent conversions such as that of `true` to 1."""
+    """Base of all groups, without implicit conversions such as `true` to 1."""
 
     @field_validator("*", mode="after")
     @classmethod
     def _check_size(cls, value: object) -> object:
-        """Check that numbers are zero, or of a size whose products neither overflow nor underflow."""
+        """Check that a number is zero or within `MIN_SIZE` and `MAX_SIZE`, so that products cannot overflow."""
         numbers = getattr(value, "sides", (value,)) if isinstance(value, float) else ()
         if any(number != 0.0 and not MIN_SIZE <= abs(number) <= MAX_SIZE for number in numbers):
-            raise ValueError(f"give zero or a size from {MIN_SIZE:g} to {MAX_SIZE:g}, in the unit of the field")
+            raise ValueError(f"give zero, or an absolute value from {MIN_SIZE:g} to {MAX_SIZE:g}, in the field's unit")
         return value
 
 
@@ -34,11 +34,11 @@ class FeatureGroup(Group):
 
     @property
     def is_enabled(self) -> bool:
-        """True if the controller attaches the feature, by the field `enabled`."""
+        """True if the controller attaches the feature; the value of the field `enabled` if it exists."""
         return bool(getattr(self, "enabled", True))
 
     def relative_to(self, folder: Path) -> Self:
-        """Return the group with relative paths resolved in the `folder` of the configuration file."""
+        """Return the group with paths resolved relative to the `folder` of the configuration file."""
         del folder
         return self
 

@@ -123,12 +123,12 @@ def _check_rooms(first: Mapping[str, Any], second: Mapping[str, Any], where: str
         for key, _ in _leaves(room):
             plain = plain_key(key)
             if plain in stated:
-                raise ConfigError(f"{where}: {plain} stands twice, as {stated[plain]} and {prefix}{key}; leave one out")
+                raise ConfigError(f"{where}: {plain} is given twice, as {stated[plain]} and {prefix}{key}; remove one")
             if prefix and is_for_users(plain):
                 raise ConfigError(f"{where}: {prefix}{key}: write it outside '{EXPERT}', as {plain}")
             stated[plain] = f"{prefix}{key}"
     if "solver.method" in stated and stated.keys() & {"solver.strategy", "solver.backend"}:
-        raise ConfigError(f"{where}: solver.method has taken the place of strategy and backend; leave these out")
+        raise ConfigError(f"{where}: solver.method replaces strategy and backend; leave these out")
 
 
 def _leaves(data: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -10,19 +10,19 @@ from diffdrive_mpc.mpc.config.group import Group
 
 
 class Osqp(Group):
-    """Settings of OSQP, with its names, for `solver.method` osqp."""
+    """Settings of OSQP, with the names of OSQP; used if `solver.method` is osqp."""
 
     eps_abs: Annotated[float, Field(ge=1e-9, le=1e-2)] = Field(
-        1e-6, description="absolute tolerance of OSQP on its residuals [-]"
+        1e-6, description="absolute tolerance on the residuals of OSQP [-]"
     )
     eps_rel: Annotated[float, Field(ge=1e-9, le=1e-2)] = Field(
-        1e-6, description="relative tolerance of OSQP on its residuals [-]"
+        1e-6, description="relative tolerance on the residuals of OSQP [-]"
     )
     max_iter: Annotated[int, Field(ge=10, le=100_000)] = Field(
-        4000, description="limit of the iterations of one solve of OSQP [-]"
+        4000, description="maximum number of iterations per solve of OSQP [-]"
     )
     check_termination: Annotated[int, Field(ge=1, le=1000)] = Field(
-        10, description="iterations of OSQP between two checks of its residuals [-]"
+        10, description="number of iterations between two checks of the residuals of OSQP [-]"
     )
 
 
@@ -31,35 +31,35 @@ class Solver(Group):
 
     method: Literal["auto", "osqp", "daqp"] = Field(
         "auto",
-        description="auto: the unconstrained minimiser if it is within the limits, else the active set, and DAQP if "
-        "its solution is not proven optimal; osqp: OSQP at every tick; daqp: DAQP at every tick [-]",
+        description="auto: the unconstrained minimiser if it satisfies the limits, else the active set, and DAQP if "
+        "optimality is not proven; osqp: OSQP at every tick; daqp: DAQP at every tick [-]",
     )
     active_set_iterations: Annotated[int, Field(ge=0, le=5000)] = Field(
         500,
-        description="maximum number of systems that the active set solves at a tick; its plan is then used as it is, "
-        "within ranges and slew; 0: use DAQP at once [-]",
+        description="maximum number of systems that the active set solves per tick; at the maximum, the current plan "
+        "within ranges and slew is used; 0: use DAQP at once [-]",
     )
     max_iterations: Annotated[int, Field(ge=10, le=100_000)] = Field(
-        2000, description="limit of the iterations of one solve of DAQP [-]"
+        2000, description="maximum number of iterations per solve of DAQP [-]"
     )
     tolerance: Annotated[float, Field(ge=1e-9, le=1e-2)] = Field(
         1e-5,
         description="tolerance of DAQP on the limits, in units of rows normalised by the cost; all solvers treat a "
-        "limit as satisfied within a tenth of it [-]",
+        "limit as satisfied within a tenth of this tolerance [-]",
     )
     time_limit: Annotated[float, Field(gt=0)] | None = Field(
         None,
-        description="for the node: time of a tick after which the solve is stopped and its plan used as it is, within "
-        "ranges and slew; unset: half of sample_time. A simulation is limited by iterations only [s]",
+        description="for the node: time per tick after which the solve stops and the current plan within ranges and "
+        "slew is used; unset: half of sample_time; simulations are limited by iterations only [s]",
     )
     max_missed: Annotated[int, Field(ge=1, le=100_000)] = Field(
         5,
-        description="successive ticks whose solve is stopped by time_limit or ends after it, after which the robot "
-        "brakes until a solve is in time again [-]",
+        description="number of consecutive ticks that exceed time_limit after which the robot brakes until a solve is "
+        "in time again [-]",
     )
     osqp: Osqp = Osqp()
 
     @property
     def backend(self) -> str:
-        """Solver for ticks in which the core's own methods are disabled or prove no solution."""
+        """Solver for ticks in which the methods of the core are disabled or do not prove optimality."""
         return "daqp" if self.method == "auto" else self.method

@@ -1,4 +1,4 @@
-"""Parsing of the settings `KEY=VALUE` and `KEY=V1,V2,...` of the command line."""
+"""Parsing of command-line settings `KEY=VALUE` and `KEY=V1,V2,...`."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ def parse_setting(text: str) -> tuple[str, list[object]]:
     try:
         values = parse_yaml(f"[{listed}]")
     except yaml.YAMLError as error:
-        raise ConfigError(f"--set {text}: '{listed}' cannot be read as values separated by commas") from error
+        raise ConfigError(f"--set {text}: '{listed}' is not a list of values separated by commas") from error
     if not values or any(isinstance(value, (list, dict)) for value in values):
         raise ConfigError(f"--set {text}: each value must be a number, a word, true or false; groups have dotted keys")
     if plain_key(key.strip()) == "model":
-        raise ConfigError(f"--set {text}: models are chosen with --model (simulate) or --models (bench)")
+        raise ConfigError(f"--set {text}: select models with --model (simulate) or --models (bench)")
     return key.strip(), [_number(value) for value in values]
 
 
 def parsed_settings(texts: Sequence[str]) -> list[tuple[str, list[object]]]:
-    """Parse several settings and return their keys with their values, in the order of `texts`.
+    """Parse several settings and return their keys and values in the order of `texts`.
 
-    Raises ConfigError as `parse_setting`, and if a key or a value is given twice.
+    Raises ConfigError for the reasons of `parse_setting`, and if a key or a value is given twice.
     """
     parsed = [parse_setting(text) for text in texts]
     plain_keys = [plain_key(key) for key, _ in parsed]
     for key, values in parsed:
         if plain_keys.count(plain_key(key)) > 1:
-            raise ConfigError(f"--set {key}: given twice; list its values in one: {key}=V1,V2")
+            raise ConfigError(f"--set {key}: given twice; list the values in one setting: {key}=V1,V2")
         if len(set(values)) < len(values):
             raise ConfigError(f"--set {key}: a value is listed twice")
     return parsed
@@ -48,12 +48,12 @@ def single_settings(texts: Sequence[str]) -> tuple[tuple[str, object], ...]:
     """Parse settings with one value each, for `simulate`; raises ConfigError as `parsed_settings`."""
     parsed = parsed_settings(texts)
     if any(len(values) > 1 for _, values in parsed):
-        raise ConfigError("--set: one value for each key here; to compare several values use 'bench'")
+        raise ConfigError("--set: give one value per key; to compare several values use 'bench'")
     return tuple((key, values[0]) for key, values in parsed)
 
 
 def _number(value: object) -> object:
-    """Convert text such as 1e-3 to a number, which YAML 1.1 reads as text because it has no dot."""
+    """Convert text such as 1e-3 to a number; YAML 1.1 does not treat it as a number because it has no dot."""
     if isinstance(value, str):
         try:
             return float(value)

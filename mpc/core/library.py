@@ -137,11 +137,16 @@ def pointer_shapes(struct: str, sizes: Mapping[str, int]) -> dict[str, tuple[int
         "Q": sizes["model_parameters"],
         "width": round_up(2 * N),
     }
-    (body,) = (body for body, name in _STRUCT.findall(header_text()) if name == struct)
     return {
-        name: tuple(_value(part, symbols) for part in re.findall(r"\[([^\]]+)\]", brackets))
-        for name, brackets in _POINTER.findall(body)
+        name: tuple(_value(part, symbols) for part in expressions) for name, expressions in _pointers(struct).items()
     }
+
+
+@cache
+def _pointers(struct: str) -> dict[str, list[str]]:
+    """Return the expressions of the sizes of each array that a struct of core.h points to, by field name."""
+    (body,) = (body for body, name in _STRUCT.findall(header_text()) if name == struct)
+    return {name: re.findall(r"\[([^\]]+)\]", brackets) for name, brackets in _POINTER.findall(body)}
 
 
 def _value(expression: str, symbols: Mapping[str, int]) -> int:

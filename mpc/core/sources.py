@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import cache
 from pathlib import Path
 
 from diffdrive_mpc.models.compiled.compiler import digest_of
@@ -59,6 +60,7 @@ def core_origin() -> str:
     return digest_of([*written, *((_PACKAGE / name).read_text("utf-8") for name in _FORMULAS)])
 
 
+@cache
 def header_text() -> str:
     """Return the text of the header that Python reads."""
     return (CORE / _HEADER).read_text(encoding="utf-8")

@@ -208,7 +208,7 @@ class ResultLayout:
     def take(self, block: FloatArray, name: str) -> FloatArray:
         """Return the array `name` of a copied block."""
         place, shape = self.places[name]
-        return block[place].reshape(shape)
+        return block[place] if len(shape) == 1 else block[place].reshape(shape)
 
 
 class MeasurementBuffer:

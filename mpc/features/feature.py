@@ -24,7 +24,7 @@ from diffdrive_mpc.mpc.step_result import StepResult
 
 @dataclass
 class Host:
-    """Access of a feature to its controller, which updates the attributes.
+    """Interface of a feature to its controller; the controller updates the attributes.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Host:
     tick
         Compiled core.
     pursuit
-        Choice of the target, with the reference and its clock.
+        Selector of the target, with the reference and its clock.
     terms
         All terms of the cost.
     is_new_tick
@@ -68,7 +68,7 @@ class Feature:
     schema
         Schema of the configuration group; its `is_enabled` decides whether the feature is attached.
     restarts_on_switch
-        True if switching to another reference restarts the drive.
+        True if a switch to another reference restarts the drive.
     """
 
     schema: ClassVar[type[FeatureGroup]] = FeatureGroup
@@ -79,7 +79,10 @@ class Feature:
 
     @classmethod
     def prepare(cls, config: ControllerConfig) -> ControllerConfig:
-        """Return the configuration with the changes that the feature needs; raises ConfigError if it cannot be used."""
+        """Return the configuration with the changes that the feature needs.
+
+        Raises ConfigError if the feature cannot be used with this configuration.
+        """
         return config
 
     @classmethod
@@ -89,34 +92,34 @@ class Feature:
         return ()
 
     def attach(self, host: Host) -> None:
-        """Store the access to the controller, which is completely built."""
+        """Store the interface to the controller after its construction."""
         self.host = host
 
     def configure(self) -> None:
-        """Adopt the configuration of `host` after a change."""
+        """Apply the configuration of `host` after a change."""
 
     def begin(self, reference: Reference, t0: float) -> Reference:
-        """Prepare for the start of a reference at `t0` [s]; return the reference to track in place of it."""
+        """Prepare for the start of `reference` at `t0` [s]; return the reference to track instead."""
         del t0
         return reference
 
     def lay(self, reference: Reference) -> Reference:
-        """Return the form of a checked reference that the robot will track."""
+        """Return the reference that the robot will track instead of a checked reference."""
         return reference
 
     def forget(self) -> None:
         """Reset the feature while the robot is at standstill."""
 
     def set_applied(self, command: FloatArray) -> None:
-        """Replace the last command by `command` (2,) of another controller."""
+        """Replace the last command by the applied `command` (2,), which is from another controller."""
 
     def before_step(self, t: float) -> Hold | None:
-        """Prepare the tick at `t` [s]; return a request to stop, or None."""
+        """Prepare the tick at `t` [s]; return a hold if the robot must stop, else None."""
         del t
         return None
 
     def after_step(self, t: float, measurement: Measurement, result: StepResult) -> StepResult:
-        """Return the result of the tick at `t` [s], which the feature may replace."""
+        """Return the result of the tick at `t` [s], possibly modified by the feature."""
         del t, measurement
         return result
 
@@ -124,6 +127,6 @@ class Feature:
         """Return the feature's state for a pickled controller; None if it has no state."""
         return None
 
-    def restore(self, state: Any) -> None:  # noqa: ANN401 - as above
-        """Restore a result of `state`, before the reference is restarted."""
+    def restore(self, state: Any) -> None:  # noqa: ANN401 - each feature has its own state
+        """Restore a state returned by `state`, before the reference is restarted."""
         del state

@@ -9,16 +9,17 @@ from diffdrive_mpc.mpc.problem.terms import Term
 
 
 def features_of(config: ControllerConfig) -> dict[str, type[Feature]]:
-    """Import the features that a configuration enables, by name; raises ImportError as `plug_in`.
+    """Import the enabled features of a configuration and return their classes by name.
 
-    The features are sorted by name; the controller calls them in this order.
+    The features are sorted by name; the controller calls them in this order. Raises ImportError if an import fails, see
+    `plug_in`.
     """
     features = {name: plug_in("features", name) for name, group in config.features.items() if group.is_enabled}
     return dict(sorted(features.items()))
 
 
 def prepare_config(config: ControllerConfig) -> ControllerConfig:
-    """Return the configuration with the changes of its features; raises ConfigError if a feature cannot be used."""
+    """Return the configuration after the changes of its features; raises ConfigError if a feature cannot be used."""
     for feature in features_of(config).values():
         config = feature.prepare(config)
     return config

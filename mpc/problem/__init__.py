@@ -1,1 +1,1 @@
-"""The tracking problem: its formulas in CasADi, its constants by name, and the user's terms."""
+"""Tracking problem: formulas in CasADi, constants of the core by name, and user-defined terms."""

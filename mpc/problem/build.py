@@ -1,4 +1,4 @@
-"""Build the problem of a configuration: choose its model and sample it."""
+"""Construction of the problem of a configuration: choice and discretisation of the model."""
 
 from __future__ import annotations
 
@@ -23,38 +23,38 @@ from diffdrive_mpc.mpc.problem.terms import Term
 
 
 def chosen_model(
-    config: ControllerConfig, stated: VelocityModel | NonlinearModel | str | Path | None
+    config: ControllerConfig, given_model: VelocityModel | NonlinearModel | str | Path | None
 ) -> VelocityModel | NonlinearModel:
-    """Load the prediction model; the configuration's own model includes the extra dead time.
+    """Load the prediction model; only the model of the configuration includes the extra dead time.
 
     Raises
     ------
     ConfigError, ModelError
         If the model cannot be loaded.
     ArgumentError
-        If `stated` is not a model, a name or a path.
+        If `given_model` is not a model, a name or a path.
     """
     extra = config.extra_dead_time
     model: VelocityModel | NonlinearModel
-    if stated is None:
+    if given_model is None:
         model = load_model(config.model).with_extra_dead_time([extra.v, extra.omega])
-    elif isinstance(stated, (str, Path)):
-        model = load_model(stated)
-    elif isinstance(stated, (VelocityModel, NonlinearModel)):
-        model = stated
+    elif isinstance(given_model, (str, Path)):
+        model = load_model(given_model)
+    elif isinstance(given_model, (VelocityModel, NonlinearModel)):
+        model = given_model
     else:
         raise wrong_type(
             "model",
             "a velocity model, or its name or path",
-            stated,
-            "a system of python-control becomes one with VelocityModel.from_control(system, dead_time=(0.0, 0.0))",
+            given_model,
+            "convert a system of python-control with VelocityModel.from_control(system, dead_time=(0.0, 0.0))",
         )
     if config.compensation.dead_time:
         return model
     if isinstance(model, NonlinearModel):
         raise ConfigError(
-            f"compensation.dead_time = false: model '{model.name}' has dead time built in; set it to true, or "
-            "use a model without dead time"
+            f"compensation.dead_time = false: model '{model.name}' has built-in dead time; set the key to true, "
+            "or use a model without dead time"
         )
     return replace(model, dead_time=np.zeros(2))
 
@@ -64,12 +64,12 @@ def sampled_model(model: VelocityModel | NonlinearModel, dt: float) -> DiscreteM
     if isinstance(model, VelocityModel):
         return model.discretise(dt)
     if not math.isclose(model.dt, dt, rel_tol=1e-9):
-        raise ConfigError(f"sample_time = {dt} s: model '{model.name}' is for {model.dt} s; set sample_time to it")
+        raise ConfigError(f"sample_time = {dt} s: model '{model.name}' requires {model.dt} s; set sample_time to it")
     return model
 
 
 def is_from_file(model: VelocityModel | NonlinearModel) -> bool:
-    """Return True for a model from a file, which describes its robot; models built in Python lack this information."""
+    """Return True for a model from a file, which was identified for its robot; False for a model built in Python."""
     return model.provenance.get("origin", "python-control") != "python-control"
 
 

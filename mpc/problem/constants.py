@@ -1,6 +1,6 @@
-"""Constants of one controller, by the names of their fields in C (`mpc/core/core.h`).
+"""Constants of a controller, by the names of their fields in C (`mpc/core/core.h`).
 
-Python writes the constants to memory; an exported library contains them as C source. Both match fields by name.
+Python writes the constants to memory; an exported library contains them as C source.
 """
 
 from __future__ import annotations
@@ -23,30 +23,30 @@ from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS, FLAT_SLIPS, PRIORS, SLI
 from diffdrive_mpc.mpc.problem.terms import Term
 
 Constants = dict[str, object]
-"""Numbers and arrays by field name."""
+"""Numbers and arrays by the name of the C field."""
 
 SHIPPED_SOFT = ("v", "omega", "right", "left", "across")
-"""Kinds of soft limit of every controller, in the order of the core."""
+"""Built-in kinds of soft limits, in the order of the core."""
 PADDING = 8
-"""Rows of commands are padded with zeros to a multiple of this many columns; PADDING of mpc/core/internal.h."""
+"""Number of columns to a multiple of which rows are padded with zeros, equal to PADDING of mpc/core/internal.h."""
 SLACK = 0.1
-"""Share of the solver's tolerance by which a limit may be exceeded and still count as satisfied [-]."""
-_MAX_DEVIATIONS = 5.0  # bound on the estimate of curved slip, in initial standard deviations [-]
+"""Share of the solver's tolerance by which a satisfied limit may be exceeded [-]."""
+_MAX_DEVIATIONS = 5.0
+"""Bound of the estimate of curved slip, in initial standard deviations [-]."""
 HARD_KINDS = 4
-"""Kinds of hard limit: v_ref, omega_ref, and their increments."""
+"""Number of kinds of hard limits: v_ref, omega_ref, and their increments."""
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Definition of one controller's problem: its configuration, its sampled model, and the user's terms.
+    """Definition of a controller's problem: configuration, discrete model, and user-defined terms.
 
-    If `from_file` is False, the ratio of the wheels' yaw rate to the model's is unknown at the start, and its initial
-    uncertainty is larger.
+    If `from_file` is False, the ratio of the wheels' yaw rate to that of the model has a larger initial uncertainty.
 
     Raises
     ------
     ValueError
-        If the horizon is too short for the dead time: no command could act within it.
+        If the horizon is not longer than the dead time, so that no command takes effect within the horizon.
     """
 
     config: ControllerConfig
@@ -57,16 +57,16 @@ class Problem:
     prediction: Prediction | None = field(init=False)
 
     def __post_init__(self) -> None:
-        """Predict a linear model over the horizon once."""
+        """Check the horizon, and build the prediction matrices of a linear model."""
         model, horizon = self.model, self.config.horizon
-        # A sample counts as dead time if the previous command acts on more of it than the current one.
-        dead = model.dead_samples
+        # A sample counts as dead time if the previous command has more effect on it than the current command.
+        dead_samples = model.dead_samples
         if isinstance(model, DiscreteModel):
-            dead = dead + (np.abs(model.B1).sum(axis=0) > np.abs(model.B0).sum(axis=0))
-        shortest = int(dead.max()) + 1
+            dead_samples = dead_samples + (np.abs(model.B1).sum(axis=0) > np.abs(model.B0).sum(axis=0))
+        shortest = int(dead_samples.max()) + 1
         if horizon < shortest:
             raise ValueError(
-                f"horizon = {horizon}: it ends within the dead time of the model, {shortest - 1} steps of "
+                f"horizon = {horizon}: the horizon ends within the dead time of the model, {shortest - 1} steps of "
                 f"{model.dt:g} s; set horizon to {shortest} or more"
             )
         prediction = build_prediction(model, horizon) if isinstance(model, DiscreteModel) else None
@@ -74,7 +74,7 @@ class Problem:
 
     @cached_property
     def compiled_step(self) -> CompiledStep | None:
-        """Compiled functions of a nonlinear model; None if the model is linear or has none."""
+        """Compiled functions of a nonlinear model; None if the model is linear or has no compiled functions."""
         return self.model.compiled_step if isinstance(self.model, NonlinearModel) else None
 
     @property
@@ -84,7 +84,7 @@ class Problem:
 
     @property
     def _spare(self) -> int:
-        """Maximum unknown delay that the filter estimates [samples]; zero for a nonlinear model."""
+        """Maximum additional delay that the filter estimates [samples]; zero for a nonlinear model."""
         config = self.config
         # Without dead time compensation, past commands are not stored.
         is_estimated = config.compensation.delay and config.compensation.dead_time and self.prediction is not None
@@ -92,12 +92,12 @@ class Problem:
 
     @property
     def _turns(self) -> int:
-        """Number of soft limits for the minimum turn radius: left and right, or none if it is not configured."""
+        """Number of soft limits for the minimum turn radius: 2 (left and right), or 0 if it is not configured."""
         return 0 if self.config.limits.min_turn_radius is None else 2
 
     @property
     def _command_turns(self) -> int:
-        """Number of soft limits for the minimum commanded radius: left and right, or none."""
+        """Number of soft limits for the minimum commanded radius: 2 (left and right), or 0 if it is not configured."""
         return 0 if self.config.limits.min_commanded_radius is None else 2
 
     @property
@@ -106,11 +106,11 @@ class Problem:
 
     @property
     def soft_names(self) -> tuple[str, ...]:
-        """Names of the kinds of soft limit, in the order of the core; `left` and `right` are wheels."""
+        """Names of the kinds of soft limits, in the order of the core; `left` and `right` are wheels."""
         turns = [f"{name} {side}" for name in ("turn", "commanded turn") for side in ("left", "right")]
         kinds = turns[: self._turns] + turns[2 : 2 + self._command_turns]
-        of_terms = [f"{term.name}.{row}" for term in self.terms if term.soft for row in range(term.rows)]
-        return (*SHIPPED_SOFT, *kinds, *of_terms)
+        term_names = [f"{term.name}.{row}" for term in self.terms if term.soft for row in range(term.rows)]
+        return (*SHIPPED_SOFT, *kinds, *term_names)
 
     @property
     def curved(self) -> bool:
@@ -120,7 +120,7 @@ class Problem:
 
     @property
     def sizes(self) -> dict[str, int]:
-        """Fields of `ddmpc_sizes`."""
+        """Fields of the C structure `ddmpc_sizes`."""
         model, terms = self.model, self.terms
         v, omega = (int(delay) for delay in model.delay)
         lag_v, lag_omega = (int(lag) for lag in self.feed_forward.whole)
@@ -144,14 +144,14 @@ class Problem:
             "work": self.compiled_step.work if self.compiled_step else 0,
             "command_turns": self._command_turns,
             "spare": self._spare,
-            # Violated soft limits also take an entry each, and there may be several at each sample.
+            # Each violated soft limit also needs an entry, and several limits may be violated at a sample.
             "max_active": 6 * self.config.horizon + 32,
         }
 
     def constants(self) -> Constants:
-        """Compute the fields of `ddmpc_constants`."""
-        longest_pause = self.history * self.model.dt
-        times: Constants = {"sample_time": self.model.dt, "longest_pause": longest_pause}
+        """Compute the fields of the C structure `ddmpc_constants`."""
+        max_pause = self.history * self.model.dt
+        times: Constants = {"sample_time": self.model.dt, "longest_pause": max_pause}
         parts = (times, self._velocity(), self._estimation(), self._prediction(), self._cost(), self._limits())
         merged: Constants = {}
         for part in (
@@ -187,20 +187,20 @@ class Problem:
         }
 
     def _estimation(self) -> Constants:
-        model, s, on, wheels = self.model, self.config.estimator, self.config.compensation, self.config.wheels
-        known = self.config.sensors
+        model, s, wheels, sensors = self.model, self.config.estimator, self.config.wheels, self.config.sensors
+        enabled = self.config.compensation
         delays = [self._spare > 0] * 2
         estimated = np.array(
-            [on.v_offset, on.yaw_gain, on.v_offset, on.yaw_gain, *[on.side_slip] * 6, *[True] * 6, *delays]
+            [*[enabled.v_offset, enabled.yaw_gain] * 2, *[enabled.side_slip] * 6, *[True] * 6, *delays]
         )
         kinds = (*PRIORS, "gyro_bias", "delay", "delay")
         uncertainty = estimated * np.array([s.uncertainty(kind) for kind in kinds])
         if not self.from_file:
-            # The true ratio of tracks may differ from the one in `wheels`.
+            # The actual ratio of tracks may differ from that in `wheels`.
             uncertainty[kinds.index("omega_gain")] *= s.unknown_omega_gain_uncertainty / s.omega_gain_uncertainty
         drift = estimated * np.array([s.drift(kind) for kind in kinds])
         prior = configured_slip(self.config)
-        # Gains have configured bounds; curved slip is bounded by its initial uncertainty.
+        # Bounds of gains are configured; bounds of curved slip follow from its initial uncertainty.
         margin = np.full(len(SLIPS), np.inf)
         margin[-len(CURVED_SLIPS) :] = _MAX_DEVIATIONS * uncertainty[len(FLAT_SLIPS) : len(SLIPS)]
         min_slip, max_slip = np.array(astuple(prior)) - margin, np.array(astuple(prior)) + margin
@@ -216,7 +216,7 @@ class Problem:
             "doubt": np.square([s.gain_doubt, s.delay_doubt]),
             "uncertainty": uncertainty,
             "drift": model.dt * np.square(drift),
-            # Yaw rates per unit of omega_ref: the ratio of the tracks for the wheels, the DC gain for the model.
+            # Ratio of yaw rates per omega_ref: ratio of tracks (wheels) over DC gain (model).
             "wheel_yaw_ratio": wheels.track / wheels.encoder_track / float(model.dc_gain[1, 1]),
             "surprise": s.surprise,
             "patience": round(s.lasting_surprise / model.dt),
@@ -227,10 +227,10 @@ class Problem:
             "stamp_history": s.history,
             "pose_variance": np.square([s.position_noise, s.position_noise, s.heading_noise]),
             "twist_variance": np.square([s.wheel_speed_noise, s.wheel_yaw_rate_noise, s.yaw_rate_noise]),
-            "sensor_delay": [known.wheels.total_delay, known.yaw_rate.total_delay, known.pose.delay],
-            "sensor_scale": np.array([known.wheels.sign, known.wheels.turn_sign, known.yaw_rate.sign])
-            * [known.wheels.scale, known.wheels.scale, known.yaw_rate.scale],
-            "sensor_heading": known.pose.heading,
+            "sensor_delay": [sensors.wheels.total_delay, sensors.yaw_rate.total_delay, sensors.pose.delay],
+            "sensor_scale": np.array([sensors.wheels.sign, sensors.wheels.turn_sign, sensors.yaw_rate.sign])
+            * [sensors.wheels.scale, sensors.wheels.scale, sensors.yaw_rate.scale],
+            "sensor_heading": sensors.pose.heading,
             "largest_twist": [s.max_wheel_speed, s.max_yaw_rate, s.max_yaw_rate],
             "largest_twist_jump": [s.max_wheel_speed_jump, s.max_yaw_rate_jump, s.max_yaw_rate_jump],
             "largest_position_jump": s.max_position_jump,
@@ -266,7 +266,7 @@ class Problem:
         weighted_heading = self._pose_weights()[:, 2:] * prediction.heading_from_plan[1:]
         return {
             "from_state": prediction.from_state.reshape(N + 1, 2, -1),
-            # Commands older than the model's memory have no effect.
+            # Commands that are older than the memory of the model have no effect.
             "from_past": np.pad(
                 prediction.from_past.reshape(N + 1, 2, -1, 2), ((0, 0), (0, 0), (W - self.model.memory, 0), (0, 0))
             ),
@@ -292,7 +292,7 @@ class Problem:
             "heading": pose_weights[:, 2],
             "command_weight": [w.v, w.omega],
             "increment_weight": [w.v_increment, w.omega_increment],
-            # In column-major order.
+            # The matrix is stored in column-major order.
             "inverse_gain": self.feed_forward.inverse_gain.T.reshape(-1),
             "lag_rest": self.feed_forward.rest,
             "price": w.soft,
@@ -302,7 +302,7 @@ class Problem:
     def _limits(self) -> Constants:
         limits, dt = self.config.limits, self.model.dt
         shipped = [limits.predicted_v, limits.predicted_omega, limits.wheel_speed, limits.wheel_speed, limits.corridor]
-        shipped += [0.0] * self._all_turns  # unused zeros: limits.c computes these bounds from the radius
+        shipped += [0.0] * self._all_turns  # placeholders: limits.c computes these bounds from the radius
         soft = [term for term in self.terms if term.soft]
         return {
             "largest_command": [*limits.v.sides, *limits.omega.sides],
@@ -365,40 +365,40 @@ def _core_numbers(name: str) -> dict[str, Any]:
 
 
 def configured_slip(config: ControllerConfig) -> Slip:
-    """Return the initial slip of the estimate."""
+    """Return the initial slip of the estimate from the configuration."""
     s = config.estimator
     flat = Slip(side_slip=s.side_slip, load_shift=s.load_shift) if config.compensation.side_slip else Slip()
     return replace(flat, **{name: s.start(name) for name in CURVED_SLIPS})
 
 
 def round_up(count: int) -> int:
-    """Round up to a multiple of `PADDING`."""
+    """Round `count` up to a multiple of `PADDING`."""
     return -(-count // PADDING) * PADDING
 
 
 def _longest_row(matrix: FloatArray) -> FloatArray:
-    """Return the last row of a Toeplitz matrix, padded; every other row is a shifted section of it."""
+    """Return the padded last row of a Toeplitz matrix; all other rows are shifted sections of this row."""
     row = matrix[-1]
     return np.concatenate([row, np.zeros(2 * round_up(row.size) - row.size)])
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Linear maps from state, past commands and future commands to predicted twists.
+    """Prediction matrices from state, past commands and future commands to predicted twists.
 
-    Commands are flattened step by step: (v_ref[0], omega_ref[0], v_ref[1], ...). Rows of the matrices at samples are
-    v[0], omega[0], v[1], ...; rows of the mean matrix are mean twists over the arcs, in the same order.
+    Commands are flattened step by step: (v_ref[0], omega_ref[0], v_ref[1], ...). Rows for samples are ordered v[0],
+    omega[0], v[1], ...; rows for mean twists over arcs have the same order.
 
     Attributes
     ----------
     horizon
         Number of steps N.
     from_state, from_past, from_plan
-        (2 (N + 1), n), (2 (N + 1), 2 memory), (2 (N + 1), 2 N): twist at the samples 0 to N.
+        (2 (N + 1), n), (2 (N + 1), 2 memory), (2 (N + 1), 2 N) maps to the twist at the samples 0 to N.
     mean_from_plan
-        (2 N, 2 N): mean twist over each of the N arcs, as a function of the plan.
+        (2 N, 2 N) map from the plan to the mean twist over each of the N arcs.
     heading_from_plan
-        (N + 1, 2 N): heading at the samples 0 to N relative to the first.
+        (N + 1, 2 N) map from the plan to the heading at the samples 0 to N, relative to that at sample 0.
     """
 
     horizon: int
@@ -410,7 +410,7 @@ class Prediction:
 
 
 def build_prediction(model: DiscreteModel, horizon: int) -> Prediction:
-    """Predict the model over `horizon` steps.
+    """Build the prediction matrices of the model over `horizon` steps.
 
     Raises
     ------
@@ -418,7 +418,7 @@ def build_prediction(model: DiscreteModel, horizon: int) -> Prediction:
         If `horizon` is less than 1.
     """
     if horizon < 1:
-        raise ValueError(f"horizon = {horizon}: at least one step is needed")
+        raise ValueError(f"horizon = {horizon}: set it to at least 1")
     memory, n = model.memory, model.order
     width = 2 * (memory + horizon)
     # State at each sample as a linear function of [x0, past commands, plan].
@@ -431,8 +431,8 @@ def build_prediction(model: DiscreteModel, horizon: int) -> Prediction:
             state[:, newer] += model.B0[:, channel]
             state[:, newer - 2] += model.B1[:, channel]
         twists.append(model.C @ state)
-    whole = np.vstack(twists)
-    from_plan = whole[:, n + 2 * memory :]
+    stacked_twists = np.vstack(twists)
+    from_plan = stacked_twists[:, n + 2 * memory :]
     mean = 0.5 * (from_plan[:-2] + from_plan[2:])
     heading = np.vstack([np.zeros(2 * horizon), np.cumsum(model.dt * mean[1::2], axis=0)])
-    return Prediction(horizon, whole[:, :n], whole[:, n : n + 2 * memory], from_plan, mean, heading)
+    return Prediction(horizon, stacked_twists[:, :n], stacked_twists[:, n : n + 2 * memory], from_plan, mean, heading)

@@ -1,4 +1,4 @@
-"""Feed-forward constants: the command that would keep the reference's twist, one lag ahead."""
+"""Constants of the feed-forward command, which produces the reference's twist one lag ahead."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from diffdrive_mpc.models.velocity_model import VelocityModel
 class FeedForward:
     """Constants of the feed-forward command.
 
-    A command takes effect one lag later (dead time and dynamics), so it must match the reference's twist at that time.
+    A command takes effect after a lag (dead time and dynamics), so it must match the reference's twist one lag ahead.
 
     Attributes
     ----------
     inverse_gain
         (2, 2) inverse of the model's steady-state gain.
     whole, rest
-        (2,) lag of each channel in whole samples, and its remainder [samples].
+        (2,) integer part and fractional part of the lag of each channel [samples].
     """
 
     inverse_gain: FloatArray
@@ -33,7 +33,7 @@ class FeedForward:
     @classmethod
     def from_model(cls, model: VelocityModel | NonlinearModel, dt: float) -> FeedForward:
         """Build the feed-forward of a model at the sample time `dt` [s]."""
-        # A zero close to the origin can make a lag negative, but past twists of the reference cannot be followed.
-        ahead = np.maximum(model.lag, 0.0) / dt
-        whole = np.floor(ahead).astype(np.int64)
-        return cls(np.asarray(np.linalg.inv(model.dc_gain), dtype=np.float64), whole, ahead - whole)
+        # A transfer zero near the origin can result in a negative lag, which a causal feed-forward cannot use.
+        lag = np.maximum(model.lag, 0.0) / dt
+        whole = np.floor(lag).astype(np.int64)
+        return cls(np.asarray(np.linalg.inv(model.dc_gain), dtype=np.float64), whole, lag - whole)

@@ -1,18 +1,19 @@
-"""All formulas of the controller in CasADi; the C code is generated from them (`mpc/core/generate.py`).
+"""Formulas of the controller in CasADi, from which C code is generated (`mpc/core/generate.py`).
 
-All formulas use these symbols. Each symbol is a column vector.
+The formulas use these symbols, which are column vectors:
 
 =============  ====  ============================================================================================
 y              2     v [m/s], omega [rad/s]: output of the velocity model, before slip
 slip           10    see `mpc.problem.slip`; 15 in formulas whose name ends in `_curved`
 pose           3     x, y [m], theta [rad] of the body in the frame of the reference
-twist          2     v [m/s], omega [rad/s] of the body, slip included
+twist          2     v [m/s], omega [rad/s] of the body, including slip
 command        2     v_ref [m/s], omega_ref [rad/s]
-reference      4     x, y [m], theta [rad] where the robot should be, and the heading [rad] to hold there
+reference      4     x, y [m], theta [rad] of the reference pose, and the target heading [rad], see `aim`
 dt             1     duration [s]
 =============  ====  ============================================================================================
 
-Source of the odometry: Guffanti et al., Sensors 2025, 25(11), 3553. Other formulas are derived next to their functions.
+Source of the odometry: Guffanti et al., Sensors 2025, 25(11), 3553. For derivations and sources of other formulas see
+their docstrings.
 """
 
 from __future__ import annotations
@@ -31,17 +32,17 @@ from diffdrive_mpc.models.slip_laws import track_widening
 from diffdrive_mpc.mpc.problem.slip import FLAT_SLIPS, SLIPS
 
 TERM_INPUTS: Mapping[str, int] = {"pose": 3, "twist": 2, "command": 2, "reference": 4}
-"""Inputs of a term and their lengths; the last input, `parameters`, has a length that depends on the term."""
+"""Inputs of a term and their lengths, without the last input `parameters`, whose length depends on the term."""
 
 VARIED = ("pose", "twist", "command")
-"""Inputs with respect to which a term is differentiated."""
+"""Inputs by which a term is differentiated."""
 
-# Shapes of the formulas' arguments by name; arguments that are not listed are scalars.
+# Shapes of the arguments of formulas by name; other arguments are scalars.
 _SHAPES = {
     "y": (2, 1),
     "pose": (3, 1),
     "twist": (2, 1),
-    "wanted": (2, 1),
+    "target_twist": (2, 1),
     "inverse_gain": (2, 2),
     "row": (10, 1),
     "coefficients": (16, 1),
@@ -49,19 +50,20 @@ _SHAPES = {
 
 
 ALONG = 0.5
-"""Ratio of the slide along the heading to the slide across it [-]; rolling wheels resist sliding along the heading.
+"""Ratio of the slide along the heading to the slide across the heading [-].
 
-Identified with four robots on the `mujoco` plant, 10 degrees of slope (0.05 to 0.06 m/rad along, 0.10 to 0.12
-across)."""
-_SMOOTHING_RATE = 0.05  # yaw rate below which |omega| in the slide is smoothed [rad/s]
+
+Rolling wheels resist sliding along the heading. Identified with four robots on the `mujoco` plant on a slope of 10
+degrees (0.05 to 0.06 m/rad along, 0.10 to 0.12 m/rad across)."""
+_SMOOTHING_RATE = 0.05  # yaw rate below which |omega| is smoothed in the slide [rad/s]
 SLOW = 0.1
-"""Speed below which the heading cannot compensate a lateral speed [m/s]."""
-# Fixed-point iterations that invert curved slip.
+"""Speed below which the heading hardly compensates a lateral speed [m/s]."""
+# Number of fixed-point iterations in the inversion of curved slip.
 _ITERATIONS = 3
 
 
 def _slip_components(slip: ca.SX) -> SimpleNamespace:
-    """Name the components of a slip column; components beyond a shorter column are zero."""
+    """Return the components of a slip column by name; curved slips are zero for a column of flat slips."""
     parts = ca.vertsplit(slip)
     return SimpleNamespace(**dict(zip(SLIPS, [*parts, *[ca.SX(0)] * (len(SLIPS) - len(parts))], strict=True)))
 
@@ -73,7 +75,7 @@ def _flat_twist(wheels: ca.SX, turn: ca.SX, s: SimpleNamespace) -> ca.SX:
 
 
 def _curve_twist(flat: ca.SX, wheels: ca.SX, turn: ca.SX, s: SimpleNamespace) -> ca.SX:
-    """Add the curved terms to the twist: veer and couplings (a31, a13 and a33 of P4), and a widening track."""
+    """Add the curved terms to the twist `flat`: veer, couplings (a31, a13, a33 of P4), and the growth of the track."""
     product = wheels * s.omega_gain * turn
     v = flat[0] + s.forward_coupling * product
     omega = flat[1] / track_widening(flat[1], s.track_growth) + s.veer * wheels + s.yaw_coupling * product
@@ -83,8 +85,8 @@ def _curve_twist(flat: ca.SX, wheels: ca.SX, turn: ca.SX, s: SimpleNamespace) ->
 def body_twist(y: ca.SX, slip: ca.SX) -> ca.SX:
     """Compute the twist (2) of the body from the output of the model.
 
-    The wheels follow the model except for an offset and a gain. The body follows the wheels with the gains of the
-    surface, and turns about a centre that may differ from the origin of the body frame.
+    The wheels follow the model with an offset and a gain. The body follows the wheels with gains that depend on the
+    surface, and turns about a point that may differ from the origin of the body frame.
     """
     return _twists(y, slip)[1]
 
@@ -98,10 +100,10 @@ def _twists(y: ca.SX, slip: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 
 def wheel_twist(twist: ca.SX, slip: ca.SX) -> ca.SX:
-    """Compute wheel speed and model yaw rate (2) for the body's `twist`: the inverse of `body_twist`.
+    """Compute wheel speed and model yaw rate (2) from the body's `twist`; the inverse of `body_twist`.
 
-    Curved slip is inverted by fixed-point iteration: each iteration multiplies the error by the product of the
-    couplings.
+    Curved slip is inverted by a fixed-point iteration, which reduces the error by the product of the couplings in each
+    step.
     """
     s = _slip_components(slip)
     gain = s.omega_gain * s.yaw_gain
@@ -113,7 +115,7 @@ def wheel_twist(twist: ca.SX, slip: ca.SX) -> ca.SX:
     return ca.SX(ca.vertcat(v, turn))
 
 
-def _flat_of(twist: ca.SX, slip: ca.SX) -> ca.SX:
+def _without_curved(twist: ca.SX, slip: ca.SX) -> ca.SX:
     """Remove the curved terms from the body's `twist` (2)."""
     if slip.numel() == len(FLAT_SLIPS):
         return twist
@@ -122,7 +124,7 @@ def _flat_of(twist: ca.SX, slip: ca.SX) -> ca.SX:
 
 
 def turning_point(slip: ca.SX, acceleration: ca.SX) -> ca.SX:
-    """Compute the distance of the turning point ahead of the origin [m] without side-slip.
+    """Compute the distance of the turning point ahead of the origin [m], without the effect of side-slip.
 
     A forward `acceleration` [m/s^2] shifts load to the rear axle, which increases its grip.
     """
@@ -131,20 +133,20 @@ def turning_point(slip: ca.SX, acceleration: ca.SX) -> ca.SX:
 
 
 def lateral_speed(flat: ca.SX, slip: ca.SX, ahead: ca.SX) -> ca.SX:
-    """Compute the speed of the origin to the left [m/s] for a turning point `ahead` [m] of it; side-slip is outward.
+    """Compute the speed of the origin to the left [m/s] if the turning point is `ahead` [m] of the origin.
 
-    It is computed from the twist without curved terms, so crab, turning point and side-slip correspond to a21, a22 and
-    a23 of P4.
+    Side-slip is directed outward. The argument `flat` is the twist without curved terms, so crab, turning point and
+    side-slip correspond to a21, a22 and a23 of P4.
     """
     s, (v, omega) = _slip_components(slip), ca.vertsplit(flat)
     return ca.SX(s.crab * v - (ahead + s.side_slip * v) * omega)
 
 
 def sliding(theta: ca.SX, omega: ca.SX, slide_x: ca.SX, slide_y: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Compute the sliding speed (along, across) [m/s] of a robot with the heading `theta` that turns at `omega`.
+    """Compute the sliding speed (along, across) [m/s] of a robot with heading `theta` and yaw rate `omega`.
 
-    Skidding wheels resist a lateral force with the remaining friction only, so a force down a slope moves the robot in
-    proportion to the speed of the skid.
+    Skidding wheels resist a lateral force only with the remaining friction. A force down a slope therefore moves the
+    robot in proportion to the skidding speed.
     """
     rate = ca.sqrt(omega**2 + _SMOOTHING_RATE**2) - _SMOOTHING_RATE
     along = ca.cos(theta) * slide_x + ca.sin(theta) * slide_y
@@ -153,7 +155,7 @@ def sliding(theta: ca.SX, omega: ca.SX, slide_x: ca.SX, slide_y: ca.SX) -> tuple
 
 
 def _arc_move(theta: ca.SX, twist: ca.SX, flat: ca.SX, slip: ca.SX, ahead: ca.SX, dt: ca.SX) -> ca.SX:
-    """Compute the displacement (3) over `dt` along the arc of the body's `twist`, with slip at the arc's midpoint."""
+    """Compute the displacement (3) over `dt` along the arc of the body's `twist`, with sliding at the midpoint."""
     s = _slip_components(slip)
     along, across = sliding(theta + twist[1] * dt / 2, twist[1], s.slide_x, s.slide_y)
     return arc_displacement(theta, twist[0] + along, twist[1], dt, lateral_speed(flat, slip, ahead) + across)
@@ -171,8 +173,8 @@ def displacement(y: ca.SX, slip: ca.SX, theta: ca.SX, acceleration: ca.SX, dt: c
 def sensor_readings(y: ca.SX, slip: ca.SX, gyro_bias: ca.SX, wheel_yaw_ratio: ca.SX) -> ca.SX:
     """Compute the expected readings (3): wheel speed [m/s], yaw rate of the wheels and of the gyro [rad/s].
 
-    Wheel speed = y_v + v_offset. The encoders measure the wheels, and their yaw rate uses the geometric track instead
-    of the model's: wheel yaw rate = wheel_yaw_ratio omega_gain y_omega. The gyro measures the body: omega + gyro_bias.
+    The encoders measure the wheel speed y_v + v_offset and, with the geometric track, the wheel yaw rate
+    wheel_yaw_ratio omega_gain y_omega. The gyro measures the yaw rate of the body plus its bias, omega + gyro_bias.
     """
     s = _slip_components(slip)
     omega = body_twist(y, slip)[1]
@@ -180,25 +182,25 @@ def sensor_readings(y: ca.SX, slip: ca.SX, gyro_bias: ca.SX, wheel_yaw_ratio: ca
 
 
 def aim(pose: ca.SX, twist: ca.SX, slip: ca.SX, acceleration: ca.SX) -> ca.SX:
-    """Return the target (4) of the robot for the reference's `pose` and `twist`: `reference` in the module's table.
+    """Return the target (4) for the reference's `pose` and `twist`, see `reference` in the table of the module.
 
-    To stay on the path in a curve, a robot with side-slip must offset its heading by the angle of its lateral speed,
-    which depends on the reference's forward `acceleration` [m/s^2].
+    A robot with side-slip stays on a curved path if it offsets its heading by the angle of its lateral speed, which
+    depends on the reference's forward `acceleration` [m/s^2].
     """
     s = _slip_components(slip)
-    v, omega = twist[0], _flat_of(twist, slip)[1]
+    v, omega = twist[0], _without_curved(twist, slip)[1]
     _, slide = sliding(pose[2], twist[1], s.slide_x, s.slide_y)
     outward = s.side_slip * omega + (turning_point(slip, acceleration) * omega - slide) * v / (v**2 + SLOW**2)
     return ca.vertcat(pose, pose[2] + ca.atan(outward - s.crab))
 
 
-def feed_forward(wanted: ca.SX, slip: ca.SX, inverse_gain: ca.SX) -> ca.SX:
-    """Compute the command (2) that keeps the body's twist `wanted` (2).
+def feed_forward(target_twist: ca.SX, slip: ca.SX, inverse_gain: ca.SX) -> ca.SX:
+    """Compute the command (2) that produces the steady twist `target_twist` (2) of the body.
 
-    The command inverts the estimated slip and the model's steady-state gain; `inverse_gain` (2 x 2) is the inverse of
-    the latter.
+    The command inverts the estimated slip and the steady-state gain of the model, whose inverse is `inverse_gain`
+    (2 x 2).
     """
-    wheels = wheel_twist(wanted, slip)
+    wheels = wheel_twist(target_twist, slip)
     return inverse_gain @ ca.vertcat(wheels[0] - _slip_components(slip).v_offset, wheels[1])
 
 
@@ -209,17 +211,17 @@ def across_path(pose: ca.SX, reference: ca.SX) -> ca.SX:
 
 
 def tracking_errors(pose: ca.SX, reference: ca.SX) -> ca.SX:
-    """Compute the errors (3) along and across the reference's tangent [m], and of the heading [rad] to hold."""
+    """Compute the errors (3) along and across the reference's tangent [m], and relative to the target heading [rad]."""
     dx, dy, theta = pose[0] - reference[0], pose[1] - reference[1], reference[2]
     along = ca.cos(theta) * dx + ca.sin(theta) * dy
     return ca.vertcat(along, across_path(pose, reference), pose[2] - reference[3])
 
 
 def soft_limit_values(pose: ca.SX, twist: ca.SX, reference: ca.SX, parameters: ca.SX) -> ca.SX:
-    """Compute the values with soft limits (5): v, omega, right and left rim speed, distance across [m/s, rad/s, m].
+    """Compute the soft-limited values (5): v, omega, right and left rim speed, and distance across [m/s, rad/s, m].
 
-    The speed of the rims is that of the wheels, without the body's slip. `parameters` (11 or 16) are slip and half the
-    track of the wheels [m].
+    The rim speeds do not include the slip of the body. `parameters` (11 or 16) are the slip and half the track of the
+    wheels [m].
     """
     slip, half_track = parameters[:-1], parameters[-1]
     wheels = wheel_twist(twist, slip)
@@ -228,10 +230,10 @@ def soft_limit_values(pose: ca.SX, twist: ca.SX, reference: ca.SX, parameters: c
 
 
 def turned_tighter(twist: ca.SX, parameters: ca.SX) -> ca.SX:
-    """Compute the radius violation (2) of a twist to the left and to the right [m/s]: positive beyond the limit.
+    """Compute the radius violation (2) of a twist to the left and to the right [m/s]; positive if violated.
 
-    |omega| radius <= |v|, in the direction of travel: `parameters` (2) are the minimum radius [m], and 1 or -1 if the
-    reference drives forwards or backwards. Source of the constraint: Ordonez et al., 2017.
+    The constraint is |omega| radius <= |v| in the direction of travel (Ordonez et al., 2017). `parameters` (2) are the
+    minimum radius [m], and the direction of the reference: 1 forwards, -1 backwards.
     """
     radius, direction = ca.vertsplit(parameters)
     turning, driving = radius * twist[1], direction * twist[0]
@@ -239,17 +241,17 @@ def turned_tighter(twist: ca.SX, parameters: ca.SX) -> ca.SX:
 
 
 def commanded_tighter(command: ca.SX, parameters: ca.SX) -> ca.SX:
-    """Compute the radius violation (2) of a command, whose radius is that of the wheels, as in P4."""
+    """Compute the radius violation (2) of a command as in P4; its radius is that of the wheels."""
     return turned_tighter(command, parameters)
 
 
 def arc_piece(tau: ca.SX, row: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Compute pose (3), twist (2) and arc length (1) of a reference of exact arcs, `tau` [s] after its phase began.
+    """Compute pose (3), twist (2) and arc length (1) of a reference of exact arcs, `tau` [s] after its phase started.
 
-    `row` (10) describes the phase: its start time; x, y, theta and arc length at the start of its segment; forward [m]
-    and turn [rad] per unit of progress; progress s, its rate and half its acceleration at the start of the phase. Then
-    s(tau) = s + (s' + s''/2 tau) tau, and the path from the segment's start is the arc of the twist (forward, turn)
-    over s(tau).
+    `row` (10) describes the phase: start time; x, y, theta and arc length at the start of its segment; forward distance
+    [m] and turn [rad] per unit of progress; progress s, its rate and half its acceleration at the start of the phase.
+    The progress is s(tau) = s + (s' + s''/2 tau) tau, and the path from the start of the segment is the arc of the
+    twist (forward, turn) over s(tau).
     """
     _, x, y, theta, arc_length, forward, turn, offset, rate, half_acceleration = ca.vertsplit(row)
     progress = offset + (rate + half_acceleration * tau) * tau
@@ -259,7 +261,7 @@ def arc_piece(tau: ca.SX, row: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
 
 
 def spline_piece(tau: ca.SX, coefficients: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Compute pose (3), twist (2) and arc length (1) of a cubic reference, `tau` [s] after its piece began.
+    """Compute pose (3), twist (2) and arc length (1) of a cubic reference, `tau` [s] after its piece started.
 
     `coefficients` (16) are those of x, y, theta and arc length for each power of tau, highest power first. The forward
     speed is the rate of (x, y) along the heading.
@@ -272,16 +274,16 @@ def spline_piece(tau: ca.SX, coefficients: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
 
 
 def arc_move(theta: ca.SX, v: ca.SX, omega: ca.SX, slip: ca.SX, ahead: ca.SX, dt: ca.SX) -> ca.SX:
-    """Compute the displacement (2) dx, dy [m] over `dt` as in `displacement`, for a twist that includes slip."""
+    """Compute the displacement (2) dx, dy [m] over `dt` of a twist that includes slip; see `displacement`."""
     twist = ca.vertcat(v, omega)
-    return _arc_move(theta, twist, _flat_of(twist, slip), slip, ahead, dt)[:2]
+    return _arc_move(theta, twist, _without_curved(twist, slip), slip, ahead, dt)[:2]
 
 
 @cache
 def formulas() -> tuple[ca.Function, ...]:
-    """Build the controller's formulas as SX functions with their C names; linearised formulas include a gradient.
+    """Build the formulas as SX functions with their C names; formulas that are linearised include a gradient.
 
-    Formulas with slip exist in two versions, so that controllers without curved slip avoid the cost of its terms.
+    Formulas with slip exist in two versions, so that controllers without curved slip do not evaluate its terms.
     """
     sampled = ("pose", "twist", "arc_length")
     return (
@@ -295,23 +297,23 @@ def formulas() -> tuple[ca.Function, ...]:
     )
 
 
-def _with_slip(ending: str, slips: int) -> tuple[ca.Function, ...]:
+def _with_slip(suffix: str, slips: int) -> tuple[ca.Function, ...]:
     """Build the formulas that depend on slip, for a slip column of length `slips`."""
     shapes = {"slip": (slips, 1)}
     return (
-        _with_gradient(f"ddmpc_f_twist{ending}", body_twist, "twist", ("y", "slip"), shapes),
-        _with_gradient(f"ddmpc_f_move{ending}", displacement, "displacement", ("y", "slip", "theta"), shapes),
-        _with_gradient(f"ddmpc_f_sensors{ending}", sensor_readings, "sensed", ("y", "slip", "gyro_bias"), shapes),
-        _with_gradient(f"ddmpc_f_arc{ending}", arc_move, "move", ("v", "omega", "theta"), shapes),
-        _plain(f"ddmpc_f_turning_point{ending}", turning_point, "ahead", shapes=shapes),
-        _plain(f"ddmpc_f_aim{ending}", aim, "aim", shapes=shapes),
-        _plain(f"ddmpc_f_feed_forward{ending}", feed_forward, "command", shapes=shapes),
-        _term(f"ddmpc_f_soft{ending}", soft_limit_values, slips + 1),
+        _with_gradient(f"ddmpc_f_twist{suffix}", body_twist, "twist", ("y", "slip"), shapes),
+        _with_gradient(f"ddmpc_f_move{suffix}", displacement, "displacement", ("y", "slip", "theta"), shapes),
+        _with_gradient(f"ddmpc_f_sensors{suffix}", sensor_readings, "sensed", ("y", "slip", "gyro_bias"), shapes),
+        _with_gradient(f"ddmpc_f_arc{suffix}", arc_move, "move", ("v", "omega", "theta"), shapes),
+        _plain(f"ddmpc_f_turning_point{suffix}", turning_point, "ahead", shapes=shapes),
+        _plain(f"ddmpc_f_aim{suffix}", aim, "aim", shapes=shapes),
+        _plain(f"ddmpc_f_feed_forward{suffix}", feed_forward, "command", shapes=shapes),
+        _term(f"ddmpc_f_soft{suffix}", soft_limit_values, slips + 1),
     )
 
 
 def formula(name: str) -> ca.Function:
-    """Build the formula `ddmpc_f_NAME` for numerical evaluation; inputs with several columns are mapped."""
+    """Build the formula `ddmpc_f_NAME` for numerical evaluation."""
     return {function.name(): function for function in formulas()}[f"ddmpc_f_{name}"]
 
 
@@ -321,12 +323,12 @@ def term_symbols(parameters: int) -> dict[str, ca.SX]:
 
 
 def term(name: str, inputs: Mapping[str, ca.SX], value: ca.SX) -> ca.Function:
-    """Build the term `value` (m) of `inputs` (see `term_symbols`), with its gradient (m x 7) by `VARIED`."""
+    """Build the term `value` (m) of `inputs`, see `term_symbols`, with its gradient (m x 7) by `VARIED`."""
     return differentiate(name, inputs, "value", value, VARIED)
 
 
 def differentiate(name: str, inputs: Mapping[str, ca.SX], output: str, value: ca.SX, by: Sequence[str]) -> ca.Function:
-    """Build the function `name` of `inputs` with two outputs: `value`, called `output`, and its gradient by `by`."""
+    """Build the function `name` of `inputs` with two outputs: `value`, named `output`, and its gradient by `by`."""
     gradient = ca.jacobian(value, ca.vertcat(*(inputs[varied] for varied in by)))
     return named_function(name, inputs, {output: value, "gradient": gradient})
 
@@ -359,23 +361,23 @@ def _term(name: str, formula: _Formula, parameters: int) -> ca.Function:
 
 
 def named_function(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.SX]) -> ca.Function:
-    """Build the function `name` with these inputs and outputs."""
+    """Build the function `name` with named inputs and outputs."""
     return ca.Function(name, list(inputs.values()), list(outputs.values()), list(inputs), list(outputs))
 
 
-# The formulas of a network's units with their gradients, to be generated for the core (`mpc/core/network.c`).
+# Formulas of the units of a network with their gradients; C code for `mpc/core/network.c` is generated from them.
 
 
 @cache
 def network_formulas() -> tuple[ca.Function, ...]:
-    """Build cell and output of a unit, and the activation of a dense layer, as SX functions with their C names."""
+    """Build the cell and output of an LSTM unit and the activation of a dense layer as SX functions with C names."""
     names = ("enter", "keep", "candidate", "leave", "cell", "x")
     enter, keep, candidate, leave, cell, x = (ca.SX.sym(name) for name in names)
-    before = {"enter": enter, "keep": keep, "candidate": candidate, "cell": cell}
-    now = {"leave": leave, "cell": cell}
-    after = next_cell(enter, keep, candidate, cell, ca.tanh)
+    cell_inputs = {"enter": enter, "keep": keep, "candidate": candidate, "cell": cell}
+    hidden_inputs = {"leave": leave, "cell": cell}
+    next_value = next_cell(enter, keep, candidate, cell, ca.tanh)
     return (
-        differentiate("ddmpc_f_cell", before, "next_cell", after, tuple(before)),
-        differentiate("ddmpc_f_hidden", now, "hidden", hidden(leave, cell, ca.tanh), tuple(now)),
+        differentiate("ddmpc_f_cell", cell_inputs, "next_cell", next_value, tuple(cell_inputs)),
+        differentiate("ddmpc_f_hidden", hidden_inputs, "hidden", hidden(leave, cell, ca.tanh), tuple(hidden_inputs)),
         differentiate("ddmpc_f_dense", {"x": x}, "y", ca.tanh(x), ("x",)),
     )

@@ -1,4 +1,4 @@
-"""Slip: the difference between the twist that the velocity model predicts and the twist of the body on its surface."""
+"""Slip: the difference between the twist that the velocity model predicts and the actual twist of the body."""
 
 from __future__ import annotations
 
@@ -12,47 +12,50 @@ from diffdrive_mpc.models.interface import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Slip:
-    """Offset and gains of a twist, side-slip and turning point; with the defaults the robot follows its model exactly.
+    """Parameters of slip: offset and gains of the twist, side-slip, and turning point.
 
-    The wheels move with v + v_offset and omega_gain omega. The body turns with yaw_gain times the wheels' yaw rate
-    about a point that lies (turn_ahead - load_shift times the forward acceleration) ahead of the origin of the body
-    frame and turn_left to its left. This point moves with longitudinal_gain times the wheels' forward speed, and
-    outward in a turn with side_slip v omega.
+    With the default values the body moves exactly as the model predicts.
 
-    A turning robot also slides in the plane of the floor, by slide_x and slide_y per radian in the frame of the poses:
-    on a slope, skidding wheels no longer resist the downhill force.
+    The wheels move with v + v_offset and omega_gain omega. The yaw rate of the body is yaw_gain times that of the
+    wheels. The turning point lies turn_ahead minus load_shift times the forward acceleration ahead of the origin of the
+    body frame, and turn_left to the left of the origin. It moves forward with longitudinal_gain times the wheels'
+    forward speed, and outward in a turn with side_slip v omega.
 
-    The last five slips are called curved: they make the twist non-affine in the model's output, and the controller
-    linearises it at each sample. All slips together span the nine terms of Ordonez et al., 2017 (P4), and the virtual
-    track of Botta et al., Appl. Sci. 2021, 11(4), 1594 (P3); `of_polynomial` and `polynomial` convert from and to P4.
+    A turning robot also slides on the floor by slide_x and slide_y per radian of turn, in the frame of the poses. On a
+    slope, skidding wheels do not resist the downhill force.
+
+    The last five parameters are called curved slip: they make the twist a non-affine function of the model's output,
+    and the controller linearises the twist at each sample. The parameters span the nine terms of Ordonez et al., 2017
+    (P4), and the virtual track of Botta et al., Appl. Sci. 2021, 11(4), 1594 (P3). `of_polynomial` and `polynomial`
+    convert from and to P4.
 
     Attributes
     ----------
     v_offset
         Forward speed of the wheels that the model does not explain [m/s].
     omega_gain
-        Yaw rate of the wheels over that of the model [-].
+        Ratio of the wheels' yaw rate to that of the model [-].
     longitudinal_gain
-        Forward speed of the body over that of the wheels [-].
+        Ratio of the body's forward speed to that of the wheels [-].
     yaw_gain
-        Yaw rate of the body over that of the wheels, relative to the surface on which the model was identified [-].
+        Ratio of the body's yaw rate to that of the wheels, relative to the surface of the identification [-].
     side_slip
-        Lateral speed of the body, outward, over v omega [s].
+        Ratio of the body's outward lateral speed to v omega [s].
     turn_ahead, turn_left
-        Point about which the robot turns, in the body frame [m]; an off-centre load shifts it.
+        Coordinates of the turning point in the body frame [m]; an off-centre load shifts the point.
     load_shift
-        Distance that the turning point moves back per unit of forward acceleration, which loads the rear axle [s^2].
+        Backward shift of the turning point per forward acceleration, which loads the rear axle [s^2].
     slide_x, slide_y
-        Distance that the robot slides per radian of turn, along x and y of the frame of the poses [m/rad]: the full
-        component across the heading, and a share of the component along it (`mpc.problem.formulas.sliding`).
+        Sliding distance per radian of turn, along x and y of the frame of the poses [m/rad]. The component along the
+        heading is reduced by a constant factor, see `mpc.problem.formulas.sliding`.
     crab
-        Lateral speed of the body, to the left, over its forward speed [-]; P4's a21.
+        Ratio of the body's lateral speed to the left to its forward speed [-]; a21 of P4.
     veer
-        Yaw for each metre that the wheels drive forward [rad/m]; P4's a31.
+        Yaw angle per forward wheel distance [rad/m]; a31 of P4.
     forward_coupling, yaw_coupling
-        Forward speed [s/rad] and yaw rate [s/m] for the product of the wheels' speed and yaw rate; P4's a13, a33.
+        Forward speed [s/rad] and yaw rate [s/m] per product of the wheels' speed and yaw rate; a13 and a33 of P4.
     track_growth
-        Relative growth of the track for each rad/s of the body's yaw rate [s/rad]; P3's p1 / p0.
+        Relative growth of the track per yaw rate of the body [s/rad]; p1 / p0 of P3.
     """
 
     v_offset: float = 0.0
@@ -73,15 +76,15 @@ class Slip:
 
     @property
     def flat(self) -> list[float]:
-        """(10,) values of the flat slips, in the order of `FLAT_SLIPS`."""
+        """(10,) values of the flat slip parameters, in the order of `FLAT_SLIPS`."""
         return [getattr(self, name) for name in FLAT_SLIPS]
 
     @classmethod
     def of_polynomial(cls, coefficients: ArrayLike) -> Slip:
-        """Compute the slip of a surface with these nine coefficients (9,) of `models.slip_laws.polynomial_twist`."""
+        """Compute the slip from the coefficients (9,) of `models.slip_laws.polynomial_twist`."""
         (a11, a12, a13), (a21, a22, a23), (a31, a32, a33) = np.reshape(np.asarray(coefficients, dtype=float), (3, 3))
         forward, turning = 1 + a11, 1 + a32
-        # a23 v_c w_c is written in the affine twist, v = forward v_c + a12 w_c and omega = turning w_c.
+        # The term a23 v_c w_c is expressed by the affine twist, v = forward v_c + a12 w_c and omega = turning w_c.
         return cls(
             longitudinal_gain=forward,
             yaw_gain=turning,
@@ -98,8 +101,8 @@ class Slip:
     def polynomial(self) -> FloatArray:
         """(9,) equivalent coefficients of `models.slip_laws.polynomial_twist`, row by row.
 
-        Offset, load shift, slide and track growth have no equivalent and are omitted; so are lateral terms in w_c^2,
-        the products of side-slip and a12.
+        Offset, load shift, slide and track growth have no equivalent and are omitted. The products of side-slip and
+        a12, which are lateral terms in w_c^2, are also omitted.
         """
         turning = self.omega_gain * self.yaw_gain
         return np.array(
@@ -114,27 +117,27 @@ class Slip:
 
     @property
     def polynomial_gradient(self) -> FloatArray:
-        """(9, 15) gradient of `polynomial` by the slips, in the order of `SLIPS`."""
-        # Each coefficient is linear in each slip, so a difference over a unit step is exact.
+        """(9, 15) gradient of `polynomial` by the slip parameters, in the order of `SLIPS`."""
+        # Each coefficient is linear in each parameter, so a difference over a unit step is exact.
         columns = [replace(self, **{name: getattr(self, name) + 1.0}).polynomial for name in SLIPS]
         return np.stack(columns, axis=1) - self.polynomial[:, None]
 
     @property
     def gains(self) -> FloatArray:
-        """(2,) forward speed and yaw rate of the body over those of the model."""
+        """(2,) ratios of the forward speed and yaw rate of the body to those of the model."""
         return np.array([self.longitudinal_gain, self.omega_gain * self.yaw_gain])
 
     @property
     def offset(self) -> FloatArray:
-        """(2,) offset of the model's twist before the gains [m/s, rad/s]."""
+        """(2,) offset that is added to the model's twist before the gains [m/s, rad/s]."""
         return np.array([self.v_offset, 0.0])
 
 
 SLIPS: tuple[str, ...] = tuple(field.name for field in fields(Slip))
-"""Names of the slips, in the order of the filter's state."""
+"""Names of the slip parameters, in the order of the filter's state."""
 PRIORS: tuple[str, ...] = tuple(name.removesuffix("_x").removesuffix("_y") for name in SLIPS)
-"""Name of each slip's prior in the configuration; both directions of the slide share one prior."""
+"""Name of the prior of each slip parameter in the configuration; both directions of the slide share one prior."""
 CURVED_SLIPS = SLIPS[10:]
-"""Slips that make the twist non-affine; the filter has these states only if the configuration sets or estimates one."""
+"""Slip parameters that make the twist non-affine; the filter has these states only if one is set or estimated."""
 FLAT_SLIPS = SLIPS[:10]
-"""Slips for which the twist is affine in the model's output."""
+"""Slip parameters for which the twist is affine in the model's output."""

@@ -1,7 +1,7 @@
-"""User-defined terms: residuals that are squared and added to the cost, and values with soft limits.
+"""User-defined terms: squared residuals of the cost, and values with soft limits.
 
-A term is one CasADi function of the plan's values at a sample. It is differentiated, generated as C and compiled like
-the built-in terms.
+A term is a CasADi function of the plan at one sample. Like the built-in terms, it is differentiated, converted to C
+and compiled.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from diffdrive_mpc.mpc.config.schema import TermConfig
 from diffdrive_mpc.mpc.problem.user_functions import user_term
 
 MAX_SOFT_ROWS = 24
-"""Maximum number of soft-limit rows of all terms together at one sample."""
+"""Maximum total number of soft-limit rows of all terms at one sample."""
 
 Limits = Sequence[float | None] | float | None
-"""Limits of a value, row by row; None: no limit."""
+"""Limits of a value, row by row; None for no limit."""
 
 _KINDS = ("residual", "soft")
 _NO_LIMIT = 1e14
@@ -38,32 +38,32 @@ _NO_LIMIT = 1e14
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """A function of the plan at each of the samples 1 to N.
+    """Function of the plan that is evaluated at each of the samples 1 to N.
 
     Attributes
     ----------
     name
         Name for messages and for `Controller.set_parameters`.
     function
-        CasADi function of some of `pose` (3) [m, m, rad] in the frame of the reference, `twist` (2) of the body
-        [m/s, rad/s], `command` (2) before the sample [m/s, rad/s], `reference` (4): x, y [m], theta [rad] of the target
-        and the heading [rad] to hold there, and `parameters` (p); inputs are matched by name. The only output is the
-        value (m).
+        CasADi function with one output, the value (m). Inputs are matched by name, and any of these may be used:
+        `pose` (3) [m, m, rad] in the frame of the reference, `twist` (2) of the body [m/s, rad/s], `command` (2) before
+        the sample [m/s, rad/s], `reference` (4) with x, y [m], theta [rad] and the target heading [rad], and
+        `parameters` (p).
     kind
-        "residual": half the square of the value is added to the cost, so scale a residual of weight w by sqrt(w).
-        "soft": the value is limited to `lower` to `upper`; a violation e costs `weights.soft` e plus
-        `weights.soft_quadratic` e^2 / 2, so scaling the value up makes its limit stricter.
+        "residual": half the square of the value is added to the cost; a residual of weight w is scaled by sqrt(w).
+        "soft": the value is limited to the range from `lower` to `upper`; a violation e costs `weights.soft` e plus
+        `weights.soft_quadratic` e^2 / 2, so a larger scale of the value makes its limit stricter.
     upper, lower
         (m,) limits of a soft term; None means no limit, for all rows or for one row.
     defaults
-        (p,) stage parameters at the start.
+        (p,) initial stage parameters.
     compiled
-        Address of the function in a loaded library, a cffi pointer; None if it has to be compiled for the controller.
+        Address of the function in a loaded library, a cffi pointer; None if the controller must compile the function.
 
     Raises
     ------
     ConfigError
-        If an attribute is invalid. The message is one line: term, mistake, remedy.
+        If an attribute is invalid; the message is one line with the term, the mistake and the remedy.
     """
 
     name: str
@@ -74,7 +74,7 @@ class Term:
     defaults: Sequence[float] = ()
     compiled: Any = field(default=None, repr=False)
     bounds: FloatArray = field(init=False, repr=False)
-    """(2, m) lower and upper limits; unlimited rows, and all rows of a residual, have bounds of -1e14 and 1e14."""
+    """(2, m) lower and upper limits; -1e14 and 1e14 for unlimited rows and for a residual."""
 
     def __post_init__(self) -> None:
         """Check all attributes."""
@@ -83,17 +83,17 @@ class Term:
             raise ConfigError(f"{where}: unknown kind '{self.kind}'; give {' or '.join(_KINDS)}")
         compiled = user_term(self.function, "ddmpc_user_term", where)
         if compiled.nnz_out("gradient") == 0:
-            raise ConfigError(f"{where}: its value depends on none of pose, twist and command; no plan could change it")
+            raise ConfigError(f"{where}: its value does not depend on pose, twist or command; use at least one of them")
         expected = compiled.numel_in("parameters")
         if expected != len(self.defaults):
             raise ConfigError(
-                f"{where}: its function takes {expected} parameters, and there are {len(self.defaults)} defaults; give "
-                "one default for each"
+                f"{where}: its function has {expected} parameters, but {len(self.defaults)} defaults are given; give "
+                "one default for each parameter"
             )
         if not all(_is_number(value) for value in self.defaults):
             raise ConfigError(f"{where}: parameters {list(self.defaults)}; give finite numbers")
         if self.soft and self.upper is None and self.lower is None:
-            raise ConfigError(f"{where}: kind soft, but no limit; give upper or lower, or make it a residual")
+            raise ConfigError(f"{where}: kind soft without a limit; give upper or lower, or use kind residual")
         bounds = np.stack([self._limits("lower", self.lower, -_NO_LIMIT), self._limits("upper", self.upper, _NO_LIMIT)])
         for row, (low, high) in enumerate(bounds.T):
             if low > high:
@@ -102,15 +102,15 @@ class Term:
         object.__setattr__(self, "bounds", bounds)
 
     def _limits(self, name: str, limits: Limits, none: float) -> FloatArray:
-        """Return one side of the limits (m,)."""
+        """Return the lower or upper limits (m,); `none` replaces missing limits."""
         where = f"term '{self.name}'"
         if limits is not None and not self.soft:
-            raise ConfigError(f"{where}: {name} is for kind soft; a residual has no limits, leave it out")
+            raise ConfigError(f"{where}: {name} is for kind soft; remove it, since a residual has no limits")
         rows = [limits] * self.rows if limits is None else [limits] if isinstance(limits, float | int) else list(limits)
         if len(rows) != self.rows:
-            raise ConfigError(f"{where}: {name} has {len(rows)} numbers, its value has {self.rows}; give one for each")
+            raise ConfigError(f"{where}: {name} has {len(rows)} limits for {self.rows} rows; give one per row")
         if not all(row is None or _is_number(row) for row in rows):
-            raise ConfigError(f"{where}: {name} {rows} contains a value that is not finite; use none for no limit")
+            raise ConfigError(f"{where}: {name} {rows} contains a value that is not finite; use null for no limit")
         return np.array([none if row is None else row for row in rows], dtype=float)
 
     @property
@@ -120,12 +120,12 @@ class Term:
 
     @property
     def rows(self) -> int:
-        """Length m of its value."""
+        """Length m of the value."""
         return int(self.function.size1_out(0))
 
     @property
     def parameters(self) -> int:
-        """Number p of its stage parameters."""
+        """Number p of stage parameters."""
         return len(self.defaults)
 
 
@@ -141,31 +141,31 @@ def checked_terms(terms: object) -> tuple[Term, ...]:
 
 
 def all_terms(configs: Sequence[TermConfig], python_terms: Sequence[Term]) -> tuple[Term, ...]:
-    """Combine terms from configured files with terms passed in Python, in this order; the files are executed.
+    """Load the terms of configured files, which are executed, and append terms that are passed in Python.
 
     Raises
     ------
     ConfigError
-        If a file cannot be executed, lacks the function, or the function has an unknown input; if two terms have the
-        same name, or the terms have more than `MAX_SOFT_ROWS` rows of soft limits together.
+        If a file cannot be executed or lacks the function, a function has an unknown input, two terms have the same
+        name, or the terms have more than `MAX_SOFT_ROWS` rows of soft limits in total.
     """
     terms = (*(_load(config) for config in configs), *python_terms)
     for name, count in Counter(entry.name for entry in terms).items():
         if count > 1:
-            raise ConfigError(f"term '{name}': {count} terms have this name; give each its own name")
+            raise ConfigError(f"term '{name}': {count} terms have this name; give each term a unique name")
     soft = [entry for entry in terms if entry.soft]
     rows = sum(entry.rows for entry in soft)
     if rows > MAX_SOFT_ROWS:
         each = ", ".join(f"{entry.name} {entry.rows}" for entry in soft)
         raise ConfigError(
-            f"terms with soft limits have {rows} rows together ({each}), the maximum is {MAX_SOFT_ROWS}; remove some, "
-            "or make them residuals"
+            f"terms with soft limits have {rows} rows in total ({each}), the maximum is {MAX_SOFT_ROWS}; remove terms, "
+            "or use kind residual"
         )
     return terms
 
 
 def parameter_places(terms: Sequence[Term]) -> dict[str, slice]:
-    """Return the slice of each term in the vector of all stage parameters, by term name."""
+    """Return the slice of each term in the vector of stage parameters, by term name."""
     ends = list(accumulate((term.parameters for term in terms), initial=0))
     return {term.name: slice(first, end) for term, (first, end) in zip(terms, pairwise(ends), strict=True)}
 
@@ -173,7 +173,7 @@ def parameter_places(terms: Sequence[Term]) -> dict[str, slice]:
 def checked_parameters(
     terms: Sequence[Term], samples: int, values: Mapping[str, ArrayLike]
 ) -> list[tuple[slice, FloatArray]]:
-    """Check stage parameters, (p,) or (samples, p) by term name; return the slice and the values of each term.
+    """Check stage parameters, given as (p,) or (samples, p) by term name; return slice and values of each term.
 
     Raises
     ------
@@ -193,7 +193,7 @@ def checked_parameters(
         if rows.shape not in ((p,), (samples, p)):
             raise ConfigError(f"{where}: give {p} parameters, or {samples} rows of them (found shape {rows.shape})")
         if not np.isfinite(rows).all():
-            raise ConfigError(f"{where}: its parameters contain a value that is not finite")
+            raise ConfigError(f"{where}: its parameters contain a value that is not finite; give finite numbers")
         checked.append((places[name], rows))
     return checked
 
@@ -203,8 +203,8 @@ def _load(config: TermConfig) -> Term:
     module = _run(path)
     functions = {key: value for key, value in module.items() if isinstance(value, ca.Function)}
     if config.function not in functions:
-        defined = f"there are: {', '.join(functions)}" if functions else "it defines none"
-        raise ConfigError(f"{path}: term '{name}': no casadi.Function '{config.function}' in that file; {defined}")
+        defined = f"it defines: {', '.join(functions)}" if functions else "it defines no casadi.Function"
+        raise ConfigError(f"{path}: term '{name}': no casadi.Function '{config.function}' in this file; {defined}")
     try:
         return Term(name, functions[config.function], config.kind, config.upper, config.lower, tuple(config.parameters))
     except ConfigError as error:
@@ -223,10 +223,10 @@ def _run(path: Path) -> dict[str, object]:
     try:
         spec.loader.exec_module(module)
     except KeyboardInterrupt:
-        raise  # the user interrupted the program
+        raise  # an interrupt by the user ends the program
     except BaseException as error:  # includes SystemExit: a term file must not end the program
         message = " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":")
-        raise ConfigError(f"{path}: running it fails with {message}") from error
+        raise ConfigError(f"{path}: its execution fails with {message}") from error
     return vars(module)
 
 

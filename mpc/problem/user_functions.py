@@ -1,7 +1,7 @@
-"""Wrap user-defined functions in the form of the built-in formulas: match inputs by name, add gradients.
+"""Conversion of user-defined functions to the form of the built-in formulas: inputs by name, and gradients.
 
-A term is a least-squares residual or a soft limit on pose, twist, command, reference and stage parameters. A nonlinear
-velocity model is a step and an output.
+A user-defined function is a term (a least-squares residual or a soft-limited value), or the step or the output of a
+nonlinear velocity model.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ _C_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 
 
 def user_term(function: ca.Function, name: str, place: str | None = None) -> ca.Function:
-    """Wrap a user's `function` as a term called `name` in C.
+    """Wrap a user-defined `function` as a term with the C name `name`.
 
     Parameters
     ----------
     function
-        Function with any of the inputs pose (3), twist (2), command (2), reference (4), parameters (p), by these names
-        in any order, and one column (m) as output. Units and frames are those of `mpc.problem.formulas`.
+        Function with any of the inputs pose (3), twist (2), command (2), reference (4), parameters (p), in any order,
+        and one column (m) as output. Units and frames are those of `mpc.problem.formulas`.
     name
         Name of the C function.
     place
-        Name for messages; by default "term" and the function's own name.
+        Name for messages; by default "term" and the name of the function.
 
     Returns
     -------
@@ -40,30 +40,30 @@ def user_term(function: ca.Function, name: str, place: str | None = None) -> ca.
     Raises
     ------
     ConfigError
-        If the function has other inputs or outputs, depends on free variables, or cannot be generated as C.
+        If the function has other inputs or outputs, depends on free variables, or cannot be converted to C.
     """
     place = _checked_function(function, name, "term", place)
-    known = (*TERM_INPUTS, "parameters")
+    known_inputs = (*TERM_INPUTS, "parameters")
     columns = _columns_in(function, place)
     for input_name, length in columns.items():
-        if input_name not in known:
-            near = difflib.get_close_matches(input_name, known, 1) or known
-            raise ConfigError(f"{place}: unknown input '{input_name}'; name it {' or '.join(near)}")
+        if input_name not in known_inputs:
+            near = difflib.get_close_matches(input_name, known_inputs, 1) or known_inputs
+            raise ConfigError(f"{place}: unknown input '{input_name}'; rename it to {' or '.join(near)}")
         if length != TERM_INPUTS.get(input_name, length):
-            raise ConfigError(f"{place}: input '{input_name}' has {length} entries; give it {TERM_INPUTS[input_name]}")
+            raise ConfigError(f"{place}: input '{input_name}' has {length} entries; it needs {TERM_INPUTS[input_name]}")
     _column_out(function, place)
     inputs = term_symbols(columns.get("parameters", 0))
     return term(name, inputs, _value(function, [inputs[input_name] for input_name in columns], place))
 
 
 def user_step(function: ca.Function, name: str) -> ca.Function:
-    """Wrap one sample of a user's nonlinear velocity model as a function called `name` in C.
+    """Wrap the step of a user-defined nonlinear velocity model as a function with the C name `name`.
 
     Parameters
     ----------
     function
-        Function of `x` (n) and `window` (2 W), the commands v_ref [m/s], omega_ref [rad/s] of the last W samples,
-        oldest first, with the state (n) one sample later as output.
+        Function of the state `x` (n) and of `window` (2 W) that returns the state (n) one sample later. `window`
+        contains the commands v_ref [m/s], omega_ref [rad/s] of the last W samples, oldest first.
     name
         Name of the C function.
 
@@ -75,14 +75,15 @@ def user_step(function: ca.Function, name: str) -> ca.Function:
     Raises
     ------
     ConfigError
-        As for `user_term`; also if the length of the state changes, or the window's length is odd or zero.
+        If the function is invalid for the reasons of `user_term`, the length of the state changes, or the length of the
+        window is odd or zero.
     """
     place = _checked_function(function, name, "step")
     columns = _columns_in(function, place)
     if set(columns) != {"x", "window"}:
-        raise ConfigError(f"{place}: its inputs are {', '.join(columns)}; name them x and window")
+        raise ConfigError(f"{place}: its inputs are {', '.join(columns)}; they must be x and window")
     if columns["window"] == 0 or columns["window"] % 2:
-        raise ConfigError(f"{place}: window has {columns['window']} entries; give it two for each command")
+        raise ConfigError(f"{place}: window has {columns['window']} entries; it needs two per command")
     if _column_out(function, place) != columns["x"]:
         raise ConfigError(f"{place}: the state after a step has {function.numel_out(0)} entries, x has {columns['x']}")
     symbols = {input_name: ca.SX.sym(input_name, length) for input_name, length in columns.items()}
@@ -93,12 +94,12 @@ def user_step(function: ca.Function, name: str) -> ca.Function:
 
 
 def user_output(function: ca.Function, name: str, states: int) -> ca.Function:
-    """Wrap the output of a user's nonlinear velocity model as a function called `name` in C.
+    """Wrap the output of a user-defined nonlinear velocity model as a function with the C name `name`.
 
     Parameters
     ----------
     function
-        Function of `x` (n) with v [m/s], omega [rad/s] as output (2).
+        Function of the state `x` (n) that returns v [m/s], omega [rad/s] (2).
     name
         Name of the C function.
     states
@@ -112,13 +113,14 @@ def user_output(function: ca.Function, name: str, states: int) -> ca.Function:
     Raises
     ------
     ConfigError
-        As for `user_term`; also if the input does not have `states` entries or the output does not have two.
+        If the function is invalid for the reasons of `user_term`, its input does not have `states` entries, or its
+        output does not have two entries.
     """
     place = _checked_function(function, name, "output")
     if _columns_in(function, place) != {"x": states}:
         raise ConfigError(f"{place}: its only input must be x, with {states} entries as in the step")
     if _column_out(function, place) != 2:
-        raise ConfigError(f"{place}: it has {function.numel_out(0)} entries; give it two, v and omega")
+        raise ConfigError(f"{place}: it has {function.numel_out(0)} entries; it needs two, v and omega")
     inputs = {"x": ca.SX.sym("x", states)}
     return differentiate(name, inputs, "y", _value(function, list(inputs.values()), place), ("x",))
 
@@ -127,13 +129,14 @@ def _checked_function(function: ca.Function, name: str, kind: str, place: str | 
     """Check that `function` is a CasADi function and `name` a valid C name; return the place for messages."""
     if not isinstance(function, ca.Function):
         raise ConfigError(
-            f"{place or f'{kind} {name}'}: {type(function).__name__} is no casadi.Function; build one with named inputs"
+            f"{place or f'{kind} {name}'}: {type(function).__name__} is not a casadi.Function; build one with named "
+            "inputs"
         )
     if not _C_NAME.fullmatch(name):
-        raise ConfigError(f"{kind} '{name}': letters, digits and underscores only")
+        raise ConfigError(f"{kind} '{name}': use letters, digits and underscores only")
     place = place or f"{kind} {function.name()}"
     if function.has_free():
-        raise ConfigError(f"{place}: it depends on {', '.join(map(str, function.get_free()))}; make it an input")
+        raise ConfigError(f"{place}: it depends on {', '.join(map(str, function.get_free()))}; add them as inputs")
     return place
 
 
@@ -146,21 +149,21 @@ def _columns_in(function: ca.Function, place: str) -> Mapping[str, int]:
 
 def _column_out(function: ca.Function, place: str) -> int:
     if function.n_out() != 1:
-        raise ConfigError(f"{place}: it has {function.n_out()} outputs; stack them to one column")
+        raise ConfigError(f"{place}: it has {function.n_out()} outputs; stack them to a column")
     if function.size2_out(0) != 1 or function.size1_out(0) == 0:
         raise ConfigError(f"{place}: its output is {function.size1_out(0)} x {function.size2_out(0)}; make it a column")
     return int(function.size1_out(0))
 
 
 def _value(function: ca.Function, arguments: list[ca.SX], place: str) -> ca.SX:
-    """Evaluate the function with symbols, expanded to elementary operations."""
-    fault = ConfigError(
-        f"{place}: CasADi cannot write it in elementary operations; use SX, and call no solver or table"
+    """Evaluate the function with symbols after its expansion to elementary operations."""
+    expansion_error = ConfigError(
+        f"{place}: CasADi cannot expand it to elementary operations; use SX, and do not call solvers or tables"
     )
     try:
         expanded = function.expand()
     except RuntimeError as error:
-        raise fault from error
+        raise expansion_error from error
     if any(expanded.instruction_id(k) == ca.OP_CALL for k in range(expanded.n_instructions())):
-        raise fault
+        raise expansion_error
     return expanded.call(arguments, True, False)[0]

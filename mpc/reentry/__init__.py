@@ -1,4 +1,4 @@
-"""Targets for a robot that is off its path or delayed: paths back to the reference, and the reference's clock."""
+"""Targets for a robot that is off its path or late: paths back to the reference, and the reference's clock."""
 
 from diffdrive_mpc.mpc.reentry.pursuit import Pursuit
 from diffdrive_mpc.mpc.reentry.target import Target, TooFar

@@ -15,8 +15,8 @@ from diffdrive_mpc.mpc.reentry.quintic_path import Paths
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 
-# Paths cross themselves, so the distance of a sample is increased by this share of the path between, and by this speed
-# times the time between [m/s].
+# A path may cross itself, so the search for the nearest sample adds to the distance this share of the arc length
+# between the sample and the current reference [-], and the time between them multiplied by this speed [m/s].
 _PATH_AS_DISTANCE = 0.5
 _TIME_AS_DISTANCE = 0.02
 
@@ -36,7 +36,7 @@ class PathWindow:
     arc_length
         (n,) arc length of the path [m].
     travel
-        (n,) 1 if the reference drives forwards, -1 backwards; at standstill the direction of its next motion.
+        (n,) direction of travel: 1 forwards, -1 backwards; at standstill the direction of the next motion.
     """
 
     times: FloatArray
@@ -47,10 +47,10 @@ class PathWindow:
 
     @classmethod
     def sample_around(cls, reference: Reference, time: float, span: float, step: float) -> PathWindow:
-        """Sample from `span` [s] before to `span` after `time` [s], within the reference, about every `step` [s]."""
-        first = min(max(0.0, time - span), reference.duration)
-        last = max(min(reference.duration, time + span), first)
-        times = np.linspace(first, last, max(2, math.ceil((last - first) / step) + 1))
+        """Sample `reference` from `time - span` to `time + span` [s], within its duration, about every `step` [s]."""
+        start = min(max(0.0, time - span), reference.duration)
+        end = max(min(reference.duration, time + span), start)
+        times = np.linspace(start, end, max(2, math.ceil((end - start) / step) + 1))
         sample = reference.sample(times)
         return cls(times, sample.pose, sample.twist, sample.arc_length, _travel(sample.twist[:, 0]))
 
@@ -79,7 +79,7 @@ def in_path(dx: float, dy: float, theta: float) -> tuple[float, float]:
 
 
 def _travel(v: FloatArray) -> FloatArray:
-    """Compute the sign of `v` (n,); where `v` is about zero, use the next moving sample, or else the previous one."""
+    """Compute the sign of `v` (n,); at rest, use that of the next moving sample, or else of the previous one."""
     moving = np.flatnonzero(np.abs(v) > STANDING)
     if not moving.size:
         return np.ones_like(v)
@@ -87,17 +87,17 @@ def _travel(v: FloatArray) -> FloatArray:
     return np.asarray(np.sign(v[moving[index]]))
 
 
-# Segments of a connection in time: braking, turning on the spot, driving a path; composed to a trajectory.
+# Segments of a connection (braking, turns on the spot, paths), which `MotionLine` composes to a trajectory.
 
 
-# Minimum distance of two points for a direction from one to the other [m].
+# Minimum distance between two points that defines a direction [m].
 SAME_PLACE = 0.01
-# Duration of an empty motion [s]: a trajectory needs a positive one.
-_MOMENT = 1e-3
+# Duration of an empty motion [s]; the duration of a trajectory must be positive.
+_MIN_DURATION = 1e-3
 
 
 class MotionLine:
-    """Nodes of a motion, appended segment by segment from a start pose (3,) [m, m, rad]."""
+    """Builder of a motion from segments that are appended to a start pose (3,) [m, m, rad]."""
 
     def __init__(self, pose: FloatArray) -> None:
         self._times = [0.0]
@@ -105,7 +105,7 @@ class MotionLine:
         self._rates = [np.zeros(3)]
 
     def brake(self, v: float, omega: float, duration: float) -> None:
-        """Append braking from (v [m/s], omega [rad/s]) to rest at constant decelerations over `duration` [s]."""
+        """Append braking from v [m/s], omega [rad/s] to rest at constant deceleration over `duration` [s]."""
         start = self._poses[-1]
         for share in np.linspace(0.0, 1.0, 5):
             effective_time = duration * (share - 0.5 * share * share)
@@ -125,37 +125,36 @@ class MotionLine:
         peak = min(limits.omega, np.sqrt(alpha * size))
         ramp, cruise = peak / alpha, size / peak - peak / alpha
         start = self._poses[-1]
-        for duration, turned, rate in (
+        for duration, angle_so_far, rate in (
             (ramp, 0.5 * peak * ramp, peak),
             (cruise, size - 0.5 * peak * ramp, peak),
             (ramp, size, 0.0),
         ):
             # Rounding can leave a small nonzero cruise in a triangular profile.
             if duration > 1e-9:
-                self._add(duration, start + [0.0, 0.0, side * turned], np.array([0.0, 0.0, side * rate]))
+                self._add(duration, start + [0.0, 0.0, side * angle_so_far], np.array([0.0, 0.0, side * rate]))
 
-    def drive(self, paths: Paths, chosen: int, speed: FloatArray, times: FloatArray, travel: float) -> None:
-        """Append path `chosen` with speeds (K,) [m/s] at times (K,) [s]; backwards if `travel` is -1.
+    def drive(self, paths: Paths, index: int, speed: FloatArray, times: FloatArray, travel: float) -> None:
+        """Append path `index` with speeds (K,) [m/s] at times (K,) [s]; backwards if `travel` is -1.
 
-        A path that is no longer than `SAME_PLACE` is omitted: it has no direction.
+        A path that is not longer than `SAME_PLACE` is omitted, since its direction is undefined.
         """
-        if paths.lengths[chosen].sum() <= SAME_PLACE:
+        if paths.lengths[index].sum() <= SAME_PLACE:
             return
-        direction = paths.heading[chosen]
-        turned = 0.0 if travel > 0 else np.pi
-        # Unwrapped to continue the heading of the motion so far.
-        heading = direction - turned
+        direction = paths.heading[index]
+        # Unwrap the heading so that it continues that of the previous segments.
+        heading = direction - (0.0 if travel > 0 else np.pi)
         heading += 2 * np.pi * np.round((self._poses[-1][2] - heading[0]) / (2 * np.pi))
-        poses = np.column_stack([paths.points[chosen], heading])
-        rates = speed[:, None] * np.column_stack([np.cos(direction), np.sin(direction), paths.curvature[chosen]])
+        poses = np.column_stack([paths.points[index], heading])
+        rates = speed[:, None] * np.column_stack([np.cos(direction), np.sin(direction), paths.curvature[index]])
         self._rates[-1] = rates[0]
         for duration, pose, rate in zip(np.diff(times), poses[1:], rates[1:], strict=True):
             self._add(float(duration), pose, rate)
 
     def trajectory(self, name: str, end_heading: float) -> SplineTrajectory:
-        """Convert the motion to a trajectory; its heading is unwrapped to end at `end_heading` [rad]."""
+        """Convert the motion to a trajectory; multiples of 2 pi are added so that it ends at `end_heading` [rad]."""
         if len(self._times) == 1:
-            self._add(_MOMENT, self._poses[0], np.zeros(3))
+            self._add(_MIN_DURATION, self._poses[0], np.zeros(3))
         poses = np.array(self._poses)
         poses[:, 2] += 2 * np.pi * np.round((end_heading - poses[-1, 2]) / (2 * np.pi))
         return SplineTrajectory.through(name, np.array(self._times), poses, np.array(self._rates))
@@ -167,7 +166,7 @@ class MotionLine:
 
 
 def braking_time(v: float, omega: float, limits: TrajectoryLimits) -> float:
-    """Compute the time to come to rest from a twist within the acceleration limits [s]."""
+    """Compute the time from the twist (v, omega) to rest at the acceleration limits [s]."""
     return max(abs(v) / limits.v_acceleration, abs(omega) / limits.omega_acceleration)
 
 
@@ -178,7 +177,7 @@ def turning_times(angles: FloatArray, limits: TrajectoryLimits) -> FloatArray:
     return np.asarray(peak / alpha + size / np.maximum(peak, 1e-9))
 
 
-# Maximum speeds along many paths at once within limits of speed and acceleration, in two passes.
+# Maximum speeds along many paths within speed and acceleration limits, by a forward and a backward pass.
 
 
 def path_speeds(
@@ -189,11 +188,11 @@ def path_speeds(
     shares: FloatArray,
     travel: FloatArray,
 ) -> FloatArray:
-    """Compute the speed at the nodes of each path.
+    """Compute the maximum speed at the nodes of each path.
 
-    The bounds on each piece are those of `mpc.trajectories.path_timing.squared_speeds`, here for C paths at a time and
-    with given speeds at both ends. If a path is too short or too tight for the desired speeds at its ends, the speeds
-    there are lower.
+    The bounds on each piece are those of `mpc.trajectories.path_timing.squared_speeds`, for C paths at once and with
+    desired speeds at both ends. If a path is too short or too tight for the desired speeds, the speeds at its ends are
+    lower.
 
     Parameters
     ----------
@@ -204,9 +203,9 @@ def path_speeds(
     limits
         Speed and acceleration limits.
     shares
-        (S,) shares of the speed limit; each path is timed at every share [-].
+        (S,) shares of the speed limit [-]; each path is timed with each share.
     travel
-        (C,) 1 forwards, -1 backwards.
+        (C,) direction of travel: 1 forwards, -1 backwards.
 
     Returns
     -------
@@ -214,28 +213,28 @@ def path_speeds(
         (S, C, K) speeds [m/s].
     """
     k, lengths = np.abs(paths.curvature), paths.lengths
-    bend = np.maximum(k[:, 1:], k[:, :-1])
-    bend_change = np.abs(np.diff(paths.curvature, axis=1)) / lengths
+    max_curvature = np.maximum(k[:, 1:], k[:, :-1])
+    curvature_rate = np.abs(np.diff(paths.curvature, axis=1)) / lengths
     with np.errstate(divide="ignore", over="ignore"):
-        cap = np.minimum((limits.omega / bend) ** 2, limits.omega_acceleration / bend_change)
-    # The first axis is that of the nodes, so that a step of a pass works on adjacent memory.
+        cap = np.minimum((limits.omega / max_curvature) ** 2, limits.omega_acceleration / curvature_rate)
+    # The first axis is that of the nodes, so that each step of a pass uses contiguous memory.
     square = np.empty((k.shape[1], shares.size, len(k)))
     square[1:-1] = np.minimum(cap[:, 1:], cap[:, :-1]).T[:, None]
     square[0] = np.minimum(enter**2, cap[:, 0])
     square[-1] = np.minimum(leave**2, cap[:, -1])
-    # The cruise speed differs from the speeds at the ends only as far as half the acceleration permits.
-    covered = np.concatenate([np.zeros((len(k), 1)), np.cumsum(lengths, axis=1)], axis=1)
+    # Half the acceleration limit is used between the speeds at the ends and the cruise speed.
+    distance = np.concatenate([np.zeros((len(k), 1)), np.cumsum(lengths, axis=1)], axis=1)
     ramps = np.maximum(
-        enter[:, None] ** 2 - limits.v_acceleration * covered,
-        leave[:, None] ** 2 - limits.v_acceleration * (covered[:, -1:] - covered),
+        enter[:, None] ** 2 - limits.v_acceleration * distance,
+        leave[:, None] ** 2 - limits.v_acceleration * (distance[:, -1:] - distance),
     )
-    fastest = sides_at(limits.v, travel)
-    cruise = np.maximum((shares[:, None] * fastest) ** 2, ramps.T[:, None])
-    square = np.minimum(square, np.minimum(cruise, fastest**2))
+    max_speed = sides_at(limits.v, travel)
+    cruise = np.maximum((shares[:, None] * max_speed) ** 2, ramps.T[:, None])
+    square = np.minimum(square, np.minimum(cruise, max_speed**2))
     # Rise from b0 to b1: b1 <= b0 + 2 a_max ds, and |dk/ds| b1 + |k| (b1 - b0) / (2 ds) <= alpha_max, solved for b1.
     rise = (2.0 * limits.v_acceleration * lengths).T
-    lever = (bend / (2.0 * lengths)).T
-    total = np.maximum(bend_change.T + lever, 1e-12)
+    lever = (max_curvature / (2.0 * lengths)).T
+    total = np.maximum(curvature_rate.T + lever, 1e-12)
     offset, slope = limits.omega_acceleration / total, lever / total
     for i in range(len(rise)):
         bound = np.minimum(square[i] + rise[i], offset[i] + slope[i] * square[i])
@@ -247,7 +246,7 @@ def path_speeds(
 
 
 def travel_times(paths: Paths, speed: FloatArray) -> FloatArray:
-    """Compute the time from the first node [s] at speeds (..., C, K) with constant acceleration on each piece."""
+    """Compute the times at the nodes [s] for speeds (..., C, K) and constant acceleration on each piece."""
     times = np.zeros_like(speed)
     np.cumsum(2.0 * paths.lengths / np.maximum(speed[..., 1:] + speed[..., :-1], 1e-9), axis=-1, out=times[..., 1:])
     return times

@@ -1,4 +1,4 @@
-"""Choice of the target at each tick: the reference on time, the waiting reference, or the path back to it."""
+"""Choice of the target at each tick: the reference on time, a waiting reference, or a path back to the reference."""
 
 from __future__ import annotations
 
@@ -20,18 +20,19 @@ from diffdrive_mpc.mpc.reentry.rejoin import Rejoin, Room, rejoin
 from diffdrive_mpc.mpc.reentry.target import BlockedWatch, StandingReference, Target, TooFar
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 
-# Steps of the window in samples of the controller.
+# Step of the path window, in sample times of the controller [-].
 _WINDOW_STEP = 2.5
 _MAX_SAMPLES = 5000
 _NOW = np.zeros(1)
-# Share of the attainable wheel speed for the reference, with a reserve for path corrections [-]; and the time ahead for
-# which the reference is checked against it [s].
+# Share of the attainable wheel speed that the reference may use [-]; the rest is a reserve for path corrections. Time
+# ahead for which the wheel speeds of the reference are checked [s].
 _WHEEL_SHARE, _CHECKED_TIME = 0.85, 0.6
-# As in mpc/config/sensor_test.yaml.
+# Ratio of body speed to half the wheel speed difference below which the robot turns on the spot [-]; the same value as
+# in mpc/config/sensor_test.yaml.
 _ON_SPOT = 0.5
-# Share of a speed limit for the reference, with a reserve for path corrections [-].
+# Share of a speed limit that the reference may use [-]; the rest is a reserve for path corrections.
 _LIMIT_SHARE = 0.95
-# Minimum width of the band, in standard deviations of the position.
+# Minimum width of the band, in standard deviations of the position [-].
 _MIN_BAND = 3.0
 
 
@@ -40,26 +41,26 @@ class Stray(Protocol):
 
     @property
     def outside(self) -> bool:
-        """True if the robot is outside the band around its path, or was moved along it."""
+        """True if the robot is outside the band around its path, or was displaced along its path."""
         ...
 
     @property
     def late(self) -> float:
-        """Delay in units of the lag from which the reference waits [-]."""
+        """Lag behind the reference, divided by the lag at which the reference starts to wait [-]."""
         ...
 
 
 class Pursuit:
-    """Choice of the target for one reference, with the reference's clock and the path back, if there is one.
+    """Selector of the target for one reference; it holds the reference's clock and the path back to the reference.
 
     Parameters
     ----------
     config
-        Limits, and the groups `reentry` and `failure`.
+        Configuration; the limits and the groups `reentry` and `failure` are used.
     stray
         Function that returns the robot's deviation from a reference pose (3,) with twist (2,).
     limited_by
-        Function that returns the key of the costliest limit of the last plan; empty if no limit was active.
+        Function that returns the key of the costliest limit of the last plan; an empty key if no limit was active.
     """
 
     def __init__(
@@ -73,28 +74,28 @@ class Pursuit:
         self._blocked = BlockedWatch(config.reentry.blocked_after)
         self._reference: Reference | None = None
         self._native = False
-        self._top, self._top_speed = np.zeros((2, 2)), 0.0
+        self._max_twists, self._max_speed = np.zeros((2, 2)), 0.0
         self._speed_limit = math.inf
         self.pace = math.inf
-        """Maximum progress rate for the path ahead, set before each tick [-]."""
+        """Maximum progress rate for the path ahead [-]; set before each tick."""
         self.planned_delay = 0.0
-        """Planned part of `delay`, by standstill, obstacles ahead or a speed limit [s]."""
+        """Part of `delay` that was planned because of a standstill, obstacles ahead or a speed limit [s]."""
         self.room: Room | None = None
-        """Check for free space along the path back, set before each tick; None: no obstacles."""
+        """Check for free space along the path back, set before each tick; None if there are no obstacles."""
         self.is_late = False
-        """True from the time when the reference waits for a lagging robot until the robot has caught up."""
+        """True from the tick at which the reference starts to wait for a lagging robot until the robot catches up."""
         self.limit = ""
-        """Key of the limit that caused the lag; empty if there is none."""
+        """Key of the limit that caused the lag; empty if no limit caused a lag."""
         self.configure(config)
         self.restart()
 
     def configure(self, config: ControllerConfig) -> None:
         """Use the limits of `config` from the next tick on."""
         self._config, self._settings = config, config.reentry
-        self._fastest = self._fastest_rate()
+        self._max_rate = self._compute_max_rate()
 
     def limit_speed(self, v: float | None) -> None:
-        """Limit the forward speed along the reference to `v` [m/s] from the next tick on; None: no limit."""
+        """Limit the forward speed along the reference to `v` [m/s] from the next tick on; None removes the limit."""
         self._speed_limit = math.inf if v is None else v
 
     def start(self, reference: Reference, *, native: bool) -> None:
@@ -102,14 +103,14 @@ class Pursuit:
         self._reference, self._native = reference, native
         samples = int(min(reference.duration / self._config.sample_time + 2.0, _MAX_SAMPLES))
         twist = reference.sample(np.linspace(0.0, reference.duration, samples)).twist
-        # Forward, to the left; in reverse, to the right.
-        self._top = np.array([twist.max(axis=0), -twist.min(axis=0)])
-        self._top_speed = float(self._top[:, 0].max())
-        self._fastest = self._fastest_rate()
+        # Row 0: maximum forward speed and left yaw rate; row 1: maximum reverse speed and right yaw rate.
+        self._max_twists = np.array([twist.max(axis=0), -twist.min(axis=0)])
+        self._max_speed = float(self._max_twists[:, 0].max())
+        self._max_rate = self._compute_max_rate()
         self.restart()
 
     def restart(self) -> None:
-        """Restart with the same reference, on time."""
+        """Restart the same reference without delay."""
         self._clock.restart()
         self._blocked.restart()
         self._return_path: Rejoin | None = None
@@ -120,25 +121,25 @@ class Pursuit:
         self.is_late, self.limit = False, ""
 
     def switch_reference(self, reference: Reference, *, native: bool) -> None:
-        """Continue with `reference`, the current one transformed by a pose; discard a path back, which is outdated."""
+        """Continue with `reference`, the current reference transformed by a pose, and discard an outdated path back."""
         self._reference, self._native = reference, native
         self._return_path = None
 
     @property
     def on_time(self) -> bool:
-        """True if a robot that is still on its path may track the unmodified reference."""
+        """True if the core can track the unmodified reference, provided that the robot is on its path."""
         if not self._settings.enabled:
             return self._native
-        free = self._top_speed <= _LIMIT_SHARE * self._speed_limit
+        free = self._max_speed <= _LIMIT_SHARE * self._speed_limit
         return self._native and self._driving and self._return_path is None and self._clock.on_time and free
 
-    def record_on_time(self, since_start: float, *, followed: bool) -> None:
-        """Record a tick on time at `since_start` [s]; `followed` is True if the robot was driving."""
+    def record_on_time(self, since_start: float, *, tracked: bool) -> None:
+        """Record a tick with the unmodified reference at `since_start` [s]; `tracked` is True if the robot drove."""
         if self._settings.enabled:
             self._clock.record_on_time(since_start)
             self._time, self._resumes = since_start, False
             self._blocked.restart()
-        self._driving = followed
+        self._driving = tracked
 
     @property
     def progress(self) -> float:
@@ -154,7 +155,7 @@ class Pursuit:
 
     @property
     def reference(self) -> Reference | None:
-        """Pursued reference: the reference of the drive, or the path back to it."""
+        """Currently tracked reference: the reference of the drive, or a path back to that reference."""
         return self._return_path or self._reference
 
     @property
@@ -163,13 +164,13 @@ class Pursuit:
         return self._time
 
     def stand(self) -> None:
-        """Let the reference wait, after another part has braked, until it is tracked again."""
+        """Stop the reference's clock until the next call of `target`, because another component brakes the robot."""
         self._driving = False
 
     def advance(self, since_start: float) -> float:
         """Advance to `since_start` [s] on the controller's clock; return the reference's time [s].
 
-        The reference's clock stops while `target` is not called, since the robot does not follow it then.
+        The reference's clock stops while `target` is not called, since the robot does not follow the reference then.
         """
         if not self._settings.enabled:
             return since_start
@@ -187,7 +188,7 @@ class Pursuit:
         delay = self._clock.delay
         if not driving or self._slows_down:
             self.planned_delay += max(0.0, delay - before)
-        # Caught-up time is no longer a delay.
+        # Time that was caught up is no longer part of the delay.
         self.planned_delay = min(self.planned_delay, max(0.0, delay))
 
     def target(
@@ -200,56 +201,57 @@ class Pursuit:
     ) -> Target | TooFar:
         """Return the target at `since_start` [s]; `time` [s] is the result of `advance`.
 
-        `ahead` are the times from the current tick, 0 first, for which the caller needs samples of the target, so that
-        the reference is sampled only once. `reach` is the maximum usable rim speed of the wheels [m/s].
+        `ahead` (n,) are the times after the current tick, starting with 0, for which the caller needs samples of the
+        target [s]. `reach` is the maximum attainable rim speed of the wheels [m/s].
         """
         reference = self._reference
         assert reference is not None
         if not self._settings.enabled or since_start < 0.0:
             return self._track_on_time(reference, time, estimate)
         if self._resumes:
-            # The robot was not commanded to move until now.
+            # Until this tick, the robot was not commanded to move.
             self._blocked.restart()
         if self._return_path is not None and time >= self._return_path.joins:
             self._return_path = None
-        followed: Reference = self._return_path or reference
-        sample = followed.sample(time + ahead)
+        tracked: Reference = self._return_path or reference
+        sample = tracked.sample(time + ahead)
         stray, v = self._stray(sample)
         if stray.outside:
             path = self._return(reference, time, since_start, estimate, sample.pose[0])
             if isinstance(path, TooFar | StandingReference):
-                no_way = "no way: nothing free leads back to the path; waits"
-                return Target(path, since_start, no_way) if isinstance(path, StandingReference) else path
+                message = "no way: no free path leads back to the reference; waits"
+                return Target(path, since_start, message) if isinstance(path, StandingReference) else path
             if path is not None:
-                self._return_path = followed = path
+                self._return_path = tracked = path
                 time = path.begins
                 self._clock.set(since_start - time, 1.0)
-                sample = followed.sample(time + ahead)
+                sample = tracked.sample(time + ahead)
                 stray, v = self._stray(sample)
         elif self._resumes and abs(v) > STANDING:
             self._clock.set(self._clock.delay, min(1.0, max(0.0, float(estimate.twist[0]) / v)))
         self._driving = True
         lag = float(stray.late)
         wheel_rate = self._wheel_rate(reach, sample.twist[ahead <= _CHECKED_TIME], estimate.slip.yaw_gain)
-        max_rate = min(self._fastest * min(1.0, max(0.0, 2.0 - lag)), wheel_rate)
-        chosen = self.pace
+        max_rate = min(self._max_rate * min(1.0, max(0.0, 2.0 - lag)), wheel_rate)
+        planned_rate = self.pace
         if math.isfinite(self._speed_limit):
-            chosen = min(chosen, self._speed_limit_rate(float(np.abs(sample.twist[ahead <= _CHECKED_TIME, 0]).max())))
-        self._slows_down, max_rate = chosen < 1.0, min(max_rate, chosen)
+            max_speed = float(np.abs(sample.twist[ahead <= _CHECKED_TIME, 0]).max())
+            planned_rate = min(planned_rate, self._speed_limit_rate(max_speed))
+        self._slows_down, max_rate = planned_rate < 1.0, min(max_rate, planned_rate)
         self._clock.plan(max_rate, catch_up=self._return_path is None)
         if lag <= 1.0 and self._return_path is None:
             self._blocked.restart()
             if self._clock.on_time:
                 self.is_late, self.limit = False, ""
-                return Target(followed, time, sample=sample)
-        still = self._blocked.update(since_start, estimate.pose) if lag > 1.0 or self._return_path else 0.0
-        self._record_lag(lags=lag > 1.0 and self._return_path is None and not still)
-        words = self._describe(still)
-        if self._top_speed > _LIMIT_SHARE * self._speed_limit:
-            words = "; ".join(filter(None, [f"limited to {self._speed_limit:.2f} m/s", words]))
+                return Target(tracked, time, sample=sample)
+        blocked_for = self._blocked.update(since_start, estimate.pose) if lag > 1.0 or self._return_path else 0.0
+        self._record_lag(lags=lag > 1.0 and self._return_path is None and not blocked_for)
+        message = self._describe(blocked_for)
+        if self._max_speed > _LIMIT_SHARE * self._speed_limit:
+            message = "; ".join(filter(None, [f"limited to {self._speed_limit:.2f} m/s", message]))
         if wheel_rate < 1.0:
-            words += f"; the wheels get no faster than {reach:.2f} m/s"
-        return Target(self._clock.clocked(followed), since_start, words, still)
+            message += f"; the wheels get no faster than {reach:.2f} m/s"
+        return Target(self._clock.apply(tracked), since_start, message, blocked_for)
 
     def _record_lag(self, *, lags: bool) -> None:
         if lags:
@@ -258,64 +260,64 @@ class Pursuit:
     def _wheel_rate(self, reach: float, twist: FloatArray, yaw_gain: float) -> float:
         """Return the progress rate at which the upcoming twists (n, 2) need a rim speed of at most `reach` [m/s].
 
-        The body turns `yaw_gain` times as fast as its wheels, which matters in turns on the spot only. A limit learned
-        in such a turn does not apply to the path after it, and vice versa.
+        The yaw rate of the body is `yaw_gain` times that of the wheels; this ratio matters only in turns on the spot.
+        A speed limit learned in a turn on the spot does not apply to the path after the turn, and vice versa.
         """
         if not math.isfinite(reach):
             return math.inf
         v, turning = np.abs(twist * [1.0, 0.5 * self._config.wheels.track]).T
         on_spot = v < _ON_SPOT * turning
-        needed = (v + turning / yaw_gain)[on_spot == on_spot[0]]
-        return _WHEEL_SHARE * reach / max(float(needed.max()), STANDING)
+        rim_speed = (v + turning / yaw_gain)[on_spot == on_spot[0]]
+        return _WHEEL_SHARE * reach / max(float(rim_speed.max()), STANDING)
 
     def _speed_limit_rate(self, v: float) -> float:
-        """Return the progress rate for a reference with maximum speed `v` [m/s], slowing by `v_acceleration`."""
+        """Return the progress rate for maximum speed `v` [m/s] of the reference; it decreases by `v_acceleration`."""
         v = max(v, STANDING)
         reachable = self._clock.rate - self._settings.v_acceleration / v * self._config.sample_time
         return max(_LIMIT_SHARE * self._speed_limit / v, reachable)
 
     def _track_on_time(self, reference: Reference, time: float, estimate: Estimate) -> Target | TooFar:
-        """Track the reference on time, independent of the robot."""
+        """Return the reference without delay as the target, independent of the lag of the robot."""
         start = reference.sample([time]).pose[0]
         distance = float(np.hypot(*(estimate.pose - start)[:2]))
         self._driving = distance <= self._config.failure.max_position_error
         return Target(reference, time) if self._driving else TooFar(distance)
 
     def _stray(self, sample: ReferenceSample) -> tuple[Stray, float]:
-        """Return the robot's deviation from the first pose of `sample`, and the forward speed there [m/s]."""
+        """Return the robot's deviation from the first pose of `sample`, and the speed of the reference there [m/s]."""
         twist = sample.twist[0]
         return self._stray_from(sample.pose[0], twist), float(twist[0])
 
     def _is_displaced(self, ahead: float) -> bool:
-        """Return True if `ahead` [m] along the path is larger than the waiting of the reference can explain."""
+        """Return True if the lead `ahead` [m] along the path is too large to result from a waiting reference."""
         return not -BEHIND * self._settings.wait <= ahead <= AHEAD * self._settings.wait
 
     def _return(
         self, reference: Reference, time: float, since_start: float, estimate: Estimate, waiting: FloatArray
     ) -> Rejoin | TooFar | StandingReference | None:
-        """Plan a path back; return `StandingReference` if no path is free.
+        """Plan a path back from the robot; `waiting` (3,) is the pose of the waiting reference.
 
-        Returns None if the robot is on its path, only earlier or later than the reference.
+        Returns None if the robot is on its path and only its time differs, `StandingReference` if no path is free, and
+        `TooFar` if the robot is too far from its path.
         """
         settings = self._settings
         away = float(np.hypot(*(estimate.pose - waiting)[:2]))
-        # A displacement without driving is no progress: it is measured from `waiting`, the pose of the waiting
-        # reference.
+        # A displacement without a motion command is not progress, so it is measured from the waiting reference.
         if self._resumes and away > self._config.failure.max_position_error:
             return TooFar(away)
         window = PathWindow.sample_around(reference, time, settings.window, _WINDOW_STEP * self._config.sample_time)
-        waited = self._resumes and self._return_path is None
-        nearest = window.index(time) if waited else window.nearest(estimate.pose, time)
+        has_waited = self._resumes and self._return_path is None
+        nearest = window.index(time) if has_waited else window.nearest(estimate.pose, time)
         along, across = window.position_at(estimate.pose, nearest)
         distance = math.hypot(along, across)
         if distance > self._config.failure.max_position_error:
             return TooFar(distance)
-        turned = abs(float(wrap_angle(estimate.pose[2] - window.pose[nearest, 2])))
-        moved = float(window.arc_length[nearest] - np.interp(time, window.times, window.arc_length))
-        # As in mpc/core/tick.c.
+        heading_error = abs(float(wrap_angle(estimate.pose[2] - window.pose[nearest, 2])))
+        lead = float(window.arc_length[nearest] - np.interp(time, window.times, window.arc_length))
+        # The width of the band is computed as in mpc/core/tick.c.
         band = max(settings.band, _MIN_BAND * math.hypot(*estimate.pose_deviation[:2]))
-        is_outside, is_turned = distance > band, turned > settings.heading_band
-        is_displaced = self._is_displaced(moved)
+        is_outside, is_turned = distance > band, heading_error > settings.heading_band
+        is_displaced = self._is_displaced(lead)
         if self._return_path is None and not (is_outside or is_turned or is_displaced):
             return None
         path = rejoin(
@@ -334,23 +336,23 @@ class Pursuit:
         if is_outside or not (is_turned or is_displaced):
             reason = f"outside the band by {max(0.0, distance - band):.2f} m"
         else:
-            reason = f"turned by {turned:.1f} rad" if is_turned else f"carried {moved:+.2f} m along the path"
+            reason = f"turned by {heading_error:.1f} rad" if is_turned else f"moved by {lead:+.2f} m along the path"
         self._reason = f"{reason}: rejoining {path.ahead:.2f} m ahead"
         return path
 
-    def _fastest_rate(self) -> float:
+    def _compute_max_rate(self) -> float:
         """Compute the maximum progress rate at which the reference stays within the limits of the command."""
         limits = self._config.limits
         sides = np.transpose([limits.v.sides, limits.omega.sides])
-        shares = sides / np.maximum(self._top, [STANDING, TURNING])
-        # A limit below the reference's own maximum applies only there, and must not slow the whole reference.
+        shares = sides / np.maximum(self._max_twists, [STANDING, TURNING])
+        # A limit that the reference exceeds at its maximum must not slow down the whole reference.
         limit_rate = float(shares[shares > _LIMIT_SHARE].min(initial=math.inf))
         return max(1.0, min(self._settings.max_progress, limit_rate))
 
     def _limits(self) -> TrajectoryLimits:
-        """Compute the limits of the path back, on which the robot may be slightly faster than the reference."""
+        """Compute the limits of the path back; its speed may slightly exceed that of the reference."""
         settings, limits = self._settings, self._config.limits
-        cruise = settings.max_progress * self._top_speed if self._top_speed > STANDING else max(limits.v.sides)
+        cruise = settings.max_progress * self._max_speed if self._max_speed > STANDING else max(limits.v.sides)
         return TrajectoryLimits(
             v=limits.v.map(lambda side: min(cruise, settings.effort * side, _LIMIT_SHARE * self._speed_limit)),
             omega=limits.omega.map(lambda side: settings.effort * side),
@@ -359,17 +361,17 @@ class Pursuit:
             min_turn_radius=limits.min_path_radius,
         )
 
-    def _describe(self, still: float) -> str:
-        words = [f"blocked for {still:.1f} s"] if still else []
+    def _describe(self, blocked_for: float) -> str:
+        parts = [f"blocked for {blocked_for:.1f} s"] if blocked_for else []
         if self._return_path is not None:
-            words.append(self._reason)
+            parts.append(self._reason)
         rate, delay = self._clock.rate, self._clock.delay
         if rate < 1.0 and delay >= 0.0:
-            words.append(f"the reference waits, {delay:.1f} s late")
+            parts.append(f"the reference waits, {delay:.1f} s late")
         elif delay != 0.0 and self._return_path is None:
-            words.append(
+            parts.append(
                 "the reference is late and catches up" if delay > 0.0 else "the reference is early and slows down"
             )
-        if words and self.limit:
-            words.append(f"at {self.limit}")
-        return "; ".join(words)
+        if parts and self.limit:
+            parts.append(f"at {self.limit}")
+        return "; ".join(parts)

@@ -1,4 +1,4 @@
-"""Smooth paths from the robot's pose to points on the reference, many at a time."""
+"""Vectorised construction of smooth paths from the robot's pose to points on the reference."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 
-# Minimum length of a path in divisions [m].
+# Lower bound of a length that is used as a divisor [m].
 _MIN_LENGTH = 1e-4
 
 
@@ -16,7 +16,7 @@ class Paths(NamedTuple):
     """C paths of K - 1 pieces each."""
 
     points: FloatArray
-    """(C, K, 2) x, y [m]."""
+    """(C, K, 2) coordinates x, y of the nodes [m]."""
     heading: FloatArray
     """(C, K) direction of the tangent [rad], unwrapped along each path from the start heading."""
     curvature: FloatArray
@@ -30,8 +30,9 @@ def quintic_paths(
 ) -> Paths:
     """Build quintic Hermite curves between poses, with given curvature at both ends.
 
-    With the parameter q from 0 to 1, the tangent at both ends is as long as the chord g, and the second derivative
-    there is curvature g^2 along the normal, so that both ends have the given heading and curvature.
+    The parameter q ranges from 0 to 1, and g is the length of the chord. At both ends the first derivative has length
+    g, and the second derivative is the curvature times g^2 along the normal, which results in the given heading and
+    curvature.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The reference's clock: it may wait for the robot, and catches up with the controller's clock afterwards.
+"""Clock of the reference: it may wait for the robot, and afterwards catches up with the controller's clock.
 
 The reference's time is the controller's time since the start, minus a delay. The progress rate, reference time per
 controller time, is piecewise linear over the horizon, and the clock then advances exactly as planned.
@@ -17,12 +17,12 @@ from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSampl
 
 @dataclass(frozen=True)
 class RateProfile:
-    """Progress rate over the time ahead, constant after its last node.
+    """Progress rate over the time ahead; constant after the last node.
 
     Attributes
     ----------
     times, rates
-        (m,) nodes: time from the current tick [s], increasing from 0, and progress rate [-].
+        (m,) time of each node from the current tick [s], increasing from 0, and progress rate at the node [-].
     settles
         True if the delay is zero after the last node.
     """
@@ -36,7 +36,7 @@ class RateProfile:
         return np.asarray(np.interp(np.asarray(ahead, dtype=float), self.times, self.rates))
 
     def progress(self, ahead: ArrayLike) -> FloatArray:
-        """Compute the reference time that elapses until `ahead` (n,) [s]: the integral of the rate."""
+        """Compute the reference time that elapses until `ahead` (n,) [s], which is the integral of the rate."""
         ahead = np.asarray(ahead, dtype=float)
         times, rates = np.array(self.times), np.array(self.rates)
         at_nodes = np.concatenate([[0.0], np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(times))])
@@ -47,11 +47,11 @@ class RateProfile:
 _ON_TIME = RateProfile((0.0,), (1.0,), settles=True)
 
 
-def _constant(rate: float) -> RateProfile:
+def _constant_profile(rate: float) -> RateProfile:
     return RateProfile((0.0,), (rate,), settles=False)
 
 
-def settling_profile(rate: float, delay: float, slowest: float, fastest: float, ramp: float) -> RateProfile:
+def settling_profile(rate: float, delay: float, min_rate: float, max_rate: float, ramp: float) -> RateProfile:
     """Plan the fastest return to zero delay at rate 1: a trapezoid in the excess of the rate over 1.
 
     The excess e is the rate at which the delay decreases, so this is the time-optimal motion of a double integrator
@@ -63,15 +63,15 @@ def settling_profile(rate: float, delay: float, slowest: float, fastest: float, 
         Current progress rate [-].
     delay
         Controller's time minus reference's time [s].
-    slowest, fastest
-        Minimum rate of an early and maximum rate of a late reference [-], slowest < 1 < fastest.
+    min_rate, max_rate
+        Minimum rate of an early and maximum rate of a late reference [-], min_rate < 1 < max_rate.
     ramp
         Rate of change of the progress rate [1/s].
     """
     excess = rate - 1.0
     side = math.copysign(1.0, delay - excess * abs(excess) / (2.0 * ramp))
     peak = side * math.sqrt(max(0.0, side * ramp * delay + 0.5 * excess * excess))
-    bound = fastest - 1.0 if side > 0 else 1.0 - slowest
+    bound = max_rate - 1.0 if side > 0 else 1.0 - min_rate
     peak = max(-bound, min(bound, peak))
     rise, fall = abs(peak - excess) / ramp, abs(peak) / ramp
     rest = delay - 0.5 * (excess + peak) * rise - 0.5 * peak * fall
@@ -92,14 +92,14 @@ class ReferenceClock:
     """
 
     def __init__(self, max_progress: float, ramp: float) -> None:
-        self._fastest, self._ramp = max_progress, ramp
+        self._max_progress, self._ramp = max_progress, ramp
         self.restart()
 
     def restart(self) -> None:
         """Reset to the controller's time, from the next `advance` on."""
         self.delay = 0.0
         self.rate = 1.0
-        self._last: float | None = None
+        self._last_time: float | None = None
         self._profile = _ON_TIME
 
     @property
@@ -108,7 +108,7 @@ class ReferenceClock:
         return self.delay == 0.0 and self._profile is _ON_TIME
 
     def advance(self, since_start: float, *, driving: bool) -> float:
-        """Advance to the controller's time `since_start` [s]; the reference stands still unless `driving`.
+        """Advance to the controller's time `since_start` [s]; the reference's clock stops if `driving` is False.
 
         Returns
         -------
@@ -116,8 +116,8 @@ class ReferenceClock:
             The reference's time [s].
         """
         # The reference does not wait before its start.
-        before, now = max(0.0, since_start if self._last is None else self._last), max(0.0, since_start)
-        self._last = since_start
+        before, now = max(0.0, since_start if self._last_time is None else self._last_time), max(0.0, since_start)
+        self._last_time = since_start
         elapsed = max(0.0, now - before)
         if not driving:
             self.delay += elapsed
@@ -130,16 +130,16 @@ class ReferenceClock:
         return since_start - self.delay
 
     def record_on_time(self, since_start: float) -> None:
-        """Advance to the controller's time `since_start` [s] in a tick on time."""
-        self._last = since_start
+        """Advance to the controller's time `since_start` [s] without a change of delay and rate."""
+        self._last_time = since_start
 
     def set(self, delay: float, rate: float) -> None:
-        """Continue with this delay [s] and progress rate [-]."""
+        """Set the delay [s] and the progress rate [-] from which the clock continues."""
         self.delay, self.rate = delay, rate
 
     def keep_delay(self) -> None:
         """Keep the current delay from the next `advance` on."""
-        self.rate, self._profile = 1.0, _constant(1.0)
+        self.rate, self._profile = 1.0, _constant_profile(1.0)
 
     def plan(self, limit: float, *, catch_up: bool) -> None:
         """Plan the progress rate from the current tick on.
@@ -147,7 +147,7 @@ class ReferenceClock:
         Parameters
         ----------
         limit
-            Maximum rate for the robot's lag [-].
+            Maximum progress rate [-].
         catch_up
             True to reduce the delay to zero; otherwise the rate returns to 1 and the delay stays.
         """
@@ -156,23 +156,25 @@ class ReferenceClock:
             self._profile = _ON_TIME
         elif catch_up and limit > 1.0:
             self._profile = settling_profile(
-                self.rate, self.delay, 2.0 - self._fastest, min(self._fastest, limit), ramp
+                self.rate, self.delay, 2.0 - self._max_progress, min(self._max_progress, limit), ramp
             )
         else:
             # For a lagging robot the rate drops at once; later it rises again with a limited slope.
             target = min(limit, 1.0)
             self.rate = min(self.rate, limit)
             rise = abs(target - self.rate) / ramp
-            self._profile = RateProfile((0.0, rise), (self.rate, target), settles=False) if rise else _constant(target)
+            self._profile = _constant_profile(target)
+            if rise:
+                self._profile = RateProfile((0.0, rise), (self.rate, target), settles=False)
 
-    def clocked(self, reference: Reference) -> Reference:
+    def apply(self, reference: Reference) -> Reference:
         """Return `reference` as a function of the controller's time, with the planned progress rate."""
-        return ClockedReference(reference, self._profile, (self._last or 0.0), self.delay)
+        return ClockedReference(reference, self._profile, (self._last_time or 0.0), self.delay)
 
 
 @dataclass(frozen=True)
 class ClockedReference:
-    """Reference as a function of the controller's time; implements `models.interface.Reference` from `now` on.
+    """Reference as a function of the controller's time, an implementation of `models.interface.Reference`.
 
     Attributes
     ----------

@@ -1,8 +1,9 @@
-"""Path back to the reference: choice of a rejoining point ahead and of a smooth motion to it.
+"""Path back to the reference: choice of a rejoining point ahead and of a smooth motion to this point.
 
-The idea of a look-ahead point and a smooth reconnection is from Guffanti et al. 2026 (PMC12845739; only the abstract
-was available). Here many points on the reference ahead are compared, each with several motions within the limits; the
-motion with the lowest cost is chosen. The cost weighs time, delay of the reference's clock, and distance from the path.
+The concept of a look-ahead point and a smooth reconnection is from Guffanti et al. 2026 (PMC12845739; only the abstract
+was available). This implementation compares many points on the reference ahead, each with several motions within the
+limits, and chooses the motion with the lowest cost. The cost is a weighted sum of the duration, the delay of the
+reference's clock, and the distance from the path.
 """
 
 from __future__ import annotations
@@ -27,12 +28,10 @@ from diffdrive_mpc.mpc.reentry.quintic_path import Paths, quintic_paths
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.trajectory import Trajectory
 
-# A reference that is rejoined: a connection from the robot, then the reference itself, on the reference's clock.
-
 
 @dataclass(frozen=True, eq=False)
 class Rejoin:
-    """Implementation of `models.interface.Reference`.
+    """Connection from the robot to a reference, followed by the reference; implements `models.interface.Reference`.
 
     Attributes
     ----------
@@ -63,7 +62,7 @@ class Rejoin:
 
     @property
     def begins(self) -> float:
-        """Reference time at which the connection begins [s]; may be negative."""
+        """Reference time at which the connection starts [s]; may be negative."""
         return self.joins - self.connection.duration
 
     def sample(self, times: ArrayLike) -> ReferenceSample:
@@ -83,24 +82,24 @@ class Rejoin:
 
 
 _NODES = 33
-# Maximum turn of a path between two nodes [rad]; a larger turn is a cusp.
+# Maximum change of the heading between two nodes of a path [rad]; a larger change is a cusp.
 _CUSP = 1.0
-# Compared paces, as shares of the speed limit [-]: a robot inside a curve, or ahead, must not arrive early.
+# Candidate shares of the speed limit [-]; lower shares prevent a robot that takes a shortcut from arriving early.
 _SHARES = np.array([1.0, 0.8, 0.5])
-# Weights of the cost, in seconds: skipped time of the reference [1/s]; jump of the speed at the start of a connection,
-# where the robot has to slow down anyway [per m/s], and at its end [per (m/s)^2]; jump of the yaw rate [per rad/s];
-# distance from the path, and distance on the side opposite to the robot [per m s].
-_EARLY = 2.0
+# Weights of the cost, which is in seconds: skipped time of the reference [-]; jump of the speed at the start of a
+# connection, where the robot must slow down in any case [s per m/s], and at its end [s per (m/s)^2]; jump of the yaw
+# rate [s per rad/s]; distance from the path, and distance on the side opposite to the robot [1/m].
+_SKIPPED_TIME = 2.0
 _FIRST_JUMP = 4.0
 _LAST_JUMP = 150.0
 _YAW_JUMP = 0.25
-_AWAY = 5.0
-_ACROSS = 20.0
-# Weights for a robot with a minimum turn radius: curvature above the maximum, relative to it [s], and turns on the spot
-# per radian in multiples of it [-].
-_TOO_TIGHT = 100.0
-_ON_THE_SPOT = 100.0
-# Interval of checked path nodes, and number of checked headings of a turn on the spot, in checks for free space.
+_DISTANCE = 5.0
+_OPPOSITE_SIDE = 20.0
+# Weights for a robot with a minimum turn radius: relative excess of the curvature over its maximum [s], and relative
+# excess of the curvature that counts as much as one radian of turn on the spot [1/rad].
+_CURVATURE_EXCESS = 100.0
+_SPOT_TURN = 100.0
+# Interval between path nodes, and number of headings of a turn on the spot, that are checked for free space.
 _NODE_STEP, _HEADINGS = 4, 5
 
 Room = Callable[[FloatArray], NDArray[np.bool_]]
@@ -122,7 +121,7 @@ def rejoin(
     Parameters
     ----------
     reference, window, nearest
-        The reference, its samples around the current time, and the index of the sample nearest to the robot.
+        Reference, its samples around the current time, and the index of the sample nearest to the robot.
     robot
         Pose and motion of the robot.
     since_start
@@ -132,12 +131,12 @@ def rejoin(
     limits
         Speed and acceleration limits of the connection.
     room
-        Check for free space, if there are obstacles.
+        Check for free space; None if there are no obstacles.
 
     Returns
     -------
     Rejoin or None
-        Connection of lowest cost; None if no connection is free.
+        Connection with the lowest cost; None if no connection is free.
     """
     options = all_options(window, nearest, robot, look_ahead, limits)
     paths = quintic_paths(options.start, options.start_curvature, options.end, options.end_curvature, _NODES)
@@ -146,20 +145,20 @@ def rejoin(
     before = options.brake + turning_times(options.first_turn, limits)
     duration = before + times[..., -1] + turning_times(options.last_turn, limits)
     delay = since_start + duration - window.times[options.sample]
-    cost = duration + np.maximum(delay, -_EARLY * delay) + _YAW_JUMP * options.yaw_jump
+    cost = duration + np.maximum(delay, -_SKIPPED_TIME * delay) + _YAW_JUMP * options.yaw_jump
     cost += _FIRST_JUMP * (options.enter - speed[..., 0])
     cost += _LAST_JUMP * (options.leave - speed[..., -1] + options.speed_jump) ** 2
     cost += _distance_cost(window, nearest, options, paths, times, before)
-    # A point that is already reached requires only turns, and a path with a cusp is not feasible.
+    # A path to a point that is already reached, or with a cusp, is not feasible; the turns on the spot remain.
     gap = options.end[:, :2] - options.start[:, :2]
-    reached = np.hypot(gap[:, 0], gap[:, 1]) <= SAME_PLACE
-    cusp = np.abs(np.diff(paths.heading, axis=1)).max(axis=1) > _CUSP
-    cost[:, (reached | cusp) & ~options.stops] = np.inf
+    is_reached = np.hypot(gap[:, 0], gap[:, 1]) <= SAME_PLACE
+    has_cusp = np.abs(np.diff(paths.heading, axis=1)).max(axis=1) > _CUSP
+    cost[:, (is_reached | has_cusp) & ~options.stops] = np.inf
     if limits.min_turn_radius:
-        # A robot that may not turn on the spot takes the path of smallest curvature if no path keeps the radius.
+        # If no path keeps the minimum radius, the path with the smallest curvature has the lowest cost.
         turns = np.abs(options.first_turn) + np.abs(options.last_turn)
         max_curvature = np.abs(paths.curvature).max(axis=1)
-        cost += _TOO_TIGHT * (np.maximum(0.0, max_curvature * limits.min_turn_radius - 1.0) + _ON_THE_SPOT * turns)
+        cost += _CURVATURE_EXCESS * (np.maximum(0.0, max_curvature * limits.min_turn_radius - 1.0) + _SPOT_TURN * turns)
     if room is not None:
         cost[:, ~_has_room(options, paths, room)] = np.inf
         if not np.isfinite(cost).any():
@@ -179,15 +178,15 @@ def rejoin(
 
 
 def _has_room(options: Options, paths: Paths, room: Room) -> NDArray[np.bool_]:
-    """Return (C,) True for motions in free space: the path, and the turns on the spot at its ends."""
-    back = np.where(options.travel > 0, 0.0, np.pi)[:, None]
-    points, heading = paths.points[:, ::_NODE_STEP], paths.heading[:, ::_NODE_STEP] - back
+    """Return (C,) True for each motion whose path and turns on the spot are in free space."""
+    travel_angle = np.where(options.travel > 0, 0.0, np.pi)[:, None]
+    points, heading = paths.points[:, ::_NODE_STEP], paths.heading[:, ::_NODE_STEP] - travel_angle
     share = np.linspace(0.0, 1.0, _HEADINGS)
-    begins = options.start[:, 2:] - back + (share - 1.0) * options.first_turn[:, None]
-    ends = options.end[:, 2:] - back + share * options.last_turn[:, None]
+    start_headings = options.start[:, 2:] - travel_angle + (share - 1.0) * options.first_turn[:, None]
+    end_headings = options.end[:, 2:] - travel_angle + share * options.last_turn[:, None]
     parts = [(points, heading)]
-    for place, turning in ((options.start, begins), (options.end, ends)):
-        parts.append((np.repeat(place[:, None, :2], _HEADINGS, axis=1), turning))
+    for end, turning in ((options.start, start_headings), (options.end, end_headings)):
+        parts.append((np.repeat(end[:, None, :2], _HEADINGS, axis=1), turning))
     poses = np.concatenate([np.concatenate([points, angle[..., None]], axis=2) for points, angle in parts], axis=1)
     return np.asarray(room(poses.reshape(-1, 3)).reshape(poses.shape[:2]).all(axis=1))
 
@@ -195,18 +194,18 @@ def _has_room(options: Options, paths: Paths, room: Room) -> NDArray[np.bool_]:
 def _distance_cost(
     window: PathWindow, nearest: int, options: Options, paths: Paths, times: FloatArray, before: FloatArray
 ) -> FloatArray:
-    """Compute the cost (S, C) of the distance from the path along each motion, at S paces [s].
+    """Compute the cost (S, C) of the distance from the path along each motion, for S shares of the speed limit [s].
 
-    A node of a connection is compared with the point of the reference at the same share of the distance ahead.
+    A node of a connection is compared with the point of the reference at the same fraction of the arc length.
     """
-    covered = np.concatenate([np.zeros((before.size, 1)), np.cumsum(paths.lengths, axis=1)], axis=1)
+    distance = np.concatenate([np.zeros((before.size, 1)), np.cumsum(paths.lengths, axis=1)], axis=1)
     first, last = window.arc_length[nearest], window.arc_length[options.sample]
-    arc = first + (last - first)[:, None] * (covered / covered[:, -1:])
+    arc = first + (last - first)[:, None] * (distance / distance[:, -1:])
     index = np.minimum(np.searchsorted(window.arc_length, arc), window.times.size - 1)
     offset = paths.points - window.pose[index, :2]
     heading = window.pose[index, 2]
     across = np.cos(heading) * offset[..., 1] - np.sin(heading) * offset[..., 0]
     side = np.sign(across[:, :1])
-    cost = _AWAY * np.abs(across) + _ACROSS * np.maximum(0.0, -side * across)
+    cost = _DISTANCE * np.abs(across) + _OPPOSITE_SIDE * np.maximum(0.0, -side * across)
     integral = np.sum(0.5 * (cost[:, 1:] + cost[:, :-1]) * np.diff(times, axis=-1), axis=-1)
     return np.asarray(integral + before * cost[:, 0])

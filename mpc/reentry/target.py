@@ -14,18 +14,18 @@ from diffdrive_mpc.models.pose import wrap_angle
 
 
 class Target(NamedTuple):
-    """Target of the current tick.
+    """Reference to track from the current tick on.
 
     Attributes
     ----------
     reference, time
-        A reference and its current time [s].
+        Reference, and its current time [s].
     message
         Message about a deviation; empty while the robot is on its path and on time.
     blocked_for
-        Time for which the robot has not moved despite commands [s]; 0 while it moves.
+        Time for which the robot has not moved despite motion commands [s]; 0 while it moves.
     sample
-        Samples of the reference from `time` on at the requested times; None if it was not sampled.
+        Samples of the reference at the requested times after `time`; None if the reference was not sampled.
     """
 
     reference: Reference
@@ -37,7 +37,7 @@ class Target(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class StandingReference:
-    """Reference (`models.interface.Reference`) at rest at `pose` (3,), for a robot without a free path back."""
+    """Constant reference at `pose` (3,) for a robot without a free path back; see `models.interface.Reference`."""
 
     pose: FloatArray
     name: str = "standing"
@@ -51,7 +51,7 @@ class StandingReference:
 
 @dataclass(frozen=True)
 class TooFar:
-    """Result for a robot that is further from its path than allowed, by its `distance` [m]."""
+    """Result if the `distance` of the robot from its path [m] exceeds the limit."""
 
     distance: float
 
@@ -59,17 +59,17 @@ class TooFar:
 # Detection of a robot that does not move while the reference waits for it.
 
 
-# Maximum displacement by noise of the pose: m, rad.
+# Maximum displacement that pose noise explains: position [m], heading [rad].
 _POSE_NOISE = (0.04, 0.1)
 
 
 class BlockedWatch:
-    """Detector of a blocked robot.
+    """Detector of a robot that does not move while the reference waits for it.
 
     Parameters
     ----------
     after
-        Time without motion after which the robot counts as blocked [s].
+        Duration of standstill after which the robot counts as blocked [s].
     """
 
     def __init__(self, after: float) -> None:
@@ -77,18 +77,18 @@ class BlockedWatch:
         self.restart()
 
     def restart(self) -> None:
-        """Restart at the next pose."""
+        """Restart the measurement of the standstill at the next pose."""
         self._since: float | None = None
         self._pose: FloatArray | None = None
 
     def update(self, t: float, pose: FloatArray) -> float:
-        """Return the time for which the robot is blocked at `pose` (3,), at time `t` [s]; 0 if it is not blocked."""
-        if self._since is None or self._pose is None or self._moved(pose):
+        """Return the duration of standstill at `pose` (3,) and time `t` [s]; 0 if the robot is not blocked."""
+        if self._since is None or self._pose is None or self._has_moved(pose):
             self._since, self._pose = t, pose
-        still = t - self._since
-        return still if still >= self._after else 0.0
+        standstill = t - self._since
+        return standstill if standstill >= self._after else 0.0
 
-    def _moved(self, pose: FloatArray) -> bool:
+    def _has_moved(self, pose: FloatArray) -> bool:
         assert self._pose is not None
-        away = math.hypot(pose[0] - self._pose[0], pose[1] - self._pose[1])
-        return away > _POSE_NOISE[0] or abs(float(wrap_angle(pose[2] - self._pose[2]))) > _POSE_NOISE[1]
+        distance = math.hypot(pose[0] - self._pose[0], pose[1] - self._pose[1])
+        return distance > _POSE_NOISE[0] or abs(float(wrap_angle(pose[2] - self._pose[2]))) > _POSE_NOISE[1]

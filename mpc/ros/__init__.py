@@ -1,1 +1,1 @@
-"""The controller as a ROS 2 node. Only modules of this package that need rclpy import it."""
+"""ROS 2 node of the controller. Modules of this package import rclpy only if they need it."""

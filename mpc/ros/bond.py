@@ -1,6 +1,6 @@
-"""A bond with nav2_lifecycle_manager: both sides send heartbeats, and detect the end of the other side.
+"""Bond with nav2_lifecycle_manager: both sides send heartbeats and detect the end of the other side.
 
-The protocol is that of bondcpp. All bonds share one topic; `id` identifies the bond, `instance_id` the side. A side
+The protocol is that of bondcpp. All bonds share a topic; `id` identifies the bond, and `instance_id` the side. A side
 waits for the other side, is alive while it receives heartbeats, and announces its end until the other side also ends.
 """
 
@@ -20,7 +20,7 @@ from diffdrive_mpc.mpc.ros.conversions import message_type, subscribe_bounded
 from diffdrive_mpc.mpc.ros.node_part import NodePart
 
 TOPIC = "bond"
-# Values of bondcpp and of Nav2's nodes [s].
+# Timeouts of bondcpp and of the nodes of Nav2 [s].
 CONNECT_TIMEOUT, HEARTBEAT_TIMEOUT, DISCONNECT_TIMEOUT = 10.0, 4.0, 2.0
 
 
@@ -34,12 +34,12 @@ class BondState(StrEnum):
 
 
 class BondProtocol:
-    """State machine of one side of a bond, independent of ROS messages.
+    """State machine of a side of a bond, independent of ROS messages.
 
     Parameters
     ----------
     send
-        Function that sends a heartbeat; its argument is False at the end of this side.
+        Function that sends a heartbeat; its argument is False if this side ends.
     now
         Monotonic clock [s].
 
@@ -48,7 +48,7 @@ class BondProtocol:
     state
         State of the bond.
     end_reason
-        Reason why the other side ended; empty while it is alive.
+        Reason for the end of the other side; empty while that side is alive.
     """
 
     def __init__(self, send: Callable[[bool], None], now: Callable[[], float]) -> None:
@@ -63,7 +63,7 @@ class BondProtocol:
             # No manager is present, so the node continues without a bond.
             self.state = BondState.DEAD
         elif self.state is BondState.ALIVE and elapsed > HEARTBEAT_TIMEOUT:
-            self.state, self.end_reason = BondState.DEAD, f"it was silent for {HEARTBEAT_TIMEOUT:g} s"
+            self.state, self.end_reason = BondState.DEAD, f"no heartbeat for {HEARTBEAT_TIMEOUT:g} s"
         elif self.state is BondState.LEAVING and elapsed > DISCONNECT_TIMEOUT:
             self.state = BondState.DEAD
         if self.state in (BondState.WAITING, BondState.ALIVE):
@@ -72,7 +72,7 @@ class BondProtocol:
             self._send(False)
 
     def receive(self, *, is_alive: bool) -> None:
-        """Handle a message of the other side; `is_alive` is False at its end."""
+        """Handle a message of the other side; `is_alive` is False if that side ends."""
         if self.state is BondState.LEAVING:
             if not is_alive:
                 self.state = BondState.DEAD
@@ -80,7 +80,7 @@ class BondProtocol:
             if is_alive:
                 self.state, self._since = BondState.ALIVE, self._now()
             else:
-                self.state, self.end_reason = BondState.DEAD, "it has ended the bond"
+                self.state, self.end_reason = BondState.DEAD, "it ended the bond"
                 self._send(False)
 
     def leave(self) -> None:
@@ -93,12 +93,12 @@ class BondProtocol:
 
 
 class Bond:
-    """Bond of an active node, with the node's name as `id`; heartbeats run in the executor of the control loop.
+    """Bond of an active node with the node's name as `id`; the executor of the control loop sends heartbeats.
 
     Parameters
     ----------
     node
-        The node.
+        Node that owns the bond.
     period
         Period of the heartbeats [s].
     """
@@ -122,7 +122,7 @@ class Bond:
         return ": ".join(filter(None, (self.protocol.state, self.protocol.end_reason)))
 
     def leave(self) -> None:
-        """End the bond: announce the end now, and repeat the announcement until the manager confirms."""
+        """End the bond; the announcement is repeated until the manager confirms it."""
         self.protocol.leave()
 
     def close(self) -> None:
@@ -157,7 +157,7 @@ def _ignore(_: str) -> None:
 
 
 class BondPart(NodePart):
-    """Bond of the active node with the lifecycle manager, if its type is installed."""
+    """Bond of the active node with the lifecycle manager, if the message type is installed."""
 
     bond: Bond | None = None
 
@@ -174,7 +174,7 @@ class BondPart(NodePart):
         self.bond = Bond(self.node, period)
 
     def deactivate(self) -> None:
-        """End the bond; the end is announced until the manager has confirmed it."""
+        """End the bond; the announcement is repeated until the manager confirms it."""
         if self.bond is not None:
             self.bond.leave()
 

@@ -1,4 +1,4 @@
-"""Output of commands as a twist, or as wheel speeds for a base without an input for (v, omega)."""
+"""Output of commands as twists, or as wheel speeds for a base without a twist input."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def command_output(
 
 
 class _Output:
-    """Lifecycle publisher, reliable and of depth 1; it publishes only while the node is active."""
+    """Reliable lifecycle publisher of depth 1, which publishes only while the node is active."""
 
     def __init__(self, node: LifecycleNode, kind: type[Any], topic: str) -> None:
         self._node = node
@@ -77,18 +77,18 @@ class _TwistOutput(_Output):
 
 
 class _WheelOutput(_Output):
-    """Angular speeds of the wheels [rad/s], in the order of the joints of ros2_control's controller."""
+    """Output of the angular speeds of the wheels [rad/s], in the order of the joints of the ros2_control controller."""
 
     def __init__(self, node: LifecycleNode, settings: NodeSettings, config: Callable[[], ControllerConfig]) -> None:
         super().__init__(node, Float64MultiArray, WHEELS)
         self._radius, self._half_track, self._config = settings.wheel_radius, 0.5 * config().wheels.track, config
-        # Right wheels turn faster in a left turn.
+        # In a left turn, the right wheels are faster.
         self._signs = [1.0 if side == "right" else -1.0 for side in settings.wheel_sides.split(",")]
 
     def send(self, command: FloatArray, time: int) -> None:  # noqa: ARG002 - the message has no stamp
         v, omega = float(command[0]), float(command[1])
-        rim = abs(v) + self._half_track * abs(omega)
-        # Slow all wheels by the same factor, so that the path keeps its curvature. The limit may change while driving.
-        share = min(1.0, self._config().limits.wheel_speed / rim) if rim > 0.0 else 1.0
+        rim_speed = abs(v) + self._half_track * abs(omega)
+        # All wheels are slowed by the same factor, which preserves the curvature. The limit may change while driving.
+        share = min(1.0, self._config().limits.wheel_speed / rim_speed) if rim_speed > 0.0 else 1.0
         speeds = [share * (v + sign * self._half_track * omega) / self._radius for sign in self._signs]
         self._publisher.publish(Float64MultiArray(data=speeds))

@@ -1,4 +1,4 @@
-"""The control loop: the steps of one tick of the node, and start, pause and reset of a drive; independent of rclpy."""
+"""Control loop of the node, independent of rclpy: the tick, and start, pause and reset of a drive."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from diffdrive_mpc.mpc.step_result import Mode, StepResult
 from diffdrive_mpc.mpc.trajectories.moved import MovedReference, starting_at
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
 
-HELD = "held; call hold with false to let go"
+HELD = "held; call hold with false to release"
 
-# Motion of a frame below which the reference is not moved: displacement at the robot [m] plus rotation [rad].
+# Minimum motion of a frame with which the reference is moved: displacement at the robot [m] plus rotation [rad].
 _MIN_FRAME_MOTION = 1e-4
 
-# Shift of the reference in time [s], or in position plus rotation [m, rad], from which it is published again.
+# Minimum shift of the reference in time [s], or in position [m] plus rotation [rad], after which it is published again.
 _MIN_SHIFT, _MIN_MOTION = 0.2, 0.02
 
 
@@ -36,28 +36,29 @@ class LoopState(StrEnum):
     """State of an active node."""
 
     IDLE = "IDLE"
-    """The command is zero; `start` begins a drive."""
+    """The command is zero; `start` starts a drive."""
     DRIVING = "DRIVING"
     """The controller computes the command."""
     PAUSED = "PAUSED"
     """The controller brakes and stands; `start` resumes the drive."""
     FAULT = "FAULT"
-    """The command is zero after an exception; `start` begins a new drive."""
+    """The command is zero after an exception; `start` starts a new drive."""
 
 
 _SHARE_OF_TICK = 0.5
-"""Time limit of a solve as a share of the sample time, unless `solver.time_limit` is set; the rest is for the other
-work of a tick [-].
+"""Time limit of a solve as a share of the sample time [-], if `solver.time_limit` is not set.
+
+The rest of the sample time is for the other work of a tick.
 """
 
 
 class RefusedError(DiffdriveMpcError, ValueError):
-    """A request that cannot be granted now; the message contains the reason and the remedy."""
+    """Request that cannot be granted in the current state; the message contains the reason and the remedy."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """Inputs of the controller at `time` [s]; `number` counts the calls of the controller, including this one."""
+    """Inputs of the controller at `time` [s]; `number` is the number of the call, from 1."""
 
     number: int
     time: float
@@ -67,18 +68,18 @@ class Request:
 
 @dataclass(frozen=True)
 class Drive:
-    """A drive of the controller along one reference.
+    """Drive of the controller along a reference.
 
     Attributes
     ----------
     reference
-        Reference as placed in the control frame.
+        Reference in the control frame.
     t0
         Time 0 of the reference on the controller's clock [s].
     reset
         True if the controller was reset before the drive.
     continues
-        True if the reference replaced another one while driving, and the controller kept its state.
+        True if the reference replaced another reference while driving and the controller kept its state.
     """
 
     reference: Reference
@@ -89,7 +90,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class PublishedReference:
-    """Driven reference, and its time 0 on the controller's clock [s], which shifts while the reference waits."""
+    """Tracked reference, and its time 0 on the controller's clock [s], which increases while the reference waits."""
 
     reference: Reference
     t0: float
@@ -137,11 +138,11 @@ class ControlLoop:
     inbox
         Source of the measurements; the controller uses its clock.
     trajectory
-        Initial reference; None: no reference.
+        Initial reference; None if there is no reference.
     in_sim_time
-        True if the period is measured by the node's clock, False for the computer's clock.
+        True if the node's clock measures the period, False if the computer's clock does.
     held
-        True if the loop starts held, see `hold`.
+        True if the loop starts with a hold, see `hold`.
 
     Attributes
     ----------
@@ -150,22 +151,22 @@ class ControlLoop:
     held
         True if a hold prevents the robot from moving, independent of the state.
     drive
-        Current drive; None before the first.
+        Current drive; None before the first drive.
     objection
-        Reason why the robot must not drive; the robot then brakes as for stale odometry. Empty if it may drive.
+        Reason why the robot must not drive; empty if it may drive. The robot brakes as for stale odometry.
     wait_reason
-        Reason why the robot temporarily brakes and stands, without a failure; the state does not change. Empty if it
-        may drive.
+        Reason why the robot temporarily brakes and stands without a failure; empty if it may drive. The state does not
+        change.
     frame_shifts
-        Number of times that the current reference was moved because its frame had moved.
+        Number of times that the current reference was moved together with its frame.
     warning
         Other warnings for diagnostics.
     refusal
-        Reason why the last reference or goal was refused, for diagnostics; empty once one is accepted.
+        Reason why the last reference or goal was refused, for diagnostics; empty if it was accepted.
     shortfall
-        Description of the limits that the last accepted reference exceeds; empty if it exceeds none.
+        Description of the limits that the last accepted reference exceeds; empty if it is feasible.
     blocked
-        True if the loop paused because the robot was blocked.
+        True if the loop is paused because the robot was blocked.
     """
 
     def __init__(
@@ -216,21 +217,23 @@ class ControlLoop:
         return self._controller.speed_limit
 
     def offer(self, reference: Reference, placement: Placement | None = None) -> None:
-        """Use `reference` at the next start, or immediately if the robot drives or `drive_on_reference` is set.
+        """Set the reference for the next start; it is used immediately if the robot drives.
 
-        With `placement`, the reference is stated in a frame other than the control frame and moves with that frame.
+        If `drive_on_reference` is set, an idle robot starts to drive. With `placement`, the reference is given in a
+        frame other than the control frame, and it moves with this frame.
 
         Raises
         ------
         ValueError
-            If the reference exceeds the speed limits, or the position of its frame is unknown.
+            If the reference exceeds the speed limits, the position of its frame is unknown, or the robot waits after a
+            failure.
         """
         if self._is_latched:
             raise RefusedError("the robot stopped after a failure: call start or resume before a new reference")
         if placement is not None:
             placement.motion()
         self._check(reference)
-        # The reference has a frame, so it is not moved to the robot.
+        # A reference with a frame is not moved to the robot.
         self._reference, self._placement, self._moves_to_robot, self.refusal = reference, placement, False, ""
         if self.state is LoopState.DRIVING:
             self._followed = self._saved_reference = None
@@ -244,9 +247,9 @@ class ControlLoop:
         Parameters
         ----------
         reference
-            The reference; it is not moved to the robot.
+            Reference, which is not moved to the robot.
         t0
-            Time 0 of the reference on the controller's clock [s]; None: time of the tick at which the drive starts.
+            Time 0 of the reference on the controller's clock [s]; None for the tick at which the drive starts.
 
         Raises
         ------
@@ -260,13 +263,13 @@ class ControlLoop:
         self._followed, self.refusal = (reference, t0), ""
 
     def brake(self, reason: str) -> None:
-        """Brake and stand, in any state of the loop; a pending start is cancelled."""
+        """Brake and stand in any state of the loop, and cancel a pending start."""
         self._followed, self._start_when_ready = None, False
         if self.state in (LoopState.DRIVING, LoopState.PAUSED):
             self.state, self._reason = LoopState.PAUSED, reason
 
     def end(self, reason: str) -> None:
-        """Brake and stand permanently: later requests do not move the robot."""
+        """Brake and stand permanently; later requests do not move the robot."""
         self._end_reason = reason
 
     @property
@@ -275,7 +278,7 @@ class ControlLoop:
         return self.last is not None and bool(self.last.command.any())
 
     def release(self) -> None:
-        """Return to idle after `follow` and restore the previous reference; a fault remains a fault."""
+        """Return to IDLE after `follow` and restore the previous reference; the state FAULT remains."""
         self._followed, self._start_when_ready, self.blocked = None, False, False
         self.wait_reason = self.shortfall = ""
         if self._saved is not None:
@@ -284,7 +287,7 @@ class ControlLoop:
             self.state, self._reason = LoopState.IDLE, ""
 
     def pose_and_twist(self) -> tuple[FloatArray, tuple[float, float]] | None:
-        """Return pose (3,) and twist v, omega [m/s, rad/s] of the robot; return None if they are unknown."""
+        """Return pose (3,) and twist v, omega [m/s, rad/s] of the robot, or None if they are unknown."""
         if self.missing():
             return None
         result = None if self.last is None else self.last.result
@@ -303,17 +306,17 @@ class ControlLoop:
         """
         if self.state is LoopState.PAUSED:
             return self.resume()
-        standing = self.last is not None and self.last.mode in (Mode.FINISHED, Mode.STOPPED)
-        if self.state is LoopState.DRIVING and not standing:
-            raise RefusedError("it is driving already; pause it first")
+        has_stopped = self.last is not None and self.last.mode in (Mode.FINISHED, Mode.STOPPED)
+        if self.state is LoopState.DRIVING and not has_stopped:
+            raise RefusedError("the robot is already driving; pause it first")
         self._require_inputs()
         assert self._reference is not None
         self._check(self._reference)
         if self.state is LoopState.FAULT:
             self._reset_controller()
         self.state, self._reason, self._start_when_ready = LoopState.IDLE, "", True
-        begins = f"begins '{self._reference.name}', {self._reference.duration:.1f} s{self._hold_note()}"
-        return "; ".join(filter(None, [begins, self.shortfall]))
+        starts = f"starts '{self._reference.name}', {self._reference.duration:.1f} s{self._hold_note()}"
+        return "; ".join(filter(None, [starts, self.shortfall]))
 
     def resume(self) -> str:
         """Resume the current reference after a pause or a failure; return a description of the action.
@@ -324,11 +327,11 @@ class ControlLoop:
             If no drive can be resumed, or measurements are missing.
         """
         if self.state is not LoopState.PAUSED and not self._is_latched:
-            raise RefusedError(f"nothing waits for it ({self.state}); call start to begin")
+            raise RefusedError(f"there is no drive to resume ({self.state}); call start to drive")
         self._require_inputs()
         self._controller.resume()
         self.state, self._reason, self.blocked = LoopState.DRIVING, "", False
-        return f"drives on{self._hold_note()}"
+        return f"resumed{self._hold_note()}"
 
     @property
     def _is_latched(self) -> bool:
@@ -336,57 +339,63 @@ class ControlLoop:
         return self.state is LoopState.DRIVING and self._controller.is_latched
 
     def pause(self, reason: str = "paused; call start to drive on") -> str:
-        """Brake and stand while the reference waits; return a description; raise RefusedError if the robot is idle."""
+        """Brake and stand while the reference waits; return a description of the action.
+
+        Raises RefusedError if the robot is not driving.
+        """
         if self._start_when_ready or (self._followed is not None and self.state is not LoopState.DRIVING):
             self._start_when_ready, self._followed = False, None
-            return "does not begin any more"
+            return "start cancelled"
         if self.state is not LoopState.DRIVING:
-            raise RefusedError(f"it does not drive ({self.state})")
+            raise RefusedError(f"the robot is not driving ({self.state})")
         self.state, self._reason, self._followed = LoopState.PAUSED, reason, None
         return "brakes"
 
     def hold(self, *, on: bool) -> str:
-        """Brake and stand while `on`, independent of other requests and of the state; return a description."""
-        before, self.held = self.held, on
+        """Brake and stand while `on` is True, in any state of the loop; return a description of the action."""
+        was_held, self.held = self.held, on
         if on:
-            return "is held already" if before else "is held; brakes" if self.is_moving else "is held"
-        if not before:
+            return "is held already" if was_held else "is held; brakes" if self.is_moving else "is held"
+        if not was_held:
             return "was not held"
         if self._is_latched:
-            return "let go; stands after a failure; call start or resume to drive"
+            return "released; stands after a failure; call start or resume to drive"
         if self.state is LoopState.DRIVING:
-            return "let go; drives on"
-        waits = " begins when it can" if self._start_when_ready else " stands; call start to drive"
-        return f"let go;{waits} ({self.state})"
+            return "released; the drive continues"
+        action = "starts when possible" if self._start_when_ready else "stands; call start to drive"
+        return f"released; {action} ({self.state})"
 
     def reset(self) -> str:
-        """Reset estimate, measurements and progress; return a description; raise RefusedError if the robot moves."""
+        """Reset estimate, measurements and progress; return a description of the action.
+
+        Raises RefusedError if the robot moves.
+        """
         if self.is_moving:
             raise RefusedError("the robot is still driving; pause first")
         self._reset_controller()
         self.inbox.restart()
         self.state, self._reason, self._start_when_ready, self.drive = LoopState.IDLE, "", False, None
         self._followed, self.blocked = None, False
-        return "is as new; call start to begin"
+        return "reset; call start to drive"
 
     def tick(self) -> LoopTick:
-        """Compute the next command. Never raises: an exception leads to a zero command and FAULT."""
+        """Compute the next command; after an exception the command is zero and the state is FAULT."""
         start = time.perf_counter()
         self.times.start_tick(self._steady())
         try:
             tick = self._decide(self.inbox.now)
         except Exception as error:  # the robot must stop after any error
-            self.state, self._reason = LoopState.FAULT, f"{type(error).__name__}: {error}; call start to begin anew"
-            tick = self._standing()
+            self.state, self._reason = LoopState.FAULT, f"{type(error).__name__}: {error}; call start to restart"
+            tick = self._idle_tick()
         self.last = tick
         age = self.inbox.odometry.age(self.inbox.now)
         self.times.end(time.perf_counter() - start, age if np.isfinite(age) else None)
         return tick
 
     def reference_to_publish(self) -> PublishedReference | None:
-        """Return the reference and its start time if they must be published again, or else None.
+        """Return the reference and its start time if they must be published, else None.
 
-        They are published at the start of a drive, after a wait of the reference, and after a shift of its frame.
+        They are published at the start of a drive, after the reference has waited, and after its frame has moved.
         """
         drive, last = self.drive, self.last
         if drive is None or last is None:
@@ -403,7 +412,7 @@ class ControlLoop:
         return self._published[1]
 
     def _is_moved(self, published: Reference, reference: Reference) -> bool:
-        """Return True if the frame of the reference has moved enough to publish the reference again."""
+        """Return True if the frame has moved far enough since `published` to publish `reference` again."""
         pose = self.inbox.newest_pose
         if pose is None or not (isinstance(published, MovedReference) and isinstance(reference, MovedReference)):
             return False
@@ -418,7 +427,7 @@ class ControlLoop:
         if self._followed is not None and self.inbox.has_pose and not self.missing():
             self._start_followed(t)
         if self.state in (LoopState.IDLE, LoopState.FAULT):
-            return self._standing()
+            return self._idle_tick()
         self._follow_frame()
         self._requests += 1
         request = Request(self._requests, t, self.inbox.measurement(), self._hold(t))
@@ -431,7 +440,7 @@ class ControlLoop:
         return LoopTick(result.command, self.state, result.message, result, request)
 
     def _deadline(self) -> float | None:
-        """Return the deadline of this tick's solve [s, `time.monotonic`]; None in simulated time, which waits."""
+        """Return the deadline of the solve [s, `time.monotonic`]; None in simulated time, which waits for the solve."""
         if self._in_sim_time:
             return None
         config = self._controller.config
@@ -465,7 +474,7 @@ class ControlLoop:
         return Hold(fault, failure=True) if fault else None
 
     def _follow_frame(self) -> None:
-        """Move the reference with its frame; if the frame's position is unknown, set the fault that stops the robot."""
+        """Move the reference with its frame; an unknown position of the frame is a fault that stops the robot."""
         self._frame_fault = ""
         if self._placement is None or self._moved_reference is None:
             return
@@ -482,14 +491,14 @@ class ControlLoop:
         self.frame_shifts += 1
 
     def _hold_note(self) -> str:
-        return ", once it is let go (hold)" if self.held else ""
+        return " after the release of the hold" if self.held else ""
 
-    def _standing(self) -> LoopTick:
+    def _idle_tick(self) -> LoopTick:
         waiting = self._missing() if self._start_when_ready else ""
         return LoopTick(np.zeros(2), self.state, "; ".join(filter(None, [self._reason or waiting, HELD * self.held])))
 
     def _missing(self) -> str:
-        """Describe the missing condition for a start; return an empty string if all are met."""
+        """Return the condition for a start that is not satisfied; empty if all conditions are satisfied."""
         fault = self.missing()
         if not fault and self._reference is None:
             fault = "there is no reference: set the parameter trajectory, or publish one"
@@ -501,7 +510,7 @@ class ControlLoop:
         return fault
 
     def missing(self) -> str:
-        """Describe the missing measurement or the objection to driving; return an empty string if there is none."""
+        """Return the missing measurement or the objection to driving; empty if the robot may drive."""
         inbox = self.inbox
         fault = self.objection or inbox.odometry.fault(inbox.now, self._settings.odom_timeout)
         if not fault and self._settings.poses_from != "odometry":
@@ -525,7 +534,7 @@ class ControlLoop:
             reference = self._moved_reference = MovedReference(reference, self._placement.motion())
         elif self._moves_to_robot and pose is not None:
             reference = starting_at(reference, pose.value)
-        # A planner may send a new path every second; the learned slip must be kept.
+        # A planner may send a new path every second, so the learned slip must be preserved.
         continues = self.state is LoopState.DRIVING and self.last is not None and self.last.mode is Mode.TRACKING
         if continues:
             self._controller.switch_reference(reference, t0)
@@ -539,7 +548,7 @@ class ControlLoop:
 
 
 def _motion_difference(before: FloatArray, after: FloatArray, pose: ArrayLike) -> float:
-    """Compute displacement [m] plus rotation [rad] at `pose` (3,) if `after` replaces the motion `before`."""
+    """Compute the change of a frame's motion at `pose` (3,): displacement [m] plus rotation [rad]."""
     (ax, ay, a), (bx, by, b) = before, after
     start = np.asarray(pose, dtype=float)
     x, y = start[0] - ax, start[1] - ay

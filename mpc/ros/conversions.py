@@ -1,4 +1,4 @@
-"""Conversion of ROS messages to the controller's types and back. Unusable messages are rejected with a reason."""
+"""Conversion between ROS messages and types of the controller; invalid messages are rejected with a reason."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.mpc.ros.message_series import MessageSeries
 
 NANOSECONDS = 1_000_000_000
-# Rows of x, y and yaw in the 6 x 6 covariance of a pose message.
+# Entries of x, y and yaw in the 6 x 6 covariance of a pose message.
 _PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
-# Tolerance of a quaternion's norm, for rounding to single precision in transmission.
+# Tolerance of the norm of a quaternion, which may be rounded to single precision.
 _NORM_TOLERANCE = 1e-2
 # Minimum vertical component of a gyro axis that contributes to the yaw rate [-].
 _MIN_VERTICAL = 1e-3
 
 
 class MessageError(DiffdriveMpcError, ValueError):
-    """A message cannot be used; the error text is the reason in one line."""
+    """Error for an invalid message; its text is the reason in one line."""
 
     def __init__(self, reason: str) -> None:
-        super().__init__(plain_line(reason))  # frame names are untrusted text, and logs are shown in terminals
+        super().__init__(plain_line(reason))  # escape frame names, since terminals show logs
 
 
 def nanoseconds(stamp: TimeMessage) -> int:
@@ -53,7 +53,7 @@ def yaw_of(q: Quaternion) -> float:
     """Compute the yaw [rad] of an orientation (REP 103); raise MessageError if it is invalid."""
     norm = math.hypot(q.x, q.y, q.z, q.w)
     if not abs(norm - 1.0) <= _NORM_TOLERANCE:
-        raise MessageError(f"its orientation is no unit quaternion (norm {norm:.3g})")
+        raise MessageError(f"its orientation is not a unit quaternion (norm {norm:.3g})")
     return math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y**2 + q.z**2))
 
 
@@ -66,13 +66,13 @@ def planar_pose(pose: Pose) -> tuple[float, float, float]:
 
 
 def check_frame(frame: str, expected: str, parameter: str, field: str = "frame_id") -> None:
-    """Raise MessageError unless the frames agree; `parameter` is the parameter that sets the expected frame."""
+    """Raise MessageError if the frames differ; `parameter` is the name of the parameter with the expected frame."""
     if frame != expected:
         raise MessageError(f"its {field} is '{frame}', expected '{expected}' (parameter {parameter})")
 
 
 def seconds(time: int, epoch: int) -> float:
-    """Return the difference of two times [ns] in seconds, rounded only after the exact subtraction."""
+    """Return the difference of two times [ns] in seconds; the subtraction is exact."""
     return (time - epoch) / NANOSECONDS
 
 
@@ -93,7 +93,7 @@ def odometry_twist(message: Odometry, epoch: int) -> Stamped:
 def imu_yaw_rate(message: Imu, epoch: int, up: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Stamped:
     """Extract the yaw rate [rad/s] about the axis `up` of the gyro's frame; raise MessageError if it is not finite."""
     rate = message.angular_velocity
-    # An IMU with one axis leaves the others zero or not finite.
+    # The other axes of an IMU with a single axis may not be finite.
     yaw_rate = sum(
         axis * value for axis, value in zip(up, (rate.x, rate.y, rate.z), strict=True) if abs(axis) > _MIN_VERTICAL
     )
@@ -103,12 +103,12 @@ def imu_yaw_rate(message: Imu, epoch: int, up: tuple[float, float, float] = (0.0
 
 
 def measured_pose(message: PoseWithCovarianceStamped, epoch: int, *, covariance: bool) -> Stamped:
-    """Extract the pose of a pose sensor, on request with its covariance; an all-zero covariance means unknown."""
-    stated = np.asarray(message.pose.covariance, dtype=float).reshape(6, 6)[_PLANAR]
+    """Extract a measured pose; `covariance` selects its covariance, which is unknown if all entries are zero."""
+    planar = np.asarray(message.pose.covariance, dtype=float).reshape(6, 6)[_PLANAR]
     return Stamped(
         planar_pose(message.pose.pose),
         seconds(nanoseconds(message.header.stamp), epoch),
-        stated if covariance and stated.any() else None,
+        planar if covariance and planar.any() else None,
     )
 
 
@@ -132,23 +132,23 @@ def stamped_pose_message(pose: Sequence[float] | FloatArray, time: int, frame: s
     return message
 
 
-# Subscriptions that check the size of a message before deserialisation: a large message would take longer than a tick.
+# Subscriptions that check the size of a message before its deserialisation, which could take longer than a tick.
 
 
 MAX_NAME_LENGTH = 255
-"""Maximum number of characters of a frame's name; messages with longer names are rejected."""
+"""Maximum length of the name of a frame; messages with longer names are rejected."""
 _HEADER = 4 + 8 + 4 + MAX_NAME_LENGTH + 1 + 8
-"""Maximum size of a serialised header [bytes]: stamp, name with length and terminator, alignment."""
+"""Maximum size of a serialised header [bytes]: stamp, length of the name, name, terminator and alignment."""
 SENSOR_BYTES = 2048
-"""Maximum size of a message of odometry, gyro or pose [bytes]: numbers take less than 800, two names the rest."""
+"""Maximum size of an odometry, gyro or pose message [bytes]: less than 800 for numbers, the rest for two names."""
 BATTERY_BYTES = 8192
-"""Maximum size of a battery state [bytes]: two numbers for each of several hundred cells, and three names."""
+"""Maximum size of a battery state [bytes]: two numbers for each of several hundred cells, and three strings."""
 POSE_BYTES = _HEADER + 7 * 8
-"""Maximum size of a pose with its header [bytes]."""
+"""Maximum size of a pose with a header [bytes]."""
 
 
 def path_bytes(poses: int) -> int:
-    """Return the maximum size in bytes of a path of `poses` poses, or of a trajectory with all derivatives."""
+    """Return the maximum size [bytes] of a path of `poses` poses, or of a trajectory with all derivatives."""
     return _HEADER + poses * POSE_BYTES
 
 
@@ -173,7 +173,7 @@ def subscribe_bounded(
     Parameters
     ----------
     node, kind, topic, qos
-        As for `create_subscription`.
+        Arguments of `create_subscription`.
     take
         Function that is called with each message.
     refuse
@@ -192,7 +192,7 @@ def subscribe_bounded(
             return
         try:
             message = deserialize_message(raw, kind)
-        except Exception as error:  # rmw has no specific error type
+        except Exception as error:  # rmw does not define an error type
             refuse(f"it cannot be read ({' '.join(str(error).split())})")
             return
         take(message)
@@ -201,7 +201,7 @@ def subscribe_bounded(
 
 
 def take_pending(subscription: Subscription) -> None:
-    """Pass pending messages to the callback of a bounded subscription, while the executor is blocked."""
+    """Pass pending messages to the callback of a bounded subscription while the executor is blocked."""
     for _ in range(subscription.qos_profile.depth):
         with subscription.handle:
             message = subscription.handle.take_message(subscription.msg_type, subscription.raw)
@@ -210,7 +210,7 @@ def take_pending(subscription: Subscription) -> None:
         subscription.callback(*message)
 
 
-# Message types that only some installations have.
+# Message types that are not part of every installation.
 
 
 def message_type(package: str, name: str) -> type[Any] | None:

@@ -1,4 +1,4 @@
-"""Status of the node on /diagnostics."""
+"""Status message of the node for /diagnostics."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ def diagnostics(
     Parameters
     ----------
     name
-        Full name of the node without the leading slash; it distinguishes robots by their namespaces.
+        Full name of the node without the leading slash; the namespace distinguishes robots.
     time
         Current time [ns].
     lifecycle
         Label of the lifecycle state.
     loop
-        The control loop; None while the node is not active.
+        Control loop; None while the node is not active.
     parts
         Parts of the node, which add values and warnings.
     """
@@ -47,9 +47,9 @@ def diagnostics(
         if loop.last is not None:
             objection = "" if loop.objection in loop.last.message else loop.objection
             faults = loop.last.message, objection, loop.inbox.fault, loop.warning, loop.refusal, loop.shortfall
-            words = "; ".join(filter(None, faults))
+            faults_text = "; ".join(filter(None, faults))
             state = loop.last.mode if loop.last.result is None else loop.last.result.state
-            status.message = f"{state}: {words}" if words else state
+            status.message = f"{state}: {faults_text}" if faults_text else state
     for part in parts:
         if loop is not None:
             values |= _watches(part.topics, loop.inbox.now)
@@ -73,9 +73,9 @@ def _level(loop: ControlLoop) -> bytes:
         return DiagnosticStatus.WARN if loop.held or warning else DiagnosticStatus.OK
     if tick.result.mode in (Mode.BRAKING, Mode.STOPPED) and loop.state is LoopState.DRIVING and not loop.held:
         return DiagnosticStatus.ERROR
-    is_normal = tick.result.state in (Mode.TRACKING, Mode.FINISHED) and not tick.message and not loop.inbox.fault
-    is_normal = is_normal and not warning
-    return DiagnosticStatus.OK if is_normal else DiagnosticStatus.WARN
+    is_ok = tick.result.state in (Mode.TRACKING, Mode.FINISHED) and not tick.message and not loop.inbox.fault
+    is_ok = is_ok and not warning
+    return DiagnosticStatus.OK if is_ok else DiagnosticStatus.WARN
 
 
 def _values(loop: ControlLoop) -> dict[str, str]:
@@ -93,7 +93,7 @@ def _values(loop: ControlLoop) -> dict[str, str]:
     values |= _watches(inbox.topics, inbox.now)
     if inbox.frames is not None:
         values["transforms"] = f"{inbox.frames.accepted} accepted, {inbox.frames.refused} refused"
-        values["reference laid anew by its frame"] = str(loop.frame_shifts)
+        values["reference moved with its frame"] = str(loop.frame_shifts)
         if inbox.frames.last_refusal:
             values["transforms last refusal"] = inbox.frames.last_refusal
     if loop.last is not None and loop.last.result is not None:

@@ -1,4 +1,4 @@
-"""Clients of the action `follow_path`: identify the client of a goal, and check that it is alive."""
+"""Clients of the action `follow_path`: identification of the client of a goal, and check that the client is alive."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from rclpy.qos import QoSProfile
 _STALL = 0.2
 """Time without acknowledgement after which a participant is created [s]; live clients acknowledge within 0.1 s."""
 _DISCOVERY = 1.0
-"""Time for a new participant to discover the live clients before another one is created [s]; usually 0.15 s."""
+"""Minimum time between the creation of two participants [s]; discovery of the live clients usually takes 0.15 s."""
 
 
 class _Link:
-    """Publisher of feedback in the participant of `node`; `context` is given if the participant is separate."""
+    """Publisher of feedback in the participant of `node`; `context` is the context of a separate participant."""
 
     def __init__(self, node: Node, action: str, context: Context | None = None) -> None:
         self.node, self._context = node, context
         self._requests = f"rq{action}/_action/send_goalRequest"
-        # In a full queue the writer requests an acknowledgement with each sample: a queue of one is always full.
+        # A writer with a full queue requests an acknowledgement with each sample; a queue of depth 1 is always full.
         self.publisher = node.create_publisher(
             FollowPath.Impl.FeedbackMessage, f"{action}/_action/feedback", QoSProfile(depth=1)
         )
@@ -45,9 +45,9 @@ class _Link:
 class ClientWatch:
     """Publisher of feedback that monitors its acknowledgement by the clients.
 
-    The middleware of a live client acknowledges feedback automatically. All clients subscribe to one topic. After a
-    client has died, no sample counts as acknowledged until its participant lease expires (Fast DDS: 20 s). A new
-    participant discovers live clients only: if there are several subscriptions, feedback continues through a new
+    The middleware of a live client acknowledges feedback automatically. All clients subscribe to the same topic. After
+    the death of a client, no sample counts as acknowledged until the lease of its participant expires (20 s with Fast
+    DDS). A new participant discovers live clients only, so with several subscriptions feedback continues through a new
     participant.
 
     Parameters
@@ -62,33 +62,33 @@ class ClientWatch:
         self._node, self._action = node, action
         self._graph = self._link = _Link(node, action)
         self._goals_sent: dict[bytes, int] = {}
-        self._last_answer = self._renewed_at = time.monotonic()
-        self._acknowledges = True
+        self._last_acknowledged = self._renewed_at = time.monotonic()
+        self._reports_acknowledgements = True
 
     def claim(self, number: int) -> frozenset[bytes]:
-        """Return the clients that may have sent the goal whose request has sequence number `number`.
+        """Return the clients that may have sent the goal request with the sequence number `number`.
 
-        Each client numbers its requests from one, and rclpy does not expose the client's identity. The result has
-        several clients if they have sent the same number of goals. It is empty if the middleware does not name request
-        topics like DDS.
+        Each client numbers its requests from 1, and rclpy does not expose the identity of the client. The result
+        contains all clients that have sent the same number of goals. It is empty if the middleware does not use the
+        topic names of DDS for requests.
         """
-        known = self._graph.clients()
-        clients = frozenset(client for client in known if self._goals_sent.get(client) == number - 1)
-        clients = clients or known - self._goals_sent.keys() or known
+        known_clients = self._graph.clients()
+        clients = frozenset(client for client in known_clients if self._goals_sent.get(client) == number - 1)
+        clients = clients or known_clients - self._goals_sent.keys() or known_clients
         clients = clients & self._link.clients() or clients
         if len(clients) == 1:
             self._goals_sent[min(clients)] = number
         return clients
 
     def check(self, goals: Sequence[frozenset[bytes]]) -> list[bool]:
-        """Return for each goal, a set of clients, True if all of them have acknowledged the last feedback."""
+        """Return True for each goal whose clients are all alive, that is have acknowledged the last feedback."""
         now, acknowledged = time.monotonic(), self._is_acknowledged()
         present = self._link.clients()
         subscribed = self._link.publisher.get_subscription_count() > 0
         alive = [acknowledged and subscribed and clients <= present for clients in goals]
         if all(alive):
-            self._last_answer = now
-        elif now - self._last_answer > _STALL and now - self._renewed_at > _DISCOVERY and self._is_ambiguous():
+            self._last_acknowledged = now
+        elif now - self._last_acknowledged > _STALL and now - self._renewed_at > _DISCOVERY and self._is_ambiguous():
             self._renewed_at = now
             self._renew()
         return alive
@@ -104,12 +104,12 @@ class ClientWatch:
         self._graph.destroy()
 
     def _is_acknowledged(self) -> bool:
-        if not self._acknowledges:
+        if not self._reports_acknowledgements:
             return True
         try:
             return self._link.publisher.wait_for_all_acked(Duration())
-        except RuntimeError as error:  # the base of rclpy's errors, which have no public names
-            self._acknowledges = False
+        except RuntimeError as error:  # base class of the errors of rclpy, which have no public names
+            self._reports_acknowledgements = False
             self._node.get_logger().warning(
                 f"{self._action}: this middleware does not report acknowledgements ({' '.join(str(error).split())}): "
                 "the robot follows the goal of a killed client until the middleware's lease expires"
@@ -117,12 +117,12 @@ class ClientWatch:
             return True
 
     def _is_ambiguous(self) -> bool:
-        """Return True if the missing acknowledgement may be that of a subscription other than the goal's client."""
-        return self._acknowledges and self._node.count_subscribers(self._graph.publisher.topic_name) > 1
+        """Return True if the missing acknowledgement may be that of another subscription."""
+        return self._reports_acknowledgements and self._node.count_subscribers(self._graph.publisher.topic_name) > 1
 
     def _renew(self) -> None:
         name, namespace = self._node.get_name(), self._node.get_namespace()
-        # With SROS 2 the participant uses the same keys, and creates only topics that their policy allows.
+        # With SROS 2 the participant uses the keys of the node, and creates only topics that its policy allows.
         nodes = self._node.get_node_names_and_namespaces_with_enclaves()
         enclave = next(entry[2] for entry in nodes if entry[:2] == (name, namespace))
         context = Context()
@@ -140,6 +140,6 @@ class ClientWatch:
             start_parameter_services=False,
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
-        former, self._link = self._link, _Link(node, self._action, context)
-        if former is not self._graph:
-            former.destroy()
+        old_link, self._link = self._link, _Link(node, self._action, context)
+        if old_link is not self._graph:
+            old_link.destroy()

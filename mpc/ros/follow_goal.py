@@ -1,6 +1,7 @@
-"""Life cycle of a `follow_path` goal: plan, drive, monitor, finish; independent of ROS.
+"""Life cycle of a `follow_path` goal (plan, drive, monitor, finish), independent of ROS.
 
-Everything runs in the thread of the control loop, except for the parts marked in `Goal`.
+All methods run in the thread of the control loop. The thread of the action server writes some attributes of
+`FollowGoal`.
 """
 
 from __future__ import annotations
@@ -30,31 +31,33 @@ if TYPE_CHECKING:
     from diffdrive_mpc.mpc.ros.node_part import PathCheck
 
 _STANDING = 0.02
-"""Speed below which the robot counts as standing [m/s]."""
+"""Speed below which the robot counts as at rest [m/s]."""
 _OUTDATED = 0.3
 """Maximum age of the pose from which a path for a moving robot was planned [s]."""
 _MAX_OUTDATED = 3
-"""Number of outdated results after which a path is planned for a standing robot."""
+"""Number of outdated results after which the robot stops before the path is planned again."""
 _MAX_PLANNING_TIME = 15.0
-"""Time limit for planning a path [s], by the computer's clock."""
+"""Time limit for planning a path on the computer's clock [s]."""
 _SILENT = "the client of the goal does not acknowledge feedback"
 _ABANDONED = "its client has ended"
 _SILENT_CHECKS, _SILENCE = 3, 0.3
-"""Number of checks, and time [s], after which a client counts as silent. Clients acknowledge within 0.1 s even on a
-loaded machine.
+"""Number of failed checks, and time [s], after which a client counts as silent.
+
+Clients acknowledge within 0.1 s even on a loaded machine.
 """
 _MAX_SILENCE = 5.0
-"""Time without its client after which a goal is aborted [s]. Distinguishing a dead client from other clients takes up
-to 3 s.
+"""Time without acknowledgement after which a goal is aborted [s].
+
+It takes up to 3 s to distinguish a dead client from other clients.
 """
 _REACTION = 0.4
 """Time from the end of a client to the first check, plus time from the decision to the first braking command [s]."""
 _REST_TIME = 1.0
-"""Duration of zero commands after which the robot counts as standing, independent of its measured speed [s]."""
+"""Duration of zero commands after which the robot counts as at rest, independent of its measured speed [s]."""
 
 
 class Code(IntEnum):
-    """Error codes of the result, as in Nav2 for ROS 2 Jazzy."""
+    """Error codes of the result; the values are those of Nav2 for ROS 2 Jazzy."""
 
     NONE = 0
     UNKNOWN = 100
@@ -77,7 +80,7 @@ class GoalOutcome(StrEnum):
 
 @dataclass(frozen=True)
 class End:
-    """Outcome of a goal with its code and a description of the reason."""
+    """Outcome of a goal with its error code and a description."""
 
     outcome: GoalOutcome
     code: Code
@@ -86,24 +89,26 @@ class End:
 
 @dataclass(eq=False)
 class FollowGoal:
-    """One goal. The loop's thread writes `progress` and `end`; the action server's thread writes the client's state.
+    """Goal of `follow_path`.
+
+    The thread of the loop writes `progress` and `end`; the thread of the action server writes the state of the client.
 
     Attributes
     ----------
     poses
-        (n, 3) poses of the path in `frame`, later in the control frame.
+        (n, 3) poses of the path, first in `frame`, after `Following.take` in the control frame.
     frame
         Frame of the path.
     stamp
-        Time of the path [ns]; 0: none.
+        Time of the path [ns]; 0 if unknown.
     fault
-        Code and reason of an error that was detected before the goal reached the loop; None if there was none.
+        Code and reason of an error that was detected before the goal reached the loop; None without error.
     cancelled
         True if cancellation was requested.
     clients
         GIDs of the clients that may have sent the goal.
     alive_at
-        Time of the last check at which the client was alive [s, `time.monotonic`].
+        Time of the last successful check of the client [s, `time.monotonic`].
     missed_checks
         Number of failed checks since `alive_at`.
     progress
@@ -135,11 +140,11 @@ class FollowGoal:
 
 
 class FrameError(DiffdriveMpcError, ValueError):
-    """A path cannot be transformed to the control frame; the error text is the reason."""
+    """Error for a path that cannot be transformed to the control frame; its text is the reason."""
 
 
 Lay = Callable[[tuple[object, ...], Callable[[PlannedPath | None], None], Callable[[str], None]], None]
-"""Function that calls `lay_for_robot` with the arguments, and then one of the two callbacks with result or reason."""
+"""Function that calls `lay_for_robot` with the arguments, and then a callback with the result or with the reason."""
 
 
 def lay_for_robot(
@@ -154,7 +159,7 @@ def lay_for_robot(
     """Plan a path in the side process, see `lay_poses`.
 
     The path satisfies the conditions in `checks`. Returns None if the robot is at the goal and the remaining path is
-    too short; raises ConfigError for any other path that cannot be planned.
+    too short. Raises ConfigError for any other path that cannot be planned.
     """
 
     def lay_path(limits: TrajectoryLimits) -> PlannedPath:
@@ -174,8 +179,8 @@ def lay_for_robot(
     try:
         return lay(limits)
     except ConfigError:
-        left = remaining_poses(poses, robot)
-        length = float(np.hypot(*np.diff(left[:, :2], axis=0).T).sum())
+        remaining = remaining_poses(poses, robot)
+        length = float(np.hypot(*np.diff(remaining[:, :2], axis=0).T).sum())
         if length > settings.follow_goal_position or not _has_arrived(_gap(robot, poses[-1]), settings):
             raise
         return None
@@ -193,7 +198,7 @@ def _has_arrived(gap: tuple[float, float], settings: NodeSettings) -> bool:
 
 
 def path_limits(config: ControllerConfig, gain: FloatArray, settings: NodeSettings) -> TrajectoryLimits:
-    """Compute limits of speed and acceleration of a path: shares of the command limits, times the DC `gain` (2, 2)."""
+    """Compute speed and acceleration limits of a path: shares of the command limits, times the DC `gain` (2, 2)."""
     limits, (v, omega) = config.limits, np.minimum(1.0, np.abs(np.diag(gain))).tolist()
     share, slew = settings.follow_speed_share, settings.follow_acceleration_share
     blind = _blind_speed(config, settings.follow_blind_distance)
@@ -207,9 +212,9 @@ def path_limits(config: ControllerConfig, gain: FloatArray, settings: NodeSettin
 
 
 def _blind_speed(config: ControllerConfig, distance: float) -> float:
-    """Return the maximum speed [m/s] at which the robot stops within `distance` [m] after its client has ended.
+    """Return the maximum speed [m/s] from which the robot stops within `distance` [m] after the end of its client.
 
-    There is no limit if `distance` is 0.
+    The speed is infinite if `distance` is 0.
     """
     if not distance:
         return math.inf
@@ -223,14 +228,14 @@ def _speed(tick: LoopTick) -> float:
     return abs(float(tick.command[0] if estimate is None else estimate.twist[0]))
 
 
-def _planning_code(why: str) -> Code:
-    """Return the code for a path that the side process rejected for the reason `why`."""
-    is_invalid = why.startswith(("path:", "trajectory limit"))
-    return Code.INVALID_PATH if is_invalid else Code.CONTROLLER_TIMED_OUT if "takes longer" in why else Code.UNKNOWN
+def _planning_code(reason: str) -> Code:
+    """Return the error code for a path that the side process rejected with the reason `reason`."""
+    is_invalid = reason.startswith(("path:", "trajectory limit"))
+    return Code.INVALID_PATH if is_invalid else Code.CONTROLLER_TIMED_OUT if "takes longer" in reason else Code.UNKNOWN
 
 
 class Following:
-    """Driver of goals through the control loop, one at a time; a newer goal replaces the current goal.
+    """Execution of goals by the control loop, one at a time; a new goal replaces the current goal.
 
     Parameters
     ----------
@@ -263,9 +268,9 @@ class Following:
         self._current: FollowGoal | None = None
 
     def take(self, goal: FollowGoal) -> None:
-        """Plan the path of a goal, then drive it. An unusable goal also ends the current drive."""
+        """Plan the path of a goal, then drive it; an invalid goal also ends the current drive."""
         if self._pending is not None:
-            self._close(self._pending, GoalOutcome.ABORTED, Code.NONE, "a newer goal took its place before it began")
+            self._close(self._pending, GoalOutcome.ABORTED, Code.NONE, "a newer goal replaced it before its start")
         self._pending, goal.received_at = goal, time.monotonic()
         if goal.fault is not None:
             self._refuse(goal, *goal.fault)
@@ -285,8 +290,8 @@ class Following:
         pending, goal = self._pending, self._current
         if pending is not None and pending.cancelled:
             self._pending = None
-            self._close(pending, GoalOutcome.CANCELED, Code.NONE, "cancelled before it began")
-            # The client has replaced the current goal, so that goal must not continue either.
+            self._close(pending, GoalOutcome.CANCELED, Code.NONE, "cancelled before its start")
+            # The cancelled goal has already replaced the current goal, which must not continue.
             self._abort_current("a newer goal was cancelled")
         elif pending is not None and self._is_abandoned(pending):
             self._refuse(pending, Code.UNKNOWN, _ABANDONED)
@@ -307,11 +312,11 @@ class Following:
         elif tick.result is not None and goal.path is not None:
             goal.progress = self._progress(goal, tick)
 
-    def stop(self, why: str) -> None:
-        """End all goals at the end of the control loop."""
+    def stop(self, reason: str) -> None:
+        """Abort all goals at the end of the control loop."""
         for goal in (self._pending, self._current):
             if goal is not None:
-                self._close(goal, GoalOutcome.ABORTED, Code.UNKNOWN, why)
+                self._close(goal, GoalOutcome.ABORTED, Code.UNKNOWN, reason)
         self._pending = self._current = None
 
     def _plan(self, goal: FollowGoal) -> None:
@@ -326,13 +331,13 @@ class Following:
         self._lay(
             (goal.poses, robot, twist, limits, self._settings, config),
             lambda path: self._drive(goal, path, twist[0]),
-            lambda why: self._refuse(goal, _planning_code(why), why),
+            lambda reason: self._refuse(goal, _planning_code(reason), reason),
         )
 
     def _drive(self, goal: FollowGoal, path: PlannedPath | None, speed: float) -> None:
         if goal is not self._pending:
             return
-        loop, farthest = self._loop, self._config().failure.max_position_error
+        loop, max_distance = self._loop, self._config().failure.max_position_error
         moving = abs(speed) > _STANDING
         if moving and loop.inbox.now - goal.requested_at > _OUTDATED:
             goal.outdated += 1
@@ -343,9 +348,9 @@ class Following:
         if path is None:
             self._finish_at_goal(goal, moving)
             return
-        if path.begins > farthest:
-            why = f"the path begins {path.begins:.2f} m from the robot; the limit is {farthest:g} m"
-            self._refuse(goal, Code.INVALID_PATH, f"{why} (failure.max_position_error)")
+        if path.begins > max_distance:
+            reason = f"the path begins {path.begins:.2f} m from the robot; the limit is {max_distance:g} m"
+            self._refuse(goal, Code.INVALID_PATH, f"{reason} (failure.max_position_error)")
             return
         try:
             # A moving robot has driven on during planning, so its reference starts at the time of the request.
@@ -360,32 +365,32 @@ class Following:
         self._current, self._pending = goal, None
 
     def _finish_at_goal(self, goal: FollowGoal, moving: bool) -> None:
-        """End a goal without a remaining path: it has succeeded if the robot stands at the goal."""
+        """End a goal without a remaining path; it succeeds if the robot stands at the goal."""
         pose_and_twist = self._loop.pose_and_twist()
         if pose_and_twist is None:
             self._refuse(goal, Code.TF_ERROR, self._loop.missing() or "the robot's pose is not known")
             return
         gap = (math.inf, math.inf) if moving else _gap(pose_and_twist[0], goal.poses[-1])
         if not _has_arrived(gap, self._settings):
-            self._refuse(goal, Code.INVALID_PATH, "path: it ends where the robot is, which does not stand there")
+            self._refuse(goal, Code.INVALID_PATH, "path: the robot is at the end of the path, but not at rest")
             return
         self._pending, self._loop.refusal = None, ""
-        words = f"is there already, {gap[0]:.3f} m and {gap[1]:.3f} rad from the goal"
+        words = f"already at the goal, {gap[0]:.3f} m and {gap[1]:.3f} rad from the goal"
         self._close(goal, GoalOutcome.SUCCEEDED, Code.NONE, words)
         self._abort_current("a newer goal took over")
 
-    def _refuse(self, goal: FollowGoal, code: Code, why: str) -> None:
+    def _refuse(self, goal: FollowGoal, code: Code, reason: str) -> None:
         if goal is not self._pending:
             return
-        self._pending, self._loop.refusal = None, f"goal refused: {why}"
-        self._close(goal, GoalOutcome.ABORTED, code, why)
-        self._abort_current(f"a newer goal could not be driven: {why}")
+        self._pending, self._loop.refusal = None, f"goal refused: {reason}"
+        self._close(goal, GoalOutcome.ABORTED, code, reason)
+        self._abort_current(f"a newer goal could not be driven: {reason}")
 
-    def _abort_current(self, why: str) -> None:
-        """End the current drive."""
+    def _abort_current(self, reason: str) -> None:
+        """Abort the current goal and brake."""
         if self._current is not None and self._current.ending is None:
-            self._current.ending = End(GoalOutcome.ABORTED, Code.NONE, why)
-            self._loop.brake(why)
+            self._current.ending = End(GoalOutcome.ABORTED, Code.NONE, reason)
+            self._loop.brake(reason)
 
     def _close(self, goal: FollowGoal, outcome: GoalOutcome, code: Code, words: str) -> None:
         goal.end = End(outcome, code, words)
@@ -403,10 +408,10 @@ class Following:
         if tick.state is LoopState.FAULT:
             return End(GoalOutcome.ABORTED, Code.UNKNOWN, tick.message)
         if goal.has_started and (not is_current or tick.state is LoopState.IDLE):
-            return End(GoalOutcome.ABORTED, Code.UNKNOWN, "another reference was begun, or the node was reset")
+            return End(GoalOutcome.ABORTED, Code.UNKNOWN, "another reference was started, or the node was reset")
         if not goal.has_started:
-            late = now - goal.since > settings.follow_patience and not loop.held
-            return End(GoalOutcome.ABORTED, Code.TF_ERROR, loop.missing() or "no pose arrives") if late else None
+            is_late = now - goal.since > settings.follow_patience and not loop.held
+            return End(GoalOutcome.ABORTED, Code.TF_ERROR, loop.missing() or "no pose arrives") if is_late else None
         if loop.blocked:
             return End(GoalOutcome.ABORTED, Code.FAILED_TO_MAKE_PROGRESS, tick.message or "blocked")
         result = tick.result
@@ -419,10 +424,10 @@ class Following:
             goal.since = now
         if now - goal.since <= settings.follow_patience:
             return None
-        return End(GoalOutcome.ABORTED, self._code(tick), tick.message or "no command could be found")
+        return End(GoalOutcome.ABORTED, self._code(tick), tick.message or "no valid command was found")
 
     def _has_to_brake(self, goal: FollowGoal, speed: float) -> bool:
-        """Return True if the robot, at `speed` [m/s], must brake now to stop within `follow_blind_distance`."""
+        """Return True if a robot at `speed` [m/s] must brake to stop within `follow_blind_distance`."""
         if goal.blind_since != goal.alive_at:
             goal.blind_since, goal.blind_distance = goal.alive_at, 0.0
         config = self._config()
@@ -434,7 +439,7 @@ class Following:
         return self._silence(goal) > _MAX_SILENCE
 
     def _silence(self, goal: FollowGoal) -> float:
-        """Return the time since the client was last alive [s]; zero until several checks have failed."""
+        """Return the time since the last successful check of the client [s]; 0 until several checks have failed."""
         if goal.missed_checks < _SILENT_CHECKS or not self._settings.follow_blind_distance:
             return 0.0
         return time.monotonic() - goal.alive_at
@@ -453,7 +458,7 @@ class Following:
         return End(GoalOutcome.ABORTED, Code.FAILED_TO_MAKE_PROGRESS, f"the path has ended {words}")
 
     def _code(self, tick: LoopTick) -> Code:
-        """Return the error code of a robot that does not drive."""
+        """Return the error code for a robot that has not driven for `follow_patience`."""
         assert tick.result is not None
         inbox = self._loop.inbox
         if inbox.odometry.fault(inbox.now, self._settings.odom_timeout) or tick.result.estimate is None:
@@ -471,8 +476,8 @@ class Following:
             goal.since = now
             return False
         estimate = None if tick.result is None else tick.result.estimate
-        still = estimate is not None and float(np.abs(estimate.twist).max()) <= _STANDING
-        return still or tick.state in (LoopState.FAULT, LoopState.IDLE) or now - goal.since > _REST_TIME
+        is_still = estimate is not None and float(np.abs(estimate.twist).max()) <= _STANDING
+        return is_still or tick.state in (LoopState.FAULT, LoopState.IDLE) or now - goal.since > _REST_TIME
 
     def _progress(self, goal: FollowGoal, tick: LoopTick) -> tuple[float, float] | None:
         result, drive = tick.result, self._loop.drive
@@ -482,7 +487,7 @@ class Following:
         if result.estimate is None or drive is None or drive.reference is not reference:
             return goal.progress
         time = self._loop.inbox.now - drive.t0 - result.reference_delay
-        done, whole = reference.sample([time, reference.duration]).arc_length.tolist()
+        travelled, length = reference.sample([time, reference.duration]).arc_length.tolist()
         error = tracking_error(result)
         ahead = error[0] if error is not None else 0.0
-        return max(0.0, whole - done - ahead), abs(float(result.estimate.twist[0]))
+        return max(0.0, length - travelled - ahead), abs(float(result.estimate.twist[0]))

@@ -44,7 +44,7 @@ class FollowPathPart(NodePart):
         controller, side_process = tools.controller, tools.side_process
         checks = tuple(check for part in self.node.parts.values() if (check := part.path_check()) is not None)
 
-        def lay(
+        def plan_path(
             arguments: tuple[object, ...], done: Callable[[PlannedPath | None], None], failed: Callable[[str], None]
         ) -> None:
             side_process.submit("follow_path", lay_for_robot, (*arguments, checks), done, failed)
@@ -55,7 +55,7 @@ class FollowPathPart(NodePart):
             tools.settings,
             lambda: controller.config,
             lambda: controller.model.dc_gain,
-            lay,
+            plan_path,
             lambda poses, frame, stamp: in_control_frame(tools.inbox, poses, frame, stamp),
         )
         self.server.open(self._following)
@@ -66,7 +66,7 @@ class FollowPathPart(NodePart):
             self._following.update(tick)
 
     def deactivate(self) -> None:
-        """End all goals, and refuse new ones."""
+        """Abort all goals, and refuse new goals."""
         if self.server is not None:
             self.server.end_goals("the node was deactivated")
         self._following = None

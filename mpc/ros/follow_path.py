@@ -1,6 +1,7 @@
-"""The action server `follow_path` (nav2_msgs/action/FollowPath), through which Nav2's behaviour tree drives the robot.
+"""Action server `follow_path` (nav2_msgs/action/FollowPath), by which Nav2's behaviour tree drives the robot.
 
-It has a separate node and thread, since reading a path of several thousand poses takes longer than a tick.
+The server has a separate node and thread, since the conversion of a path of several thousand poses takes longer than a
+tick.
 """
 
 from __future__ import annotations
@@ -31,17 +32,13 @@ from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 ACTION = "follow_path"
 _REQUESTS = QoSProfile(depth=2000)
-"""Depth of the request queue. With the services' default of 10, the middleware drops requests that arrive while others
-are read.
-"""
+"""QoS of the request queues. With the default depth of 10, the middleware drops requests if many arrive at once."""
 _MAX_RESULTS = 4
-"""Maximum number of results sent in one period; the queue of a client has room for 10 unread results."""
+"""Maximum number of results per period; the queue of a client has a depth of 10."""
 _LONG_WORK = 0.005
-"""Duration of work above which the thread then sleeps for the same time [s], so that the control loop can use the
-interpreter.
-"""
+"""Computation time above which the thread sleeps for the same time [s], so that the control loop can run."""
 _RESULT_TIMEOUT = 60
-"""Time for which a result is stored for its client [s]; a client that sends hundreds of goals per second reads late."""
+"""Time for which a result is stored for its client [s]; a client with hundreds of goals per second reads late."""
 _MIN_CHECK_RATE = 10.0
 """Minimum rate of feedback while the clients are monitored [Hz]."""
 _POLL_PERIOD = 0.02
@@ -77,19 +74,19 @@ class FollowPathServer:
         self._incoming: deque[tuple[Following, FollowGoal]] = deque()
         self._goals: list[tuple[FollowGoal, ServerGoalHandle, Future]] = []
         self._goal_arrived = node.create_guard_condition(self._forward_goals)
-        self._side = rclpy.create_node(
+        self._server_node = rclpy.create_node(
             f"{node.get_name()}_{ACTION}",
             context=node.context,
             namespace=node.get_namespace(),
             use_global_arguments=False,
             start_parameter_services=False,
         )
-        # Use the remappings of the node.
+        # The action uses the remappings of the node.
         action = node.resolve_topic_name(ACTION)
         self._clients: dict[bytes, frozenset[bytes]] = {}
-        self._watch = ClientWatch(self._side, action)
+        self._watch = ClientWatch(self._server_node, action)
         self._server = _Server(
-            self._side,
+            self._server_node,
             FollowPath,
             action,
             self._execute,
@@ -102,11 +99,11 @@ class FollowPathServer:
             result_timeout=_RESULT_TIMEOUT,
         )
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._side.create_timer(_POLL_PERIOD, self._send_results, clock=steady)
+        self._server_node.create_timer(_POLL_PERIOD, self._send_results, clock=steady)
         rate = max(settings.follow_feedback_rate, _MIN_CHECK_RATE if settings.follow_blind_distance else 0.0)
-        self._side.create_timer(1.0 / rate, self._send_feedback, clock=steady)
+        self._server_node.create_timer(1.0 / rate, self._send_feedback, clock=steady)
         self._executor = SingleThreadedExecutor(context=node.context)
-        self._executor.add_node(self._side)
+        self._executor.add_node(self._server_node)
         self._closing = self._has_results = False
         self._thread = threading.Thread(target=self._spin, name=ACTION, daemon=True)
         self._thread.start()
@@ -115,14 +112,14 @@ class FollowPathServer:
         """Accept goals and pass them to `following`."""
         self._following = following
 
-    def end_goals(self, why: str) -> None:
+    def end_goals(self, reason: str) -> None:
         """Reject new goals and end the current goals."""
         following, self._following = self._following, None
         while self._incoming:
             _, goal = self._incoming.popleft()
-            goal.end = End(GoalOutcome.ABORTED, Code.UNKNOWN, why)
+            goal.end = End(GoalOutcome.ABORTED, Code.UNKNOWN, reason)
         if following is not None:
-            following.stop(why)
+            following.stop(reason)
 
     def close(self) -> None:
         """Send the last results and stop the server."""
@@ -133,25 +130,25 @@ class FollowPathServer:
         self._server.destroy()
         self._watch.destroy()
         self._executor.shutdown()
-        self._side.destroy_node()
+        self._server_node.destroy_node()
         self._node.destroy_guard_condition(self._goal_arrived)
 
     def _spin(self) -> None:
-        left = round(_CLOSE_TIMEOUT / _POLL_PERIOD)
-        while not self._closing or (self._has_results and left > 0):
+        polls_left = round(_CLOSE_TIMEOUT / _POLL_PERIOD)
+        while not self._closing or (self._has_results and polls_left > 0):
             start = time.thread_time()
             try:
                 self._executor.spin_once(timeout_sec=_POLL_PERIOD)
             except ExternalShutdownException:
                 return
-            except Exception as error:  # a fault of one goal must not block the results of all others
-                words = f"{ACTION}: {type(error).__name__}: {plain_line(str(error))}"
-                self._node.get_logger().error(words, throttle_duration_sec=_CLOSE_TIMEOUT)
+            except Exception as error:  # an error of one goal must not block the results of other goals
+                text = f"{ACTION}: {type(error).__name__}: {plain_line(str(error))}"
+                self._node.get_logger().error(text, throttle_duration_sec=_CLOSE_TIMEOUT)
                 time.sleep(_POLL_PERIOD)
-            worked = time.thread_time() - start
-            if worked > _LONG_WORK:
-                time.sleep(worked)
-            left -= self._closing
+            busy_time = time.thread_time() - start
+            if busy_time > _LONG_WORK:
+                time.sleep(busy_time)
+            polls_left -= self._closing
 
     def _forward_goals(self) -> None:
         """Forward queued goals, in the thread of the control loop."""
@@ -180,7 +177,7 @@ class FollowPathServer:
         return CancelResponse.REJECT
 
     async def _execute(self, handle: ServerGoalHandle) -> FollowPath.Result:
-        end = self._begin(handle, self._clients.pop(bytes(handle.goal_id.uuid)))
+        end = self._submit(handle, self._clients.pop(bytes(handle.goal_id.uuid)))
         if isinstance(end, Future):
             end = await end
         self._log(end)
@@ -190,28 +187,28 @@ class FollowPathServer:
             GoalOutcome.ABORTED: handle.abort,
         }[end.outcome]()
         result = FollowPath.Result(error_code=int(end.code))
-        # Definitions older than Nav2's first release for Jazzy lack this field.
+        # Definitions before the first release of Nav2 for Jazzy lack this field.
         if hasattr(result, "error_msg"):
             result.error_msg = "" if end.outcome is GoalOutcome.SUCCEEDED else end.words
         return result
 
-    def _begin(self, handle: ServerGoalHandle, clients: frozenset[bytes]) -> Future | End:
-        """Pass a goal to the control loop; return the future of its end, or the end if it fails immediately."""
+    def _submit(self, handle: ServerGoalHandle, clients: frozenset[bytes]) -> Future | End:
+        """Pass a goal to the control loop; return the future of its end, or the end of an immediate failure."""
         request, following, settings = handle.request, self._following, self._settings
-        # A faulty goal is also passed on, since the control loop must end the drive that the goal replaces.
+        # An invalid goal is also passed on, since the control loop must end the drive that the goal replaces.
         poses, fault = np.zeros((0, 3)), None
         try:
             poses = path_poses(request.path, settings.follow_most_poses)
         except MessageError as error:
             fault = (Code.INVALID_PATH, str(error))
         if settings.follow_controller_id and request.controller_id not in ("", settings.follow_controller_id):
-            why = f"controller_id is '{request.controller_id}', here it is '{settings.follow_controller_id}'"
-            fault = (Code.INVALID_CONTROLLER, f"{why} (parameter follow_controller_id)")
+            reason = f"controller_id is '{request.controller_id}', expected '{settings.follow_controller_id}'"
+            fault = (Code.INVALID_CONTROLLER, f"{reason} (parameter follow_controller_id)")
         if following is None:
             return End(GoalOutcome.ABORTED, Code.UNKNOWN, "the node was deactivated")
         header = request.path.header
         goal = FollowGoal(poses, header.frame_id, nanoseconds(header.stamp), fault=fault, clients=clients)
-        # The handle stores its request as long as its result; garbage collection of that many objects would stop the
+        # The handle stores its request as long as its result. Garbage collection of so many objects would stop the
         # control loop for a second.
         request.path = Path()
         future = Future(executor=self._executor)
@@ -242,12 +239,12 @@ class FollowPathServer:
 
     def _log(self, end: End) -> None:
         log = self._node.get_logger()
-        words = f"{ACTION}: {end.outcome}{f' ({end.code.name})' if end.code else ''}: {end.words}"
-        # One call for each severity, since rclpy's logger does not allow a call site to change it.
+        text = f"{ACTION}: {end.outcome}{f' ({end.code.name})' if end.code else ''}: {end.words}"
+        # Each severity has its own call, since the logger of rclpy requires a constant severity per call site.
         if end.outcome is GoalOutcome.ABORTED and end.code:
-            log.error(words)
+            log.error(text)
         else:
-            log.info(words)
+            log.info(text)
 
 
 def path_poses(message: Path, max_poses: int) -> FloatArray:
@@ -258,7 +255,7 @@ def path_poses(message: Path, max_poses: int) -> FloatArray:
     rows = []
     for index, pose in enumerate(message.poses):
         if (pose.header.frame_id or frame) != frame:
-            raise MessageError(f"pose {index} is in '{pose.header.frame_id}', the path in '{frame}': give it one frame")
+            raise MessageError(f"pose {index} is in '{pose.header.frame_id}', the path in '{frame}': use one frame")
         try:
             rows.append(planar_pose(pose.pose))
         except MessageError as error:

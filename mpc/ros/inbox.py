@@ -1,4 +1,4 @@
-"""The input buffer: it collects sensor messages as they arrive, and provides one measurement per tick."""
+"""Input buffer that collects sensor messages and provides one measurement per tick."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from diffdrive_mpc.mpc.ros.transforms.frames import Frames
 
 
 class Inbox:
-    """Inbox that checks messages and stores the newest valid message of each kind for the next tick.
+    """Buffer that checks messages and stores the newest valid message of each kind for the next tick.
 
     Parameters
     ----------
@@ -36,14 +36,14 @@ class Inbox:
     clock
         The node's clock [ns].
     epoch
-        Time of that clock at the controller's time 0 [ns].
+        Time of the node's clock at the controller's time 0 [ns].
     frames
-        Transforms, if they are received.
+        Transforms; None if they are not used.
 
     Attributes
     ----------
     mounts
-        Transforms of the gyro's mount; None: the gyro's z axis points up.
+        Transforms of the gyro's mount; None if the z axis of the gyro points up.
     """
 
     def __init__(
@@ -88,14 +88,18 @@ class Inbox:
 
     @property
     def topics(self) -> list[TopicWatch]:
-        """Watches of the topics that are used."""
+        """Watches of the used topics."""
         settings = self._settings
-        chosen = ((self.odometry, True), (self.imu, settings.use_imu), (self.pose, settings.poses_from != "odometry"))
-        return [topic for topic, used in chosen if used]
+        topics = (
+            (self.odometry, True),
+            (self.imu, settings.use_imu),
+            (self.pose, settings.poses_from != "odometry"),
+        )
+        return [topic for topic, is_used in topics if is_used]
 
     @property
     def fault(self) -> str:
-        """Fault of an optional topic, without which the robot can still drive; empty if there is none."""
+        """Fault of an optional topic, which does not stop the robot; empty if there is no fault."""
         settings = self._settings
         return self.imu.fault(self.now, settings.odom_timeout) if settings.use_imu else ""
 
@@ -133,7 +137,7 @@ class Inbox:
         self._yaw_rate = yaw_rate
 
     def _upward(self, frame: str) -> tuple[float, float, float]:
-        """Return the upward direction in the gyro's frame; z if there is no transform."""
+        """Return the upward direction in the gyro's frame; the z axis if there is no transform."""
         if self.mounts is not None:
             with suppress(TransformError):
                 return self.mounts.lookup(self._settings.base_frame, frame, self._clock()).transform.vertical
@@ -151,7 +155,7 @@ class Inbox:
         self.newest_pose = self._pose = pose
 
     def look_up_pose(self) -> None:
-        """Store the newest pose from transforms, if it is newer than at the last call."""
+        """Store the newest pose from transforms if it is newer than at the last call."""
         if self.frames is None or self._settings.poses_from != "tf":
             return
         try:

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 _MIN_TICKS = 20
-"""Minimum number of ticks from which their period is judged."""
+"""Minimum number of ticks from which the period is evaluated."""
 _MAX_DEVIATION = 0.1
-"""Maximum deviation of the median tick interval, as a share of the period [-]."""
+"""Maximum relative deviation of the median tick interval from the period [-]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,7 @@ class Percentiles:
 
 
 class Durations:
-    """The last durations of one kind.
+    """Window of the last durations of one kind.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class Durations:
         self._values: deque[float] = deque(maxlen=window)
 
     def add(self, value: float) -> None:
-        """Add one duration [s]."""
+        """Append a duration [s]."""
         self._values.append(value)
 
     def percentiles(self) -> Percentiles:
@@ -53,7 +53,7 @@ class LoopTimes:
     Parameters
     ----------
     period
-        Nominal time between two ticks [s].
+        Nominal tick period [s].
     window
         Number of stored ticks.
 
@@ -66,26 +66,26 @@ class LoopTimes:
     latency
         Time from the stamp of the newest odometry to the command that uses it [s].
     misses
-        Number of ticks that took longer than the period, or started so late that a tick was lost.
+        Number of ticks that took longer than the period, plus number of ticks that started half a period late.
     """
 
     def __init__(self, period: float, window: int) -> None:
         self._period = period
         self.step, self.jitter, self.latency = Durations(window), Durations(window), Durations(window)
         self.misses = 0
-        self._last: float | None = None
+        self._last_start: float | None = None
 
     def start_tick(self, now: float) -> None:
         """Record the start of a tick at `now` [s]."""
-        if self._last is not None:
-            gap = now - self._last
+        if self._last_start is not None:
+            gap = now - self._last_start
             self.jitter.add(abs(gap - self._period))
             self.misses += gap > 1.5 * self._period
-        self._last = now
+        self._last_start = now
 
     @property
     def is_off_period(self) -> bool:
-        """True if the median interval of ticks differs from the period."""
+        """True if the median tick interval differs from the period."""
         jitter = self.jitter.percentiles()
         return jitter.count >= _MIN_TICKS and jitter.p50 > _MAX_DEVIATION * self._period
 

@@ -1,4 +1,4 @@
-"""Run the node as a process: a signal ends it after a braking ramp, with zero as the last command."""
+"""Entry point of the node as a process; after a signal the robot brakes, and the last command is zero."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 # Maximum delay of the response to a signal [s].
 _MAX_WAIT = 0.1
-# Exit code for invalid input, as for the commands of the command line.
+# Exit code for invalid input, equal to that of the command line.
 _BAD_INPUT = 2
 
 
@@ -29,14 +29,14 @@ def run(
     settings: NodeSettings | None = None,
     overrides: Mapping[str, object] | None = None,
 ) -> None:
-    """Run the node until SIGINT, SIGTERM or SIGHUP; a second signal also cancels the braking ramp.
+    """Run the node until SIGINT, SIGTERM or SIGHUP; a second signal cancels the braking ramp.
 
     Parameters
     ----------
     arguments
-        Arguments for ROS, such as `--ros-args -r cmd_vel:=/base/cmd_vel`.
+        Arguments of ROS, such as `--ros-args -r cmd_vel:=/base/cmd_vel`.
     settings
-        Defaults of the node's parameters, other than those of the controller.
+        Defaults of the node's parameters, without those of the controller.
     overrides
         Values of the controller's configuration by dotted key; they override the file.
 
@@ -45,19 +45,19 @@ def run(
     ValueError
         If an argument or a parameter is invalid, or the node fails to start with autostart; the message is one line.
     """
-    # rclpy's signal handlers would end all communication before the zero command is sent.
+    # The signal handlers of rclpy would end all communication before the zero command is sent.
     try:
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # the base of rclpy's errors, which have no public names
-        words = " ".join(str(error).split())
-        raise ValueError(f"ROS cannot start with the arguments '{' '.join(arguments)}': {words}") from error
+    except RuntimeError as error:  # base class of the errors of rclpy, which have no public names
+        reason = " ".join(str(error).split())
+        raise ValueError(f"ROS cannot start with the arguments '{' '.join(arguments)}': {reason}") from error
     signals: list[int] = []
 
-    def note(number: int, _: FrameType | None) -> None:
+    def record_signal(number: int, _: FrameType | None) -> None:
         signals.append(number)
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, note)
+        signal.signal(number, record_signal)
     executor = SingleThreadedExecutor()
     try:
         try:
@@ -67,7 +67,7 @@ def run(
         executor.add_node(node)
         try:
             node.bring_up()
-            # The matrices are small: waking other threads takes longer than the operations, sometimes half a tick.
+            # The matrices are small, so waking threads would take longer than the operations, up to half a tick.
             with threadpool_limits(limits=1):
                 while not signals:
                     executor.spin_once(timeout_sec=_MAX_WAIT)
@@ -86,7 +86,7 @@ def run(
 
 
 def main() -> None:
-    """Run the node as entry point of the colcon package, configured by ROS parameters only."""
+    """Run the node with ROS parameters only; entry point of the colcon package."""
     try:
         run(sys.argv)
     except (ValueError, OSError, DiffdriveMpcError) as error:

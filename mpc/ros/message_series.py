@@ -1,4 +1,4 @@
-"""Series of messages on one topic: detect if two publishers are alive at the same time."""
+"""Detection of two live publishers on one topic from the numbers of their messages."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections import deque
 from dataclasses import dataclass, field
 
 _DEPTH = 3
-"""Maximum number of messages that may overtake a message."""
+"""Maximum number of newer messages that may arrive before a message."""
 _LIFETIME, _LIFETIME_PERIODS, _MAX_LIFETIME = 0.3, 4.0, 5.0
-"""Time without a message after which a series has ended: minimum [s], in periods of the series, and maximum [s]."""
+"""Time without a message after which a series ends: minimum [s], in periods of the series [-], and maximum [s]."""
 _MAX_CHANGES = 6
 """Number of stored changes from one series to another."""
 _REPETITIONS = 4
-"""Number of consecutive messages with the same number after which the numbers count as constant."""
+"""Number of consecutive messages with equal numbers from which the middleware does not number messages."""
 
 
 @dataclass(eq=False)
@@ -20,16 +20,16 @@ class _Series:
     newest: int = 0
     arrival: float = 0.0
     recent: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=_DEPTH + 1))
-    """Number and sending time of the last messages."""
+    """Numbers and sending times of the last messages."""
 
     def fits(self, number: int, sent: int) -> bool:
-        """Return True if the message can belong to this series: numbers must increase with the sending time."""
+        """Return True if the message can belong to this series, whose numbers must increase with the sending time."""
         return number > self.newest - _DEPTH and all(
             sent >= time if number > past else sent <= time and number < past for past, time in self.recent
         )
 
     def is_alive(self, arrival: float) -> bool:
-        """Return True if the publisher of this series may still send at `arrival` [s]."""
+        """Return True if the series has not ended at the time `arrival` [s]."""
         (first, start), (last, end) = min(self.recent), max(self.recent)
         period = 1e-9 * (end - start) / (last - first) if last > first else _MAX_LIFETIME
         return arrival - self.arrival <= min(max(_LIFETIME, _LIFETIME_PERIODS * period), _MAX_LIFETIME)
@@ -42,21 +42,21 @@ class _Series:
 class MessageSeries:
     """Detector of two live publishers on one topic.
 
-    Each publisher numbers its messages in the order of sending. A message that cannot continue a known series starts a
-    new series. A restarted publisher never continues its old series. With two live publishers both series continue, so
-    each occurs at least twice among the last changes of series.
+    Each publisher numbers its messages in the order of sending. A message that does not fit a known series starts a new
+    series, for instance the first message of a restarted publisher. With two live publishers, two series alternate, so
+    each of them occurs at least twice among the last changes of series.
 
     Attributes
     ----------
     is_shared
-        True once two live publishers were detected, until `restart`.
+        True from the detection of two live publishers until `restart`.
     is_numbered
-        False if the middleware does not number messages; two publishers are then not detected.
+        False if the middleware does not number messages; two publishers then cannot be detected.
     """
 
     def __init__(self) -> None:
         self.is_numbered = True
-        self._last, self._repetitions = 0, 0
+        self._last_number, self._repetitions = 0, 0
         self.restart()
 
     def restart(self) -> None:
@@ -71,23 +71,23 @@ class MessageSeries:
         Parameters
         ----------
         number
-            Publication number; None or 0 if the middleware has none.
+            Publication number; None or 0 if the middleware does not number messages.
         sent
-            Sending time by the clock of the publisher [ns].
+            Sending time on the clock of the publisher [ns].
         arrival
-            Time of arrival by a monotonic clock [s].
+            Time of arrival on a monotonic clock [s].
         """
-        self._repetitions = self._repetitions + 1 if number == self._last else 1
-        self._last = number or 0
+        self._repetitions = self._repetitions + 1 if number == self._last_number else 1
+        self._last_number = number or 0
         self.is_numbered = bool(number) and self._repetitions < _REPETITIONS
         if not number or not self.is_numbered:
             return
         self._series = [series for series in self._series if series.is_alive(arrival)]
-        fitting = [series for series in self._series if series.fits(number, sent)]
-        # Of equally close series take the latest: the list is in the order of the last messages.
-        series = min(reversed(fitting), key=lambda series: abs(number - series.newest), default=_Series())
+        matches = [series for series in self._series if series.fits(number, sent)]
+        # The list is in the order of the last messages; the most recent of equally close series is used.
+        series = min(reversed(matches), key=lambda series: abs(number - series.newest), default=_Series())
         series.append(number, sent, arrival)
-        self._series = [*(each for each in self._series if each is not series), series]
+        self._series = [*(entry for entry in self._series if entry is not series), series]
         if not self._changes or self._changes[-1] is not series:
             self._changes.append(series)
-            self.is_shared = self.is_shared or sum(self._changes.count(each) > 1 for each in self._series) > 1
+            self.is_shared = self.is_shared or sum(self._changes.count(entry) > 1 for entry in self._series) > 1

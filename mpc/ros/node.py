@@ -1,4 +1,4 @@
-"""The lifecycle node: parameters, inputs and services around the control loop, and the parts attached to it."""
+"""Lifecycle node with parameters, inputs and services of the control loop, and with attached parts."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ from diffdrive_mpc.mpc.trajectories import Trajectory, load_trajectory
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
 
 _MAX_READING_TIME = 10.0
-"""Time limit of a job of the side process [s]."""
+"""Time limit of a job in the side process [s]."""
 
 
 class TrackingNode(PartHost):
@@ -61,16 +61,16 @@ class TrackingNode(PartHost):
     Parameters
     ----------
     defaults
-        Defaults of the node's parameters, other than those of the controller.
+        Defaults of the node's parameters, without those of the controller.
     overrides
         Values of the controller's configuration by dotted key; they override the file.
     **options
-        As for `rclpy.node.Node`.
+        Options of `rclpy.node.Node`.
 
     Attributes
     ----------
     failure
-        Reason of the last transition that failed; empty if none has failed.
+        Reason for the last failed transition; empty if no transition has failed.
 
     Raises
     ------
@@ -84,7 +84,7 @@ class TrackingNode(PartHost):
         self,
         defaults: NodeSettings | None = None,
         overrides: dict[str, object] | None = None,
-        **options: Any,  # noqa: ANN401 - those of the base class
+        **options: Any,  # noqa: ANN401 - options of the base class
     ) -> None:
         super().__init__("diffdrive_mpc", **options)
         reject_forbidden_transitions(self)
@@ -115,7 +115,7 @@ class TrackingNode(PartHost):
         self.create_service(Trigger, "~/reset", self._serve(lambda loop: loop.reset()))
         self._held = False
         self.create_service(SetBool, "~/hold", self._hold)
-        plugged = {
+        plug_in_kinds = {
             name: plug_in("node_parts", name)
             for name in self._declared_settings.parts
             if self.get_parameter(f"parts.{name}.enabled").value
@@ -125,7 +125,7 @@ class TrackingNode(PartHost):
             "speed_limit": SpeedLimitPart,
             "follow_path": FollowPathPart,
             "bond": BondPart,
-            **plugged,
+            **plug_in_kinds,
             "rivals": RivalWatch,
             "recording": RecordingPart,
         }
@@ -163,14 +163,14 @@ class TrackingNode(PartHost):
 
     @log_failures
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Build controller, subscriptions and publishers from the parameters."""
+        """Build controller, subscriptions and publishers according to the parameters."""
         self._build()
         self.label = "inactive"
         return super().on_configure(state)
 
     @log_failures
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Start to send zero commands; fail if another node of this project already sends commands."""
+        """Start the ticks; the transition fails if another node of this project already sends commands."""
         if self._changes.pending or self._controller is None:
             self._tear_down()
             self._build()
@@ -178,7 +178,7 @@ class TrackingNode(PartHost):
         success = super().on_activate(state)
         assert self._controller is not None
         config = self._controller.config
-        # Log before the timer starts, since the first line of a logger takes 30 ms, more than a tick.
+        # Log before the timer starts, since the first log line takes 30 ms, which is more than a tick.
         self.get_logger().info(
             f"active: model {config.model}, {config.horizon} steps of {config.sample_time} s, frame {self._inbox.frame}"
         )
@@ -189,15 +189,15 @@ class TrackingNode(PartHost):
             self._controller, self._settings, self._inbox, self._trajectory, in_sim_time=in_sim_time, held=self._held
         )
         self.activate_parts(self._loop)
-        # A full garbage collection takes about 60 ms, three ticks, so existing objects are excluded until deactivation.
+        # A full garbage collection takes about 60 ms (three ticks), so existing objects are frozen until deactivation.
         gc.collect()
         gc.freeze()
         clock = self.get_clock() if in_sim_time else Clock(clock_type=ClockType.STEADY_TIME)
         period = config.sample_time
-        # The executor serves timers first. In simulated time, where a clock step brings many messages at once, a guard
-        # condition makes the tick wait until the earlier sensor messages are processed.
+        # The executor serves timers first. In simulated time, many messages arrive with a clock step; the guard
+        # condition delays the tick until earlier sensor messages are processed.
         self._timer = self.create_timer(period, self._tick_due.trigger if in_sim_time else self._tick, clock=clock)
-        # The constructor truncates to nanoseconds, and 0.0202 s is stored as slightly less.
+        # The constructor truncates the period to nanoseconds, which loses one if 0.0202 s is rounded down.
         self._period = self._timer.timer_period_ns = round(1e9 * period)
         self._ticks, self._visual_ticks = 0, max(1, round(1.0 / (self._settings.visual_rate * period)))
         self.label = "active"
@@ -212,7 +212,7 @@ class TrackingNode(PartHost):
 
     @log_failures
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Destroy the objects of `on_configure`."""
+        """Destroy the objects that `on_configure` built."""
         success = super().on_cleanup(state)
         self._tear_down()
         self.label = "unconfigured"
@@ -220,7 +220,7 @@ class TrackingNode(PartHost):
 
     @log_failures
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Send zero if active, and destroy all objects."""
+        """Send zero if the node is active, and destroy all objects."""
         self.stop()
         success = super().on_shutdown(state)
         self._tear_down()
@@ -236,7 +236,7 @@ class TrackingNode(PartHost):
         return super().on_error(state)
 
     def destroy_node(self) -> None:
-        """Send zero if active, and destroy all objects."""
+        """Send zero if the node is active, and destroy all objects."""
         self.stop()
         self._tear_down()
         super().destroy_node()
@@ -246,7 +246,7 @@ class TrackingNode(PartHost):
             hook(part)
 
     def _build(self) -> None:
-        """Build the objects that exist from configuration to cleanup; destroy them all if a step fails."""
+        """Build the objects that exist from configuration to cleanup; destroy them if a step fails."""
         settings, config = read(self, self._declared_settings), read(self, self._declared_config)
         trajectory: Trajectory | None = None
         if settings.trajectory:
@@ -262,7 +262,7 @@ class TrackingNode(PartHost):
                 for subscription in listen(self, frames, moving=uses_tf):
                     built.callback(self.destroy_subscription, subscription)
             self._inbox = Inbox(settings, self._now, self._now(), frames if uses_tf else None)
-            # A negative sign in the configuration defines the gyro's mount, and transforms are not used.
+            # A negative sign in the configuration defines the gyro's mount; transforms of the mount are then not used.
             self._inbox.mounts = frames.buffer if config.sensors.yaw_rate.sign > 0 else None
             self._outgoing = Publishers(self, settings, lambda: controller.config, self._inbox.frame)
             built.callback(self._outgoing.destroy)
@@ -294,7 +294,7 @@ class TrackingNode(PartHost):
     def _input_topics(
         inbox: Inbox, settings: NodeSettings
     ) -> Iterator[tuple[type[Any], str, Callable[[Any], None], TopicWatch]]:
-        """Yield type, topic, receiver and watch of each input of the controller."""
+        """Yield message type, topic, callback and watch of each input of the controller."""
         yield Odometry, "odom", inbox.take_odometry, inbox.odometry
         if settings.use_imu:
             yield Imu, "imu", inbox.take_imu, inbox.imu
@@ -319,7 +319,7 @@ class TrackingNode(PartHost):
         outgoing.command(tick.command, time)
         published = loop.reference_to_publish()
         if published is not None:
-            # Publish before the mode: the monitor must receive the reference before the mode TRACKING.
+            # The monitor must receive the reference before the mode TRACKING.
             outgoing.reference(published.reference, loop.inbox.stamp_of(published.t0), time)
         outgoing.mode(tick)
         if tick.result is not None:
@@ -341,7 +341,7 @@ class TrackingNode(PartHost):
         self._each_part(lambda part: part.after_diagnostics(message, time))
 
     def _serve(self, request: Callable[[ControlLoop], str]) -> Callable[[Any, Any], Any]:
-        """Return a service callback that passes a request to the control loop and responds with result or reason."""
+        """Return a service callback that passes a request to the control loop and returns its description or error."""
 
         def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
@@ -359,7 +359,7 @@ class TrackingNode(PartHost):
         """Hold or release the robot; a hold persists across deactivation."""
         self._held = bool(request.data)
         if self._loop is None:
-            words = "is held once it is active" if self._held else "is not held"
+            words = "is held after its activation" if self._held else "is not held"
         else:
             words = self._loop.hold(on=self._held)
         response.success, response.message = True, words

@@ -1,8 +1,8 @@
-"""Hooks by which features attach to the node.
+"""Base class of features of the node, with hooks that the node calls.
 
 A package registers a subclass of `NodePart` as an entry point of the group `diffdrive_mpc.node_parts`. The name of the
-entry point is the name of the part and of its parameters, `parts.<name>.<key>`. The node loads the parts in its
-settings, and the parts with the same name as a configured feature of the controller.
+entry point is the name of the part and of its parameters, `parts.<name>.<key>`. The node loads the parts that are in
+its settings, and those with the name of a configured feature of the controller.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _Settings = TypeVar("_Settings", bound=PartSettings)
 
 
 class PathCheck(Protocol):
-    """Condition on paths of `follow_path`; it is pickled for the side process."""
+    """Condition on paths of `follow_path`, which is pickled for the side process."""
 
     def lay(
         self,
@@ -53,7 +53,7 @@ class PathCheck(Protocol):
         speed
             Current speed of the robot [m/s].
         limits
-            Limits of the path without the condition.
+            Limits of the path if there were no condition.
 
         Raises
         ------
@@ -73,7 +73,7 @@ class NodeTools:
     publishers: Publishers
     side_process: SideProcess
     watched: Sequence[tuple[TopicWatch, Subscription]]
-    """Inputs of the controller with their subscriptions."""
+    """Watches of the controller's inputs with their subscriptions."""
 
     def part_settings(self, schema: type[_Settings]) -> _Settings:
         """Return the settings of the part with this schema."""
@@ -81,7 +81,7 @@ class NodeTools:
 
 
 class PartHost(LifecycleNode):
-    """Lifecycle node with parts.
+    """Lifecycle node with attached parts.
 
     Attributes
     ----------
@@ -121,14 +121,14 @@ class PartHost(LifecycleNode):
 
 
 class NodePart:
-    """Feature of the node; hooks do nothing unless a subclass overrides them.
+    """Feature of the node; a subclass overrides the hooks that it needs.
 
-    A part is built together with its node, so that it can offer services in every lifecycle state.
+    A part is constructed together with its node and can therefore offer services in every lifecycle state.
 
     Parameters
     ----------
     node
-        The node.
+        Node to which the part belongs.
 
     Attributes
     ----------
@@ -139,7 +139,7 @@ class NodePart:
     loop
         Control loop of the active node; None while the node is not active.
     topics
-        Inputs of the part that diagnostics show.
+        Watches of the part's inputs, which diagnostics include.
     """
 
     schema: ClassVar[type[PartSettings] | None] = None
@@ -161,10 +161,10 @@ class NodePart:
         """Prepare for the first tick of an activation."""
 
     def deactivate(self) -> None:
-        """End the activation; called after the last command was sent."""
+        """Clean up after an activation, after the last command was sent."""
 
     def tear_down(self) -> None:
-        """Destroy the objects of `configure`, or the existing ones if `configure` failed."""
+        """Destroy the objects that `configure` built; some may be missing if `configure` failed."""
 
     def change_limits(self) -> None:
         """Apply changed weights or limits of the active controller."""
@@ -173,7 +173,7 @@ class NodePart:
         """Handle the result of a tick before its command is sent."""
 
     def after_tick(self, tick: LoopTick, time: int, row: dict[str, Cell]) -> None:
-        """Handle a tick at `time` [ns] after its command was sent; add columns to the `row` of the recording."""
+        """Handle a tick at `time` [ns] after its command was sent, and add columns to the `row` of the recording."""
 
     def path_check(self) -> PathCheck | None:
         """Return the condition on paths of `follow_path`; None if there is no condition."""
@@ -185,13 +185,13 @@ class NodePart:
 
     @property
     def fault(self) -> str:
-        """Warning for diagnostics; empty if there is none."""
+        """Warning for diagnostics; empty if there is no warning."""
         return ""
 
     def after_diagnostics(self, message: DiagnosticArray, time: int) -> None:
         """Handle a diagnostics message that was published at `time` [ns]."""
 
-    # Helpers for subclasses.
+    # Methods for subclasses.
 
     def require_tools(self) -> NodeTools:
         """Return the tools of the configured node."""

@@ -1,4 +1,4 @@
-"""Declare the typed schemas as ROS parameters with type, description and range, and read and check their values."""
+"""Declaration of typed schemas as ROS parameters with type, description and range, and reading of their values."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ Schema = TypeVar("Schema", bound=BaseModel)
 
 _MAX_INTEGER = 2**63 - 1
 NONE = 0.0
-"""Value that represents None, since a ROS parameter has a fixed type."""
+"""Parameter value that represents None, since a ROS parameter has a fixed type."""
 
 
 class _Entry(NamedTuple):
-    """Field with its dotted key and its value in the instance; the value is None for a schema."""
+    """Field of a schema with its dotted key and its value in an instance; the value is None without instance."""
 
     key: str
     field: FieldInfo
@@ -56,10 +56,10 @@ class _Entry(NamedTuple):
 
 
 def fields(config: BaseModel | type[BaseModel]) -> list[tuple[str, FieldInfo]]:
-    """Return all fields that are parameters, by dotted key; lists are not parameters, but keys of the file only.
+    """Return all fields that are parameters, by dotted key; lists are not parameters.
 
-    Fields of a controller are sorted by room, see `mpc.config.rooms`. Groups of parts and features are those of the
-    instance; a schema has none.
+    Fields of a controller are sorted by section, see `mpc.config.rooms`. Groups of parts and features are included only
+    if `config` is an instance.
     """
     return [(entry.key, entry.field) for entry in _entries(config)]
 
@@ -68,8 +68,8 @@ def _entries(config: BaseModel | type[BaseModel]) -> list[_Entry]:
     declared = list(_leaves(config))
     if ControllerConfig not in (config, type(config)):
         return declared
-    named = [entry._replace(key=shown_key(entry.key)) for entry in declared]
-    return sorted(named, key=lambda entry: entry.key.startswith(f"{EXPERT}."))
+    renamed = [entry._replace(key=shown_key(entry.key)) for entry in declared]
+    return sorted(renamed, key=lambda entry: entry.key.startswith(f"{EXPERT}."))
 
 
 _PREFIXES = {"parts": "parts.", "features": ""}
@@ -77,7 +77,7 @@ _PREFIXES = {"parts": "parts.", "features": ""}
 
 
 def _leaves(config: BaseModel | type[BaseModel], prefix: str = "") -> Iterator[_Entry]:
-    """Yield the fields of all groups with plain keys, except lists."""
+    """Yield the fields of all groups with their plain keys, without lists."""
     for name, field in (config if isinstance(config, type) else type(config)).model_fields.items():
         kind, value = field.annotation, None if isinstance(config, type) else getattr(config, name)
         if name in _PREFIXES:
@@ -93,7 +93,7 @@ def _leaves(config: BaseModel | type[BaseModel], prefix: str = "") -> Iterator[_
 
 
 def _lists(config: BaseModel | type[BaseModel], prefix: str = "") -> Iterator[tuple[str, object]]:
-    """Yield the lists of an instance, which are not parameters, with plain keys."""
+    """Yield the lists of an instance with their plain keys."""
     for name, value in config if isinstance(config, BaseModel) else ():
         groups = {name: value} if isinstance(value, BaseModel) else value if name in _PREFIXES else {}
         if isinstance(value, list):
@@ -103,7 +103,7 @@ def _lists(config: BaseModel | type[BaseModel], prefix: str = "") -> Iterator[tu
 
 
 def declare(node: Node, config: BaseModel, *, read_only: bool = False, skip: tuple[str, ...] = ()) -> None:
-    """Declare all fields of `config` except those in `skip`, with the values of `config` as defaults.
+    """Declare all fields of `config` except the keys in `skip`, with the values of `config` as defaults.
 
     Raises
     ------
@@ -134,17 +134,17 @@ def _as_real(parameter: Parameter) -> Parameter:
 
 _NO_HINT = "; docs/parameters.md lists all of them"
 _ROS_PREFIX = "qos_overrides."
-"""Prefix of parameters that rclpy declares, some of them later."""
+"""Prefix of parameters that rclpy declares, partly after this check."""
 
 
 def check_overrides(node: Node, config: ControllerConfig) -> None:
-    """Check that each parameter of the command line and of files is declared; warn about those without an effect.
+    """Check that each parameter of the command line and of files is declared; warn about parameters without effect.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If an unknown parameter resembles a parameter of the node; the message has a suggestion. Other unknown
-        parameters cause a warning only, since the section `/**` of a file is shared with other nodes.
+        If an unknown parameter resembles a parameter of the node; the message suggests that parameter. Other unknown
+        parameters cause only a warning, since other nodes share the section `/**` of a file.
     """
     groups = {known.partition(".")[0] for known in node.list_parameters([], 0).names if "." in known}
     disabled: dict[str, list[str]] = {}
@@ -166,52 +166,54 @@ def check_overrides(node: Node, config: ControllerConfig) -> None:
 
 
 def unknown_parameter(node: Node, config: ControllerConfig, name: str) -> str:
-    """Return the message about an undeclared parameter: a suggestion, or the place of its value."""
+    """Return the message about an undeclared parameter: a suggestion, or the new location of its value."""
     key = plain_key(name)
     if removed_message(key):
         return f"parameter {removed_message(key)}"
     place = present_place(name.removeprefix(f"{EXPERT}."))
     if key in fixed_values():
-        return f"{name!r} is {place} now, with the value {fixed_values()[key]}; leave it out"
+        return f"{name!r} is {place} now, with the value {fixed_values()[key]}; remove it"
     if key in dict(_lists(config)) or place:
-        return f"{name!r} is no parameter: set {place or shown_key(key)} in the file given by the parameter config"
-    near = difflib.get_close_matches(name, list(node.list_parameters([], 0).names), n=1, cutoff=0.75)
-    if near:
-        return f"unknown parameter {name!r}; did you mean '{near[0]}'?"
+        return f"{name!r} is not a parameter: set {place or shown_key(key)} in the file given by the parameter config"
+    similar = difflib.get_close_matches(name, list(node.list_parameters([], 0).names), n=1, cutoff=0.75)
+    if similar:
+        return f"unknown parameter {name!r}; did you mean '{similar[0]}'?"
     hints = (suggestion(schema, key.split("."), shown_key) for schema in (ControllerConfig, NodeSettings))
     hint = next((hint for hint in hints if "did you mean" in hint), _NO_HINT)
     return f"unknown parameter {name!r}{hint}"
 
 
 def name_features(node: Node, config: ControllerConfig) -> ControllerConfig:
-    """Return `config` with a group for each feature that only parameters configure; ROS would silently ignore them.
+    """Return `config` with a group for each feature that only parameters configure.
+
+    Without this, ROS would silently ignore the parameters.
 
     Raises
     ------
     MissingPackageError
         If the parameters configure a feature that no installed package provides.
     """
-    stated: dict[str, dict[str, object]] = {}
+    feature_values: dict[str, dict[str, object]] = {}
     for name, parameter in _overrides(node).items():
         feature, _, key = plain_key(name).partition(".")
         if key and feature not in (*ControllerConfig.model_fields, *config.features) and is_feature(feature):
-            stated.setdefault(feature, {})[key] = parameter.value
+            feature_values.setdefault(feature, {})[key] = parameter.value
     installed = plug_in_names("features")
     groups = {
         feature: plug_in("features", feature).schema()
-        for feature, values in stated.items()
+        for feature, values in feature_values.items()
         if feature in installed or not is_disabled(values)
     }
     return config.model_copy(update={"features": {**config.features, **groups}})
 
 
 def name_parts(node: Node, settings: NodeSettings, features: Iterable[str]) -> NodeSettings:
-    """Return `settings` with a group for each part in the parameters or in the controller's features.
+    """Return `settings` with a group for each part that parameters or features of the controller require.
 
     Raises
     ------
     ConfigError
-        If a parameter was replaced by another one.
+        If a parameter was replaced by another parameter.
     MissingPackageError
         If no installed package provides a part in the parameters.
     """
@@ -220,10 +222,10 @@ def name_parts(node: Node, settings: NodeSettings, features: Iterable[str]) -> N
         if name in overrides:
             raise ConfigError(f"parameter {name} was removed: {remedy}")
     for name in FORMER_SETTINGS.keys() & overrides.keys():
-        # Files of version 0.2.0 that state the default must not require the package of the part.
+        # A file of version 0.2.0 with the default value must not require the package of the part.
         if overrides[name].value == FORMER_SETTINGS[name][1]:
             part = FORMER_SETTINGS[name][0]
-            node.get_logger().warning(f"parameter {name} is parts.{part}.{name} now; it states the default")
+            node.get_logger().warning(f"parameter {name} is parts.{part}.{name} now; the default is used")
             del overrides[name]
     _rename_keys(node, lambda name: f"parts.{FORMER_SETTINGS[name][0]}.{name}" if name in FORMER_SETTINGS else name)
     named = [name.split(".")[1] for name in overrides if name.startswith("parts.")]
@@ -234,15 +236,15 @@ def name_parts(node: Node, settings: NodeSettings, features: Iterable[str]) -> N
 
 
 def _overrides(node: Node) -> dict[str, Parameter]:
-    """Return the parameters of the command line and of parameter files; rclpy 7.1 has no public name for them."""
+    """Return the parameters of the command line and of parameter files, for which rclpy 7.1 has no public name."""
     overrides: dict[str, Parameter] = getattr(node, "_parameter_overrides", {})
     return overrides
 
 
 def _rename_keys(node: Node, present_name: Callable[[str], str]) -> None:
-    """Rename overrides with a former name or in the wrong room, with a warning for each.
+    """Rename overrides that have a former name or are in the wrong section, with a warning for each.
 
-    ROS silently ignores undeclared parameters, so a limit in a file would be lost.
+    ROS silently ignores undeclared parameters, so without this a limit in a file would have no effect.
     """
     overrides = _overrides(node)
     for name, parameter in list(overrides.items()):
@@ -253,28 +255,28 @@ def _rename_keys(node: Node, present_name: Callable[[str], str]) -> None:
         if is_renamed:
             overrides[key] = Parameter(key, parameter.type_, parameter.value)
         del overrides[name]
-        outcome = "its value is used" if is_renamed else "its value is ignored, since both are set"
+        outcome = "the value is used" if is_renamed else "the value is ignored, since both are set"
         node.get_logger().warning(f"parameter {name} is {key} now; {outcome}")
 
 
 def descriptor(field: FieldInfo, *, read_only: bool = False) -> ParameterDescriptor:
-    """Describe a field with its range; the description states exclusive bounds."""
+    """Build the descriptor of a field with its range; the constraints contain exclusive bounds as text."""
     bounds = [bound for bound in _metadata(field) if isinstance(bound, Gt | Ge | Lt | Le)]
     low: Any = next((b.gt if isinstance(b, Gt) else b.ge for b in bounds if isinstance(b, Gt | Ge)), None)
     high: Any = next((b.lt if isinstance(b, Lt) else b.le for b in bounds if isinstance(b, Lt | Le)), None)
-    words = [f"greater than {b.gt}" for b in bounds if isinstance(b, Gt)]
-    words += [f"less than {b.lt}" for b in bounds if isinstance(b, Lt)]
+    constraints = [f"greater than {b.gt}" for b in bounds if isinstance(b, Gt)]
+    constraints += [f"less than {b.lt}" for b in bounds if isinstance(b, Lt)]
     if get_origin(field.annotation) is Literal:
-        words.append(f"one of {', '.join(get_args(field.annotation))}")
+        constraints.append(f"one of {', '.join(get_args(field.annotation))}")
     if _optional(field):
-        words, low = [*words, f"{NONE:g}: none"], NONE
-    described = ParameterDescriptor(
-        description=field.description or "", additional_constraints=", ".join(words), read_only=read_only
+        constraints, low = [*constraints, f"{NONE:g}: none"], NONE
+    result = ParameterDescriptor(
+        description=field.description or "", additional_constraints=", ".join(constraints), read_only=read_only
     )
     if low is None and high is None:
-        return described
+        return result
     if _kind(field) is int:
-        described.integer_range = [
+        result.integer_range = [
             IntegerRange(
                 from_value=-_MAX_INTEGER if low is None else int(low),
                 to_value=_MAX_INTEGER if high is None else int(high),
@@ -282,18 +284,18 @@ def descriptor(field: FieldInfo, *, read_only: bool = False) -> ParameterDescrip
         ]
     else:
         largest = sys.float_info.max
-        described.floating_point_range = [
+        result.floating_point_range = [
             FloatingPointRange(
                 from_value=-largest if low is None else float(low), to_value=largest if high is None else float(high)
             )
         ]
-    return described
+    return result
 
 
 def read(node: Node, config: Schema | type[Schema], changes: Mapping[str, object] | None = None) -> Schema:
-    """Return the declared parameters as a checked instance; `changes` override their values.
+    """Return the declared parameters as a validated instance; `changes` override their values.
 
-    The parameters are those of `config`; lists, which are not parameters, are copied from `config`.
+    The fields of `config` determine the parameters; lists, which are not parameters, are copied from `config`.
 
     Raises
     ------
@@ -327,7 +329,7 @@ def _to_parameter(value: object) -> Value:
 
 
 def _kind(field: FieldInfo) -> type:
-    """Return the type of the field's values; for an optional field, the type other than None."""
+    """Return the type of the field's values, without None for an optional field."""
     kinds = [kind for kind in get_args(field.annotation) or (field.annotation,) if kind is not NoneType]
     inner = get_args(kinds[0])
     return inner[0] if inner else kinds[0]
@@ -338,37 +340,37 @@ def _optional(field: FieldInfo) -> bool:
 
 
 def _metadata(field: FieldInfo) -> Iterator[object]:
-    """Yield the bounds of the field, including those of the type other than None."""
+    """Yield the bounds of the field, including those in its type annotation."""
     yield from field.metadata
     for kind in get_args(field.annotation):
         for item in getattr(kind, "__metadata__", ()):
             yield from item.metadata if isinstance(item, FieldInfo) else (item,)
 
 
-# Changes of parameters while the node runs: validated without side effects, then applied.
+# Changes of parameters while the node runs; they are first validated without side effects, then applied.
 
 
 _WHILE_DRIVING = ("weights.", "limits.")
 
 
 class ParameterChanges:
-    """Watch of the declared parameters of a node; other parameters are accepted unchecked.
+    """Validation and application of changes of declared parameters; other parameters are not checked.
 
     Parameters
     ----------
     node
-        The node.
+        Node with the parameters.
     settings, config
-        Settings and configuration as declared.
+        Declared settings and configuration.
     running
         Function that returns the active controller; None while the node is not active.
     changed
-        Function that is called when weights or limits of the active controller have changed.
+        Function that is called after a change of weights or limits of the active controller.
 
     Attributes
     ----------
     pending
-        True if values have changed since this was last set to False.
+        True if values have changed since the attribute was last set to False.
     """
 
     def __init__(
@@ -388,7 +390,7 @@ class ParameterChanges:
         node.add_post_set_parameters_callback(self._apply)
 
     def _prepare(self, parameters: list[Parameter]) -> list[Parameter]:
-        """Convert integers to real numbers; raise a helpful error for an undeclared parameter, which rclpy does not."""
+        """Convert integers to real numbers; raise an error with a suggestion for an undeclared parameter."""
         for parameter in parameters:
             if not self._node.has_parameter(parameter.name):
                 error = ParameterNotDeclaredException([])
@@ -411,7 +413,7 @@ class ParameterChanges:
                 Controller(config)
             controller = self._running()
             if controller is not None:
-                # Check here that the change is possible while driving, since `_apply` cannot reject it.
+                # The change must be possible while driving, since `_apply` cannot reject it.
                 controller.updated(*_groups(changes, config))
         except (ValueError, OSError) as error:
             return SetParametersResult(successful=False, reason=str(error))
@@ -440,22 +442,22 @@ class ParameterChanges:
 
 
 def _groups(changes: Mapping[str, Any], config: ControllerConfig) -> list[dict[str, float]]:
-    """Group changed weights and limits as in `config`, with the values that represent None replaced by None."""
+    """Return the changed weights and the changed limits with their values in `config`."""
     return [
         {
             name: getattr(getattr(config, prefix[:-1]), name)
-            # A changed side of a limit changes the whole limit.
+            # A change of one side of a limit replaces the whole limit.
             for name in (key.split(".")[1] for key in map(plain_key, changes) if key.startswith(prefix))
         }
         for prefix in _WHILE_DRIVING
     ]
 
 
-# Transitions report the reason of a failure, and forbidden ones are rejected, which rclpy does not do.
+# Transitions with a report of failures, and rejection of forbidden transitions, which rclpy lacks.
 
 
 class Managed(Protocol):
-    """Lifecycle node that stores the reason of its last failed transition."""
+    """Lifecycle node that stores the reason for its last failed transition."""
 
     failure: str
 
@@ -469,7 +471,7 @@ Transition = Callable[[NodeType, LifecycleState], TransitionCallbackReturn]
 
 
 def log_failures(transition: Transition[NodeType]) -> Transition[NodeType]:
-    """Log exceptions of a transition: ValueError and OSError return FAILURE, other exceptions return ERROR."""
+    """Log exceptions of a transition; it returns FAILURE for ValueError and OSError, and ERROR for others."""
 
     @wraps(transition)
     def run(self: NodeType, state: LifecycleState) -> TransitionCallbackReturn:
@@ -488,24 +490,24 @@ def log_failures(transition: Transition[NodeType]) -> Transition[NodeType]:
 
 
 def reject_forbidden_transitions(node: LifecycleNode) -> None:
-    """Make the service change_state of `node` reject forbidden transitions with a warning.
+    """Replace the callback of the service change_state, so that it rejects forbidden transitions with a warning.
 
-    Without this, rclpy raises inside the service's callback for a transition that the state does not allow, which ends
-    `spin` and the process.
+    The callback of rclpy raises an error for a transition that the state does not allow, which ends `spin` and the
+    process.
     """
     services = {service.srv_type: service for service in node.services}
     change = services[ChangeState].callback
 
     def handle(request: Any, response: Any) -> Any:  # noqa: ANN401 - ROS messages have no types to check
-        wanted, state = request.transition, services[GetState].callback(None, GetState.Response()).current_state
-        # Two services have this type: one has the transitions of this state, the other those of all states.
-        known = services[GetAvailableTransitions].callback(None, GetAvailableTransitions.Response())
-        allowed = [row.transition for row in known.available_transitions if row.start_state.id == state.id]
-        # As in rclpy, a label has priority over the number.
-        if any(wanted.label == each.label if wanted.label else wanted.id == each.id for each in allowed):
+        target, state = request.transition, services[GetState].callback(None, GetState.Response()).current_state
+        # Two services have this type: one returns the transitions of the current state, the other all transitions.
+        graph = services[GetAvailableTransitions].callback(None, GetAvailableTransitions.Response())
+        allowed = [row.transition for row in graph.available_transitions if row.start_state.id == state.id]
+        # As in rclpy, the label takes precedence over the number.
+        if any(target.label == entry.label if target.label else target.id == entry.id for entry in allowed):
             return change(request, response)
-        requested = f"'{wanted.label}'" if wanted.label else str(wanted.id)
-        choice = ", ".join(f"{each.label} ({each.id})" for each in allowed) or "none"
+        requested = f"'{target.label}'" if target.label else str(target.id)
+        choice = ", ".join(f"{entry.label} ({entry.id})" for entry in allowed) or "none"
         node.get_logger().warning(f"transition {requested} refused: the node is {state.label}; allowed: {choice}")
         response.success = False
         return response

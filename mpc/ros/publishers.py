@@ -1,4 +1,4 @@
-"""All publishers of the node, except for diagnostics."""
+"""Publishers of the node, except for diagnostics."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.step_result import Mode, StepResult
 
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-# Time limit for the last command to reach the base when the node stops [s].
+# Time limit for the acknowledgement of the last command when the node stops [s].
 _STOP_TIMEOUT = 0.3
 _LINE_WIDTH = 0.02
 _GREEN, _RED = (0.1, 0.8, 0.2), (0.9, 0.1, 0.1)
 
 
 class Publishers:
-    """Publishers of the node; lifecycle publishers publish only while the node is active.
+    """Lifecycle publishers of the node, which publish only while the node is active.
 
     Parameters
     ----------
     node
-        The node.
+        Node that owns the publishers.
     settings
         Settings of the node.
     config
@@ -76,12 +76,12 @@ class Publishers:
         self._command.send(command, time)
 
     def stop(self, time: int) -> None:
-        """Send zero and wait a limited time until it is acknowledged."""
+        """Send zero, and wait for its acknowledgement for a limited time."""
         self.command(np.zeros(2), time)
         self._command.wait(_STOP_TIMEOUT)
 
     def mode(self, tick: LoopTick) -> None:
-        """Publish and log mode and message when the mode changes."""
+        """Publish and log mode and message after a change of the mode."""
         if tick.mode != self._last_mode:
             self._last_mode = tick.mode
             words = f"{tick.mode}: {tick.message}" if tick.message else tick.mode
@@ -99,7 +99,7 @@ class Publishers:
             (self._drive if topic == DRIVE else self._tick).publish(String(data=line))
 
     def error(self, result: StepResult, time: int) -> None:
-        """Send the estimate, and the tracking error: x along, y across [m], z heading [rad]."""
+        """Publish the estimate and the tracking error: x along, y across [m], z heading [rad]."""
         self._estimate.send(result.estimate, time)
         error = tracking_error(result)
         if error is None or not self._error.get_subscription_count():
@@ -109,14 +109,14 @@ class Publishers:
         message.vector.x, message.vector.y, message.vector.z = error
         self._error.publish(message)
 
-    def reference(self, reference: Reference, begins: int, time: int) -> None:
-        """Publish the whole path of `reference` with start time `begins` [ns]; late subscribers also receive it."""
+    def reference(self, reference: Reference, start: int, time: int) -> None:
+        """Publish the path of `reference` with the start time `start` [ns]; late subscribers also receive it."""
         times = path_times(reference.duration)
-        stamps = begins + np.round(times * 1e9).astype(np.int64)
+        stamps = start + np.round(times * 1e9).astype(np.int64)
         self._reference.publish(self._path(reference.sample(times).pose, stamps.tolist(), time))
 
     def visuals(self, result: StepResult, period: int, time: int) -> None:
-        """Publish the predicted path, a pose each `period` [ns], and the marker, if they have subscribers."""
+        """Publish the predicted path, with a pose per `period` [ns], and the marker, if they have subscribers."""
         if result.plan is not None and self._predicted.get_subscription_count():
             stamps = (time + period * index for index in range(len(result.plan)))
             self._predicted.publish(self._path(result.plan, stamps, time))
@@ -131,7 +131,7 @@ class Publishers:
         return path
 
     def _line(self, robot: FloatArray, reference: FloatArray, mode: Mode, time: int) -> Marker:
-        """Draw a line from the robot to the tracked pose, green in normal operation."""
+        """Build a line from the robot to the tracked pose, green in normal operation."""
         marker = Marker(ns="tracking_error", type=Marker.LINE_STRIP, action=Marker.ADD)
         marker.header.stamp, marker.header.frame_id = time_message(time), self._frame
         marker.scale.x = _LINE_WIDTH
@@ -141,24 +141,24 @@ class Publishers:
         return marker
 
 
-# Descriptions of publishers and subscribers on the node's topics: wrong message types, missing publishers.
+# Descriptions of publishers and subscribers on the node's topics, for wrong message types and missing publishers.
 
 
 _PACKAGE = "geometry_msgs/msg/"
 _UNKNOWN = "_UNKNOWN_"
-NAMELESS = "a node not known by name yet"
+NAMELESS = "a node whose name is not known yet"
 _COMMANDS = {"TwistStamped": "stamped:=true", "Twist": "stamped:=false"}
 
 
 def mismatched_subscribers(node: Node, topic: str, *, stamped: bool) -> str:
-    """Describe the subscribers of `topic` with a wrong command type, and the remedy; return "" if there are none."""
-    sent, unused = ("TwistStamped", "Twist") if stamped else ("Twist", "TwistStamped")
-    mismatched = [info for info in node.get_subscriptions_info_by_topic(topic) if info.topic_type == _PACKAGE + unused]
+    """Describe the subscribers of `topic` with a wrong command type, and the remedy; empty if there are none."""
+    sent, unsent = ("TwistStamped", "Twist") if stamped else ("Twist", "TwistStamped")
+    mismatched = [info for info in node.get_subscriptions_info_by_topic(topic) if info.topic_type == _PACKAGE + unsent]
     if not mismatched:
         return ""
     return (
-        f"{_names(mismatched)} subscribes to {topic} with type {unused} and does not receive this node's {sent}: set "
-        f"the parameter {_COMMANDS[unused]}"
+        f"{_names(mismatched)} subscribes to {topic} with type {unsent} and does not receive this node's {sent}: set "
+        f"the parameter {_COMMANDS[unsent]}"
     )
 
 
@@ -166,15 +166,15 @@ def publishers_of(node: Node, subscription: Subscription) -> str:
     """Describe topic, type and reliability of `subscription`, and the publishers on its topic."""
     topic, kind = subscription.topic_name, _type_name(subscription.msg_type)
     infos = node.get_publishers_info_by_topic(topic)
-    wanted = f"{topic}, {kind}, {_reliability(subscription.qos_profile)}"
+    subscriber = f"{topic}, {kind}, {_reliability(subscription.qos_profile)}"
     if not infos:
-        return f"{wanted}: no publisher; is the base running, and the topic remapped (-r name:=/base/name)?"
-    words = "; ".join(
+        return f"{subscriber}: no publisher; is the base running, and is the topic remapped (-r name:=/base/name)?"
+    publishers = "; ".join(
         f"{_names([info])} publishes {info.topic_type}, {_reliability(info.qos_profile)}"
         + ("" if info.topic_type == kind else ", which is a different type")
         for info in infos
     )
-    return f"{wanted}: {words}"
+    return f"{subscriber}: {publishers}"
 
 
 def _type_name(kind: type[Any]) -> str:
@@ -182,7 +182,7 @@ def _type_name(kind: type[Any]) -> str:
     return f"{package}/msg/{kind.__name__}"
 
 
-def _reliability(qos: Any) -> str:  # noqa: ANN401 - rclpy's profile has no types
+def _reliability(qos: Any) -> str:  # noqa: ANN401 - the QoS profile of rclpy has no types
     return "best effort" if qos.reliability == ReliabilityPolicy.BEST_EFFORT else "reliable"
 
 
@@ -196,17 +196,17 @@ def full_name(info: Any) -> str:  # noqa: ANN401 - rclpy has no types
 
 
 ESTIMATE = "~/estimate"
-# Rows of x, y, yaw and of forward speed, yaw rate in ROS' 6 x 6 covariances.
+# Rows of x, y, yaw, and of forward speed and yaw rate, in the 6 x 6 covariances of ROS.
 _POSE, _TWIST = (0, 1, 5), (0, 5)
 
 
 class EstimateOutput:
-    """Publisher of the estimate, including slip; it publishes only if there are subscribers.
+    """Publisher of the estimate, including slip, which publishes only if there are subscribers.
 
     Parameters
     ----------
     node
-        The node.
+        Node that owns the publishers.
     settings
         Settings of the node.
     frame
@@ -218,7 +218,7 @@ class EstimateOutput:
         self._publisher = node.create_lifecycle_publisher(Odometry, ESTIMATE, 10)
 
     def send(self, estimate: Estimate | None, time: int) -> None:
-        """Publish the estimate of the tick at `time` [ns]; None, before the first pose, is ignored."""
+        """Publish the estimate of the tick at `time` [ns]; None before the first pose is ignored."""
         if estimate is None or not self._publisher.get_subscription_count():
             return
         message = Odometry(child_frame_id=self._base)
@@ -235,7 +235,7 @@ class EstimateOutput:
 
 
 def _covariance(deviation: FloatArray, rows: tuple[int, ...]) -> list[float]:
-    """Build the covariance (36,): variances of estimated values, zero elsewhere; correlations are omitted."""
+    """Build the covariance (36,) from standard deviations of the given rows; correlations are zero."""
     diagonal = np.zeros(6)
     diagonal[list(rows)] = np.square(deviation)
     return [float(value) for value in np.diag(diagonal).ravel()]

@@ -1,4 +1,4 @@
-"""Recorder of the active node's inputs, results and messages in an MCAP file, with the format of `simulate --log`."""
+"""Recording of the active node's inputs, results and messages in an MCAP file with the format of `simulate --log`."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 from diffdrive_mpc.mpc.trajectories.native import table_of
 
-# Time limit for opening the file before the first tick, and for completing it after the last tick [s].
+# Time limit for opening the file before the first tick and for closing it after the last tick [s].
 _TIMEOUT = 5.0
 Method = Callable[..., None]
-# A longer reference exceeds a message to the writing process and would end the recording, so it is omitted.
+# Longer lines are omitted, since they exceed a message to the writing process and would end the recording.
 _MAX_LINE_LENGTH = 100_000
 _REFERENCE = ("reference_x_m", "reference_y_m", "reference_theta_rad")
 
 
 def _end_recording_on_error(method: Method) -> Method:
-    """Return `method` with its exceptions ending the recording instead of the node."""
+    """Wrap `method` so that an exception ends the recording instead of the node."""
 
     @wraps(method)
-    def run(self: ActivationRecording, *arguments: Any) -> None:  # noqa: ANN401 - those of the method
+    def run(self: ActivationRecording, *arguments: Any) -> None:  # noqa: ANN401 - arguments of the method
         try:
             method(self, *arguments)
         except Exception as error:
@@ -51,7 +51,7 @@ def _end_recording_on_error(method: Method) -> Method:
 
 
 class ActivationRecording:
-    """The recording of one activation. A failure is reported once, without an exception and without waiting.
+    """Recording of an activation; a failure is logged once and does not affect the node.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ class ActivationRecording:
             pose_topic=settings.poses_from != "odometry",
         )
         if not self._recorder.fault:
-            logger.info(f"records into {self._recorder.path}")
+            logger.info(f"recording to {self._recorder.path}")
         self._warn()
 
     @property
@@ -85,24 +85,24 @@ class ActivationRecording:
 
     @property
     def words(self) -> str:
-        """State of the recording in words."""
+        """State of the recording as text."""
         recorder = self._recorder
         lost = f", {recorder.lost} messages lost: the disk is too slow" if recorder.lost else ""
         return f"ended: {recorder.fault}" if recorder.fault else f"{recorder.path}{lost}"
 
     @_end_recording_on_error
     def reference(self, drive: Drive, time: int) -> None:
-        """Record the path that begins at `time` [ns]."""
+        """Record the path of a drive that starts at `time` [ns]."""
         times = path_times(drive.reference.duration)
         stamps = (time + np.round(times * 1e9).astype(np.int64)).tolist()
         self._recorder.send("reference", time, stamps, drive.reference.sample(times).pose)
 
     @_end_recording_on_error
     def tick(self, tick: LoopTick, time: int, inbox: Inbox, columns: Mapping[str, Cell]) -> None:
-        """Record one tick, which began at `time` [ns], with further `columns` of its row."""
+        """Record the tick that started at `time` [ns], with additional `columns` of its row."""
         request, result = tick.request, tick.result
         row: dict[str, Cell] = {
-            **(_standing(tick) if result is None else step_cells(result)),
+            **(_uncontrolled_cells(tick) if result is None else step_cells(result)),
             "t_s": inbox.now if request is None else request.time,
             **columns,
         }
@@ -120,21 +120,21 @@ class ActivationRecording:
 
     @_end_recording_on_error
     def record(self, lines: Sequence[tuple[str, str]], time: int) -> None:
-        """Record lines for a replay, each with its topic; they are written with the next `tick`."""
+        """Record lines for a replay, each with its topic; the next `tick` writes them."""
         for topic, line in lines:
             if len(line) <= _MAX_LINE_LENGTH:
                 self._recorder.prepare("serialized", time, topic, serialize_message(String(data=line)))
 
     @_end_recording_on_error
     def diagnostics(self, message: DiagnosticArray, time: int) -> None:
-        """Record the node's diagnostics, and read the state of the recording."""
+        """Record the node's diagnostics, and update the state of the recording."""
         self._recorder.send("serialized", time, DIAGNOSTICS, serialize_message(message))
         self._recorder.poll()
         self._warn()
 
     @_end_recording_on_error
     def close(self) -> None:
-        """Complete the file after the robot's last command."""
+        """Close the file after the last command."""
         self._recorder.close(_TIMEOUT)
         self._warn()
 
@@ -149,11 +149,11 @@ class ActivationRecording:
             self._logger.warning(f"recording has ended: {self._recorder.fault}; the robot is not affected")
 
 
-def _standing(tick: LoopTick) -> dict[str, Cell]:
-    """Fill the columns of a row for a tick without a controller step."""
+def _uncontrolled_cells(tick: LoopTick) -> dict[str, Cell]:
+    """Return the columns of a row for a tick without a controller step."""
     v, omega = tick.command.tolist()
-    words: dict[str, Cell] = {"mode": tick.mode, "message": tick.message, "solver_status": "", "solver_path": "none"}
-    return {"v_ref_m_s": v, "omega_ref_rad_s": omega, **words}
+    texts: dict[str, Cell] = {"mode": tick.mode, "message": tick.message, "solver_status": "", "solver_path": "none"}
+    return {"v_ref_m_s": v, "omega_ref_rad_s": omega, **texts}
 
 
 def _metadata(settings: NodeSettings, config: ControllerConfig) -> Metadata:
@@ -181,7 +181,7 @@ def _metadata(settings: NodeSettings, config: ControllerConfig) -> Metadata:
 
 
 class TickRecords:
-    """Builder of the records of drives, which it numbers, and of their ticks.
+    """Builder of numbered records of drives, and of records of their ticks.
 
     Parameters
     ----------
@@ -195,12 +195,12 @@ class TickRecords:
         self._last_drive: tuple[Drive, ControllerConfig] | None = None
 
     def lines(self, drive: Drive, tick: LoopTick) -> list[tuple[str, str]]:
-        """Return the lines to publish for a tick of `drive`, with their topics; the line of a new drive comes first."""
+        """Return the lines to publish for a tick of `drive`, with their topics; a line for a new drive is first."""
         records = ((DRIVE, self.drive(drive)), (TICK, self.tick(tick)))
         return [(topic, record.line()) for topic, record in records if record is not None]
 
     def drive(self, drive: Drive) -> DriveRecord | None:
-        """Return the record of `drive` if the drive or the configuration is new since the last call, or else None."""
+        """Return the record of `drive` if the drive or the configuration has changed since the last call, else None."""
         config = self._controller.config
         if self._last_drive is not None and self._last_drive[0] is drive and self._last_drive[1] is config:
             return None
@@ -212,22 +212,22 @@ class TickRecords:
         return DriveRecord(self._number, starts, drive.reset, drive.t0, reference, values, model, drive.continues)
 
     def tick(self, tick: LoopTick) -> TickRecord | None:
-        """Build the record of a tick with a controller step; it belongs to the drive of the last `drive`."""
+        """Build the record of a tick of the last recorded drive; return None if the controller was not called."""
         request, result = tick.request, tick.result
         if request is None or result is None:
             return None
         hold = None if request.hold is None else (request.hold.reason, request.hold.failure)
         solver = result.solver
-        # 0: a backend was cut off without a solution. 1 is the minimum otherwise, and also reproduces the minimiser
-        # without limits.
-        cut_off = solver.status is SolverStatus.TIME_LIMIT
-        max_iterations = None if not solver.missed else 0 if cut_off else max(solver.iterations, 1)
+        # The number is 0 if a backend was stopped without a solution, otherwise at least 1. A value of 1 also
+        # reproduces the unconstrained minimiser.
+        is_stopped = solver.status is SolverStatus.TIME_LIMIT
+        max_iterations = None if not solver.missed else 0 if is_stopped else max(solver.iterations, 1)
         cells = (str(result.mode), result.message, str(solver.method), result.step_time, max_iterations)
         return TickRecord(request.number, request.time, self._number, request.measurement, hold, result.command, *cells)
 
 
 def _model_text(model: str) -> str:
-    """Read the text of a model file of the user."""
+    """Read the text of a user's model file; empty for a built-in model."""
     if is_shipped(model):
         return ""
     try:
@@ -237,7 +237,7 @@ def _model_text(model: str) -> str:
 
 
 class RecordingPart(NodePart):
-    """Records of ticks on topics, and the recording of an activation; the last part, since other parts add columns."""
+    """Publication of tick records and recording of an activation, as last part, since other parts add columns."""
 
     recording: ActivationRecording | None = None
     records: TickRecords | None = None
@@ -247,7 +247,7 @@ class RecordingPart(NodePart):
         """Start a recording if it is enabled."""
         tools = self.running()[1]
         self.records, self._recorded = TickRecords(tools.controller), None
-        self.recording = self._begin(tools) if tools.settings.record else None
+        self.recording = self._start_recording(tools) if tools.settings.record else None
 
     def after_tick(self, tick: LoopTick, time: int, row: dict[str, Cell]) -> None:
         """Publish and record the tick."""
@@ -279,23 +279,23 @@ class RecordingPart(NodePart):
         return f"recording: {recording.words}" if recording is not None and recording.incomplete else ""
 
     def after_diagnostics(self, message: DiagnosticArray, time: int) -> None:
-        """Record the message."""
+        """Record the diagnostics message."""
         if self.recording is not None:
             self.recording.diagnostics(message, time)
 
-    def _begin(self, tools: NodeTools) -> ActivationRecording | None:
-        """Return the recording of this activation; None, with a warning, if it cannot be started."""
+    def _start_recording(self, tools: NodeTools) -> ActivationRecording | None:
+        """Start the recording of this activation; log a warning and return None if it cannot be started."""
         try:
             # Two robots that are activated in the same second must not write to the same file.
             folder = tools.settings.record_folder + self.node.get_namespace().rstrip("/")
             settings = tools.settings.model_copy(update={"record_folder": folder})
             return ActivationRecording(settings, tools.controller.config, tools.inbox.frame, self.node.get_logger())
-        except Exception as error:  # the robot also drives without a recording
+        except Exception as error:  # a failed recording must not stop the robot
             self.node.get_logger().warning(f"nothing is recorded: {error}")
             return None
 
     def _publish(self, drive: Drive, tick: LoopTick, time: int) -> None:
-        """Publish and record the data for a replay of the tick; a fault ends this for the activation."""
+        """Publish and record the data for a replay of the tick; after a fault, no more data are published."""
         if self.records is None or self.tools is None:
             return
         try:
@@ -305,5 +305,5 @@ class RecordingPart(NodePart):
                 self.recording.record(lines, time)
         except Exception as error:
             self.records = None
-            words = f"its ticks cannot be replayed from here on: {type(error).__name__}: {error}"
-            self.node.get_logger().warning(words)
+            message = f"later ticks cannot be replayed: {type(error).__name__}: {error}"
+            self.node.get_logger().warning(message)

@@ -1,6 +1,6 @@
-"""References that arrive as messages; they pass the same checks as references from files.
+"""Conversion of messages to references, with the checks of references from files.
 
-They are read in a separate process. A reference stays in the frame of its message.
+The conversion runs in a separate process. A reference stays in the frame of its message.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 from diffdrive_mpc.mpc.trajectories.timed_poses import lay_timed_poses
 
-# Planning a reference of this length takes 15 ms in the separate process.
+# The conversion of this many poses takes 15 ms in the separate process.
 _MAX_POSES = 1000
 MAX_BYTES = path_bytes(_MAX_POSES)
 """Maximum size of an accepted message [bytes]."""
 MAX_TRAJECTORY_BYTES = MAX_BYTES + _MAX_POSES * 3 * 6 * 8
-"""Maximum size of a trajectory message whose points also have velocity, acceleration and effort [bytes]."""
+"""Maximum size of a trajectory message whose points include velocity, acceleration and effort [bytes]."""
 
 
 class StatedReference(NamedTuple):
-    """A reference with its frame and the time of that frame [ns; 0: now]."""
+    """Reference with its frame, and the time of the frame [ns]; 0 is the current time."""
 
     reference: SplineTrajectory
     frame: str
@@ -48,7 +48,7 @@ class StatedReference(NamedTuple):
 
 
 def preload() -> None:
-    """Load this module in the side process, before the first reference arrives; the function does nothing else."""
+    """Load this module in the side process before the first reference arrives; the body is empty."""
 
 
 def read_path(raw: bytes, limits: Limits) -> StatedReference:
@@ -66,7 +66,7 @@ def read_trajectory(raw: bytes, limits: Limits) -> StatedReference:
 
 
 def timed_trajectory_type() -> type[Any] | None:
-    """Return nav_msgs/Trajectory (Lyrical) or its predecessor nav2_msgs/Trajectory (Kilted); None if neither exists."""
+    """Return nav_msgs/Trajectory (Lyrical) or its predecessor nav2_msgs/Trajectory (Kilted); None without both."""
     return message_type("nav_msgs", "Trajectory") or message_type("nav2_msgs", "Trajectory")
 
 
@@ -77,11 +77,11 @@ def read_timed_trajectory(raw: bytes, limits: Limits) -> StatedReference:
     return StatedReference(reference, message.header.frame_id, nanoseconds(message.header.stamp))
 
 
-def timed_trajectory_reference(message: Any, limits: Limits) -> SplineTrajectory:  # noqa: ANN401 - either type
-    """Convert a trajectory of a base: poses at the time in each point's header, or at its time from the start.
+def timed_trajectory_reference(message: Any, limits: Limits) -> SplineTrajectory:  # noqa: ANN401 - one of two types
+    """Convert a trajectory of a base, whose points have a stamped header or a time from the start.
 
-    Velocities, accelerations and efforts are ignored, since they follow from poses and times. Parameters and errors are
-    those of `path_reference`.
+    Velocities, accelerations and efforts are ignored, since they follow from poses and times. For parameters and errors
+    see `path_reference`.
     """
     frame = message.header.frame_id
     _check_header(frame, len(message.points))
@@ -92,7 +92,7 @@ def timed_trajectory_reference(message: Any, limits: Limits) -> SplineTrajectory
             continue
         if (point.header.frame_id or frame) != frame:
             raise MessageError(
-                f"point {index} is in '{point.header.frame_id}', the trajectory in '{frame}': give it one frame"
+                f"point {index} is in '{point.header.frame_id}', the trajectory in '{frame}': use one frame"
             )
         stamps.append(nanoseconds(point.header.stamp))
     times = [(stamp - stamps[0]) / NANOSECONDS for stamp in stamps]
@@ -100,14 +100,14 @@ def timed_trajectory_reference(message: Any, limits: Limits) -> SplineTrajectory
 
 
 def path_reference(message: Path, limits: Limits) -> SplineTrajectory:
-    """Convert a path whose poses have their times in their headers; only time differences are used.
+    """Convert a path with stamped poses, of whose stamps only differences are used.
 
     Parameters
     ----------
     message
-        The path; its frame is that of its header, and the frame of a pose must be the same or empty.
+        Path; the frame of each pose must be that of the path's header, or empty.
     limits
-        Limits of speed.
+        Speed limits.
 
     Raises
     ------
@@ -118,16 +118,16 @@ def path_reference(message: Path, limits: Limits) -> SplineTrajectory:
     _check_header(frame, len(message.poses))
     for index, pose in enumerate(message.poses):
         if (pose.header.frame_id or frame) != frame:
-            raise MessageError(f"pose {index} is in '{pose.header.frame_id}', the path in '{frame}': give it one frame")
+            raise MessageError(f"pose {index} is in '{pose.header.frame_id}', the path in '{frame}': use one frame")
     first = nanoseconds(message.poses[0].header.stamp)
     times = [(nanoseconds(pose.header.stamp) - first) / NANOSECONDS for pose in message.poses]
     return _lay(times, [planar_pose(pose.pose) for pose in message.poses], limits, "path")
 
 
 def trajectory_reference(message: MultiDOFJointTrajectory, limits: Limits) -> SplineTrajectory:
-    """Convert a trajectory of one joint, the planar pose: the first transform of each point at its time.
+    """Convert a trajectory of one joint, whose transform at each point is the planar pose.
 
-    Parameters and errors are those of `path_reference`.
+    For parameters and errors see `path_reference`.
     """
     _check_header(message.header.frame_id, len(message.points))
     times, poses = [], []
@@ -146,9 +146,9 @@ def trajectory_reference(message: MultiDOFJointTrajectory, limits: Limits) -> Sp
 
 def _check_header(frame: str, count: int) -> None:
     if not frame:
-        raise MessageError("it names no frame: set header.frame_id")
+        raise MessageError("it has no frame: set header.frame_id")
     if not 2 <= count <= _MAX_POSES:
-        raise MessageError(f"it has {count} poses; give 2 to {_MAX_POSES}, further apart if need be")
+        raise MessageError(f"it has {count} poses; give 2 to {_MAX_POSES}")
 
 
 def _lay(times: list[float], poses: list[tuple[float, float, float]], limits: Limits, name: str) -> SplineTrajectory:
@@ -159,38 +159,38 @@ def _lay(times: list[float], poses: list[tuple[float, float, float]], limits: Li
             f"pose {index} at {rows[index, 0]:g} s is not later than the previous pose; give increasing times"
         )
     if not all(map(math.isfinite, rows.ravel())):
-        raise MessageError("it holds a number that is not finite")
+        raise MessageError("it contains a number that is not finite")
     return lay_timed_poses(rows, TrajectoryLimits.of_controller(limits), name=name, where=name)
 
 
-# External speed limits, as published by Nav2's speed filter (nav2_msgs/SpeedLimit).
+# External speed limits (nav2_msgs/SpeedLimit), as published by the speed filter of Nav2.
 
 
 MIN_SPEED_LIMIT = 1e-3
-"""Minimum of a speed limit [m/s]; lower limits are raised to it, since `~/hold` is the means to stop the robot."""
+"""Lower bound of a speed limit [m/s]; `~/hold` stops the robot."""
 
 
 @dataclass(frozen=True)
 class SpeedLimit:
-    """A limit as in the message: `value` in m/s, or in percent of the maximum speed if `percentage`."""
+    """Speed limit of a message: `value` in m/s, or in percent of the maximum speed if `percentage` is True."""
 
     value: float
     percentage: bool
 
     def speed(self, max_speed: float) -> float | None:
-        """Return the limit [m/s] for a robot whose maximum speed is `max_speed` [m/s]; return None if there is none."""
+        """Return the limit [m/s] of a robot with the maximum speed `max_speed` [m/s]; None if there is no limit."""
         if self.value == 0.0:
             return None
         return max(MIN_SPEED_LIMIT, min(max_speed, 0.01 * self.value * max_speed if self.percentage else self.value))
 
 
 def read_speed_limit(message: Any) -> SpeedLimit:  # noqa: ANN401 - ROS messages have no types to check
-    """Read the limit in a message; 0 means no limit.
+    """Extract the limit of a message; 0 means no limit.
 
     Raises
     ------
     MessageError
-        If the limit is not finite, or negative.
+        If the limit is negative or not finite.
     """
     value = float(message.speed_limit)
     if not math.isfinite(value) or value < 0.0:
@@ -198,11 +198,11 @@ def read_speed_limit(message: Any) -> SpeedLimit:  # noqa: ANN401 - ROS messages
     return SpeedLimit(value, bool(message.percentage))
 
 
-# Distance of the estimated pose from the target.
+# Deviation of the estimated pose from the target.
 
 
 def tracking_error(result: StepResult) -> tuple[float, float, float] | None:
-    """Return the distances ahead and to the left of the tracked pose [m] and the heading error [rad], or else None."""
+    """Return the error ahead and to the left [m] and of the heading [rad]; None without estimate or plan."""
     if result.estimate is None or result.reference is None:
         return None
     x, y, theta = result.reference[0].tolist()

@@ -30,25 +30,25 @@ _TOPICS = "set_path", "set_trajectory", "set_timed_trajectory"
 
 
 class ReferencePart(NodePart):
-    """References from topics, which the side process reads and the control loop drives along."""
+    """Receiver of references on topics; the side process converts them, and the control loop tracks them."""
 
     def configure(self, _tools: NodeTools) -> None:
-        """Subscribe to the topics whose types are installed."""
+        """Subscribe to the topics whose message types are installed."""
         self.subscribe_raw(Path, _TOPICS[0], self._reader(read_path))
         self.subscribe_raw(MultiDOFJointTrajectory, _TOPICS[1], self._reader(read_trajectory))
-        timed = timed_trajectory_type()
-        if timed is not None:
-            self.subscribe_raw(timed, _TOPICS[2], self._reader(read_timed_trajectory, MAX_TRAJECTORY_BYTES))
+        timed_type = timed_trajectory_type()
+        if timed_type is not None:
+            self.subscribe_raw(timed_type, _TOPICS[2], self._reader(read_timed_trajectory, MAX_TRAJECTORY_BYTES))
 
     def after_diagnostics(self, _message: DiagnosticArray, _time: int) -> None:
-        """Start the side process once a node publishes references."""
+        """Start the side process as soon as a node publishes references."""
         if self.loop is not None and any(self.node.count_publishers(topic) for topic in _TOPICS):
             self.running()[1].side_process.prepare(preload)
 
     def _reader(
         self, read_reference: Callable[[bytes, Limits], StatedReference], max_bytes: int = MAX_BYTES
     ) -> Callable[[bytes], None]:
-        """Return a callback that reads references of at most `max_bytes` in the side process."""
+        """Return a callback that converts references of at most `max_bytes` in the side process."""
 
         def take(raw: bytes) -> None:
             try:
@@ -67,16 +67,16 @@ class ReferencePart(NodePart):
         return take
 
     def _refuse(self, reason: str) -> None:
-        words = f"reference refused: {reason}"
+        message = f"reference refused: {reason}"
         if self.loop is not None:
-            self.loop.refusal = words
-        self.node.get_logger().error(words)
+            self.loop.refusal = message
+        self.node.get_logger().error(message)
 
     def _offer(self, loop: ControlLoop, stated: StatedReference) -> None:
-        """Pass a reference to the loop that was active when it arrived; log the reason if it is unusable."""
+        """Pass a reference to `loop`, which was active at its arrival; log the reason if the loop rejects it."""
         try:
             if loop is not self.loop:
-                raise RefusedError("the node was deactivated while it was read")
+                raise RefusedError("the node was deactivated during its conversion")
             inbox = loop.inbox
             if inbox.frames is None:
                 parameter = "odom_frame, or map_frame with use_pose_topic; with use_tf, any frame on /tf is allowed"
@@ -91,18 +91,18 @@ class ReferencePart(NodePart):
 
 
 class SpeedLimitPart(NodePart):
-    """Speed limit from a topic; it also applies to later activations."""
+    """Receiver of speed limits on a topic; a limit also applies to later activations."""
 
     _limit: SpeedLimit | None = None
     _refusal = ""
 
     @property
     def fault(self) -> str:
-        """Reason why the last limit was refused; empty once a limit is accepted."""
+        """Reason why the last limit was refused; empty if it was accepted."""
         return self._refusal
 
     def configure(self, tools: NodeTools) -> None:
-        """Subscribe to the topic if its type is installed."""
+        """Subscribe to the topic if its message type is installed."""
         if not tools.settings.use_speed_limit:
             return
         kind = message_type("nav2_msgs", "SpeedLimit")
@@ -120,11 +120,11 @@ class SpeedLimitPart(NodePart):
         if self.tools is None or self._limit is None:
             return
         controller = self.tools.controller
-        both, *sides = (self.node.get_parameter(f"limits.v{side}").value for side in ("", ".forward", ".reverse"))
-        wanted = self._limit.speed(max(side or both for side in sides))
-        if wanted != controller.speed_limit:
-            controller.limit_speed(wanted)
-            self.node.get_logger().info("speed limit off" if wanted is None else f"speed limit {wanted:.3g} m/s")
+        common, *sides = (self.node.get_parameter(f"limits.v{side}").value for side in ("", ".forward", ".reverse"))
+        limit = self._limit.speed(max(side or common for side in sides))
+        if limit != controller.speed_limit:
+            controller.limit_speed(limit)
+            self.node.get_logger().info("speed limit removed" if limit is None else f"speed limit {limit:.3g} m/s")
 
     def _take(self, message: Any) -> None:  # noqa: ANN401 - ROS messages have no types to check
         try:
@@ -138,5 +138,5 @@ class SpeedLimitPart(NodePart):
             self.change_limits()
 
     def _refuse(self, reason: str) -> None:
-        self._refusal = f"speed limit refused, the last one stays: {reason}"
+        self._refusal = f"speed limit refused, the last limit stays: {reason}"
         self.node.get_logger().error(self._refusal)

@@ -20,23 +20,23 @@ from diffdrive_mpc.mpc.ros.publishers import NAMELESS, full_name, mismatched_sub
 from diffdrive_mpc.mpc.ros.topic_watch import TopicWatch
 
 _CLAIM = "_diffdrive_mpc"
-"""Topic below that of the commands; every active node of this project has a publisher there, which never publishes."""
+"""Suffix of the topic on which every active node of this project has a publisher, which sends no messages."""
 _POLL = 0.02
 _NAME_TIMEOUT = 4.0
-"""Maximum time from the discovery of a publisher to that of its node's name [s]."""
+"""Maximum time from the discovery of a publisher to the discovery of its node's name [s]."""
 _PERIOD = 0.2
 """Period of the checks for other publishers while the node is active [s]."""
 
 
 class Others(NamedTuple):
-    """Full names of nodes.
+    """Full names of other nodes that publish commands.
 
     Attributes
     ----------
     project
         Other active nodes of this project that send commands to the same topic.
     foreign
-        Other nodes that publish on the topic, including inactive nodes of this project.
+        All other nodes that publish on the topic, including inactive nodes of this project.
     """
 
     project: tuple[str, ...]
@@ -44,12 +44,12 @@ class Others(NamedTuple):
 
 
 class Rivals:
-    """Detector of command publishers other than `node`; it also announces `node` to other nodes of this project.
+    """Detector of other command publishers, which also announces `node` to other nodes of this project.
 
     Parameters
     ----------
     node
-        The node; it has a publisher on `topic`.
+        Node with a publisher on `topic`.
     topic
         Topic of the commands, before remapping.
     """
@@ -61,10 +61,10 @@ class Rivals:
         self._claim: Publisher | None = None
 
     def claim(self, wait: float) -> Others:
-        """Claim the topic and return the other publishers; wait until the node has existed for `wait` [s].
+        """Claim the topic and return the other publishers.
 
-        Before that, the middleware may not have discovered the others. Two nodes that claim at the same time detect
-        each other.
+        The function waits until the node has existed for `wait` [s], since the middleware needs time to discover other
+        publishers. Two nodes that claim the topic at the same time detect each other.
         """
         if self._claim is None:
             self._claim = self._node.create_publisher(Empty, f"{self.topic}/{_CLAIM}", 1)
@@ -84,7 +84,7 @@ class Rivals:
             self._claim = None
 
     def others(self) -> Others:
-        """Return the other publishers on the topic that the middleware has discovered."""
+        """Return the other discovered publishers on the topic."""
         project = self._other_publishers(f"{self.topic}/{_CLAIM}", is_included=self._claim is not None)
         foreign = self._other_publishers(self.topic, is_included=True)
         for name in project:
@@ -95,17 +95,17 @@ class Rivals:
     def _other_publishers(self, topic: str, *, is_included: bool) -> list[str]:
         names = sorted(map(full_name, self._node.get_publishers_info_by_topic(topic)))
         name = self._node.get_fully_qualified_name()
-        # The first publisher with this name belongs to this node if this node has one; others belong to other nodes.
+        # The first publisher with this name belongs to this node if `is_included`; others belong to other nodes.
         if is_included and name in names:
             names.remove(name)
         return names
 
 
 def describe_shared_input(node: Node, watch: TopicWatch, topic: str) -> str:
-    """Describe the publishers that share an input, with the remedy; return "" if there is only one.
+    """Describe the publishers that share an input, and the remedy; empty if there is only one publisher.
 
     The middleware may list a killed node for some time. Two publishers with the same name therefore count as two only
-    if both publish messages, or if the middleware does not distinguish their messages.
+    if both send messages, or if the middleware does not distinguish their messages.
     """
     infos, series = node.get_publishers_info_by_topic(topic), watch.series
     names = sorted({*map(full_name, infos)} - {NAMELESS})
@@ -115,20 +115,20 @@ def describe_shared_input(node: Node, watch: TopicWatch, topic: str) -> str:
             return ""
         if series.is_numbered and not series.is_shared:
             return ""
-    who = _names(names) if len(names) > 1 else f"two publishers of {_names(names) or NAMELESS}"
-    return f"{who} publish on {topic}, and it is not known which messages are right; stop all but one"
+    publishers = _names(names) if len(names) > 1 else f"two publishers of {_names(names) or NAMELESS}"
+    return f"{publishers} publish on {topic}, and their messages cannot be distinguished; stop all but one"
 
 
 def describe_rivals(others: Others, topic: str) -> str:
-    """Describe the conflict with other active nodes of this project; return an empty string if there is none."""
+    """Describe the conflict with other active nodes of this project; empty if there is no conflict."""
     if not others.project:
         return ""
-    return f"{_names(others.project)} of this project drives by {topic} too; deactivate one of them"
+    return f"{_names(others.project)} of this project also sends commands on {topic}; deactivate one of them"
 
 
 def describe_foreign(others: Others, topic: str) -> str:
-    """Describe the other publishers; return an empty string if there are none."""
-    return f"{_names(others.foreign)} publishes on {topic} too" if others.foreign else ""
+    """Describe the other publishers; empty if there are none."""
+    return f"{_names(others.foreign)} also publishes on {topic}" if others.foreign else ""
 
 
 def _names(names: Sequence[str]) -> str:
@@ -136,18 +136,18 @@ def _names(names: Sequence[str]) -> str:
 
 
 class RivalWatch(NodePart):
-    """Objections and warnings about other nodes that publish commands or inputs, or that misread the commands."""
+    """Checks for other nodes that publish commands or inputs, or that subscribe with the wrong command type."""
 
     rivals: Rivals | None = None
     _timer: Any = None
     _was_shared = False
 
     def configure(self, tools: NodeTools) -> None:
-        """Prepare the claim of the topic of the commands."""
+        """Prepare the claim of the command topic."""
         self.rivals = Rivals(self.node, command_topic(tools.settings))
 
     def check_activation(self) -> None:
-        """Claim the topic of the commands; raise RefusedError if the node must not drive the robot."""
+        """Claim the command topic; raise RefusedError if the node must not drive the robot."""
         assert self.rivals is not None
         assert self.tools is not None
         others = self.rivals.claim(self.tools.settings.discovery_wait)
@@ -164,30 +164,30 @@ class RivalWatch(NodePart):
         self._check_others()
         self._timer = self.node.create_timer(_PERIOD, self._check_others, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def tick(self, tick: LoopTick) -> None:  # noqa: ARG002 - that of the base class
-        """Check for other publishers immediately if the messages of an input come from two publishers."""
+    def tick(self, tick: LoopTick) -> None:  # noqa: ARG002 - argument of the base class
+        """Check for other publishers immediately if two publishers send messages of an input."""
         is_shared = self.tools is not None and any(watch.series.is_shared for watch, _ in self.tools.watched)
         if is_shared and not self._was_shared:
             self._check_others()
         self._was_shared = is_shared
 
     def deactivate(self) -> None:
-        """Release the topic of the commands."""
+        """Release the command topic."""
         self.node.destroy_timer(self._timer)
         if self.rivals is not None:
             self.rivals.release()
 
     def tear_down(self) -> None:
-        """Release the topic of the commands."""
+        """Release the command topic."""
         if self.rivals is not None:
             self.rivals.release()
             self.rivals = None
 
     def _objection(self, tools: NodeTools, rivals: Rivals, others: Others) -> str:
-        """Return the reason why the node must not drive the robot while `others` publish; empty if it may."""
+        """Return the reason why the node must not drive the robot; empty if it may drive."""
         objection = describe_rivals(others, rivals.topic)
         if not objection and others.foreign and tools.settings.exclusive_cmd_vel:
-            objection = f"{describe_foreign(others, rivals.topic)}; stop that, or set exclusive_cmd_vel to false"
+            objection = f"{describe_foreign(others, rivals.topic)}; stop that node, or set exclusive_cmd_vel to false"
         if not objection and tools.settings.exclusive_inputs:
             objection = self._shared_input(tools)
         return objection
@@ -197,19 +197,19 @@ class RivalWatch(NodePart):
         return next(filter(None, shared), "")
 
     def _await_inputs(self, tools: NodeTools) -> None:
-        """Receive messages of inputs with two publishers until both have published, or the time limit is reached."""
+        """Receive messages of inputs with two publishers until both have sent messages, or until the time limit."""
 
-        def ambiguous() -> list[Subscription]:
+        def shared() -> list[Subscription]:
             return [topic for _, topic in tools.watched if self.node.count_publishers(topic.topic_name) > 1]
 
         end = time.monotonic() + tools.settings.discovery_wait
-        while ambiguous() and not any(watch.series.is_shared for watch, _ in tools.watched) and time.monotonic() < end:
-            for subscription in ambiguous():
+        while shared() and not any(watch.series.is_shared for watch, _ in tools.watched) and time.monotonic() < end:
+            for subscription in shared():
                 take_pending(subscription)
             time.sleep(_POLL)
 
     def _check_others(self) -> None:
-        """Pass objection and warnings to the loop, which brakes if there is an objection."""
+        """Update objection and warning of the loop, which brakes if there is an objection."""
         if self.loop is None or self.tools is None or self.rivals is None:
             return
         loop, tools, topic = self.loop, self.tools, self.rivals.topic
@@ -217,7 +217,7 @@ class RivalWatch(NodePart):
         loop.objection = self._objection(tools, self.rivals, others)
         warnings = (
             "" if loop.objection else describe_foreign(others, topic),
-            # With exclusive inputs, the objection covers shared inputs.
+            # With exclusive inputs, shared inputs are an objection.
             "" if loop.objection or tools.settings.exclusive_inputs else self._shared_input(tools),
             mismatched_subscribers(self.node, topic, stamped=tools.settings.stamped),
             self._clock_warning(loop, tools),
@@ -229,7 +229,7 @@ class RivalWatch(NodePart):
             watch.source = "" if watch.accepted else publishers_of(self.node, subscription)
 
     def _clock_warning(self, loop: ControlLoop, tools: NodeTools) -> str:
-        """Warn if the simulated clock does not advance in steps of the period."""
+        """Return a warning if the simulated clock does not advance in steps of the period."""
         if not (self.node.get_parameter("use_sim_time").value and loop.times.is_off_period):
             return ""
         return (

@@ -1,7 +1,7 @@
-"""A separate process for tasks that take longer than a tick; a thread would delay the control loop.
+"""Separate process for tasks that take longer than a tick, since a thread would delay the control loop.
 
-`python -m diffdrive_mpc.mpc.ros.side_process DESCRIPTOR` is the process: it runs requests from the socket in order
-until the other end of the socket closes.
+`python -m diffdrive_mpc.mpc.ros.side_process DESCRIPTOR` starts the process. It executes requests from the socket in
+order until the other end of the socket closes.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _NICENESS = 10
 _END_TIMEOUT = 2.0
 """Time limit for the end of the process [s]."""
 _START_TIMEOUT = 60.0
-"""Time limit for the start of the process with its module [s]; the process has a low priority."""
+"""Time limit for the start of the process and the import of the module [s]; the process has a low priority."""
 Done = Callable[[Any], None]
 Failed = Callable[[str], None]
 
@@ -36,20 +36,20 @@ class _Job(NamedTuple):
 
 
 class SideProcess:
-    """Caller of functions in a separate process, in order; only `close` waits for the process.
+    """Execution of functions in a separate process, in order; only `close` waits for the process.
 
     The process starts with the first call, which takes about a second.
 
     Parameters
     ----------
     wake
-        Function that is called from a separate thread when `deliver` has results to deliver.
+        Function that is called from a separate thread if `deliver` has results.
     patience
-        Time limit of a function from the loading of its module [s]; after this time the process is ended.
+        Time limit of a function after the import of its module [s]; after this time the process is killed.
     """
 
     def __init__(self, wake: Callable[[], None], patience: float) -> None:
-        self._wake, self._patience = wake, patience
+        self._wake, self._time_limit = wake, patience
         self._changed = threading.Condition()
         self._waiting: OrderedDict[str, _Job] = OrderedDict()
         self._results: list[tuple[_Job, bool, Any]] = []
@@ -61,36 +61,36 @@ class SideProcess:
     def submit(
         self, key: str, function: Callable[..., Any], arguments: tuple[Any, ...], done: Done, failed: Failed
     ) -> None:
-        """Queue `function(*arguments)`; call `done` with its result, or `failed` with the reason of the failure.
+        """Queue `function(*arguments)`; call `done` with the result, or `failed` with the reason for a failure.
 
-        The function must be defined at module level. A waiting job with the same `key` is replaced, and fails.
+        The function must be defined at module level. A waiting job with the same `key` is replaced and fails.
         """
         with self._changed:
             if self._thread is None:
                 self._thread = threading.Thread(target=self._serve, name="side process", daemon=True)
                 self._thread.start()
-            old = self._waiting.pop(key, None)
-            if old is not None:
-                self._results.append((old, False, "a newer one came before it was read"))
+            replaced = self._waiting.pop(key, None)
+            if replaced is not None:
+                self._results.append((replaced, False, "a newer request replaced it"))
             self._waiting[key] = _Job(function, arguments, done, failed)
             self._changed.notify()
-        if old is not None:
+        if replaced is not None:
             self._wake()
 
     def prepare(self, function: Callable[[], Any]) -> None:
-        """Start the process and load the module of `function`, unless the process has already been started."""
+        """Start the process and import the module of `function`, if the process was not started before."""
         if self._thread is None:
             self.submit("prepare", function, (), _ignore, _ignore)
 
     def deliver(self) -> None:
-        """Call `done` or `failed` of all completed jobs, in the caller's thread."""
+        """Call `done` or `failed` of all completed jobs in the caller's thread."""
         with self._changed:
             results, self._results = self._results, []
         for job, succeeded, content in results:
             (job.done if succeeded else job.failed)(content)
 
     def close(self) -> None:
-        """End the process; its pending requests are dropped."""
+        """End the process and drop pending requests."""
         with self._changed:
             self._closed = True
             self._changed.notify()
@@ -98,10 +98,10 @@ class SideProcess:
         if self._thread is not None:
             self._thread.join(_END_TIMEOUT)
 
-    def _begin(self) -> Connection:
+    def _start_process(self) -> Connection:
         parent_end, child_end = socket.socketpair()
         command = [sys.executable, "-m", _MODULE, str(child_end.fileno())]
-        # A separate session, so that Ctrl-C reaches the node only.
+        # In a separate session, Ctrl-C does not reach the process.
         self._process = subprocess.Popen(
             command, pass_fds=[child_end.fileno()], stdin=subprocess.DEVNULL, start_new_session=True
         )
@@ -112,7 +112,7 @@ class SideProcess:
     def _end(self) -> None:
         if self._process is not None:
             self._process.kill()
-            # A killed process ends in any case, so it need not be awaited longer.
+            # A killed process ends in any case, so the wait is limited.
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(_END_TIMEOUT)
                 self._process = None
@@ -134,27 +134,27 @@ class SideProcess:
             self._link.close()
 
     def _run_job(self, job: _Job) -> tuple[bool, Any]:
-        why = "the process that reads it ended; send it again"
+        reason = "the process that converts it ended; send it again"
         try:
-            link = self._link or self._begin()
+            link = self._link or self._start_process()
             link.send((job.function, job.arguments))
-            why = f"the process that reads it does not begin within {_START_TIMEOUT:g} s"
+            reason = f"the process that converts it does not start within {_START_TIMEOUT:g} s"
             if link.poll(_START_TIMEOUT):
                 link.recv()
-                why = f"to read it takes longer than {self._patience:g} s"
-                if link.poll(self._patience):
+                reason = f"its conversion takes longer than {self._patience:g} s"
+                if link.poll(self._time_limit):
                     succeeded, content = link.recv()
                     return bool(succeeded), content
         except (OSError, EOFError):
             pass
         except (pickle.PicklingError, TypeError, AttributeError, MemoryError) as error:
-            why = f"it cannot be sent to the process that reads it: {error}"
+            reason = f"it cannot be sent to the process that converts it: {error}"
         with self._changed:
             if self._link is not None and not self._closed:
                 self._link.close()
                 self._link = None
                 self._end()
-        return False, why
+        return False, reason
 
 
 def _ignore(_: object) -> None:
@@ -162,7 +162,7 @@ def _ignore(_: object) -> None:
 
 
 def _main(descriptor: int) -> None:
-    """Serve requests until the socket closes."""
+    """Execute requests until the socket closes."""
     os.nice(_NICENESS)
     if hasattr(os, "sched_setscheduler"):
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))

@@ -1,4 +1,4 @@
-"""Watch of one incoming topic: age of its last valid message, and reasons for rejected messages.
+"""Monitoring of an input topic: age of the last valid message, and reasons for rejected messages.
 
 The reactions of the node to a fault are in `ControlLoop` (`control_loop.py`) and documented in docs/safety.md.
 """
@@ -12,27 +12,27 @@ from diffdrive_mpc.mpc.ros.message_series import MessageSeries
 
 
 class TopicWatch:
-    """State of one topic.
+    """State of an input topic.
 
     Parameters
     ----------
     name
-        Name of the topic for messages to the user.
+        Name of the topic in messages to the user.
 
     Attributes
     ----------
     accepted, refused
-        Number of accepted and of refused messages.
+        Numbers of accepted and refused messages.
     reason
-        Reason why the last message was refused; empty once a valid message arrives.
+        Reason why the last message was refused; empty if it was accepted.
     last_refusal
-        Last non-empty `reason`, for diagnostics.
+        Reason why the last refused message was refused, for diagnostics.
     source
-        Description of the topic and its publishers, before the first message arrives.
+        Description of the topic and its publishers; empty after the first message.
     delay
-        Time from the stamp of the last valid message to its arrival [s]; NaN before the first.
+        Time from the stamp of the last valid message to its arrival [s]; NaN before the first valid message.
     series
-        Publication numbers of all messages, including refused messages.
+        Series of all messages, including refused messages.
     """
 
     def __init__(self, name: str) -> None:
@@ -44,11 +44,11 @@ class TopicWatch:
         self.restart()
 
     def restart(self) -> None:
-        """Discard the stamp of the last message, so that the next message counts as the first."""
+        """Discard the stamp of the last message; the next message counts as the first message."""
         self._stamp: float | None = None
 
     def accept(self, stamp: float, now: float, ahead: float) -> None:
-        """Accept a valid message with `stamp` [s], which arrived at `now` [s].
+        """Accept a valid message with `stamp` [s] that arrived at `now` [s].
 
         Raises
         ------
@@ -64,21 +64,21 @@ class TopicWatch:
         self.accepted += 1
 
     def take_back(self, stamp: float | None) -> None:
-        """Undo the last `accept` if the message turns out unusable; the last valid message has `stamp` [s]."""
+        """Undo the last `accept` of an invalid message; `stamp` [s] is that of the valid message before it."""
         self._stamp = stamp
         self.accepted -= 1
 
     def refuse(self, reason: str) -> None:
-        """Count an unusable message and store the reason."""
+        """Count an invalid message and store the reason."""
         self.reason = self.last_refusal = f"{self.name} refused: {reason}"
         self.refused += 1
 
     def age(self, now: float) -> float:
-        """Return the time since the stamp of the last valid message [s]; infinite before the first."""
+        """Return the time since the stamp of the last valid message [s]; infinite before the first valid message."""
         return math.inf if self._stamp is None else now - self._stamp
 
     def fault(self, now: float, timeout: float) -> str:
-        """Describe why the topic is unreliable at `now` [s]; return an empty string if it is reliable."""
+        """Return the reason why the topic is unreliable at `now` [s]; empty if it is reliable."""
         age = self.age(now)
         if -timeout <= age <= timeout:
             return ""

@@ -12,15 +12,15 @@ from diffdrive_mpc.mpc.ros.conversions import message_type, nanoseconds, subscri
 from diffdrive_mpc.mpc.ros.transforms.frames import Frames
 from diffdrive_mpc.mpc.ros.transforms.rigid import Rigid
 
-# The same queue depth as in tf2's listener.
+# The queue depth is that of the tf2 listener.
 _DYNAMIC = QoSProfile(depth=100)
 _STATIC = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 MAX_BYTES = 200_000
-"""Maximum size of a message [bytes], several hundred frames, which take several milliseconds to read."""
+"""Maximum size of a message [bytes]; several hundred frames, which take several milliseconds to convert."""
 
 
 def listen(node: Node, frames: Frames, *, moving: bool = True) -> list[Subscription]:
-    """Subscribe `node` to /tf_static, and if `moving` also to /tf, for `frames`.
+    """Subscribe `node` to /tf_static and, if `moving` is True, to /tf; `frames` receives the transforms.
 
     Raises
     ------
@@ -29,15 +29,16 @@ def listen(node: Node, frames: Frames, *, moving: bool = True) -> list[Subscript
     """
     kind = message_type("tf2_msgs", "TFMessage")
     if kind is None:
-        raise ValueError("transforms are to be used (pose_source: tf, or use_tf), but tf2_msgs is not installed")
+        raise ValueError("pose_source tf and use_tf require tf2_msgs, which is not installed")
 
     def callback(*, static: bool) -> Any:  # noqa: ANN401 - a callback
         def take(message: Any) -> None:  # noqa: ANN401 - ROS messages have no types to check
-            for each in message.transforms:
-                translation, turn = each.transform.translation, each.transform.rotation
-                rigid = Rigid(translation.x, translation.y, translation.z, turn.x, turn.y, turn.z, turn.w)
-                stamp = nanoseconds(each.header.stamp)
-                frames.take(each.header.frame_id, each.child_frame_id, stamp, rigid, static=static)
+            for entry in message.transforms:
+                translation, rotation = entry.transform.translation, entry.transform.rotation
+                quaternion = rotation.x, rotation.y, rotation.z, rotation.w
+                rigid = Rigid(translation.x, translation.y, translation.z, *quaternion)
+                stamp = nanoseconds(entry.header.stamp)
+                frames.take(entry.header.frame_id, entry.child_frame_id, stamp, rigid, static=static)
 
         return take
 

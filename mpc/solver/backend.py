@@ -1,8 +1,8 @@
-"""Backend solvers of the condensed problem, in addition to the core's methods: their interface and the solve loop.
+"""Interface and solve loop of backend solvers for the condensed problem, in addition to the methods of the core.
 
-A backend is first given only the kinds of limit that were active at the last tick or that the unconstrained minimiser
-violates. If its solution satisfies all other limits, it solves the full problem; if not, the violated kinds are added
-and the backend solves again.
+A backend first solves the problem with the kinds of limits that were active at the last tick or that the unconstrained
+minimiser violates. If the solution satisfies all other limits, it is the solution of the full problem. Otherwise the
+violated kinds are added, and the backend solves again.
 """
 
 from __future__ import annotations
@@ -24,37 +24,39 @@ from diffdrive_mpc.mpc.problem.constants import HARD_KINDS as HARD
 from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
 
 Kinds = tuple[int, ...]
-"""Kinds of limit, ascending: v_ref, omega_ref, their increments, and from `HARD` on the soft limits."""
+"""Ascending kinds of limits: v_ref, omega_ref, their increments, and from `HARD` on the soft limits."""
 MIN_TIME_LIMIT = 1e-9
-"""Time limit passed to a solver if no time is left [s]; OSQP rejects 0, and DAQP treats 0 as no limit."""
+"""Lower bound of the time limit of a solver [s]; OSQP rejects 0, and DAQP treats 0 as no limit."""
 
 
 class Program:
-    """The tick's quadratic program in the core's memory, without a copy.
+    """Quadratic program of a tick; the arrays are views of the core's memory.
 
-    Minimise U'HU/2 + g'U + penalty(soft rows) subject to lower <= values(U) <= upper; U are the commands step by step.
+    Minimise U'HU/2 + g'U + penalty(soft rows) subject to lower <= values(U) <= upper, where U contains the commands
+    step by step.
 
     Attributes
     ----------
     H, g
-        (2 N, 2 N), (2 N,).
+        Hessian (2 N, 2 N) and gradient (2 N,).
     lower, upper
-        (kinds, N) bounds of the commands, of their increments (the first one relative to zero) and of the soft limits.
+        (kinds, N) bounds of the commands, of their increments (the first increment relative to zero) and of the
+        soft-limited values.
     guess
         (2 N,) initial guess of the plan.
     multipliers
         (kinds, N) initial guess of the multipliers: positive at upper bounds, negative at lower bounds, else zero.
     last_command, aim, feed_forward, fed_before
-        (2,) command before the first increment; (N + 1, 4) target poses and headings to hold; (N, 2) commands from
-        which deviations are penalised; (2,) feed-forward command of the last tick.
+        (2,) command before the first increment; (N + 1, 4) target poses and target headings; (N, 2) commands whose
+        deviations are penalised; (2,) feed-forward command of the last tick.
     late
-        (2,) delays that the plan accounts for [samples].
+        (2,) delays of the commands in the plan [samples].
     ahead
         (N,) distance of the turning point ahead of the origin on each arc [m], along the guess.
     soft_values
-        (kinds - 4, N) soft values at a plan of zeros, to first order; they are subtracted from the soft bounds.
+        (kinds - 4, N) first-order values of the soft limits at a plan of zeros, which are subtracted from the bounds.
     kinds
-        Kinds of limit that were active at the last tick, or that the unconstrained minimiser violates.
+        Kinds of limits that were active at the last tick, or that the unconstrained minimiser violates.
     """
 
     def __init__(self, tick: Tick, steps: int, kinds: int) -> None:
@@ -71,37 +73,37 @@ class Program:
 
     @property
     def kinds(self) -> Kinds:
-        """Kinds of limit that were active at the last tick, or that the unconstrained minimiser violates."""
+        """Kinds of limits that were active at the last tick, or that the unconstrained minimiser violates."""
         return tuple(kind for kind in range(self._count) if self._active[kind])
 
     @property
     def soft_limits(self) -> FloatArray:
-        """(kinds - 4,) upper limits of the soft kinds at this tick, in the units of the limited values."""
+        """(kinds - 4,) upper soft limits at this tick, in the units of the limited values."""
         return self.upper[HARD:, 0] + self.soft_values[:, 0]
 
     def count_from(self, command: FloatArray) -> None:
-        """Set the command (2,) before the next tick, for a controller that runs while another one drives."""
+        """Set the last command (2,), for a controller that runs while another controller drives the robot."""
         self._tick.view(self._tick.lib.ddmpc_last_command(self._tick.c), (2,))[:] = command
 
     def linearise(self, plan: FloatArray) -> None:
-        """Linearise the last tick's problem along `plan` (2 N,); the next tick is not affected."""
+        """Linearise the problem of the last tick along `plan` (2 N,), without an effect on the next tick."""
         self._tick.lib.ddmpc_linearise_again(self._tick.c, self._tick.ffi.from_buffer("real[]", plan))
 
     @property
     def directions(self) -> FloatArray:
-        """(2, N) directions of travel, 1 or -1: of the body at the end of each step, and of the step's command."""
+        """(2, N) directions of travel, 1 or -1, of the body at the end of each step and of the command of the step."""
         values, tick = np.empty((2, self._steps)), self._tick
         tick.lib.ddmpc_directions(tick.c, tick.ffi.from_buffer("real[]", values))
         return values
 
     def rows(self, kind: int) -> FloatArray:
-        """Return the (N, 2 N) rows of one kind of soft limit."""
+        """Return the rows (N, 2 N) of the soft limit `kind`."""
         rows, tick = np.empty((self._steps, 2 * self._steps)), self._tick
         tick.lib.ddmpc_soft_rows(tick.c, kind, tick.ffi.cast("real *", rows.ctypes.data))
         return rows
 
     def violated_kinds(self, plan: FloatArray, margin: float) -> Kinds:
-        """Return the kinds of limit that `plan` (2 N,) violates at any step by more than `margin`."""
+        """Return the kinds of limits that `plan` (2 N,) violates by more than `margin` at any step."""
         tick = self._tick
         values = tick.ffi.from_buffer("real[]", np.ascontiguousarray(plan))
         tick.lib.ddmpc_violated_kinds(tick.c, values, margin, self._violated)
@@ -114,9 +116,9 @@ class Solved(NamedTuple):
     Attributes
     ----------
     plan
-        (2 N,) plan; valid only if the status is usable.
+        (2 N,) plan; valid only if `status.usable` is True.
     multipliers
-        (kinds, N) multipliers of the limits, zero if inactive.
+        (kinds, N) multipliers of the limits; zero for inactive limits.
     status, iterations, primal_residual, dual_residual
         Report of the solver.
     """
@@ -130,7 +132,7 @@ class Solved(NamedTuple):
 
 
 class Backend(Protocol):
-    """A solver with its work space. It does not raise on invalid numbers; it returns a status."""
+    """Solver with its work space; for invalid numbers it returns a status instead of raising an error."""
 
     def __init__(self, steps: int, kinds: int, settings: Solver, weights: Weights) -> None: ...
 
@@ -142,17 +144,17 @@ class Backend(Protocol):
         multipliers: FloatArray,
         time_limit: float | None = None,
     ) -> Solved:
-        """Solve with these kinds of limit, warm-started from a plan (2 N,) and multipliers (kinds, N).
+        """Solve the program with the limits `kinds`, warm-started from a plan (2 N,) and multipliers (kinds, N).
 
-        The solver stops after `time_limit` [s], and does not start if the factorisation is expected to take longer.
+        The solver stops after `time_limit` [s]. It does not start if the factorisation is expected to take longer.
         """
         ...
 
 
 class SetUpTime:
-    """Processor time of work that a time limit cannot interrupt, such as a factorisation.
+    """Estimate of the processor time of work that a time limit cannot interrupt, such as a factorisation.
 
-    The shortest measurement is used, so that a single outlier does not disable the solver forever. Time of other
+    The minimum measurement is used, so that a single outlier does not disable the solver permanently. The time of other
     processes is excluded.
     """
 
@@ -160,12 +162,12 @@ class SetUpTime:
         self._per_unit = math.inf
 
     def expected(self, size: float = 1.0) -> float:
-        """Return the expected time of work of this size [s]; 0 before the first measurement."""
+        """Return the expected time [s] of work of the given size; 0 before the first measurement."""
         return 0.0 if math.isinf(self._per_unit) else size * self._per_unit
 
     @contextmanager
     def measured(self, size: float = 1.0) -> Iterator[None]:
-        """Measure the enclosed work, which has this size."""
+        """Measure the time of the enclosed work of the given size."""
         start = time.thread_time()
         yield
         self._per_unit = min(self._per_unit, (time.thread_time() - start) / size)
@@ -174,41 +176,41 @@ class SetUpTime:
 def solve_all(
     backend: Backend, program: Program, method: str, slack: float, deadline: float | None = None
 ) -> tuple[Solved, SolverReport]:
-    """Solve the full problem with `backend`; `slack` is the tolerated violation of a limit.
+    """Solve the full problem with `backend`; `slack` is the tolerance of a limit.
 
-    `method` is the backend's name in the report. The solve ends at `deadline` [s, `time.monotonic`]; a solve that is
-    not expected to end in time is not started.
+    `method` is the name of the backend in the report. The solve stops at `deadline` [s, `time.monotonic`]. A solve that
+    is not expected to end in time is not started.
     """
     kinds = tuple(sorted({*range(HARD), *program.kinds}))
     guess, multipliers, iterations = program.guess, program.multipliers, 0
     while True:
-        left = None if deadline is None else deadline - time.monotonic()
-        if left is not None and not left > 0.0:  # also true if the deadline is NaN
-            solved = Solved(guess, multipliers, SolverStatus.TIME_LIMIT)
+        remaining = None if deadline is None else deadline - time.monotonic()
+        if remaining is not None and not remaining > 0.0:  # negated so that NaN counts as expired
+            solution = Solved(guess, multipliers, SolverStatus.TIME_LIMIT)
             break
-        solved = backend.solve(program, kinds, guess, multipliers, left)
-        iterations += solved.iterations
-        if not np.isfinite(solved.plan).all():
-            solved = solved._replace(status=SolverStatus.NOT_FINITE)
-        violated = program.violated_kinds(solved.plan, slack) if solved.status.usable else ()
+        solution = backend.solve(program, kinds, guess, multipliers, remaining)
+        iterations += solution.iterations
+        if not np.isfinite(solution.plan).all():
+            solution = solution._replace(status=SolverStatus.NOT_FINITE)
+        violated = program.violated_kinds(solution.plan, slack) if solution.status.usable else ()
         if set(violated) <= set(kinds):
             break
         kinds = tuple(sorted({*kinds, *violated}))
-        guess, multipliers = solved.plan, solved.multipliers
+        guess, multipliers = solution.plan, solution.multipliers
     soft = any(kind >= HARD for kind in kinds)
-    return solved, SolverReport(
-        solved.status, method, iterations, solved.primal_residual, solved.dual_residual, soft_limits=soft
+    return solution, SolverReport(
+        solution.status, method, iterations, solution.primal_residual, solution.dual_residual, soft_limits=soft
     )
 
 
-# Available solvers, by their names in the configuration (`solver.method`).
+# Available backends by their names in the configuration (`solver.method`).
 
 
 BACKENDS: Mapping[str, str] = {"daqp": "DaqpBackend", "osqp": "OsqpBackend"}
-"""Class of each backend; its module is `mpc.solver.NAME_backend`."""
+"""Class name of each backend; the module is `mpc.solver.NAME_backend`."""
 
 
 def load_backend(name: str) -> type[Backend]:
-    """Import the backend `name`; a solver's library is loaded only if the configuration selects it."""
+    """Import the backend `name`; the library of a solver is loaded only if the configuration selects the solver."""
     backend: type[Backend] = getattr(import_module(f"{__package__}.{name}_backend"), BACKENDS[name])
     return backend

@@ -1,4 +1,4 @@
-"""Find the active limit that raises the cost of a plan most."""
+"""Search for the active limit with the largest effect on the cost of a plan."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ _KEYS |= {"across": "corridor", "turn": "min_turn_radius", "commanded": "min_com
 
 
 def costliest_limit(program: Program, config: ControllerConfig, soft_names: Sequence[str]) -> str:
-    """Return the key of the limit whose relative relaxation lowers the cost most; empty if no limit is active.
+    """Return the key of the limit whose relative relaxation reduces the cost most; empty if no limit is active.
 
-    The result is the name of the row for soft limits of terms. `soft_names` (kinds - 4,) are names of the soft kinds.
+    `soft_names` (kinds - 4,) are the names of the soft limits. For soft limits of terms, the result is such a name.
     """
-    forces, bounds = program.multipliers, np.where(program.multipliers > 0.0, program.upper, program.lower)
+    multipliers, bounds = program.multipliers, np.where(program.multipliers > 0.0, program.upper, program.lower)
     bounds[HARD:] = program.soft_limits[:, None]
-    costs = np.where(forces != 0.0, np.abs(forces * bounds), 0.0)
+    costs = np.where(multipliers != 0.0, np.abs(multipliers * bounds), 0.0)
     kind, step = divmod(int(np.argmax(costs)), costs.shape[1])
     if costs[kind, step] == 0.0:
         return ""
     if kind >= HARD:
         name = soft_names[kind - HARD]
         return f"limits.{_KEYS[name.split()[0]]}" if name.split()[0] in _KEYS else name
-    name, sense = ("v", "omega", "v_slew", "omega_slew")[kind], forces[kind, step]
+    name, sense = ("v", "omega", "v_slew", "omega_slew")[kind], multipliers[kind, step]
     if kind > 1:
         before = program.guess[2 * (step - 1) + kind % 2] if step else program.last_command[kind % 2]
         sense *= -1.0 if before < 0.0 else 1.0

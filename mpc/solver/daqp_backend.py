@@ -1,6 +1,6 @@
-"""Solve with DAQP, a dual active-set method, warm-started from a guess of the active limits.
+"""Backend for DAQP, a dual active-set method that is warm-started from a guess of the active limits.
 
-DAQP handles soft limits natively: each row has a linear and a quadratic penalty, without slack variables.
+DAQP supports soft limits without slack variables: each row has a linear and a quadratic penalty.
 """
 
 from __future__ import annotations
@@ -19,36 +19,36 @@ from diffdrive_mpc.mpc.problem.constants import HARD_KINDS as HARD
 from diffdrive_mpc.mpc.solver.backend import MIN_TIME_LIMIT, Kinds, Program, SetUpTime, Solved
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 
-# The rows of the initial active set are linearly dependent.
+# Exit flag of DAQP for linearly dependent rows in the initial active set, and for the time limit.
 _DEPENDENT = -6
-_TOO_LATE = -7
+_TIME_LIMIT = -7
 _STATUS = {
-    2: SolverStatus.SOLVED,  # with a soft limit exceeded
+    2: SolverStatus.SOLVED,  # with a violated soft limit
     1: SolverStatus.SOLVED,
     -1: SolverStatus.INFEASIBLE,
-    -2: SolverStatus.MAX_ITERATIONS,  # cycling: no more progress
+    -2: SolverStatus.MAX_ITERATIONS,  # cycling without progress
     -3: SolverStatus.UNBOUNDED,
     -4: SolverStatus.MAX_ITERATIONS,
     -5: SolverStatus.NOT_CONVEX,
-    _TOO_LATE: SolverStatus.TIME_LIMIT,
+    _TIME_LIMIT: SolverStatus.TIME_LIMIT,
 }
-# Flags of a row; the last marks a soft limit that is active but not violated.
+# Flags of a row; `_NOT_VIOLATED` marks a soft limit that is active but not violated.
 _ACTIVE, _LOWER, _SOFT, _NOT_VIOLATED = 1, 2, 8, 32
 
 
 @cache
 def _set_up_time(steps: int) -> SetUpTime:
-    """Measure the time per row of limits to factorise a Hessian (2 N, 2 N) and to transform the rows with it."""
-    measured, n = SetUpTime(), 2 * steps
-    for _ in range(2):  # the first one also loads the library
+    """Measure the set-up time per row: factorisation of a Hessian (2 N, 2 N) and transformation of the rows."""
+    set_up_time, n = SetUpTime(), 2 * steps
+    for _ in range(2):  # the first set-up also loads the library
         sense = np.zeros(n, dtype=c_int)
-        with measured.measured(n):
+        with set_up_time.measured(n):
             daqp.Model().setup(np.eye(n) + 1.0, np.zeros(n), np.eye(n), np.ones(n), -np.ones(n), sense)
-    return measured
+    return set_up_time
 
 
 class DaqpBackend:
-    """DAQP as a `mpc.solver.backend.Backend`."""
+    """Implementation of `mpc.solver.backend.Backend` with DAQP."""
 
     def __init__(self, steps: int, kinds: int, settings: Solver, weights: Weights) -> None:
         self._steps, self._count, self._weights = steps, kinds, weights
@@ -67,26 +67,26 @@ class DaqpBackend:
         multipliers: FloatArray,
         time_limit: float | None = None,
     ) -> Solved:
-        """Solve as `mpc.solver.backend.Backend` describes; the guessed plan is not used."""
+        """Solve the program, see `mpc.solver.backend.Backend`; the guess of the plan is not used."""
         deadline = None if time_limit is None else time.monotonic() + time_limit
         rows = np.concatenate([self._hard[kind] if kind < HARD else program.rows(kind) for kind in kinds])
-        chosen = list(kinds)
-        near = multipliers[chosen].reshape(-1)
+        indices = list(kinds)
+        initial = multipliers[indices].reshape(-1)
         soft = np.repeat([kind >= HARD for kind in kinds], self._steps)
-        flag, solved = self._run(program, rows, chosen, soft, near, deadline)
+        flag, solution = self._run(program, rows, indices, soft, initial, deadline)
         if flag == _DEPENDENT:
-            flag, solved = self._run(program, rows, chosen, soft, np.zeros_like(near), deadline)
+            flag, solution = self._run(program, rows, indices, soft, np.zeros_like(initial), deadline)
         status = _STATUS.get(flag, SolverStatus.NOT_RUN)
-        if solved is None:
+        if solution is None:
             return Solved(guess, np.zeros((self._count, self._steps)), status)
-        plan, active, iterations = solved
+        plan, active, iterations = solution
         duals = np.zeros((self._count, self._steps))
-        duals[chosen] = active.reshape(-1, self._steps)
+        duals[indices] = active.reshape(-1, self._steps)
         stationarity = program.H @ plan + program.g + rows.T @ active
         values = rows @ plan
-        excess = np.maximum(values - program.upper[chosen].reshape(-1), program.lower[chosen].reshape(-1) - values)
-        worst = float(np.max(excess[~soft], initial=0.0))
-        return Solved(plan, duals, status, iterations, max(worst, 0.0), float(np.abs(stationarity).max()))
+        excess = np.maximum(values - program.upper[indices].reshape(-1), program.lower[indices].reshape(-1) - values)
+        max_violation = float(np.max(excess[~soft], initial=0.0))
+        return Solved(plan, duals, status, iterations, max(max_violation, 0.0), float(np.abs(stationarity).max()))
 
     def _run(
         self,
@@ -94,16 +94,19 @@ class DaqpBackend:
         rows: FloatArray,
         kinds: list[int],
         soft: FloatArray,
-        near: FloatArray,
+        initial: FloatArray,
         deadline: float | None,
     ) -> tuple[int, tuple[FloatArray, FloatArray, int] | None]:
-        """Solve from the multipliers `near`; return DAQP's flag, and None if DAQP rejects the data or time is short."""
+        """Solve from the guess `initial` of the multipliers; return the exit flag of DAQP, and the solution.
+
+        The solution is None if DAQP rejects the data or the remaining time is too short for the set-up.
+        """
         if deadline is not None and self._set_up_time.expected(len(rows)) >= deadline - time.monotonic():
-            return _TOO_LATE, None
+            return _TIME_LIMIT, None
         price = self._weights.soft
-        sense = np.where(near > 0, _ACTIVE, np.where(near < 0, _ACTIVE | _LOWER, 0)) | np.where(soft, _SOFT, 0)
-        # If a warm start marks soft limits as violated, DAQP may report success at a point near the solution.
-        sense |= np.where(soft & (near != 0), _NOT_VIOLATED, 0)
+        sense = np.where(initial > 0, _ACTIVE, np.where(initial < 0, _ACTIVE | _LOWER, 0)) | np.where(soft, _SOFT, 0)
+        # If a warm start marks soft limits as violated, DAQP may report success for a point near the solution.
+        sense |= np.where(soft & (initial != 0), _NOT_VIOLATED, 0)
         model = daqp.Model()
         with self._set_up_time.measured(len(rows)):
             flag, _ = model.setup(
@@ -116,11 +119,11 @@ class DaqpBackend:
             )
         if flag < 0:
             return int(flag), None
-        # DAQP's time limit starts here; it is checked at every 32nd iteration.
-        left = {} if deadline is None else {"time_limit": max(deadline - time.monotonic(), MIN_TIME_LIMIT)}
-        model.settings = {**self._settings, **left}
+        # The time limit of DAQP starts here; DAQP checks it every 32 iterations.
+        limit = {} if deadline is None else {"time_limit": max(deadline - time.monotonic(), MIN_TIME_LIMIT)}
+        model.settings = {**self._settings, **limit}
         if soft.any():
-            looseness, prices = np.full(len(near), 1 / self._weights.soft_quadratic), np.full(len(near), price)
-            model.soft_weights(looseness, looseness, prices, prices)
+            compliance, prices = np.full(len(initial), 1 / self._weights.soft_quadratic), np.full(len(initial), price)
+            model.soft_weights(compliance, compliance, prices, prices)
         plan, _, flag, info = model.solve()
         return int(flag), (np.array(plan), np.array(info["lam"]), int(info["iterations"]))

@@ -1,9 +1,9 @@
-"""Solve with OSQP, an operator-splitting method, warm-started.
+"""Backend for OSQP, a warm-started operator-splitting method.
 
-Variables are (U, p, m): slacks p, m >= 0 are the violations of the upper and the lower soft limits. The rows of a soft
-limit and their slacks are divided by the largest entry of these rows: without this scaling, OSQP needs ten times as
-many iterations while limits are active. The work space of the hard limits is set up with the controller; the work space
-of a set of soft limits is set up when it is first needed.
+The variables are (U, p, m); the slacks p, m >= 0 are the violations of the upper and lower soft limits. The rows of a
+soft limit and their slacks are divided by the maximum entry of these rows. Without this scaling, OSQP needs ten times
+as many iterations while limits are active. The work space of the hard limits is set up with the controller; the work
+space of a set of soft limits is set up at its first use.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ _STATUS = {
     osqp.SolverStatus.OSQP_DUAL_INFEASIBLE_INACCURATE: SolverStatus.UNBOUNDED,
     osqp.SolverStatus.OSQP_NON_CVX: SolverStatus.NOT_CONVEX,
 }
-# Multipliers below this are numerical noise of inactive limits.
+# Minimum multiplier of an active limit; smaller multipliers are numerical noise.
 _MIN_MULTIPLIER = 1e-6
-# Default of OSQP [s].
+# Default time limit of OSQP [s].
 _NO_TIME_LIMIT = 1e10
-# Few sets of soft limits occur in practice.
+# Maximum number of work spaces; few sets of soft limits occur in practice.
 _MAX_WORKSPACES = 16
 
 
 class _Times:
-    """Times to set up the work space of the hard limits, and to factorise a work space with the data of a tick."""
+    """Times of setting up the work space of the hard limits, and of factorising a work space with new data."""
 
     def __init__(self) -> None:
         self.set_up, self.update = SetUpTime(), SetUpTime()
@@ -55,13 +55,13 @@ def _times(_steps: int) -> _Times:
 
 
 class OsqpBackend:
-    """OSQP as a `mpc.solver.backend.Backend`."""
+    """Implementation of `mpc.solver.backend.Backend` with OSQP."""
 
     def __init__(self, steps: int, kinds: int, settings: Solver, weights: Weights) -> None:
         self._count, self._steps, self._times = kinds, steps, _times(steps)
         self._make = partial(_Workspace, steps, kinds, settings, weights, self._times.update)
         self._workspaces: dict[Kinds, _Workspace] = {}
-        # The first set-up of a process also loads the library, so it is measured again.
+        # The first set-up in a process also loads the library, so the measurement is repeated.
         for _ in range(1 if self._times.set_up.expected() else 2):
             with self._times.set_up.measured():
                 self._workspaces[()] = self._make(())
@@ -74,29 +74,29 @@ class OsqpBackend:
         multipliers: FloatArray,
         time_limit: float | None = None,
     ) -> Solved:
-        """Solve as `mpc.solver.backend.Backend` describes."""
+        """Solve the program, see `mpc.solver.backend.Backend`."""
         soft = tuple(kind for kind in kinds if kind >= HARD)
         deadline = None if time_limit is None else time.monotonic() + time_limit
         workspace = self._workspaces.get(soft)
         factorise = self._times.update.expected(_size(soft))
-        needed = factorise if workspace else self._times.set_up.expected() + 2 * factorise
-        if time_limit is not None and needed >= time_limit:
+        required_time = factorise if workspace else self._times.set_up.expected() + 2 * factorise
+        if time_limit is not None and required_time >= time_limit:
             return Solved(guess, np.zeros((self._count, self._steps)), SolverStatus.TIME_LIMIT)
         if workspace is None:
             if len(self._workspaces) >= _MAX_WORKSPACES:
-                # Delete the oldest work space, except that of the hard limits.
+                # The first entry is the work space of the hard limits; delete the oldest of the others.
                 del self._workspaces[list(self._workspaces)[1]]
             workspace = self._workspaces[soft] = self._make(soft)
         return workspace.solve(program, guess, multipliers, deadline)
 
 
 def _size(soft: Kinds) -> float:
-    """Return the time of a factorisation relative to one without soft limits, whose rows are dense."""
+    """Return the factorisation time relative to that without soft limits; rows of soft limits are dense."""
     return (1.0 + 0.5 * len(soft)) ** 2
 
 
 class _Workspace:
-    """One OSQP instance of fixed sparsity: rows of the hard limits and of a set of soft limits, and slack bounds."""
+    """OSQP instance of fixed sparsity, with rows of the hard limits, of a set of soft limits, and of slack bounds."""
 
     def __init__(
         self, steps: int, count: int, settings: Solver, weights: Weights, update_time: SetUpTime, soft: Kinds
@@ -106,17 +106,17 @@ class _Workspace:
         kinds = [*range(HARD), *soft]
         # A slice is faster than a list.
         self._soft, self._kinds = list(soft), kinds if soft else slice(HARD)
-        # Rows of the hard kinds come first, then those of the soft kinds.
+        # The rows of the hard limits are followed by the rows of the soft limits.
         n, self._rows, rows = self._n, steps * len(kinds), steps * len(soft)
-        # Commands are interleaved, rows are sorted by kind: every second command belongs to the same channel.
+        # The two channels of the commands are interleaved, whereas rows are sorted by kind.
         channels = [sparse.identity(n, format="csr")[i::2] for i in (0, 1)]
         difference = sparse.identity(steps) - sparse.eye(steps, k=-1)
-        hard = [[rows_of, None, None] for rows_of in (*channels, *(difference @ channel for channel in channels))]
+        hard = [[block, None, None] for block in (*channels, *(difference @ channel for channel in channels))]
         pattern, unit = np.ones((rows, n)), sparse.identity(rows)
         slacks = [[pattern, -unit, unit], [None, unit, None], [None, None, unit]] if rows else []
         blocks = [*hard, *slacks] if rows else [row[:1] for row in hard]
         self._A = _sorted_csc(sparse.bmat(blocks))
-        # Indices of the soft rows of U among the stored values of A; only these values change.
+        # Indices of the soft rows of U in the stored values of A; only these values change.
         self._soft_place = _positions(self._A, self._rows - rows, rows, n) if rows else np.empty((0, n), dtype=np.intp)
         # Off-diagonal entries are part of the sparsity pattern; their values are set at each tick.
         triangle = sparse.csc_matrix(np.triu(np.ones((n, n))))
@@ -125,13 +125,13 @@ class _Workspace:
         column = np.repeat(np.arange(n), np.arange(1, n + 1))
         self._triangle = n * np.concatenate([np.arange(k + 1) for k in range(n)]) + column
         self._gradient = np.zeros(n + 2 * rows)
-        # Rows of soft limits, and their divisors.
+        # Slice of the rows of the soft limits, and divisors of these rows.
         self._limits, self._size = slice(self._rows - rows, self._rows), np.ones(rows)
         self._lower = np.zeros(self._rows + 2 * rows)
         self._upper = np.full(self._rows + 2 * rows, np.inf)
         self._P.data[: len(self._triangle)] = np.eye(n).reshape(-1)[self._triangle]
         self._solver = self._set_up(settings)
-        # OSQP counts its set-up time in the first solve; this solve starts at its solution and takes little time.
+        # OSQP counts the set-up time in its first solve, so a short solve is done here.
         self._solver.solve(raise_error=False)
         self._update()
         self._time_limit = _NO_TIME_LIMIT
@@ -146,7 +146,7 @@ class _Workspace:
             self._upper,
             verbose=False,
             **settings.osqp.model_dump(),
-            # Adapt after a number of iterations, not a time, so that results do not depend on the machine's speed.
+            # Adaptation after a number of iterations instead of a time makes results independent of the computer.
             adaptive_rho=1,
             adaptive_rho_interval=50,
             polishing=False,
@@ -161,9 +161,9 @@ class _Workspace:
     def solve(self, program: Program, guess: FloatArray, multipliers: FloatArray, deadline: float | None) -> Solved:
         """Solve with the limits of this work space; stop at `deadline` [s, `time.monotonic`]."""
         values = self._load(program, guess)
-        # OSQP's time limit starts with the update; it is checked at every iteration.
-        left = _NO_TIME_LIMIT if deadline is None else deadline - time.monotonic()
-        time_limit = min(max(left, MIN_TIME_LIMIT), _NO_TIME_LIMIT)
+        # The time limit of OSQP starts with the update; OSQP checks it at every iteration.
+        remaining = _NO_TIME_LIMIT if deadline is None else deadline - time.monotonic()
+        time_limit = min(max(remaining, MIN_TIME_LIMIT), _NO_TIME_LIMIT)
         if time_limit != self._time_limit:
             self._solver.update_settings(time_limit=time_limit)
             self._time_limit = time_limit
@@ -184,7 +184,7 @@ class _Workspace:
         )
 
     def _load(self, program: Program, guess: FloatArray) -> FloatArray:
-        """Copy the program's data; return the values of the soft limits along `guess`, scaled like their rows."""
+        """Copy the data of the program; return the scaled values of the soft limits at `guess`."""
         n, entries = self._n, len(self._triangle)
         program.H.take(self._triangle, out=self._P.data[:entries])
         self._gradient[:n] = program.g
@@ -193,8 +193,8 @@ class _Workspace:
         if not self._soft:
             return np.empty(0)
         rows = np.stack([program.rows(kind) for kind in self._soft])
-        largest = np.abs(rows).max(axis=(1, 2))
-        size = self._size = np.repeat(np.where(largest > 0.0, largest, 1.0), self._steps)
+        max_entry = np.abs(rows).max(axis=(1, 2))
+        size = self._size = np.repeat(np.where(max_entry > 0.0, max_entry, 1.0), self._steps)
         scaled = rows.reshape(-1, n) / size[:, None]
         self._A.data[self._soft_place] = scaled
         self._upper[self._limits] /= size
@@ -212,7 +212,7 @@ class _Workspace:
         return np.concatenate([guess, over, under])
 
     def _dual(self, multipliers: FloatArray) -> FloatArray:
-        """Return the multipliers of all rows; that of a slack's bound is its limit's multiplier minus the price."""
+        """Return the multipliers of all rows; the multiplier of a slack bound is that of its limit minus the price."""
         active = multipliers[self._kinds].reshape(-1)
         if not self._soft:
             return active
@@ -232,14 +232,14 @@ class _Workspace:
 
 
 def _sorted_csc(matrix: FloatArray | sparse.spmatrix) -> sparse.csc_matrix:
-    """Convert to compressed columns with ascending rows, the order in which new values are written."""
+    """Convert to compressed columns with ascending row indices, the order of updated values."""
     result = sparse.csc_matrix(matrix)
     result.sort_indices()
     return result
 
 
 def _positions(matrix: sparse.csc_matrix, first_row: int, rows: int, columns: int) -> NDArray[np.intp]:
-    """Return the indices (rows, columns) in `matrix.data` of a dense block that starts at `first_row`, column 0."""
-    numbered = matrix.copy()
-    numbered.data = np.arange(1, matrix.nnz + 1, dtype=float)
-    return np.asarray(numbered[first_row : first_row + rows, :columns].toarray() - 1, dtype=np.intp)
+    """Return the indices (rows, columns) in `matrix.data` of the dense block at `first_row` and column 0."""
+    indices = matrix.copy()
+    indices.data = np.arange(1, matrix.nnz + 1, dtype=float)
+    return np.asarray(indices[first_row : first_row + rows, :columns].toarray() - 1, dtype=np.intp)

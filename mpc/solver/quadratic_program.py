@@ -1,4 +1,4 @@
-"""Problem of a tick in the standard form of QP solvers: minimise x'Px/2 + q'x subject to l <= A x <= u."""
+"""Quadratic program of a tick in the standard form of QP solvers."""
 
 from __future__ import annotations
 
@@ -17,35 +17,36 @@ _HARD_NAMES = ("v", "omega", "v_increment", "omega_increment")
 
 
 class QuadraticProgram(NamedTuple):
-    """Minimise x'Px/2 + q'x subject to l <= A x <= u.
+    """Quadratic program: minimise x'Px/2 + q'x subject to l <= A x <= u.
 
-    The first 2 N variables are the commands v [m/s], omega [rad/s], step by step. Slacks of the soft limits follow:
-    first the violations of the upper limits (`over`), then those of the lower limits (`under`).
+    The first 2 N variables are the commands v [m/s], omega [rad/s], step by step. They are followed by the slacks of
+    the soft limits: violations of the upper limits (`over`), then violations of the lower limits (`under`).
 
     Attributes
     ----------
     P, q
-        Hessian (n, n), symmetric, and gradient (n,).
+        Symmetric Hessian (n, n), and gradient (n,).
     A
         Constraint matrix (m, n).
     l, u
-        (m,) bounds, infinite if a row has none. Increments of the first step are relative to zero: the previous command
-        is part of their bounds. Soft limits apply to the difference of the values from those at a plan of zeros.
+        (m,) bounds, infinite for missing bounds. Increments of the first step are relative to zero, and the previous
+        command is part of their bounds. Soft limits apply to the difference of the values from those at a plan of
+        zeros.
     variables, rows
-        Names (n,) and (m,), such as `v[3]` and `soft omega[3]`; the number is the step.
+        Names (n,) and (m,) with the number of the step, such as `v[3]` and `soft omega[3]`.
     """
 
     P: sparse.csc_matrix
     q: FloatArray
     A: sparse.csc_matrix
-    l: FloatArray  # noqa: E741 - its name in every QP solver
+    l: FloatArray  # noqa: E741 - usual name in QP solvers
     u: FloatArray
     variables: tuple[str, ...]
     rows: tuple[str, ...]
 
 
 def quadratic_program(program: Program, weights: Weights, soft_names: Sequence[str]) -> QuadraticProgram:
-    """Copy the program of a tick with all of its limits.
+    """Copy the program of a tick with all limits.
 
     Parameters
     ----------
@@ -54,7 +55,7 @@ def quadratic_program(program: Program, weights: Weights, soft_names: Sequence[s
     weights
         Penalty weights of the slacks.
     soft_names
-        (kinds - 4,) names of the kinds of soft limit.
+        (kinds - 4,) names of the soft limits.
     """
     steps, n = len(program.feed_forward), len(program.g)
     channels = [sparse.identity(n, format="csr")[i::2] for i in (0, 1)]

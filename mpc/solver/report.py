@@ -1,4 +1,4 @@
-"""Report of the solver for one tick; each command comes with one."""
+"""Report of the solver about the solve of a tick."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from enum import StrEnum
 
 
 class SolverStatus(StrEnum):
-    """Outcome of one solve, as a sentence for people. The names are those of `ddmpc_solver_status` in core.h."""
+    """Outcome of a solve; the values are texts for messages, and the names match `ddmpc_solver_status` in core.h."""
 
     SOLVED = "solved"
-    SOLVED_INACCURATELY = "solved, but only to a looser tolerance"
+    SOLVED_INACCURATELY = "solved with a looser tolerance"
     MAX_ITERATIONS = "the iteration limit was reached"
     TIME_LIMIT = "the time limit was reached"
     INFEASIBLE = "the problem has no solution"
@@ -27,7 +27,7 @@ class SolverStatus(StrEnum):
 
     @property
     def usable(self) -> bool:
-        """True if a command may be taken from such a solution."""
+        """True if the solution may be used for a command."""
         return self in _USABLE
 
 
@@ -37,19 +37,19 @@ _USABLE = frozenset(
 
 
 class SolverMethod(StrEnum):
-    """Method that computed the plan of a tick; a backend is identified by its name in the configuration."""
+    """Method that computed the plan of a tick; for a backend, the report contains its name in the configuration."""
 
     NONE = "none"
     """No problem was solved."""
     UNLIMITED = "unlimited"
-    """No limit is active: the unconstrained minimiser satisfies all limits. One factorisation."""
+    """The unconstrained minimiser satisfies all limits; only one factorisation is needed."""
     ACTIVE_SET = "active_set"
-    """The active limits were identified, and verified by their multipliers."""
+    """The active limits were identified and verified by their multipliers."""
 
 
 @dataclass(frozen=True)
 class SolverReport:
-    """Status, method, effort and accuracy of one tick's solution.
+    """Status, method, effort and accuracy of the solve of a tick.
 
     Attributes
     ----------
@@ -58,19 +58,19 @@ class SolverReport:
     method
         "none", "unlimited", "active_set", or the name of the backend.
     iterations
-        Iterations over all solves of the tick: of the backend, or linear systems of the active set; 0 if the
-        unconstrained minimiser satisfies all limits, and therefore is the exact solution.
+        Total iterations of the backend, or linear systems of the active set; 0 if the unconstrained minimiser satisfies
+        all limits and is therefore the exact solution.
     primal_residual, dual_residual
-        Largest violation of a limit, and largest residual of the stationarity condition: as reported by OSQP, else
-        computed from the solution. NaN if there is no solution.
+        Maximum violation of a limit, and maximum residual of the stationarity condition; NaN if there is no solution.
+        OSQP reports these values; for other methods they are computed from the solution.
     soft_limits
         True if the problem had soft limits.
     operations
-        Operations of the active set: multiplications in its loops, also if a backend was used afterwards. At most
-        `Controller.operations_bound`; docs/tuning.md explains the count.
+        Number of multiplications in the loops of the active set, at most `Controller.operations_bound`; see
+        docs/tuning.md. It also counts if a backend was used afterwards.
     missed
-        Consecutive ticks, including this one, whose solve was cut off by the deadline or ended after it; at
-        `solver.max_missed` the robot brakes.
+        Number of consecutive ticks, including the current tick, whose solve was stopped by the deadline or ended after
+        it; at `solver.max_missed` the robot brakes.
     """
 
     status: SolverStatus
@@ -85,5 +85,5 @@ class SolverReport:
     @property
     def path(self) -> str:
         """Return `method`; deprecated, emits DeprecationWarning."""
-        warnings.warn("SolverReport.path is SolverReport.method now", DeprecationWarning, stacklevel=2)
+        warnings.warn("SolverReport.path was renamed to SolverReport.method", DeprecationWarning, stacklevel=2)
         return self.method

@@ -1,4 +1,4 @@
-"""Reference trajectories: timed paths that a differential-drive robot can follow, from built-in names or files."""
+"""Reference trajectories of a differential-drive robot, loaded by name or from files."""
 
 from __future__ import annotations
 

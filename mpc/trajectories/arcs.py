@@ -1,4 +1,4 @@
-"""Trajectory of exact arcs, turns on the spot and waits, with piecewise constant acceleration."""
+"""Trajectories of exact arcs, turns on the spot and pauses, with piecewise constant acceleration."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from diffdrive_mpc.mpc.trajectories.timing import Phase
 
 
 class PathStretch(NamedTuple):
-    """Section of a path with a constant proportion of forward and yaw motion, and its timing."""
+    """Section of a path with a constant ratio of forward to yaw motion, and its timing."""
 
     forward: float
-    """Distance driven per unit of progress [m], negative backwards; 0 for a turn on the spot or a wait."""
+    """Distance per unit of progress [m], negative backwards; 0 for a turn on the spot or a pause."""
     turn: float
-    """Angle turned per unit of progress [rad], positive to the left; 0 on a straight line or in a wait."""
+    """Angle per unit of progress [rad], positive to the left; 0 for a straight line or a pause."""
     length: float
     """Progress at the end of the section."""
     phases: Sequence[Phase]
@@ -30,15 +30,15 @@ class PathStretch(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ArcTrajectory(TableTrajectory):
-    """Exact arcs, sampled in closed form: pose and twist are consistent up to rounding at all times.
+    """Trajectory of exact arcs, sampled in closed form; pose and twist are consistent up to rounding.
 
     Attributes
     ----------
     breaks
         (m,) start time of each phase [s]; the last phase is the rest at the end.
     table
-        (10, m) per phase: start time; x, y, theta and arc length at the start of its section; forward and turn per
-        unit of progress; progress, its rate and half its acceleration at the start of the phase.
+        (10, m) with a column per phase: start time; x, y, theta and arc length at the start of its section; forward
+        distance and turn per unit of progress; progress, its rate and half its acceleration at the start of the phase.
     """
 
     @classmethod
@@ -59,13 +59,13 @@ class ArcTrajectory(TableTrajectory):
 
 
 def chain_arcs(start: ArrayLike, forward: FloatArray, turn: FloatArray, length: FloatArray) -> FloatArray:
-    """Chain n arcs from the pose `start` (3,); return poses (n + 1, 3) [m, m, rad] at their ends.
+    """Chain n arcs from the pose `start` (3,); return the poses (n + 1, 3) [m, m, rad] at the ends of the arcs.
 
-    An arc drives `forward` (n,) metres and turns by `turn` (n,) radians per unit of its `length` (n,).
+    Per unit of `length` (n,), an arc drives `forward` (n,) metres and turns by `turn` (n,) radians.
     """
-    first = np.asarray(start, dtype=float)
-    heading = np.cumsum(np.append(first[2], turn * length))
+    start_pose = np.asarray(start, dtype=float)
+    heading = np.cumsum(np.append(start_pose[2], turn * length))
     poses = np.zeros((len(length), 3))
     poses[:, 2] = heading[:-1]
-    moved = integrate_pose(poses, forward, turn, length)[:, :2]
-    return np.column_stack([np.cumsum(np.vstack([first[:2], moved]), axis=0), heading])
+    displacement = integrate_pose(poses, forward, turn, length)[:, :2]
+    return np.column_stack([np.cumsum(np.vstack([start_pose[:2], displacement]), axis=0), heading])

@@ -1,9 +1,9 @@
-"""Paths of continuous, piecewise linear curvature: clothoids in place of the jumps of curvature between arcs.
+"""Paths of continuous, piecewise linear curvature: clothoids replace the jumps of curvature between arcs.
 
-At a joint of two arcs, three clothoids replace the section within a reach on both sides. Position, heading and
-curvature are continuous at both ends, so that the rest of the path does not change. Such a joint needs three clothoids:
-Bertolazzi and Frego, "On the G2 Hermite interpolation problem with clothoids", J. Comput. Appl. Math. 341 (2018). Their
-lengths have a fixed proportion here, so that two curvatures and the total length are the unknowns.
+At a joint of two arcs, three clothoids replace a section of both arcs, whose length is called reach. Position, heading
+and curvature are continuous at both ends, so the rest of the path does not change. Such a joint needs three clothoids:
+Bertolazzi and Frego, "On the G2 Hermite interpolation problem with clothoids", J. Comput. Appl. Math. 341 (2018). In
+this implementation the ratios of their lengths are fixed, and the unknowns are two curvatures and the total length.
 """
 
 from __future__ import annotations
@@ -19,12 +19,13 @@ from scipy.optimize import brentq, root
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import integrate_pose
 
-# Share of the middle part in a joint [-]: a larger share reduces the slope of the curvature, a smaller its overshoot.
+# Share of the middle clothoid in the length of a joint [-]; a larger share reduces the slope of the curvature, a
+# smaller share reduces the overshoot.
 _MIDDLE = 0.4
 _PARTS = np.array([(1 - _MIDDLE) / 2, _MIDDLE, (1 - _MIDDLE) / 2])
 _MAX_TURN = math.pi / 2
 # Reach below which a joint is omitted [m].
-_TINY = 1e-9
+_MIN_REACH = 1e-9
 _SAMPLES = np.linspace(0.0, 1.0, 41)
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 
@@ -35,7 +36,7 @@ class Clothoid(NamedTuple):
     length: float
     """Length [m], positive."""
     first: float
-    """Curvature at the start [1/m], in radians turned per metre of path, forwards or backwards."""
+    """Curvature at the start [1/m], in radians of turn per metre of path, forwards or backwards."""
     last: float
     """Curvature at the end [1/m]."""
 
@@ -50,11 +51,11 @@ class Joint(NamedTuple):
     reach: float
     """Length by which both arcs are shortened [m]."""
     parts: tuple[Clothoid, ...]
-    """Clothoids in order of travel; empty if the curvature does not jump, or an arc is too short."""
+    """Clothoids in order of travel; empty if the curvature does not jump or an arc is too short."""
 
 
 def sample_clothoids(parts: Sequence[Clothoid], arc_length: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Compute poses and curvatures of a path of clothoids, driven forwards from the origin.
+    """Compute poses and curvatures of a path of clothoids that starts at the origin and is driven forwards.
 
     Parameters
     ----------
@@ -70,13 +71,13 @@ def sample_clothoids(parts: Sequence[Clothoid], arc_length: FloatArray) -> tuple
     """
     lengths, first, last = np.array(parts).T
     ends = np.cumsum(lengths)
-    turned = np.concatenate([[0.0], np.cumsum(lengths * (first + last) / 2)])
+    headings = np.concatenate([[0.0], np.cumsum(lengths * (first + last) / 2)])
 
     def heading_at(s: FloatArray) -> tuple[FloatArray, FloatArray]:
         piece = np.minimum(np.searchsorted(ends, s, side="left"), len(ends) - 1)
-        since = s - (ends - lengths)[piece]
+        offset = s - (ends - lengths)[piece]
         slope = ((last - first) / lengths)[piece]
-        return turned[piece] + since * (first[piece] + slope * since / 2), first[piece] + slope * since
+        return headings[piece] + offset * (first[piece] + slope * offset / 2), first[piece] + slope * offset
 
     heading, curvature = heading_at(arc_length)
     step = np.diff(arc_length)[:, None]
@@ -87,12 +88,13 @@ def sample_clothoids(parts: Sequence[Clothoid], arc_length: FloatArray) -> tuple
 
 @lru_cache(maxsize=1024)
 def joint(before: float, after: float, longest: float, distance: float) -> Joint:
-    """Design clothoids between an arc of curvature `before` and one of curvature `after` [1/m].
+    """Design clothoids between arcs of the curvatures `before` and `after` [1/m].
 
-    Their reach is the maximum: at most `longest` [m] on both sides, and at most `distance` [m] from the arcs.
+    The reach is the maximum for which the joint covers at most `longest` [m] on both sides and deviates by at most
+    `distance` [m] from the arcs.
     """
-    max_reach = min(longest, _MAX_TURN / max(abs(before), abs(after), _TINY))
-    if before == after or max_reach < _TINY:
+    max_reach = min(longest, _MAX_TURN / max(abs(before), abs(after), _MIN_REACH))
+    if before == after or max_reach < _MIN_REACH:
         return Joint(before, after, 0.0, ())
 
     def build(reach: float) -> Joint:
@@ -105,13 +107,12 @@ def joint(before: float, after: float, longest: float, distance: float) -> Joint
 
     if excess(max_reach) <= 0:
         return build(max_reach)
-    # The distance is proportional to the square of the reach. It is reduced slightly to stay below the limit in spite
-    # of rounding.
+    # The limit of the distance is reduced slightly, so that the result is within the limit despite rounding.
     return build(max_reach * brentq(lambda share: excess(share * max_reach) + 0.001 * distance, 1e-6, 1.0, xtol=1e-6))
 
 
 def _fit(before: float, after: float, reach: float) -> tuple[Clothoid, ...]:
-    """Compute clothoids from `reach` [m] before a joint of arcs to `reach` after it."""
+    """Compute the clothoids from `reach` [m] before the joint of two arcs to `reach` after the joint."""
     target = integrate_pose(integrate_pose(np.zeros(3), 1.0, before, reach), 1.0, after, reach)
     overshoot = 0.1 * (after - before)
 
@@ -132,16 +133,16 @@ def _fit(before: float, after: float, reach: float) -> tuple[Clothoid, ...]:
 
 
 def distances(poses: FloatArray, to: Joint) -> FloatArray:
-    """Compute distances (n,) [m] from the arcs that a joint replaces, for poses (n, 3) in the frame of its start.
+    """Compute the distances (n,) [m] of poses (n, 3), in the frame of the start of a joint, from the replaced arcs.
 
-    Relative to the meeting point of the arcs, along their common tangent, the closest point to a pose behind is on the
-    first arc and to a pose ahead on the second arc, if both arcs turn by less than half a turn.
+    If both arcs turn by less than half a turn, the closest point is on the first arc for poses behind the meeting point
+    of the arcs, in the direction of their common tangent, and on the second arc for poses ahead.
     """
     x, y, theta = integrate_pose(np.zeros(3), 1.0, to.before, to.reach)
     cos, sin = math.cos(theta), math.sin(theta)
     ahead = cos * (poses[:, 0] - x) + sin * (poses[:, 1] - y)
     aside = cos * (poses[:, 1] - y) - sin * (poses[:, 0] - x)
     curvature = np.where(ahead < 0, to.before, to.after)
-    # Distance to the circle of this curvature through the origin, in a form that includes straight lines.
+    # Distance to a circle through the origin, in a form that is also valid for straight lines.
     offset = 2 * aside - curvature * (ahead**2 + aside**2)
     return np.asarray(np.abs(offset) / (1 + np.hypot(curvature * ahead, 1 - curvature * aside)))

@@ -1,8 +1,8 @@
-"""Check of a reference against model and limits before the robot moves, and search for a feasible timing.
+"""Check of a reference against model and limits before a drive, and search for a feasible timing.
 
-The linear model without limits follows a reference except for smoothing by its lags. Therefore only the difference from
-that robot is computed, in the steady-state twists of the commands: commands that the limits reduce leave a deficit of
-distance and heading, which later commands reduce as far as the limits allow.
+Without limits, the linear model follows a reference except for smoothing by its lags. The check therefore computes only
+the difference from this ideal robot, from the steady-state twists of the commands. Commands that the limits reduce
+cause a deficit of distance and heading, which later commands reduce as far as the limits permit.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from diffdrive_mpc.mpc.trajectories.speed_check import at_side, checked_referenc
 
 _LIMITS = ("v", "omega", "v_slew", "omega_slew", "wheel_speed", "predicted_v", "predicted_omega")
 _ROUNDING = 1e-6
-# Minimum step [s], and maximum number of steps, after which a reference is not checked.
+# Minimum step [s], and maximum number of steps; the rest of a reference is not checked.
 _STEP, _MAX_TICKS = 0.05, 12_000
-# Speed per metre of deficit and yaw rate per radian [1/s]; share of a tolerance above which a deficit is recorded [-].
+# Feedback gain of the deficit [1/s], and share of a tolerance above which a deficit is recorded [-].
 _CATCH_UP, _GROWTH_SHARE = 5.0, 0.5
-# Preview of v and omega, as shares of the horizon beyond the lags; omega has less, since headings have a low weight
-# [-].
+# Preview of v and omega, as shares of the horizon beyond the lags [-]; the preview of omega is shorter, since headings
+# have a low weight.
 _PREVIEWS = 1.0, 0.5
 # Candidate factors of the duration [-].
 _STRETCHES = [1.1**step for step in range(1, 31)]
@@ -37,22 +37,22 @@ _Model = VelocityModel | NonlinearModel
 
 @dataclass(frozen=True)
 class Shortfall:
-    """First place at which a reference exceeds the limits of the robot.
+    """First point at which a reference exceeds the limits of the robot.
 
     Attributes
     ----------
     reference
         Name of the reference.
     time, arc_length
-        Start of the violation: time of the reference [s], distance along it [m].
+        Start of the violation: time of the reference [s], and distance along the reference [m].
     key
         Key of the violated limit, such as `limits.v.reverse` or `limits.omega_slew.brake`.
     needed, available
-        Maximum value that the reference needs there, and the limit [unit of the limit].
+        Maximum value that the reference needs during the violation, and the limit [unit of the limit].
     behind
-        Distance by which a robot at the limit falls behind there; angle for limits of omega [m, rad].
+        Distance [m], or angle [rad] for limits of omega, by which a robot at the limit falls behind.
     duration, drivable
-        Duration of the reference, and the shortest feasible duration of the candidates [s]; infinite if there is none.
+        Duration of the reference, and minimum feasible duration among the candidates [s]; infinite if none is feasible.
     """
 
     reference: str
@@ -66,7 +66,7 @@ class Shortfall:
     drivable: float
 
     def __str__(self) -> str:
-        """Place, limit, consequence and remedy in one line."""
+        """Format point, limit, consequence and remedy in one line."""
         name, unit = self.key.split(".")[1], "rad" if "omega" in self.key else "m"
         remedy = f"drive it in {self.drivable:.1f} s instead of {self.duration:.1f} s"
         if math.isinf(self.drivable):
@@ -81,26 +81,26 @@ class Shortfall:
 def find_shortfall(
     reference: Reference, config: ControllerConfig, model: _Model, *, is_moving: bool = False
 ) -> Shortfall | None:
-    """Return the first place where `reference` exceeds the limits of `config` with `model`, or None.
+    """Find the first point where `reference` exceeds the limits of `config` with `model`; None if it is feasible.
 
-    The robot starts on the reference, at rest or, if it `is_moving`, with the reference's twist. Steps and corners that
-    the lags smooth do not count. The tolerances are in `settings.yaml`. Only the first ten minutes of a reference are
-    checked.
+    The robot starts on the reference, at rest or, if `is_moving` is True, with the reference's twist. Steps and corners
+    that the lags smooth do not count as violations. The tolerances are in `settings.yaml`. Only the first ten minutes
+    of a reference are checked.
     """
-    timed = partial(_Ticks, checked_reference(reference), config, model, is_moving)
-    ticks = timed(1.0)
-    notes = ticks.deficit()
-    if notes is None:
+    make_ticks = partial(_Ticks, checked_reference(reference), config, model, is_moving)
+    ticks = make_ticks(1.0)
+    records = ticks.deficit()
+    if records is None:
         return None
-    first, end = int(notes[0, 0]), int(notes[-1, 0]) + ticks.preview + 1
-    parts = (np.abs(notes[:, 1:]) / np.tile(ticks.tolerance, 3)).sum(axis=0)
+    first, end = int(records[0, 0]), int(records[-1, 0]) + ticks.preview + 1
+    parts = (np.abs(records[:, 1:]) / np.tile(ticks.tolerance, 3)).sum(axis=0)
     exceeded = ticks.ratio > 1.0 + _ROUNDING
-    # Limits that apply only to paths back to the reference are excluded as causes.
+    # Limits that only the corrective motion exceeds are not the cause.
     row = int(np.argmax(np.where(exceeded[:end].any(axis=0), [*parts[:4], parts[4:].max(), *parts[4:]], -1.0)))
     over, name = np.flatnonzero(exceeded[:, row]), _LIMITS[row]
     run = [run for run in np.split(over, np.flatnonzero(np.diff(over) > 1) + 1) if run[0] < end][-1]
     needed, ratio = ticks.needed[run, row], ticks.ratio[run, row]
-    lost = 0.5 * ticks.step * (ratio - 1.0).sum() if "slew" in name else 1.0 - 1.0 / ratio
+    loss = 0.5 * ticks.step * (ratio - 1.0).sum() if "slew" in name else 1.0 - 1.0 / ratio
     limit = getattr(config.limits, name)
     size, bound, side = at_side(needed[np.argmax(ratio)], limit if isinstance(limit, TwoSided) else TwoSided(limit))
     time = min(first * ticks.step + float(ticks.lag[int("omega" in name)]), reference.duration)
@@ -111,14 +111,14 @@ def find_shortfall(
         f"limits.{name}{side}",
         size,
         bound,
-        float(ticks.step * (np.abs(needed) * lost).sum()),
+        float(ticks.step * (np.abs(needed) * loss).sum()),
         reference.duration,
-        reference.duration * next((stretch for stretch in _STRETCHES if timed(stretch).deficit() is None), math.inf),
+        reference.duration * next((factor for factor in _STRETCHES if make_ticks(factor).deficit() is None), math.inf),
     )
 
 
 class _Ticks:
-    """Commands that follow a reference `stretch` times as slowly, and the simulation of a drive within the limits."""
+    """Commands for a reference that is slower by the factor `stretch`, and simulation of a drive within the limits."""
 
     def __init__(
         self, reference: Reference, config: ControllerConfig, model: _Model, is_moving: bool, stretch: float
@@ -131,7 +131,7 @@ class _Ticks:
         times = np.arange(0.0, np.fmin(end, _MAX_TICKS * step) + step, step)
         body = [reference.sample((times + delay) / stretch).twist[:, row] for row, delay in enumerate(self.lag)]
         self.body = np.stack(body, axis=-1) / stretch
-        # Until the first command takes effect, the reference moves ahead of the robot at rest.
+        # Until the first command takes effect, the reference moves while the robot is at rest.
         lead = reference.sample([0.0, self.lag[0] / stretch]).arc_length
         self.lead = 0.0 if is_moving else float(np.copysign(lead[1] - lead[0], self.body[0, 0]))
         command = np.linalg.solve(self.gain, self.body.T).T
@@ -143,75 +143,75 @@ class _Ticks:
         self.ratio = np.abs(self.needed) / np.stack(bounds, axis=-1)
         self.preview = int(max(config.horizon * config.sample_time - float(self.lag.max()), 0.0) / step)
         ranges, slews = (limits.v, limits.omega), (limits.v_slew, limits.omega_slew)
-        cut = np.clip(command, [-limit.sides[1] for limit in ranges], [limit.sides[0] for limit in ranges])
+        clipped = np.clip(command, [-limit.sides[1] for limit in ranges], [limit.sides[0] for limit in ranges])
         ahead = [int(share * self.preview) for share in _PREVIEWS]
-        self.command = np.stack([_preview(cut[:, row], slews[row], step, ahead[row]) for row in (0, 1)], axis=-1)
+        self.command = np.stack([_preview(clipped[:, row], slews[row], step, ahead[row]) for row in (0, 1)], axis=-1)
 
     def deficit(self) -> FloatArray | None:
-        """Simulate the drive along the reference until the robot is beyond the tolerance, if it ever is.
+        """Simulate the drive until the deficit exceeds a tolerance.
 
         Returns
         -------
         FloatArray or None
-            (ticks, 7) from the start of the deficit to the violation of the tolerance: tick, and the reductions of v
-            and omega by their range, by their slew, and by the limits of the twist.
+            (ticks, 7) from the start of the deficit to the violation of the tolerance: tick, and reductions of v and
+            omega by the range, by the slew, and by the limits of the twist. None if no tolerance is violated.
         """
         if (self.ratio <= 1.0 + _ROUNDING).all():
             return None
         limits, h, gain = self.config.limits, self.step, _CATCH_UP
         tolerance, turn_tolerance = self.tolerance.tolist()
         (v_up, v_down), (w_up, w_down) = limits.v.sides, limits.omega.sides
-        v_grows, v_falls, w_grows, w_falls = (h * rate for rate in (*limits.v_slew.sides, *limits.omega_slew.sides))
-        wheel_speed, top_v, top_w = float(limits.wheel_speed), limits.predicted_v, limits.predicted_omega
+        v_rise, v_fall, w_rise, w_fall = (h * rate for rate in (*limits.v_slew.sides, *limits.omega_slew.sides))
+        wheel_speed, max_v, max_w = float(limits.wheel_speed), limits.predicted_v, limits.predicted_omega
         half_track = 0.5 * self.config.wheels.track
         (g00, g01), (g10, g11) = self.gain.tolist()
         x = free_x = self.lead
         y, turn, v_ref, w_ref = (0.0, 0.0, *map(float, self.before[0]))
-        notes: list[tuple[float, ...]] = []
+        records: list[tuple[float, ...]] = []
         for tick, (v, w, v_plan, w_plan) in enumerate(np.column_stack([self.body, self.command]).tolist()):
             # The lateral error is critically damped at 1 m/s.
-            v_wanted, w_wanted = v_plan + gain * x, w_plan + gain * (turn + 0.25 * gain * v * y)
-            v_in, w_in = min(max(v_wanted, -v_down), v_up), min(max(w_wanted, -w_down), w_up)
-            v_ref, w_ref = _slew(v_ref, v_in, v_grows, v_falls), _slew(w_ref, w_in, w_grows, w_falls)
+            v_target, w_target = v_plan + gain * x, w_plan + gain * (turn + 0.25 * gain * v * y)
+            v_in, w_in = min(max(v_target, -v_down), v_up), min(max(w_target, -w_down), w_up)
+            v_ref, w_ref = _slew(v_ref, v_in, v_rise, v_fall), _slew(w_ref, w_in, w_rise, w_fall)
             v_body, w_body = g00 * v_ref + g01 * w_ref, g10 * v_ref + g11 * w_ref
             wheels = (abs(v_body) + half_track * abs(w_body)) / wheel_speed
-            over = max(wheels, abs(v_body) / top_v, abs(w_body) / top_w, 1.0)
+            over = max(wheels, abs(v_body) / max_v, abs(w_body) / max_w, 1.0)
             v_out, w_out = v_body / over, w_body / over
-            cuts = v_wanted - v_in, w_wanted - w_in, v_in - v_ref, w_in - w_ref, v_body - v_out, w_body - w_out
-            notes.append((tick, *cuts))
+            cuts = v_target - v_in, w_target - w_in, v_in - v_ref, w_in - w_ref, v_body - v_out, w_body - w_out
+            records.append((tick, *cuts))
             x, y = x + h * (w_out * y - v_out + v * math.cos(turn)), y + h * (v * math.sin(turn) - w_out * x)
             turn += h * (w - w_out)
             free_x *= 1.0 - gain * h
             size = max(math.hypot(x - free_x, y) / tolerance, abs(turn) / turn_tolerance)
             if size > 1.0:
-                return np.array(notes)
+                return np.array(records)
             if size < _GROWTH_SHARE:
-                notes.clear()
+                records.clear()
         return None
 
 
-def _preview(cut: FloatArray, slew: SlewLimit, step: float, preview: int) -> FloatArray:
-    """Return commands (K,) that change early, so that a change beyond the slew is in the middle of its ramp.
+def _preview(clipped: FloatArray, slew: SlewLimit, step: float, preview: int) -> FloatArray:
+    """Return commands (K,) that change early, so that a change above the slew limit is centred in its ramp.
 
-    Half of the additional time of the ramp is before the change; the slope is the harmonic mean of both slopes.
+    Half of the additional time of the ramp is before the change. The slope is the harmonic mean of both slopes.
     """
-    change, bounds = np.diff(cut, prepend=0.0) / step, []
+    change, bounds = np.diff(clipped, prepend=0.0) / step, []
     for sense in (1.0, -1.0):
-        rate = np.where(sense * cut >= 0.0, slew.sides[1], slew.sides[0])
+        rate = np.where(sense * clipped >= 0.0, slew.sides[1], slew.sides[0])
         slope = 2.0 * step / (1.0 / rate + 1.0 / np.where(-sense * change > rate, -sense * change, np.inf))
-        bound = sense * cut
-        for ahead in range(1, min(preview, len(cut) - 1) + 1):
-            bound[:-ahead] = np.minimum(bound[:-ahead], sense * cut[ahead:] + ahead * slope[ahead:])
+        bound = sense * clipped
+        for ahead in range(1, min(preview, len(clipped) - 1) + 1):
+            bound[:-ahead] = np.minimum(bound[:-ahead], sense * clipped[ahead:] + ahead * slope[ahead:])
         bounds.append(sense * bound)
     high, low = bounds
-    return np.asarray(np.where(high < cut, high, low))
+    return np.asarray(np.where(high < clipped, high, low))
 
 
-def _slew(last: float, command: float, grows: float, falls: float) -> float:
-    """Compute one channel of `models.two_sided.reached` with floats, ten times as fast in a loop."""
-    low, high = last - (falls if last > 0.0 else grows), last + (falls if last < 0.0 else grows)
+def _slew(last: float, command: float, rise: float, fall: float) -> float:
+    """Compute one channel of `models.two_sided.reached` with floats, which is ten times faster in a loop."""
+    low, high = last - (fall if last > 0.0 else rise), last + (fall if last < 0.0 else rise)
     if last > 0.0 > low:
-        low *= grows / falls
+        low *= rise / fall
     if last < 0.0 < high:
-        high *= grows / falls
+        high *= rise / fall
     return min(max(command, low), high)

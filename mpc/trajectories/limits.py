@@ -1,4 +1,4 @@
-"""Limits of speed and acceleration for reference trajectories, and settings of the trajectory readers."""
+"""Speed and acceleration limits of reference trajectories, and settings of the trajectory readers."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class BeyondLimitError(ConfigError):
 class TrajectoryLimits:
     """Bounds of the reference twist and of its rate of change.
 
-    The first four are numbers, or limits with two sides, see `models.two_sided`. The timing of turns and curves uses
-    the smaller side of yaw limits.
+    The first four bounds are numbers or two-sided limits, see `models.two_sided`. The timing of turns and curves uses
+    the lower side of yaw limits.
 
     Attributes
     ----------
@@ -37,9 +37,9 @@ class TrajectoryLimits:
     omega_acceleration
         Maximum yaw acceleration [rad/s^2].
     lateral_acceleration
-        Maximum lateral acceleration |v omega| of smooth timing [m/s^2]; by default that of the robot of the papers.
+        Maximum lateral acceleration |v omega| of smooth timing [m/s^2].
     min_turn_radius
-        Minimum turn radius [m]; 0 allows turns on the spot. Used by paths back to a reference and by planned paths.
+        Minimum turn radius of planned paths and paths back to a reference [m]; 0 allows turns on the spot.
     """
 
     v: float
@@ -50,7 +50,7 @@ class TrajectoryLimits:
     min_turn_radius: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check that every bound is positive and finite; raises ValueError."""
+        """Raise ValueError if a bound is not positive and finite."""
         for field in fields(self):
             for value in sides_of(getattr(self, field.name)):
                 if not (math.isfinite(value) and (value > 0 or (value == 0 and field.name == "min_turn_radius"))):
@@ -58,7 +58,7 @@ class TrajectoryLimits:
 
     @classmethod
     def of_robot(cls, robot: Robot | None = None) -> TrajectoryLimits:
-        """Return the speed limits and reference accelerations of `robot`, by default the robot of the papers."""
+        """Return the speed limits and reference accelerations of `robot`; by default the robot of the papers."""
         robot = robot or load_robot()
         return cls(
             v=robot.limits.v,
@@ -70,9 +70,9 @@ class TrajectoryLimits:
 
     @classmethod
     def of_controller(cls, limits: Limits) -> TrajectoryLimits:
-        """Return the speed limits of a controller's configuration, and accelerations within its slew limits.
+        """Return the speed limits of a controller configuration, and accelerations within its slew limits.
 
-        A share of slew limits with two sides is reserved for tracking; a single number is used completely.
+        A share of two-sided slew limits is reserved for tracking; a symmetric limit is used completely.
         """
         usual = cls.of_robot()
 
@@ -89,7 +89,7 @@ class TrajectoryLimits:
         )
 
 
-# Settings for the check and the refinement of trajectory files.
+# Settings of the checks and the refinement of trajectory files.
 
 
 class TrajectorySettings(StrictModel):
@@ -97,7 +97,7 @@ class TrajectorySettings(StrictModel):
 
     pieces_per_row: int = Field(ge=2, description="number of pieces between two timed poses")
     pieces_per_waypoint: int = Field(ge=2, description="number of pieces between two waypoints")
-    speed_excess: float = Field(ge=0, description="share by which timed poses may exceed a speed limit")
+    speed_excess: float = Field(ge=0, description="relative excess of a speed limit that is allowed for timed poses")
     lateral_speed: float = Field(gt=0, description="maximum sideways speed of timed poses [m/s]")
     min_turn_radius: float = Field(gt=0, description="minimum radius of a path through waypoints [m]")
     smoothing: float = Field(gt=0, description="maximum distance of smooth timing from the drawn path [m]")
@@ -112,31 +112,29 @@ class TrajectorySettings(StrictModel):
     max_pieces: int = Field(ge=1, description="maximum number of pieces of a path")
     most_segments: int = Field(ge=1, description="maximum number of segments of a file")
     most_joints: int = Field(ge=1, description="maximum number of different joints for smooth timing")
-    tolerance: float = Field(gt=0, description="feasible distance from the drive without limits [m]")
-    heading_tolerance: float = Field(gt=0, description="feasible difference of heading [rad]")
+    tolerance: float = Field(gt=0, description="maximum deviation of a drive within the limits [m]")
+    heading_tolerance: float = Field(gt=0, description="maximum heading error of a drive within the limits [rad]")
 
     def pieces_between(self, points: int, usual: int, minimum: int, where: str) -> int:
-        """Return the number of pieces between two of `points`: the usual number, or fewer for very many points.
+        """Return the number of pieces between two of `points`: the usual number, or a lower number for many points.
 
         Raises
         ------
         models.checked_yaml.ConfigError
-            If `minimum` pieces per point result in more than `max_pieces`; the message begins with `where`.
+            If `minimum` pieces per point result in more than `max_pieces`; the message starts with `where`.
         """
         max_points = self.max_pieces // minimum
         if points > max_points:
-            raise ConfigError(f"{where}: {points:,} points, at most {max_points:,}; leave some out, or split it")
+            raise ConfigError(f"{where}: {points:,} points, at most {max_points:,}; remove points, or split the path")
         return min(usual, max(minimum, self.full_pieces // max(1, points - 1)))
 
     def check_pieces(self, count: float, where: str, remedy: str) -> None:
         """Raise ConfigError if a path needs more than `max_pieces`, before the path is computed."""
         if not count <= self.max_pieces:
-            raise ConfigError(
-                f"{where}: it needs {count:.3g} pieces because of its length, at most {self.max_pieces:,}; {remedy}"
-            )
+            raise ConfigError(f"{where}: its length requires {count:.3g} pieces, at most {self.max_pieces:,}; {remedy}")
 
 
 @cache
 def load_settings() -> TrajectorySettings:
-    """Read the settings that ship with the package."""
+    """Read the settings of the package."""
     return load_checked(TrajectorySettings, Path(__file__).parent / "settings.yaml")

@@ -1,4 +1,4 @@
-"""Loading of trajectories by name or path, with the reader for the content of the file."""
+"""Loading of trajectories by name or path; the content of a file selects the reader."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from diffdrive_mpc.mpc.trajectories.trajectory import Trajectory
 _FOLDER = Path(__file__).parent / "built_in"
 
 BUILT_IN: tuple[str, ...] = shipped_names(_FOLDER)
-"""Names of the trajectories that ship with the package as files."""
+"""Names of the built-in trajectories."""
 _RANDOM = "spline-SEED"
 """Pattern of the names of random splines."""
 
@@ -36,20 +36,20 @@ def load_trajectory(
     Parameters
     ----------
     name_or_path
-        A name in `BUILT_IN`; or `spline-` and a seed for a random smooth path; or a YAML file with `segments` (a list
-        of v [m/s], omega [rad/s], duration [s]) or with `waypoints` (a list of x, y [m]); or a CSV file of timed poses
-        with the columns t [s], x, y [m], theta [rad].
+        One of: a name in `BUILT_IN`; `spline-` and a seed for a random smooth path; a YAML file with `segments` (a list
+        of v [m/s], omega [rad/s], duration [s]) or `waypoints` (a list of x, y [m]); a CSV file of timed poses with the
+        columns t [s], x, y [m], theta [rad].
     limits
-        Limits of speed and acceleration, or a configuration that contains them; by default the limits of the robot of
-        the papers. A configuration also sets the rest before the start, `start_delay`.
+        Speed and acceleration limits, or a configuration that contains them; by default the limits of the robot of the
+        papers. A configuration also sets the standstill before the start, `start_delay`.
     timing
-        "stop", "commanded" or "smooth" (see `timing.Timing`), in place of the timing in the file.
+        "stop", "commanded" or "smooth" (see `timing.Timing`), which replaces the timing in the file.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the name is unknown, the file is missing, malformed, empty or beyond the limits, or the timing is unknown or
-        given for timed poses, which already have times.
+        If the name is unknown, the file is missing, malformed, empty or exceeds the limits, or the timing is unknown or
+        given for timed poses.
     ArgumentError
         If the argument is neither a name nor a path.
     """
@@ -78,18 +78,18 @@ def load_trajectory(
         if limits is not None:
             raise
         raise BeyondLimitError(
-            f"{error}. The limit is that of the papers' robot; for another robot: load_trajectory(path, config)"
+            f"{error}. This is the limit of the papers' robot; for another robot: load_trajectory(path, config)"
         ) from error
-    longest = load_settings().longest_duration
-    if trajectory.duration > longest:
+    max_duration = load_settings().longest_duration
+    if trajectory.duration > max_duration:
         raise ConfigError(
-            f"{path}: the duration is {trajectory.duration:.3g} s, at most {longest:g} s: are times in s?"
+            f"{path}: the duration is {trajectory.duration:.3g} s, at most {max_duration:g} s: are times in s?"
         )
     return trajectory
 
 
 def load_segments(name_or_path: str | Path) -> tuple[Segment, ...]:
-    """Load the segments of a trajectory file, whose twists may jump as in a script of commands.
+    """Load the segments of a trajectory file without a timing, so that the twist may jump between segments.
 
     Raises
     ------
@@ -101,12 +101,12 @@ def load_segments(name_or_path: str | Path) -> tuple[Segment, ...]:
 
 
 def _read(path: Path, limits: TrajectoryLimits, timing: Timing | None) -> Trajectory:
-    # Paths of arcs do not need SciPy; most built-in paths are of this kind.
+    # Most built-in paths consist of arcs, which do not need SciPy.
     if path.suffix.lower() == ".csv":
         from diffdrive_mpc.mpc.trajectories.timed_poses import read_timed_poses  # noqa: PLC0415
 
         if timing is not None:
-            raise ConfigError(f"{path}: timing '{timing}': timed poses have their own times; leave it out")
+            raise ConfigError(f"{path}: timing '{timing}': timed poses already have times; remove the timing")
         return read_timed_poses(path, limits)
     data, where = read_yaml(path), str(path)
     if isinstance(data, Mapping) and "waypoints" in data:
@@ -115,7 +115,7 @@ def _read(path: Path, limits: TrajectoryLimits, timing: Timing | None) -> Trajec
         route = check(WaypointFile, data, where)
         name, chosen = route.name or path.stem, timing or route.timing
         caps = _caps(route.speed_passport, chosen, path)
-        laid = lay_waypoints(
+        trajectory = lay_waypoints(
             route.waypoints,
             limits,
             name=name,
@@ -125,7 +125,7 @@ def _read(path: Path, limits: TrajectoryLimits, timing: Timing | None) -> Trajec
             caps=caps,
             max_deviation=route.max_deviation,
         )
-        return _with_remark(laid, "the polyline of its waypoints")
+        return _with_remark(trajectory, "the polyline of its waypoints")
     sequence = check(SegmentFile, data, where)
     segments, start, chosen = sequence.segments, sequence.start, timing or sequence.timing
     name, caps = sequence.name or path.stem, _caps(sequence.speed_passport, chosen, path)
@@ -141,17 +141,19 @@ def _read(path: Path, limits: TrajectoryLimits, timing: Timing | None) -> Trajec
 
 
 def _with_remark(trajectory: Trajectory, drawn: str, timing: str = "", segments: Sequence[Segment] = ()) -> Trajectory:
-    """Return `trajectory` with a remark: the duration of the file's `segments`, and the distance from `drawn`."""
-    stated, driven = (f"{time:.1f} s" for time in (sum(part.duration for part in segments), trajectory.duration))
-    parts = [f"{stated} in the file, driven in {driven} (timing: {timing})"] if segments and stated != driven else []
+    """Return `trajectory` with a remark on its duration compared with `segments`, and its distance from `drawn`."""
+    file_time, drive_time = (f"{time:.1f} s" for time in (sum(part.duration for part in segments), trajectory.duration))
+    parts = []
+    if segments and file_time != drive_time:
+        parts.append(f"{file_time} in the file, driven in {drive_time} (timing: {timing})")
     if drawn:
-        away = float(trajectory.drawn_distance(getattr(trajectory, "breaks", ())).max())
-        parts.append(f"its path is up to {away:.3f} m from {drawn}; errors refer to its path")
+        max_distance = float(trajectory.drawn_distance(getattr(trajectory, "breaks", ())).max())
+        parts.append(f"its path is up to {max_distance:.3f} m from {drawn}; errors refer to its path")
     return replace(trajectory, remark=f"trajectory '{trajectory.name}': {'; '.join(parts)}") if parts else trajectory
 
 
 def _caps(use: PassportUse | None, timing: Timing, path: Path) -> SpeedCaps | None:
-    """Load the speed limits of the passport that the trajectory file at `path` refers to, if there is one."""
+    """Load the speed limits of the passport that the trajectory file at `path` refers to; None without passport."""
     if use is not None and timing != "smooth":
         raise ConfigError(f"{path}: speed_passport: not available with timing '{timing}'; use 'smooth'")
     return None if use is None else load_speed_caps(use, path.parent)

@@ -1,4 +1,4 @@
-"""Trajectories moved to another pose or scaled to another robot."""
+"""Trajectories that are moved to another pose or scaled to another robot."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 
 @dataclass(frozen=True, eq=False)
 class MovedReference:
-    """Reference rotated about the origin and then translated; implements `models.interface.Reference`.
+    """Reference that is rotated about the origin and then translated; implements `models.interface.Reference`.
 
     Attributes
     ----------
     original
-        The original reference.
+        Original reference.
     motion
         (3,) translation x, y [m] after the rotation by theta [rad].
     """
@@ -52,18 +52,18 @@ class MovedReference:
 
     @cached_property
     def native(self) -> NativeTrajectory | None:
-        """Moved reference in the compiled core, if the core can sample the original."""
+        """Moved reference in the compiled core; None if the core cannot sample the original."""
         native = getattr(self.original, "native", None)
         if not isinstance(native, NativeTrajectory) or any(native.struct.motion):
             return None
         return native.moved(self.motion)
 
     def __getstate__(self) -> dict[str, object]:
-        """Copy the state without the memory of C."""
+        """Copy the state without memory of the core."""
         return {name: value for name, value in self.__dict__.items() if name != "native"}
 
     def sample(self, times: ArrayLike) -> ReferenceSample:
-        """Sample at `times` (n,) [s]; twist and arc length are those of the original."""
+        """Sample at `times` (n,) [s]; twist and arc length are those of the original reference."""
         sample = self.original.sample(times)
         x, y, theta = self.motion
         cos, sin = np.cos(theta), np.sin(theta)
@@ -90,21 +90,21 @@ def starting_at(reference: Reference, pose: ArrayLike) -> MovedReference:
 
 
 _MIN_LAG = 1e-3
-"""Minimum lag in the limits of the acceleration [s]."""
+"""Lower bound of a lag in the limits of the acceleration [s]."""
 _RADIUS_MARGIN = 1.2
-"""Minimum radius of a scaled path over that of the robot [-], with a reserve for path corrections."""
+"""Ratio of the minimum radius of a scaled path to that of the robot [-], with a reserve for path corrections."""
 
 
 def scaled_to_robot(
     name_or_path: str | Path, config: ControllerConfig, model: VelocityModel | NonlinearModel
 ) -> ArcTrajectory:
-    """Scale a path of segments by the robot's track over that of the robot of the papers.
+    """Scale a path of segments by the ratio of the robot's track to that of the robot of the papers.
 
-    For a robot with a minimum turn radius, all turns of the path are wider. The speed is a share of the robot's maximum
-    speed, and the path stops where the curvature jumps. The maximum speed is the limit of the command times the model's
-    steady-state gain, within the limit of the wheel speed. The acceleration is within a share of the slew limit, and
-    within a share of the command that the speed leaves over: due to the lag, an acceleration needs an additional
-    command of lag times acceleration. The shares are in `settings.yaml`.
+    For a robot with a minimum turn radius, the path is enlarged. The robot stops where the curvature jumps. The speed
+    is a share of the robot's maximum speed, which is the command limit times the steady-state gain of the model, within
+    the wheel speed limit. The acceleration is within a share of the slew limit. It is also within a share of the
+    remaining command, since due to the lag an acceleration needs an additional command of lag times acceleration. The
+    shares are in `settings.yaml`.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def scaled_to_robot(
     length = config.wheels.encoder_track / load_robot().track
     if limits.min_path_radius:
         length = max(length, _RADIUS_MARGIN * limits.min_path_radius / _min_radius(segments, name_or_path, limits))
-    # Shares of the command and wheel limits that each segment needs with its duration in the file.
+    # Share of the command and wheel limits that each segment needs with its duration in the file.
     shares = [
         max(
             length * abs(segment.v) / (v_gain * side_of(limits.v, segment.v)),
@@ -135,24 +135,26 @@ def scaled_to_robot(
         )
         for segment in segments
     ]
-    slower = max(shares) / settings.reach_share
+    factor = max(shares) / settings.reach_share
     scaled = [
-        Segment(v=segment.v * length / slower, omega=segment.omega / slower, duration=segment.duration * slower)
+        Segment(v=segment.v * length / factor, omega=segment.omega / factor, duration=segment.duration * factor)
         for segment in segments
     ]
-    fastest = [max(abs(getattr(segment, name)) for segment in scaled) for name in ("v", "omega")]
+    max_values = [max(abs(getattr(segment, name)) for segment in scaled) for name in ("v", "omega")]
     usual, slew = load_robot().reference_acceleration, settings.slew_share
-    left = slew * (1.0 - settings.reach_share)
+    remaining_share = slew * (1.0 - settings.reach_share)
     bounds = TrajectoryLimits(
-        v=max(fastest[0], v_gain * max(limits.v.sides)),
-        omega=max(fastest[1], omega_gain * max(limits.omega.sides)),
+        v=max(max_values[0], v_gain * max(limits.v.sides)),
+        omega=max(max_values[1], omega_gain * max(limits.omega.sides)),
         v_acceleration=min(
-            usual.v * length / slower**2, slew * v_gain * limits.v_slew, left * v_gain * limits.v / max(v_lag, _MIN_LAG)
+            usual.v * length / factor**2,
+            slew * v_gain * limits.v_slew,
+            remaining_share * v_gain * limits.v / max(v_lag, _MIN_LAG),
         ),
         omega_acceleration=min(
-            usual.omega / slower**2,
+            usual.omega / factor**2,
             slew * omega_gain * limits.omega_slew,
-            left * omega_gain * limits.omega / max(omega_lag, _MIN_LAG),
+            remaining_share * omega_gain * limits.omega / max(omega_lag, _MIN_LAG),
         ),
     )
     return lay_segments(scaled, bounds, name=f"{Path(name_or_path).stem} scaled to the robot", where=str(name_or_path))
@@ -163,5 +165,5 @@ def _min_radius(segments: Sequence[Segment], path: str | Path, limits: Limits) -
     turning = [segment for segment in segments if segment.omega]
     if any(segment.v == 0.0 for segment in turning):
         name = "min_turn_radius" if limits.min_turn_radius else "min_commanded_radius"
-        raise ConfigError(f"{path}: it turns on the spot, which limits.{name} forbids; give a path of arcs, as circle")
+        raise ConfigError(f"{path}: it turns on the spot, which limits.{name} forbids; give a path of arcs like circle")
     return min((abs(segment.v / segment.omega) for segment in turning), default=math.inf)

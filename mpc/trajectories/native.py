@@ -1,4 +1,4 @@
-"""References in closed form that the compiled core samples."""
+"""References in closed form, which the compiled core samples."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _ARC_ROWS, _CUBIC_ROWS = 10, 16
 
 
 class NativeTrajectory:
-    """Table of pieces in the core's memory, rotated and then translated by `motion` (3,) [m, m, rad].
+    """Table of pieces for the core, rotated and then translated by `motion` (3,) [m, m, rad].
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class NativeTrajectory:
         self._arrays = np.ascontiguousarray(breaks, dtype=float), np.ascontiguousarray(table, dtype=float)
         rows, pieces = table.shape
         if rows not in (_ARC_ROWS, _CUBIC_ROWS) or len(breaks) not in (pieces, pieces + 1) or pieces < 1:
-            raise ValueError(f"a table of shape {table.shape} with {len(breaks)} breaks is no trajectory")
+            raise ValueError(f"table of shape {table.shape} with {len(breaks)} breaks: not a trajectory")
         self.struct = ffi.new(
             "ddmpc_trajectory *",
             {
@@ -64,20 +64,20 @@ class NativeTrajectory:
         return np.array(list(self.struct.motion))
 
     def moved(self, motion: ArrayLike) -> NativeTrajectory:
-        """Return the trajectory moved by `motion`."""
+        """Return the original trajectory with the given motion instead of the current motion."""
         return NativeTrajectory(self.breaks, self.table, self.struct.duration, motion)
 
     def sample(self, times: ArrayLike) -> ReferenceSample:
         """Sample at `times` (n,) [s]; see `Trajectory.sample`."""
-        queried = np.ascontiguousarray(np.asarray(times, dtype=float).reshape(-1))
-        count = queried.size
+        time_array = np.ascontiguousarray(np.asarray(times, dtype=float).reshape(-1))
+        count = time_array.size
         block = np.empty(6 * count)
         pose, twist, arc_length = block[: 3 * count], block[3 * count : 5 * count], block[5 * count :]
         cast = self._ffi.cast
         start = block.ctypes.data
         self._lib.ddmpc_sample(
             self.struct,
-            cast("const double *", queried.ctypes.data),
+            cast("const double *", time_array.ctypes.data),
             count,
             cast("real *", start),
             cast("real *", start + 24 * count),
@@ -87,15 +87,15 @@ class NativeTrajectory:
 
 
 class NativeReference:
-    """The `ddmpc_reference` of a reference.
+    """C structure `ddmpc_reference` of a reference.
 
     Attributes
     ----------
     struct
         Structure for the core.
     complete
-        True if the core can sample the reference; otherwise the core has only its duration and end, and Python provides
-        the target.
+        True if the core can sample the reference; otherwise the core uses only its duration and end, and Python
+        provides the target.
     """
 
     def __init__(self, reference: Reference) -> None:
@@ -114,7 +114,7 @@ class NativeReference:
 
 
 def _native(reference: Reference) -> NativeTrajectory | None:
-    """Return the object that samples the reference in C, if there is one."""
+    """Return the object that samples the reference in C; None if there is no such object."""
     native = getattr(reference, "native", None)
     return native if isinstance(native, NativeTrajectory) else None
 
@@ -135,7 +135,7 @@ class TableTrajectory(Trajectory):
 
     @cached_property
     def native(self) -> NativeTrajectory:
-        """The table in the compiled core."""
+        """Table of the trajectory in the compiled core."""
         return NativeTrajectory(self.breaks, self.table, self.duration)
 
     def sample(self, times: ArrayLike) -> ReferenceSample:
@@ -143,7 +143,7 @@ class TableTrajectory(Trajectory):
         return self.native.sample(times)
 
     def delayed(self, seconds: float) -> Self:
-        """Return the trajectory after a rest of `seconds` [s] at its start pose."""
+        """Return the trajectory with a preceding standstill of `seconds` [s] at its start pose."""
         rest, pose = np.zeros((len(self.table), 1)), slice(1, 4) if len(self.table) == _ARC_ROWS else slice(12, 15)
         rest[pose] = self.table[pose, :1]
         breaks, table = np.append(0.0, seconds + self.breaks), np.hstack([rest, self.table])

@@ -1,4 +1,4 @@
-"""Timing of a path with the maximum speed within the speed and acceleration limits, in two passes."""
+"""Timing of a path with the maximum speed within speed and acceleration limits, by a forward and a backward pass."""
 
 from __future__ import annotations
 
@@ -25,10 +25,9 @@ def squared_speeds(
 ) -> FloatArray:
     """Compute the squared speed at the ends of the pieces of a path that ends at rest.
 
-    On each piece the acceleration a is constant, so v^2 is linear in arc length. With curvature k the yaw acceleration
+    The acceleration a is constant on each piece, so v^2 is linear in arc length. With curvature k, the yaw acceleration
     is dk/ds v^2 + k a. Its bound |dk/ds| v^2 + |k| |a| decreases if the speed at the faster end of a piece is reduced,
-    so one forward and one backward pass suffice for all pieces to be within the limits. This is stricter than
-    necessary if the two terms have opposite signs.
+    so one forward and one backward pass are sufficient. The bound is conservative if the two terms have opposite signs.
 
     Parameters
     ----------
@@ -41,13 +40,13 @@ def squared_speeds(
     limits
         Speed and acceleration limits.
     cruise
-        Desired maximum speed [m/s], one value or (m,) values for the pieces.
+        Desired maximum speed [m/s], a number or (m,) values for the pieces.
     lateral
-        True to limit the lateral acceleration |k| v^2 as well.
+        True to limit also the lateral acceleration |k| v^2.
     enter
         Desired speed at the start [m/s]; reduced if the path ahead requires it.
     sense
-        1 forwards, -1 backwards.
+        Direction of travel: 1 forwards, -1 backwards.
 
     Returns
     -------
@@ -61,10 +60,10 @@ def squared_speeds(
         )
         if lateral:
             cap = np.minimum(cap, limits.lateral_acceleration / bend)
-    # A node belongs to two pieces; the path ends at rest.
+    # The bounds of both adjacent pieces apply to a node; the path ends at rest.
     square = np.concatenate([[min(enter**2, cap[0])], np.minimum(cap[:-1], cap[1:]), [0.0]])
     # Rise from b0 to b1: b1 <= b0 + 2 a_max ds, and |dk/ds| b1 + |k| (b1 - b0) / (2 ds) <= alpha_max, solved for b1.
-    # Lists of floats, ten times as fast in a loop as array elements.
+    # In a loop, lists of floats are ten times faster than array elements.
     rises = [(2 * acceleration * lengths).tolist() for acceleration in sides_of(limits.v_acceleration)]
     lever = (bend / (2 * lengths)).tolist()
     total = (bend_change + bend / (2 * lengths)).tolist()
@@ -91,21 +90,21 @@ def time_path(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Compute times (m + 1,) [s] from 0, poses (m + 1, 3) and their time derivatives at the ends of the pieces.
 
-    `square` (m + 1,) are the squared speeds at the ends [m^2/s^2], `sense` is 1 forwards and -1 backwards.
+    `square` (m + 1,) are the squared speeds at the ends [m^2/s^2]; `sense` is 1 forwards and -1 backwards.
     """
     v = np.sqrt(square)
-    # With constant acceleration, the duration of a piece is its length over the mean of the speeds at its ends.
+    # With constant acceleration, the duration of a piece is its length divided by the mean of the speeds at its ends.
     times = np.concatenate([[0.0], np.cumsum(2 * path.lengths / (v[:-1] + v[1:]))])
     poses = np.column_stack([path.points, path.heading])
     along = sense * np.column_stack([np.cos(path.heading), np.sin(path.heading)])
     rates = v[:, None] * np.column_stack([along, path.curvature])
-    # Between the nodes the heading is cubic, and its yaw acceleration may slightly exceed the limit.
-    slower = np.sqrt(max(1.0, _yaw_acceleration(times, path.heading, rates[:, 2]) / limits.omega_acceleration))
-    return times * slower, poses, rates / slower
+    # Between the nodes the heading is cubic, so the yaw acceleration may slightly exceed the limit.
+    time_factor = np.sqrt(max(1.0, _yaw_acceleration(times, path.heading, rates[:, 2]) / limits.omega_acceleration))
+    return times * time_factor, poses, rates / time_factor
 
 
 def _yaw_acceleration(times: FloatArray, heading: FloatArray, rate: FloatArray) -> float:
-    """Return the maximum |second derivative| [rad/s^2] of the cubic pieces with these values and slopes at `times`."""
+    """Return the maximum absolute second derivative [rad/s^2] of the cubic with given values and slopes at `times`."""
     step = np.diff(times)
     mean = np.diff(heading) / step
     first, last = rate[:-1], rate[1:]

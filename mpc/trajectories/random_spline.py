@@ -1,4 +1,4 @@
-"""Random smooth paths by seed, with the names `spline-0`, `spline-1`, and so on."""
+"""Random smooth paths by seed, named `spline-0`, `spline-1`, and so on."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ class RandomSplines(StrictModel):
     timing: Timing = Field(description="timing of the path")
     legs: int = Field(ge=1, description="number of legs between waypoints")
     leg: tuple[float, float] = Field(description="minimum and maximum length of a leg [m]")
-    turn: float = Field(gt=0, description="maximum turn between successive legs [rad]")
+    turn: float = Field(gt=0, description="maximum turn between consecutive legs [rad]")
     turn_radius: float = Field(gt=0, description="minimum radius of a path [m]")
     speed: float = Field(gt=0, description="maximum speed [m/s]")
     omega: float = Field(gt=0, description="maximum yaw rate [rad/s]")
 
     def waypoints(self, seed: int) -> FloatArray:
-        """Draw waypoints (legs + 1, 2) x, y [m] for a seed, from the origin with the first leg along x."""
+        """Draw waypoints (legs + 1, 2) x, y [m] for a seed; the path starts at the origin in the direction of x."""
         random = np.random.default_rng(seed)
         while True:
             heading = np.append(0.0, np.cumsum(random.uniform(-self.turn, self.turn, self.legs - 1)))
@@ -39,7 +39,7 @@ class RandomSplines(StrictModel):
             points = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
             try:
                 path = smooth_path(points, f"seed {seed}")
-            except ConfigError:  # a turn that is nearly a cusp
+            except ConfigError:  # a turn is nearly a cusp
                 continue
             if path.bend.max() * self.turn_radius <= 1:
                 return points
@@ -47,17 +47,17 @@ class RandomSplines(StrictModel):
 
 @cache
 def random_splines() -> RandomSplines:
-    """Load the distribution of random paths in the package."""
+    """Read the distribution of random paths of the package."""
     return load_checked(RandomSplines, Path(__file__).parent / "random_spline.yaml")
 
 
 def lay_random_spline(seed: int, limits: TrajectoryLimits, timing: Timing | None = None) -> SplineTrajectory:
-    """Build the trajectory of a seed within `limits` and the limits of the settings, bit for bit reproducible.
+    """Build the trajectory of a seed within `limits` and the limits of the settings; it is reproducible bit for bit.
 
     `timing` replaces the timing of the settings. Raises ConfigError if the timing "commanded" exceeds the yaw limit.
     """
     settings = random_splines()
-    slower = replace(limits, v=min(side_of(limits.v, 1.0), settings.speed), omega=min(limits.omega, settings.omega))
+    reduced = replace(limits, v=min(side_of(limits.v, 1.0), settings.speed), omega=min(limits.omega, settings.omega))
     points = [(float(x), float(y)) for x, y in settings.waypoints(seed)]
     name = f"spline-{seed}"
-    return lay_waypoints(points, slower, name=name, where=name, timing=timing or settings.timing, max_deviation=None)
+    return lay_waypoints(points, reduced, name=name, where=name, timing=timing or settings.timing, max_deviation=None)

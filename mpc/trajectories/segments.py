@@ -1,14 +1,14 @@
 """Conversion of segments (v, omega, duration) to a timed reference, with `timing: stop` or `timing: commanded`.
 
 A segment defines geometry and cruise speed: an arc of length |v| duration and curvature omega / v, driven backwards if
-v < 0; a turn on the spot if v = 0; a wait if both are zero. With `commanded` each twist lasts for its duration. With
-`stop` the robot starts and ends at rest, the geometry is exact, and time is added as the acceleration limits require.
+v < 0; a turn on the spot if v = 0; a pause if both are zero. With `commanded`, each twist lasts for its duration. With
+`stop`, the robot starts and ends at rest, the geometry is exact, and the acceleration limits require additional time.
 
-On an arc omega = curvature * v, so that a jump of the curvature causes a jump of omega unless v = 0. With exact
-geometry and limited yaw acceleration, the robot must stop between segments of different curvature, at reversals, and
-before and after a turn on the spot. Consecutive segments of equal curvature and direction form one run, in which the
-speed changes from one cruise value to the next without a stop. On an arc the acceleration is limited to the smaller of
-the forward limit and the yaw limit over the curvature.
+On an arc omega = curvature * v, so a jump of the curvature causes a jump of omega unless v = 0. With exact geometry and
+limited yaw acceleration, the robot must stop between segments of different curvature, at reversals, and before and
+after a turn on the spot. Consecutive segments of equal curvature and direction form a run, in which the speed changes
+without a stop. On an arc the acceleration is limited to the minimum of the forward limit and the yaw limit divided by
+the curvature.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLi
 from diffdrive_mpc.mpc.trajectories.speed_passport import PassportUse
 from diffdrive_mpc.mpc.trajectories.timing import Phase, Timing, between, rest_to_rest
 
-# Minimum rate of a moving segment; a slower twist counts as a wait, and its square would underflow.
+# Minimum rate of a moving segment; a slower twist counts as a pause, since its square would underflow.
 _MIN_RATE = 1e-100
 
 
@@ -39,28 +39,28 @@ class Segment(StrictModel):
 
     @property
     def cruise(self) -> float:
-        """Rate of progress: the larger of |v| [m/s] and |omega| [rad/s]; 0 for a wait."""
+        """Rate of progress: the maximum of |v| [m/s] and |omega| [rad/s]; 0 for a pause."""
         rate = max(abs(self.v), abs(self.omega))
         return rate if rate > _MIN_RATE else 0.0
 
     @property
     def direction(self) -> tuple[float, float]:
-        """Distance [m] and angle [rad] per unit of progress, with sign; (0, 0) for a wait."""
+        """Signed distance [m] and angle [rad] per unit of progress; (0, 0) for a pause."""
         return (self.v / self.cruise, self.omega / self.cruise) if self.cruise else (0.0, 0.0)
 
 
 class SegmentFile(StrictModel):
     """Schema of a trajectory file with segments."""
 
-    name: str | None = Field(default=None, description="name for tables and figures; default: name of the file")
+    name: str | None = Field(default=None, description="name in tables and figures; default: name of the file")
     start: tuple[float, float, float] = Field(default=(0.0, 0.0, 0.0), description="start pose x, y [m], theta [rad]")
     segments: list[Segment] = Field(description="segments in order of travel")
     timing: Timing = Field(default="stop", description="timing of the path")
     smoothing: float | None = Field(
-        default=None, gt=0, description="for timing: smooth, the distance from the path [m]; default: settings"
+        default=None, gt=0, description="maximum distance from the path for timing: smooth [m]; default: settings"
     )
     speed_passport: PassportUse | None = Field(
-        default=None, description="for timing: smooth, a passport that limits the speed for a tolerance"
+        default=None, description="speed passport for timing: smooth, which limits the speed for a tolerance"
     )
 
 
@@ -94,10 +94,10 @@ def lay_commanded(
     start: Sequence[float] = (0.0, 0.0, 0.0),
     where: str = "trajectory",
 ) -> ArcTrajectory:
-    """Convert `segments` as commanded by a script: each twist for its duration, with steps between the segments.
+    """Convert `segments` as a script would command them: each twist lasts for its duration, with steps in between.
 
-    Only at the start and at the end of the whole drive the twist follows a ramp within the accelerations, with added
-    time: a step from rest would contain no path. Arguments and errors are those of `lay_segments`.
+    Only the start and the end of the drive have ramps within the acceleration limits, which need additional time, since
+    a step from rest would contain no path. For arguments and errors see `lay_segments`.
     """
     check_segments(segments, limits, where, exact=True)
     moving = [i for i, segment in enumerate(segments) if segment.cruise]
@@ -113,15 +113,16 @@ def lay_commanded(
 
 
 def check_segments(segments: Sequence[Segment], limits: TrajectoryLimits, where: str, *, exact: bool = False) -> None:
-    """Raise ConfigError for no segments, too many, or a segment beyond `limits`; `where` is their source.
+    """Raise ConfigError if there are no segments or too many, or if a segment exceeds `limits`.
 
-    If the speeds are not `exact`, only the larger side of a limit is checked, since the timing reduces the speed later.
+    `where` is the source of the segments. If `exact` is False, only the higher side of a limit is checked, since the
+    timing reduces the speed later.
     """
     if not segments:
         raise ConfigError(f"{where}: segments is empty; give at least one {{v, omega, duration}}")
     maximum = load_settings().most_segments
     if len(segments) > maximum:
-        raise ConfigError(f"{where}: {len(segments):,} segments, at most {maximum:,}; join some, or split the file")
+        raise ConfigError(f"{where}: {len(segments):,} segments, at most {maximum:,}; join segments, or split the file")
     for i, segment in enumerate(segments):
         for key, unit in (("v", "m/s"), ("omega", "rad/s")):
             value = getattr(segment, key)
@@ -145,7 +146,7 @@ def runs(segments: Sequence[Segment]) -> list[list[Segment]]:
 
 
 def _joins(first: Segment, second: Segment) -> bool:
-    """Return True if forward and yaw motion have the same proportion in `first` and `second`."""
+    """Return True if the ratio of forward to yaw motion is the same in `first` and `second`."""
     # Only rounding of omega / v is tolerated, since the yaw rate jumps by the difference.
     return all(
         math.isclose(a, b, rel_tol=1e-12, abs_tol=1e-12) for a, b in zip(first.direction, second.direction, strict=True)
@@ -153,7 +154,7 @@ def _joins(first: Segment, second: Segment) -> bool:
 
 
 def time_run(run: Sequence[Segment], limits: TrajectoryLimits) -> list[PathStretch]:
-    """Time one run from rest to rest."""
+    """Compute the timing of a run from rest to rest."""
     if not run[0].cruise:
         return [PathStretch(0.0, 0.0, 0.0, [Phase(0.0, 0.0, 0.0, segment.duration)]) for segment in run]
     lengths = [segment.cruise * segment.duration for segment in run]
@@ -165,22 +166,22 @@ def time_run(run: Sequence[Segment], limits: TrajectoryLimits) -> list[PathStret
 
 
 def slow_down(segments: Sequence[Segment], limits: TrajectoryLimits) -> list[Segment]:
-    """Reduce speeds of segments beyond the smaller side of a limit, with a reserve for tracking."""
-    timed = []
+    """Reduce the speed of segments that exceed the lower side of a limit, with a reserve for tracking."""
+    slowed = []
     for segment in segments:
         pairs = ((segment.v, limits.v), (segment.omega, limits.omega))
         excess = max((abs(value) / side_of(limit, value) for value, limit in pairs))
         if excess > 1.0:
-            slower = excess / load_settings().reach_share
-            changed = {"v": segment.v / slower, "omega": segment.omega / slower, "duration": segment.duration * slower}
-            timed.append(segment.model_copy(update=changed))
+            factor = excess / load_settings().reach_share
+            changed = {"v": segment.v / factor, "omega": segment.omega / factor, "duration": segment.duration * factor}
+            slowed.append(segment.model_copy(update=changed))
         else:
-            timed.append(segment)
-    return timed
+            slowed.append(segment)
+    return slowed
 
 
 def _acceleration(run: Sequence[Segment], limits: TrajectoryLimits) -> float:
-    """Compute the maximum acceleration of the progress that is within the limits of all moving segments of `run`."""
+    """Compute the maximum acceleration of the progress within the limits of all moving segments of `run`."""
     bounds = (limits.v_acceleration, limits.omega_acceleration)
     return min(
         bound / abs(share) for segment in run for share, bound in zip(segment.direction, bounds, strict=True) if share

@@ -1,4 +1,4 @@
-"""Path of continuous curvature through waypoints, divided into short pieces."""
+"""Paths of continuous curvature through waypoints, divided into short pieces."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from diffdrive_mpc.mpc.trajectories.limits import load_settings
 from diffdrive_mpc.mpc.trajectories.near_polyline import deviations, spline_near
 
 _MIN_CHORD = 1e-9
-"""Minimum distance between successive waypoints [m]."""
+"""Minimum distance between consecutive waypoints [m]."""
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
 @dataclass(frozen=True, eq=False)
 class SmoothPath:
-    """Path of m short pieces: values at their ends, and bounds over each piece."""
+    """Path of m short pieces, with values at the ends of the pieces and bounds on each piece."""
 
     points: FloatArray
     """(m + 1, 2) x, y [m]."""
@@ -30,9 +30,9 @@ class SmoothPath:
     lengths: FloatArray
     """(m,) length of each piece [m]."""
     bend: FloatArray
-    """(m,) maximum |curvature| on each piece [1/m]."""
+    """(m,) maximum absolute curvature on each piece [1/m]."""
     bend_change: FloatArray
-    """(m,) maximum |d curvature / d arc length| on each piece [1/m^2]."""
+    """(m,) maximum absolute derivative of the curvature by arc length on each piece [1/m^2]."""
     deviation: FloatArray | None = None
     """(m + 1,) distance from the polyline of the waypoints [m]; None if `max_deviation` was not given."""
 
@@ -47,13 +47,13 @@ def smooth_path(
     """Fit a natural cubic spline over chord length through `waypoints` (k, 2) [m], k >= 2, and divide it into pieces.
 
     `where` is the source of the waypoints in error messages. `pieces` is the number of pieces between two waypoints, by
-    default that of the settings. `ends` are the headings [rad] at the start and at the end; None: free. With
-    `max_deviation` [m] both ends are free, and the spline is that of `spline_near`.
+    default that of the settings. `ends` are the headings [rad] at the start and at the end; None leaves an end free.
+    With `max_deviation` [m] both ends are free, and the spline is that of `spline_near`.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If two successive waypoints coincide, there are too many waypoints, or the path turns too tightly.
+        If two consecutive waypoints coincide, there are too many waypoints, or the path turns too tightly.
     """
     settings = load_settings()
     if pieces is None:
@@ -69,7 +69,7 @@ def smooth_path(
         spline = CubicSpline(along, waypoints, bc_type=bounds)
     else:
         spline = spline_near(waypoints, max_deviation)
-        # The total number of pieces does not change with the additional knots.
+        # The additional knots do not change the total number of pieces.
         pieces = max(1, pieces * chords.size // (spline.x.size - 1))
     u = np.append((spline.x[:-1, None] + np.diff(spline.x)[:, None] * np.arange(pieces) / pieces).ravel(), spline.x[-1])
     inside = u[:-1, None] + np.diff(u)[:, None] * (_NODES + 1) / 2
@@ -85,10 +85,10 @@ def smooth_path(
     index = int(np.argmax(mean_curvature))
     if mean_curvature[index] * settings.min_turn_radius > 1:
         leg = int(np.searchsorted(along[1:-1], u[index], side="right"))
-        near = "" if max_deviation is None else f", or raise max_deviation = {max_deviation:g}"
+        alternative = "" if max_deviation is None else f", or raise max_deviation = {max_deviation:g}"
         raise ConfigError(
             f"{where}: the path turns with a radius below {settings.min_turn_radius:g} m between waypoints."
-            f"{leg} and waypoints.{leg + 1}; add or move waypoints to round the turn{near}"
+            f"{leg} and waypoints.{leg + 1}; add or move waypoints to round the turn{alternative}"
         )
     points = spline(u)
     deviation = None
@@ -98,7 +98,7 @@ def smooth_path(
 
 
 def bending(spline: CubicSpline, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Compute curvature [1/m], its slope over arc length [1/m^2] and the length of the tangent, in the shape of `u`."""
+    """Compute curvature [1/m], its derivative by arc length [1/m^2], and the length of the tangent at `u`."""
     first, second, third = (spline(u, order) for order in (1, 2, 3))
     stretch = np.hypot(first[..., 0], first[..., 1])
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,8 +1,8 @@
-"""Smooth timing of segments: clothoids replace jumps of the curvature, so that no stop is needed there.
+"""Smooth timing of segments: clothoids replace jumps of the curvature, so that the robot need not stop there.
 
-The path changes by at most a given distance. The robot still stops where necessary: at cusps, and before and after a
-turn on the spot or a wait, which do not change. A segment with a smaller radius than the minimum of the settings counts
-as a turn on the spot.
+The path changes by at most a given distance. The robot still stops at cusps, and before and after turns on the spot
+and pauses, which do not change. A segment whose radius is below the minimum of the settings counts as a turn on the
+spot.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _TURN_STEP = 0.05
 _MIN_ARC = 1e-9
 
 Nodes = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-"""Times (n,) [s] from the first node, poses (n, 3), rates (n, 3), distances from the drawn path (n,) [m]."""
+"""Times (n,) [s] from the first node, poses (n, 3), rates (n, 3), and distances (n,) from the drawn path [m]."""
 
 
 def lay_smooth(
@@ -43,16 +43,16 @@ def lay_smooth(
     smoothing: float | None = None,
     caps: SpeedCaps | None = None,
 ) -> SplineTrajectory:
-    """Convert `segments` to a trajectory of continuous curvature, from rest to rest, with the fewest stops.
+    """Convert `segments` to a trajectory of continuous curvature from rest to rest, with as few stops as possible.
 
     Parameters
     ----------
     segments, limits, name, start, where
-        As for `segments.lay_segments`; the lateral acceleration is limited as well.
+        See `segments.lay_segments`; `limits` includes the lateral acceleration.
     smoothing
-        Maximum distance from the drawn path [m]; by default that of the settings.
+        Maximum distance from the drawn path [m]; by default the value of the settings.
     caps
-        Maximum speeds by curvature; they exclude turns on the spot.
+        Maximum speeds by curvature; turns on the spot are then not allowed.
 
     Raises
     ------
@@ -65,25 +65,25 @@ def lay_smooth(
     distance = load_settings().smoothing if smoothing is None else smoothing
     _check_work(segments, where)
     pose, time = np.asarray(start, dtype=float), 0.0
-    laid: list[Nodes] = [(np.zeros(1), pose[None], np.zeros((1, 3)), np.zeros(1))]
+    node_groups: list[Nodes] = [(np.zeros(1), pose[None], np.zeros((1, 3)), np.zeros(1))]
     for sense, group in groupby(segments, _sense):
         run = list(group)
         if caps is not None and sense <= 0:
             raise ConfigError(
-                f"{where}: speed_passport covers no backward driving and no turn on the spot; "
-                "drive forwards, or leave it out"
+                f"{where}: speed_passport does not cover backward driving and turns on the spot; "
+                "drive forwards, or remove it"
             )
         pieces = (_drive_nodes(run, sense, pose, limits, distance, caps),) if sense else turn_nodes(run, pose, limits)
         for times, poses, rates, drawn in pieces:
             if time + float(times[-1]) == time:  # a phase of zero length, from rounding
                 continue
-            laid.append((time + times[1:], poses[1:], rates[1:], drawn[1:]))
+            node_groups.append((time + times[1:], poses[1:], rates[1:], drawn[1:]))
             time, pose = time + float(times[-1]), poses[-1]
-    return SplineTrajectory.through(name, *(np.concatenate(rows) for rows in zip(*laid, strict=True)))
+    return SplineTrajectory.through(name, *(np.concatenate(rows) for rows in zip(*node_groups, strict=True)))
 
 
 def _check_work(segments: Sequence[Segment], where: str) -> None:
-    """Raise ConfigError for too many pieces or joints, before they are computed."""
+    """Raise ConfigError if the path would have too many pieces or joints."""
     settings = load_settings()
     driven = [(segment, bool(_sense(segment))) for segment in segments]
     pieces = sum(
@@ -98,19 +98,19 @@ def _check_work(segments: Sequence[Segment], where: str) -> None:
     }
     if len(joints) > settings.most_joints:
         raise ConfigError(
-            f"{where}: {len(joints):,} different joints of segments, at most {settings.most_joints:,} are rounded; "
+            f"{where}: {len(joints):,} different joints of segments, at most {settings.most_joints:,} are possible; "
             "split it, or choose another timing"
         )
 
 
 def _sense(segment: Segment) -> int:
-    """Return 1 forwards, -1 backwards, 0 for a wait and for a turn on the spot or nearly so."""
+    """Return 1 forwards, -1 backwards, 0 for a pause or a turn on the spot, exact or approximate."""
     turning = abs(segment.omega) * load_settings().min_turn_radius > abs(segment.v)
     return 0 if turning or not segment.cruise else int(math.copysign(1, segment.v))
 
 
 def turn_nodes(group: Sequence[Segment], pose: FloatArray, limits: TrajectoryLimits) -> Iterator[Nodes]:
-    """Yield the nodes of turns on the spot and waits, which are not smoothed."""
+    """Yield the nodes of turns on the spot and pauses, which are not smoothed."""
     for stretch in (stretch for run in runs(group) for stretch in time_run(run, limits)):
         for phase in stretch.phases:
             turn = abs(stretch.turn) * phase.duration * (phase.rate + phase.acceleration * phase.duration / 2)
@@ -132,19 +132,19 @@ def _drive_nodes(
     distance: float,
     caps: SpeedCaps | None,
 ) -> Nodes:
-    """Compute the nodes of segments that are driven in one direction, from rest to rest."""
+    """Compute the nodes of segments with one direction of travel, from rest to rest."""
     bends = [segment.omega / abs(segment.v) for segment in run]
     lengths = [abs(segment.v) * segment.duration for segment in run]
-    # The reach of a joint is at most half of a segment, or the whole segment if it has no other joint.
+    # The reach of a joint is at most half of a segment, or the whole segment if the segment has no other joint.
     room = [length / 2 for length in lengths]
     room[0], room[-1] = lengths[0], lengths[-1]
     joints = [joint(*pair, min(spaces), distance) for pair, spaces in zip(pairwise(bends), pairwise(room), strict=True)]
     reaches = [0.0, *(rounded.reach for rounded in joints), 0.0]
     blocks: list[tuple[tuple[Clothoid, ...], float, Joint | None]] = []
     for i, (segment, bend, length) in enumerate(zip(run, bends, lengths, strict=True)):
-        left = length - reaches[i] - reaches[i + 1]
-        if left > _MIN_ARC:
-            blocks.append(((Clothoid(left, bend, bend),), abs(segment.v), None))
+        remaining = length - reaches[i] - reaches[i + 1]
+        if remaining > _MIN_ARC:
+            blocks.append(((Clothoid(remaining, bend, bend),), abs(segment.v), None))
         if i < len(joints) and joints[i].parts:
             blocks.append((joints[i].parts, min(abs(segment.v), abs(run[i + 1].v)), joints[i]))
 
@@ -152,20 +152,20 @@ def _drive_nodes(
     distances_along: list[FloatArray] = [np.zeros(1)]
     cruises: list[FloatArray] = []
     drawn: list[FloatArray] = [np.zeros(1)]
-    off: dict[Joint, FloatArray] = {}
+    joint_distances: dict[Joint, FloatArray] = {}
     for parts, cruise, rounded in blocks:
-        # At least one moving node is needed between two stops.
+        # Between two stops, at least one moving node is needed.
         min_pieces = 2 if len(blocks) == len(parts) == 1 else 1
         counts = [max(min_pieces, math.ceil(part.length / spacing)) for part in parts]
-        since = np.cumsum(np.repeat([part.length / n for part, n in zip(parts, counts, strict=True)], counts))
-        distances_along.append(distances_along[-1][-1] + since)
-        cruises.append(np.full(since.size, cruise))
+        distance = np.cumsum(np.repeat([part.length / n for part, n in zip(parts, counts, strict=True)], counts))
+        distances_along.append(distances_along[-1][-1] + distance)
+        cruises.append(np.full(distance.size, cruise))
         if rounded is None:
-            drawn.append(np.zeros(since.size))
+            drawn.append(np.zeros(distance.size))
         else:
-            if rounded not in off:
-                off[rounded] = distances(sample_clothoids(parts, np.append(0.0, since))[0], rounded)[1:]
-            drawn.append(off[rounded])
+            if rounded not in joint_distances:
+                joint_distances[rounded] = distances(sample_clothoids(parts, np.append(0.0, distance))[0], rounded)[1:]
+            drawn.append(joint_distances[rounded])
     arc_lengths = np.concatenate(distances_along)
     local, curvature = sample_clothoids([part for parts, *_ in blocks for part in parts], arc_lengths)
     cos, sin = sense * math.cos(pose[2]), sense * math.sin(pose[2])
@@ -174,6 +174,6 @@ def _drive_nodes(
     max_bend, change = np.maximum(size[:-1], size[1:]), np.abs(np.diff(curvature)) / steps
     path = SmoothPath(points, pose[2] + local[:, 2], curvature, steps, max_bend, change)
     speeds = np.concatenate(cruises)
-    capped = speeds if caps is None else np.minimum(speeds, caps.speeds_of(max_bend))
-    square = squared_speeds(steps, max_bend, change, limits, capped, lateral=True, sense=sense)
+    max_speeds = speeds if caps is None else np.minimum(speeds, caps.speeds_of(max_bend))
+    square = squared_speeds(steps, max_bend, change, limits, max_speeds, lateral=True, sense=sense)
     return *time_path(path, square, limits, sense), np.concatenate(drawn)

@@ -1,4 +1,4 @@
-"""Checks of a reference against the limits, before the robot moves."""
+"""Checks of a reference against the limits before a drive."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from diffdrive_mpc.models.two_sided import TwoSided, side_of, sides_at
 from diffdrive_mpc.mpc.config.fixed_values import STANDING, TURNING
 from diffdrive_mpc.mpc.config.schema import Limits
 
-# References of the user: the shapes of their samples are checked before the C code reads them.
+# User-defined references; the shapes of their samples are checked before the core reads the samples.
 
 
 class CheckedReference:
-    """Reference whose samples are checked for the shapes of `Reference` and converted to floating-point numbers.
+    """Wrapper of a reference that checks the shapes of its samples and converts them to floating-point numbers.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class CheckedReference:
 
     @property
     def name(self) -> str:
-        """Name for tables and figures."""
+        """Name in tables and figures."""
         return self._reference.name
 
     @property
@@ -55,21 +55,21 @@ class CheckedReference:
 
 
 def checked_reference(reference: Reference) -> Reference:
-    """Return `reference` with checked samples, or unchanged if the compiled core samples it."""
+    """Wrap `reference` in a `CheckedReference` unless the compiled core samples it."""
     return reference if getattr(reference, "native", None) is not None else CheckedReference(reference)
 
 
 # Tolerated ratio of a speed to its limit [-]; a spline through timed poses may overshoot slightly.
 _SPEED_EXCESS = 1.01
-# Tolerated ratio of the command for a twist, by the model's gain, to its limit [-]; the reference waits for the robot.
+# Tolerated ratio of the steady-state command for a twist to its limit [-]; the reference waits for a lagging robot.
 _COMMAND_EXCESS = 1.25
 _MAX_SAMPLES = 100_000
 _MAX_DURATION = 1e9
-# Maximum position [m] and heading [rad], beyond which differences are rounding errors.
+# Maximum position [m] and heading [rad]; with larger values, differences are rounding errors.
 _MAX_POSE = 1e9
-# Margins for rounding and overshoot of splines in the check of the turn radius [-, m/s].
+# Tolerances of the turn radius check for rounding and overshoot of splines [-, m/s].
 _RADIUS_SHARE, _TURN_MARGIN = 0.99, 1e-3
-# Tolerated turn of a reference at standstill if commands have a minimum radius: the end of a curve, rounding [rad].
+# Tolerated turn at standstill if commands have a minimum radius [rad], for rounding at the end of a curve.
 _MAX_SPOT_TURN = 0.1
 
 
@@ -78,26 +78,26 @@ def check_speeds(
 ) -> None:
     """Compare the speeds of `reference`, sampled every `dt` [s], with the hard limits of the command.
 
-    With the steady-state `gain` (2, 2) of the model, the command for the reference's twist is compared as well. The
-    reference before its time `after` [s] is not checked.
+    If the steady-state `gain` (2, 2) of the model is given, the command for the reference's twist is also compared. The
+    check starts at the time `after` [s] of the reference.
 
     Raises
     ------
     ValueError
-        If a speed exceeds its limit, with one line that names reference, time, value and limit; also if the duration or
-        the poses are not finite, or poses or twists have a wrong shape.
+        If a speed exceeds its limit, the duration or a pose is not finite, or poses or twists have a wrong shape; the
+        message is one line with reference, time, value and limit.
     """
-    times = _instants(reference, dt)
+    times = _sample_times(reference, dt)
     times = times[min(int(np.searchsorted(times, after)), times.size - 2) :]
     sample = checked_reference(reference).sample(times)
     invalid = np.flatnonzero(~(np.abs(sample.pose) <= _MAX_POSE).all(axis=1))
     if invalid.size:
         raise ValueError(
-            f"reference '{reference.name}': its pose at {times[invalid[0]]:.2f} s is not finite, or further than "
+            f"reference '{reference.name}': its pose at {times[invalid[0]]:.2f} s is not finite, or more than "
             f"{_MAX_POSE:g} m from the origin"
         )
     twist = sample.twist
-    needed = twist if gain is None else np.asarray(np.linalg.solve(gain, twist.T).T, dtype=float)
+    commands = twist if gain is None else np.asarray(np.linalg.solve(gain, twist.T).T, dtype=float)
     for row, (name, limit) in enumerate((("v", limits.v), ("omega", limits.omega))):
         worst = int(np.argmax(np.abs(twist[:, row]) / sides_at(limit, twist[:, row])))
         value, bound, side = at_side(twist[worst, row], limit)
@@ -106,8 +106,8 @@ def check_speeds(
                 f"reference '{reference.name}': {name} = {value:.3g} at {times[worst]:.2f} s is more than "
                 f"limits.{name}{side} = {bound:g}; slow the reference down or raise the limit"
             )
-        worst = int(np.argmax(np.abs(needed[:, row]) / sides_at(limit, needed[:, row])))
-        value, bound, side = at_side(needed[worst, row], limit)
+        worst = int(np.argmax(np.abs(commands[:, row]) / sides_at(limit, commands[:, row])))
+        value, bound, side = at_side(commands[worst, row], limit)
         if not value <= bound * _COMMAND_EXCESS:
             raise ValueError(
                 f"reference '{reference.name}': {name} = {abs(twist[worst, row]):.3g} at {times[worst]:.2f} s takes a "
@@ -118,25 +118,25 @@ def check_speeds(
     _check_spots(reference.name, times, twist, limits)
     radius = limits.min_turn_radius
     if radius is not None:
-        tighter = twist[:, 1] * radius * _RADIUS_SHARE - twist[:, 0]
-        worst = int(np.argmax(tighter))
-        if tighter[worst] > _TURN_MARGIN:
+        excess = twist[:, 1] * radius * _RADIUS_SHARE - twist[:, 0]
+        worst = int(np.argmax(excess))
+        if excess[worst] > _TURN_MARGIN:
             v, omega = twist[worst]
             raise ValueError(
-                f"reference '{reference.name}': at {times[worst]:.2f} s it turns on a radius of {v / omega:.3g} m, "
-                f"tighter than limits.min_turn_radius = {radius:g}; give a wider path (--scale-to-robot does), or "
-                "unset the limit"
+                f"reference '{reference.name}': at {times[worst]:.2f} s it turns with a radius of {v / omega:.3g} m, "
+                f"tighter than limits.min_turn_radius = {radius:g}; give a wider path (see --scale-to-robot), or "
+                "remove the limit"
             )
 
 
 def at_side(value: float, limit: TwoSided) -> tuple[float, float, str]:
-    """Return the absolute value, the limit of its side, and the suffix of the side's key if the sides differ."""
-    ending = "" if limit.is_symmetric else f".{limit.names[bool(value < 0.0)]}"
-    return abs(float(value)), side_of(limit, value), ending
+    """Return the absolute value, the limit of its side, and the key suffix of the side if the sides differ."""
+    suffix = "" if limit.is_symmetric else f".{limit.names[bool(value < 0.0)]}"
+    return abs(float(value)), side_of(limit, value), suffix
 
 
 def _check_spots(name: str, times: FloatArray, twist: FloatArray, limits: Limits) -> None:
-    """Raise ValueError for a turn on the spot in the absolute `twist` (n, 2) if commands have a minimum radius."""
+    """Raise ValueError if commands have a minimum radius and the absolute `twist` (n, 2) has a turn on the spot."""
     radius = limits.min_commanded_radius
     if radius is None:
         return
@@ -147,37 +147,37 @@ def _check_spots(name: str, times: FloatArray, twist: FloatArray, limits: Limits
         if angle > _MAX_SPOT_TURN:
             raise ValueError(
                 f"reference '{name}': at {times[first]:.2f} s it turns on the spot by {angle:.2g} rad, which "
-                f"limits.min_commanded_radius = {radius:g} forbids; give a path of curves, or unset the limit"
+                f"limits.min_commanded_radius = {radius:g} forbids; give a path of curves, or remove the limit"
             )
 
 
 def sharper_than_commands(reference: Reference, limits: Limits, dt: float, gain: FloatArray | None = None) -> str:
-    """Describe in one line where the reference turns more tightly than commands may; empty if nowhere.
+    """Return a message if the reference turns more tightly than commands may turn; empty otherwise.
 
-    With the steady-state `gain` (2, 2) of the model, the commands for the reference's twist are checked. Such a
+    If the steady-state `gain` (2, 2) of the model is given, the commands for the reference's twist are checked. Such a
     reference is not rejected, but the robot cuts its corners.
     """
     radius = limits.min_commanded_radius
     if radius is None:
         return ""
-    times = _instants(reference, dt)
+    times = _sample_times(reference, dt)
     twist = reference.sample(times).twist
     v, omega = np.abs(twist if gain is None else np.linalg.solve(gain, twist.T).T).T
-    tighter = omega * radius * _RADIUS_SHARE - v
-    count = np.count_nonzero(tighter > _TURN_MARGIN)
+    excess = omega * radius * _RADIUS_SHARE - v
+    count = np.count_nonzero(excess > _TURN_MARGIN)
     if not count:
         return ""
-    worst = int(np.argmax(tighter))
+    worst = int(np.argmax(excess))
     return (
         f"reference '{reference.name}': for {count * (times[1] - times[0]):.1f} s it turns tighter than "
         f"limits.min_commanded_radius = {radius:g}, down to {v[worst] / omega[worst]:.2g} m at {times[worst]:.2f} s; "
-        "its corners are cut"
+        "the robot cuts the corners"
     )
 
 
-def _instants(reference: Reference, dt: float) -> FloatArray:
+def _sample_times(reference: Reference, dt: float) -> FloatArray:
     if not 0.0 <= reference.duration <= _MAX_DURATION:
         raise ValueError(
-            f"reference '{reference.name}': it lasts {reference.duration:g} s; give at most {_MAX_DURATION:g} s"
+            f"reference '{reference.name}': its duration is {reference.duration:g} s; give at most {_MAX_DURATION:g} s"
         )
     return np.linspace(0.0, reference.duration, int(min(reference.duration / dt + 2.0, _MAX_SAMPLES)))

@@ -1,6 +1,6 @@
-"""Speed passport: maximum speed by curvature at which a robot stays within a tolerance of its path.
+"""Speed passports: maximum speed by curvature for which a robot stays within a tolerance of its path.
 
-`diffdrive-mpc prove --tolerance` measures and writes a passport; `timing: smooth` limits the speed by it.
+`diffdrive-mpc prove --tolerance` measures and writes a passport; `timing: smooth` limits the speed by a passport.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ _STRAIGHT = 1e-9
 
 
 class PassportUse(StrictModel):
-    """Speed passport of a trajectory and the tolerance to use."""
+    """Speed passport and tolerance that a trajectory uses."""
 
     file: str = Field(min_length=1, description="path of the passport, relative to the folder of the trajectory")
     tolerance: float = Field(gt=0, description="maximum lateral error [m]")
-    surface: str | None = Field(default=None, description="surface in the passport; default: the slowest one")
+    surface: str | None = Field(default=None, description="surface in the passport; default: the slowest surface")
 
 
 class PassportRow(StrictModel):
-    """Speeds for one surface and tolerance."""
+    """Speeds for a surface and a tolerance."""
 
     surface: str = Field(description="name of the surface")
     tolerance: float = Field(gt=0, description="maximum lateral error [m]")
@@ -45,12 +45,12 @@ class SpeedPassport(StrictModel):
 
     description: str = Field(description="controller and robots for which the passport is valid")
     share: Share = Field(description="minimum share of the robots within the tolerance [-]")
-    confidence: Share = Field(description="confidence of each single speed [-]")
+    confidence: Share = Field(description="confidence level of each speed [-]")
     curvatures: list[Annotated[float, Field(ge=0)]] = Field(
         min_length=1,
         description="upper ends of the classes of curvature; the first class starts at 0 [1/m]",
     )
-    rows: list[PassportRow] = Field(min_length=1, description="one row for each surface and tolerance")
+    rows: list[PassportRow] = Field(min_length=1, description="speeds for each surface and tolerance")
 
     @model_validator(mode="after")
     def _is_a_table(self) -> SpeedPassport:
@@ -82,12 +82,14 @@ class SpeedCaps:
     where: str
 
     def speeds_of(self, bend: FloatArray) -> FloatArray:
-        """Return the maximum speed (m,) [m/s] for |curvature| `bend` (m,) [1/m]: the minimum up to its class.
+        """Return the maximum speed (m,) [m/s] for the absolute curvature `bend` (m,) [1/m].
+
+        The speed is the minimum over the classes up to that of the curvature.
 
         Raises
         ------
         models.checked_yaml.ConfigError
-            If a curvature is beyond all classes, or its class has no proven speed.
+            If a curvature exceeds all classes, or its class has no proven speed.
         """
         maximum = float(bend.max())
         if maximum > self.curvatures[-1] + _STRAIGHT:
@@ -95,7 +97,7 @@ class SpeedCaps:
                 f"{self.where}: the path turns with a curvature of {maximum:.3g} 1/m, the passport has none above "
                 f"{self.curvatures[-1]:.3g} 1/m; widen the turn, or measure a passport with such curvatures"
             )
-        # The speed must not increase with the curvature, although chance may make a tighter class faster.
+        # The speed must not increase with the curvature; in measurements, a tighter class may be faster by chance.
         speeds = np.minimum.accumulate(self.speeds)[np.searchsorted(self.curvatures + _STRAIGHT, bend)]
         if np.isnan(speeds).any():
             curvature = float(bend[np.isnan(speeds)].min())
@@ -114,7 +116,7 @@ def load_speed_caps(use: PassportUse, folder: Path) -> SpeedCaps:
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the file is missing or invalid, the surface is unknown, or the tolerance is below all tolerances in it.
+        If the file is missing or invalid, the surface is unknown, or the tolerance is below those of the passport.
     models.trust.UntrustedFileError
         If the file is not trusted.
     """
@@ -129,8 +131,10 @@ def load_speed_caps(use: PassportUse, folder: Path) -> SpeedCaps:
     for surface in surfaces if use.surface is None else [use.surface]:
         usable = [row for row in passport.rows if row.surface == surface and row.tolerance <= use.tolerance]
         if not usable:
-            smallest = min(row.tolerance for row in passport.rows if row.surface == surface)
-            raise ConfigError(f"{where}: the smallest tolerance of the passport is {smallest:g} m; give at least that")
+            min_tolerance = min(row.tolerance for row in passport.rows if row.surface == surface)
+            raise ConfigError(
+                f"{where}: the minimum tolerance of the passport is {min_tolerance:g} m; give at least this"
+            )
         best = max(usable, key=lambda row: row.tolerance)
         rows.append([np.nan if speed is None else speed for speed in best.speeds])
     return SpeedCaps(np.array(passport.curvatures), np.min(np.array(rows), axis=0), where)

@@ -1,4 +1,4 @@
-"""Trajectory of cubic pieces in time, for paths that do not consist of arcs."""
+"""Trajectories of cubic pieces in time, for paths that do not consist of arcs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SplineTrajectory(TableTrajectory):
-    """Cubic pieces of x, y, theta and arc length; the twist is their derivative in the frame of the body.
+    """Trajectory of cubic pieces of x, y, theta and arc length; the twist is the derivative in the body frame.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class SplineTrajectory(TableTrajectory):
         (16, m) coefficients of x, y, theta and arc length for each power of the time since the start of the piece,
         highest power first.
     drawn
-        (m + 1,) distances from the drawn path [m] at the breaks; None if the trajectory follows it exactly.
+        (m + 1,) distances from the drawn path at the breaks [m]; None if the trajectory is on the drawn path.
     """
 
     drawn: FloatArray | None = None
@@ -37,7 +37,7 @@ class SplineTrajectory(TableTrajectory):
     ) -> SplineTrajectory:
         """Interpolate poses (m + 1, 3) and their time derivatives (m + 1, 3) at `times` (m + 1,), which start at 0.
 
-        `drawn` are the distances (m + 1,) from the drawn path [m], if the trajectory differs from it.
+        `drawn` (m + 1,) are the distances from the drawn path [m]; None if the trajectory is on the drawn path.
         """
         motion, step = _hermite(times, poses, rates), np.diff(times)
         inside = times[:-1, None] + step[:, None] * (_NODES + 1) / 2
@@ -57,7 +57,7 @@ class SplineTrajectory(TableTrajectory):
         return cls(name, float(times[-1]), times, table, drawn)
 
     def delayed(self, seconds: float) -> Self:
-        """Return the trajectory after a rest of `seconds` [s], see `TableTrajectory.delayed`."""
+        """Return the trajectory with a preceding standstill of `seconds` [s], see `TableTrajectory.delayed`."""
         delayed = super().delayed(seconds)
         return delayed if self.drawn is None else replace(delayed, drawn=np.append(self.drawn[:1], self.drawn))
 
@@ -69,9 +69,9 @@ class SplineTrajectory(TableTrajectory):
 
 
 def _hermite(times: FloatArray, values: FloatArray, slopes: FloatArray) -> FloatArray:
-    """Compute coefficients (4, m, n) of cubic pieces through values (m + 1, n) with given slopes, as in `table`.
+    """Compute the coefficients (4, m, n), as in `table`, of cubic pieces through values (m + 1, n) with given slopes.
 
-    SciPy's function is not used, since its import takes longer than that of all other parts of a controller.
+    SciPy is not used, since its import takes longer than that of the whole controller.
     """
     step = np.diff(times)[:, None]
     mean = np.diff(values, axis=0) / step

@@ -1,4 +1,4 @@
-"""Trajectories through timed poses, from a CSV file or from memory, interpolated by cubic splines in time."""
+"""Trajectories through timed poses from a CSV file or from arrays, interpolated by cubic splines in time."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ from diffdrive_mpc.mpc.trajectories.timing import TIMINGS, Timing
 from diffdrive_mpc.mpc.trajectories.waypoints import lay_waypoints
 
 _MAX_VALUES = {"t": 1e12, "x": 1e6, "y": 1e6, "theta": 1e6}
-"""Maximum values; larger ones are errors of units, and their powers could overflow."""
+"""Maximum values; larger values are due to a wrong unit, and their powers could overflow."""
 _COLUMNS = tuple(_MAX_VALUES)
 
 
 def read_timed_poses(path: Path, limits: TrajectoryLimits) -> SplineTrajectory:
     """Read timed poses from a CSV file and fit a trajectory through them; see `lay_timed_poses`.
 
-    The file has a header with the columns t [s], x, y [m] and theta [rad]; other columns are ignored.
+    The header of the file contains the columns t [s], x, y [m] and theta [rad]; other columns are ignored.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the file cannot be read, has fewer than two rows, a value that is not a finite number, times that do not
-        increase, a speed beyond `limits`, or headings that differ from the direction of travel.
+        If the file cannot be read, has fewer than two rows or a value that is not a finite number, times do not
+        increase, a speed exceeds `limits`, or headings differ from the direction of travel.
     """
     return lay_timed_poses(_read(path), limits, name=path.stem, where=str(path))
 
@@ -54,22 +54,22 @@ def lay_timed_poses(
     Parameters
     ----------
     rows
-        (m, 4), m >= 2, finite: increasing t [s], whose first value becomes time 0; x, y [m]; theta [rad], which may be
-        wrapped: the turn from row to row is assumed to be less than pi.
+        (m, 4) finite values, m >= 2: increasing t [s], whose first value becomes time 0; x, y [m]; theta [rad], which
+        may be wrapped, since the turn from row to row is assumed to be less than pi.
     limits
-        Speed limits, which are checked at the rows and between them; None: only sideways travel is rejected.
-        Accelerations follow from the rows and are not checked.
+        Speed limits, which are checked at the rows and in between; with None only sideways travel is rejected.
+        Accelerations are not checked.
     name
-        Name for tables and figures.
+        Name in tables and figures.
     where
-        Source of the rows, for error messages.
+        Source of the rows in error messages.
     rates
-        (m, 3) time derivatives of x, y [m/s] and theta [rad/s] at the rows, if known.
+        (m, 3) time derivatives of x, y [m/s] and theta [rad/s] at the rows; None if unknown.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If there are too many rows, a speed is beyond `limits`, or headings differ from the direction of travel.
+        If there are too many rows, a speed exceeds `limits`, or headings differ from the direction of travel.
     """
     settings = load_settings()
     pieces = settings.pieces_between(len(rows), settings.pieces_per_row, settings.least_pieces_per_row, where)
@@ -93,8 +93,8 @@ def _read(path: Path) -> FloatArray:
             header = [cell.strip() for cell in next(reader, [])]
             missing = [name for name in _COLUMNS if name not in header]
             if missing:
-                named = f"the header must name {','.join(_COLUMNS)} (found {plain_line(','.join(header), 100)})"
-                raise ConfigError(f"{path}, line 1: column '{missing[0]}' is missing; {named}")
+                remedy = f"the header must name {','.join(_COLUMNS)} (found {plain_line(','.join(header), 100)})"
+                raise ConfigError(f"{path}, line 1: column '{missing[0]}' is missing; {remedy}")
             columns = [header.index(name) for name in _COLUMNS]
             lines, numbers = array("q"), array("d")
             for cells in reader:
@@ -103,7 +103,7 @@ def _read(path: Path) -> FloatArray:
                     lines.append(reader.line_num)
                 if len(lines) > max_rows:
                     raise ConfigError(
-                        f"{path}: more than {max_rows:,} timed poses; leave rows out, the path between them is smooth"
+                        f"{path}: more than {max_rows:,} timed poses; remove rows, since the path is interpolated"
                     )
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ConfigError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
@@ -120,7 +120,7 @@ def _read(path: Path) -> FloatArray:
 
 
 def _lines(path: Path, file: BinaryIO) -> Iterator[str]:
-    """Yield lines without line ends; an overlong line is rejected before it is read completely."""
+    """Yield lines without line ends; a line that is too long is rejected before it is read completely."""
     coding = "utf-8-sig"
     while line := rest_of_line(path, file):
         yield from line.decode(coding).removesuffix("\n").removesuffix("\r").split("\r")
@@ -128,7 +128,7 @@ def _lines(path: Path, file: BinaryIO) -> Iterator[str]:
 
 
 def _numbers(path: Path, line: int, cells: list[str], columns: list[int]) -> list[float]:
-    """Parse the four numbers of one row."""
+    """Parse the four numbers of a row."""
     if len(cells) <= max(columns):
         raise ConfigError(f"{path}, line {line}: {len(cells)} values, fewer than in the header; complete the row")
     numbers = []
@@ -137,7 +137,7 @@ def _numbers(path: Path, line: int, cells: list[str], columns: list[int]) -> lis
             number = float(cells[column])
         except ValueError:
             number = np.nan
-        if not abs(number) <= _MAX_VALUES[name]:  # also true for NaN; a single check per number, for large files
+        if not abs(number) <= _MAX_VALUES[name]:  # negated so that NaN is rejected
             if np.isfinite(number):
                 fault = f"{name} = {number:g} is beyond {_MAX_VALUES[name]:g}; is it in m, s, rad?"
             else:
@@ -150,7 +150,7 @@ def _numbers(path: Path, line: int, cells: list[str], columns: list[int]) -> lis
 def _check_speeds(
     where: str, times: FloatArray, poses: FloatArray, rates: FloatArray, limits: TrajectoryLimits | None
 ) -> None:
-    """Raise ConfigError for speeds beyond the limits and for sideways travel."""
+    """Raise ConfigError for speeds that exceed the limits, and for sideways travel."""
     settings = load_settings()
     cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     forward, sideways = rates[:, 0] * cos + rates[:, 1] * sin, rates[:, 1] * cos - rates[:, 0] * sin
@@ -172,19 +172,19 @@ def _check_speeds(
             )
 
 
-# Trajectories from arrays in memory: checks of the input, and default headings.
+# Trajectories from arrays, with checks of the input and default headings.
 
 
 _MOVING_SHARE = 0.01
-"""Share of the maximum speed below which a path has no direction, so that the heading is constant [-]."""
+"""Share of the maximum speed [-] below which the direction of a path is undefined and the heading stays constant."""
 _MISFIT_SHARE, _MISFIT = 0.6, {"v": 0.05, "omega": 0.1}
-"""Tolerated difference of twists from the change of the poses, for noise but no wrong unit or sign [-, m/s, rad/s]."""
+"""Tolerated difference between twists and changes of the poses, for noise [-, m/s, rad/s]."""
 _MAX_SINE, _MAX_RADIAN_SINE = 0.3, 0.1
-"""Maximum RMS of the sine between heading and path [-]: for given headings, and after conversion from degrees."""
+"""Maximum RMS of the sine between heading and path [-], for headings in rad and after conversion from degrees."""
 
 
 def trajectory_from_arrays(name: str, columns: Mapping[str, ArrayLike | None]) -> SplineTrajectory:
-    """Create the trajectory of `Trajectory.from_arrays` from its columns by name."""
+    """Create a trajectory from columns by name, see `Trajectory.from_arrays`."""
     where = f"trajectory '{name}'"
     arrays = _check_columns(where, columns)
     times, points = arrays["t"] - arrays["t"][0], np.column_stack([arrays["x"], arrays["y"]])
@@ -217,15 +217,15 @@ def trajectory_from_waypoints(
     timing: Timing,
     max_deviation: float,
 ) -> SplineTrajectory:
-    """Create the trajectory of `Trajectory.from_waypoints`."""
+    """Create a trajectory through waypoints, see `Trajectory.from_waypoints`."""
     where = f"trajectory '{name}'"
     if not checked_number("max_deviation", max_deviation, "give m, such as 0.05") > 0:
         raise ConfigError(f"{where}: max_deviation = {max_deviation} m; give a positive number")
     array = _parse_array(where, "points", points)
     if array.ndim != 2 or array.shape[1] != 2:
         raise ConfigError(
-            f"{where}: points: expected rows x, y of shape (m, 2), got shape {array.shape}; timed poses go into "
-            "Trajectory.from_arrays(t, x, y)"
+            f"{where}: points: expected rows x, y of shape (m, 2), got shape {array.shape}; for timed poses "
+            "use Trajectory.from_arrays(t, x, y)"
         )
     if timing not in TIMINGS:
         raise ConfigError(f"{where}: timing {timing!r}; give {', '.join(TIMINGS[:-1])} or {TIMINGS[-1]}")
@@ -254,7 +254,7 @@ def trajectory_from_waypoints(
 
 
 def _check_columns(where: str, columns: Mapping[str, ArrayLike | None]) -> dict[str, FloatArray]:
-    """Return the columns (n,) as arrays; raise ConfigError for different lengths or times that do not increase."""
+    """Return the columns (n,) as arrays; raise ConfigError if lengths differ or times do not increase."""
     optional = ("theta", "v", "omega")
     present = {name: values for name, values in columns.items() if values is not None or name not in optional}
     arrays = {name: _parse_array(where, name, values) for name, values in present.items()}
@@ -273,10 +273,10 @@ def _check_columns(where: str, columns: Mapping[str, ArrayLike | None]) -> dict[
             f"{where}: t[{unsorted[0] + 1}] = {times[unsorted[0] + 1]:g} s is not after the previous time; "
             "sort the rows and drop duplicates"
         )
-    longest = load_settings().longest_duration
-    if times[-1] - times[0] > longest:
+    max_duration = load_settings().longest_duration
+    if times[-1] - times[0] > max_duration:
         raise ConfigError(
-            f"{where}: the duration is {times[-1] - times[0]:.3g} s, at most {longest:g} s; are times in s?"
+            f"{where}: the duration is {times[-1] - times[0]:.3g} s, at most {max_duration:g} s; are times in s?"
         )
     return arrays
 
@@ -291,15 +291,15 @@ def _parse_array(where: str, name: str, values: ArrayLike | None) -> FloatArray:
         raise ConfigError(f"{where}: {name}: got dates; give seconds, such as (t - t[0]) / np.timedelta64(1, 's')")
     invalid = np.argwhere(~np.isfinite(array))
     if invalid.size:
-        raise ConfigError(f"{where}: {name}{invalid[0].tolist()} is not a finite number; leave the row out")
+        raise ConfigError(f"{where}: {name}{invalid[0].tolist()} is not a finite number; remove the row")
     return array
 
 
 def _headings(where: str, rates: FloatArray, chords: FloatArray, v: FloatArray | None) -> FloatArray:
-    """Compute the direction of travel (n,) [rad, unwrapped], reversed where `v` is negative and constant at rest.
+    """Compute the headings (n,) [rad, unwrapped] from the direction of travel, reversed if `v` is negative.
 
-    It is the direction of `rates` (n, 2) of a spline, or of `chords` (n, 2) where the spline swings back at a sudden
-    stop.
+    The direction is that of `rates` (n, 2) of a spline, or that of `chords` (n, 2) if the spline swings back at a
+    sudden stop. At rest the heading is constant.
     """
     speed = np.hypot(*chords.T)
     moving = np.flatnonzero(speed > _MOVING_SHARE * speed.max())
@@ -310,12 +310,12 @@ def _headings(where: str, rates: FloatArray, chords: FloatArray, v: FloatArray |
     if v is not None:
         headings = np.where(v < 0, headings + np.pi, headings)
     last_moving = np.maximum(np.searchsorted(moving, np.arange(len(speed)), side="right") - 1, 0)
-    held = headings[moving[last_moving]]
-    return np.asarray(np.unwrap(held) - 2 * np.pi * np.round(held[0] / (2 * np.pi)))
+    heading = headings[moving[last_moving]]
+    return np.asarray(np.unwrap(heading) - 2 * np.pi * np.round(heading[0] / (2 * np.pi)))
 
 
 def _check_headings(where: str, rates: FloatArray, theta: FloatArray) -> FloatArray:
-    """Return `theta` (n,); raise ConfigError if the headings match the path only as degrees."""
+    """Return `theta` (n,); raise ConfigError if the headings match the path only after conversion from degrees."""
 
     def sine(headings: FloatArray) -> float:
         sideways = rates[:, 1] * np.cos(headings) - rates[:, 0] * np.sin(headings)
@@ -327,12 +327,12 @@ def _check_headings(where: str, rates: FloatArray, theta: FloatArray) -> FloatAr
 
 
 def _check_fit(where: str, name: str, unit: str, twist: FloatArray, change: FloatArray, times: FloatArray) -> None:
-    """Raise ConfigError for a twist that contradicts the poses because of a wrong unit or sign."""
+    """Raise ConfigError if a twist contradicts the poses, which indicates a wrong unit or sign."""
     gap = np.abs(twist - change)
     size = max(np.linalg.norm(twist), np.linalg.norm(change))
     if np.linalg.norm(gap) > _MISFIT_SHARE * size + _MISFIT[name] * np.sqrt(len(gap)):
         worst = int(np.argmax(gap))
         raise ConfigError(
             f"{where}: {name} = {twist[worst]:.3g} {unit} at t = {times[worst]:.3g} s, but the poses change by "
-            f"{change[worst]:.3g} {unit}; check unit and sign, or leave {name} out"
+            f"{change[worst]:.3g} {unit}; check unit and sign, or remove {name}"
         )

@@ -1,4 +1,4 @@
-"""Kinds of timing, and rest-to-rest speed profiles under an acceleration limit, in closed form."""
+"""Kinds of timing, and closed-form speed profiles from rest to rest with limited acceleration."""
 
 from __future__ import annotations
 
@@ -10,40 +10,40 @@ from typing import Literal, NamedTuple, get_args
 Timing = Literal["stop", "commanded", "smooth"]
 """Kind of speed profile of a drawn path.
 
-stop: the exact path, within the limits; the robot stops where the curvature jumps. commanded: the twists of the file,
-with steps between them, and a ramp at the start and at the end. smooth: clothoids in place of jumps of the curvature,
-within the limits; the robot stops at cusps and at turns on the spot only.
+stop: the exact path within the limits; the robot stops where the curvature jumps. commanded: the twists of the file,
+with steps in between and a ramp at both ends. smooth: clothoids replace jumps of the curvature, within the limits; the
+robot stops only at cusps and at turns on the spot.
 """
 TIMINGS: tuple[Timing, ...] = get_args(Timing)
 
 
 class Phase(NamedTuple):
-    """Time interval of constant acceleration along one section of a path."""
+    """Time interval of constant acceleration along a section of a path."""
 
     offset: float
-    """Distance from the start of the section at the start of the phase."""
+    """Distance from the start of the section to the start of the phase."""
     rate: float
     """Speed at the start of the phase."""
     acceleration: float
-    """Acceleration throughout the phase."""
+    """Constant acceleration of the phase."""
     duration: float
     """Duration of the phase [s]."""
 
 
 def rest_to_rest(lengths: Sequence[float], cruises: Sequence[float], acceleration: float) -> list[list[Phase]]:
-    """Compute the fastest timing of consecutive sections of a path, from rest to rest.
+    """Compute the time-optimal timing of consecutive sections of a path from rest to rest.
 
-    A forward and a backward pass reduce the speeds at the joints to those that the acceleration permits. The speed on
-    each section is then a trapezoid, or a triangle if the section is too short for its cruise speed.
+    A forward and a backward pass reduce the speeds at the joints according to the acceleration limit. The speed profile
+    of each section is then a trapezoid, or a triangle if the section is too short for its cruise speed.
 
     Parameters
     ----------
     lengths
-        Length of each section, positive, in one common unit.
+        Positive length of each section, in any unit.
     cruises
-        Maximum speed on each section, positive, in this unit per second.
+        Positive maximum speed on each section, in this unit per second.
     acceleration
-        Maximum acceleration and deceleration, positive, in this unit per second squared.
+        Positive maximum acceleration and deceleration, in this unit per second squared.
 
     Returns
     -------
@@ -62,14 +62,14 @@ def rest_to_rest(lengths: Sequence[float], cruises: Sequence[float], acceleratio
 
 
 def _reachable(rate: float, length: float, acceleration: float) -> float:
-    """Compute the maximum speed after `length` from the speed `rate`."""
+    """Compute the maximum speed at the distance `length` after the speed `rate`."""
     return math.sqrt(rate * rate + 2 * acceleration * length)
 
 
 def between(length: float, cruise: float, entry: float, leave: float, acceleration: float) -> list[Phase]:
-    """Compute the phases from speed `entry` over `cruise` to `leave`; the ends are reduced if the length is too short.
+    """Compute the phases from the speed `entry` via `cruise` to `leave`; a short length reduces the speeds at the ends.
 
-    `entry` and `leave` are at most `cruise`; units and phases are those of `rest_to_rest`.
+    `entry` and `leave` must not exceed `cruise`. For units see `rest_to_rest`.
     """
     leave = min(leave, _reachable(entry, length, acceleration))
     entry = min(entry, _reachable(leave, length, acceleration))
@@ -81,5 +81,5 @@ def between(length: float, cruise: float, entry: float, leave: float, accelerati
         Phase(rise, peak, 0.0, (length - rise - fall) / cruise),
         Phase(length - fall, peak, -acceleration, (peak - leave) / acceleration),
     ]
-    # Rounding can leave a negative duration of the cruise in a triangle, or of a ramp that is not needed.
+    # Due to rounding, the duration of a cruise or ramp that is not needed may be negative.
     return [phase for phase in phases if phase.duration > 0]

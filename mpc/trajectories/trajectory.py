@@ -21,16 +21,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory(ABC):
-    """Timed reference (`models.interface.Reference`), created by `load_trajectory` and the two methods below.
+    """Timed reference, see `models.interface.Reference`; created by `load_trajectory`, `from_arrays`, `from_waypoints`.
 
     Attributes
     ----------
     name
-        Name for tables and figures.
+        Name in tables and figures.
     duration
         Time from start to end [s].
     remark
-        Differences of duration and path from the file, in one line; empty if there are none.
+        Differences of duration and path from the file, in one line; empty without differences.
     """
 
     name: str
@@ -50,12 +50,12 @@ class Trajectory(ABC):
     ) -> Trajectory:
         """Create a trajectory through timed poses by cubic splines in time.
 
-        The speeds are not checked here; `Controller.start` compares them with the limits of its configuration.
+        The speeds are not checked; `Controller.start` compares them with the limits of its configuration.
 
         Parameters
         ----------
         t
-            (n,) increasing times [s]; the first becomes time 0.
+            (n,) increasing times [s]; the first time becomes time 0.
         x, y
             (n,) positions [m].
         theta
@@ -63,14 +63,14 @@ class Trajectory(ABC):
         v, omega
             (n,) twist of the body at these times [m/s, rad/s]; by default the twist of a spline through the poses.
         name
-            Name for tables and figures.
+            Name in tables and figures.
 
         Raises
         ------
         ConfigError
             If shapes differ, a value is not finite, times do not increase, or the columns contradict each other.
         """
-        # The import of SciPy is slow, and all trajectories import this module.
+        # SciPy is imported only here, since its import is slow.
         from diffdrive_mpc.mpc.trajectories.timed_poses import trajectory_from_arrays  # noqa: PLC0415
 
         columns = {"t": t, "x": x, "y": y, "theta": theta, "v": v, "omega": omega}
@@ -86,7 +86,7 @@ class Trajectory(ABC):
         max_deviation: float = 0.05,
         name: str = "waypoints",
     ) -> Trajectory:
-        """Create a smooth path through waypoints, driven from rest to rest.
+        """Create a trajectory from rest to rest on a smooth path through waypoints.
 
         Parameters
         ----------
@@ -95,19 +95,20 @@ class Trajectory(ABC):
         speed
             Cruise speed [m/s]; by default the limit.
         limits
-            Limits of speed and acceleration, or a configuration that contains them, or its name or path. By default the
-            limits of the robot of the papers (1.5 m/s), with a speed limit of at least `speed`.
+            Speed and acceleration limits, or a configuration that contains them, or the name or path of a
+            configuration. By default the limits of the robot of the papers (1.5 m/s), with a speed limit of at least
+            `speed`.
         timing
             "stop", "commanded" or "smooth", see `timing.Timing`.
         max_deviation
-            Maximum distance of the path from the polyline of the points [m]; corners are rounded accordingly.
+            Maximum distance of the path from the polyline of the points, which determines the rounding of corners [m].
         name
-            Name for tables and figures.
+            Name in tables and figures.
 
         Raises
         ------
         ConfigError
-            If there are fewer than two points, two successive points coincide, or the path turns too tightly.
+            If there are fewer than two points, two consecutive points coincide, or the path turns too tightly.
         ArgumentError
             If `speed` or `limits` has a wrong type.
         """
@@ -118,7 +119,7 @@ class Trajectory(ABC):
         )
 
     def __repr__(self) -> str:
-        """Return name, duration and length in one line."""
+        """Format name, duration and length in one line."""
         length = float(self.sample([self.duration]).arc_length[0])
         return f"Trajectory {self.name!r}: {self.duration:.4g} s, {length:.4g} m"
 
@@ -126,15 +127,15 @@ class Trajectory(ABC):
     def sample(self, times: ArrayLike) -> ReferenceSample:
         """Sample at `times` (n,) [s] since the start of the trajectory.
 
-        Before time 0 the trajectory rests at its start pose, after `duration` at its end pose, with zero twist. The
-        pose at a NaN time is NaN.
+        Before time 0 the trajectory is at rest at its start pose, after `duration` at its end pose. The pose at a NaN
+        time is NaN.
 
         Returns
         -------
         ReferenceSample
-            pose (n, 3) [m, m, rad unwrapped], twist (n, 2) [m/s, rad/s], arc length (n,) [m].
+            Pose (n, 3) [m, m, rad unwrapped], twist (n, 2) [m/s, rad/s], arc length (n,) [m].
         """
 
     def drawn_distance(self, times: ArrayLike) -> FloatArray:
-        """Compute the distance (n,) [m] at `times` (n,) [s] from the drawn path, the polyline in case of waypoints."""
+        """Compute the distance (n,) [m] from the drawn path (for waypoints, the polyline) at `times` (n,) [s]."""
         return np.zeros(np.size(times))

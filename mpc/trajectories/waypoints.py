@@ -1,4 +1,4 @@
-"""Trajectories through waypoints: a smooth path with a speed profile within the limits."""
+"""Trajectories through waypoints, with a smooth path and a speed profile within the limits."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from diffdrive_mpc.mpc.trajectories.speed_passport import PassportUse, SpeedCaps
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 from diffdrive_mpc.mpc.trajectories.timing import Timing
 
-# At most a thousand kilometres: larger values are errors of units, and their powers could overflow.
+# Larger coordinates than 1000 km are due to a wrong unit, and their powers could overflow.
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
 
-# Yaw acceleration beyond all robots [rad/s^2].
+# Yaw acceleration that no robot reaches [rad/s^2].
 _UNLIMITED = 1e9
 MAX_DEVIATION = 0.05
 """Default maximum distance of a path through waypoints from the polyline [m]."""
@@ -30,7 +30,7 @@ MAX_DEVIATION = 0.05
 class WaypointFile(StrictModel):
     """Schema of a trajectory file with waypoints."""
 
-    name: str | None = Field(default=None, description="name for tables and figures; default: name of the file")
+    name: str | None = Field(default=None, description="name in tables and figures; default: name of the file")
     waypoints: list[tuple[Coordinate, Coordinate]] = Field(description="points x, y [m] in order of travel")
     speed: float | None = Field(default=None, gt=0, description="cruise speed [m/s]; default: the speed limit")
     max_deviation: float = Field(
@@ -38,7 +38,7 @@ class WaypointFile(StrictModel):
     )
     timing: Timing = Field(default="stop", description="timing of the path")
     speed_passport: PassportUse | None = Field(
-        default=None, description="for timing: smooth, a passport that limits the speed for a tolerance"
+        default=None, description="speed passport for timing: smooth, which limits the speed for a tolerance"
     )
 
 
@@ -55,26 +55,25 @@ def lay_waypoints(
 ) -> SplineTrajectory:
     """Create a timed trajectory on a smooth path through `waypoints` (x, y [m]).
 
-    The path is a natural cubic spline over chord length where this spline is at most `max_deviation` [m] from the
-    polyline, and has rounded corners elsewhere, see `spline_near`; None: the spline everywhere. The curvature is
-    continuous. The path is driven forwards, from rest to rest, as fast as `speed` [m/s] and `limits` allow. With
-    `timing` "smooth" the lateral acceleration is limited as well; with "commanded" the speed is constant except for the
-    ramps at both ends. `where` is the source of the waypoints in error messages; `caps` are maximum speeds by
-    curvature.
+    The path is a natural cubic spline over chord length, with rounded corners wherever this spline is further than
+    `max_deviation` [m] from the polyline, see `spline_near`; None disables the rounding. The curvature is continuous.
+    The path is driven forwards, from rest to rest, as fast as `speed` [m/s] and `limits` allow. With the timing
+    "smooth" the lateral acceleration is also limited; with "commanded" the speed is constant except for the ramps at
+    both ends. `where` is the source of the waypoints in error messages; `caps` are maximum speeds by curvature.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If there are fewer than two waypoints, two successive waypoints coincide, the path turns too tightly, `speed` is
-        beyond the limit, or `caps` contain no speed for a turn.
+        If there are fewer than two waypoints, two consecutive waypoints coincide, the path turns too tightly, `speed`
+        exceeds the limit, or `caps` contain no speed for a turn.
     """
     if len(waypoints) < 2:
         raise ConfigError(f"{where}: {len(waypoints)} waypoints; give at least two [x, y]")
-    fastest = side_of(limits.v, 1.0)
-    if speed is not None and speed > fastest:
-        raise BeyondLimitError(f"{where}: speed = {speed:g} m/s is beyond the limit of {fastest:g} m/s; lower it")
+    max_speed = side_of(limits.v, 1.0)
+    if speed is not None and speed > max_speed:
+        raise BeyondLimitError(f"{where}: speed = {speed:g} m/s is beyond the limit of {max_speed:g} m/s; lower it")
     path = smooth_path(np.asarray(waypoints, dtype=float), where, max_deviation=max_deviation)
-    cruise = speed or fastest
+    cruise = speed or max_speed
     if timing == "commanded":
         limits = _unlimited_yaw_acceleration(path, cruise, limits, where)
     square = squared_speeds(
@@ -91,9 +90,9 @@ def lay_waypoints(
 def _unlimited_yaw_acceleration(
     path: SmoothPath, speed: float, limits: TrajectoryLimits, where: str
 ) -> TrajectoryLimits:
-    """Return limits without yaw acceleration, so that only the ramps at both ends are slower than `speed` [m/s].
+    """Return `limits` without a yaw acceleration limit, so that the speed is constant except for the ramps.
 
-    Raises ConfigError if omega along the path is beyond its limit.
+    Raises ConfigError if the yaw rate along the path exceeds its limit.
     """
     worst = int(np.argmax(path.bend))
     if path.bend[worst] * speed > limits.omega:

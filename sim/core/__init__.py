@@ -1,1 +1,1 @@
-"""Drivetrain of the simulated robot in C, with build and loading."""
+"""Drivetrain of the simulated robot in C, and its compilation and loading."""

@@ -1,4 +1,4 @@
-"""The compiled parts of plants, loaded through cffi; the headers in this folder describe them."""
+"""Loading of the compiled parts of plants through cffi; the headers in this folder document them."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from diffdrive_mpc.models.compiled.packaged import BASELINE, Level, Packaged
 from diffdrive_mpc.models.interface import FloatArray
 
 CORE = Path(__file__).parent
-"""Folder of the C file and its header."""
+"""Folder of the C files and headers."""
 
-# No contraction and no tuning to the processor: results for a seed must be bitwise equal on all machines.
+# Contraction is disabled, and code is not tuned to the processor, so that results are bitwise equal on all machines.
 _FLAGS = ("-ffp-contract=off",)
 _NAMES = ("twin", "velocity_plant")
 _STEP = "void mj_step(const void *model, void *data);"
@@ -25,21 +25,21 @@ _STEP = "void mj_step(const void *model, void *data);"
 
 @cache
 def load_twin() -> tuple[cffi.FFI, Any]:
-    """Load the library: cffi's declarations of the headers, and the library.
+    """Load the library; return the FFI with the declarations of the headers, and the library.
 
     Raises
     ------
     NotCompiledError
-        If no packaged library can be loaded, and none can be compiled.
+        If no packaged library can be loaded and the library cannot be compiled.
     """
     headers = "".join(_texts()[f"{name}.h"] for name in _NAMES)
     declarations = re.sub(r"^\s*#.*$", "", headers, flags=re.MULTILINE)
-    complaint = "the simulated robot is not compiled: {}, which holds it"
-    return _packaged().load(_texts(), declarations, complaint)
+    message = "the simulated robot is not compiled: {}, which contains it"
+    return _packaged().load(_texts(), declarations, message)
 
 
 def write_packaged(folder: Path) -> list[Path]:
-    """Compile the drivetrain to a library in `folder`, and write the manifest.
+    """Compile the drivetrain to a library in `folder` and write the manifest.
 
     Raises
     ------
@@ -55,15 +55,15 @@ def address(array: FloatArray) -> Any:  # noqa: ANN401 - cffi has no types
 
 
 def view(numbers: Any) -> FloatArray:  # noqa: ANN401 - cffi has no types
-    """View an array field of a struct as an array, without a copy; the struct must outlive the view."""
+    """Return a view of an array field of a struct; the struct must outlive the view."""
     return np.frombuffer(load_twin()[0].buffer(numbers), dtype=float)
 
 
 @cache
 def physics_step() -> Any:  # noqa: ANN401 - cffi has no types
-    """Find the C function `mj_step` in the library of MuJoCo's Python package; return None on failure.
+    """Return the C function `mj_step` of the library in MuJoCo's Python package; None if it is not found.
 
-    The drivetrain then calls the physics from C, ten times per control sample.
+    The drivetrain uses it to call the physics from C, ten times per control sample.
     """
     import mujoco  # noqa: PLC0415 - an optional dependency
 
@@ -73,7 +73,7 @@ def physics_step() -> Any:  # noqa: ANN401 - cffi has no types
     for path in sorted(Path(mujoco.__file__).parent.iterdir()):
         if re.fullmatch(rf"libmujoco\.(so\.)?{version}(\.dylib)?", path.name):
             try:
-                # The loader returns the library that is already loaded, not a second copy.
+                # The loader returns the library that is already loaded instead of a second copy.
                 library = ffi.dlopen(str(path))
                 return load_twin()[0].cast("void *", ffi.cast("uintptr_t", ffi.addressof(library, "mj_step")))
             except (OSError, AttributeError):

@@ -75,13 +75,13 @@ void twin_torque(twin_loops *loops, const double *set_points, const double *esti
   int i;
   for (i = 0; i < 4; i++) {
     const double error = set_points[i] - estimates[i];
-    /* At a zero set-point the driver brakes and resets its integrator, to avoid a limit cycle within one count. */
-    const int resting = set_points[i] == 0.0 && fabs(estimates[i]) < loops->rest_speed;
+    /* At a zero set-point the driver brakes and resets its integrator to avoid a limit cycle within one count. */
+    const int is_resting = set_points[i] == 0.0 && fabs(estimates[i]) < loops->rest_speed;
     double requested, duty, requested_torque;
-    if (resting)
+    if (is_resting)
       loops->sum[i] = 0.0;
     requested = set_points[i] / loops->no_load_speed + loops->proportional * error + loops->sum[i];
-    duty = resting ? 0.0 : requested < -1.0 ? -1.0 : requested > 1.0 ? 1.0 : requested;
+    duty = is_resting ? 0.0 : requested < -1.0 ? -1.0 : requested > 1.0 ? 1.0 : requested;
     requested_torque = loops->stall_torque[i] * (loops->supply * duty - speeds[i] / loops->no_load_speed);
     torques[i] = requested_torque < -loops->torque_limit  ? -loops->torque_limit
                  : requested_torque > loops->torque_limit ? loops->torque_limit
@@ -92,11 +92,11 @@ void twin_torque(twin_loops *loops, const double *set_points, const double *esti
   }
 }
 
-static int within(const double *values, int count, double limit)
+static int all_within(const double *values, int count, double limit)
 {
   int i;
   for (i = 0; i < count; i++)
-    if (!(fabs(values[i]) < limit)) /* also true for NaN */
+    if (!(fabs(values[i]) < limit)) /* negated so that NaN fails */
       return 0;
   return 1;
 }
@@ -109,7 +109,7 @@ int twin_move(twin_chassis *chassis, const double *torques)
   for (i = 0; i < 4; i++)
     chassis->torque[i] = torques[i];
   chassis->step(chassis->model, chassis->data);
-  if (!within(q, 11, chassis->largest) || !within(chassis->velocity, 10, chassis->largest))
+  if (!all_within(q, 11, chassis->largest) || !all_within(chassis->velocity, 10, chassis->largest))
     return TWIN_DIVERGED;
   w = q[3], x = q[4], y = q[5], z = q[6];
   if (1.0 - 2.0 * (x * x + y * y) < chassis->min_upright)

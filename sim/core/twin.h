@@ -1,8 +1,8 @@
-/* The simulated robot between two control ticks: link, firmware, motor drivers, motors, encoders and physics steps.
- * SI units; wheels are ordered front left, front right, rear left, rear right. The classes of the same names in
- * sim/plants document the parameters and their sources.
+/* Simulated robot between two control ticks: link, firmware, motor drivers, motors, encoders and physics steps.
+ * Units are SI units; the order of wheels is front left, front right, rear left, rear right. The classes of the same
+ * names in sim/plants document the parameters and their sources.
  *
- * Operations are rounded individually in source order, so that results are bitwise equal on all processors. */
+ * Each operation is rounded in source order, so that results are bitwise equal on all processors. */
 #ifndef TWIN_H
 #define TWIN_H
 
@@ -12,10 +12,10 @@ typedef struct {
   double *arrivals; /* [room] arrival times of pending commands, a ring buffer with `count` entries from `first` */
   double *commands; /* [room][2] */
   int room, first, count;
-  double acting[2]; /* command that arrived last */
+  double acting[2]; /* last command that has arrived */
 } twin_link;
 
-/* The firmware: a first-order lag per channel, then set-points in whole pulses per second. */
+/* Firmware: a first-order lag per channel, followed by set-points in whole pulses per second. */
 typedef struct {
   double decay[2];
   double to_pulses[8]; /* [4][2] */
@@ -37,12 +37,12 @@ typedef struct {
   double proportional, integral; /* gains; the integral gain is per step */
   double no_load_speed, rest_speed;
   double stall_torque[4];
-  double torque_limit; /* from the drivers' current limit */
+  double torque_limit; /* due to the current limit of the drivers */
   double supply;
   double sum[4]; /* states of the integrators */
 } twin_loops;
 
-/* The body in MuJoCo. */
+/* Body in MuJoCo. */
 typedef struct {
   const void *model;
   void *data;
@@ -50,8 +50,8 @@ typedef struct {
   double *position;     /* [11] x, y, z, quaternion, wheel angles */
   double *velocity;     /* [10] velocity, angular velocity, wheel speeds */
   double *torque;       /* [4] */
-  double largest;       /* magnitude above which the simulation counts as diverged */
-  double min_upright;   /* cosine of the tilt above which the robot has tipped over */
+  double largest;       /* absolute value above which the simulation counts as diverged */
+  double min_upright;   /* cosine of the tilt above which the robot counts as tipped over */
   double yaw;           /* unwrapped yaw angle */
 } twin_chassis;
 
@@ -61,18 +61,18 @@ typedef struct {
   twin_observer *observer;
   twin_loops *loops;
   twin_chassis *chassis;
-  double *motors; /* [steps][2][4] torques during each step, speeds at its end */
+  double *motors; /* [steps][2][4] torques during each step, and speeds at the end of the step */
 } twin;
 
 enum { TWIN_SOUND = 0, TWIN_DIVERGED = 1, TWIN_TIPPED = 2 };
 
 /* Send a command [2]; return 0 if the buffer is full. */
 int twin_send(twin_link *link, double time, const double *command);
-/* Compute the mean of the arrived command [2] over [start, end]. */
+/* Compute the mean of the effective command [2] over [start, end]. */
 void twin_arrived(twin_link *link, double start, double end, double *mean);
-/* Compute set-points [4] for the command [2] that acts during this step. */
+/* Compute set-points [4] for the effective command [2] during this step. */
 void twin_shape(twin_shaper *shaper, const double *command, double *set_points);
-/* Update the observer with the encoder counts at the wheel angles [4]. */
+/* Update the observer with the encoder counts for the wheel angles [4]. */
 void twin_observe(twin_observer *observer, const double *angles);
 /* Reset the observer to wheels at rest at angle zero. */
 void twin_observe_rest(twin_observer *observer);
@@ -81,11 +81,11 @@ void twin_torque(twin_loops *loops, const double *set_points, const double *esti
 /* Advance the physics by one step under torques [4]; return the state of the body. */
 int twin_move(twin_chassis *chassis, const double *torques);
 
-/* Compute the torques [4] of the motors from `start` to `end`, one physics step. */
+/* Compute the torques [4] of the motors for the physics step from `start` to `end`. */
 void twin_drive(twin *t, double start, double end, double *torques);
 /* Advance physics and observer by one step under torques [4]; return the state of the body. */
 int twin_step(twin *t, const double *torques);
-/* Advance all steps between the times edges [steps + 1]; store x, y, theta at each time in poses [steps + 1][3]. */
+/* Advance the steps between the times edges [steps + 1]; store x, y, theta at each time in poses [steps + 1][3]. */
 int twin_advance(twin *t, int steps, const double *edges, double *poses);
 
 #endif

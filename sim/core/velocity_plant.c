@@ -8,32 +8,32 @@ static const double PI = 3.141592653589793;
 /* models/base_effects.py, _ROUNDING; models/slip_laws.py, _LEAST_ROOT. */
 static const double ON_STEP = 1e-9, LEAST_ROOT = 0.04;
 
-static double clipped(double value, double low, double high) { return fmin(fmax(value, low), high); }
+static double clip(double value, double low, double high) { return fmin(fmax(value, low), high); }
 
 /* models/two_sided.py, reached */
-static double stepped(double last, double command, double grows, double falls)
+static double limit_rate(double last, double command, double rise, double fall)
 {
-  double low = last - (last > 0.0 ? falls : grows), high = last + (last < 0.0 ? falls : grows);
+  double low = last - (last > 0.0 ? fall : rise), high = last + (last < 0.0 ? fall : rise);
   if (last > 0.0 && low < 0.0)
-    low *= grows / falls;
+    low *= rise / fall;
   if (last < 0.0 && high > 0.0)
-    high *= grows / falls;
-  return clipped(command, low, high);
+    high *= rise / fall;
+  return clip(command, low, high);
 }
 
-static double held(const velocity_plant *p, double speed)
+static double quantise_speed(const velocity_plant *p, double speed)
 {
-  const double cut = clipped(speed, -p->top_speed, p->top_speed);
-  return p->resolution == 0.0 ? cut : copysign(floor(fabs(cut) / p->resolution + ON_STEP) * p->resolution, cut);
+  const double limited = clip(speed, -p->top_speed, p->top_speed);
+  return p->resolution == 0.0 ? limited : copysign(floor(fabs(limited) / p->resolution + ON_STEP) * p->resolution, limited);
 }
 
 /* WheelCommand.apply */
-static void to_motors(const velocity_plant *p, double *twist)
+static void apply_wheel_command(const velocity_plant *p, double *twist)
 {
   const double half = 0.5 * p->track * twist[1];
-  const double left = held(p, twist[0] - half), right = held(p, twist[0] + half);
-  const double along_left = left == 0.0 && right != 0.0 ? clipped(right, -p->coasting, p->coasting) : left;
-  const double along_right = right == 0.0 && left != 0.0 ? clipped(left, -p->coasting, p->coasting) : right;
+  const double left = quantise_speed(p, twist[0] - half), right = quantise_speed(p, twist[0] + half);
+  const double along_left = left == 0.0 && right != 0.0 ? clip(right, -p->coasting, p->coasting) : left;
+  const double along_right = right == 0.0 && left != 0.0 ? clip(left, -p->coasting, p->coasting) : right;
   twist[0] = 0.5 * (along_left + along_right);
   twist[1] = (along_right - along_left) / p->track;
 }
@@ -41,7 +41,7 @@ static void to_motors(const velocity_plant *p, double *twist)
 static void move_dynamics(velocity_plant *p, const double *requested)
 {
   const int n = p->order, last = p->memory;
-  double *now = p->state, *after = p->state + n;
+  double *current = p->state, *next_state = p->state + n;
   int i, j;
   if (!n) {
     memcpy(p->wheels, p->next, sizeof p->wheels);
@@ -50,36 +50,36 @@ static void move_dynamics(velocity_plant *p, const double *requested)
   memmove(p->commands, p->commands + 2, (size_t)last * 2 * sizeof *p->commands);
   memcpy(p->commands + 2 * last, requested, 2 * sizeof *requested);
   for (i = 0; i < n; i++) {
-    after[i] = 0.0;
+    next_state[i] = 0.0;
     for (j = 0; j < n; j++)
-      after[i] += p->A[n * i + j] * now[j];
+      next_state[i] += p->A[n * i + j] * current[j];
     for (j = 0; j < 2; j++) {
       const double *command = p->commands + 2 * (last - p->delay[j]) + j;
-      after[i] += p->B0[2 * i + j] * command[0] + p->B1[2 * i + j] * command[-2];
+      next_state[i] += p->B0[2 * i + j] * command[0] + p->B1[2 * i + j] * command[-2];
     }
   }
-  memcpy(now, after, (size_t)n * sizeof *now);
+  memcpy(current, next_state, (size_t)n * sizeof *current);
   for (i = 0; i < 2; i++)
     for (p->wheels[i] = 0.0, j = 0; j < n; j++)
-      p->wheels[i] += p->C[n * i + j] * now[j];
+      p->wheels[i] += p->C[n * i + j] * current[j];
 }
 
 /* YawRelaxation.advance */
-static double relaxed(velocity_plant *p, double yaw_rate)
+static double relax_yaw_rate(velocity_plant *p, double yaw_rate)
 {
   const double side = (yaw_rate > 0.0) - (yaw_rate < 0.0), before = p->strain;
   p->strain = side + (before - side) * exp(-fabs(yaw_rate) * p->step_time / p->angle);
   return yaw_rate - p->angle * (p->strain - before) / p->step_time;
 }
 
-static void find_body(velocity_plant *p)
+static void compute_body(velocity_plant *p)
 {
   p->body[0] = p->wheels[0];
   p->body[1] = p->angle > 0.0 ? fabs(p->wheels[1]) * p->strain : p->wheels[1];
   p->body[1] += p->yaw_per_metre * p->body[0];
 }
 
-/* Twist [3] of the body in this sample for an output [2] of the model: BodySlip.body, and UnexplainedMotion.twist */
+/* Compute the twist [3] of the body for an output [2] of the model: BodySlip.body and UnexplainedMotion.twist. */
 static void slip(const velocity_plant *p, const double *output, double *twist)
 {
   double v = p->longitudinal_gain * output[0], omega = p->yaw_gain * output[1], lateral = 0.0;
@@ -110,8 +110,8 @@ static void slip(const velocity_plant *p, const double *output, double *twist)
   }
 }
 
-/* models/pose.py, integrate_pose; a body that crabs moves along the same arc as one that points in its direction. */
-static void move(double *pose, const double *twist, double duration)
+/* models/pose.py, integrate_pose; a crabbing body moves like a body that points in the direction of travel. */
+static void integrate_pose(double *pose, const double *twist, double duration)
 {
   const double forward = copysign(1.0, twist[0]), crab = atan2(forward * twist[1], fabs(twist[0]));
   const double speed = forward * hypot(twist[0], twist[1]), half = 0.5 * twist[2] * duration;
@@ -131,7 +131,7 @@ void velocity_plant_reset(velocity_plant *p)
   p->tick = 0;
   p->strain = 0.0;
   memcpy(p->wheels, p->next, sizeof p->wheels);
-  find_body(p);
+  compute_body(p);
   slip(p, p->body, p->twist);
 }
 
@@ -142,23 +142,23 @@ void velocity_plant_advance(velocity_plant *p, const double *command)
   for (step = 0; step < p->steps; step++) {
     double *arc = p->arcs + 6 * step, requested[2], mean[2];
     for (i = 0; i < 2; i++) {
-      p->reached[i] = stepped(p->reached[i], clipped(command[i], -p->lower[i], p->upper[i]), p->grows[i], p->falls[i]);
+      p->reached[i] = limit_rate(p->reached[i], clip(command[i], -p->lower[i], p->upper[i]), p->grows[i], p->falls[i]);
       requested[i] = p->reached[i];
       mean[i] = p->wheels[i];
     }
     if (p->track > 0.0)
-      to_motors(p, requested);
+      apply_wheel_command(p, requested);
     move_dynamics(p, requested);
     for (i = 0; i < 2; i++)
       mean[i] = 0.5 * (mean[i] + p->wheels[i]);
     if (p->angle > 0.0)
-      mean[1] = relaxed(p, mean[1]);
+      mean[1] = relax_yaw_rate(p, mean[1]);
     mean[1] += p->yaw_per_metre * mean[0];
     memcpy(arc, p->pose, sizeof p->pose);
     slip(p, mean, arc + 3);
-    move(p->pose, arc + 3, p->step_time);
+    integrate_pose(p->pose, arc + 3, p->step_time);
   }
-  find_body(p);
+  compute_body(p);
   slip(p, p->body, p->twist);
   p->yaw_rate = p->twist[2];
   for (i = 0; i < 2; i++)
@@ -173,5 +173,5 @@ void velocity_plant_look(const velocity_plant *p, double start, double time, dou
   while (step > 0 && start + step * p->step_time > time)
     step--;
   memcpy(pose, p->arcs + 6 * step, 3 * sizeof *pose);
-  move(pose, p->arcs + 6 * step + 3, time - (start + step * p->step_time));
+  integrate_pose(pose, p->arcs + 6 * step + 3, time - (start + step * p->step_time));
 }

@@ -1,1 +1,1 @@
-"""Disturbances of a run: named, seeded scenarios, and the plant that undergoes them."""
+"""Disturbances of a run: named scenarios with seeded random values, and plants with disturbances."""

@@ -1,7 +1,7 @@
-"""Schemas of the types of disturbance.
+"""Schemas of the types of disturbances.
 
 Forward, left and yaw are in the body frame, with x forward and y left; the world frame is that of the reference. Times
-count from the start of the run; a disturbance without `duration` lasts until its end.
+are relative to the start of the run; a disturbance without `duration` lasts until the end of the run.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ Span = tuple[float, float]
 
 
 class Window(StrictModel):
-    """A time window."""
+    """Time window of a disturbance."""
 
     start: NotNegative = Field(description="start time [s]")
-    duration: Positive | None = Field(None, description="duration [s]; by default until the end of the run")
+    duration: Positive | None = Field(None, description="duration [s]; default: until the end of the run")
 
     @property
     def end(self) -> float:
-        """End time [s]; infinite for the end of the run."""
+        """End time [s]; infinite if the window lasts until the end of the run."""
         return math.inf if self.duration is None else self.start + self.duration
 
     @property
@@ -38,11 +38,11 @@ class Window(StrictModel):
         return (self.start, self.end)
 
     def holds(self, time: float) -> bool:
-        """Return True if `time` [s] is within the window, end excluded."""
+        """Return True if `time` [s] is within the window, which excludes its end."""
         return self.start <= time < self.end
 
     def share(self, start: float, end: float) -> float:
-        """Compute the share of [start, end] [s] within the window, 0 to 1."""
+        """Compute the share of the interval [start, end] [s] within the window, from 0 to 1."""
         return max(0.0, min(end, self.end) - max(start, self.start)) / (end - start)
 
 
@@ -55,13 +55,13 @@ class StartOffset(StrictModel):
 
 
 class Patch(StrictModel):
-    """Stretch of the path with different friction."""
+    """Section of the path with different friction."""
 
     start: NotNegative = Field(description="distance travelled by the robot's centre at the start of the patch [m]")
-    length: Positive | None = Field(None, description="length along the path [m]; by default until the end of the run")
+    length: Positive | None = Field(None, description="length along the path [m]; default: until the end of the run")
     friction: Positive | None = Field(None, description="sliding friction coefficient [-]; alternative to `factor`")
-    factor: Positive | None = Field(None, description="friction over that of the surrounding surface [-]")
-    side: Literal["both", "left", "right"] = Field("both", description="side of the wheels on the patch")
+    factor: Positive | None = Field(None, description="ratio of friction to that of the surrounding surface [-]")
+    side: Literal["both", "left", "right"] = Field("both", description="side whose wheels are on the patch")
 
     @model_validator(mode="after")
     def _one_of_both(self) -> Patch:
@@ -69,71 +69,73 @@ class Patch(StrictModel):
             raise ValueError("give either friction or factor")
         return self
 
-    def coefficient(self, floor: float) -> float:
-        """Compute the sliding friction coefficient; `floor` is that of the surrounding surface."""
-        return self.friction if self.friction is not None else float(self.factor or 1.0) * floor
+    def coefficient(self, surface: float) -> float:
+        """Compute the sliding friction coefficient; `surface` is that of the surrounding surface."""
+        return self.friction if self.friction is not None else float(self.factor or 1.0) * surface
 
 
 class Payload(StrictModel):
-    """A ball fixed to the body during the whole run."""
+    """Ball that is fixed to the body during the whole run."""
 
     mass: Positive = Field(description="mass [kg]")
     x: float = Field(0.0, description="position ahead of the robot's centre [m]")
     y: float = Field(0.0, description="position to the left of the robot's centre [m]")
     z: float = Field(0.0, description="height above the axles [m]")
-    radius: Positive = Field(description="radius of the ball, for its inertia [m]")
+    radius: Positive = Field(description="radius of the ball, which determines its inertia [m]")
 
 
 class Slope(StrictModel):
-    """A uniformly tilted surface."""
+    """Uniformly tilted surface."""
 
     angle: float = Field(ge=0, le=0.6, description="angle to the horizontal [rad]")
     downhill: float = Field(0.0, description="direction of descent in the world frame, from the x axis [rad]")
 
 
 class WeakMotor(Window):
-    """A motor with reduced torque."""
+    """Motor with reduced torque."""
 
     wheel: Wheel = Field(description="wheel of the motor")
-    factor: Fraction = Field(description="torque over that of the intact motor [-]")
+    factor: Fraction = Field(description="ratio of torque to that of the intact motor [-]")
 
 
 class SlippingWheel(Window):
-    """A wheel with reduced friction."""
+    """Wheel with reduced friction."""
 
     wheel: Wheel = Field(description="slipping wheel")
     friction: Positive = Field(description="sliding friction coefficient of the wheel [-]")
 
 
 class BatterySag(StrictModel):
-    """A falling supply voltage; no-load speed and stall torque fall in proportion."""
+    """Falling supply voltage; no-load speed and stall torque fall in proportion."""
 
     start: NotNegative = Field(description="start of the fall [s]")
     duration: Positive = Field(description="duration of the fall [s]")
-    before: float = Field(1.0, gt=0, le=1, description="voltage before the fall, over nominal [-]")
-    after: float = Field(gt=0, le=1, description="voltage after the fall, over nominal [-]")
-    load_drop: float = Field(0.0, ge=0, lt=1, description="voltage drop with all motors at stall, over nominal [-]")
+    before: float = Field(
+        1.0, gt=0, le=1, description="ratio of the voltage before the fall to the nominal voltage [-]"
+    )
+    after: float = Field(gt=0, le=1, description="ratio of the voltage after the fall to the nominal voltage [-]")
+    load_drop: float = Field(0.0, ge=0, lt=1, description="relative voltage drop with all motors at stall [-]")
 
     @property
     def span(self) -> Span:
-        """Start of the fall and end [s]; the end is infinite, as the voltage does not recover."""
+        """Start of the fall, and infinity as the end, since the voltage does not recover [s]."""
         return (self.start, math.inf)
 
     def voltage(self, time: float) -> float:
-        """Compute the open-circuit voltage at `time` [s] over nominal."""
+        """Compute the ratio of the open-circuit voltage at `time` [s] to the nominal voltage."""
         progress = min(1.0, max(0.0, (time - self.start) / self.duration))
         return self.before + progress * (self.after - self.before)
 
 
 class DropOut(Window):
-    """A sensor without readings."""
+    """Sensor without readings."""
 
     sensor: Sensor = Field(description="failed sensor")
     duration: Positive = Field(description="duration [s]")
 
 
 class StuckSensor(Window):
-    """A sensor that repeats its last value with advancing stamps."""
+    """Sensor that repeats its last value with advancing stamps."""
 
     sensor: Sensor = Field(description="stuck sensor")
 
@@ -145,7 +147,7 @@ class DeadEncoders(Window):
 
 
 class GyroBias(Window):
-    """A gyro with a constant bias."""
+    """Gyro with a constant bias."""
 
     bias: float = Field(description="bias of the yaw rate [rad/s]")
 
@@ -162,7 +164,7 @@ class PoseError(Window):
 
 
 class FalseCommand(Window):
-    """A command that replaces the controller's command without notification."""
+    """Command that replaces the controller's command without notification."""
 
     v: float = Field(description="forward speed [m/s]")
     omega: float = Field(description="yaw rate [rad/s]")
@@ -170,7 +172,7 @@ class FalseCommand(Window):
 
 
 class Push(Window):
-    """A horizontal force that turns with the body; it acts at the horizontal position of the centre of mass."""
+    """Horizontal force with a constant direction relative to the body, at the horizontal centre of mass."""
 
     force: NotNegative = Field(0.0, description="horizontal force [N]")
     height: NotNegative = Field(description="height of the force above the surface [m]")
@@ -180,9 +182,9 @@ class Push(Window):
 
 
 class Blockade(Window):
-    """A compliant obstacle that holds the body in place.
+    """Compliant obstacle that holds the body in place.
 
-    The upper bounds of stiffness and damping are those that the physics step of 2 ms resolves.
+    The physics step of 2 ms determines the upper bounds of stiffness and damping.
     """
 
     stiffness: float = Field(gt=0, le=2e4, description="horizontal stiffness [N/m]")

@@ -1,4 +1,4 @@
-"""Random values in YAML files: `[low, high]` for a range, `{one_of: [...]}` for a choice, also among ranges."""
+"""Random values in YAML files: `[low, high]` for a range, and `{one_of: [...]}` for a choice of values or ranges."""
 
 from __future__ import annotations
 
@@ -13,36 +13,38 @@ _ONE_OF = "one_of"
 
 
 def draw_values(data: object, stream: np.random.Generator) -> Any:  # noqa: ANN401 - plain YAML data, checked by a schema
-    """Replace every range (uniform) and choice in `data` by a value drawn from `stream`, in the order of the file."""
+    """Replace each range and choice in `data` by a uniformly drawn value of `stream`, in the order of the file."""
     return _replace(data, lambda ends: float(stream.uniform(ends[0], ends[1])), lambda size: int(stream.integers(size)))
 
 
 def extremes(data: object) -> list[Any]:
-    """Return copies of `data` that together contain both ends of every range and every value of every choice.
+    """Return copies of `data` that contain, in total, both ends of every range and every value of every choice.
 
-    A schema whose limits are intervals accepts all draws from `data` if it accepts these copies.
+    A schema whose limits are intervals accepts all draws from `data` if it accepts the copies.
     """
     max_choices = max((len(node[_ONE_OF]) for _, node in _random(data) if isinstance(node, Mapping)), default=1)
 
-    def copy(i: int) -> Any:  # noqa: ANN401 - as above
+    def copy(i: int) -> Any:  # noqa: ANN401 - plain YAML data
         return _replace(data, lambda ends: ends[i % 2], lambda size: i // 2 % size)
 
     return [copy(i) for i in range(2 * max_choices)]
 
 
 def check_drawn(data: object, where: str) -> None:
-    """Check the ranges and choices in `data`; `where` names its source.
+    """Check the ranges and choices in `data`; `where` is the source of the data.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If a range goes from a higher to a lower value, or a choice has no values.
+        If the ends of a range are in the wrong order, or a choice has no values.
     """
-    for place, node in _random(data):
+    for key_path, node in _random(data):
         if isinstance(node, list) and not node[0] <= node[1]:
-            raise ConfigError(f"{where}: {place}: a range goes from low to high (found {node})")
+            raise ConfigError(f"{where}: {key_path}: a range goes from low to high (found {node})")
         if isinstance(node, Mapping) and not (isinstance(node[_ONE_OF], list) and node[_ONE_OF]):
-            raise ConfigError(f"{where}: {place}: one_of takes a list of at least one value (found {node[_ONE_OF]!r})")
+            raise ConfigError(
+                f"{where}: {key_path}: one_of needs a list of at least one value (found {node[_ONE_OF]!r})"
+            )
 
 
 def _replace(data: object, from_range: Callable[[list[float]], float], from_choice: Callable[[int], int]) -> Any:  # noqa: ANN401
@@ -58,18 +60,18 @@ def _replace(data: object, from_range: Callable[[list[float]], float], from_choi
     return data
 
 
-def _random(data: object, place: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield place and node of every range and choice."""
+def _random(data: object, key_path: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield key path and node of every range and choice."""
     if _is_range(data) or _is_choice(data):
-        yield place, data
+        yield key_path, data
     inner = data.items() if isinstance(data, Mapping) else enumerate(data) if isinstance(data, list) else ()
     for key, value in inner:
-        # The list of a choice is not a range itself, but may contain ranges.
+        # The list of a choice is not a range, but may contain ranges.
         if key == _ONE_OF and isinstance(value, list):
             for i, item in enumerate(value):
-                yield from _random(item, f"{place}.{key}.{i}")
+                yield from _random(item, f"{key_path}.{key}.{i}")
         else:
-            yield from _random(value, f"{place}.{key}" if place else str(key))
+            yield from _random(value, f"{key_path}.{key}" if key_path else str(key))
 
 
 def _is_range(data: object) -> bool:

@@ -38,13 +38,14 @@ SCENARIOS = EntryFile("scenario", Path(__file__).with_name("scenarios.yaml"))
 _SENSOR_FAULTS = ("drop_outs", "stuck_sensors", "dead_encoders", "gyro_biases", "pose_errors")
 _ANY_PLANT = ("start_offset", "false_commands", *_SENSOR_FAULTS)
 
-# Sensors and encoders use the spawn keys 0, 1, 2 and 1000, so that a scenario does not change the noise. With this key,
-# seeds 0 to 3 draw all four sign combinations of the start offset, and both signs of false command and push.
+# Spawn key of the random stream; sensors and encoders use 0, 1, 2 and 1000, so a scenario does not change the noise.
+# With this key, seeds 0 to 3 draw all four sign combinations of the start offset, and both signs of false command and
+# push.
 _SPAWN_KEY = 2_080
 
 
 class Scenario(StrictModel):
-    """All disturbances of one run, with drawn values."""
+    """Disturbances of a run with drawn values."""
 
     description: str = Field(min_length=1, description="description in one line")
     start_offset: StartOffset | None = None
@@ -65,18 +66,18 @@ class Scenario(StrictModel):
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """Names of the fields with a disturbance."""
+        """Names of the fields that contain disturbances."""
         return tuple(name for name in type(self).model_fields if name != "description" and getattr(self, name))
 
     @property
     def physical(self) -> tuple[str, ...]:
-        """Names in `kinds` of disturbances that need mass, wheels and motors; the others suit any plant."""
+        """Names in `kinds` of disturbances that require a physical plant; the others are possible with any plant."""
         return tuple(name for name in self.kinds if name not in _ANY_PLANT)
 
     @property
     def spans(self) -> tuple[Span, ...]:
         """Start and end [s] of every disturbance except patches, whose times depend on the motion."""
-        timed: Iterable[Window | BatterySag] = (
+        disturbances: Iterable[Window | BatterySag] = (
             *self.weak_motors,
             *self.slipping_wheels,
             *([self.battery] if self.battery else ()),
@@ -85,7 +86,7 @@ class Scenario(StrictModel):
             *self.pushes,
             *self.blockades,
         )
-        spans = [item.span for item in timed]
+        spans = [item.span for item in disturbances]
         if self.start_offset:
             spans.append((0.0, 0.0))
         if self.payload or self.slope:
@@ -95,27 +96,27 @@ class Scenario(StrictModel):
 
 @dataclass(frozen=True)
 class ScenarioFile:
-    """Checked scenario with ranges and choices, before the draw.
+    """Checked scenario with ranges and choices, before values are drawn.
 
     Attributes
     ----------
     data
         Values by key.
     where
-        File, or entry of a shipped scenario, for messages.
+        File, or entry of a built-in scenario, for messages.
     """
 
     data: Any
     where: str
 
     def draw(self, seed: int) -> Scenario:
-        """Draw the scenario of the run with `seed` (not negative); the result depends on the seed only."""
+        """Draw the scenario of the run with the non-negative `seed`; the result depends only on the seed."""
         stream = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_SPAWN_KEY,)))
         return check(Scenario, draw_values(self.data, stream), self.where)
 
 
 def combine(scenario: Scenario, second: Scenario) -> Scenario:
-    """Combine both scenarios; for kinds that can occur only once, `scenario` takes precedence."""
+    """Combine two scenarios; for kinds that can occur only once, `scenario` takes precedence."""
     joined = {
         name: value + getattr(scenario, name) if isinstance(value, tuple) else getattr(scenario, name) or value
         for name in second.kinds
@@ -125,12 +126,12 @@ def combine(scenario: Scenario, second: Scenario) -> Scenario:
 
 
 def load_scenario(name: str | Path) -> ScenarioFile:
-    """Read a scenario given by shipped name or path.
+    """Read a scenario by built-in name or path.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If there is no such scenario, its file is invalid, or a draw could be out of range.
+        If the scenario does not exist, its file is invalid, or a drawn value could be out of range.
     """
     data, where = SCENARIOS.read(name)
     check_drawn(data, where)

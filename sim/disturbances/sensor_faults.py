@@ -1,4 +1,4 @@
-"""Faults of sensors, which change measurements but not the motion of the robot."""
+"""Sensor faults, which change measurements but not the motion of the robot."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ _FIELDS = {"pose": ("pose",), "wheels": ("wheel_twist", "wheel_speeds"), "gyro":
 
 
 class SensorFaults:
-    """Sensor faults of a scenario: value errors are applied first, then stuck and missing readings.
+    """Sensor faults of a scenario; value errors are applied before stuck and missing readings.
 
-    Faults act by the time of delivery of a measurement.
+    The time of delivery of a measurement determines whether a fault is active.
 
     Parameters
     ----------
     scenario
-        Faults of the sensors with their times.
+        Scenario with the sensor faults and their times.
     kinematics
-        Kinematics that convert wheel speeds to the twist of a measurement.
+        Kinematics for the conversion of wheel speeds to the twist of a measurement.
     """
 
     def __init__(self, scenario: Scenario, kinematics: WheelKinematics) -> None:
@@ -51,34 +51,34 @@ class SensorFaults:
             if biased.holds(time) and measurement.yaw_rate is not None:
                 rate = np.float64(measurement.yaw_rate.value) + biased.bias  # type: ignore[arg-type]
                 measurement = replace(measurement, yaw_rate=replace(measurement.yaw_rate, value=rate))
-        dead = {
+        dead_wheels = {
             wheel
             for dead_encoder in scenario.dead_encoders
             if dead_encoder.holds(time)
             for wheel in dead_encoder.wheels
         }
-        if dead and measurement.wheel_speeds is not None and measurement.wheel_twist is not None:
-            speeds = np.where([name in dead for name in get_args(Wheel)], 0.0, measurement.wheel_speeds.value)
+        if dead_wheels and measurement.wheel_speeds is not None and measurement.wheel_twist is not None:
+            speeds = np.where([name in dead_wheels for name in get_args(Wheel)], 0.0, measurement.wheel_speeds.value)
             measurement = replace(
                 measurement,
                 wheel_speeds=replace(measurement.wheel_speeds, value=speeds),
                 wheel_twist=replace(measurement.wheel_twist, value=self._kinematics.twist(speeds)),
             )
-        stuck = {
+        stuck_fields = {
             field
             for stuck_sensor in scenario.stuck_sensors
             if stuck_sensor.holds(time)
             for field in _FIELDS[stuck_sensor.sensor]
         }
-        missing = {
+        missing_fields = {
             field for drop_out in scenario.drop_outs if drop_out.holds(time) for field in _FIELDS[drop_out.sensor]
         }
         changes: dict[str, Any] = {}
         for field in itertools.chain.from_iterable(_FIELDS.values()):
             stamped: Stamped | None = getattr(measurement, field)
-            if field in missing or stamped is None:
+            if field in missing_fields or stamped is None:
                 changes[field] = None
-            elif field in stuck and field in self._last:
+            elif field in stuck_fields and field in self._last:
                 changes[field] = replace(stamped, value=self._last[field])
             else:
                 self._last[field] = stamped.value
@@ -86,7 +86,7 @@ class SensorFaults:
 
 
 def _shift(pose: Stamped, offset: FloatArray) -> Stamped:
-    """Shift a pose by `offset` (3,) x [m], y [m], theta [rad]; wrap its heading into (-pi, pi]."""
+    """Shift a pose by `offset` (3,) x [m], y [m], theta [rad], and wrap its heading into (-pi, pi]."""
     value = np.asarray(pose.value, dtype=float) + offset
     value[2] = -wrap_angle(-value[2])
     return replace(pose, value=value)

@@ -1,7 +1,8 @@
-"""Statistics of a closed-loop run.
+"""Statistics of closed-loop runs.
 
-The position and heading statistics are those of Guffanti et al., Sensors 2025, 25(11), 3553, Table 2. The band follows
-Guffanti et al. 2026 (PMC12845739). They cover t = 0 to the end of the reference, without additional settling time.
+The position and heading statistics are those of Guffanti et al., Sensors 2025, 25(11), 3553, Table 2. The lateral band
+is that of Guffanti et al. 2026 (PMC12845739). The statistics cover the time from 0 to the end of the reference, without
+additional settling time.
 """
 
 from __future__ import annotations
@@ -19,15 +20,15 @@ from diffdrive_mpc.models.table import TextTable, number
 from diffdrive_mpc.sim.metrics.tracking_errors import TrackingErrors, metric_settings
 
 TIME_TOLERANCE = 1e-9
-"""Tolerance of tick times [s]: sums of sample times do not equal the duration exactly."""
+"""Tolerance of tick times [s], since sums of sample times do not equal the duration exactly."""
 FALLBACK_MODES = frozenset({"REUSED_PLAN", "BRAKING", "STOPPED"})
 """Modes in which a controller has no new plan."""
 GIVEN_UP_MODES = frozenset({"BRAKING", "STOPPED"})
-"""Modes in which a controller no longer tracks."""
+"""Modes in which a controller does not track its reference."""
 
-# Minimum reference speed for the delay [m/s]; at lower speeds millimetres of error would be seconds.
+# Minimum reference speed for the delay [m/s]; at lower speeds, millimetres of error would result in seconds.
 _MOVING = 0.1
-# Field of `Metrics`, unit, factor and decimals of a cell, and name of its row.
+# Rows of the table: field of `Metrics`, unit, factor and number of decimals of a cell, and name of the row.
 _ROWS = (
     ("position", "m", 1.0, 4, "position [m]"),
     ("heading", "rad", 1.0, 4, "heading [rad]"),
@@ -40,13 +41,13 @@ _ROWS = (
 
 @dataclass(frozen=True, slots=True)
 class Metrics:
-    """Statistics of one run, under the names in `bench.json`, with unit suffixes; `str` formats them as a table.
+    """Statistics of a run; the names are those in `bench.json` and include units, and `str` formats a table.
 
-    `heading_*` other than the RMSE are statistics of the absolute error. A value that cannot be computed (the robot
-    never moved, a pose was not finite, no problem was solved) is NaN. Times and iterations cover the ticks that have
-    them. `stopped` is True if the controller braked or stopped after it had started to drive, which is a false stop if
-    no sensor was faulty. `behind_max_s` is the maximum delay of the robot relative to its moving reference: the
-    distance along the reference's heading over the reference's speed.
+    `heading_*` except the RMSE are statistics of the absolute error. A value that cannot be computed is NaN, for
+    instance if the robot never moved, a pose was not finite, or no problem was solved. Times and iterations cover the
+    ticks with such values. `stopped` is True if the controller braked or stopped after the start of the drive, which is
+    a false stop if no sensor was faulty. `behind_max_s` is the maximum delay of the robot relative to its moving
+    reference, that is the distance along the reference's heading divided by the reference's speed.
     """
 
     steps: int
@@ -96,16 +97,16 @@ class Metrics:
 
 
 class ScoredRun(Protocol):
-    """Data of a run of n ticks for the statistics; shapes and units are those of `sim.run.Run`."""
+    """Data of a run of n ticks from which the statistics are computed, see `sim.run.Run`."""
 
     @property
     def reference(self) -> Reference:
-        """The trajectory that was tracked."""
+        """Reference of the run."""
         ...
 
     @property
     def sample_time(self) -> float:
-        """Time between two ticks [s], the deadline of a step."""
+        """Sample time, which is also the deadline of a step [s]."""
         ...
 
     @property
@@ -140,7 +141,7 @@ class ScoredRun(Protocol):
 
     @property
     def step_time(self) -> FloatArray:
-        """(n,) durations of the controller's step [s]."""
+        """(n,) computation times of the controller's steps [s]."""
         ...
 
     @property
@@ -175,7 +176,7 @@ class ScoredRun(Protocol):
 
 
 def compute_metrics(run: ScoredRun) -> Metrics:
-    """Compute the statistics of `run` from t = 0 to the end of its reference, or to its early end."""
+    """Compute the statistics of `run` from time 0 to the end of its reference, or to its early end."""
     counted = run.counted
     position = run.errors.position[counted]
     heading = np.abs(run.errors.heading[counted])
@@ -205,7 +206,7 @@ def compute_metrics(run: ScoredRun) -> Metrics:
         iterations_mean=float(np.mean(iterations)) if iterations.size else math.nan,
         iterations_max=float(np.max(iterations)) if iterations.size else math.nan,
         deadline_misses=int(np.count_nonzero(step_time > run.sample_time)),
-        fallbacks=sum(mode in FALLBACK_MODES for mode, used in zip(run.modes, counted, strict=True) if used),
+        fallbacks=sum(mode in FALLBACK_MODES for mode, counts in zip(run.modes, counted, strict=True) if counts),
         stopped=_has_stopped(run),
         behind_max_s=_max_delay(run, counted),
     )

@@ -1,4 +1,4 @@
-"""Lateral error: distance of a point from the path, by projection onto a polyline."""
+"""Lateral error, which is the distance of a point from the path, by projection onto a polyline."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
 
-# Maximum number of distances between points and segments computed at once, to fit into the processor's cache.
+# Maximum number of distances that are computed at once, so that the data fit into the processor's cache.
 _BATCH_SIZE = 20_000
 _TIE_TOLERANCE, _CANDIDATE_TOLERANCE = 1e-12, 1e-9  # [m]
-# Maximum number of rounds of vectorised searches; a robot near its path needs one or two.
-_ROUNDS = 4
+# Maximum number of rounds of vectorised searches; one or two are sufficient for a robot near its path.
+_MAX_ROUNDS = 4
 
 
 @dataclass(frozen=True, slots=True)
 class Polyline:
-    """Polyline approximation of a path, extended straight beyond both ends.
+    """Polyline approximation of a path with straight extensions at both ends.
 
-    Without the extension, the distance along the path of a robot slightly before the start or after the end would count
+    Without the extensions, the distance of a robot slightly before the start or after the end of the path would count
     as lateral error.
 
     Attributes
@@ -31,7 +31,7 @@ class Polyline:
     length
         (m,) length of each segment [m].
     arc_start, arc_end
-        (m,) arc length of the path at both ends of each segment [m]; both increase.
+        (m,) increasing arc lengths of the path at both ends of each segment [m].
     """
 
     start: FloatArray
@@ -41,7 +41,7 @@ class Polyline:
     arc_end: FloatArray
 
     def lateral(self, points: ArrayLike, arc_length: ArrayLike, window: float) -> FloatArray:
-        """Compute the signed distance of points from the path, positive to its left.
+        """Compute the signed distances of points from the path, positive to the left of the path.
 
         Parameters
         ----------
@@ -50,9 +50,10 @@ class Polyline:
         arc_length
             (n,) expected position of each point on the path [m].
         window
-            Segments within this arc length of the expected position are searched [m]. The search also includes the
-            segments between these and the nearest segment of the previous point, extended by twice the distance between
-            both points, so that a robot far behind its reference is projected onto the right part of the path.
+            Arc length before and after the expected position in which segments are searched [m]. The search also
+            includes the segments up to the nearest segment of the previous point, extended by twice the distance
+            between both points, so that a robot far behind its reference is projected onto the correct part of the
+            path.
 
         Returns
         -------
@@ -65,24 +66,24 @@ class Polyline:
         points, arc_length = points[finite], arc_length[finite]
         first = np.searchsorted(self.arc_end, arc_length - window)
         last = np.searchsorted(self.arc_start, arc_length + window, side="right")
-        # On the inside of a bend the projection moves faster than the point; the search range of jumps is limited.
+        # On the inside of a bend the projection moves faster than the point; the range after a jump is limited.
         moved = np.diff(points, axis=0)
         reach = np.minimum(window, 2.0 * np.hypot(moved[:, 0], moved[:, 1]))
         start, end = first.copy(), last.copy()
         nearest, pieces = np.empty(len(points)), np.empty(len(points), dtype=np.intp)
 
         def search(rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-            """Return the ranges of segments to search for points, from the nearest segments of the previous points."""
+            """Return the ranges of segments to search, from the nearest segments of the previous points."""
             before, margin = pieces[rows - 1], reach[rows - 1]
             starts = np.minimum(first[rows], np.searchsorted(self.arc_end, self.arc_start[before] - margin))
             ends = np.maximum(last[rows], np.searchsorted(self.arc_start, self.arc_end[before] + margin, side="right"))
             return starts, ends
 
-        # Search for all points at once, and repeat for points whose range changes with the results. After the maximum
-        # number of rounds, as for a robot far off its path, search point by point.
+        # Search for all points at once, and repeat the search for points whose range changes with the results. After
+        # the maximum number of rounds, for instance for a robot far from its path, search point by point.
         later = np.arange(1, len(points))
         rows = np.arange(len(points))
-        for _ in range(_ROUNDS):
+        for _ in range(_MAX_ROUNDS):
             if not rows.size:
                 break
             nearest[rows], pieces[rows] = self._nearest(points[rows], start[rows], end[rows])
@@ -98,7 +99,7 @@ class Polyline:
     def _nearest(
         self, points: FloatArray, start: NDArray[np.intp], end: NDArray[np.intp]
     ) -> tuple[FloatArray, NDArray[np.intp]]:
-        """Compute signed distances (n,) [m] of `points` (n, 2) from segments `start` to `end`, and the nearest segment.
+        """Compute signed distances (n,) [m] of `points` (n, 2) from segments `start` to `end`, and nearest segments.
 
         If several segments are equally near, the first is returned.
         """
@@ -123,17 +124,18 @@ class Polyline:
         ux, uy = windows(self.direction[:, 0]), windows(self.direction[:, 1])
         x, y = points[:, :1] - windows(self.start[:, 0]), points[:, 1:] - windows(self.start[:, 1])
         along = np.minimum(np.maximum(x * ux + y * uy, 0.0), windows(self.length))
-        across, behind = x - along * ux, y - along * uy
-        square = across * across + behind * behind
+        offset_x, offset_y = x - along * ux, y - along * uy
+        square = offset_x * offset_x + offset_y * offset_y
         square[(index < start[:, None]) | (index >= end[:, None])] = np.inf
-        # Squared distances are fast and exclude most segments; distances of the remaining candidates are exact.
+        # Squared distances exclude most segments; exact distances are computed only for the remaining candidates.
         row, k = np.nonzero(square <= (np.sqrt(square.min(axis=1, keepdims=True)) + _CANDIDATE_TOLERANCE) ** 2)
-        gap = np.hypot(across[row, k], behind[row, k])
+        gap = np.hypot(offset_x[row, k], offset_y[row, k])
         _, first = np.unique(row, return_index=True)
         minimum = np.minimum.reduceat(gap, first)
         nearest = np.flatnonzero(gap == minimum[row])
         _, first = np.unique(row[nearest], return_index=True)
-        # At a vertex two segments are equally near, and the point may be collinear with either: the sum gives the sign.
+        # At a vertex, two segments are equally near, and the point may be collinear with one of them, so the sum of
+        # both determines the sign.
         near = gap <= minimum[row] + _TIE_TOLERANCE
         row_near, k_near = row[near], k[near]
         left = (ux[row_near, k_near] * y[row_near, k_near]) - (uy[row_near, k_near] * x[row_near, k_near])
@@ -147,14 +149,14 @@ def path_polyline(reference: Reference, spacing: float, extension: float) -> Pol
     Parameters
     ----------
     reference
-        The trajectory; rest and turns on the spot become one vertex.
+        Reference of the path; standstill and turns on the spot become a single vertex.
     spacing
         Maximum distance between two vertices [m].
     extension
         Length of the straight extension beyond each end [m].
     """
     coarse = reference.sample(np.linspace(0.0, reference.duration, 1000))
-    # The speed between coarse samples may be slightly higher than at the samples: use twice as many vertices.
+    # The speed between coarse samples may be slightly higher than at the samples, so twice as many vertices are used.
     steps = 2.0 * float(np.max(np.abs(coarse.twist[:, 0]))) * reference.duration / spacing
     path = reference.sample(np.linspace(0.0, reference.duration, max(2, int(np.ceil(steps)) + 1)))
     moved = np.flatnonzero(np.diff(path.arc_length, prepend=-np.inf) > 1e-9)

@@ -1,7 +1,7 @@
-"""Recovery of a run after a disturbance: return to the path, and control effort.
+"""Recovery metrics of a run after a disturbance: return to the path, and control effort.
 
-Errors are those of the true pose, without measurement noise. Only errors outside the lateral band are an excursion; the
-band contains normal tracking errors of a few millimetres (Guffanti et al. 2026, PMC12845739).
+Errors are those of the true pose, without measurement noise. Only errors outside the lateral band count as an
+excursion; normal tracking errors of a few millimetres are within the band (Guffanti et al. 2026, PMC12845739).
 """
 
 from __future__ import annotations
@@ -18,28 +18,27 @@ from diffdrive_mpc.models.table import TextTable
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """Recovery metrics of one run, under the names in `bench.json`, with unit suffixes.
+    """Recovery metrics of a run; the names are those in `bench.json` and include units.
 
     Attributes
     ----------
     recovery_time_s
-        Time from the end of the disturbance to the first tick after which |lateral| stays inside the band until the end
-        of the reference. 0 if the robot does not leave the band after the disturbance; infinity if the robot is outside
-        at the end of the reference, or the run ends early. NaN if no disturbance ends, or if the lateral error is not
-        finite.
+        Time from the end of the disturbance to the first tick from which |lateral| stays within the band until the end
+        of the reference. The value is 0 if the robot does not leave the band after the disturbance, infinity if the
+        robot is outside the band at the end of the reference or the run ends early, and NaN if no disturbance ends or
+        the lateral error is not finite.
     overshoot_m
-        Maximum distance from the path on the side opposite to the excursion, after both excursion and disturbance. The
-        excursion is the last tick outside the band during the disturbance, or else the first such tick after it; for a
-        disturbance without end, the first such tick after its start. 0 if there is no excursion or the robot does not
-        cross the path; NaN if there is no disturbance, or if the lateral error is not finite. Normal tracking errors on
-        the opposite side are included.
+        Maximum distance from the path on the side opposite to the excursion, after excursion and disturbance. The
+        excursion is the last tick outside the band during the disturbance, or else the first such tick after the
+        disturbance; for a disturbance without end, it is the first such tick after its start. The value is 0 if there
+        is no excursion or the robot does not cross the path, and NaN if there is no disturbance or the lateral error is
+        not finite. Normal tracking errors on the opposite side are included.
     lateral_max_m
         Maximum |lateral| of the run.
     command_energy_v, command_energy_omega
-        Integral of the squared command over the counted ticks, each held for one sample [m^2/s], [rad^2/s].
+        Integral of the squared command over the counted ticks [m^2/s], [rad^2/s]; each command lasts for one sample.
     command_rate_v, command_rate_omega
-        Root mean square of the command's change between ticks over the sample time [m/s^2], [rad/s^2]; NaN for a run of
-        one tick.
+        RMS of the rate of change of the command between ticks [m/s^2], [rad/s^2]; NaN for a run of one tick.
     """
 
     recovery_time_s: float
@@ -51,11 +50,11 @@ class Recovery:
     command_rate_omega: float
 
     def __str__(self) -> str:
-        """Format a table; "-" for missing values, "inf" if the robot did not return."""
+        """Format a table with "-" for missing values, and "inf" if the robot did not return."""
         rows = (
             ("recovery time [s]", self.recovery_time_s),
             ("overshoot [m]", self.overshoot_m),
-            ("largest |lateral| [m]", self.lateral_max_m),
+            ("maximum |lateral| [m]", self.lateral_max_m),
             ("energy of v_ref [m^2/s]", self.command_energy_v),
             ("energy of omega_ref [rad^2/s]", self.command_energy_omega),
             ("rate of v_ref, RMS [m/s^2]", self.command_rate_v),
@@ -86,14 +85,14 @@ def compute_recovery(
     command
         (n, 2) v [m/s], omega [rad/s].
     sample_time
-        Time for which each command is held [s].
+        Duration of each command [s].
     disturbance
-        Start of the first disturbance, and end of the last one that ends [s], infinity if none of them ends; None if
-        there is no disturbance.
+        Start of the first disturbance, and end of the last disturbance with an end [s], infinity if no disturbance
+        ends; None if there is no disturbance.
     band
         Half width of the lateral band [m].
     lost
-        Whether the run ended early.
+        True if the run ended early.
     """
     recovery_time = overshoot = math.nan
     if disturbance is not None and np.isfinite(lateral).all():
@@ -122,6 +121,6 @@ def _overshoot(time: FloatArray, lateral: FloatArray, outside: NDArray[np.bool_]
         return 0.0
     excursion = int(during[-1]) if during.size else int(after[0])
     opposite = -np.sign(lateral[excursion]) * lateral
-    # Values are negative until the robot crosses the path, so the crossing need not be found.
+    # Values are negative until the robot crosses the path, so the time of the crossing is not needed.
     counted = opposite[(np.arange(len(time)) > excursion) & (time >= end)]
     return float(max(0.0, np.max(counted, initial=0.0)))

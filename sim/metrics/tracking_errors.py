@@ -17,19 +17,19 @@ from diffdrive_mpc.sim.metrics.path_projection import path_polyline
 
 
 class MetricSettings(StrictModel):
-    """Thresholds of the statistics of error series."""
+    """Thresholds of the statistics of tracking errors."""
 
-    band: Positive = Field(description="lateral band [m]")
+    band: Positive = Field(description="half width of the lateral band [m]")
     moving_speed: Positive = Field(description="minimum speed at which the course error is computed [m/s]")
     end_error: Positive = Field(description="maximum distance of a completed run from the end of the reference [m]")
-    path_window: Positive = Field(description="arc length searched before and after the reference [m]")
-    path_spacing: Positive = Field(description="spacing of the path's polyline [m]")
-    settled_arc: Positive = Field(description="time of constant twist after which an arc counts as steady [s]")
+    path_window: Positive = Field(description="half the arc length in which the nearest point is searched [m]")
+    path_spacing: Positive = Field(description="spacing of the polyline that approximates the path [m]")
+    settled_arc: Positive = Field(description="duration of constant twist after which an arc counts as steady [s]")
 
 
 @cache
 def metric_settings() -> MetricSettings:
-    """Read the shipped thresholds; raise ConfigError if the file is invalid."""
+    """Read the thresholds of the package; raise ConfigError if the file is invalid."""
     return load_checked(MetricSettings, Path(__file__).parent / "metrics.yaml")
 
 
@@ -42,12 +42,12 @@ class TrackingErrors(ReadOnlyArrays):
     position
         (n,) distance to the reference at the same time [m].
     heading
-        (n,) true minus reference heading at the same time, wrapped [rad].
+        (n,) true heading minus reference heading at the same time, wrapped [rad].
     course
-        (n,) direction of travel, side-slip included, minus the tangent of the path at the reference of the same time
+        (n,) direction of travel, including side-slip, minus the tangent of the path at the reference of the same time
         (not at the nearest path point), wrapped [rad]; NaN if the robot or the reference is at rest.
     lateral
-        (n,) signed distance from the path, positive to its left [m].
+        (n,) signed distance from the path, positive to the left [m].
     """
 
     position: FloatArray
@@ -64,7 +64,7 @@ def tracking_errors(
     Parameters
     ----------
     reference
-        The trajectory that defines the path.
+        Reference that defines the path.
     expected
         Samples of the reference at the n ticks.
     true_pose

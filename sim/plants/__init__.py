@@ -1,1 +1,1 @@
-"""The stand-ins for the robot: MuJoCo with its drivetrain, and velocity models with slip."""
+"""Simulated robots: MuJoCo with a drivetrain, and velocity models with slip."""

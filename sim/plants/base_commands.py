@@ -1,4 +1,4 @@
-"""Effects of a base on commands before they become set-points: rate limits, steps and coasting of the wheels."""
+"""Effects of a base on commands before the motor set-points: rate limits, steps and coasting of the wheels."""
 
 from __future__ import annotations
 
@@ -13,32 +13,34 @@ from diffdrive_mpc.models.checked_yaml import StrictModel
 from diffdrive_mpc.models.interface import FloatArray
 
 _HOLD = 0.005
-"""Maximum hold time of the levels that approximate a ramp [s]."""
+"""Maximum duration of the levels that approximate a ramp [s]."""
 
 
 class BaseCommands(StrictModel):
-    """Effects of a base on its commands, as in `models.base_effects`; None for absent effects."""
+    """Effects of a base on its commands, see `models.base_effects`; None for absent effects."""
 
-    twist_range: TwistRange | None = Field(default=None, description="speed limits inside the base")
-    twist_slew: TwistSlew | None = Field(default=None, description="acceleration limits inside the base")
-    wheel_command: WheelCommand | None = Field(default=None, description="steps, coasting and top speed of the motors")
+    twist_range: TwistRange | None = Field(default=None, description="speed limits of the base")
+    twist_slew: TwistSlew | None = Field(default=None, description="acceleration limits of the base")
+    wheel_command: WheelCommand | None = Field(
+        default=None, description="steps, coasting and maximum speed of the motors"
+    )
 
 
 class CommandShaping:
-    """Shaping of commands by a base. It is time-invariant, so a dead time may be applied before or after it.
+    """Shaping of commands by a base; it is time-invariant, so a dead time may be applied before or after it.
 
     Parameters
     ----------
     base
-        The effects.
+        Effects of the base.
     sample_time
-        Time for which a command is held [s].
+        Duration of a command [s].
     """
 
     def __init__(self, base: BaseCommands, sample_time: float) -> None:
         self._base = base
-        ramps = base.twist_slew is not None
-        self._count = math.ceil(sample_time / _HOLD - 1e-9) if ramps else 1
+        has_ramps = base.twist_slew is not None
+        self._count = math.ceil(sample_time / _HOLD - 1e-9) if has_ramps else 1
         self._hold = sample_time / self._count
         self.reset()
 
@@ -47,7 +49,7 @@ class CommandShaping:
         self._reached = np.zeros(2)
 
     def levels(self, time: float, command: FloatArray) -> Iterator[tuple[float, FloatArray]]:
-        """Yield start times [s] and twists (2,) of the motor set-points for a command (2,) that starts at `time`."""
+        """Yield start time [s] and twist (2,) of each motor set-point for a command (2,) that starts at `time`."""
         slew, wheels = self._base.twist_slew, self._base.wheel_command
         if self._base.twist_range is not None:
             command = self._base.twist_range.apply(command)

@@ -1,4 +1,4 @@
-"""Chassis in MuJoCo: a rigid body on four wheels that roll and skid on a flat surface."""
+"""Chassis in MuJoCo: a rigid body with four wheels that roll and skid on a flat surface."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from diffdrive_mpc.sim.plants.plug_ins import Scene
 from diffdrive_mpc.sim.plants.twin_parameters import TwinParameters, Tyre
 
 _TIPPED = math.pi / 4
-"""Tilt above which a robot has tipped over [rad]."""
+"""Tilt above which a robot counts as tipped over [rad]."""
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 _SETTLING_TIME = 1.0
 _CASTOR = 0.01
-"""Friction of a castor, with swivel and bearing, over that of a wheel [-]; assumed."""
+"""Assumed ratio of the friction of a castor, including swivel and bearing, to that of a wheel [-]."""
 _CAPSULE = 1e-4
-"""Half length of a capsule wheel [m], so short that its two contact points act as one."""
+"""Half length of a capsule wheel [m]; it is so short that the two contact points act like a single point."""
 
 
 class Chassis:
-    """Free body with four hinged wheels and one contact point per wheel.
+    """Free rigid body with four hinged wheels and one contact point per wheel.
 
-    The contact geometry of a wheel is a sphere, with one smooth contact point in the middle of the tyre. If friction
-    across the rolling direction differs from that along it, wheels are very short capsules along the axle: the contact
-    frame of a sphere is aligned with the surface, that of a capsule with the capsule.
+    The contact geometry of a wheel is a sphere, with a smooth contact point in the middle of the tyre. If the friction
+    across the rolling direction differs from that along the rolling direction, wheels are very short capsules along the
+    axle, since the contact frame of a capsule is aligned with the capsule.
 
     Parameters
     ----------
@@ -43,13 +43,13 @@ class Chassis:
     step
         Physics step [s].
     payload
-        A load on the body.
+        Load on the body; None if there is no load.
     slope
-        Tilt of the surface; positions and headings are in its plane.
+        Tilt of the surface, whose plane contains positions and headings; None for a horizontal surface.
     sideways
-        Ratio of sliding friction across the rolling direction to friction along it.
+        Ratio of sliding friction across to sliding friction along the rolling direction [-].
     scene
-        Geometry around the robot; by default there is only the surface.
+        Geometry around the robot; None if there is only the surface.
     """
 
     def __init__(
@@ -63,9 +63,9 @@ class Chassis:
         sideways: float = 1.0,
         scene: Scene | None = None,
     ) -> None:
-        import mujoco  # noqa: PLC0415 - an optional dependency, needed by this plant only
+        import mujoco  # noqa: PLC0415 - an optional dependency of this plant
 
-        # Prevent MuJoCo's log file in the working directory; `step` detects and reports divergence.
+        # Prevent the log file of MuJoCo in the working directory; `step` detects and reports divergence.
         mujoco.set_mju_user_warning(_ignore)
         self._forward = mujoco.mj_forward
         self._restart = mujoco.mj_resetData
@@ -98,12 +98,12 @@ class Chassis:
         mujoco.mj_step(self._model, self._data, nstep=round(_SETTLING_TIME / step))
         self._resting_height = float(self._position[2])
         if slope is not None:
-            # Tilt after settling, as no motors hold the robot while it settles.
+            # The surface is tilted after settling, since no motors hold the robot while it settles.
             self._model.opt.gravity[:] = _tilted_gravity(self._model.opt.gravity, slope)
         self.reset(np.zeros(3))
 
     def reset(self, pose: ArrayLike) -> None:
-        """Reset the body to rest at `pose` (3,), settled on its wheels."""
+        """Reset the body to rest at `pose` (3,), at its settled height."""
         x, y, theta = np.asarray(pose, dtype=float)
         self._restart(self._model, self._data)
         self._position[:7] = [x, y, self._resting_height, math.cos(theta / 2), 0.0, 0.0, math.sin(theta / 2)]
@@ -119,22 +119,22 @@ class Chassis:
         Raises
         ------
         sim.plants.plant.RobotLostError
-            If the robot has tipped over, or a position or speed is not finite or exceeds MuJoCo's range.
+            If the robot has tipped over, or a position or speed is not finite or exceeds the range of MuJoCo.
         """
         applied = np.array(torques, dtype=float)
         self.check(self._lib.twin_move(self.c, address(applied)))
 
     def check(self, state: int) -> None:
-        """Raise RobotLostError if `state`, the result of a step in C, is that of a lost robot."""
+        """Raise RobotLostError if `state`, the result of a step in C, indicates a lost robot."""
         if state == self._lib.TWIN_DIVERGED:
             raise RobotLostError(f"{self._now}: the simulation diverged; lower the forces of the scenario")
         if state == self._lib.TWIN_TIPPED:
-            # The heading of a tipped robot is undefined, and only wheels collide with the surface.
+            # The heading of a tipped robot is undefined, and only its wheels collide with the surface.
             remedy = "lower the force, height or payload of the scenario"
             raise RobotLostError(f"{self._now}: the robot has tipped over; {remedy}")
 
     def set_friction(self, friction: FloatArray) -> None:
-        """Set the sliding friction coefficients of the wheels (4,) in rolling direction; a reset keeps them."""
+        """Set the sliding friction coefficients (4,) of the wheels in rolling direction; a reset preserves them."""
         self._model.pair_friction[:, 0] = self._sideways * friction * self._friction_scale
         self._model.pair_friction[:, 1] = friction * self._friction_scale
 
@@ -143,9 +143,9 @@ class Chassis:
         self._data.xfrc_applied[1] = 0.0
 
     def push(self, forward: float, left: float, yaw_torque: float, height: float) -> None:
-        """Add a push to the body until `release`: forces [N] in the body frame, and a torque [N m].
+        """Apply a push to the body until `release`: forces [N] in the body frame, and a torque [N m].
 
-        The forces act on the vertical through the centre of mass at `height` above the surface [m].
+        The forces act at the horizontal position of the centre of mass, at `height` above the surface [m].
         """
         c, s = math.cos(self.c.yaw), math.sin(self.c.yaw)
         x, y = c * forward - s * left, s * forward + c * left
@@ -154,12 +154,12 @@ class Chassis:
 
     @property
     def pose(self) -> FloatArray:
-        """(3,) x, y [m] midway between the wheels, theta [rad], unwrapped."""
+        """(3,) x, y [m] of the point midway between the wheels, and theta [rad, unwrapped]."""
         return np.array([self._position[0], self._position[1], self.c.yaw])
 
     @property
     def twist(self) -> FloatArray:
-        """(3,) forward and lateral speed [m/s] and yaw rate [rad/s], body frame."""
+        """(3,) forward and lateral speed [m/s] and yaw rate [rad/s] in the body frame."""
         vx, vy = float(self._velocity[0]), float(self._velocity[1])
         c, s = math.cos(self.c.yaw), math.sin(self.c.yaw)
         return np.array([c * vx + s * vy, c * vy - s * vx, self._velocity[5]])
@@ -191,7 +191,7 @@ class Chassis:
     @property
     def wheel_loads(self) -> FloatArray:
         """(4,) normal force of the surface on each wheel [N]."""
-        import mujoco  # noqa: PLC0415 - see above
+        import mujoco  # noqa: PLC0415 - an optional dependency
 
         loads, force = np.zeros(len(WHEELS)), np.zeros(6)
         for i in self._floor_contacts:
@@ -202,22 +202,22 @@ class Chassis:
 
     @property
     def _floor_contacts(self) -> list[int]:
-        """Indices of the contacts of the surface, which is the first geom."""
+        """Indices of the contacts with the surface, which is the first geom."""
         return [i for i in range(self._data.ncon) if self._data.contact[i].geom1 == 0]
 
     @property
     def energy(self) -> float:
         """Kinetic energy of body, wheels and rotors [J]."""
-        import mujoco  # noqa: PLC0415 - see above
+        import mujoco  # noqa: PLC0415 - an optional dependency
 
         momentum = np.zeros(self._model.nv)
         mujoco.mj_mulM(self._model, self._data, momentum, self._velocity)
         return float(0.5 * self._velocity @ momentum)
 
 
-def _step_in_c(model: Any, data: Any, scene: Scene | None) -> Any:  # noqa: ANN401 - neither MuJoCo nor cffi has types
-    """Return `mj_step` for C: MuJoCo's function, or a Python callback if there is a scene or no library was found."""
-    import mujoco  # noqa: PLC0415 - see above
+def _step_in_c(model: Any, data: Any, scene: Scene | None) -> Any:  # noqa: ANN401 - MuJoCo and cffi have no types
+    """Return `mj_step` for C, or a Python callback if there is a scene or the function was not found."""
+    import mujoco  # noqa: PLC0415 - an optional dependency
 
     ffi, _ = load_twin()
     kind, step = "void(*)(const void *, void *)", physics_step()
@@ -233,14 +233,14 @@ def _ignore(_warning: str) -> None:
 
 
 def _tilted_gravity(gravity: FloatArray, slope: Slope) -> FloatArray:
-    """Compute gravity (3,) [m/s^2] in the frame of a surface tilted by `slope`."""
+    """Compute gravity (3,) [m/s^2] in the frame of a surface that is tilted by `slope`."""
     down, along = math.cos(slope.angle), math.sin(slope.angle)
     direction = np.array([along * math.cos(slope.downhill), along * math.sin(slope.downhill), -down])
     return np.asarray(np.linalg.norm(gravity) * direction)
 
 
 def _split_tyre(tyre: Tyre) -> Tyre:
-    """Compute the tyre parameters of two contact points that together have stiffness and damping of `tyre`.
+    """Compute the tyre parameters of two contact points whose total stiffness and damping are those of `tyre`.
 
     In MuJoCo, a contact with impedance d, time constant t and damping ratio z has the regularisation (1 - d) / d of its
     inverse mass, the damping 2 / (d t) and the stiffness 1 / (d t^2 z^2). Two contacts need twice the regularisation at
@@ -261,24 +261,24 @@ def _split_tyre(tyre: Tyre) -> Tyre:
 def _mjcf(
     robot: Robot, twin: TwinParameters, step: float, payload: Payload | None, aligned: bool, scene: Scene | None
 ) -> str:
-    """Format the model as MJCF; if `aligned`, the first tangent of the wheel contacts is along the axle."""
+    """Format the model as MJCF; if `aligned`, the first tangent of wheel contacts is along the axle."""
     chassis, tyre, radius = twin.chassis, twin.tyre, robot.wheel_radius
     front, half_track = 0.0 if chassis.castors else chassis.wheel_base / 2, robot.track / 2
     rear = front - chassis.wheel_base
-    rolling = [share * radius for share in chassis.rolling_radii] * 2
-    shapes = [f'type="sphere" size="{wheel}"' for wheel in rolling]
+    rolling_radii = [share * radius for share in chassis.rolling_radii] * 2
+    shapes = [f'type="sphere" size="{wheel}"' for wheel in rolling_radii]
     if aligned:
-        shapes = [f'type="capsule" size="{wheel} {_CAPSULE}" euler="90 0 0"' for wheel in rolling]
+        shapes = [f'type="capsule" size="{wheel} {_CAPSULE}" euler="90 0 0"' for wheel in rolling_radii]
         tyre = _split_tyre(tyre)
-    places = [(front, half_track), (front, -half_track), (rear, half_track), (rear, -half_track)]
-    # Omit a friction loss of zero, so that the joints have no constraint.
+    wheel_positions = [(front, half_track), (front, -half_track), (rear, half_track), (rear, -half_track)]
+    # A friction loss of zero is omitted, so that the joints have no constraint.
     drag = f' frictionloss="{chassis.wheel_drag}"' if chassis.wheel_drag else ""
     wheels = "".join(
         f'<body pos="{x} {y} 0"><joint type="hinge" axis="0 1 0" armature="{twin.motor.rotor_inertia}"{drag}/>'
         f'<geom name="{name}" {shape} mass="{chassis.wheel_mass}"/></body>'
-        for name, shape, (x, y) in zip(WHEELS, shapes, places, strict=True)
+        for name, shape, (x, y) in zip(WHEELS, shapes, wheel_positions, strict=True)
     )
-    # Separate time constant of friction: with that of the normal direction, fast skidding lifts the wheels.
+    # Friction has a separate time constant; with that of the normal direction, fast skidding would lift the wheels.
     contacts = "".join(
         f'<pair geom1="floor" geom2="{name}" condim="3" friction="1 1 0 0 0"'
         f' solref="{tyre.contact_time} {tyre.contact_damping}" solreffriction="{tyre.creep_time} 1"'
@@ -287,7 +287,7 @@ def _mjcf(
     )
     length, width, height = (size / 2 for size in chassis.body_size)
     body_mass = robot.mass - 4 * chassis.wheel_mass
-    # Only the body is offset, by as much as moves the total centre of mass.
+    # Only the body is offset, by the amount that results in the specified total centre of mass.
     ahead, left = (robot.mass / body_mass * offset for offset in chassis.centre_of_mass)
     load = ""
     if payload is not None:
@@ -295,14 +295,14 @@ def _mjcf(
             f'<geom type="sphere" size="{payload.radius}" pos="{payload.x} {payload.y} {payload.z}"'
             f' mass="{payload.mass}"/>'
         )
-    # `autoreset` is disabled because it would hide divergence; `island` because it only takes time for a single robot.
-    assets, obstacles, hull = (scene.assets, scene.obstacles, scene.hull(max(rolling))) if scene else ("", "", "")
+    # `autoreset` would hide divergence, and `island` has no benefit for a single robot.
+    assets, obstacles, hull = (scene.assets, scene.obstacles, scene.hull(max(rolling_radii))) if scene else ("", "", "")
     return (
         f'<mujoco><option timestep="{step!r}" cone="elliptic" impratio="{tyre.creep_stiffness}"'
         ' integrator="implicitfast"><flag autoreset="disable" island="disable"/></option>'
         f'<default><geom contype="0" conaffinity="0"/></default>{assets}'
         '<worldbody><geom name="floor" type="plane" size="0 0 1"/>'
-        f'<body pos="0 0 {max(rolling)}"><freejoint/><geom type="box" size="{length} {width} {height}"'
+        f'<body pos="0 0 {max(rolling_radii)}"><freejoint/><geom type="box" size="{length} {width} {height}"'
         f' pos="{ahead} {left} {chassis.body_height}" mass="{body_mass}"/>{load}{hull}{wheels}</body>'
         f"{obstacles}</worldbody>"
         f"<contact>{contacts}</contact></mujoco>"

@@ -1,4 +1,4 @@
-"""Plant with the disturbances of a scenario."""
+"""Plants with the disturbances of a scenario."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from diffdrive_mpc.sim.plants.twin import Twin
 
 
 class DisturbedPlant(PlantAround):
-    """Wrapper of any plant with start offset, sensor faults and false commands; see `sim.plants.plant.Plant`.
+    """Wrapper that adds start offset, sensor faults and false commands to a plant, see `sim.plants.plant.Plant`.
 
     Parameters
     ----------
     plant
-        The plant, which applies all other disturbances of the scenario.
+        Plant, which applies all other disturbances of the scenario.
     scenario
         Disturbances with their times.
     robot
-        Robot with the limits to which commands are clipped, and the kinematics for faults of encoders.
+        Robot with the command limits and the kinematics for encoder faults.
     crossed
-        Function that returns the spans of the patches that the plant has reached.
+        Function that returns the time spans of the patches that the plant has reached.
     """
 
     def __init__(
@@ -51,23 +51,24 @@ class DisturbedPlant(PlantAround):
 
     @property
     def scenario(self) -> Scenario:
-        """The scenario with the values of this run."""
+        """Scenario with the values of this run."""
         return self._scenario
 
     @property
     def disturbance(self) -> Span | None:
-        """Start of the first and end of the last disturbance until now [s]; None if no disturbance has started.
+        """Start of the first and end of the last disturbance up to now [s]; None if no disturbance has started.
 
-        Disturbances until the end of the run do not end: if there are no others, the second value is infinite.
+        Disturbances that last until the end of the run have no end. If there are no others, the second value is
+        infinite.
         """
-        started = [span for span in (*self._scenario.spans, *self._crossed()) if span[0] <= self.time]
-        if not started:
+        started_spans = [span for span in (*self._scenario.spans, *self._crossed()) if span[0] <= self.time]
+        if not started_spans:
             return None
-        ends = [end for _, end in started if math.isfinite(end)]
-        return min(start for start, _ in started), min(self.time, max(ends)) if ends else math.inf
+        ends = [end for _, end in started_spans if math.isfinite(end)]
+        return min(start for start, _ in started_spans), min(self.time, max(ends)) if ends else math.inf
 
     def reset(self, pose: ArrayLike) -> None:
-        """Reset to time 0 and to rest at `pose` (3,) plus the start offset; restart the noise."""
+        """Reset to time 0 and to rest at `pose` (3,) plus the start offset, and restart the noise."""
         start = np.array(pose, dtype=float)
         offset = self._scenario.start_offset
         if offset is not None:
@@ -82,14 +83,14 @@ class DisturbedPlant(PlantAround):
         return replace(self._faults.apply(self._plant.measure(), self.time), sent=self._sent)
 
     def advance(self, command: ArrayLike) -> None:
-        """Send `command` (2,), or a false command in its place, and advance by one sample; errors as for any plant."""
+        """Send `command` (2,) or a false command, and advance by one sample; see `Plant.advance` for errors."""
         sent = clip_command(command, self._limits)
-        false = [item for item in self._scenario.false_commands if item.holds(self.time)]
-        self._plant.advance([false[-1].v, false[-1].omega] if false else sent)
+        false_commands = [item for item in self._scenario.false_commands if item.holds(self.time)]
+        self._plant.advance([false_commands[-1].v, false_commands[-1].omega] if false_commands else sent)
         self._sent = (float(sent[0]), float(sent[1]))
 
 
-# Disturbances of the physics, applied at each physics step.
+# Disturbances that are applied at each physics step.
 
 
 class DisturbedPhysics:
@@ -127,11 +128,11 @@ class DisturbedPhysics:
         self.reset()
 
     def reset(self) -> None:
-        """Reset the history; the robot is at the start of its path."""
+        """Reset the state for a robot at the start of its path."""
         self._travelled = 0.0
         self._position = self._chassis.pose[:2]
         self._crossed: list[Span | None] = [None] * len(self._patches)
-        self._load = 0.0
+        self._torque_share = 0.0
         self._loops.supply = 1.0
         self._anchors: list[FloatArray | None] = [None] * len(self._scenario.blockades)
         self._chassis.release()
@@ -139,7 +140,7 @@ class DisturbedPhysics:
 
     @property
     def crossed(self) -> list[Span]:
-        """For each patch reached: first and last time of a wheel on it [s]; infinity for a patch without end."""
+        """First and last time of a wheel on each reached patch [s]; the last is infinite for a patch without end."""
         return [span for span in self._crossed if span is not None]
 
     def advance(self, twin: Twin) -> None:
@@ -165,24 +166,24 @@ class DisturbedPhysics:
                 if blockade.holds(start):
                     self._apply_blockade(i, blockade)
         if scenario.battery:
-            drop = scenario.battery.load_drop * self._load
+            drop = scenario.battery.load_drop * self._torque_share
             self._loops.supply = max(0.0, scenario.battery.voltage(start) - drop)
 
     def motors(self, torques: FloatArray, time: float) -> FloatArray:
-        """Compute the true wheel torques (4,) [N m] at `time` [s] from the nominal `torques`."""
+        """Compute the actual wheel torques (4,) [N m] at `time` [s] from the nominal `torques`."""
         for motor in self._scenario.weak_motors:
             if motor.holds(time):
                 torques[WHEELS.index(motor.wheel)] *= motor.factor
-        self._load = float(np.mean(np.abs(torques))) / self._stall_torque
+        self._torque_share = float(np.mean(np.abs(torques))) / self._stall_torque
         return torques
 
     def _push(self, push: Push, share: float) -> None:
-        """Apply the mean force over the step, `share` of the push, which keeps the momentum exact."""
+        """Apply the mean force over a step, `share` times that of the push, so that the momentum is exact."""
         forward, left = push.force * math.cos(push.direction), push.force * math.sin(push.direction)
         self._chassis.push(share * forward, share * left, share * push.yaw_torque, push.height)
 
     def _apply_blockade(self, i: int, blockade: Blockade) -> None:
-        """Apply the spring and damper of blockade `i`, anchored at the pose of the body at its start."""
+        """Apply spring and damper of blockade `i`, which is anchored at the pose of the body at its start."""
         pose, (v, lateral, omega) = self._chassis.pose, self._chassis.twist
         anchor = self._anchors[i]
         anchor = self._anchors[i] = pose if anchor is None else anchor
@@ -216,6 +217,6 @@ def _wheels_under(patch: Patch) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
 
 
 def _edges(patch: Patch, ahead: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Compute distances (4,) [m] at which the wheels, `ahead` (4,) of the centre [m], enter and leave the patch."""
+    """Compute the distances (4,) [m] at which wheels `ahead` (4,) of the centre [m] enter and leave the patch."""
     length = math.inf if patch.length is None else patch.length
     return patch.start - ahead, patch.start + length - ahead

@@ -1,4 +1,4 @@
-"""Robots of the market, drawn from a seed: build, surface, disturbances, pose source and stated data."""
+"""Random robots of the market by seed: build, surface, disturbances, pose source, and data stated by the user."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from diffdrive_mpc.sim.disturbances.scenario import Scenario
 from diffdrive_mpc.sim.plants.chassis import WHEELS
 from diffdrive_mpc.sim.plants.simulated_robot import SimulatedRobot, digital_twin
 
-# Ranges of the population of robots on the market, and requirements of paths.
+# Ranges of the population of robots on the market, and requirements of the paths.
 
 
 _FILE = Path(__file__).with_name("market.yaml")
@@ -26,29 +26,29 @@ _FILE = Path(__file__).with_name("market.yaml")
 
 def _check_range(ends: tuple[float, float]) -> tuple[float, float]:
     if ends[0] > ends[1]:
-        raise ValueError(f"the range [{ends[0]:g}, {ends[1]:g}] must not decrease")
+        raise ValueError(f"range [{ends[0]:g}, {ends[1]:g}]: give the lower end first")
     return ends
 
 
 Range = Annotated[tuple[float, float], AfterValidator(_check_range)]
 Span = tuple[Positive, Positive]
-"""Range from the best to the worst value, interpolated logarithmically."""
+"""Range from the best to the worst value, with logarithmic interpolation."""
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class WheelShares(StrictModel):
-    """Distribution of wheel types."""
+    """Relative frequencies of wheel types."""
 
-    wheels_4: NotNegative = Field(description="four driven wheels [-]")
-    castors: NotNegative = Field(description="two driven wheels and castors [-]")
+    wheels_4: NotNegative = Field(description="relative frequency of four driven wheels [-]")
+    castors: NotNegative = Field(description="relative frequency of two driven wheels and castors [-]")
 
 
 class Patches(StrictModel):
     """Patches with different friction."""
 
     often: Share = Field(description="probability of a patch [-]")
-    factor: Range = Field(description="friction over that of the surrounding surface [-]")
-    start: Range = Field(description="start along the path [m]")
+    factor: Range = Field(description="ratio of friction to that of the surrounding surface [-]")
+    start: Range = Field(description="distance of the start along the path [m]")
     length: Range = Field(description="length along the path [m]")
 
 
@@ -60,43 +60,43 @@ class Slopes(StrictModel):
 
 
 class DrawnWeakMotor(StrictModel):
-    """One motor that is weak from the start."""
+    """Motor that is weak from the start."""
 
     often: Share = Field(description="probability of a weak motor [-]")
-    factor: Range = Field(description="torque over nominal [-]")
+    factor: Range = Field(description="ratio of torque to nominal torque [-]")
 
 
 class DeadMotor(StrictModel):
-    """One motor that fails during the drive."""
+    """Motor that fails during the drive."""
 
     often: Share = Field(description="probability for robots with four driven wheels [-]")
     start: Range = Field(description="time of the failure [s]")
 
 
 class PoseSources(StrictModel):
-    """Pose sources: ranges from the best to the worst value, interpolated by a common quality."""
+    """Ranges of pose sources from the best to the worst value; a common quality interpolates between them."""
 
     rate: Span = Field(description="rate of poses [Hz]")
     latency: Span = Field(description="latency of poses [s]")
-    position_sd: Span = Field(description="standard deviation of x and of y [m]")
+    position_sd: Span = Field(description="standard deviation of x and y [m]")
     heading_sd: Span = Field(description="standard deviation of theta [rad]")
     jitter: Share = Field(description="maximum deviation of each value from the common quality [-]")
-    loss: Range = Field(description="share of lost poses, for half of the sources [-]")
+    loss: Range = Field(description="share of lost poses, which half of the sources have [-]")
 
 
 class StatedTrack(StrictModel):
     """Distribution of the error of the stated track."""
 
     wrong: Share = Field(description="probability of a wrong track [-]")
-    factor: Range = Field(description="stated track over true track [-]")
+    factor: Range = Field(description="ratio of stated to true track [-]")
 
 
 class StatedRobot(StrictModel):
-    """Data of the robot stated by its user."""
+    """Data of the robot that its user states."""
 
-    track: StatedTrack = Field(description="the only value that may be wrong")
+    track: StatedTrack = Field(description="stated track, which is the only value that may be wrong")
     yaw_acceleration: Share = Field(
-        description="stated omega_slew over the yaw acceleration that grip permits on the usual surface [-]"
+        description="ratio of stated omega_slew to the yaw acceleration that the grip of the usual surface permits [-]"
     )
 
 
@@ -104,55 +104,61 @@ class Needs(StrictModel):
     """Requirements of the paths; robots that do not meet them are not drawn."""
 
     speed: Positive = Field(description="speed [m/s]")
-    turning: Positive = Field(description="yaw rate at that speed [rad/s]")
+    turning: Positive = Field(description="yaw rate at `speed` [rad/s]")
     acceleration: Positive = Field(description="acceleration of the reference [m/s^2]")
     yaw_acceleration: Positive = Field(description="yaw acceleration of the reference [rad/s^2]")
-    sliding: Share = Field(description="speed down a slope in a curve, over the speed [-]")
+    sliding: Share = Field(description="ratio of sliding speed down a slope in a curve to speed [-]")
     skid_time: Positive = Field(description="time constant of the speed while wheels skid in a turn [s]")
-    turning_point: Positive = Field(description="maximum distance of the centre of rotation from the centre [m]")
+    turning_point: Positive = Field(
+        description="maximum distance of the centre of rotation from the centre of the robot [m]"
+    )
 
 
 class Market(StrictModel):
-    """Ranges of the market; `market.yaml` states reference values and sources."""
+    """Ranges of the market; for reference values and sources see `market.yaml`."""
 
     mass: Range = Field(description="mass, log-uniform [kg]")
-    track: Range = Field(description="track over that of the scaled robot [-]")
-    wheel_base: Range = Field(description="wheel base over track [-]")
-    wheel_radius: Range = Field(description="wheel radius over track [-]")
-    torque: Range = Field(description="stall torque over that of the scaled robot [-]")
-    top_speed: Range = Field(description="top speed over the speed of the faster wheels on the paths [-]")
+    track: Range = Field(description="ratio of track to that of the scaled robot [-]")
+    wheel_base: Range = Field(description="ratio of wheel base to track [-]")
+    wheel_radius: Range = Field(description="ratio of wheel radius to track [-]")
+    torque: Range = Field(description="ratio of stall torque to that of the scaled robot [-]")
+    top_speed: Range = Field(description="ratio of maximum speed to the speed of the faster wheels on the paths [-]")
     driven: WheelShares = Field(description="relative frequencies of wheel types")
-    centre_of_mass: Range = Field(description="offset from the centre over wheel base and over track [-]")
-    rolling_radii: Range = Field(description="difference between left and right over the radius [-]")
-    motor_spread: Range = Field(description="torque of each motor over nominal [-]")
-    weak_motor: DrawnWeakMotor = Field(description="one weak motor")
-    dead_motor: DeadMotor = Field(description="one failing motor")
+    centre_of_mass: Range = Field(description="offset from the centre, divided by wheel base and track [-]")
+    rolling_radii: Range = Field(description="relative difference between left and right radius [-]")
+    motor_spread: Range = Field(description="ratio of the torque of each motor to nominal torque [-]")
+    weak_motor: DrawnWeakMotor = Field(description="weak motor")
+    dead_motor: DeadMotor = Field(description="failing motor")
     dead_time: Range = Field(description="dead time of the link [s]")
     lag: Range = Field(description="lag of each channel of the firmware [s]")
-    skid_correction: Range = Field(description="share of the effective track's increase that firmware compensates [-]")
+    skid_correction: Range = Field(
+        description="share of the increase of the effective track that firmware compensates [-]"
+    )
     friction: Range = Field(description="friction of the surface, log-uniform [-]")
     patches: Patches = Field(description="patches with different friction")
     slope: Slopes = Field(description="slopes")
     pose: PoseSources = Field(description="pose sources")
     stated: StatedRobot = Field(description="data stated by the user")
     needs: Needs = Field(description="requirements of the paths")
-    turning_point: Positive = Field(description="offset of the centre of rotation over that of the centre of mass [-]")
-    margin: Positive = Field(description="factor on required grip, torque and commands [-]")
+    turning_point: Positive = Field(
+        description="ratio of the offset of the centre of rotation to that of the centre of mass [-]"
+    )
+    margin: Positive = Field(description="safety factor of required grip, torque and commands [-]")
 
 
 @cache
 def load_market() -> Market:
-    """Read the shipped market; raise ConfigError if it is invalid."""
+    """Read the market of the package; raise ConfigError if it is invalid."""
     return load_checked(Market, _FILE)
 
 
 GRAVITY = 9.81
-"""Gravity in the computation of market robots [m/s^2]."""
+"""Gravitational acceleration for market robots [m/s^2]."""
 
 
 @dataclass(frozen=True)
 class DrawnRobot:
-    """One robot of the population.
+    """Robot of the population.
 
     Attributes
     ----------
@@ -163,7 +169,7 @@ class DrawnRobot:
     scenario
         Slope, patches and motors of this robot.
     stated
-        Configuration values stated by the user, by dotted key; the tracks may be wrong.
+        Configuration values that the user states, by dotted key; the tracks may be wrong.
     truth
         Configuration values with true tracks.
     """
@@ -182,7 +188,7 @@ def on_driven(build: SimulatedRobot) -> float:
 
 
 def yaw_acceleration(build: SimulatedRobot, grip: float) -> float:
-    """Compute the yaw acceleration of a box of the robot's size by its driven wheels at friction `grip` [rad/s^2]."""
+    """Compute the yaw acceleration [rad/s^2] that driven wheels with friction `grip` give a box of the robot's size."""
     chassis, track = build.twin.chassis, build.robot.track
     behind = chassis.centre_of_mass[0] if chassis.castors else 0.0
     inertia = (chassis.wheel_base**2 + track**2) / 12.0 + behind**2
@@ -201,7 +207,7 @@ def rim_speed(track: float, wheel_base: float) -> float:
 
 
 def draw_robot(seed: int) -> DrawnRobot:
-    """Draw the robot of `seed` (not negative); the result depends on the seed only."""
+    """Draw the robot of the non-negative `seed`; the result depends only on the seed."""
     market, stream = load_market(), np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(4711,)))
     build = _draw_build(market, stream, f"robot {seed} of the market")
     scenario: dict[str, Any] = {"description": "disturbances of the drawn robot", "patches": [], "slope": None}
@@ -229,7 +235,7 @@ def draw_robot(seed: int) -> DrawnRobot:
 
 
 def _draw_build(market: Market, stream: np.random.Generator, description: str) -> dict[str, Any]:
-    """Draw body, drives, link and firmware as changes to the digital twin, with the torques of scaled motors."""
+    """Draw body, drives, link and firmware as changes of the digital twin; torques are those of scaled motors."""
     twin = digital_twin()
     usual_robot: Any = twin["robot"]
     usual: Any = twin["twin"]
@@ -276,7 +282,7 @@ def _draw_build(market: Market, stream: np.random.Generator, description: str) -
 
 
 def _true_settings(build: SimulatedRobot) -> dict[str, float]:
-    """Compute the true configuration values by dotted key, without regard to patches and slopes."""
+    """Compute the true configuration values by dotted key, without the effect of patches and slopes."""
     pose, link, usual = build.sensors.pose, build.twin.link, digital_twin()
     usual_twin: Any = usual["twin"]
     usual_robot: Any = usual["robot"]
@@ -306,19 +312,19 @@ def _logarithmic(stream: np.random.Generator, ends: tuple[float, float]) -> floa
 def _draw_motors(
     market: Market, stream: np.random.Generator, *, castors: bool
 ) -> tuple[list[float], list[dict[str, Any]]]:
-    """Draw the torque of each motor over nominal, and failing motors; robots with castors have no failing motors."""
+    """Draw the relative torque of each motor, and failing motors; motors of robots with castors do not fail."""
     spread = [_uniform(stream, market.motor_spread) for _ in WHEELS]
     weak, dead = market.weak_motor, market.dead_motor
     weak_wheel, weak_factor = int(stream.integers(2 if castors else 4)), _uniform(stream, weak.factor)
     if stream.random() < weak.often:
         spread[weak_wheel] *= weak_factor
     dead_wheel, dead_from = int(stream.integers(4)), _uniform(stream, dead.start)
-    fails = stream.random() < dead.often and not castors
-    return spread, [{"wheel": WHEELS[dead_wheel], "factor": 0.0, "start": dead_from}] if fails else []
+    has_failure = stream.random() < dead.often and not castors
+    return spread, [{"wheel": WHEELS[dead_wheel], "factor": 0.0, "start": dead_from}] if has_failure else []
 
 
 def _draw_pose_source(ranges: PoseSources, stream: np.random.Generator, sample_time: float) -> dict[str, Any]:
-    """Draw the pose sensor: a common quality, and a deviation from it for each value."""
+    """Draw a pose sensor from a common quality and a deviation of each value from this quality."""
     quality = stream.random()
 
     def draw(ends: tuple[float, float]) -> float:
@@ -328,5 +334,5 @@ def _draw_pose_source(ranges: PoseSources, stream: np.random.Generator, sample_t
 
     values: dict[str, Any] = {name: draw(getattr(ranges, name)) for name in ("latency", "position_sd", "heading_sd")}
     period, loss = 1.0 / draw(ranges.rate), _uniform(stream, ranges.loss)
-    lossy = stream.random() < 0.5
-    return {**values, "period": period if period > sample_time else None, "loss": loss if lossy else 0.0}
+    has_loss = stream.random() < 0.5
+    return {**values, "period": period if period > sample_time else None, "loss": loss if has_loss else 0.0}

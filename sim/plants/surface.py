@@ -70,7 +70,7 @@ class BodySlip(StrictModel):
 
     def wheels(self, output: FloatArray) -> FloatArray:
         """Compute v [m/s], omega [rad/s] (2,) from encoders and geometric track, which the slip laws do not affect."""
-        return np.array(self.turned(output[0], output[1]))
+        return np.array(self.turned(*output.tolist()))
 
     # These formulas also accept CasADi symbols, as arguments and as values of the fields.
     def gained(self, v: Any, omega: Any) -> tuple[Any, Any]:  # noqa: ANN401 - numbers or symbols

@@ -57,7 +57,7 @@ class Sensors:
         self._pose_signs = np.array([1.0, -1.0 if pose.mirrored else 1.0, pose.theta_sign])
         encoders = parameters.encoders
         # Front left, front right, rear left, rear right.
-        self._wheels = [1, 0, 3, 2] if encoders.swapped else [0, 1, 2, 3]
+        self._wheels = np.array([1, 0, 3, 2] if encoders.swapped else [0, 1, 2, 3])
         self._wheel_signs = np.array([encoders.left, encoders.right] * 2)
         self._gyro_covariance = _published_covariance(np.array([[gyro.noise_sd**2]]))
         self._speed_covariance = _published_covariance(speed_sd**2 * np.eye(4))

@@ -1,9 +1,8 @@
-"""Figures of `reproduce`: responses and odometry of MBM and SM, FIT of SSM by order, and the virtual track."""
+"""Figures of `reproduce`: responses and odometry of MBM, SM, SSM and LSTM, trainings, orders, and the virtual track."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.velocity_model import CHANNELS
 from studies.reproduce.drives import QUANTITIES, sampled, trajectory_commands
 from studies.reproduce.mbm_and_sm import COMPARED, MBM, SM, MbmSmResult
+from studies.reproduce.networks import LSTM, MEASURED, SSM, NetworkRow
 from studies.reproduce.published import load_published
 from studies.reproduce.state_space import PAPERS_ORDER, SsmResult, published_system
 from studies.reproduce.virtual_track import TrackLine, VirtualTrackResult
@@ -76,27 +76,56 @@ def _bars(axes: Axes, results: Sequence[MbmSmResult], quantity: str) -> None:
 
 def draw_error_maps(results: Sequence[MbmSmResult], path: Path) -> None:
     """Draw commands and errors along the trajectories of the first repetition; a cross marks the largest error."""
-    maps = list(product(QUANTITIES.items(), (MBM, SM)))
     with new_figure(path, 12.0, 12.0) as figure:
-        columns = figure.subplots(1 + len(maps), len(results[0].paths), squeeze=False).T
+        columns = figure.subplots(1 + 2 * len(QUANTITIES), len(results[0].paths), squeeze=False).T
         for column, (name, paths) in zip(columns, results[0].paths.items(), strict=True):
             commands = trajectory_commands(name)
             for label, values, style in zip(("v [m/s]", "omega [rad/s]"), commands.T, ("-", "--"), strict=True):
                 column[0].plot(_times(len(commands)), values, style, label=label)
             column[0].set(title=name, xlabel="time [s]", ylim=(-1.2, 1.2))
-            sizes = {
-                (quantity, model): np.linalg.norm((paths[model] - paths["driven"])[:, part], axis=1)
-                for (quantity, part), model in product(_PARTS.items(), (MBM, SM))
-            }
-            for axes, ((quantity, unit), model) in zip(column[1:], maps, strict=True):
-                size, poses = sizes[quantity, model], paths[model]
-                largest = max(sizes[quantity, MBM].max(), sizes[quantity, SM].max())
-                axes.plot(*paths["driven"][:, :2].T, color=REFERENCE_COLOUR, linewidth=0.8)
-                shown = axes.scatter(*poses[:, :2].T, c=size, s=5.0, vmin=0.0, vmax=largest)
-                axes.plot(*poses[size.argmax(), :2], "x", color="black")
-                axes.set(title=f"{model}: {size.max():.3f} {unit}", aspect="equal")
-                figure.colorbar(shown, ax=axes, label=f"{quantity} error [{unit}]")
+            _maps(column[1:], paths["driven"], {model: paths[model] for model in (MBM, SM)})
         columns[0][0].legend(loc="lower left", fontsize=7.0)
+
+
+def _maps(grid: Sequence[Axes], driven: FloatArray, predicted: Mapping[str, FloatArray]) -> None:
+    """Draw predicted paths coloured by their error: position by model, then heading by model."""
+    for k, (quantity, unit) in enumerate(QUANTITIES.items()):
+        sizes = [np.linalg.norm((poses - driven)[:, _PARTS[quantity]], axis=1) for poses in predicted.values()]
+        for axes, size, (model, poses) in zip(grid[k * len(sizes) :], sizes, predicted.items(), strict=False):
+            axes.plot(*driven[:, :2].T, color=REFERENCE_COLOUR, linewidth=0.8)
+            shown = axes.scatter(*poses[:, :2].T, c=size, s=5.0, vmin=0.0, vmax=max(map(np.max, sizes)))
+            axes.plot(*poses[size.argmax(), :2], "x", color="black")
+            axes.set(title=f"{model}: {size.max():.3f} {unit}", aspect="equal")
+            axes.figure.colorbar(shown, ax=axes, label=f"{quantity} error [{unit}]")
+
+
+def draw_experiment(motions: Mapping[str, FloatArray], path: Path) -> None:
+    """Draw errors and velocities of SSM and LSTM on a free drive (P1, Figures 6 and 7)."""
+    with new_figure(path, 12.0, 6.0) as figure:
+        grid = figure.subplots(2, 3)
+        _maps(grid[:, :2].flat, motions[MEASURED], {name: motions[name] for name in (SSM, LSTM)})
+        for k, (axes, quantity) in enumerate(zip(grid[:, 2], ("v [m/s]", "omega [rad/s]"), strict=True), start=3):
+            for name, shade in ((MEASURED, "black"), (SSM, colour(0)), (LSTM, colour(1))):
+                axes.plot(_times(len(motions[name])), motions[name][:, k], color=shade, linewidth=0.9, label=name)
+            axes.set(xlabel="time [s]", ylabel=quantity)
+        axes.legend(loc="best", fontsize=7.0)
+
+
+def draw_training(rows: Sequence[NetworkRow], path: Path) -> None:
+    """Draw the validation error of each network while it is trained (P1, Figure 3)."""
+    with new_figure(path, 9.0, 4.0) as figure:
+        axes = figure.subplots()
+        for k, row in enumerate(sorted(rows, key=lambda row: row.row)):
+            steps = load_published().networks[row.row].validation_every * np.arange(len(row.losses))
+            axes.plot(
+                steps, np.sqrt(2.0 * row.losses), color=colour(k), linestyle=line_style(k), label=f"row {row.row}"
+            )
+        axes.set(
+            xlabel="training step", ylabel="RMSE of v [m/s] and omega [rad/s] together", xscale="symlog", yscale="log"
+        )
+        loss = axes.secondary_yaxis("right", functions=(lambda rmse: 0.5 * rmse**2, lambda loss: np.sqrt(2.0 * loss)))
+        loss.set_ylabel("loss: half the squared error")
+        axes.legend(ncols=3)
 
 
 def draw_responses(results: Sequence[MbmSmResult], path: Path) -> None:

@@ -17,13 +17,13 @@ from diffdrive_mpc.models.output_error.experiment import twist_experiments
 from diffdrive_mpc.models.output_error.validation import score
 from diffdrive_mpc.models.structures.ssm import identify_ssm
 from diffdrive_mpc_extras.networks.finding import simulate_records
-from diffdrive_mpc_extras.networks.network import Architecture, Network, divided, fit_percent, rmse, windows_of
+from diffdrive_mpc_extras.networks.network import Architecture, divided, fit_percent, rmse, windows_of
 from diffdrive_mpc_extras.networks.training import train, training_settings
-from studies.reproduce.drives import QUANTITIES, STATISTICS, RobotLogs, dead_reckon, pose_error
+from studies.reproduce.drives import QUANTITIES, STATISTICS, RobotLogs, dead_reckon, pose_error, sampled
 from studies.reproduce.published import NetworkStudy, PaperFinding, Published, PublishedNetwork, as_flags
 from studies.reproduce.state_space import FIT_COLUMNS, PAPERS_ORDER, FreeDrive, VelocityFit, free_drive
 
-SSM, LSTM, LONGER = "SSM", "LSTM", "LSTM, trained longer"
+MEASURED, SSM, LSTM, LONGER = "measured", "SSM", "LSTM", "LSTM, trained longer"
 PAPERS_ROW = 2
 """Row of Table 2 that the paper selects."""
 _OTHER_SEEDS = 100
@@ -32,13 +32,17 @@ _TABLE_2, _TABLE_3, _TABLE_4 = "P1, Table 2", "P1, Table 3", "P1, Table 4"
 
 @dataclass(frozen=True)
 class NetworkRow:
-    """One row of Table 2: errors on the validation and test parts of the drive, and numbers of parameters and steps."""
+    """One row of Table 2: errors on the validation and test parts of the drive, and numbers of parameters and steps.
+
+    `losses` (looks,) are half the squared errors on the validation part, summed over both outputs.
+    """
 
     row: int
     parameters: int
     steps: int
     validation: VelocityFit
     test: VelocityFit
+    losses: FloatArray
 
 
 @dataclass(frozen=True)
@@ -50,10 +54,14 @@ class NetworkRows:
 
 @dataclass(frozen=True)
 class NetworkResult:
-    """Result of one repetition: free drives by model; all models were identified from the same drive."""
+    """Result of one repetition: free drives by model; all models were identified from the same drive.
+
+    `motions` holds for each drive the pose [m, m, rad] and the twist [m/s, rad/s] (K, 5): measured, and by model.
+    """
 
     repetition: int
     free_drives: Mapping[str, tuple[FreeDrive, ...]]
+    motions: Sequence[Mapping[str, FloatArray]]
 
 
 def compare_with_ssm(study: NetworkStudy, repetition: int) -> NetworkResult:
@@ -63,19 +71,34 @@ def compare_with_ssm(study: NetworkStudy, repetition: int) -> NetworkResult:
     drives = logs.free(study.free_drives, study.free_duration, study.paper_range)
     ssm = identify_ssm(drive, PAPERS_ORDER, limits=False)
     predictions = {SSM: tuple(free_drive(ssm.system, drive) for drive in drives)}
+    motions = [
+        {
+            MEASURED: np.column_stack(
+                [np.asarray(drive.pose), np.asarray(drive.twist)[:, 0], np.asarray(drive.yaw_rate)]
+            ),
+            SSM: _motion(drive, sampled(ssm.system, drive.dt).simulate(drive.command)),
+        }
+        for drive in drives
+    ]
     kind, usual = Architecture(), training_settings()
     for name, settings in ((LSTM, usual), (LONGER, usual.model_copy(update=study.longer.model_dump()))):
         training, validation, _ = divided(windows_of(twist_experiments(drive), kind.window), settings.shares)
         network = train(kind, training, validation, settings).network
-        predictions[name] = tuple(_network_drive(network, drive) for drive in drives)
-    return NetworkResult(repetition, predictions)
+        twists = simulate_records(network, drives, "gyro")
+        for drive, motion, twist in zip(drives, motions, twists, strict=True):
+            motion[name] = _motion(drive, twist - network.at_rest)
+        predictions[name] = tuple(
+            FreeDrive(
+                _velocity(scores.fit_percent, scores.rmse), pose_error(motion[name][:, :3], motion[MEASURED][:, :3])
+            )
+            for drive, motion, twist in zip(drives, motions, twists, strict=True)
+            for scores in [score([twist], twist_experiments([drive]))]
+        )
+    return NetworkResult(repetition, predictions, motions)
 
 
-def _network_drive(network: Network, drive: Record) -> FreeDrive:
-    (twist,) = simulate_records(network, [drive], "gyro")
-    scores, pose = score([twist], twist_experiments([drive])), np.asarray(drive.pose)
-    path = dead_reckon(twist - network.at_rest, pose[0], drive.dt)
-    return FreeDrive(_velocity(scores.fit_percent, scores.rmse), pose_error(path, pose))
+def _motion(drive: Record, twist: FloatArray) -> FloatArray:
+    return np.hstack([dead_reckon(twist, np.asarray(drive.pose)[0], drive.dt), twist])
 
 
 def train_rows(study: NetworkStudy, published: Mapping[int, PublishedNetwork], repetition: int) -> NetworkRows:
@@ -97,7 +120,7 @@ def train_rows(study: NetworkStudy, published: Mapping[int, PublishedNetwork], r
         training, validation, test = divided(windows_of(experiments, kind.window), settings.shares)
         done = train(kind, training, validation, settings)
         scores = [_velocity(fit_percent(done.network, part), rmse(done.network, part)) for part in (validation, test)]
-        trained.append(NetworkRow(row, kind.parameters, done.steps, *scores))
+        trained.append(NetworkRow(row, kind.parameters, done.steps, *scores, done.losses))
     return NetworkRows(tuple(trained))
 
 

@@ -120,8 +120,9 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         """Build the report: findings with their verdicts first, and all results except large paths and responses."""
         parts = [part for part in PARTS if getattr(results, part)]
         written = plain(results)
-        for result in written["mbm_sm"]:
-            del result["paths"], result["responses"]
+        for result in [*written["mbm_sm"], *written["lstm"]]:
+            for curves in ("paths", "responses", "motions"):
+                result.pop(curves, None)
         findings = evaluate_findings(results)
         repetitions = ", ".join(map(str, self.settings.repetitions))
         where = f"plant mujoco, surface default, sensors default, repetitions {repetitions}"
@@ -166,6 +167,11 @@ def _drawings(results: ReproduceResults) -> dict[str, Draw]:
         "responses.png": (results.mbm_sm, figures.draw_responses),
         "orders.png": (results.ssm, figures.draw_orders),
         "ssm-steps.png": (results.ssm, figures.draw_steps),
+        "training.png": ([row for rows in results.rows for row in rows.rows], figures.draw_training),
+        **{
+            f"experiment-{number}.png": (motion, figures.draw_experiment)
+            for number, motion in enumerate(results.lstm[0].motions if results.lstm else (), start=1)
+        },
         "virtual-track.png": (results.virtual_track, figures.draw_virtual_track),
     }
     return {name: partial(draw, part) for name, (part, draw) in shown.items() if part}

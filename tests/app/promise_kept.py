@@ -41,24 +41,24 @@ class KeptPromise:
     ----------
     verdict
         Verdict with the promise.
-    beside
+    lateral
         (n,) largest lateral error of each variation on a curved path [m]; infinity if it did not arrive.
     """
 
     verdict: TrialVerdict
-    beside: tuple[float, ...]
+    lateral: tuple[float, ...]
 
     @property
     def held_count(self) -> int:
         """Number of variations in which the promise held."""
         promised = self.verdict.promised
-        return 0 if promised is None else sum(lateral <= promised.beside for lateral in self.beside)
+        return 0 if promised is None else sum(error <= promised.lateral for error in self.lateral)
 
     def __str__(self) -> str:
         """Format the promise and its errors in one line."""
-        low, high = np.median(self.beside), np.quantile(self.beside, 0.95, method="higher")
+        low, high = np.median(self.lateral), np.quantile(self.lateral, 0.95, method="higher")
         return (
-            f"{self.verdict.promise}: kept in {self.held_count} of {len(self.beside)} variations; "
+            f"{self.verdict.promise}: kept in {self.held_count} of {len(self.lateral)} variations; "
             f"largest lateral error, median {low:.3f} m, 95 % below {high:.3f} m"
         )
 
@@ -76,14 +76,14 @@ def keep_promise(
     verdict = judge_by_drives(identify(data / log.file, mapping=log.mapping))
     if verdict.promised is None or verdict.config is None:
         raise ValueError(f"{log.robot}: nothing is promised: {verdict.against}")
-    paths, beside = trial_settings().curved, []
+    paths, lateral = trial_settings().curved, []
     for i, stand_in in enumerate(islice(_variations(verdict.identification, verdict.config, seed), draws)):
         (drive,) = trial_drives(
             verdict.identification, verdict.config, [stand_in], paths=[paths[i % len(paths)]], seed=seed + i
         )
-        beside.append(drive.metrics.lateral_max_m if drive.metrics.completed else np.inf)
+        lateral.append(drive.metrics.lateral_max_m if drive.metrics.completed else np.inf)
         on_run()
-    return KeptPromise(verdict, tuple(beside))
+    return KeptPromise(verdict, tuple(lateral))
 
 
 def _variations(identification: Identification, config: ControllerConfig, seed: int) -> Iterator[StandIn]:

@@ -88,6 +88,11 @@ def test_registered_command_is_listed_and_runs(register_commands):
     assert invoke(command_line(["greet"]), "greet", "--name", "you").stdout == "hello you\n"
 
 
+@pytest.mark.parametrize("words", [(), ("config",), ("models",), ("log",)])
+def test_list_of_commands_shows_their_whole_help(words):
+    assert "..." not in invoke(command_line(words), *words, "--help").stdout.replace("[ARGS]...", "")
+
+
 def test_broken_package_leaves_other_commands_usable(register_commands):
     register_commands(greet="broken:GREET")
     assert "Not available" in invoke(command_line(), "--help").stdout

@@ -47,10 +47,10 @@ def test_sound_log_gives_yes_with_a_promise_that_its_drives_keep(identification,
     assert sound.grade == "Yes" and sound.reasons == () and sound.identification is identification
     assert [(drive.plant, drive.path) for drive in sound.drives] == [(p, s) for p in (ITSELF, HELD_OUT) for s in PATHS]
     drives = (*(drive for drive in sound.drives if drive.path in trial_settings().curved), *sound.unexplained)
-    beside, off = (float(size) for size in re.findall(r"(\d+) cm", sound.promise))
+    lateral, position = (float(size) for size in re.findall(r"([\d.]+) cm", sound.promise))
     assert len(sound.unexplained) == trial_settings().unexplained
-    assert beside >= 100 * max(drive.metrics.lateral_max_m for drive in drives) > 0.3 * beside
-    assert off >= 100 * max(drive.metrics.position_max_m for drive in drives) > 0.3 * off
+    assert lateral >= 100 * max(drive.metrics.lateral_max_m for drive in drives) > 0.3 * lateral
+    assert position >= 100 * max(drive.metrics.position_max_m for drive in drives) > 0.3 * position
 
 
 def move_held_out_poses(identification, motion):
@@ -85,9 +85,14 @@ def test_sliding_robot_gets_a_larger_promise_and_needs_care(identification):
         speed = 0.08 * np.sign(np.sin(2.0 * np.pi * time / 4.0))
         return np.cumsum(speed * left) * (time[1] - time[0])
 
+    def slide_far(time, left):
+        return 8.0 * slide_sideways(time, left)
+
+    refused = judge_by_drives(move_held_out_poses(identification, slide_far))
+    assert refused.grade == "No" and "do not arrive" in refused.against and not refused.promise
     verdict = judge_by_drives(move_held_out_poses(identification, slide_sideways))
     assert verdict.grade == "With care" and any("leaves its path" in reason for reason in verdict.reasons)
-    assert 0.03 < verdict.promised.beside < 0.3
+    assert 0.03 < verdict.promised.lateral < 0.3
 
 
 def clips(identification, share):
@@ -179,7 +184,7 @@ def test_promise_for_the_husky_holds_in_variations_of_a_held_out_model():
     """Three of the 300 variations of `.ci/long real`; a promise that is too small already fails in the first."""
     result = keep_promise(load_protocol().log("husky"), Path(os.environ["DIFFDRIVE_MPC_DATA"]), 3, 1000)
     assert result.verdict.grade == "With care" and "pose point" in result.verdict.reasons[0]
-    assert result.held_count == 3 and all(0.0 < beside < 0.05 for beside in result.beside)
+    assert result.held_count == 3 and all(0.0 < lateral < 0.05 for lateral in result.lateral)
 
 
 def test_every_kind_of_warning_has_a_remedy():

@@ -16,8 +16,8 @@ def untrusted(tmp_path):
 def test_term_that_exits_is_refused_with_one_line(error, untrusted):
     (untrusted / "term.py").write_text(f"raise {error}\n")
     code, printed, _ = call("simulate", "--config", untrusted / "config.yaml", "--plant", "model:ssm")
-    assert code == 2 and f"{untrusted}/term.py: running it fails with" in printed, printed
-    with pytest.raises(ConfigError, match="running it fails with"):
+    assert code == 2 and f"{untrusted}/term.py: its execution fails with" in printed, printed
+    with pytest.raises(ConfigError, match="its execution fails with"):
         Controller(load_config(untrusted / "config.yaml"))
 
 

@@ -1,42 +1,103 @@
-"""The C core under sanitizers: `fuzz_core.c`, whose seed is the case."""
+"""The C core under sanitizers: drives of `ControllerFuzzer`, backends that return anything, and wrong sizes."""
 
 from __future__ import annotations
 
 import atexit
+import math
 import os
 import shutil
 import subprocess
+import sys
 import tempfile
+import warnings
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from random import Random
+from typing import Any
 
+import cffi
+import numpy as np
+
+from diffdrive_mpc.mpc import controller as product
+from diffdrive_mpc.mpc.core import library
 from diffdrive_mpc.mpc.core.sources import core_texts
+from diffdrive_mpc.mpc.solver.report import SolverStatus
+from fuzz import controller, odd
 from fuzz.case import Case, FaultError
 
 HERE = Path(__file__).parent
-FLAGS = (
-    "-std=c99",
-    "-D_POSIX_C_SOURCE=199309L",
-    "-O1",
-    "-Wall",
-    "-Wextra",
-    "-Werror",
-    "-fsanitize=address,undefined,float-cast-overflow",
-    "-fno-sanitize-recover=all",
-    "-fno-omit-frame-pointer",
-    "-include",
-    str(HERE / "fuzz_guard.h"),
-)
+FLAGS = [
+    *("-std=c99", "-D_POSIX_C_SOURCE=199309L", "-O1", "-fPIC", "-shared", "-Wall", "-Wextra", "-Werror"),
+    *("-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer"),
+    *("-include", str(HERE / "fuzz_guard.h")),
+]
+SIZES = ({}, {"horizon": 1}, {"horizon": 200}, {"estimator.veer": [0.1, 0.05, 0.0], "horizon": 6})
+"""Settings added to the drawn ones, in turn: the smallest and the largest horizon, and five more slips."""
+SOUND = [3, 2, 0, 1, 2, 4, 1, 0, 0, 5, 0, 0, 0, 0, 10, 0, 0, 0, 0, 38]
+"""Sizes of a small controller, in the order of `ddmpc_sizes`."""
+LIMITED = ("steps", "states", "delay_v", "delay_omega", "window", "soft")
+"""Sizes with a fixed maximum."""
 
 
 def build_core(folder: Path) -> Path:
-    """Compile the core and its fuzzer in `folder`; returns the program."""
+    """Compile the core in `folder`; return the library."""
     for name, text in core_texts().items():
         (folder / name).write_text(text)
-    sources = [*map(str, sorted(folder.glob("*.c"))), str(HERE / "fuzz_core.c")]
-    subprocess.run(["gcc", *FLAGS, f"-I{folder}", *sources, "-lm", "-o", str(folder / "fuzz_core")], check=True)
-    return folder / "fuzz_core"
+    sources = map(str, sorted(folder.glob("*.c")))
+    subprocess.run(["gcc", *FLAGS, f"-I{folder}", *sources, "-lm", "-o", str(folder / "core.so")], check=True)
+    return folder / "core.so"
+
+
+def spoil_solutions(random: Random) -> None:
+    """Let backends return odd numbers and any status in half of their solutions."""
+    solve_all = product.solve_all
+
+    def solve_and_spoil(*arguments: Any) -> Any:
+        solved, report = solve_all(*arguments)
+        way, plan, multipliers = random.randrange(6), np.array(solved.plan), np.array(solved.multipliers)
+        for array in (plan, multipliers) if way < 2 else ():
+            array.flat[random.choices(range(array.size), k=random.choice((1, 3, array.size)))] = odd.number(random)
+        status = random.choice([*SolverStatus]) if way in (1, 2) else report.status
+        return solved._replace(plan=plan, multipliers=multipliers), replace(report, status=status)
+
+    product.solve_all = solve_and_spoil
+
+
+class CoreFuzzer:
+    """Drives of the controller in a process with the sanitized core: no byte or command out of bounds."""
+
+    name, longest, count, is_reducible = "core", 300.0, 1, False
+
+    def draw(self, random: Random) -> Case:
+        """Draw the seed and the number of the drives."""
+        return [random.randrange(2**31), 60]
+
+    def check(self, case: Case) -> None:
+        """Drive in a process of its own, which ends with an error on a fault."""
+        drive(_built(), *case)
+
+
+def drive(core: Path, seed: int, count: int) -> int:
+    """Drive `count` cases of `seed` with the compiled core; return the number of steps, or raise FaultError."""
+    asan = subprocess.run(["gcc", "-print-file-name=libasan.so"], capture_output=True, text=True, check=True).stdout
+    # Python's own allocator would hide the ends of small arrays.
+    settings = {"LD_PRELOAD": asan.strip(), "PYTHONMALLOC": "malloc", "ASAN_OPTIONS": "detect_leaks=0"}
+    settings["PYTHONPATH"] = os.pathsep.join(sys.path)
+    words = [sys.executable, "-m", "fuzz.core", str(core), str(seed), str(count)]
+    options: dict[str, Any] = {"capture_output": True, "text": True, "env": os.environ | settings}
+    done = subprocess.run(words, check=False, preexec_fn=_without_bounds, **options)
+    if done.returncode:
+        raise FaultError(f"core: {done.stderr[-1500:]}")
+    return int(done.stdout)
+
+
+def _without_bounds() -> None:
+    """Allow the sanitizer more addresses than the runner allows."""
+    import resource
+
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (hard, hard))
 
 
 @cache
@@ -46,32 +107,50 @@ def _built() -> Path:
     return build_core(folder)
 
 
-class CoreFuzzer:
-    """Sizes, constants, clocks, targets and answers of any kind; no byte or command out of bounds."""
-
-    name, longest, count, is_reducible = "core", 300.0, 1, False
-
-    def draw(self, random: Random) -> Case:
-        """Draw the seed of the program."""
-        return random.randrange(2**31)
-
-    def check(self, case: Case) -> None:
-        """Run the program, which aborts on a fault; the sanitizer needs more addresses than the runner allows."""
-        program = _built()
-        done = subprocess.run(
-            [str(program), str(case)],
-            capture_output=True,
-            text=True,
-            check=False,
-            preexec_fn=_without_bounds,
-            env=os.environ,
-        )
-        if done.returncode:
-            raise FaultError(f"core: {done.stderr[-1500:]}")
+def check_sizes() -> None:
+    """Raise FaultError if the core accepts a size below zero or beyond its maximum."""
+    ffi, lib = library.load_core()
+    assert lib.ddmpc_reals(ffi.new("ddmpc_sizes *", SOUND))
+    for name, _ in ffi.typeof("ddmpc_sizes").fields[:11]:
+        for size in (-1, -(2**31), 100_000)[: 3 if name in LIMITED else 2]:
+            sizes = ffi.new("ddmpc_sizes *", SOUND)
+            setattr(sizes, name, size)
+            if lib.ddmpc_reals(sizes) or lib.ddmpc_init(ffi.NULL, sizes, *[ffi.NULL] * 5):
+                raise FaultError(f"sizes: accepts {name} = {size}")
 
 
-def _without_bounds() -> None:
-    import resource
+def main(core: str, seed: str, count: str) -> None:
+    """Drive cases in this process."""
+    from diffdrive_mpc.mpc.core.tick import ResultLayout
 
-    _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (hard, hard))
+    random = Random(f"core/{seed}")
+
+    def load_library(_: str, declarations: str, *rest: object) -> tuple[cffi.FFI, Any]:
+        ffi = cffi.FFI()
+        ffi.cdef(declarations)
+        return ffi, ffi.dlopen(core)
+
+    def copy_arrays(layout: Any) -> Any:
+        """Copy array by array: the gaps between them may not be read."""
+        block = np.zeros_like(layout._block)
+        for place, _ in layout.places.values():
+            block[place] = layout._block[place]
+        return block
+
+    library.load_library = load_library
+    spoil_solutions(random)
+    ResultLayout.copy = copy_arrays
+    controller._ITERATION = math.inf
+    check_sizes()
+    warnings.simplefilter("ignore")
+    fuzzer = controller.ControllerFuzzer()
+    for index in range(int(count)):
+        case = fuzzer.draw(random)
+        case["overrides"] |= SIZES[index % len(SIZES)]
+        print(f"case {index} of seed {seed}", file=sys.stderr, flush=True)
+        fuzzer.check(case)
+    print(fuzzer.steps)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

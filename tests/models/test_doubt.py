@@ -55,7 +55,7 @@ def test_delay_of_a_fit_is_known_better_than_its_parts():
     fit = identify_channel(_channel(noisy_drive(lag, 8, count=400, noise=(0.03, 0.03))), "v", limit=False).fit
     delay = response_delays(fit, ["v"], [0])
     assert delay.value("v") == pytest.approx(0.07, abs=3 * delay.deviation("v"))
-    dead_time = fit.covariance[fit.layout.names.index("dead_time_0")][fit.layout.names.index("dead_time_0")] ** 0.5
+    dead_time = fit.estimate.deviation("dead_time_0")
     assert delay.deviation("v") < dead_time / 2
 
 

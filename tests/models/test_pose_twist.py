@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from diffdrive_mpc.models.identification.from_logs import identify
+from diffdrive_mpc.models.logs import read_log
+from diffdrive_mpc.models.logs.draft_mapping import draft_mapping
 from diffdrive_mpc.models.logs.pose_twist import with_twist_of_poses
 from diffdrive_mpc.models.logs.record import Record
 
@@ -50,7 +52,7 @@ def test_mean_twist_has_no_delay(every):
     assert delay == pytest.approx(np.zeros(2), abs=0.002)
 
 
-def write_log(folder, with_gyro=False):
+def write_log(folder, with_gyro=False, heading=True, y_sign=1):
     """Write 90 s of a robot with gains 0.9 and 0.8, 0.25 s and 0.3 s late; return the log and its mapping."""
     stream, dt, count = np.random.default_rng(5), 0.05, 1800
     command = np.repeat(stream.uniform([-0.5, -0.8], [0.5, 0.8], (count // 30, 2)), 30, axis=0)
@@ -66,20 +68,46 @@ def write_log(folder, with_gyro=False):
     np.savetxt(folder / "log.csv", table, "%.6f", ",", header="t,v,w,x,y,th" + ",g" * with_gyro, comments="")
     lines = ["source: drawn", "columns:", "  time: {column: t, unit: s}"]
     lines += ["  command: {v: {column: v, unit: m/s}, omega: {column: w, unit: rad/s}}"]
-    lines += ["  pose: {x: {column: x, unit: m}, y: {column: y, unit: m}, theta: {column: th, unit: rad}}"]
+    theta = ", theta: {column: th, unit: rad}" if heading else ""
+    lines += [f"  pose: {{x: {{column: x, unit: m}}, y: {{column: y, unit: m, sign: {y_sign}}}{theta}}}"]
     lines += ["  gyro: {yaw_rate: {column: g, unit: rad/s}}"] * with_gyro
     (folder / "mapping.yaml").write_text("\n".join(lines), encoding="utf-8")
     return folder / "log.csv", folder / "mapping.yaml"
 
 
-@pytest.mark.parametrize("with_gyro", [False, True])
-def test_commands_and_poses_alone_identify_a_robot(tmp_path, with_gyro):
-    log, mapping = write_log(tmp_path, with_gyro)
+@pytest.mark.parametrize(
+    ("with_gyro", "heading", "gain_error", "late"),
+    [(False, True, 0.02, 0.01), (True, True, 0.02, 0.01), (False, False, 0.04, 0.02), (True, False, 0.04, 0.02)],
+)
+def test_commands_and_poses_alone_identify_a_robot(tmp_path, with_gyro, heading, gain_error, late):
+    log, mapping = write_log(tmp_path, with_gyro, heading)
     result = identify(log, mapping=mapping, structure="sm")
     assert not result.refusal
-    for channel, gain, late in [("v", 0.9, 0.25), ("omega", 0.8, 0.3)]:
+    for channel, gain, delay in [("v", 0.9, 0.25), ("omega", 0.8, 0.3)]:
         file = getattr(result.content.channels, channel)
-        assert file.gain == pytest.approx(gain, rel=0.02)
-        delay = getattr(result.content.dead_time, channel) + 2 * file.damping / file.natural_frequency
-        assert delay == pytest.approx(late, abs=0.01)
+        assert file.gain == pytest.approx(gain, rel=gain_error)
+        found = getattr(result.content.dead_time, channel) + 2 * file.damping / file.natural_frequency
+        assert found == pytest.approx(delay, abs=late)
     assert "yaw rate of the wheels" not in result.report.markdown()
+    lacking = "a controller needs a gyro or encoders"
+    for text in (result.configuration.text(), result.report.markdown()):
+        assert (lacking in text) == (not heading and not with_gyro)
+
+
+@pytest.mark.parametrize("with_gyro", [False, True])
+def test_heading_from_positions_is_true_heading(tmp_path, with_gyro):
+    (true,), (computed,) = (read_log(*write_log(tmp_path, with_gyro, heading)).records for heading in (True, False))
+    off = np.angle(np.exp(1j * (computed.pose[:, 2] - true.pose[:, 2])))
+    assert np.sqrt(np.mean(off**2)) < 0.05
+
+
+@pytest.mark.parametrize("with_gyro", [False, True])
+def test_mirrored_positions_are_reported_once(tmp_path, with_gyro):
+    errors = read_log(*write_log(tmp_path, with_gyro, heading=False, y_sign=-1)).errors
+    assert [(error.kind, *map(str, error.changes)) for error in errors] == [("mirrored pose", "pose `y.sign: -1`")]
+
+
+def test_draft_maps_positions_without_heading(tmp_path):
+    log, _ = write_log(tmp_path)
+    log.write_text(log.read_text(encoding="utf-8").replace("x,y,th", "pose_x,pose_y,spare"), encoding="utf-8")
+    assert "theta" not in draft_mapping(log) and "pose_y" in draft_mapping(log)

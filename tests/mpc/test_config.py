@@ -62,7 +62,7 @@ def test_earlier_file_is_read_with_one_line_for_each_moved_key(tmp_path):
     with pytest.warns(FormerNameWarning) as warned:
         old = load_config(path)
     assert [str(warning.message).partition(": ")[2].partition(" now; ")[0] for warning in warned] == [
-        "estimator.least_gain is the constant estimator.min_gain of mpc/config/fixed_values.yaml",
+        "estimator.least_gain is the constant estimator.min_gain in mpc/config/fixed_values.yaml",
         "estimator.history is expert.estimator.history",
         "estimator.crab_drift is entry 3 of expert.estimator.crab",
         "reentry.look_ahead_max is expert.reentry.max_look_ahead",
@@ -81,7 +81,7 @@ def test_every_constant_is_accepted_with_its_value_only():
         group, _, name = key.partition(".")
         groups.setdefault(group, {})[name] = value
         assert getattr(getattr(ControllerConfig(), group), name) == value
-        with pytest.raises(ConfigError, match=f"{key}: .* differs from the constant {value} of .*leave it out"):
+        with pytest.raises(ConfigError, match=f"{key}: .* differs from the constant {value} in .*remove it"):
             load_config("sm", {key: 1.5 * value})
         assert present_place(key) == f"the constant {key} of mpc/config/fixed_values.yaml"
     assert load_config({"model": "sm", **groups}) == load_config({"model": "sm"})

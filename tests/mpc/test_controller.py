@@ -263,7 +263,9 @@ def test_rejected_update_changes_nothing(change):
 @pytest.mark.parametrize("steps", [1.8, 2.0])
 def test_horizon_within_the_dead_time_is_refused_with_the_smallest_valid_one(steps):
     late = {"extra_dead_time.v": steps * DT}
-    line = "horizon = 2: it ends within the dead time of the model, 2 steps of 0.0202 s; set horizon to 3 or more"
+    line = (
+        "horizon = 2: the horizon ends within the dead time of the model, 2 steps of 0.0202 s; set horizon to 3 or more"
+    )
     with pytest.raises(ValueError, match=line):
         controller(horizon=2, **late)
     assert controller(horizon=3, **late).config.horizon == 3

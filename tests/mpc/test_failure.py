@@ -240,7 +240,7 @@ def test_robot_waits_after_a_leap_of_the_clock_and_continues_from_rest_on_resume
             driver.resume()
     assert "no tick for" in results[0].message
     assert not np.any([r.command for r in results[:10]])
-    assert "stopped after a failure (no tick for 5.04 s; the estimate starts anew)" in results[9].message
+    assert "stopped after a failure (no tick for 5.04 s; the estimate restarts)" in results[9].message
     assert results[-1].mode is Mode.TRACKING
     moving = np.array([r.command for r in results[1:]])
     assert (np.abs(np.diff(moving, axis=0)) <= SLEW + 1e-9).all()

@@ -150,7 +150,7 @@ def test_goal_whose_path_never_arrives_times_out(parts, monkeypatch):
     following.update(standing())
     assert goal.end.code is Code.CONTROLLER_TIMED_OUT
     following.take(slow := FollowGoal(STRAIGHT, "odom"))
-    side.requests[-1][2]("to read it takes longer than 10 s")
+    side.requests[-1][2]("its conversion takes longer than 10 s")
     assert slow.end.code is Code.CONTROLLER_TIMED_OUT
 
 

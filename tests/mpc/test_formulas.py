@@ -1,4 +1,4 @@
-"""Formulas compared with the Python of the controller, finite differences, and the generated C code."""
+"""Formulas compared with finite differences, the polynomial of P4, and the generated C code."""
 
 import subprocess
 
@@ -9,14 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffdrive_mpc import ConfigError, integrate_pose, load_trajectory
+from diffdrive_mpc import ConfigError
 from diffdrive_mpc.models.slip_laws import polynomial_twist
 from diffdrive_mpc.mpc.core.generate import generate, generate_formulas
 from diffdrive_mpc.mpc.problem.formulas import formulas
 from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS, FLAT_SLIPS, SLIPS, Slip
 from diffdrive_mpc.mpc.problem.user_functions import user_output, user_step, user_term
-from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
-from oracle.motion import sideways, slid
 
 FORMULAS = {function.name().removeprefix("ddmpc_f_"): function for function in formulas()}
 # Plausible values of a robot; gains stay away from zero, and yaw rates are often where the arc changes its form.
@@ -31,7 +29,7 @@ RANGES = {
     "pose": [(-5, 5), (-5, 5), (-7, 7)],
     "twist": [(-2, 2), (-3, 3)],
     "command": [(-2, 2), (-3, 3)],
-    "wanted": [(-2, 2), (-3, 3)],
+    "target_twist": [(-2, 2), (-3, 3)],
     "reference": [(-5, 5), (-5, 5), (-7, 7), (-7, 7)],
     "theta": [(-7, 7)],
     "dt": [(1e-3, 0.5)],
@@ -46,9 +44,6 @@ RANGES = {
     "row": [(0, 9), (-5, 5), (-5, 5), (-7, 7), (0, 50), (-1, 1), (-2, 2), (0, 3), (-2, 2), (-1, 1)],
     "coefficients": [(-2, 2)] * 16,
 }
-
-
-SLIDE = slice(8, 10)
 
 
 def entry(low, high):
@@ -115,85 +110,6 @@ def test_gradients_agree_with_finite_differences(function, data):
     assert np.isfinite(gradient).all()
     # A track that grows with the yaw rate has a kink in its second derivative at zero yaw rate.
     assert gradient == pytest.approx(slopes, abs=2e-6 if name.endswith("curved") else 2e-7)
-
-
-def point_pose(pose, place):
-    """Return the position (2,) of a point at `place` (2,) in the robot's frame, and its heading."""
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    return pose + [c * place[0] - s * place[1], s * place[0] + c * place[1], 0.0]
-
-
-@given(arguments(FORMULAS["move"]))
-def test_move_is_the_arc_of_the_turning_point(values):
-    y, slip, theta, acceleration, dt = values
-    slip[SLIDE] = 0.0
-    moved, _ = call(FORMULAS["move"], values)
-    (v, omega), _ = call(FORMULAS["twist"], [y, slip])
-    place = np.array([slip[5] - slip[7] * acceleration[0], slip[6]])
-    start = np.array([0.0, 0.0, theta[0]])
-    # The turning point moves at the speed of the wheels, and outward with side_slip times the body's v omega.
-    forward = slip[2] * (y[0] + slip[0])
-    assert forward == pytest.approx(v - slip[6] * omega, abs=1e-12)
-    side_slip = slip[4] * v / forward if abs(forward) > 1e-3 else 0.0
-    if abs(forward) > 1e-3 or slip[4] * v == 0:
-        after = integrate_pose(point_pose(start, place), forward, omega, dt[0], side_slip)
-        assert point_pose(start + moved, place) == pytest.approx(after, abs=1e-11)
-
-
-@given(arguments(FORMULAS["move"]))
-def test_slide_is_added_to_the_move(values):
-    _, slip, theta, _, dt = values
-    moved, _ = call(FORMULAS["move"], values)
-    omega = call(FORMULAS["twist"], values[:2])[0][1]
-    level = slip.copy()
-    level[SLIDE] = 0.0
-    without, _ = call(FORMULAS["move"], [values[0], level, *values[2:]])
-    assert (moved - without)[:2] == pytest.approx(slid(theta[0], omega, dt[0], slip[SLIDE]), abs=1e-12)
-    assert moved[2] == without[2]
-
-
-@given(arguments(FORMULAS["arc"]))
-def test_arc_of_the_prediction_equals_the_move(values):
-    theta, v, omega, slip, ahead, dt = values
-    moved, _ = call(FORMULAS["arc"], values)
-    plain = [0, 1, 1, 1, slip[4], ahead[0], 0, 0, *slip[SLIDE]]
-    expected, _ = call(FORMULAS["move"], [[v[0], omega[0]], plain, theta, [0.0], dt])
-    assert moved == pytest.approx(expected[:2], abs=1e-14)
-
-
-@given(arguments(FORMULAS["aim"]))
-def test_aim_is_the_path_with_a_finite_heading(values):
-    pose, (v, omega), slip, (acceleration,) = values
-    ahead = slip[5] - slip[7] * acceleration
-    (aim,) = call(FORMULAS["aim"], values)
-    assert aim[:3] == pytest.approx(pose, abs=0)
-    lead = np.tan(aim[3] - pose[2])
-    slide = np.hypot(*slip[SLIDE])
-    assert np.sign(lead) * lead <= abs(slip[4] * omega) + 5 * (abs(ahead) + slide) * abs(omega) + 1e-9
-    if v == 0 or ahead == slide == 0:
-        assert lead == pytest.approx(slip[4] * omega, abs=1e-12)
-    if abs(v) > 0.5 and slide == 0:
-        # The robot follows the path, except for the term that keeps the heading finite on the spot: 4 % at 0.5 m/s.
-        course = aim[3] + np.arctan(sideways(v, omega, slip[4], ahead) / v)
-        assert course == pytest.approx(pose[2], abs=0.04 * abs(ahead * omega / v) + 1e-12)
-
-
-@given(arguments(FORMULAS["feed_forward"]))
-def test_slip_inverts_the_feed_forward(values):
-    wanted, slip, _ = values
-    (y,) = call(FORMULAS["feed_forward"], [wanted, slip, [1, 0, 0, 1]])
-    twist, _ = call(FORMULAS["twist"], [y, slip])
-    assert twist == pytest.approx(wanted, abs=1e-12)
-
-
-@given(arguments(FORMULAS["twist"]))
-def test_rim_speeds_are_those_of_the_model_output(values):
-    """The wheels turn as in the model, plus their offset, for any slip of the body."""
-    (v, omega), slip = values
-    twist, _ = call(FORMULAS["twist"], values)
-    limited, _ = call(FORMULAS["soft"], [np.zeros(3), twist, [0, 0], np.zeros(4), [*slip, 0.3]])
-    forward, turning = v + slip[0], 0.3 * omega
-    assert limited[2:4] == pytest.approx([forward + turning, forward - turning], abs=1e-12)
 
 
 # Slip that curves the twist.
@@ -265,32 +181,6 @@ def test_track_growth_changes_the_wheel_speeds_of_a_turn(growth, v, omega):
     (y,) = call(FORMULAS["feed_forward_curved"], [[forward, result], slip, [1, 0, 0, 1]])
     if growth >= 0 and growth * abs(omega) < 0.3:
         assert y == pytest.approx([v, omega], abs=0.02)
-
-
-@given(arguments(FORMULAS["errors"]))
-def test_tracking_errors_are_coordinates_of_the_distance(values):
-    pose, _, _, reference, _ = values
-    (along, across, heading), _ = call(FORMULAS["errors"], values)
-    assert np.hypot(along, across) == pytest.approx(np.hypot(*(pose - reference[:3])[:2]), abs=1e-12)
-    tangent = np.array([np.cos(reference[2]), np.sin(reference[2])])
-    left = np.array([-tangent[1], tangent[0]])
-    assert reference[:2] + along * tangent + across * left == pytest.approx(pose[:2], abs=1e-12)
-    assert heading == pytest.approx(pose[2] - reference[3], abs=1e-15)
-
-
-@pytest.mark.parametrize("name", ["circle", "square", "s", "cane"])
-def test_trajectory_pieces_equal_the_trajectories(name):
-    trajectory = load_trajectory(name)
-    kind = "spline_piece" if isinstance(trajectory, SplineTrajectory) else "arc_piece"
-    starts = trajectory.breaks[:-1] if kind == "spline_piece" else trajectory.breaks
-    times = np.linspace(0, trajectory.duration, 301)[:-1]
-    sample = trajectory.sample(times)
-    for k, time in enumerate(times):
-        piece = np.searchsorted(starts, time, side="right") - 1
-        pose, twist, arc_length = call(FORMULAS[kind], [[time - starts[piece]], trajectory.table[:, piece]])
-        assert pose == pytest.approx(sample.pose[k], abs=1e-12)
-        assert twist == pytest.approx(sample.twist[k], abs=1e-12)
-        assert arc_length == pytest.approx(sample.arc_length[k], abs=1e-12)
 
 
 @pytest.mark.parametrize("side", [-1, 1])
@@ -486,8 +376,8 @@ def test_function_with_external_calls_raises_error():
 @pytest.mark.parametrize(
     ("names", "sizes", "message"),
     [
-        (["x", "u"], [2, 2], "name them x and window"),
-        (["x", "window"], [2, 3], "give it two for each command"),
+        (["x", "u"], [2, 2], "they must be x and window"),
+        (["x", "window"], [2, 3], "it needs two per command"),
         (["x", "window"], [2, 2], "has 4 entries, x has 2"),
     ],
 )

@@ -27,7 +27,7 @@ from diffdrive_mpc.sim import simulate
 
 DT = 0.0202
 KEY = "limits.min_commanded_radius"
-HELD_MESSAGE = "the turn is held to limits.min_commanded_radius"
+HELD_MESSAGE = "the turn radius is limited to limits.min_commanded_radius"
 
 
 def excess(commands, radius):
@@ -143,7 +143,7 @@ def test_cusps_keep_the_radius_forwards_and_backwards(radius):
 def test_radius_can_change_while_driving_but_not_be_set_or_unset(name):
     controller = Controller(load_config("ssm", {f"limits.{name}": 1.5}))
     assert controller.update(limits={name: 1.2}).limits.model_dump()[name] == 1.2
-    with pytest.raises(ConfigError, match=f"limits.{name}: its value can be changed while driving, but it cannot be"):
+    with pytest.raises(ConfigError, match=f"limits.{name}: this limit can be changed while driving, but it cannot be"):
         Controller(load_config("ssm")).update(limits={name: 1.2})
 
 

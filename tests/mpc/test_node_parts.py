@@ -136,9 +136,9 @@ def test_former_parameter_is_accepted_with_a_line_that_names_the_new_one(parts):
     assert name_parts(node, NodeSettings(), ()).parts.keys() == {"energy"}
     assert node._parameter_overrides["parts.energy.use_battery"].value is True
     assert sorted(node.warnings) == [
-        "parameter battery_timeout is parts.energy.battery_timeout now; it states the default",
-        "parameter use_battery is parts.energy.use_battery now; its value is used",
-        "parameter use_costmap is parts.free_space.use_costmap now; it states the default",
+        "parameter battery_timeout is parts.energy.battery_timeout now; the default is used",
+        "parameter use_battery is parts.energy.use_battery now; the value is used",
+        "parameter use_costmap is parts.free_space.use_costmap now; the default is used",
     ]
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from ideal_robot import IdealRobot, NoisyRobot
 from scipy.stats import chi2
 
-from diffdrive_mpc import Measurement, Stamped, integrate_pose, load_model
+from diffdrive_mpc import Stamped, integrate_pose, load_model
 from diffdrive_mpc.mpc.config.schema import Compensation, Estimator, PoseResponse, SensorResponses, WheelResponse
 from diffdrive_mpc.mpc.estimate import SENSORS
 from diffdrive_mpc.mpc.problem.slip import FLAT_SLIPS, Slip
@@ -322,24 +322,3 @@ def test_innovations_are_chi_squared_distributed():
     low, high = chi2.interval(0.999, numbers * len(values))
     total = numbers * np.sum(values, axis=0)
     assert (low < total).all() and (total < high).all(), dict(zip(SENSORS, total / numbers / len(values), strict=True))
-
-
-@pytest.mark.parametrize(
-    ("pose", "message"),
-    [
-        (lambda r: Stamped([np.nan, 0, 0], r.time), "finite"),
-        (lambda r: Stamped(r.pose + [5, 0, 0], r.time), "jumps by 5.00 m"),
-        (lambda r: Stamped(r.pose, r.time + 1.0), "future"),
-        (lambda r: Stamped(r.pose, r.time - 2.0), "not newer"),
-        (lambda r: Stamped(r.pose, r.time, [[1.0, 0.5, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), "covariance"),
-        (lambda r: Stamped(r.pose, r.time, -np.eye(3)), "covariance"),
-    ],
-)
-def test_faulty_pose_is_rejected_with_its_reason(pose, message):
-    estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3))
-    run(estimator, robot, 60)
-    estimator.advance(robot.time)
-    before = estimator.estimate
-    (reason,) = estimator.update(robot.time, Measurement(pose=pose(robot)))
-    assert message in reason
-    assert estimator.estimate.pose == pytest.approx(before.pose)

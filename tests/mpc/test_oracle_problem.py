@@ -1,4 +1,4 @@
-"""The oracle's problem against IPOPT on the nonlinear program and finite differences, and its feed-forward."""
+"""The oracle: its problem against IPOPT on the nonlinear program, its roll-out, and its feed-forward."""
 
 from dataclasses import replace
 
@@ -17,13 +17,6 @@ from oracle.tick import FeedForward, Tick
 
 DT = 0.0202
 EXTRA = (0.011, 0.033)
-
-SOFT = {
-    "none": {},
-    "twist": {"limits.predicted_v": 0.42, "limits.predicted_omega": 0.33},
-    "wheels": {"limits.wheel_speed": 0.42},
-    "corridor": {"limits.corridor": 0.031},
-}
 
 
 def problem(model_name, horizon, **overrides):
@@ -86,15 +79,6 @@ def ipopt(subject, tick, ahead=None):
     return solution[: 2 * subject.steps].reshape(-1, 2)
 
 
-@pytest.mark.parametrize("soft", SOFT)
-@pytest.mark.parametrize("model_name", ["ssm", "sm", "mbm"])
-def test_real_time_iterations_converge_to_ipopts_solution(model_name, soft):
-    subject, tick = setting(model_name, **SOFT[soft])
-    plan, solution = converge(subject, tick)
-    assert solution.soft.any() == (soft != "none"), "the soft limit of the case must be exceeded"
-    assert plan == pytest.approx(ipopt(subject, tick), abs=2e-6)
-
-
 def test_fixed_turning_points_of_the_guess_cost_little():
     """The iteration ends at the best plan for its own turning points: nearly as good as if it moved them."""
     subject, tick = setting("ssm")
@@ -122,40 +106,6 @@ def nonlinear_cost(subject, tick, ahead):
     cost = ca.Function("cost", [program["x"]], [program["f"]])
     slack = np.zeros(10 * subject.steps)
     return lambda plan: float(cost(np.concatenate([plan, slack])))
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_gradient_agrees_with_finite_differences_of_the_cost(seed):
-    subject, tick = setting("ssm")
-    plan = tick.feed_forward + 0.2 * np.random.default_rng(seed).normal(size=tick.feed_forward.shape)
-    qp = subject.quadratic_program(tick, plan)
-    ahead = subject.turning_points(tick, plan)
-    cost, flat, step = nonlinear_cost(subject, tick, ahead), plan.ravel(), 1e-5
-    numeric = [(cost(flat + step * e) - cost(flat - step * e)) / (2 * step) for e in np.eye(len(flat))]
-    assert qp.H @ flat + qp.g == pytest.approx(np.array(numeric), abs=1e-5)
-    residuals, _ = subject.outcome(tick, plan[:, :, None], ahead)
-    assert residuals[:, 0] @ residuals[:, 0] / 2 == pytest.approx(cost(flat), rel=1e-12)
-    # Gauss-Newton: the Hessian is that of the residuals to first order.
-    columns = plan[:, :, None] + step * np.eye(len(flat)).reshape(*plan.shape, -1)
-    slopes = (subject.outcome(tick, columns, ahead)[0] - residuals) / step
-    assert pytest.approx(slopes.T @ slopes, rel=1e-3, abs=1e-6) == qp.H
-    assert np.linalg.eigvalsh(qp.H).min() > 0
-
-
-def test_soft_rows_equal_the_gradients_of_limited_values():
-    subject, tick = setting("ssm")
-    flat, step = tick.feed_forward.ravel(), 1e-6
-    qp = subject.quadratic_program(tick, tick.feed_forward)
-    ahead = subject.turning_points(tick, tick.feed_forward)
-
-    def values(flat):
-        return subject.outcome(tick, flat.reshape(-1, 2, 1), ahead)[1][:, 1:, 0].ravel()
-
-    numeric = np.column_stack([(values(flat + step * e) - values(flat - step * e)) / (2 * step) for e in np.eye(30)])
-    assert qp.soft_rows == pytest.approx(numeric, abs=1e-8)
-    limits = subject.soft_limits(subject.outcome(tick, tick.feed_forward[:, :, None], ahead)[1][:, 0, 0])
-    assert np.repeat(limits, 15) - qp.soft_upper == pytest.approx(values(flat) - qp.soft_rows @ flat, abs=1e-12)
-    assert qp.soft_upper - qp.soft_lower == pytest.approx(2 * np.repeat(limits, 15))
 
 
 @pytest.mark.parametrize("name", ["ssm", "sm", "mbm"])

@@ -167,7 +167,7 @@ def test_silence_during_a_hold_counts():
     rig.run(3.0)
     rig.on = True
     rig.run(0.5)
-    assert rig.loop.hold(on=False) == "let go; stands after a failure; call start or resume to drive"
+    assert rig.loop.hold(on=False) == "released; stands after a failure; call start or resume to drive"
     assert not rig.run(2.0).any()
 
 
@@ -182,7 +182,7 @@ def test_resume_returns_to_where_the_reference_waits_and_start_begins_anew():
     rig.run(20.0)
     rig.on = True
     assert not rig.run(1.0).any()
-    assert rig.loop.resume() == "drives on"
+    assert rig.loop.resume() == "resumed"
     first = rig.tick().result
     assert first.reference_delay > 20.0
     rig.run(5.0)
@@ -207,7 +207,7 @@ def test_resume_far_from_the_waiting_reference_keeps_the_robot_stopped():
     rig.loop.resume()
     assert not rig.run(3.0).any()
     assert "m from the reference; the limit is 1.0 m" in rig.loop.last.message
-    assert rig.loop.start().startswith("begins")
+    assert rig.loop.start().startswith("starts")
 
 
 def test_jump_beyond_the_position_error_waits_and_a_smaller_one_does_not():
@@ -222,10 +222,10 @@ def test_jump_beyond_the_position_error_waits_and_a_smaller_one_does_not():
 
 def test_resume_is_refused_if_not_waiting_and_a_new_reference_if_waiting():
     rig = Rig()
-    with pytest.raises(RefusedError, match="nothing waits for it"):
+    with pytest.raises(RefusedError, match="there is no drive to resume"):
         rig.loop.resume()
     rig.start_drive()
-    with pytest.raises(RefusedError, match="nothing waits for it"):
+    with pytest.raises(RefusedError, match="there is no drive to resume"):
         rig.loop.resume()
     rig.on = False
     rig.run(3.0)
@@ -237,5 +237,5 @@ def test_resume_is_refused_if_not_waiting_and_a_new_reference_if_waiting():
         rig.loop.offer(load_trajectory("square"))
     assert not rig.run(1.0).any()
     rig.loop.pause()
-    assert rig.loop.start() == "drives on"
+    assert rig.loop.start() == "resumed"
     assert rig.run(2.0)[-1, 0] > 0.2

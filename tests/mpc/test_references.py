@@ -238,6 +238,6 @@ def steps_at_rest(change, late=30, ticks=60):
 def test_faulty_reference_stops_the_robot_without_exception(change):
     steps = steps_at_rest(change)
     assert steps[1].mode is Mode.TRACKING
-    assert "there is nothing to track: reference 'own': " in steps[-1].message
+    assert "the reference cannot be sampled: reference 'own': " in steps[-1].message
     assert steps[-1].mode in (Mode.BRAKING, Mode.STOPPED)
     assert np.isfinite([step.command for step in steps]).all()

@@ -48,7 +48,7 @@ def test_it_waits_is_bound_and_leaves_when_the_sister_has_heard():
 
 
 @pytest.mark.parametrize(
-    ("bound", "timeout", "lost"), [(False, CONNECT_TIMEOUT, ""), (True, HEARTBEAT_TIMEOUT, "it was silent for 4 s")]
+    ("bound", "timeout", "lost"), [(False, CONNECT_TIMEOUT, ""), (True, HEARTBEAT_TIMEOUT, "no heartbeat for 4 s")]
 )
 def test_without_a_sister_it_falls_silent_after_a_while(bound, timeout, lost):
     side = Side()
@@ -67,7 +67,7 @@ def test_a_sister_that_dies_is_answered_once_and_one_that_never_answers_is_left(
     side.pass_by(1.0, hears=True)
     side.protocol.receive(is_alive=False)
     assert side.heartbeats[-1] is False
-    assert side.protocol.end_reason == "it has ended the bond"
+    assert side.protocol.end_reason == "it ended the bond"
     count = len(side.heartbeats)
     assert side.pass_by(5.0, hears=False) is BondState.DEAD
     assert len(side.heartbeats) == count
@@ -167,5 +167,5 @@ def test_a_manager_that_ends_the_bond_is_answered_and_the_robot_drives_on(manage
     manager.live(0.5)
     manager.say(active=False)
     s.base.until(lambda: not manager.heard[-1].active, "the answer")
-    s.base.until(lambda: "the lifecycle manager is gone: it has ended the bond" in capfd.readouterr().err, "a warning")
+    s.base.until(lambda: "the lifecycle manager is gone: it ended the bond" in capfd.readouterr().err, "a warning")
     assert s.base.run(20)[-1, 0] > 0.1

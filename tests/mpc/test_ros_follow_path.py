@@ -110,7 +110,7 @@ def test_cancelled_goal_brakes_at_the_braking_limits(parts):
 ZIGZAG = np.column_stack([0.05 * np.arange(3000), 0.05 * np.abs(np.arange(3000) / 5 % 2 - 1) - 0.05, np.zeros(3000)])
 
 
-NEWER = {"a newer goal took its place before it began", "a newer goal took over"}
+NEWER = {"a newer goal replaced it before its start", "a newer goal took over"}
 
 
 def without_result(client, names):

@@ -222,7 +222,7 @@ def test_path_in_an_unknown_frame_or_time_is_rejected(localised, capfd):
         ("nowhere", 0, "there is no transform of 'nowhere'"),
         ("base_link", s.base.now + 10**9, "after the last transform"),
         ("base_link", 1, "before the first transform"),
-        ("", 0, "it names no frame"),
+        ("", 0, "it has no frame"),
     ):
         capfd.readouterr()
         publisher.publish(straight(frame, (0.0, 0.0, 0.0), stamp=stamp))

@@ -194,7 +194,7 @@ def test_yaw_is_the_direction_of_the_x_axis_in_the_plane(yaw, pitch, roll):
 
 @pytest.mark.parametrize("q", [Quaternion(w=0.0), Quaternion(w=2.0), Quaternion(w=math.nan), Quaternion(x=1e200)])
 def test_invalid_quaternion_raises_error(q):
-    with pytest.raises(MessageError, match="no unit quaternion"):
+    with pytest.raises(MessageError, match="not a unit quaternion"):
         yaw_of(q)
 
 
@@ -253,7 +253,7 @@ def test_refused_reference_is_a_warning_until_one_is_accepted():
         publisher.publish(path_of(1))
         s.base.until(lambda: s.base.silent(1) and s.loop.refusal, "the refusal")
         assert status().level == DiagnosticStatus.WARN
-        assert status().message == "IDLE: reference refused: it has 1 poses; give 2 to 1000, further apart if need be"
+        assert status().message == "IDLE: reference refused: it has 1 poses; give 2 to 1000"
         s.loop.offer(load_trajectory("circle"))
         assert (status().level, status().message) == (DiagnosticStatus.OK, "IDLE")
 
@@ -358,7 +358,7 @@ def test_killed_side_process_is_replaced(aside):
     aside.process._process.wait()
     aside.ask("a", os.getpid)
     aside.wait(2)
-    assert aside.failed == ["the process that reads it ended; send it again"]
+    assert aside.failed == ["the process that converts it ended; send it again"]
     aside.ask("a", os.getpid)
     aside.wait(3)
     assert aside.done[1] not in (first, os.getpid())
@@ -369,7 +369,7 @@ def test_side_process_gives_up_after_its_timeout():
     try:
         aside.ask("a", time.sleep, 1000.0)
         aside.wait(1)
-        assert aside.failed == ["to read it takes longer than 2 s"]
+        assert aside.failed == ["its conversion takes longer than 2 s"]
     finally:
         aside.process.close()
 

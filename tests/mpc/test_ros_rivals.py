@@ -45,12 +45,12 @@ def test_second_node_on_the_same_topic_is_not_activated(name):
         second = Second(name)
         try:
             assert second.activate() is not rclpy.lifecycle.TransitionCallbackReturn.SUCCESS
-            assert "/diffdrive_mpc of this project drives by /cmd_vel too" in second.node.failure
+            assert "/diffdrive_mpc of this project also sends commands on /cmd_vel" in second.node.failure
             # The first drives on, and what it hears of the second, that is not active, is no more than a name.
             s.base.until(lambda: s.loop.warning, "the second's publisher")
             s.base.run(20)
             assert s.loop.last.mode == Mode.TRACKING
-            assert f"/{name} publishes on /cmd_vel too" in s.loop.warning
+            assert f"/{name} also publishes on /cmd_vel" in s.loop.warning
             # Once the first is gone the second may.
             s.call(
                 ChangeState,
@@ -90,7 +90,7 @@ def test_exclusive_cmd_vel_brakes_for_a_teleop_and_rejects_activation():
         s.base.until(lambda: heard and heard[-1].status[0].level == DiagnosticStatus.ERROR, "diagnostics")
         s.node.trigger_deactivate()
         assert s.node.trigger_activate() is not rclpy.lifecycle.TransitionCallbackReturn.SUCCESS
-        assert "/fake_base publishes on /cmd_vel too" in s.node.failure
+        assert "/fake_base also publishes on /cmd_vel" in s.node.failure
         s.base.node.destroy_publisher(teleop)
         s.base.until(lambda: not s.node.parts["rivals"].rivals.others().foreign, "its end")
         assert s.node.trigger_activate() is rclpy.lifecycle.TransitionCallbackReturn.SUCCESS

@@ -236,9 +236,9 @@ def file_of(inputs, output="pose[0]", names=None):
     ("text", "changes", "message"),
     [
         (FILE, {"file": "none.py"}, "none.py: no such Python file; give the path of the term"),
-        (file_of("pose, x", names=["pose", "twst"]), {}, MINE + "unknown input 'twst'; name it twist"),
+        (file_of("pose, x", names=["pose", "twst"]), {}, MINE + "unknown input 'twst'; rename it to twist"),
         (file_of("pose", "pose[0] + x[0]").replace("['out'])", "['out'], {'allow_free': True})"), {}, "depends on x_0"),
-        (FILE, {"lower": ...}, MINE + "kind soft, but no limit; give upper or lower, or make it a residual"),
+        (FILE, {"lower": ...}, MINE + "kind soft without a limit; give upper or lower, or use kind residual"),
         (FILE, {"uper": [1.0]}, "unknown key 'terms.0.uper'; did you mean"),
     ],
 )
@@ -255,7 +255,10 @@ def test_mistake_in_a_configured_term_is_one_line(tmp_path, text, changes, messa
     ("changes", "message"),
     [
         ({"defaults": (1.0, float("nan"))}, "term 'mine': parameters [1.0, nan]; give finite numbers"),
-        ({"function": lambda pose: pose}, "term 'mine': function is no casadi.Function; build one with named inputs"),
+        (
+            {"function": lambda pose: pose},
+            "term 'mine': function is not a casadi.Function; build one with named",
+        ),
     ],
 )
 def test_mistake_in_a_python_term_raises_config_error(changes, message):
@@ -274,12 +277,12 @@ def test_too_many_rows_of_terms_raise_error():
     terms = [Term("a", wide(20), "soft", upper=20 * [5.0]), Term("b", wide(4), "soft", upper=4 * [5.0])]
     assert sum(term.rows for term in terms) == MAX_SOFT_ROWS
     Controller(load_config("ssm", {"horizon": 200}), terms=terms)
-    with pytest.raises(ConfigError, match=r"25 rows together \(a 20, b 4, c 1\), the maximum is 24; remove some"):
+    with pytest.raises(ConfigError, match=r"25 rows in total \(a 20, b 4, c 1\), the maximum is 24; remove terms"):
         Controller(CONFIG, terms=[*terms, Term("c", wide(1), "soft", upper=5.0)])
 
 
 def test_duplicate_term_names_raise_error():
-    with pytest.raises(ConfigError, match="term 'keep_off': 2 terms have this name; give each its own name"):
+    with pytest.raises(ConfigError, match="term 'keep_off': 2 terms have this name; give each term a unique name"):
         Controller(CONFIG, terms=[KEEP_OFF, KEEP_OFF])
 
 
@@ -288,7 +291,11 @@ def test_duplicate_term_names_raise_error():
     [
         ("push_of", [1.0, 2.0], "term 'push_of': not found; there are: keep_off, push_off"),
         ("push_off", [1.0], "term 'push_off': give 2 parameters, or 31 rows of them (found shape (1,))"),
-        ("push_off", [1.0, float("nan")], "term 'push_off': its parameters contain a value that is not finite"),
+        (
+            "push_off",
+            [1.0, float("nan")],
+            "term 'push_off': its parameters contain a value that is not finite; give finite numbers",
+        ),
     ],
 )
 def test_wrong_term_parameters_raise_error_and_change_nothing(name, value, message):

@@ -125,7 +125,7 @@ def test_lookup_outside_the_received_times_raises_error(time, words):
 def test_unconnected_frames_are_named():
     buffer = moving_buffer()
     buffer.insert("map", "robot2/odom", NOW, IDENTITY, NOW)
-    with pytest.raises(TransformError, match="no chain of frames leads from one to the other"):
+    with pytest.raises(TransformError, match="the frames are not connected"):
         buffer.lookup("map", "base_link", NOW)
     with pytest.raises(TransformError, match="there is no transform of 'mpa'"):
         buffer.lookup("mpa", "base_link", NOW)
@@ -157,9 +157,9 @@ def test_alternating_parents_raise_error_and_a_single_change_does_not():
     ("transform", "stamp", "frames", "words"),
     [
         (planar(math.nan, 0.0, 0.0), NOW, ("odom", "base_link"), "not finite"),
-        (Rigid(0, 0, 0, 0, 0, 0, 0), NOW, ("odom", "base_link"), "no unit quaternion"),
+        (Rigid(0, 0, 0, 0, 0, 0, 0), NOW, ("odom", "base_link"), "not a unit quaternion"),
         (IDENTITY, NOW + limits.MAX_FUTURE + 1, ("odom", "base_link"), "in the future: are the clocks in step"),
-        (IDENTITY, NOW, ("odom", "odom"), "names no two frames"),
+        (IDENTITY, NOW, ("odom", "odom"), "does not name two different frames"),
     ],
 )
 def test_unusable_transform_is_refused_without_effect(transform, stamp, frames, words):
@@ -177,7 +177,7 @@ def test_memory_of_transforms_is_bounded():
     assert len(buffer) == limits.MAX_TRANSFORMS
     buffer.insert("odom", "base_link", NOW + 2 * limits.STORED_TIME, IDENTITY, NOW + 2 * limits.STORED_TIME)
     assert len(buffer) == 1
-    with pytest.raises(TransformError, match="one frame too many"):
+    with pytest.raises(TransformError, match="exceeds the maximum of"):
         for index in range(limits.MAX_FRAMES + 1):
             buffer.insert("odom", f"f{index}", NOW, IDENTITY, NOW)
     assert len(buffer) == limits.MAX_FRAMES

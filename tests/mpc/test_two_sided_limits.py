@@ -135,7 +135,7 @@ def test_late_robot_names_its_active_limit_until_it_has_caught_up():
     reference = lay_commanded(segments, TrajectoryLimits.of_robot(), name="to and fro")
     controller, plant, late = Controller("ssm"), make_plant("model:ssm", seed=1), []
     controller.start(reference, plant.time)
-    with pytest.warns(UserWarning, match=r"the robot will be late: .* limits.v.reverse = 0.2"):
+    with pytest.warns(UserWarning, match=r"the robot will lag behind its reference: .* limits.v.reverse = 0.2"):
         controller.update(limits={"v.reverse": 0.2})
     while plant.time < 20.0:
         result = controller.step(plant.time, plant.measure())

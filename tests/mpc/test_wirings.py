@@ -19,7 +19,7 @@ RESERVED = 9100
 """First seed of random robots on which no threshold was chosen."""
 KINDS = {
     "reversed": r"(times as far as poses: set sensors.yaw_rate.sign: -1|swap the sides, or correct the signs)",
-    "scaled": r"(set sensors.yaw_rate.scale|it measures no turn|it repeats itself|correct ticks and radius)",
+    "scaled": r"(set sensors.yaw_rate.scale|it measures no turn|its readings repeat|correct ticks and radius)",
     "turned": r"set sensors.pose.heading: -?\d",
     "mirrored": "",
 }

@@ -112,8 +112,8 @@ class PoseRate:
             return []
         latency = self.too_old or self.latency
         return [
-            f"poses come every {self.interval:.2f} s and {latency:.2f} s late, too seldom for failure.max_pose_age of "
-            f"{self.max_pose_age:g} s: the robot stays braked; raise it beyond {self.interval + latency:.2f} s, or "
+            f"poses come every {self.interval:.2f} s and {latency:.2f} s late, too rarely for failure.max_pose_age of "
+            f"{self.max_pose_age:g} s: the robot stays braked; raise it above {self.interval + latency:.2f} s, or "
             "send poses more often or sooner"
         ]
 

@@ -49,6 +49,6 @@ class TickClock:
                 self.leap = t
                 return TickKind.LEAPT, f"no tick for {gap:.2f} s"
             self.last = t
-            return TickKind.PAUSED, f"no tick for {gap:.2f} s; the estimate starts anew"
+            return TickKind.PAUSED, f"no tick for {gap:.2f} s; the estimate restarts"
         self.last = t
         return TickKind.NEW, ""

@@ -233,7 +233,7 @@ class OracleController:
             notes += rate.missing()
             return self._brake(notes, "no pose has arrived yet", outage=True)
         if estimator.moved:
-            before, elsewhere = estimator.estimate.pose, "poses agree that the robot is somewhere else"
+            before, elsewhere = estimator.estimate.pose, "consecutive poses agree on a different position"
             if not self._restart():
                 return self._brake(notes, elsewhere)
             jump = np.hypot(*(estimator.estimate.pose - before)[:2])
@@ -242,7 +242,7 @@ class OracleController:
         estimate = estimator.estimate
         if not np.isfinite(estimate.pose).all():
             estimator.forget()
-            return self._brake(notes, "the estimate is not finite; it starts anew")
+            return self._brake(notes, "the estimate is not finite; it restarts")
         if estimate.pose_age > failure.max_pose_age + rate.usual_age:
             notes += rate.missing()
             return self._brake(notes, f"no pose was accepted for {estimate.pose_age:.2f} s", outage=True)
@@ -250,7 +250,7 @@ class OracleController:
             return self._brake(notes)
         if not self.fence.holds(estimator, self.last):
             size = f"{self.config.fence.length:g} by {self.config.fence.width:g} m"
-            return self._brake(notes, f"its stopping path leaves the fence of {size}; call start or reset to drive on")
+            return self._brake(notes, f"the stopping path leaves the fence of {size}; call start or reset to drive on")
         if self.latched:
             return self._brake(notes)
         self._carry(estimator.filter.slip(estimator.nodes[-1].posterior.mean))

@@ -20,7 +20,7 @@ from oracle.commands import PastCommands
 from oracle.estimate import Estimate
 from oracle.kalman import Belief, build_filter
 
-_TOO_MANY = "more arrived for one sample than is kept"
+_TOO_MANY = "too many arrived for one sample"
 # Capacity of one tick of the history: values of wheels and gyro, and poses.
 _MAX_TWISTS, _MAX_POSES = 12, 4
 
@@ -100,7 +100,7 @@ class StateEstimator:
             return []
         value = sent_command(sent, largest)
         if value is None:
-            return ["sent command rejected: it is beyond the limits of commands"]
+            return ["sent command rejected: it exceeds the command limits"]
         self.commands.correct_last(value)
         return []
 

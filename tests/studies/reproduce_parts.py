@@ -63,7 +63,9 @@ def lstm(repetition: int = 1, *, ssm: float = 95.0, lstm: float = 93.0) -> Netwo
         name: (FreeDrive(VelocityFit((fit, fit - 2.0), (0.01, 0.05)), path_error(0.1 * (100.0 - fit))),)
         for name, fit in ((networks.SSM, ssm), (networks.LSTM, lstm), (networks.LONGER, lstm))
     }
-    return NetworkResult(repetition, drives)
+    motion = np.column_stack([np.linspace(0.0, 1.0, 5)] * 5)
+    motions = [dict.fromkeys((networks.MEASURED, *drives), motion)] * 2
+    return NetworkResult(repetition, drives, motions)
 
 
 def network_rows(best: int = 2) -> NetworkRows:
@@ -71,7 +73,7 @@ def network_rows(best: int = 2) -> NetworkRows:
     fits = {row: 95.0 if row == best else 94.0 for row in load_published().networks}
     return NetworkRows(
         tuple(
-            NetworkRow(row, 5018, 400, VelocityFit((fit, fit), (0.01, 0.05)), VelocityFit((fit, fit), (0.01, 0.05)))
+            NetworkRow(row, 5018, 400, *[VelocityFit((fit, fit), (0.01, 0.05))] * 2, losses=np.array([0.1, 0.01, 0.02]))
             for row, fit in fits.items()
         )
     )

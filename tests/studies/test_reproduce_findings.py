@@ -72,7 +72,7 @@ def test_exchange_of_tracks_is_confirmed_only_if_rare_and_supported_by_the_radii
     assert verdict(replace(results, virtual_track=not_given), "exchanged by mistake") == "no"
 
 
-FIGURES = ("odometry.png", "error-maps.png", "responses.png", "orders.png", "ssm-steps.png", "virtual-track.png")
+FIGURES = ("odometry", "error-maps", "responses", "orders", "ssm-steps", "training", "experiment-1", "virtual-track")
 
 
 @pytest.fixture(scope="module")
@@ -103,8 +103,8 @@ def test_report_has_every_figure_and_the_verdicts(report: Path):
     assert "paths" not in data["mbm_sm"][0]
     text = (report / "reproduce.md").read_text()
     for name in FIGURES:
-        assert (report / "figures" / name).stat().st_size > 20_000
-        assert f"](figures/{name})" in text
+        assert (report / "figures" / f"{name}.png").stat().st_size > 20_000
+        assert f"](figures/{name}.png)" in text
 
 
 def test_tables_of_the_page_are_in_the_report(report: Path):

@@ -74,27 +74,6 @@ def functions(stages):
     return [ca.Function.deserialize(getattr(stages, name)) for name in ("step", "tracking", "effort", "soft_values")]
 
 
-@pytest.mark.parametrize("name", ["ssm", "sm", "mbm"])
-@given(seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=15, deadline=None)
-def test_stages_predict_the_same_twists_and_poses(name, seed):
-    case = setting(name, 8, seed=seed)
-    z, parameters = case.data
-    plan = np.random.default_rng(seed).uniform(-1, 1, (8, 2))
-    twist = case.problem.twists(case.tick, plan[:, :, None])
-    poses = case.problem.poses(case.tick, twist, case.ahead)[:, :, 0]
-    _, soft = case.problem.outcome(case.tick, plan[:, :, None], case.ahead)
-    step, *_, soft_values = functions(case.stages)
-    n = case.problem.model.order
-    for k, u in enumerate(plan):
-        z = np.array(step(z, u, parameters[k])).ravel()
-        np.testing.assert_allclose(z[n : n + 3], poses[k + 1], atol=1e-12)
-        np.testing.assert_allclose(z[-2:], u)
-        values = np.array(soft_values(z, parameters[k + 1])).ravel()
-        np.testing.assert_allclose(values, soft[:, k + 1, 0], atol=1e-12)
-        np.testing.assert_allclose(values[:2], twist[k + 1, :, 0], atol=1e-12)
-
-
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=10, deadline=None)
 def test_cost_of_any_plan_equals_that_of_the_controllers_problem(seed):

@@ -213,6 +213,8 @@ class IdentifiedConfiguration:
         Settings without a group, and settings of each group; groups may be empty.
     sensors
         Delays and scales of the sensors, by input.
+    notes
+        Warnings, a comment line each at the head of the file.
     """
 
     name: str
@@ -224,6 +226,7 @@ class IdentifiedConfiguration:
     failure: tuple[Setting, ...] = ()
     free_space: tuple[Setting, ...] = ()
     sensors: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     @property
     def groups(self) -> dict[str, tuple[Setting, ...]]:
@@ -270,6 +273,7 @@ class IdentifiedConfiguration:
         lines = [
             f"# Controller of {plain_line(self.name)}. "
             "Missing fields keep the schema's default: diffdrive-mpc config schema",
+            *(f"# {plain_line(note)}" for note in self.notes),
             *(setting.line() for setting in self.general),
             "limits:" if slew else f"limits:   {_UNKNOWN_SLEW}",
             *(f"  {setting.line()}" for setting in self._of("limits", expert=False)),
@@ -311,6 +315,7 @@ def configure(
     stated: float | None = None,
     every_sample: bool = False,
     sensors: Mapping[str, Mapping[str, float]] | None = None,
+    notes: tuple[str, ...] = (),
 ) -> IdentifiedConfiguration:
     """Configure the controller of an identified robot from its model and records.
 
@@ -332,6 +337,8 @@ def configure(
         True if the predicting model requires the sample time of the log.
     sensors
         Delays and scales of the sensors, by input.
+    notes
+        Warnings for the head of the file.
 
     Raises
     ------
@@ -366,6 +373,7 @@ def configure(
         tuple(lengths.get("reentry", ())),
         tuple(lengths.get("failure", ())),
         sensors=sensors or {},
+        notes=notes,
     )
 
 

@@ -1,1 +1,1 @@
-"""Frames and the transforms between them: stored for several seconds, looked up along chains, and checked."""
+"""Transforms between frames: storage for several seconds, lookup along chains, and checks."""

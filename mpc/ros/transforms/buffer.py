@@ -1,8 +1,8 @@
-"""Buffer of the transforms of the last seconds by child frame, for lookups along chains of frames at any stored time.
+"""Buffer of recent transforms by child frame, for lookups along chains of frames at any stored time.
 
-As in tf2, transforms are not extrapolated beyond their newest stamp, and the default time of a lookup is the newest
-time that all transforms of the chain have. The buffer also reports faults: loops, frames with two alternating parents,
-stamps in the future.
+As in tf2, transforms are not extrapolated beyond the newest stamp, and the default time of a lookup is the newest time
+at which all transforms of the chain are known. The buffer also reports faults: loops, frames with two alternating
+parents, and stamps in the future.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from diffdrive_mpc.mpc.ros.transforms.rigid import IDENTITY, Rigid
 
 _SECOND = 1_000_000_000
 STORED_TIME = 10 * _SECOND
-"""Time for which a transform is stored [ns], as in tf2."""
+"""Time for which a transform is stored [ns], equal to that of tf2."""
 MAX_FUTURE = 2 * _SECOND
-"""Maximum time of a stamp in the future [ns]; localisations post-date their transforms, AMCL by up to a second."""
+"""Maximum time of a stamp in the future [ns]; localisations post-date transforms, for instance AMCL by up to 1 s."""
 MAX_FRAMES = 500
 MAX_TRANSFORMS = 4000
-"""Maximum number of transforms of one frame; a frame beyond 400 Hz is stored for a shorter time."""
+"""Maximum number of transforms of a frame; above 400 Hz they are stored for a shorter time."""
 _NORM_TOLERANCE = 1e-2
-_DISPUTED = 2
-"""Number of parent changes within `STORED_TIME` from which a frame counts as having two parents."""
+_MIN_PARENT_CHANGES = 2
+"""Minimum number of parent changes within `STORED_TIME` of a frame with two parents."""
 
 
 class TransformError(DiffdriveMpcError, ValueError):
-    """A transform is unusable or missing; the error text is the reason in one line."""
+    """Error for an invalid or missing transform; its text is the reason in one line."""
 
     def __init__(self, reason: str) -> None:
-        super().__init__(plain_line(reason))  # frame names are untrusted text, and logs are shown in terminals
+        super().__init__(plain_line(reason))  # escape frame names, since terminals show logs
 
 
 class TransformLookup(NamedTuple):
@@ -43,11 +43,11 @@ class TransformLookup(NamedTuple):
     Attributes
     ----------
     transform
-        Transform from coordinates of the source frame to those of the target frame.
+        Transform from coordinates in the source frame to coordinates in the target frame.
     stamp
         Time at which the transform is valid [ns]; None if all transforms of the chain are static.
     oldest
-        Frame of the chain with the oldest transform; empty if all are static.
+        Frame of the chain with the oldest transform; empty if all transforms are static.
     """
 
     transform: Rigid
@@ -56,8 +56,8 @@ class TransformLookup(NamedTuple):
 
 
 @dataclass
-class _Placed:
-    """Placement of one frame: parent and transforms, oldest first; a static transform is valid at all times."""
+class _FrameHistory:
+    """Transforms of a frame relative to its parent, oldest first; a static transform is valid at all times."""
 
     parent: str
     static: bool
@@ -71,15 +71,15 @@ class TransformBuffer:
     """Buffer of the transforms on /tf and /tf_static."""
 
     def __init__(self) -> None:
-        self._frames: dict[str, _Placed] = {}
+        self._frames: dict[str, _FrameHistory] = {}
 
     def clear(self) -> None:
-        """Delete moving transforms, after the clock was set back; static transforms stay."""
-        self._frames = {name: placed for name, placed in self._frames.items() if placed.static}
+        """Delete all transforms that are not static."""
+        self._frames = {name: entry for name, entry in self._frames.items() if entry.static}
 
     def __len__(self) -> int:
         """Return the number of stored transforms."""
-        return sum(len(placed.stamps) or 1 for placed in self._frames.values())
+        return sum(len(entry.stamps) or 1 for entry in self._frames.values())
 
     def insert(self, parent: str, child: str, stamp: int, transform: Rigid, now: int, *, static: bool = False) -> None:
         """Store the transform of `child` in `parent` at `stamp`, received at `now` [ns].
@@ -87,87 +87,90 @@ class TransformBuffer:
         Raises
         ------
         TransformError
-            If it is not a rigid transform, older than the buffer, in the future, or of too many frames. The buffer is
-            then unchanged.
+            If the transform is not rigid, too old, in the future, or exceeds the maximum number of frames; the buffer
+            then stays unchanged.
         """
         parent, child = parent.removeprefix("/"), child.removeprefix("/")
         link = f"'{parent}' -> '{child}'"
         if not parent or not child or parent == child:
-            raise TransformError(f"{link} names no two frames")
+            raise TransformError(f"{link} does not name two different frames")
         norm = math.hypot(*transform[3:])
         if not (all(map(math.isfinite, transform)) and abs(norm - 1.0) <= _NORM_TOLERANCE):
-            raise TransformError(f"{link} is not finite, or its rotation no unit quaternion")
+            raise TransformError(f"{link} is not finite, or its rotation is not a unit quaternion")
         if not static and stamp - now > MAX_FUTURE:
             raise TransformError(f"{link} is {(stamp - now) / _SECOND:.1f} s in the future: are the clocks in step?")
-        placed = self._frames.get(child)
-        if placed is None and len(self._frames) >= MAX_FRAMES:
-            raise TransformError(f"{link} is one frame too many: the limit is {MAX_FRAMES}")
+        entry = self._frames.get(child)
+        if entry is None and len(self._frames) >= MAX_FRAMES:
+            raise TransformError(f"{link} exceeds the maximum of {MAX_FRAMES} frames")
         # A different parent is a change; alternating parents indicate two conflicting publishers.
-        if placed is None or (placed.parent, placed.static) != (parent, static):
+        if entry is None or (entry.parent, entry.static) != (parent, static):
             changes = (
-                [] if placed is None else [*(time for time in placed.changes if abs(now - time) <= STORED_TIME), now]
+                [] if entry is None else [*(time for time in entry.changes if abs(now - time) <= STORED_TIME), now]
             )
-            placed = _Placed(
-                parent, static, changes=changes[-_DISPUTED:], rival_parent="" if placed is None else placed.parent
+            entry = _FrameHistory(
+                parent,
+                static,
+                changes=changes[-_MIN_PARENT_CHANGES:],
+                rival_parent="" if entry is None else entry.parent,
             )
-            self._frames[child] = placed
+            self._frames[child] = entry
         unit = Rigid(*transform[:3], *(value / norm for value in transform[3:]))
         if static:
-            placed.stamps, placed.history = [], {0: unit}
+            entry.stamps, entry.history = [], {0: unit}
             return
-        if placed.stamps and stamp < placed.stamps[-1] - STORED_TIME:
-            raise TransformError(f"{link} is {(placed.stamps[-1] - stamp) / _SECOND:.1f} s older than the last")
-        if stamp not in placed.history:
-            insort(placed.stamps, stamp)
-        placed.history[stamp] = unit
-        start = bisect_left(placed.stamps, placed.stamps[-1] - STORED_TIME)
-        start = max(start, len(placed.stamps) - MAX_TRANSFORMS)
-        for old in placed.stamps[:start]:
-            del placed.history[old]
-        del placed.stamps[:start]
+        if entry.stamps and stamp < entry.stamps[-1] - STORED_TIME:
+            raise TransformError(f"{link} is {(entry.stamps[-1] - stamp) / _SECOND:.1f} s older than the last")
+        if stamp not in entry.history:
+            insort(entry.stamps, stamp)
+        entry.history[stamp] = unit
+        start = bisect_left(entry.stamps, entry.stamps[-1] - STORED_TIME)
+        start = max(start, len(entry.stamps) - MAX_TRANSFORMS)
+        for old in entry.stamps[:start]:
+            del entry.history[old]
+        del entry.stamps[:start]
 
     def lookup(self, target: str, source: str, now: int, time: int | None = None) -> TransformLookup:
-        """Look up the transform from `source` to `target` at `time` [ns]; None: the newest time of the whole chain.
+        """Look up the transform from `source` to `target` at `time` [ns], by default the newest time of the chain.
 
         Raises
         ------
         TransformError
-            If there is no chain of frames, if it has a loop or a frame with two parents, or if a transform is not known
-            at that time.
+            If there is no chain of frames, the chain has a loop or a frame with two parents, or a transform is not
+            known at `time`.
         """
-        up, down = self._ancestors(source.removeprefix("/")), self._ancestors(target.removeprefix("/"))
-        common = next((name for name in up if name in down), None)
+        source_chain, target_chain = (self._ancestors(frame.removeprefix("/")) for frame in (source, target))
+        common = next((name for name in source_chain if name in target_chain), None)
         if common is None:
             raise TransformError(self._missing_chain(target, source))
-        chain = [*up[: up.index(common)], *down[: down.index(common)]]
+        chain = [*source_chain[: source_chain.index(common)], *target_chain[: target_chain.index(common)]]
         moving = []
         for name in chain:
-            placed = self._frames[name]
-            if len([change for change in placed.changes if abs(now - change) <= STORED_TIME]) >= _DISPUTED:
+            entry = self._frames[name]
+            if len([change for change in entry.changes if abs(now - change) <= STORED_TIME]) >= _MIN_PARENT_CHANGES:
                 raise TransformError(
-                    f"frame '{name}' is placed in '{placed.parent}' and in '{placed.rival_parent}' by turns: "
-                    "it needs one parent"
+                    f"frame '{name}' has two alternating parents, '{entry.parent}' and '{entry.rival_parent}': "
+                    "publish one of them only"
                 )
-            if not placed.static:
-                moving.append((placed.stamps[-1], name))
+            if not entry.static:
+                moving.append((entry.stamps[-1], name))
         newest, oldest = min(moving, default=(None, ""))
         stamp = newest if time is None else time
         transform = IDENTITY
-        for name in down[: down.index(common)]:
+        for name in target_chain[: target_chain.index(common)]:
             transform = self._at(name, stamp).after(transform)
         back, transform = transform.inverse(), IDENTITY
-        for name in up[: up.index(common)]:
+        for name in source_chain[: source_chain.index(common)]:
             transform = self._at(name, stamp).after(transform)
         return TransformLookup(back.after(transform), stamp if moving else None, oldest)
 
     def passes(self, source: str, target: str, frame: str) -> bool:
         """Return True if the chain from `source` to `target` contains `frame`."""
-        up, down = self._ancestors(source), self._ancestors(target)
-        common = next((name for name in up if name in down), None)
-        return common is not None and common != frame and frame in up[: up.index(common)]
+        source_chain, target_chain = self._ancestors(source), self._ancestors(target)
+        common = next((name for name in source_chain if name in target_chain), None)
+        return common is not None and common != frame and frame in source_chain[: source_chain.index(common)]
 
     def _ancestors(self, frame: str) -> list[str]:
-        """List `frame`, its parent, and so on."""
+        """Return `frame` and all of its ancestors, starting with `frame`."""
         return list(self._upwards(frame))
 
     def _upwards(self, frame: str) -> Iterator[str]:
@@ -175,34 +178,34 @@ class TransformBuffer:
         while frame not in visited:
             visited.append(frame)
             yield frame
-            placed = self._frames.get(frame)
-            if placed is None:
+            entry = self._frames.get(frame)
+            if entry is None:
                 return
-            frame = placed.parent
+            frame = entry.parent
         raise TransformError(f"frames loop: {' -> '.join([*visited[visited.index(frame) :], frame])}")
 
     def _missing_chain(self, target: str, source: str) -> str:
-        known = {*self._frames, *(placed.parent for placed in self._frames.values())}
-        missing = [name for name in (target, source) if name not in known]
+        known_frames = {*self._frames, *(entry.parent for entry in self._frames.values())}
+        missing = [name for name in (target, source) if name not in known_frames]
         if missing:
             return f"no transform from '{source}' to '{target}': there is no transform of '{missing[0]}'"
-        return f"no transform from '{source}' to '{target}': no chain of frames leads from one to the other"
+        return f"no transform from '{source}' to '{target}': the frames are not connected"
 
     def _at(self, name: str, stamp: int | None) -> Rigid:
-        placed = self._frames[name]
-        if placed.static:
-            return placed.history[0]
-        stamps = placed.stamps
+        entry = self._frames[name]
+        if entry.static:
+            return entry.history[0]
+        stamps = entry.stamps
         assert stamp is not None
         if not stamps[0] <= stamp <= stamps[-1]:
             side, bound = ("after", stamps[-1]) if stamp > stamps[-1] else ("before", stamps[0])
             raise TransformError(
-                f"'{placed.parent}' -> '{name}' is not known at that time: it is {abs(stamp - bound) / _SECOND:.2f} s "
+                f"'{entry.parent}' -> '{name}' is unknown at the requested time, {abs(stamp - bound) / _SECOND:.2f} s "
                 f"{side} the {'last' if side == 'after' else 'first'} transform"
             )
         right = bisect_left(stamps, stamp)
         after = stamps[right]
         if after == stamp:
-            return placed.history[stamp]
+            return entry.history[stamp]
         before = stamps[right - 1]
-        return placed.history[before].towards(placed.history[after], (stamp - before) / (after - before))
+        return entry.history[before].towards(entry.history[after], (stamp - before) / (after - before))

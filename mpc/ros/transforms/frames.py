@@ -1,4 +1,4 @@
-"""Transforms that the node needs: pose of the robot, and placement of references stated in other frames."""
+"""Transforms that the node uses: pose of the robot, and placement of references in other frames."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Frames:
     Parameters
     ----------
     control, base
-        Names of the control frame and of the robot's frame.
+        Names of the control frame and of the base frame of the robot.
     timeout
         Maximum age of a transform [s].
     clock
@@ -30,9 +30,9 @@ class Frames:
     buffer
         Received transforms.
     accepted, refused
-        Number of accepted and of refused transforms.
+        Numbers of accepted and refused transforms.
     last_refusal
-        Reason of the last refusal; empty if there was none.
+        Reason for the last refusal; empty if no transform was refused.
     """
 
     def __init__(self, control: str, base: str, timeout: float, clock: Callable[[], int]) -> None:
@@ -42,7 +42,7 @@ class Frames:
         self.last_refusal = ""
 
     def take(self, parent: str, child: str, stamp: int, transform: Rigid, *, static: bool) -> None:
-        """Store one transform with its stamp [ns]; count it and store the reason if it is unusable."""
+        """Store a transform with its stamp [ns], or count it as refused if it is invalid."""
         try:
             self.buffer.insert(parent, child, stamp, transform, self._clock(), static=static)
         except TransformError as error:
@@ -51,12 +51,12 @@ class Frames:
             self.accepted += 1
 
     def refuse(self, reason: str) -> None:
-        """Count an unusable transform and store the reason."""
+        """Count an invalid transform and store the reason."""
         self.refused += 1
         self.last_refusal = reason
 
     def pose(self) -> tuple[FloatArray, int]:
-        """Return x, y [m], yaw [rad] (3,) of the robot and the stamp [ns], the newest of the whole chain.
+        """Return the pose (3,) x, y [m], yaw [rad] of the robot and its stamp [ns], the newest of the chain.
 
         Raises
         ------
@@ -65,7 +65,7 @@ class Frames:
         """
         transform = self.buffer.lookup(self.control, self._base, self._clock())
         if transform.stamp is None:
-            raise TransformError(f"'{self.control}' -> '{self._base}' is static: a robot that drives moves in it")
+            raise TransformError(f"'{self.control}' -> '{self._base}' is static; publish it on /tf")
         return transform.transform.planar, transform.stamp
 
     def oldest(self) -> str:
@@ -76,7 +76,9 @@ class Frames:
             return ""
 
     def placement(self, frame: str, stamp: int) -> Placement | None:
-        """Return the placement of a reference in `frame` at `stamp` [ns; 0: now]; None if `frame` is the control frame.
+        """Return the placement of a reference in `frame` at `stamp` [ns]; None if `frame` is the control frame.
+
+        A stamp of 0 is the current time.
 
         Raises
         ------
@@ -88,7 +90,7 @@ class Frames:
 
 
 def moved_poses(poses: FloatArray, motion: FloatArray) -> FloatArray:
-    """Rotate poses (n, 3) by the theta of `motion` (3,), then translate them."""
+    """Rotate poses (n, 3) by the angle of `motion` (3,) about the origin, then translate them."""
     x, y, theta = motion
     cos, sin = np.cos(theta), np.sin(theta)
     return np.column_stack(
@@ -101,11 +103,12 @@ def moved_poses(poses: FloatArray, motion: FloatArray) -> FloatArray:
 
 
 class Placement:
-    """Placement of a reference in another frame relative to the control frame.
+    """Placement of a reference in a frame that differs from the control frame.
 
-    A frame that moves with the robot, such as its base, is looked up once, at the stamp of the reference: the reference
-    is then relative to the robot's pose at that time. Any other frame is fixed to the world, like the reference. It is
-    looked up at each call of `motion`, since the control frame drifts in it, and jumps after a localisation update.
+    A frame that moves with the robot, such as its base, is looked up once at the stamp of the reference, so the
+    reference is relative to the pose of the robot at that time. Any other frame is fixed to the world, like the
+    reference. This frame is looked up at each call of `motion`, since the control frame drifts relative to the world,
+    and jumps after a localisation update.
 
     Raises
     ------
@@ -125,7 +128,7 @@ class Placement:
             self.motion()
 
     def motion(self) -> FloatArray:
-        """Return the motion (3,): translation x, y [m], and the rotation theta [rad], which is applied first.
+        """Return the motion (3,): translation x, y [m] after the rotation theta [rad].
 
         Raises
         ------

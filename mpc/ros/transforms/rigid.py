@@ -1,4 +1,4 @@
-"""Rigid transforms in space, as on /tf, and their planar part."""
+"""Rigid transforms in space, as on /tf, and their planar components."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _CHORD_COSINE = 1.0 - 1e-9
 
 
 class Rigid(NamedTuple):
-    """Transform from coordinates of the child frame to those of the parent frame: rotation, then translation.
+    """Transform from coordinates in the child frame to coordinates in the parent frame: rotation, then translation.
 
     Attributes
     ----------
@@ -49,12 +49,12 @@ class Rigid(NamedTuple):
 
     def inverse(self) -> Rigid:
         """Return the inverse transform, from the parent frame to the child frame."""
-        back = Rigid(0.0, 0.0, 0.0, -self.qx, -self.qy, -self.qz, self.qw)
-        x, y, z = _rotate(back, self.x, self.y, self.z)
-        return back._replace(x=-x, y=-y, z=-z)
+        rotation = Rigid(0.0, 0.0, 0.0, -self.qx, -self.qy, -self.qz, self.qw)
+        x, y, z = _rotate(rotation, self.x, self.y, self.z)
+        return rotation._replace(x=-x, y=-y, z=-z)
 
     def towards(self, target: Rigid, share: float) -> Rigid:
-        """Interpolate between this (`share` 0) and `target` (1): a line in position, the shortest arc in attitude."""
+        """Interpolate from this transform (`share` 0) to `target` (1): linear in position, shortest arc in attitude."""
         start, end = np.array(self[3:]), np.array(target[3:])
         cosine = float(start @ end)
         if cosine < 0.0:
@@ -90,9 +90,9 @@ class Rigid(NamedTuple):
 IDENTITY = Rigid(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
-def _rotate(by: Rigid, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Rotate a vector by a quaternion q: v + 2 w (u x v) + 2 u x (u x v) for q = (u, w)."""
-    ux, uy, uz, w = by[3:]
+def _rotate(rotation: Rigid, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Rotate a vector v by the quaternion q = (u, w): v + 2 w (u x v) + 2 u x (u x v)."""
+    ux, uy, uz, w = rotation[3:]
     cx, cy, cz = uy * z - uz * y, uz * x - ux * z, ux * y - uy * x
     return (
         x + 2.0 * (w * cx + uy * cz - uz * cy),

@@ -1,1 +1,1 @@
-"""Paths of a planner, which are poses without times: interpretation, smoothing within a distance, and timing."""
+"""Conversion of planner paths, which are poses without times: interpretation, smoothing within a tube, and timing."""

@@ -1,4 +1,4 @@
-"""Conversion of a planner's path to a timed reference from the robot's position, with turns on the spot if needed."""
+"""Conversion of a planner path to a timed reference that starts at the robot, with turns on the spot if needed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from diffdrive_mpc.mpc.trajectories.smooth_path import SmoothPath, smooth_path
 from diffdrive_mpc.mpc.trajectories.smooth_segments import Nodes, turn_nodes
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 
-# Interpretation of a planner's poses: parts driven forwards, backwards, and turns.
+# Interpretation of the poses of a planner: parts that are driven forwards or backwards, and turns on the spot.
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,9 +31,9 @@ class DirectedPart:
     Attributes
     ----------
     points
-        (k, 2), k >= 2, x, y [m]; successive points differ.
+        (k, 2) x, y [m], k >= 2; consecutive points differ.
     sense
-        1 forwards, -1 backwards.
+        Direction of travel: 1 forwards, -1 backwards.
     first, last
         Headings of the poses at the ends [rad]; None if unknown.
     """
@@ -50,16 +50,17 @@ class DirectedPart:
 
 
 def read_runs(poses: FloatArray, robot: FloatArray, *, backwards: bool = True) -> list[DirectedPart]:
-    """Divide a path into parts where its direction changes.
+    """Divide a path into parts at the points where the direction of travel changes.
 
-    A part whose poses point against the travel is driven backwards; poses at one position with different headings are a
-    turn on the spot. Some planners set only the last heading, and all others to exactly 0. Headings of 0 are ignored if
-    they contradict the travel or the robot; such a path is driven forwards.
+    A part whose poses point against the direction of travel is driven backwards. Poses at the same position with
+    different headings are a turn on the spot. Some planners set only the last heading and leave the others at 0.
+    Headings of exactly 0 are ignored if they contradict the direction of travel or the heading of the robot; such a
+    path is driven forwards.
 
     Parameters
     ----------
     poses
-        (n, 3) x, y [m], theta [rad], finite.
+        (n, 3) finite x, y [m], theta [rad].
     robot
         (3,) pose of the robot.
     backwards
@@ -71,40 +72,40 @@ def read_runs(poses: FloatArray, robot: FloatArray, *, backwards: bool = True) -
         Parts in order of travel; empty if all poses are at one position.
     """
     settings = load_settings()
-    apart = np.hypot(*np.diff(poses[:, :2], axis=0).T) > settings.coincident
-    firsts = np.concatenate([[0], np.flatnonzero(apart) + 1])
+    is_apart = np.hypot(*np.diff(poses[:, :2], axis=0).T) > settings.coincident
+    firsts = np.concatenate([[0], np.flatnonzero(is_apart) + 1])
     lasts = np.concatenate([firsts[1:] - 1, [len(poses) - 1]])
     if firsts.size < 2:
         return []
     points = poses[firsts, :2]
-    # A path ends at the position of its last pose.
+    # The path ends exactly at the position of the last pose.
     points[-1] = poses[-1, :2]
-    arriving, leaving = poses[firsts, 2], poses[lasts, 2]
+    arrival_heading, departure_heading = poses[firsts, 2], poses[lasts, 2]
     step = np.diff(points, axis=0)
     lengths, travel = np.hypot(*step.T), np.arctan2(step[:, 1], step[:, 0])
-    alignment = np.cos(leaving[:-1] - travel)
+    alignment = np.cos(departure_heading[:-1] - travel)
     has_headings = _has_headings(poses, alignment, robot)
     senses = np.where(np.abs(alignment) < settings.sideways, 0, np.sign(alignment)).astype(int)
     if not (has_headings and backwards):
         senses = np.ones_like(senses)
     senses = _filter_senses(senses, lengths, settings.least_run)
-    turns = np.abs(wrap_angle(leaving - arriving)) > (settings.bendable if has_headings else np.inf)
-    cuts = [0, *(i for i in range(1, len(lengths)) if senses[i] != senses[i - 1] or turns[i]), len(lengths)]
+    turns = np.abs(wrap_angle(departure_heading - arrival_heading)) > (settings.bendable if has_headings else np.inf)
+    split_indices = [0, *(i for i in range(1, len(lengths)) if senses[i] != senses[i - 1] or turns[i]), len(lengths)]
     runs: list[DirectedPart] = []
-    for start, end in pairwise(cuts):
-        first = float(leaving[start]) if has_headings else None
-        last = float(arriving[end]) if has_headings or end == len(lengths) else None
+    for start, end in pairwise(split_indices):
+        first = float(departure_heading[start]) if has_headings else None
+        last = float(arrival_heading[end]) if has_headings or end == len(lengths) else None
         runs += _split_at_hairpins(DirectedPart(points[start : end + 1], int(senses[start]), first, last))
     max_reversals = settings.turns_allowed + settings.turns_per_metre * float(lengths.sum())
     if len(runs) - 1 > max_reversals:
         raise ConfigError(
-            f"path: it turns back {len(runs) - 1} times in {lengths.sum():.2f} m; smooth it, or plan another path"
+            f"path: it reverses {len(runs) - 1} times in {lengths.sum():.2f} m; smooth it, or plan another path"
         )
     return runs
 
 
 def _has_headings(poses: FloatArray, alignment: FloatArray, robot: FloatArray) -> bool:
-    """Return True if the headings before the last one are valid, not zeros of a planner without headings."""
+    """Return True if the headings except the last are valid, False if a planner has left them at 0."""
     if np.any(np.abs(poses[:-1, 2]) > 1e-9):
         return True
     sideways = bool(np.any(np.abs(alignment) < load_settings().sideways))
@@ -112,22 +113,22 @@ def _has_headings(poses: FloatArray, alignment: FloatArray, robot: FloatArray) -
 
 
 def _filter_senses(senses: FloatArray, lengths: FloatArray, min_length: float) -> FloatArray:
-    """Filter senses (m,) so that each lasts for `min_length` [m]; a pose without a sense gets the previous one."""
-    known = np.flatnonzero(senses)
-    steady = (
+    """Replace senses (m,) of sections shorter than `min_length` [m], and unknown senses, by those of neighbours."""
+    known_indices = np.flatnonzero(senses)
+    filtered = (
         np.ones_like(senses)
-        if not known.size
-        else senses[known[np.searchsorted(known[1:], np.arange(senses.size), side="right")]]
+        if not known_indices.size
+        else senses[known_indices[np.searchsorted(known_indices[1:], np.arange(senses.size), side="right")]]
     )
-    edges = [0, *(np.flatnonzero(np.diff(steady)) + 1).tolist(), steady.size]
+    edges = [0, *(np.flatnonzero(np.diff(filtered)) + 1).tolist(), filtered.size]
     for start, end in pairwise(edges):
         if lengths[start:end].sum() < min_length:
-            steady[start:end] = steady[start - 1] if start else steady[min(end, steady.size - 1)]
-    return np.asarray(steady)
+            filtered[start:end] = filtered[start - 1] if start else filtered[min(end, filtered.size - 1)]
+    return np.asarray(filtered)
 
 
 def _split_at_hairpins(run: DirectedPart) -> list[DirectedPart]:
-    """Split a part where the path turns back on itself."""
+    """Split a part at reversals, where the path turns back on itself."""
     settings = load_settings()
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(run.points, axis=0).T))])
     reach = settings.hairpin_length
@@ -139,17 +140,17 @@ def _split_at_hairpins(run: DirectedPart) -> list[DirectedPart]:
     vertex = run.points[inside]
     before, after = vertex - point_at(along[inside] - reach), point_at(along[inside] + reach) - vertex
     turn = np.abs(np.arctan2(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], (before * after).sum(axis=1)))
-    # Near a reversal the paths to it and from it cancel, so the chords are longest at the reversal itself.
+    # Near a reversal, incoming and outgoing path cancel, so the chords are longest exactly at the reversal.
     sharpness = np.hypot(*before.T) * np.hypot(*after.T)
-    cuts: list[int] = []
+    split_indices: list[int] = []
     for i in sorted(np.flatnonzero(turn > settings.hairpin), key=lambda i: -sharpness[i]):
         cut = int(inside[i])
-        index = bisect(cuts, cut)
-        # Only the adjacent cuts can be too near.
-        near = cuts[max(0, index - 1) : index + 1]
-        if all(abs(along[cut] - along[rival]) > reach for rival in near):
-            cuts.insert(index, cut)
-    edges = [0, *cuts, len(run.points) - 1]
+        index = bisect(split_indices, cut)
+        # Only the adjacent cuts can be too close.
+        neighbours = split_indices[max(0, index - 1) : index + 1]
+        if all(abs(along[cut] - along[other_cut]) > reach for other_cut in neighbours):
+            split_indices.insert(index, cut)
+    edges = [0, *split_indices, len(run.points) - 1]
     last = len(edges) - 2
     return [
         DirectedPart(
@@ -165,30 +166,30 @@ def _split_at_hairpins(run: DirectedPart) -> list[DirectedPart]:
 _PIECES = 3
 # Minimum number of points of a smoothed line.
 _MIN_POINTS = 8
-# Number of points beyond an end that define the direction of a line; maximum curvature of these points [1/m].
+# Number of points before or after a line that define its direction, and maximum curvature of these points [1/m].
 _BEYOND = 3
 _MAX_CURVATURE = 3.0
-# Minimum turn on the spot, less being rounding [rad], and speed below which the robot is at standstill [m/s].
+# Minimum turn on the spot, above rounding errors [rad], and speed below which the robot is at standstill [m/s].
 _NO_TURN, _STANDING = 1e-3, 0.02
 _MIN_INTERVAL = 1e-9  # [s]
 
 
 @dataclass(frozen=True, eq=False)
 class PlannedPath:
-    """Reference along a planner's path.
+    """Reference along a planner path.
 
     Attributes
     ----------
     reference
         Reference to track.
     length
-        Length of the path from the robot to its end [m].
+        Length of the path from the robot to the end of the path [m].
     deviation
-        Maximum distance of the reference from the planner's line [m], without the approach to the line.
+        Maximum distance of the reference from the polyline of the planner [m], without the approach of the robot.
     begins
         Distance of the robot from the start of the reference [m].
     note
-        Note for the result of a goal, such as a reduced speed; empty if there is none.
+        Note for the result of a goal, such as a reduced speed; empty without a note.
     """
 
     reference: SplineTrajectory
@@ -209,28 +210,28 @@ def lay_poses(
     backwards: bool = True,
     name: str = "path",
 ) -> PlannedPath:
-    """Create a reference along a planner's poses, which ends at rest at the last pose, including its heading.
+    """Create a reference along the poses of a planner, which ends at rest at the last pose, including its heading.
 
-    It starts at the robot's position along the path with the robot's twist, so that a new path replaces the previous
-    one without a stop. It stops at reversals and at turns on the spot: before the path if the robot at standstill has
-    another heading, and at the end if the heading of the goal differs from that of the path.
+    The reference starts near the robot with the robot's twist, so that a new path replaces the previous path without a
+    stop. It stops at reversals and at turns on the spot. There is a turn before the path if a robot at standstill has
+    another heading, and a turn at the end if the heading of the goal differs from that of the path.
 
     Parameters
     ----------
     poses
         (n, 3), n >= 2: x, y [m], theta [rad].
     limits
-        Limits of speed and acceleration; with a minimum turn radius there are no turns on the spot.
+        Speed and acceleration limits; a minimum turn radius excludes turns on the spot.
     robot
         (3,) pose of the robot in the frame of the poses.
     twist
         Forward speed [m/s] and yaw rate [rad/s] of the robot.
     deviation
-        Maximum distance between the reference and the planner's line [m].
+        Maximum distance of the reference from the polyline of the planner [m].
     max_offset
         Maximum distance of the robot from the path at which the reference starts at the robot [m].
     backwards
-        True to drive parts backwards whose poses point against the travel.
+        True to drive parts backwards if their poses point against the direction of travel.
     name
         Name of the reference.
 
@@ -238,7 +239,7 @@ def lay_poses(
     ------
     models.checked_yaml.ConfigError
         If there are too few poses, a pose is not finite, the path is too long or has too many reversals, or all poses
-        are at one position and no turn is needed or allowed there.
+        are at one position and no turn is needed or allowed.
     """
     settings = load_settings()
     _check(poses, settings.longest)
@@ -246,67 +247,67 @@ def lay_poses(
     runs = read_runs(poses, robot, backwards=backwards)
     nodes: list[Nodes] = []
     speed, yaw_rate = twist
-    standing = abs(speed) < _STANDING
-    bend = 0.0 if standing else max(-_MAX_CURVATURE, min(_MAX_CURVATURE, yaw_rate / abs(speed)))
+    is_standing = abs(speed) < _STANDING
+    bend = 0.0 if is_standing else max(-_MAX_CURVATURE, min(_MAX_CURVATURE, yaw_rate / abs(speed)))
     may_turn = not limits.min_turn_radius
     pose = np.array([*poses[0, :2], robot[2]])
-    off = 0.0
+    max_distance = 0.0
     for index, run in enumerate(runs):
         line, ends, drawn = _smooth_line(run, pose if index == 0 else None, bend, deviation, max_offset)
-        off = max(off, float(drawn.max()))
+        max_distance = max(max_distance, float(drawn.max()))
         path = _heading_path(line, ends, run.sense)
         gap = float(wrap_angle(path.heading[0] - pose[2]))
         begins = max(0.0, run.sense * speed * math.cos(gap)) if index == 0 else 0.0
-        if may_turn and (index or (standing and abs(gap) > settings.bendable)) and abs(gap) > _NO_TURN:
+        if may_turn and (index or (is_standing and abs(gap) > settings.bendable)) and abs(gap) > _NO_TURN:
             nodes += _turn(np.array([*path.points[0], pose[2]]), gap, limits)
         square = squared_speeds(
             path.lengths, path.bend, path.bend_change, limits, math.inf, lateral=True, enter=begins, sense=run.sense
         )
-        times, laid, rates = time_path(path, square, limits, run.sense)
+        times, node_poses, rates = time_path(path, square, limits, run.sense)
         nodes.append(
-            (times, laid, rates, np.interp(np.linspace(0, 1, len(times)), np.linspace(0, 1, len(drawn)), drawn))
+            (times, node_poses, rates, np.interp(np.linspace(0, 1, len(times)), np.linspace(0, 1, len(drawn)), drawn))
         )
-        pose = laid[-1]
+        pose = node_poses[-1]
     gap = float(wrap_angle(poses[-1, 2] - pose[2]))
     if may_turn and abs(gap) > _NO_TURN:
         nodes += _turn(np.array([*poses[-1, :2], pose[2]]), gap, limits)
     if not nodes:
-        raise ConfigError("path: all poses are at one position, and no turn is needed or allowed there")
+        raise ConfigError("path: all poses are at one position, and no turn is needed or allowed")
     reference = _join(nodes, float(robot[2]), name)
     start = reference.sample([0.0]).pose[0]
-    return PlannedPath(reference, sum(run.length for run in runs), off, float(np.hypot(*(start - robot)[:2])))
+    return PlannedPath(reference, sum(run.length for run in runs), max_distance, float(np.hypot(*(start - robot)[:2])))
 
 
-def _check(poses: FloatArray, longest: float) -> None:
+def _check(poses: FloatArray, max_length: float) -> None:
     if len(poses) < 2:
         raise ConfigError(f"path: it has {len(poses)} poses; give at least two")
-    wrong = np.flatnonzero(~np.isfinite(poses).all(axis=1))
-    if wrong.size:
-        raise ConfigError(f"path: pose {wrong[0]} is not finite")
+    invalid = np.flatnonzero(~np.isfinite(poses).all(axis=1))
+    if invalid.size:
+        raise ConfigError(f"path: pose {invalid[0]} is not finite")
     length = float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())
-    if length > longest:
-        raise ConfigError(f"path: its length is {length:.3g} m, at most {longest:g} m: are positions in m?")
+    if length > max_length:
+        raise ConfigError(f"path: its length is {length:.3g} m, at most {max_length:g} m: are positions in m?")
 
 
 def remaining_poses(poses: FloatArray, robot: FloatArray) -> FloatArray:
-    """Return the poses (n, 3) ahead of `robot` (3,), which has moved since the path was planned."""
+    """Return the part of the poses (n, 3) ahead of `robot` (3,), which has moved since the path was planned."""
     step = np.diff(poses[:, :2], axis=0)
     lengths = np.hypot(*step.T)
     along = np.concatenate([[0.0], np.cumsum(lengths)])
     gap = robot[:2] - poses[:-1, :2]
     share = np.clip((gap * step).sum(axis=1) / np.maximum(lengths**2, 1e-12), 0.0, 1.0)
-    feet = poses[:-1, :2] + share[:, None] * step
-    distance = np.hypot(*(feet - robot[:2]).T)
-    # The search is limited to the distance that the robot can have driven, since the path may pass this position again.
-    near = along[:-1] <= 2.0 * float(np.hypot(*(robot - poses[0])[:2])) + load_settings().spacing
+    closest_points = poses[:-1, :2] + share[:, None] * step
+    distance = np.hypot(*(closest_points - robot[:2]).T)
+    # The path may pass the same position again, so the search is limited to the distance that the robot can cover.
+    is_near = along[:-1] <= 2.0 * float(np.hypot(*(robot - poses[0])[:2])) + load_settings().spacing
     # The search also ends at a reversal.
-    back = np.flatnonzero((step[1:] * step[:-1]).sum(axis=1) < 0)
-    if back.size:
-        near[back[0] + 1 :] = False
-    nearest = int(np.argmin(np.where(near, distance, np.inf)))
+    reversals = np.flatnonzero((step[1:] * step[:-1]).sum(axis=1) < 0)
+    if reversals.size:
+        is_near[reversals[0] + 1 :] = False
+    nearest = int(np.argmin(np.where(is_near, distance, np.inf)))
     if nearest == 0 and share[0] == 0.0:
         return poses
-    first = np.array([*feet[nearest], poses[nearest, 2]])
+    first = np.array([*closest_points[nearest], poses[nearest, 2]])
     return np.concatenate([first[None], poses[nearest + 1 :]])
 
 
@@ -316,10 +317,10 @@ _Ends = tuple[float | None, float | None]
 def _smooth_line(
     run: DirectedPart, robot: FloatArray | None, bend: float, deviation: float, max_offset: float
 ) -> tuple[FloatArray, _Ends, FloatArray]:
-    """Fit a smooth line (m, 2) along a part; return it with its end headings and its distances from the part (m,) [m].
+    """Fit a smooth line (m, 2) to a part; return the line, its end headings, and its distances from the part (m,) [m].
 
-    With `robot` (3,) the line starts at the robot if the part starts at most `max_offset` [m] from it. It starts with
-    the robot's heading if the line can bend accordingly, and with the robot's current curvature `bend` [1/m].
+    With `robot` (3,), the line starts at the robot if the distance of the part is at most `max_offset` [m]. It starts
+    with the robot's heading if the difference of headings is small enough, and with the curvature `bend` [1/m].
     """
     settings = load_settings()
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(run.points, axis=0).T))])
@@ -346,22 +347,22 @@ def _smooth_line(
         if abs(float(wrap_angle(travel - math.atan2(chord[1], chord[0])))) > settings.bendable:
             continue
         ends[-1] = travel
-        # Points beyond the end, on the arc or straight line that the line continues.
+        # Additional points beyond the end, on the arc or straight line with the given direction.
         beyond = spacing * np.arange(1, _BEYOND + 1)
         turn = -0.5 * beyond * (bend if side > 0 and robot is not None else 0.0)
         direction = travel + turn
-        more = target[end] - side * beyond[:, None] * np.column_stack([np.cos(direction), np.sin(direction)])
-        parts = [more[::-1], *parts] if side > 0 else [*parts, more]
+        extension = target[end] - side * beyond[:, None] * np.column_stack([np.cos(direction), np.sin(direction)])
+        parts = [extension[::-1], *parts] if side > 0 else [*parts, extension]
     line = np.concatenate(parts)
     before = _BEYOND if ends[0] is not None else 0
-    pinned = np.ones(len(line), dtype=bool)
-    pinned[before + 1 : before + count - 1] = False
-    smooth = smooth_in_tube(line, spacing, deviation, settings.smoothing_length, pinned)[before : before + count]
+    is_fixed = np.ones(len(line), dtype=bool)
+    is_fixed[before + 1 : before + count - 1] = False
+    smooth = smooth_in_tube(line, spacing, deviation, settings.smoothing_length, is_fixed)[before : before + count]
     return smooth, (ends[0], ends[1]), np.where(is_approach, 0.0, np.hypot(*(smooth - points).T))
 
 
 def _heading_path(line: FloatArray, ends: _Ends, sense: int) -> SmoothPath:
-    """Return the smooth path along a line, with the robot's heading instead of the direction of travel."""
+    """Return the smooth path along a line, with the heading of the robot instead of the direction of travel."""
     path = smooth_path(line, "path", _PIECES, ends)
     if sense > 0:
         return path
@@ -369,20 +370,20 @@ def _heading_path(line: FloatArray, ends: _Ends, sense: int) -> SmoothPath:
 
 
 def _turn(pose: FloatArray, angle: float, limits: TrajectoryLimits) -> list[Nodes]:
-    fastest = side_of(limits.omega, angle)
-    segment = Segment(v=0.0, omega=math.copysign(fastest, angle), duration=abs(angle) / fastest)
+    max_rate = side_of(limits.omega, angle)
+    segment = Segment(v=0.0, omega=math.copysign(max_rate, angle), duration=abs(angle) / max_rate)
     return list(turn_nodes([segment], pose, limits))
 
 
 def _join(nodes: list[Nodes], heading: float, name: str) -> SplineTrajectory:
-    """Join consecutive parts, whose headings may differ by whole turns; the first part starts near `heading`."""
+    """Join consecutive parts, and add multiples of 2 pi to their headings; the first part starts near `heading`."""
     time = 0.0
     parts: list[Nodes] = []
     for times, poses, rates, drawn in nodes:
         whole = math.tau * round((heading - poses[0, 2]) / math.tau)
         shifted = poses + [0.0, 0.0, whole]
-        # Of two nodes at the same time, from rounding in a short turn or at the joint of two parts, the first is kept.
-        new = np.diff(times, prepend=-1.0 if not parts else 0.0) > _MIN_INTERVAL
-        parts.append((time + times[new], shifted[new], rates[new], drawn[new]))
+        # Rounding can result in two nodes at the same time, of which only the first is used.
+        is_later = np.diff(times, prepend=-1.0 if not parts else 0.0) > _MIN_INTERVAL
+        parts.append((time + times[is_later], shifted[is_later], rates[is_later], drawn[is_later]))
         time, heading = time + float(times[-1]), float(shifted[-1, 2])
     return SplineTrajectory.through(name, *(np.concatenate(rows) for rows in zip(*parts, strict=True)))

@@ -1,8 +1,8 @@
-"""Smoothing of a line within a tube, such as a staircase of grid cells within an allowed deviation.
+"""Smoothing of a line within a tube, for instance of a staircase of grid cells.
 
-Whittaker's smoother (Proc. Edinburgh Math. Soc. 41, 1923) minimises the sum of squared third differences and of the
-weighted squared distances from the points. The weights are computed iteratively: the weight of a point increases if its
-distance exceeds the tube and decreases if there is space, until the line uses the tube where it has to bend.
+Whittaker's smoother (Proc. Edinburgh Math. Soc. 41, 1923) minimises the sum of squared third differences and weighted
+squared distances from the points. The weights are computed iteratively. The weight of a point increases if its distance
+is near or beyond the tube, otherwise it decreases, so that the line uses the width of the tube in bends.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ _DIFFERENCE = np.array([-1.0, 3.0, -3.0, 1.0])
 _PINNED = 1e8
 _MIN_WEIGHT, _MAX_WEIGHT = 1e-3, 1e6
 _MIN_FACTOR, _MAX_FACTOR = 0.3, 4.0
-# Target distance as a share of the tube; minimum and maximum number of iterations.
+# Target distance as a share of the tube [-]; minimum and maximum number of iterations.
 _AIM, _MIN_ITERATIONS, _MAX_ITERATIONS = 0.85, 8, 80
 
 
 def smooth_in_tube(points: FloatArray, spacing: float, tube: float, length: float, pinned: FloatArray) -> FloatArray:
-    """Smooth `points` (n, 2), n >= 4, `spacing` [m] apart.
+    """Smooth a line of evenly spaced points within a tube.
 
     Parameters
     ----------
     points
-        (n, 2) x, y [m].
+        (n, 2) x, y [m], n >= 4.
     spacing
-        Distance between successive points along the line [m].
+        Distance between consecutive points [m].
     tube
-        Maximum distance from the points [m]. If it is not reached within the maximum number of iterations, the result
-        is the line with the smallest maximum distance.
+        Maximum distance from the points [m]. If the iterations do not reach this distance, the result is the line with
+        the lowest maximum distance.
     length
-        Shorter waves are removed where the tube permits it [m].
+        Wavelength below which waves are removed, as far as the tube permits [m].
     pinned
-        (n,) True for points that are kept.
+        (n,) True for fixed points.
 
     Returns
     -------
@@ -70,30 +70,30 @@ def smooth_in_tube(points: FloatArray, spacing: float, tube: float, length: floa
     return np.asarray(best)
 
 
-# Settings for the interpretation and smoothing of a planner's path.
+# Settings of the interpretation and smoothing of a planner path.
 
 
 Positive = Annotated[float, Field(gt=0)]
 
 
 class PlannedSettings(StrictModel):
-    """Resolutions and thresholds; distances in m, angles in rad."""
+    """Resolutions and thresholds of the conversion of planner paths."""
 
     coincident: Positive = Field(description="distance below which poses count as one position [m]")
     spacing: Positive = Field(description="distance between smoothed points [m]")
-    smoothing_length: Positive = Field(description="shorter waves of a path are removed [m]")
-    bendable: Positive = Field(description="maximum difference of an end heading that bends the path [rad]")
-    sideways: Positive = Field(description="minimum |cos| between heading and travel that defines the direction [-]")
-    least_run: Positive = Field(description="minimum length of a part of one direction; less is noise [m]")
+    smoothing_length: Positive = Field(description="wavelength below which waves of a path are removed [m]")
+    bendable: Positive = Field(description="maximum end heading difference reached by bending [rad]")
+    sideways: Positive = Field(description="minimum |cos| between heading and travel for a sense [-]")
+    least_run: Positive = Field(description="minimum length of a part with one sense; shorter parts are noise [m]")
     hairpin: Positive = Field(description="turn of a path above which the robot reverses on the spot [rad]")
-    hairpin_length: Positive = Field(description="distance to both sides over which a hairpin is detected [m]")
+    hairpin_length: Positive = Field(description="distance on both sides over which a turn is measured [m]")
     join: Positive = Field(description="length of the approach from the robot to the path [m]")
     turns_per_metre: Positive = Field(description="maximum number of reversals per metre of a path [1/m]")
-    turns_allowed: Annotated[int, Field(ge=0)] = Field(description="additional reversals that are allowed [-]")
+    turns_allowed: Annotated[int, Field(ge=0)] = Field(description="number of additional allowed reversals [-]")
     longest: Positive = Field(description="maximum length of a path [m]")
 
 
 @cache
 def load_settings() -> PlannedSettings:
-    """Read the settings that ship with the package."""
+    """Read the settings of the package."""
     return load_checked(PlannedSettings, Path(__file__).parent / "settings.yaml")

@@ -303,7 +303,7 @@ def test_the_way_back_to_the_path_does_not_cut_through_what_stands():
         robot.advance(step.command)
         (gap,), _ = least_gaps(footprint, pieces, np.array([robot.true_pose]), np.zeros(1), FAR)
         assert gap > 0.01
-    assert words & {"no way: nothing free leads back to the path"} or any("rejoining" in word for word in words)
+    assert words & {"no way: no free path leads back to the reference"} or any("rejoining" in word for word in words)
 
 
 CIRCLE = load_trajectory("circle")

@@ -103,7 +103,7 @@ BAD_GRIDS = {
         "cells, at most 250,000|300[0-9]+ bytes",
     ),
     "origin NaN": (change(info__origin__position__x=math.nan), "not finite"),
-    "no orientation": (change(info__origin__orientation__w=0.0), "no unit quaternion"),
+    "no orientation": (change(info__origin__orientation__w=0.0), "not a unit quaternion"),
     "resolution 0": (change(info__resolution=0.0), "resolution 0.0 m"),
     "cells": (cells_of([-128]), "cells from -128"),
     "pieces": (cells_of([*[100, 0] * 60, *[0] * 120]), "rectangles|pieces"),

@@ -2,11 +2,13 @@
 
     python packages/extras/tests/tubes_of_foreign_robots.py FOLDER tyres:10 belts:11 castors:12
 
-Each robot drives its path six times, "s" with an odd seed and a drawn spline with an even one. FOLDER keeps logs,
-models and errors. With `--oracle N` it drives N times, and their tube is the oracle's.
+Each robot is identified as SM and as SSM; each model drives two of five paths five times. FOLDER keeps logs, models and
+errors, and `rows.csv` gets a row for each path as it is driven. With `--oracle N` each path is driven N times more, and
+the tube of these drives is the oracle's. A robot that has a model in FOLDER is not identified again.
 """
 
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,11 +25,12 @@ from diffdrive_mpc_extras.excitation.excite import check_drive, excite_model
 from diffdrive_mpc_extras.excitation.model_excitation import Room
 from diffdrive_mpc_extras.predicted_error.drives import absolute_errors, drive_case, predict_by_drives, tube
 
-_DRIVES, _DRAWS, _SEED = 6, 40, 9000
+_DRIVES, _SEED = 5, 9000
+_PATHS = ("s", "circle", "spline", "square", "cane")
 
 
-def identified(folder, make, structure="sm"):
-    """Drive a robot for 120 s in 6 by 6 m, and write model, configuration and robot of the log; return the second."""
+def excited(folder, make):
+    """Drive a robot for 120 s in 6 by 6 m; return the log."""
     excitation = excite_model("ssm", Room(6.0, 6.0), seconds=120.0, seed=7)
     path, log = folder / "excitation.yaml", folder / "log.csv"
     excitation.write(path)
@@ -36,45 +39,58 @@ def identified(folder, make, structure="sm"):
     check_drive(run, excitation.room)
     with run_log(log) as write:
         write(run, excitation.case)
-    identification = identify([log], structure=structure)
-    if identification.refusal:
-        raise ValueError(identification.refusal)
-    identification.write_model(folder)
-    write_robot(identified_robot(identification, load_config(folder / "config.yaml")), folder / "robot.yaml")
-    return str(folder / "config.yaml")
+    return log
 
 
-def measure(folder, kind, robot, drives):
-    """Print the drives inside both tubes of one robot, and widths in mm."""
+def identified(folder, make, structure="sm"):
+    """Write model, configuration and robot of the log in `folder`, driven if it is missing; return the second."""
+    log, part = folder / "log.csv", folder / structure
+    if not (part / "robot.yaml").exists():
+        identification = identify([log if log.exists() else excited(folder, make)], structure=structure)
+        if identification.refusal:
+            raise ValueError(identification.refusal)
+        part.mkdir(exist_ok=True)
+        identification.write_model(part)
+        write_robot(identified_robot(identification, load_config(part / "config.yaml")), part / "robot.yaml")
+    return str(part / "config.yaml")
 
-    def make(seed):
-        return FOREIGN[kind](robot, seed)
 
-    config = identified(folder, make)
-    trajectory = "s" if robot % 2 else f"spline-{330200 + robot}"
-    predicted = predict_by_drives(config, trajectory, own_plant(config), _DRAWS)
+def measure(config, make, trajectory, oracle):
+    """Return for each direction drives inside, width, width of the oracle and largest error in mm."""
+    predicted = predict_by_drives(config, trajectory, own_plant(config))
     reference, loaded = load_reference(drive_case(config, trajectory, own_plant(config), 0)), load_config(config)
-    runs = (simulate(Controller(loaded), make(_SEED + seed), reference) for seed in range(drives))
+    runs = (simulate(Controller(loaded), make(_SEED + seed), reference) for seed in range(_DRIVES + oracle))
     errors = np.array([absolute_errors(run, len(predicted.time)) for run in runs])
-    np.savez(folder / "errors.npz", errors=errors)
-    for number, direction in enumerate(("lateral", "along")):
-        width, driven = getattr(predicted, direction).everywhere, errors[:, number]
-        oracle = tube(driven, loaded.sample_time).everywhere.mean() if drives > _DRAWS else np.nan
-        inside = np.count_nonzero((driven <= width).all(axis=1))
-        sys.stdout.write(
-            f"{kind}:{robot} {trajectory} {direction}: {inside} of {drives} inside, width {1e3 * width.mean():.1f} mm, "
-            f"largest error {1e3 * driven.max():.1f} mm, oracle {1e3 * oracle:.1f} mm\n"
-        )
+    widths = [predicted.lateral.everywhere, predicted.along.everywhere]
+    np.savez(Path(config).with_name(f"{trajectory}.npz"), errors=errors, widths=widths)
+    for width, driven in zip(widths, errors.swapaxes(0, 1), strict=True):
+        best = tube(driven[_DRIVES:], loaded.sample_time).everywhere.mean() if oracle else np.nan
+        yield np.count_nonzero((driven[:_DRIVES] <= width).all(axis=1))
+        yield from (1e3 * np.array([width.mean(), best, driven.max()])).round(2)
+
+
+def main(folder, names, oracle):
+    """Measure all robots, and write a row for each path."""
+    folder.mkdir(exist_ok=True)
+    with (folder / "rows.csv").open("a") as file:
+        for name in names:
+            part = folder / name.replace(":", "-")
+            part.mkdir(exist_ok=True)
+            kind, _, number = name.partition(":")
+            make, number = partial(FOREIGN[kind], int(number)), int(number)
+            for place, structure in ((number, "sm"), (number + 2, "ssm")):
+                for path in (_PATHS[place % 5], _PATHS[(place + 1) % 5]):
+                    trajectory = f"spline-{330200 + number}" if path == "spline" else path
+                    try:
+                        row = measure(identified(part, make, structure), make, trajectory, oracle)
+                        cells = [*row]
+                    except ValueError as error:
+                        cells = [f"no tube: {error}".replace(",", ";")]
+                    print(name, structure, trajectory, *cells, sep=",", file=file, flush=True)
 
 
 if __name__ == "__main__":
     arguments = sys.argv[1:]
-    count = int(arguments.pop(arguments.index("--oracle") + 1)) if "--oracle" in arguments else _DRIVES
+    count = int(arguments.pop(arguments.index("--oracle") + 1)) if "--oracle" in arguments else 0
     out, *robots = (argument for argument in arguments if argument != "--oracle")
-    for name in robots:
-        part = Path(out) / name.replace(":", "-")
-        part.mkdir(parents=True, exist_ok=True)
-        try:
-            measure(part, name.partition(":")[0], int(name.partition(":")[2]), count)
-        except ValueError as error:
-            sys.stdout.write(f"{name}: no tube: {error}\n")
+    main(Path(out), robots, count)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 _CODE = "from diffdrive_mpc.app.cli import main; main()"
 _ALARMING = re.compile(
-    r"Traceback|\[FATAL\]|FAULT: |Segmentation|core dumped|terminate called|cannot be replayed from here"
+    r"Traceback|\[FATAL\]|FAULT: |Segmentation|core dumped|terminate called|ticks cannot be replayed"
 )
 
 
