@@ -1,4 +1,4 @@
-"""Effects around the linear dynamics of a real base: limits of the command before them, slip after them.
+"""Effects of a real base around its linear dynamics: limits of the command, and slip of the body.
 
 `TwistRange`, `TwistSlew` and `WheelCommand` precede the velocity model; `YawRelaxation` and `Veer` follow it.
 `PoseMount` is the position of the pose sensor. Each is optional; `BaseEffects` is their group in a model file, and
@@ -19,36 +19,38 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.two_sided import BaseSlewLimit, BaseVelocityLimit, BaseYawRateLimit, reached, sides_of
 from diffdrive_mpc.models.velocity_model import VelocityModel
 
-# A rate that no command of a robot needs [m/s^2 or rad/s^2].
-_AT_ONCE = 1e6
-# A speed this close below a step, in steps, counts as on it: it came from rounded decimals.
-_ON_STEP = 1e-9
+# Rate above those of all robots, used instead of infinity [m/s^2 or rad/s^2].
+_UNLIMITED_RATE = 1e6
+# Tolerance for speeds at a step with rounded decimals [steps].
+_ROUNDING = 1e-9
 KINDS = ("upper", "lower", "accelerate", "brake")
-"""Largest command above and below zero [units of the input]; rates at which its size grows and falls [the same / s]."""
+"""Kinds of limits: maximum command above and below zero [units of the input], maximum rates at which its magnitude
+increases and decreases [units of the input per second].
+"""
 PARTS = 4
-"""Inside a sample the base ramps; its limited command is held over this fraction of a sample."""
+"""Number of parts of a sample for ramps inside the base; the limited command is constant in each part."""
 
 
 class TwistSlew(StrictModel):
-    """Slope limits of the commanded twist inside the base, each channel on its own; one left out has no limit.
+    """Separate slew limits of each channel of the commanded twist inside the base; None means no limit.
 
-    A controller whose own slew limits are no wider never meets them, and its linear model then holds.
+    If the slew limits of the controller are not wider, these limits stay inactive and its linear model is valid.
     """
 
     v: BaseSlewLimit | None = Field(
         default=None,
-        description="largest slope of v_ref that the base follows; a number, or {accelerate, brake} [m/s^2]",
+        description="maximum slope of v_ref that the base follows; a number, or {accelerate, brake} [m/s^2]",
     )
     omega: BaseSlewLimit | None = Field(
         default=None,
-        description="largest slope of omega_ref that the base follows; a number, or {accelerate, brake} [rad/s^2]",
+        description="maximum slope of omega_ref that the base follows; a number, or {accelerate, brake} [rad/s^2]",
     )
 
     @property
     def _rates(self) -> FloatArray:
-        """(2, 2) largest rate at which the size of v, omega grows and falls; finite, so that ramps have a duration."""
+        """(2, 2) maximum rates of increase and decrease of |v| and |omega|; finite, so that ramps have a duration."""
         limits = (sides_of(np.inf if limit is None else limit) for limit in (self.v, self.omega))
-        return np.minimum(list(limits), _AT_ONCE)
+        return np.minimum(list(limits), _UNLIMITED_RATE)
 
     def step(self, previous: ArrayLike, command: ArrayLike, dt: float) -> FloatArray:
         """Return the twist (..., 2) that the base reaches `dt` seconds after `previous` on the path to `command`."""
@@ -61,79 +63,80 @@ class TwistSlew(StrictModel):
 
 
 def ramps(commands: FloatArray, rates: FloatArray, start: float) -> FloatArray:
-    """Return what follows commands (K,) from `start`, its size growing and falling by at most `rates` (2,) a sample.
+    """Return commands (K,) with limited changes from `start`.
 
-    One ramp for each run of equal commands, in samples: a position on the way is the number of samples from zero.
+    The magnitude increases by at most `rates[0]` and decreases by at most `rates[1]` per sample. Each run of equal
+    commands has one ramp; a position on it is the number of samples from zero.
     """
     if not len(commands):
         return np.empty(0)
     first = np.flatnonzero(np.concatenate([[True], np.diff(commands) != 0]))
     counts = np.diff(np.append(first, len(commands)))
-    grows, falls = rates.tolist()
-    befores, last, near = [], start, min(grows, falls)
-    # Plain numbers: a log may well change its command at every sample.
+    increase, decrease = rates.tolist()
+    starts, last, slowest = [], start, min(increase, decrease)
+    # Python floats are faster here, because the command of a log may change at every sample.
     for target, count in zip(commands[first].tolist(), counts.tolist(), strict=True):
-        befores.append(last)
+        starts.append(last)
         change = target - last
-        if -near * count <= change <= near * count:
+        if -slowest * count <= change <= slowest * count:
             last = target
             continue
-        above, below = (grows, falls) if change > 0 else (falls, grows)
+        above, below = (increase, decrease) if change > 0 else (decrease, increase)
         end = target / (above if target > 0 else below)
         gap = last / (above if last > 0 else below) - end
-        left = abs(gap) - count
-        position = end + (left if gap > 0 else -left)
-        last = position * (above if position > 0 else below) if left > 0 else target
-    before = np.repeat(befores, counts)
-    above, below = np.where(commands > before, [[grows], [falls]], [[falls], [grows]])
+        remaining = abs(gap) - count
+        position = end + (remaining if gap > 0 else -remaining)
+        last = position * (above if position > 0 else below) if remaining > 0 else target
+    before = np.repeat(starts, counts)
+    above, below = np.where(commands > before, [[increase], [decrease]], [[decrease], [increase]])
     end = commands / np.where(commands > 0, above, below)
     gap = before / np.where(before > 0, above, below) - end
-    left = np.abs(gap) - (np.arange(len(commands)) - np.repeat(first, counts) + 1)
-    position = end + np.sign(gap) * left
-    return np.asarray(np.where(left > 0, position * np.where(position > 0, above, below), commands))
+    remaining = np.abs(gap) - (np.arange(len(commands)) - np.repeat(first, counts) + 1)
+    position = end + np.sign(gap) * remaining
+    return np.asarray(np.where(remaining > 0, position * np.where(position > 0, above, below), commands))
 
 
 def limited(inputs: FloatArray, limit: FloatArray, dt: float, start: FloatArray) -> FloatArray:
-    """Return the inputs (K, m) that a base with limits (m, 4) carries out, each the mean over its sample of `dt` [s].
+    """Return the inputs (K, m) after the limits (m, 4) of a base, as means over samples of `dt` [s].
 
-    The base has reached `start` (m,) before sample 0.
+    The limited input before sample 0 is `start` (m,).
     """
-    taken = np.clip(inputs, -limit[:, 1], limit[:, 0])
-    for j, rates in enumerate(np.minimum(limit[:, 2:], _AT_ONCE)):
-        if rates.min() < _AT_ONCE:
-            finer = ramps(np.repeat(taken[:, j], PARTS), rates * dt / PARTS, float(start[j]))
-            taken[:, j] = finer.reshape(-1, PARTS).mean(axis=1)
-    return np.asarray(taken)
+    values = np.clip(inputs, -limit[:, 1], limit[:, 0])
+    for j, rates in enumerate(np.minimum(limit[:, 2:], _UNLIMITED_RATE)):
+        if rates.min() < _UNLIMITED_RATE:
+            part_values = ramps(np.repeat(values[:, j], PARTS), rates * dt / PARTS, float(start[j]))
+            values[:, j] = part_values.reshape(-1, PARTS).mean(axis=1)
+    return np.asarray(values)
 
 
 class TwistRange(StrictModel):
-    """Largest twist that the base carries out, on each side; a channel left out has no limit."""
+    """Maximum twist of the base on each side; None means no limit."""
 
-    v: BaseVelocityLimit | None = Field(default=None, description="largest |v|; a number, or {forward, reverse} [m/s]")
+    v: BaseVelocityLimit | None = Field(default=None, description="maximum |v|; a number, or {forward, reverse} [m/s]")
     omega: BaseYawRateLimit | None = Field(
-        default=None, description="largest |omega|; a number, or {left, right} [rad/s]"
+        default=None, description="maximum |omega|; a number, or {left, right} [rad/s]"
     )
 
     def apply(self, twist: ArrayLike) -> FloatArray:
-        """Return a twist (..., 2) cut to the range."""
+        """Clip a twist (..., 2) to the range."""
         upper, lower = np.transpose([sides_of(np.inf if limit is None else limit) for limit in (self.v, self.omega)])
         return np.asarray(np.clip(np.asarray(twist, dtype=float), -lower, upper))
 
 
 class WheelCommand(StrictModel):
-    """Static map of a base that turns (v, omega) into one rim speed for each side.
+    """Static map of a base from (v, omega) to the rim speed of each side.
 
-    Rim speeds are cut to `top_speed` and towards zero to whole steps of `resolution`. A side asked for less than one
-    step is not held: it rolls along with the other side, up to `coasting_speed`. Observed on a Husky A200: with one
-    side asked for less than 0.01 m/s, its wheels turned with the other side's up to 0.5 rad/s.
+    Rim speeds are clipped to `top_speed` and truncated to whole steps of `resolution`. A side with a command below one
+    step is not controlled: it follows the other side up to `coasting_speed`. This was observed on a Husky A200: with a
+    command below 0.01 m/s for one side, its wheels followed those of the other side up to 0.5 rad/s.
     """
 
-    track: float = Field(gt=0, description="track by which the base turns omega_ref into rim speeds [m]")
-    resolution: float = Field(default=0.0, ge=0, description="step of the commanded rim speed, cut towards zero [m/s]")
+    track: float = Field(gt=0, description="track by which the base converts omega_ref to rim speeds [m]")
+    resolution: float = Field(default=0.0, ge=0, description="step to which rim speeds are truncated [m/s]")
     coasting_speed: float = Field(
-        default=0.0, ge=0, description="rim speed up to which an unheld side rolls along [m/s]"
+        default=0.0, ge=0, description="maximum rim speed of an uncontrolled side that coasts [m/s]"
     )
-    top_speed: float | None = Field(default=None, gt=0, description="rim speed that the motors can reach [m/s]")
+    top_speed: float | None = Field(default=None, gt=0, description="maximum rim speed of the motors [m/s]")
 
     @model_validator(mode="after")
     def _reachable(self) -> WheelCommand:
@@ -150,55 +153,56 @@ class WheelCommand(StrictModel):
         return np.stack([v - half, v + half], axis=-1)
 
     def twist(self, sides: ArrayLike) -> FloatArray:
-        """Return the twists (..., 2) of rim speeds (..., 2): the exact inverse of `sides`."""
+        """Return the twists (..., 2) of rim speeds (..., 2), the exact inverse of `sides`."""
         left, right = np.moveaxis(np.asarray(sides, dtype=float), -1, 0)
         return np.stack([0.5 * (left + right), (right - left) / self.track], axis=-1)
 
     def apply(self, twist: ArrayLike) -> FloatArray:
         """Return the twists (..., 2) commanded to the motors, in the units of the command."""
-        held = self._held(self.sides(twist))
-        along = np.clip(held[..., ::-1], -self.coasting_speed, self.coasting_speed)
-        return self.twist(np.where(self.coasts(twist), along, held))
+        speeds = self._quantised(self.sides(twist))
+        coasting = np.clip(speeds[..., ::-1], -self.coasting_speed, self.coasting_speed)
+        return self.twist(np.where(self.coasts(twist), coasting, speeds))
 
     def coasts(self, twist: ArrayLike) -> NDArray[np.bool_]:
         """Return True for each side (..., 2) whose command is below one step while the opposite side is driven."""
-        held = self._held(self.sides(twist))
-        return np.asarray((held == 0.0) & (held[..., ::-1] != 0.0), dtype=np.bool_)
+        speeds = self._quantised(self.sides(twist))
+        return np.asarray((speeds == 0.0) & (speeds[..., ::-1] != 0.0), dtype=np.bool_)
 
     def slope(self, twist: ArrayLike) -> FloatArray:
-        """Return the (..., 2, 2) derivative of `apply`, without its steps, for a linearisation at `twist`."""
+        """Return the derivative (..., 2, 2) of `apply` at `twist`, without the steps of the resolution."""
         speeds = self.sides(twist)
         free = np.ones(speeds.shape) if self.top_speed is None else (np.abs(speeds) < self.top_speed).astype(float)
         coasts = self.coasts(twist)
-        along = coasts * free[..., ::-1] * (np.abs(self._held(speeds)[..., ::-1]) < self.coasting_speed)
+        follows = coasts * free[..., ::-1] * (np.abs(self._quantised(speeds)[..., ::-1]) < self.coasting_speed)
         by_side = np.zeros((*speeds.shape, 2))
         for side, opposite in ((0, 1), (1, 0)):
             by_side[..., side, side] = np.where(coasts[..., side], 0.0, free[..., side])
-            by_side[..., side, opposite] = along[..., side]
+            by_side[..., side, opposite] = follows[..., side]
         half = 0.5 * self.track
         into, out = np.array([[1.0, -half], [1.0, half]]), np.array([[0.5, 0.5], [-1 / self.track, 1 / self.track]])
         return np.asarray(out @ by_side @ into)
 
-    def _cut(self, sides: FloatArray) -> FloatArray:
+    def _clipped(self, sides: FloatArray) -> FloatArray:
         return sides if self.top_speed is None else np.clip(sides, -self.top_speed, self.top_speed)
 
-    def _held(self, sides: FloatArray) -> FloatArray:
-        """Cut rim speeds to top speed and, towards zero, to whole steps."""
-        cut = self._cut(sides)
+    def _quantised(self, sides: FloatArray) -> FloatArray:
+        """Clip rim speeds to the top speed and truncate them to whole steps."""
+        clipped = self._clipped(sides)
         if self.resolution == 0.0:
-            return cut
-        return np.sign(cut) * np.floor(np.abs(cut) / self.resolution + _ON_STEP) * self.resolution
+            return clipped
+        return np.sign(clipped) * np.floor(np.abs(clipped) / self.resolution + _ROUNDING) * self.resolution
 
 
 class YawRelaxation(StrictModel):
-    """First-order relaxation over the angle through which the wheels turn, not over time.
+    """First-order relaxation over the turn angle of the wheels instead of time.
 
-    With the wheels' yaw rate omega (as it is once settled) and the strain z of the tyres, -1 to 1:
+    With the yaw rate omega of the wheels (the steady-state yaw rate of the body) and the strain z of the tyres from -1
+    to 1:
 
         z' = (omega - |omega| z) / angle,     yaw rate of the body = |omega| z = omega - angle z'.
 
-    So the body's heading is that of the wheels less `angle` times z, and each reversal costs twice `angle`. It is
-    Dahl's friction model ("A solid friction model", 1968) between the wheels' heading and the body's.
+    So the heading of the body is that of the wheels minus `angle` times z, and each reversal causes an offset of twice
+    `angle`. This is Dahl's friction model ("A solid friction model", 1968) between the headings of wheels and body.
     """
 
     angle: float = Field(gt=0, description="turn of the wheels over which the tyres twist [rad of yaw]")
@@ -225,19 +229,19 @@ class YawRelaxation(StrictModel):
         return end, yaw_rate - self.angle * (end - strain) / dt
 
     def gain(self, strain: float, yaw_rate: float) -> float:
-        """Return the ratio of the body's yaw rate to the wheels': 1 once settled, negative just after a reversal."""
+        """Return the ratio of the yaw rates of body and wheels: 1 in steady state, negative after a reversal."""
         return strain * float(np.sign(yaw_rate))
 
     def follow(self, yaw_rates: ArrayLike, dt: float, strain: float) -> FloatArray:
-        """Return the body's yaw rates (K,) [rad/s] for the wheels' (K,), linear between samples of `dt` [s].
+        """Return the yaw rates (K,) of the body [rad/s] for those of the wheels, linear between samples of `dt` [s].
 
-        `strain` is z at the first sample; 0 for tyres without twist, the sign of the yaw rate for a settled turn.
+        `strain` is z at the first sample: 0 for relaxed tyres, the sign of the yaw rate for a steady turn.
         """
         rates = np.asarray(yaw_rates, dtype=float)
         if not len(rates):
             return rates
         mean = 0.5 * (rates[1:] + rates[:-1])
-        turned = np.concatenate([[0.0], np.cumsum(np.abs(mean))]) * dt / self.angle
+        turn_angle = np.concatenate([[0.0], np.cumsum(np.abs(mean))]) * dt / self.angle
         moving = np.flatnonzero(mean)
         side = np.sign(mean[moving])
         # Between two reversals the strain decays towards its side with the angle turned.
@@ -247,20 +251,20 @@ class YawRelaxation(StrictModel):
         initial = np.empty(len(sides))
         for run, (low, high) in enumerate(pairwise(edges)):
             initial[run] = strain
-            strain = sides[run] + (strain - sides[run]) * float(np.exp(turned[low] - turned[high]))
+            strain = sides[run] + (strain - sides[run]) * float(np.exp(turn_angle[low] - turn_angle[high]))
         counts = np.diff(edges)
-        towards, since = np.repeat(sides, counts), np.repeat(turned[edges[:-1]], counts)
-        after = towards + (np.repeat(initial, counts) - towards) * np.exp(since - turned[1:])
+        towards, since = np.repeat(sides, counts), np.repeat(turn_angle[edges[:-1]], counts)
+        after = towards + (np.repeat(initial, counts) - towards) * np.exp(since - turn_angle[1:])
         return np.asarray(np.abs(rates) * np.concatenate([initial[:1], after]))
 
 
 class Veer(StrictModel):
-    """Yaw rate in proportion to forward speed: omega = omega_wheels + yaw_per_metre v, wheels of unequal radius.
+    """Yaw rate proportional to the forward speed, due to unequal wheel radii: omega = omega_wheels + yaw_per_metre v.
 
     Source: coefficient a31 of Ordonez et al., 2017 (their omega = w_c + a31 v_c + ...).
     """
 
-    yaw_per_metre: float = Field(description="yaw for each metre driven forward, left positive [rad/m]")
+    yaw_per_metre: float = Field(description="yaw per metre of forward motion, left is positive [rad/m]")
 
     def body(self, wheels: ArrayLike) -> FloatArray:
         """Return the twists (..., 2) of the body for twists (..., 2) of the wheels."""
@@ -268,36 +272,36 @@ class Veer(StrictModel):
         return np.stack([v, omega + self.yaw_per_metre * v], axis=-1)
 
     def wheels(self, body: ArrayLike) -> FloatArray:
-        """Return the twists (..., 2) of the wheels for twists (..., 2) of the body: the exact inverse of `body`."""
+        """Return the twists (..., 2) of the wheels for twists (..., 2) of the body, the exact inverse of `body`."""
         v, omega = np.moveaxis(np.asarray(body, dtype=float), -1, 0)
         return np.stack([v, omega - self.yaw_per_metre * v], axis=-1)
 
 
 class PoseMount(StrictModel):
-    """Lever arm and heading of a pose sensor on the robot, in the sensor's own axes.
+    """Lever arm and heading of a pose sensor on the robot, in the axes of the sensor.
 
-    A velocity model describes the centre of rotation. Poses of another point, taken for it, look like side-slip.
+    A velocity model describes the centre of rotation. Without correction, poses of another point appear as side-slip.
     """
 
-    ahead: float = Field(default=0.0, description="sensor ahead of the centre of rotation [m]")
-    left: float = Field(default=0.0, description="sensor left of the centre of rotation [m]")
+    ahead: float = Field(default=0.0, description="distance of the sensor ahead of the centre of rotation [m]")
+    left: float = Field(default=0.0, description="distance of the sensor to the left of the centre of rotation [m]")
     heading: float = Field(
-        default=0.0, ge=-np.pi, le=np.pi, description="direction of travel less sensor's heading [rad]"
+        default=0.0, ge=-np.pi, le=np.pi, description="direction of travel minus heading of the sensor [rad]"
     )
 
     def centre(self, sensor: ArrayLike) -> FloatArray:
         """Return poses (..., 3) of the centre of rotation for poses (..., 3) of the sensor: x, y [m], theta [rad]."""
         pose = np.asarray(sensor, dtype=float)
         theta = pose[..., 2]
-        return self._moved(pose, theta, -1.0, theta + self.heading)
+        return self._shifted(pose, theta, -1.0, theta + self.heading)
 
     def sensor(self, centre: ArrayLike) -> FloatArray:
-        """Return poses (..., 3) of the sensor for poses (..., 3) of the centre: the exact inverse of `centre`."""
+        """Return poses (..., 3) of the sensor for poses (..., 3) of the centre, the exact inverse of `centre`."""
         pose = np.asarray(centre, dtype=float)
         theta = pose[..., 2] - self.heading
-        return self._moved(pose, theta, 1.0, theta)
+        return self._shifted(pose, theta, 1.0, theta)
 
-    def _moved(self, pose: FloatArray, axes: FloatArray, sign: float, theta: FloatArray) -> FloatArray:
+    def _shifted(self, pose: FloatArray, axes: FloatArray, sign: float, theta: FloatArray) -> FloatArray:
         """Shift `pose` by the lever arm along the sensor's `axes` [rad]; set its heading to `theta`."""
         dx = np.cos(axes) * self.ahead - np.sin(axes) * self.left
         dy = np.sin(axes) * self.ahead + np.cos(axes) * self.left
@@ -305,42 +309,42 @@ class PoseMount(StrictModel):
 
 
 class BaseEffects(StrictModel):
-    """Effects of the base around the linear model of the same file; a missing effect is not modelled."""
+    """Effects of the base around the linear model of the same file; None means that an effect is not modelled."""
 
     twist_range: TwistRange | None = Field(default=None, description="speed limits inside the base")
     twist_slew: TwistSlew | None = Field(default=None, description="acceleration limits inside the base")
     wheel_command: WheelCommand | None = Field(default=None, description="steps, coasting and top speed of the motors")
     yaw_relaxation: YawRelaxation | None = Field(default=None, description="twist of the tyres at changes of direction")
     veer: Veer | None = Field(default=None, description="yaw of the body while the wheels drive straight")
-    pose_mount: PoseMount | None = Field(default=None, description="where the pose sensor sits")
+    pose_mount: PoseMount | None = Field(default=None, description="position and heading of the pose sensor")
 
 
 class Response(NamedTuple):
     """Twists at the samples of the commands."""
 
     wheels: FloatArray
-    """(K, 2) v [m/s], omega [rad/s] that encoders with the effective track see."""
+    """(K, 2) v [m/s], omega [rad/s] as measured by encoders with the effective track."""
     body: FloatArray
-    """(K, 2) v [m/s], omega [rad/s] of the body, which gyro and poses see."""
+    """(K, 2) v [m/s], omega [rad/s] of the body, as measured by gyro and poses."""
 
 
 def respond(
     model: VelocityModel, effects: BaseEffects, commands: ArrayLike, dt: float, start: ArrayLike = (0.0, 0.0)
 ) -> Response:
-    """Simulate from commands alone: slew, wheel commands, linear dynamics, twist of the tyres, veer.
+    """Simulate slew, wheel commands, linear dynamics, twist of the tyres and veer from commands alone.
 
     Parameters
     ----------
     model
-        The linear dynamics, from what the motors are asked for to the settled twist of the body.
+        Linear dynamics from the command of the motors to the steady-state twist of the body.
     effects
-        What the base does around them.
+        Effects of the base.
     commands
-        (K, 2) v_ref [m/s], omega_ref [rad/s], each held from its sample to the next.
+        (K, 2) v_ref [m/s], omega_ref [rad/s], held between samples.
     dt
         Sample time [s].
     start
-        (2,) the command under which the robot is settled at sample 0.
+        (2,) command with whose steady state the simulation starts.
 
     Raises
     ------

@@ -189,7 +189,7 @@ def read_yaml(path: str | Path) -> Any:  # noqa: ANN401 - the schema gives it a 
     Raises
     ------
     ConfigError
-        If the file is missing, unreadable, no regular file or too large; if its YAML is invalid, repeats a key, is
+        If the file is missing, unreadable, not a regular file or too large; if its YAML is invalid, repeats a key, is
         nested too deeply or holds too many values.
     """
     path = Path(path)

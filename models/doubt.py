@@ -24,7 +24,7 @@ class DoubtRelevance:
     why: str
 
     def __str__(self) -> str:
-        """Format the relevance in words."""
+        """Format the relevance as text."""
         return f"{'matters' if self.matters else 'does not matter'} for driving: {self.why}"
 
 
@@ -75,11 +75,11 @@ VERDICTS: Mapping[str, DoubtRelevance] = {
     "dead readings": _SCALE,
     "second publisher": _ROBOT,
     "late wheel": _LATE,
-    "tyre change": _yes("the robot would drive a curve where it is told a line"),
+    "tyre change": _yes("the robot would drive a curve for the command of a straight line"),
     "gyro drift": _yes("the heading would drift as much"),
-    "curved command": _yes("the robot would drive small commands slower than the model says"),
-    "scaled poses": _yes("lengths in the map are not those on the floor"),
-    "slipping wheels": _yes("on another floor the robot would drive much faster than the model says"),
+    "curved command": _yes("the robot would follow small commands more slowly than predicted"),
+    "scaled poses": _yes("lengths in the map differ from those on the ground"),
+    "slipping wheels": _yes("on another surface the robot would drive much faster than predicted"),
     "gain drift": _yes("the robot may drive faster or slower than predicted"),
     "rectified sensor": _SIGN,
     "clipped sensor": _SCALE,
@@ -95,14 +95,14 @@ VERDICTS: Mapping[str, DoubtRelevance] = {
     "saturation": _yes("beyond the limit the robot may not follow its command"),
     # Doubts about estimates.
     "second lag": _no("one lag is enough"),
-    "divided lag": _no("dead time and lag are right together"),
+    "divided lag": _no("the sum of dead time and lag is correct"),
     "equal lags": _no("together they predict the same"),
-    "lag": _yes("how late the robot answers is not known"),
+    "lag": _yes("the delay of the robot's response is unknown"),
     "gain": _yes("the robot may drive faster or slower than predicted"),
     "track": _yes("the robot may turn faster or slower than predicted"),
     "limit": _yes("stay below that limit"),
     "dead time": _yes("the robot may respond later than predicted"),
-    "no dead time": _no("dead time and lag are right together"),
+    "no dead time": _no("the sum of dead time and lag is correct"),
     "told together": _no("together they predict the same"),
     "prior kept": _no("the log shows no sign of it"),
     "pose calibration": _no("the controller does not use it"),

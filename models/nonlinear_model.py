@@ -67,8 +67,8 @@ class NonlinearModel:
     Raises
     ------
     ModelError
-        If names or shapes do not match, if x = 0 is no steady state, or if the linearisation at rest is unstable or has
-        a gain that is not positive.
+        If names or shapes do not match, if x = 0 is not a steady state, or if the linearisation at rest is unstable or
+        has a gain that is not positive.
     """
 
     name: str

@@ -100,19 +100,19 @@ MAX_LENGTH = 1000
 """Maximum number of characters of a line."""
 
 
-def plain_line(text: str, longest: int = MAX_LENGTH) -> str:
+def plain_line(text: str, max_length: int = MAX_LENGTH) -> str:
     r"""Convert `text` to one line without control characters of terminals or line breaks.
 
     White space becomes single spaces, characters that cannot be printed become escapes such as ``\x1b``, and text
-    beyond `longest` characters is replaced by "...".
+    beyond `max_length` characters is replaced by "...".
     """
-    cut = text[: 4 * longest]  # limits the work for long texts
+    start = text[: 4 * max_length]  # limits the work for long texts
     line = " ".join(
         "".join(
-            character if character.isprintable() or character.isspace() else _escape(character) for character in cut
+            character if character.isprintable() or character.isspace() else _escape(character) for character in start
         ).split()
     )
-    return line if len(line) <= longest and len(cut) == len(text) else f"{line[: longest - 3]}..."
+    return line if len(line) <= max_length and len(start) == len(text) else f"{line[: max_length - 3]}..."
 
 
 def escaped(text: str, allowed: str = "") -> str:

@@ -82,8 +82,8 @@ def whole_file(path: str | Path, *, rewrites: bool = False) -> Iterator[Path]:
     Raises
     ------
     models.checked_yaml.ConfigError
-        With a message that starts with `path`: on entry if `path` is no regular file, is not writable, or was read by
-        the same command; on exit if it was read meanwhile.
+        With a message that starts with `path`: on entry if `path` is not a regular file, is not writable, or was read
+        by the same command; on exit if it was read meanwhile.
     """
     with ExitStack() as stack:
         try:

@@ -144,7 +144,7 @@ def _access_fault(folder: Path) -> str | None:
     """Describe why another user may have written to `folder` (no link); None if no other user can."""
     status = folder.lstat()
     if not stat.S_ISDIR(status.st_mode):
-        return f"{folder} is no folder"
+        return f"{folder} is not a folder"
     if status.st_uid not in (os.geteuid(), 0):
         return f"{folder} belongs to another user"
     if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):

@@ -1,5 +1,5 @@
-/* Estimates pose, twist and slip from measurements that arrive at several rates and late: an extended Kalman filter
- * with a short history, in which a late measurement is entered at its stamp. */
+/* Estimation of pose, twist and slip from delayed measurements at several rates: an extended Kalman filter with a short
+ * history, into which each measurement is inserted at its stamp. */
 #include <string.h>
 
 #include "internal.h"
@@ -14,14 +14,14 @@ static ddmpc_node *newest(const ddmpc_controller *c)
     return node_at(c, c->estimator.nodes - 1);
 }
 
-/* The command sent `ticks_ago`. */
+/* Return the command sent `ticks_ago`. */
 static real *sent(const ddmpc_controller *c, int ticks_ago)
 {
     return c->estimator.commands + 2 * (COMMANDS(c) - 1 - ticks_ago);
 }
 
-/* A new node at the end of the history, which drops its oldest where it is full. */
-static ddmpc_node *grow(ddmpc_controller *c, ddmpc_time time)
+/* Append a node to the history; a full history drops its oldest node. */
+static ddmpc_node *append_node(ddmpc_controller *c, ddmpc_time time)
 {
     ddmpc_estimator *estimator = &c->estimator;
     if (estimator->nodes == HISTORY(c))
@@ -47,7 +47,7 @@ void ddmpc_estimator_forget(ddmpc_controller *c)
     estimator->accepted_stamp = estimator->pose_stamp = -HUGE_VAL;
     estimator->wheels_stamp = estimator->yaw_rate_stamp = -HUGE_VAL;
     estimator->too_old = 0.0;
-    /* No pose has come yet: the first overdue one is enough for poses to count as rare. */
+    /* Before the first pose, a single overdue pose is sufficient for poses to count as rare. */
     estimator->overdue = 1;
     estimator->rare = 0;
     estimator->last_wheels[0] = estimator->last_wheels[1] = estimator->last_yaw_rate = R(0.0);
@@ -66,9 +66,9 @@ const real *ddmpc_estimator_slip(const ddmpc_controller *c) { return newest(c)->
 void ddmpc_estimator_append(ddmpc_controller *c, const real command[2])
 {
     real *commands = c->estimator.commands;
-    const real entered[2] = {command[0], command[1]};
+    const real copy[2] = {command[0], command[1]}; /* `command` may point into `commands` */
     memmove(commands, commands + 2, (size_t)(2 * (COMMANDS(c) - 1)) * sizeof(real));
-    ddmpc_estimator_correct_last(c, entered);
+    ddmpc_estimator_correct_last(c, copy);
 }
 
 void ddmpc_estimator_correct_last(ddmpc_controller *c, const real command[2])
@@ -82,14 +82,14 @@ void ddmpc_estimator_overrule(ddmpc_controller *c, const real *commands, int cou
     memcpy(sent(c, stored - 1), commands + 2 * (count - stored), (size_t)(2 * stored) * sizeof(real));
 }
 
-int ddmpc_estimator_correct_sent(ddmpc_controller *c, const real got[2])
+int ddmpc_estimator_correct_sent(ddmpc_controller *c, const real received[2])
 {
     const ddmpc_constants *k = c->constants;
     for (int i = 0; i < 2; i++)
-        /* The negated comparison rejects NaN, too. */
-        if (!(ddmpc_fabs(got[i]) <= k->sent_rounding * ddmpc_max(k->largest_command[2 * i + (got[i] < R(0.0))], ddmpc_fabs(c->last[i]))))
+        /* The negated comparison also rejects NaN. */
+        if (!(ddmpc_fabs(received[i]) <= k->sent_rounding * ddmpc_max(k->largest_command[2 * i + (received[i] < R(0.0))], ddmpc_fabs(c->last[i]))))
             return 0;
-    ddmpc_estimator_correct_last(c, got);
+    ddmpc_estimator_correct_last(c, received);
     return 1;
 }
 
@@ -98,20 +98,20 @@ void ddmpc_estimator_advance(ddmpc_controller *c, ddmpc_time t)
     const ddmpc_time dt = c->constants->sample_time;
     if (c->estimator.nodes == 0)
         return;
-    const double passed = rint((t - newest(c)->time) / dt);
-    const int steps = passed > 1.0 ? (int)passed : 1;
+    const double elapsed = rint((t - newest(c)->time) / dt);
+    const int steps = elapsed > 1.0 ? (int)elapsed : 1;
     for (int missing = steps - 1; missing >= 0; missing--) {
         if (missing < steps - 1)
             ddmpc_estimator_append(c, sent(c, 0));
         const ddmpc_belief *before = &newest(c)->posterior;
-        ddmpc_node *node = grow(c, t - missing * dt);
+        ddmpc_node *node = append_node(c, t - missing * dt);
         ddmpc_filter_predict(c, before, sent(c, 0), &node->prior);
         ddmpc_copy_belief(c, &node->posterior, &node->prior);
         ddmpc_monitor_predict(c, sent(c, 0));
     }
 }
 
-/* Index of the last node not after `time`; the first where the history does not reach back so far. */
+/* Return the index of the last node that is not after `time`; 0 if `time` is before the history. */
 static int node_before(const ddmpc_controller *c, ddmpc_time time)
 {
     for (int index = c->estimator.nodes - 1; index > 0; index--)
@@ -120,7 +120,7 @@ static int node_before(const ddmpc_controller *c, ddmpc_time time)
     return 0;
 }
 
-/* Filter again from the node `first` to the newest. */
+/* Repeat the filter from the node `first` to the newest. */
 static void filter_from(ddmpc_controller *c, int first)
 {
     ddmpc_estimator *estimator = &c->estimator;
@@ -132,19 +132,19 @@ static void filter_from(ddmpc_controller *c, int first)
         ddmpc_copy_belief(c, &node->posterior, &node->prior);
         for (int i = 0; i < node->twists; i++) {
             const ddmpc_checked_twist *twist = &node->twist[i];
-            const real ahead = (real)(twist->stamp - node->time);
-            estimator->innovations[twist->sensor] = ddmpc_filter_correct_twist(c, &node->posterior, twist, ahead);
+            const real offset = (real)(twist->stamp - node->time);
+            estimator->innovations[twist->sensor] = ddmpc_filter_correct_twist(c, &node->posterior, twist, offset);
         }
         for (int i = 0; i < node->poses; i++) {
-            const real ahead = (real)(node->pose[i].stamp - node->time);
+            const real offset = (real)(node->pose[i].stamp - node->time);
             estimator->innovations[POSE_SENSOR] =
-                ddmpc_filter_correct_pose(c, &node->posterior, &node->pose[i], ahead);
+                ddmpc_filter_correct_pose(c, &node->posterior, &node->pose[i], offset);
         }
     }
 }
 
 /* Remove the measurements of faulty sensors (`accused`, bits by subject) from the history. */
-static void disbelieve(ddmpc_controller *c, int accused)
+static void remove_measurements(ddmpc_controller *c, int accused)
 {
     for (int index = 0; index < c->estimator.nodes; index++) {
         ddmpc_node *node = node_at(c, index);
@@ -160,8 +160,8 @@ static void disbelieve(ddmpc_controller *c, int accused)
     }
 }
 
-/* Belief of a robot that has followed the commands sent so far as the model predicts, at no particular pose. The
-   standard deviation of its speed is the speed itself, since it may be standing; at rest the speed is certain. */
+/* Compute the belief of a robot that has followed the commands so far as predicted by the model, without a pose. The
+   standard deviation of the speed equals the speed, because the robot may be at rest; a speed of zero is certain. */
 static void initial_belief(const ddmpc_controller *c, ddmpc_belief *belief)
 {
     const ddmpc_constants *constants = c->constants;
@@ -170,7 +170,7 @@ static void initial_belief(const ddmpc_controller *c, ddmpc_belief *belief)
     for (int i = 0; i < n; i++) {
         state[i] = R(0.0);
         for (int channel = 0; channel < 2; channel++)
-            /* The command before the oldest that acts on the first interval. */
+            /* The command before the oldest one that acts in the first interval. */
             state[i] += constants->settled[2 * i + channel] *
                         sent(c, HISTORY(c) + DELAY(c, channel) + 1)[channel];
     }
@@ -197,12 +197,12 @@ static void initial_belief(const ddmpc_controller *c, ddmpc_belief *belief)
     }
 }
 
-/* Forget poses of a delay that was wrong by `change` [s], and the slip and delays learned from them. */
+/* Remove poses with a delay that was wrong by `change` [s], and reset the slip and delays learned from them. */
 static void relearn(ddmpc_controller *c, real change)
 {
     const int n = STATES(c), Z = BELIEF(c);
     ddmpc_belief *oldest = &node_at(c, 0)->prior, *initial = &newest(c)->posterior;
-    disbelieve(c, 1 << DDMPC_OF_POSE);
+    remove_measurements(c, 1 << DDMPC_OF_POSE);
     initial_belief(c, initial);
     for (int i = n; i < n + POSE(c); i++) {
         oldest->mean[i] = initial->mean[i];
@@ -213,14 +213,14 @@ static void relearn(ddmpc_controller *c, real change)
         oldest->covariance[(n + POSE(c) + i) * (Z + 1)] += ddmpc_fastest(c->constants, i / 2) * change * ddmpc_fastest(c->constants, i / 2) * change;
 }
 
-/* Restart the history with one node at `pose`, with all but the pose taken from `motion`. */
+/* Restart the history with one node at `pose`; all other states come from `motion`. */
 static void start(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_pose *pose, const ddmpc_belief *motion)
 {
-    /* `motion` may lie in the history: it moves to the first node before the rest is dropped. */
+    /* `motion` may be in the history, so copy it to the first node before the other nodes are dropped. */
     if (motion != &c->estimator.node[0].prior)
         ddmpc_copy_belief(c, &c->estimator.node[0].prior, motion);
     c->estimator.first = c->estimator.nodes = 0;
-    ddmpc_node *node = grow(c, t);
+    ddmpc_node *node = append_node(c, t);
     ddmpc_filter_place(c, &node->prior, pose);
     ddmpc_copy_belief(c, &node->posterior, &node->prior);
     ddmpc_accept_pose(c, pose);
@@ -244,16 +244,16 @@ int ddmpc_estimator_update(ddmpc_controller *c, ddmpc_time t, const ddmpc_input 
     int first = estimator->nodes;
     const ddmpc_time delay = ddmpc_monitor_delay(c);
     ddmpc_monitor_move(c, t, twist, wheels, twists);
-    const int newly = has_pose ? ddmpc_monitor_judge(c, &pose) : 0;
+    const int newly_accused = has_pose ? ddmpc_monitor_judge(c, &pose) : 0;
     const real change = (real)(ddmpc_monitor_delay(c) - delay);
     const int unused = c->monitor.accused | ddmpc_monitor_doubts(c, t);
     if (has_pose) {
         ddmpc_monitor_widen(c, &pose);
-        /* The pose is older than its stamp states, by a delay that the monitor inferred from the motion. */
+        /* The pose is older than its stamp by the delay that the monitor has estimated from the motion. */
         pose.stamp -= ddmpc_monitor_delay(c);
     }
-    if (newly) {
-        disbelieve(c, newly);
+    if (newly_accused) {
+        remove_measurements(c, newly_accused);
         first = 0;
     }
     if (ddmpc_fabs(change) > c->constants->delay_fit[4]) {
@@ -266,7 +266,7 @@ int ddmpc_estimator_update(ddmpc_controller *c, ddmpc_time t, const ddmpc_input 
         const ddmpc_time half = 0.5 * c->constants->sample_time;
         const int index = node_before(c, twist[i].stamp + half);
         ddmpc_node *node = node_at(c, index);
-        /* Skip what tells of a time before the history. */
+        /* Skip measurements from before the history. */
         if (twist[i].stamp < node->time - half - 1e-9)
             continue;
         if (node->twists == MAX_TWISTS) {
@@ -302,48 +302,48 @@ int ddmpc_estimator_restart_elsewhere(ddmpc_controller *c)
     return 1;
 }
 
-/* Reduce `mean` by a share of what it owes to the difference of the states `group` from their prior: all of it while the
-   difference is no larger than `noise` squared deviations, less with more evidence. `doubt` is a variance of a single
-   state that the filter does not know of. The filter itself learns as before. */
+/* Reduce the part of `mean` that is due to the difference of the states `group` from their prior: completely if the
+   difference is at most `noise` squared deviations, and less with more evidence. `doubt` is an additional variance of a
+   single state that is not part of the filter. The filter itself is not changed. */
 static void discount(const ddmpc_controller *c, const ddmpc_belief *belief, const int *group, int count, real noise,
                      real doubt, real *mean)
 {
     const int n = STATES(c), Z = BELIEF(c);
     const real *P = belief->covariance;
-    real L[4][4], solved[4], squared = R(0.0);
+    real L[4][4], solution[4], squared = R(0.0);
     for (int i = 0; i < count; i++) {
         const int row = n + group[i];
-        real rest = belief->mean[row] - (group[i] < SLIPS(c) ? c->constants->prior[group[i]] : R(0.0));
+        real residual = belief->mean[row] - (group[i] < SLIPS(c) ? c->constants->prior[group[i]] : R(0.0));
         for (int j = 0; j <= i; j++) {
             real sum = P[row * Z + n + group[j]];
             for (int k = 0; k < j; k++)
                 sum -= L[i][k] * L[j][k];
-            /* A state that is not estimated has no variance. */
+            /* The variance of a state that is not estimated is zero. */
             L[i][j] = i == j ? ddmpc_sqrt(ddmpc_max(sum, R(0.0))) : L[j][j] > R(0.0) ? sum / L[j][j] : R(0.0);
         }
         for (int j = 0; j < i; j++)
-            rest -= L[i][j] * solved[j];
-        solved[i] = L[i][i] > R(0.0) ? rest / L[i][i] : R(0.0);
-        squared += solved[i] * solved[i];
+            residual -= L[i][j] * solution[j];
+        solution[i] = L[i][i] > R(0.0) ? residual / L[i][i] : R(0.0);
+        squared += solution[i] * solution[i];
     }
     for (int i = count - 1; i >= 0; i--) {
         for (int j = i + 1; j < count; j++)
-            solved[i] -= L[j][i] * solved[j];
-        solved[i] = L[i][i] > R(0.0) ? solved[i] / L[i][i] : R(0.0);
+            solution[i] -= L[j][i] * solution[j];
+        solution[i] = L[i][i] > R(0.0) ? solution[i] / L[i][i] : R(0.0);
     }
     if (count == 1)
         squared *= L[0][0] * L[0][0] / ddmpc_max(L[0][0] * L[0][0] + doubt, R(1e-12));
     real share = squared > noise ? noise / squared : R(1.0);
     if (*group == OMEGA_GAIN)
-        /* By the square, or the ratio of tracks of another robot would keep a part of its error. */
+        /* Squared, because otherwise a part of the error of a wrong track ratio would remain. */
         share *= share;
     for (int j = 0; j < count; j++)
         for (int i = 0; i < Z; i++)
-            mean[i] -= share * solved[j] * P[i * Z + n + group[j]];
+            mean[i] -= share * solution[j] * P[i * Z + n + group[j]];
 }
 
-/* The mean that the controller uses: adapted to slip and delay as far as there is evidence for them. */
-static void weigh(const ddmpc_controller *c, const ddmpc_belief *belief, real *mean)
+/* Reduce slip and delays in the mean for the controller according to their evidence. */
+static void discount_by_evidence(const ddmpc_controller *c, const ddmpc_belief *belief, real *mean)
 {
     const int groups[4][4] = {
         {TURN_AHEAD, TURN_LEFT, SLIDE_X, SLIDE_Y}, {OMEGA_GAIN}, {DELAYS(c)}, {DELAYS(c) + 1}};
@@ -362,7 +362,7 @@ void ddmpc_estimator_estimate(ddmpc_controller *c)
     estimate->time = node->time;
     *estimate->pose_age = (real)(node->time - c->estimator.accepted_stamp);
     memcpy(estimate->mean, belief->mean, (size_t)Z * sizeof(real));
-    weigh(c, belief, estimate->mean);
+    discount_by_evidence(c, belief, estimate->mean);
     for (int i = 0; i < Z; i++)
         estimate->deviation[i] = ddmpc_sqrt(ddmpc_max(belief->covariance[i * (Z + 1)], R(0.0)));
     ddmpc_filter_twist(c, belief->mean, estimate->twist);
@@ -370,7 +370,7 @@ void ddmpc_estimator_estimate(ddmpc_controller *c)
     memcpy(estimate->innovations, c->estimator.innovations, sizeof c->estimator.innovations);
 }
 
-int ddmpc_newest_belief(const ddmpc_controller *c, real *mean, real *covariance, real *on_their_way)
+int ddmpc_newest_belief(const ddmpc_controller *c, real *mean, real *covariance, real *pending_commands)
 {
     if (!(ddmpc_estimator_state(c) & READY))
         return 0;
@@ -378,7 +378,7 @@ int ddmpc_newest_belief(const ddmpc_controller *c, real *mean, real *covariance,
     const int Z = BELIEF(c), W = WINDOW(c);
     memcpy(mean, belief->mean, (size_t)Z * sizeof(real));
     memcpy(covariance, belief->covariance, (size_t)(Z * Z) * sizeof(real));
-    memcpy(on_their_way, sent(c, W), (size_t)(2 * W) * sizeof(real));
+    memcpy(pending_commands, sent(c, W), (size_t)(2 * W) * sizeof(real));
     return 1;
 }
 

@@ -5,7 +5,7 @@
 #include <string.h>
 
 static const double PI = 3.141592653589793;
-/* models/base_effects.py, _ON_STEP; models/slip_laws.py, _LEAST_ROOT. */
+/* models/base_effects.py, _ROUNDING; models/slip_laws.py, _LEAST_ROOT. */
 static const double ON_STEP = 1e-9, LEAST_ROOT = 0.04;
 
 static double clip(double value, double low, double high) { return fmin(fmax(value, low), high); }

@@ -65,7 +65,7 @@ def test_message_shortens_long_values_and_keys(tmp_path):
 
 @given(st.text())
 def test_any_text_becomes_one_printable_line(text):
-    line = plain_line(text, longest=60)
+    line = plain_line(text, max_length=60)
     assert line.isprintable()
     assert len(line) <= 60
     assert len(line.splitlines()) <= 1

@@ -36,7 +36,7 @@ def export_judge(rules: Rules, folder: Path) -> list[Path]:
 def rules_texts(rules: Rules) -> dict[str, str]:
     """Generate rules.c and rules.h."""
     members = ",\n".join(f"    .{name} = {value!r}" for name, value in rules.numbers.items())
-    comment = "".join("_" if letter in '*/\\?"' else letter for letter in plain_line(rules.name, longest=80))
+    comment = "".join("_" if letter in '*/\\?"' else letter for letter in plain_line(rules.name, max_length=80))
     header = (
         '#ifndef DDMON_RULES_H\n#define DDMON_RULES_H\n\n#include "judge.h"\n\n'
         f"/* {comment} */\nextern const ddmon_rules ddmon_default_rules;\n\n#endif\n"

@@ -164,7 +164,7 @@ def _number(value: float) -> str:
 
 def _comment(text: str) -> str:
     """Remove from `text` the end of a comment, line joins, and anything that compilers warn about."""
-    return re.sub(r"[*/\\?]", "_", plain_line(text, longest=80))
+    return re.sub(r"[*/\\?]", "_", plain_line(text, max_length=80))
 
 
 def _identifier(name: str) -> str:
