@@ -139,7 +139,7 @@ def robustness(
     loaded = load_conditions(conditions)
     names = split_names(only, "--only") if only is not None else loaded.quick if quick else None
     study = RobustnessStudy(
-        loaded.chosen(names) if names is not None or robots is None else {},
+        loaded.select(names) if names is not None or robots is None else {},
         loaded.settled,
         controllers=split_names(controllers, "--controllers"),
         models=split_names(models, "--models"),

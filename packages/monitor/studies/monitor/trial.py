@@ -81,7 +81,7 @@ class MonitoredController:
         step: ControlStep = self._inner.step(t, fault.sees(measurement) if is_faulty else measurement)
         command, mode = Sent(t, float(step.command[0]), float(step.command[1])), str(step.mode)
         sent = fault.sends(command) if is_faulty else [command]
-        fault.went(sent)
+        fault.record(sent)
         planned = getattr(self._inner, "planned_delay", 0.0)
         if mode not in _STANDING and abs(planned - self._planned) >= _MIN_SHIFT:
             self._publish_reference(t, planned)
@@ -273,7 +273,7 @@ def _is_finally_at_rest(run: Run) -> NDArray[np.bool_]:
 
 
 def distances(run: Run, near: tuple[float, float] = _NEAR) -> FloatArray:
-    """Compute the distance (n,) of the true position from the reference section from -`near[0]` to `near[1]` [s] [m]."""
+    """Compute the distance (n,) [m] of the true position from the reference between -`near[0]` and `near[1]` [s]."""
     times = np.arange(-near[0], run.time[-1] + near[1], 0.05)
     places = run.reference.sample(times).pose[:, :2]
     first = np.searchsorted(times, run.time - near[0])
