@@ -10,7 +10,7 @@ LONG = pytest.param(1000, marks=pytest.mark.long)
 
 
 def detection_time(messages):
-    """Return the time at which two publishers are detection_time [s]; None if they are not."""
+    """Return the time [s] at which two publishers are detected; None if they are not."""
     senders = Senders()
     for arrival, number, _ in sorted(messages, key=lambda message: message.arrival):
         if senders.take(number, arrival):
